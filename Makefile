@@ -1,0 +1,43 @@
+# `make demo` and `make test` do everything on a fresh machine: each makes the virtual environment .venv by itself.
+# Torch comes from the configured package index; for one without GPU libraries:
+#     PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make demo
+
+PYTHON = $(shell for candidate in python3.13 python3.12 python3.11 python3; do \
+	"$$candidate" -c 'import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' \
+		2>/dev/null && echo "$$candidate" && break; done)
+BIN := .venv/bin
+
+# Linear algebra in one thread a process: the tests' and the bake's workers share the cores among themselves.
+export OMP_NUM_THREADS := 1
+
+.PHONY: demo picture test lint bench clean
+
+demo: .venv/installed-evaluate
+	$(BIN)/prtbake demo --out demo
+
+picture: .venv/installed-evaluate
+	$(BIN)/prtbake demo --out demo/picture --quality fine
+
+test: .venv/installed-dev
+	$(BIN)/python -m pytest --numprocesses auto
+
+lint: .venv/installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: .venv/installed-dev
+	$(BIN)/python -m pytest tests/bench --capture no
+
+clean:
+	rm -rf .venv demo bench
+
+# The name of the stamp is that of the extra which is installed with the package.
+.venv/installed-%: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "prtbake: no Python 3.11, 3.12 or 3.13 with the modules venv and ensurepip was found;" \
+		"install one (Debian, Ubuntu: 'sudo apt install python3 python3-venv') or name it: make PYTHON=/path/to/python" >&2; \
+		exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[$*]'
+	@touch $@

@@ -1,0 +1,163 @@
+"""The one loop of every bake: blocks of vertices in, coefficients with standard errors out, in order.
+
+A block's numbers depend on its vertices alone, not on where the cuts lie or how many workers there are.
+"""
+
+from collections import deque
+from collections.abc import Callable, Generator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.error_estimate import Estimator, halves_variance, neighbour_variance
+from bakers.plan import vertices_at_once
+from bakers.projection import DirectionPool, project, residual_variance
+from bakers.transport import as_radiance, way_in
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Coefficients of consecutive vertices."""
+
+    first_vertex: int
+    coefficients: NDArray[np.float32]
+    """[n,B,K,3]; zero at vertices that are not valid."""
+    standard_error: NDArray[np.float32]
+    """[n,B], one sigma, rms over K and channels."""
+    valid: NDArray[np.bool_]
+    """[n], false where the transport answered something that is not finite."""
+    bent: int
+    """Bins whose direction lay below the horizon."""
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the light is sampled at every bin."""
+
+    pool: DirectionPool
+    rotation: Callable[[int, int], NDArray[np.int64]]
+    """(first vertex, last vertex) → which set of the pool each bin takes, [n,B]."""
+    second_rotation: Callable[[int, int], NDArray[np.int64]] | None
+    """Another set for each bin, where the error comes from two half-size sets."""
+    estimator: Estimator
+
+
+@dataclass(frozen=True)
+class Walks:
+    """How many random walks estimate the coefficients at every bin."""
+
+    degree: int
+    paths: int
+    seed: Callable[[int], int]
+    """Vertex → its own seed."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A transport and where to bake it."""
+
+    transport: Any
+    positions: Array
+    """[V,3] in object space."""
+    outgoing: Callable[[int, int], tuple[Array, int]]
+    """(first vertex, last vertex) → directions to the eye [n,B,3] and how many of them were bent to the horizon."""
+    bins: int
+    sectors: int
+    sampling: Sampling | Walks
+
+
+def bake_blocks(task: Task, vertices: range, workers: int = 1) -> Generator[Block, None, None]:
+    """Yields the blocks of `vertices` in order, computed by `workers` threads.
+
+    Whatever the transport raises is raised here. Closing the iterator waits for the blocks under way.
+    """
+    size = block_size(task)
+    starts = range(vertices.start, vertices.stop, size)
+    if workers <= 1:
+        for first in starts:
+            yield bake_block(task, first, min(first + size, vertices.stop))
+        return
+    executor = ThreadPoolExecutor(workers)
+    running: deque[Future[Block]] = deque()
+    try:
+        for first in starts:
+            running.append(executor.submit(bake_block, task, first, min(first + size, vertices.stop)))
+            if len(running) > workers:
+                yield running.popleft().result()
+        while running:
+            yield running.popleft().result()
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)
+
+
+def block_size(task: Task) -> int:
+    """Vertices per block."""
+    if isinstance(task.sampling, Walks):
+        return 1
+    return vertices_at_once(task.bins, task.sampling.pool.incident.shape[1])
+
+
+def bake_block(task: Task, first: int, last: int) -> Block:
+    """Bakes vertices first … last − 1."""
+    outgoing, bent = task.outgoing(first, last)
+    if isinstance(task.sampling, Walks):
+        coefficients, variance = _walk(task, task.sampling, outgoing, first, last)
+    else:
+        coefficients, variance = _sample(task, task.sampling, outgoing, first, last)
+    with np.errstate(over="ignore"):
+        rounded = coefficients.astype(np.float32)
+    valid = np.asarray(np.isfinite(rounded).all(axis=(1, 2, 3)) & np.isfinite(variance).all(axis=1))
+    rounded[~valid] = 0.0
+    standard_error = np.sqrt(np.where(valid[:, None], variance, 0.0)).astype(np.float32)
+    return Block(first, rounded, standard_error, valid, bent)
+
+
+def _sample(task: Task, sampling: Sampling, outgoing: Array, first: int, last: int) -> tuple[Array, Array]:
+    """Coefficients and their variance from values of Ŝ."""
+    rotation = sampling.rotation(first, last)
+    values = _values(task, sampling.pool, rotation, outgoing, first, last)
+    # Answers that are not finite are found, and named, by their vertex afterwards.
+    with np.errstate(invalid="ignore", over="ignore"):
+        coefficients = project(values, sampling.pool, rotation)
+        if sampling.second_rotation is not None:
+            again = sampling.second_rotation(first, last)
+            other = project(_values(task, sampling.pool, again, outgoing, first, last), sampling.pool, again)
+            return (coefficients + other) / 2.0, halves_variance(coefficients, other, task.sectors)
+        if sampling.estimator == "neighbours":
+            return coefficients, neighbour_variance(coefficients, task.sectors)
+        return coefficients, residual_variance(values, coefficients, sampling.pool, rotation)
+
+
+def _values(
+    task: Task, pool: DirectionPool, rotation: NDArray[np.int64], outgoing: Array, first: int, last: int
+) -> NDArray[Any]:
+    """Ŝ [n,B,D,3] on the direction sets that `rotation` names."""
+    positions = task.positions[first:last]
+    directions = pool.incident.shape[1]
+    expected = (*rotation.shape, directions, 3)
+    if way_in(task.transport) == "block":
+        answer = task.transport.evaluate_block(pool.incident, rotation, positions, outgoing)
+        return as_radiance(answer, expected, "evaluate_block")
+    incident = pool.incident[rotation].reshape(-1, directions, 3)
+    answer = task.transport.evaluate(incident, np.repeat(positions, task.bins, axis=0), outgoing.reshape(-1, 3))
+    return as_radiance(answer, (len(incident), directions, 3), "evaluate").reshape(expected)
+
+
+def _walk(task: Task, walks: Walks, outgoing: Array, first: int, last: int) -> tuple[Array, Array]:
+    """Coefficients and their variance from random walks, vertex by vertex with a seed of its own."""
+    means, variances = [], []
+    for vertex in range(first, last):
+        positions = np.repeat(task.positions[vertex : vertex + 1], task.bins, axis=0)
+        estimate = task.transport.estimate_coefficients(
+            positions, outgoing[vertex - first], walks.degree, walks.paths, walks.seed(vertex)
+        )
+        count = (walks.degree + 1) ** 2
+        means.append(as_radiance(estimate.mean, (task.bins, count, 3), "estimate_coefficients"))
+        error = as_radiance(estimate.standard_error, (task.bins, count, 3), "estimate_coefficients")
+        variances.append((error**2).mean(axis=(1, 2)))
+    return np.stack(means).astype(np.float64), np.stack(variances)

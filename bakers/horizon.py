@@ -1,0 +1,58 @@
+"""Directions to the eye that lie below a surface, and the bend that brings them above it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LOWEST_COSINE = 1e-3
+
+
+@dataclass(frozen=True)
+class VertexFaces:
+    """Unit normals of the faces around each vertex, vertex after vertex: those of v lie at starts[v] to starts[v+1]."""
+
+    normals: Array
+    starts: NDArray[np.int64]
+
+
+def vertex_faces(vertices: int, faces: NDArray[np.integer], face_normals: Array) -> VertexFaces:
+    """Gathers face_normals [F,3] around the vertices that faces [F,3] name, lowest face first."""
+    corners = np.asarray(faces, dtype=np.int64).reshape(-1)
+    order = np.argsort(corners, kind="stable")
+    starts = np.concatenate(([0], np.cumsum(np.bincount(corners, minlength=vertices))))
+    return VertexFaces(np.asarray(face_normals, dtype=np.float64)[order // 3], starts)
+
+
+def bend_to_horizon(outgoing: Array, around: VertexFaces, first_vertex: int) -> tuple[Array, int]:
+    """Bends outgoing [n,B,3] at vertices from first_vertex on up to the horizon; returns them and how many were bent.
+
+    Of the faces around a vertex the one with the largest ωo·n counts (the lowest on a tie). Where that is not positive
+    the direction is turned in the plane of ωo and n until ωo·n = 10⁻³. A vertex without faces has no horizon.
+    """
+    bent = outgoing.copy()
+    count = 0
+    for row in range(len(outgoing)):
+        first, last = around.starts[first_vertex + row : first_vertex + row + 2]
+        if first == last:
+            continue
+        normals = around.normals[first:last]
+        cosines = outgoing[row] @ normals.T
+        below = np.flatnonzero(cosines.max(axis=1) <= 0.0)
+        if below.size:
+            highest = normals[cosines[below].argmax(axis=1)]
+            bent[row, below] = _turned_up(outgoing[row, below], highest)
+            count += below.size
+    return bent, count
+
+
+def _turned_up(directions: Array, normals: Array) -> Array:
+    along = directions - (directions * normals).sum(axis=-1, keepdims=True) * normals
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    # Straight down there is no plane of ωo and n: any tangent serves, here one square to the smallest component.
+    axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
+    aside = np.cross(normals, axis)
+    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
+    tangent = np.where(length > 1e-12, along / np.maximum(length, 1e-300), aside)
+    return np.asarray(np.sqrt(1.0 - LOWEST_COSINE**2) * tangent + LOWEST_COSINE * normals)

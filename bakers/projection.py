@@ -1,0 +1,80 @@
+"""From values of Ŝ in a set of directions to coefficients in a basis: a_k = Σ_d W_kd Ŝ(ω_d).
+
+Two kinds of weights W. `fitted`: least squares, (YᵀY)⁻¹Yᵀ, which recovers every band-limited Ŝ exactly and, over a
+rotation that is uniform on SO(3), stays unbiased (the averaged operator commutes with rotations and is exact on the
+band). Equal: 4π/D Yᵀ, plain Monte Carlo.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import QueryError
+
+Array = NDArray[np.float64]
+LARGEST_CONDITION = 1e8
+
+
+@dataclass(frozen=True)
+class DirectionPool:
+    """R direction sets of D directions each and what projects values on them."""
+
+    incident: Array
+    """Unit vectors [R,D,3]."""
+    weights: Array
+    """W [R,K,D]: coefficients = weights @ values."""
+    harmonics: Array | None
+    """Y [R,D,K] for fitted weights, None for equal ones."""
+    variance_share: float
+    """Mean over K of the variance of a coefficient per unit variance of a value, for values with independent errors."""
+    condition: float
+    """Condition number of the worst set's least-squares matrix Y; 1 for equal weights."""
+
+
+def direction_pool(incident: Array, harmonics: Array, fitted: bool) -> DirectionPool:
+    """Prepares direction sets [R,D,3] with the basis evaluated on them, harmonics [R,D,K].
+
+    Raises QueryError if fitted weights are asked for and D < K, or the directions do not determine the coefficients.
+    """
+    directions, count = harmonics.shape[1:]
+    if not fitted:
+        weights = np.asarray((4.0 * np.pi / directions) * harmonics.transpose(0, 2, 1), dtype=np.float64)
+        return DirectionPool(incident, weights, None, 4.0 * np.pi / directions, 1.0)
+    if directions < count:
+        raise QueryError(
+            f"{directions} directions cannot determine {count} coefficients: give at least {count}, better {2 * count}"
+        )
+    gram = harmonics.transpose(0, 2, 1) @ harmonics
+    eigenvalues = np.linalg.eigvalsh(gram)
+    condition = float(np.sqrt(eigenvalues[:, -1] / np.maximum(eigenvalues[:, 0], 1e-300)).max())
+    if condition > LARGEST_CONDITION:
+        raise QueryError(
+            f"{directions} directions do not determine {count} coefficients (condition number {condition:.3g}); "
+            f"give at least {2 * count}"
+        )
+    weights = np.asarray(np.linalg.solve(gram, harmonics.transpose(0, 2, 1)), dtype=np.float64)
+    return DirectionPool(incident, weights, harmonics, float((1.0 / eigenvalues).mean()), condition)
+
+
+def project(values: NDArray[np.floating], pool: DirectionPool, rotation: NDArray[np.int64]) -> Array:
+    """Coefficients [n,B,K,3], float64, of values [n,B,D,3] taken on the sets rotation [n,B] of the pool."""
+    return pool.weights[rotation] @ values
+
+
+def residual_variance(
+    values: NDArray[np.floating], coefficients: Array, pool: DirectionPool, rotation: NDArray[np.int64]
+) -> Array:
+    """Variance [n,B] of the fitted coefficients (mean over K and channels) from what the fit leaves over.
+
+    The textbook estimate of a linear fit, s² (YᵀY)⁻¹ with s² = Σ r² / (D − K), as if the residuals were independent.
+    A lattice does better than that, so it errs on the safe side. With D = K nothing is left over and the squared
+    coefficients themselves are returned: the error is not known.
+    """
+    assert pool.harmonics is not None
+    directions, count = pool.harmonics.shape[1:]
+    if directions == count:
+        return np.asarray((coefficients**2).mean(axis=(-1, -2)))
+    residual = values - pool.harmonics[rotation] @ coefficients
+    spread = (residual**2).sum(axis=-2).mean(axis=-1) / (directions - count)
+    return np.asarray(spread * pool.variance_share)

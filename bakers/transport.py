@@ -1,0 +1,85 @@
+"""What may be offered to a baker: three ways to answer for the transport function Ŝ(ωi; x, ωo) [1/sr].
+
+Arguments are NumPy float64 arrays of unit vectors and object-space positions; answers may be NumPy arrays or torch
+tensors. Axes: N queries or vertices, B view bins, D incident directions, R copies of a direction set, C = 3 channels.
+"""
+
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from formats.errors import QueryError
+
+WayIn = Literal["coefficients", "block", "evaluate"]
+
+
+@runtime_checkable
+class Transport(Protocol):
+    """The reference way in."""
+
+    def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike, /) -> Any:
+        """Ŝ [N,D,3]: incident [D,3] shared by all queries or [N,D,3], positions [N,3], outgoing [N,3]."""
+
+
+@runtime_checkable
+class BlockTransport(Protocol):
+    """A fused way in: many bins lit from few direction sets."""
+
+    def evaluate_block(
+        self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike, /
+    ) -> Any:
+        """Ŝ [N,B,D,3]: bin (n, b) at positions[n], seen along outgoing[n, b], lit from incident[rotation[n, b]]."""
+
+
+class CoefficientEstimate(Protocol):
+    """Estimated coefficients and one sigma of each, both [N,K,3]."""
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """a_lm at each query."""
+
+    @property
+    def standard_error(self) -> NDArray[np.float64]:
+        """One sigma of the mean."""
+
+
+@runtime_checkable
+class CoefficientTransport(Protocol):
+    """A way in past Ŝ: random walks that estimate the coefficients themselves."""
+
+    def estimate_coefficients(
+        self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seed: int, /
+    ) -> CoefficientEstimate:
+        """a_lm at positions [N,3] seen along outgoing [N,3], from `paths` walks a query, keyed by `seed`."""
+
+
+AnyTransport = Transport | BlockTransport | CoefficientTransport
+
+
+def way_in(transport: object) -> WayIn:
+    """The fastest way the object offers, found by its methods, never by its type; raises QueryError if it has none."""
+    if isinstance(transport, CoefficientTransport):
+        return "coefficients"
+    if isinstance(transport, BlockTransport):
+        return "block"
+    if isinstance(transport, Transport):
+        return "evaluate"
+    raise QueryError(
+        f"{type(transport).__name__} cannot be baked: expected a method evaluate(incident, positions, outgoing), "
+        f"evaluate_block or estimate_coefficients"
+    )
+
+
+def as_radiance(answer: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:
+    """A transport's answer as a NumPy array; raises QueryError if its shape is not the expected one."""
+    if hasattr(answer, "detach"):
+        answer = answer.detach().cpu()
+        answer = (answer if answer.element_size() > 2 else answer.float()).numpy()
+    radiance = np.asarray(answer)
+    if radiance.shape != expected or radiance.dtype.kind not in "fiu":
+        raise QueryError(
+            f"the transport's {method} answered {radiance.dtype} of shape {radiance.shape}, "
+            f"expected real numbers of shape {expected}"
+        )
+    return radiance

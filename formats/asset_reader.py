@@ -1,0 +1,203 @@
+"""Reads an asset, checking first everything that a user relies on."""
+
+import json
+import math
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset_layout import layout_faults
+from formats.asset_record import Asset
+from formats.errors import AssetError
+from formats.mesh import Mesh
+from formats.whole import existing
+
+_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)  # what h5py raises on damaged files
+_BLOCK_BYTES = 2**26
+_UNIT_TOLERANCE = 1e-3  # half floats of other writers pass, wrong lengths do not
+
+
+def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
+    """Read an asset and check everything in it that a user relies on.
+
+    Args:
+        path: the HDF5 file.
+        load: read the coefficients into memory, as the type that the file keeps, and check each; without it they are
+            the open dataset (see `Asset.close`), for assets larger than memory.
+
+    Raises:
+        AssetError: not HDF5, truncated, of another version, datasets missing or of the wrong shape or type, values that
+            are not finite.
+        StorageError: the file is missing.
+    """
+    file = _opened(path)
+    try:
+        faults = list(_faults(file))
+        if faults:
+            more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
+            raise AssetError(f"{path}: {faults[0]}{more}")
+        asset = _asset(file, load)
+    except _DAMAGE as cause:
+        file.close()
+        if isinstance(cause, AssetError):
+            raise
+        raise AssetError(f"{path}: is damaged: {_first_line(cause)}; bake it again") from cause
+    if load:
+        file.close()
+    return asset
+
+
+def check_asset(path: str | os.PathLike[str]) -> list[str]:
+    """Return every fault of an asset as sentences; an empty list means that it is sound.
+
+    Raises:
+        StorageError: the file is missing.
+    """
+    try:
+        file = _opened(path)
+    except AssetError as fault:
+        return [str(fault)]
+    faults: list[str] = []
+    with file:
+        try:
+            faults.extend(_faults(file))
+            if not faults:
+                faults.extend(_coefficient_faults(file["transfer"]))
+        except _DAMAGE as cause:
+            faults.append(f"is damaged: {_first_line(cause)}")
+    return [f"{path}: {fault}" for fault in faults]
+
+
+def _opened(path: str | os.PathLike[str]) -> Any:
+    with open(existing(path), "rb") as file:
+        signature = file.read(8)
+    if not signature:
+        raise AssetError(f"{path}: is empty")
+    if signature != b"\x89HDF\r\n\x1a\n":
+        raise AssetError(f"{path}: is no asset: expected an HDF5 file, found something that begins with {signature!r}")
+    try:
+        return h5py.File(path, "r")
+    except _DAMAGE as cause:
+        what = "is truncated" if "truncated" in str(cause) else "is damaged or truncated"
+        raise AssetError(f"{path}: {what}: {_first_line(cause)}; copy or bake it again") from cause
+
+
+def _faults(file: Any) -> Iterator[str]:
+    """Yield every fault but those of the coefficients themselves."""
+    layout = list(layout_faults(file))
+    yield from layout
+    if layout:
+        return
+    for name in ("mesh/positions", "basis/check_directions", "basis/check_values", "bins/directions"):
+        yield from _not_finite(file, name)
+    origin = np.asarray(file["mesh/positions"].attrs.get("origin", np.zeros(3)))
+    if origin.shape != (3,) or origin.dtype.kind != "f" or not np.isfinite(origin).all():
+        yield "/mesh/positions: the attribute origin is no point"
+    normals, tangents = file["mesh/normals"][...].astype(np.float64), file["mesh/tangents"][...].astype(np.float64)
+    for name, vectors in (("mesh/normals", normals), ("mesh/tangents", tangents)):
+        yield from _marked(name, ~(np.abs(np.linalg.norm(vectors, axis=1) - 1) < _UNIT_TOLERANCE), "not of length 1")
+    sine = np.abs(np.einsum("vi,vi->v", normals, tangents))
+    yield from _marked("mesh/tangents", ~(sine < _UNIT_TOLERANCE), "not perpendicular to the normal")
+    faces, vertices = file["mesh/faces"][...], len(normals)
+    yield from _marked("mesh/faces", ((faces < 0) | (faces >= vertices)).any(axis=1), "of vertices that do not exist")
+    valid = file["transfer/valid"][...].astype(bool)
+    errors = file["transfer/standard_error"][...]
+    yield from _marked("transfer/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
+    if len(file.get("selftest", ())):
+        outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
+        yield from _marked("selftest/vertex", outside, "of vertices that do not exist")
+        for name in ("selftest/light", "selftest/outgoing", "selftest/radiance"):
+            yield from _not_finite(file, name)
+
+
+def _not_finite(file: Any, name: str) -> Iterator[str]:
+    yield from _marked(name, ~np.isfinite(file[name][...]).all(axis=1), "not finite")
+
+
+def _marked(name: str, wrong: NDArray[np.bool_], what: str) -> Iterator[str]:
+    if wrong.any():
+        yield f"/{name}: {wrong.sum()} of {len(wrong)} rows are {what}, the first is row {wrong.argmax()}"
+
+
+def _blocks(transfer: Any) -> Iterator[tuple[slice, NDArray[np.floating]]]:
+    """Yield the coefficients of the valid vertices in runs of memory-sized blocks."""
+    dataset, valid = transfer["coefficients"], transfer["valid"][...].astype(bool)
+    step = max(1, _BLOCK_BYTES // max(1, math.prod(dataset.shape[1:]) * dataset.dtype.itemsize))
+    for start in range(0, len(valid), step):
+        rows = slice(start, min(start + step, len(valid)))
+        if valid[rows].any():
+            yield rows, dataset[rows]
+
+
+def _coefficient_faults(transfer: Any) -> Iterator[str]:
+    valid = transfer["valid"][...].astype(bool)
+    for rows, block in _blocks(transfer):
+        yield from _unfit_block(rows, block, valid)
+
+
+def _unfit_block(rows: slice, block: NDArray[np.floating], valid: NDArray[np.bool_]) -> Iterator[str]:
+    wrong = valid[rows] & ~np.isfinite(block).all(axis=(1, 2, 3))
+    if wrong.any():
+        first = rows.start + int(wrong.argmax())
+        yield f"/transfer/coefficients: {wrong.sum()} vertices have NaN or infinite values, the first is vertex {first}"
+
+
+def _asset(file: Any, load: bool) -> Asset:
+    mesh, transfer = file["mesh"], file["transfer"]
+    valid = transfer["valid"][...].astype(bool)
+    coefficients = _loaded(file.filename, transfer, valid) if load else transfer["coefficients"]
+    selftest = file.get("selftest", {})
+    return Asset(
+        mesh=_mesh(mesh),
+        tangents=mesh["tangents"][...].astype(np.float64),
+        rings=int(file["bins"].attrs["rings"]),
+        sectors=int(file["bins"].attrs["sectors"]),
+        directions=file["bins/directions"][...].astype(np.float64),
+        degree=int(file["basis"].attrs["degree"]),
+        check_directions=file["basis/check_directions"][...].astype(np.float64),
+        check_values=file["basis/check_values"][...].astype(np.float64),
+        up=file.attrs["up"],
+        handedness=file.attrs["handedness"],
+        unit=file.attrs["unit"],
+        quantity=transfer.attrs["quantity"],
+        folded_in=transfer.attrs["folded_in"],
+        left_out=json.loads(file.attrs["left_out"]),
+        coefficients=coefficients,
+        standard_error=transfer["standard_error"][...].astype(np.float32),
+        valid=valid,
+        complete=bool(file.attrs["complete"]),
+        provenance=json.loads(file["provenance/json"][()]),
+        error_vs_time=file["provenance/error_vs_time"][...].astype(np.float64),
+        selftest={name: selftest[name][...] for name in selftest},
+        storage="float16" if transfer["coefficients"].dtype.itemsize == 2 else "float32",
+    )
+
+
+def _mesh(group: Any) -> Mesh:
+    origin = np.asarray(group["positions"].attrs.get("origin", np.zeros(3)), np.float64)
+    return Mesh(
+        positions=origin + group["positions"][...].astype(np.float64),
+        faces=group["faces"][...].astype(np.int32),
+        normals=group["normals"][...].astype(np.float64),
+        uv=group["uv"][...].astype(np.float64) if "uv" in group else None,
+        source_vertex=group["source_vertex"][...].astype(np.int64) if "source_vertex" in group else None,
+    )
+
+
+def _loaded(path: str, transfer: Any, valid: NDArray[np.bool_]) -> NDArray[np.floating]:
+    kind = np.float16 if transfer["coefficients"].dtype.itemsize == 2 else np.float32
+    coefficients = np.zeros(transfer["coefficients"].shape, kind)
+    for rows, block in _blocks(transfer):
+        for fault in _unfit_block(rows, block, valid):
+            raise AssetError(f"{path}: {fault}")
+        coefficients[rows] = block
+    return coefficients
+
+
+def _first_line(cause: BaseException) -> str:
+    lines = str(cause).splitlines()
+    return lines[0] if lines else type(cause).__name__

@@ -1,0 +1,37 @@
+"""Every fault that a user can cause, each told in one clear sentence."""
+
+
+class PrtbakeError(Exception):
+    """A fault that a user can cause; `str()` says which file, where, expected, found, what to do."""
+
+
+class FormatError(PrtbakeError, ValueError):
+    """A file that is not what it should be."""
+
+
+class MeshError(FormatError):
+    """A mesh that cannot be read, or whose surface cannot be used."""
+
+
+class ImageError(FormatError):
+    """An image that cannot be read or written."""
+
+
+class SceneError(FormatError):
+    """A scene file with an unknown key, a value out of range, or a mesh or grid that does not fit."""
+
+
+class AssetError(FormatError):
+    """An asset that is truncated, of another version, or at odds with itself."""
+
+
+class ModelError(FormatError):
+    """A network file that is damaged, hostile or of the wrong kind."""
+
+
+class QueryError(PrtbakeError, ValueError):
+    """Arguments out of their domain: points off the surface, directions below the horizon, wrong shapes."""
+
+
+class StorageError(PrtbakeError, OSError):
+    """A place that cannot be read from or written to: disk full, permission missing, folder missing."""

@@ -1,0 +1,108 @@
+"""OpenEXR: linear radiance, written as float32; any layer that holds RGB or luminance is read.
+
+Format: https://openexr.com/en/latest/OpenEXRFileLayout.html, through the official `OpenEXR` binding.
+"""
+
+import contextlib
+import errno
+import io
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import ImageError
+
+
+def read_exr(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read an OpenEXR picture as float32 [H,W,3] over its display window; what the file leaves blank is 0.
+
+    R, G, B are taken, else the first layer by name that has them, else luminance Y repeated; alpha is left out.
+
+    Raises:
+        ImageError: no OpenEXR, truncated, or without colour.
+    """
+    import OpenEXR
+
+    with open(path, "rb") as file:
+        if file.read(4) != b"\x76\x2f\x31\x01":
+            raise ImageError(f"{path}: is not an OpenEXR picture: it does not begin with the magic number 76 2f 31 01")
+    try:
+        with _silenced(), OpenEXR.File(os.fspath(path), separate_channels=True) as picture:
+            parts = [
+                (dict(picture.header(i)), {name: channel.pixels for name, channel in picture.channels(i).items()})
+                for i in range(len(picture.parts))
+            ]
+    except (RuntimeError, ValueError, TypeError, OSError) as cause:
+        raise ImageError(f"{path}: cannot be read as OpenEXR, the file is damaged") from cause
+    if not parts:
+        raise ImageError(f"{path}: the OpenEXR picture is truncated or damaged")
+    for header, channels in parts:
+        if names := _colour(channels):
+            return _framed(np.stack([channels[name] for name in names], axis=2).astype(np.float32), header)
+    found = ", ".join(sorted(name for _, channels in parts for name in channels))
+    raise ImageError(f"{path}: has no colour: expected channels R, G, B or Y, found {found or 'none'}")
+
+
+def write_exr(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
+    """Write [H,W,3] as float32 scan lines, ZIP compressed; raises OSError if the disk does not take it."""
+    import OpenEXR
+
+    # OpenEXR writes wrong pixels without a word if the array is not contiguous, and alters the header it is given.
+    pixels = np.ascontiguousarray(image, np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    try:
+        with _silenced():
+            OpenEXR.File(header, {"RGB": pixels}).write(os.fspath(path))
+    except RuntimeError as cause:
+        code = errno.ENOSPC if "No space left" in str(cause) else errno.EIO
+        raise OSError(code, str(cause)) from cause
+
+
+def _colour(channels: Mapping[str, NDArray[Any]]) -> tuple[str, str, str] | None:
+    layers = sorted({name.rpartition(".")[0] for name in channels})
+    prefixes = [f"{layer}." if layer else "" for layer in layers]
+    for prefix in prefixes:
+        red, green, blue = (prefix + letter for letter in "RGB")
+        if red in channels and green in channels and blue in channels:
+            return red, green, blue
+    # Luminance beside RY and BY is half of another encoding, not a grey picture.
+    grey = next((p + "Y" for p in prefixes if p + "Y" in channels and p + "RY" not in channels), None)
+    return None if grey is None else (grey, grey, grey)
+
+
+def _framed(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[np.float32]:
+    """Place the stored rectangle (data window) in the picture (display window)."""
+    (left, top), (right, bottom) = (tuple(int(c) for c in corner) for corner in header["displayWindow"])
+    (x, y), _ = (tuple(int(c) for c in corner) for corner in header["dataWindow"])
+    height, width = pixels.shape[:2]
+    if (x, y) == (left, top) and (height, width) == (bottom - top + 1, right - left + 1):
+        return pixels
+    framed = np.zeros((bottom - top + 1, right - left + 1, 3), np.float32)
+    rows = slice(max(y, top), min(y + height, bottom + 1))
+    columns = slice(max(x, left), min(x + width, right + 1))
+    framed[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[
+        rows.start - y : rows.stop - y, columns.start - x : columns.stop - x
+    ]
+    return framed
+
+
+@contextlib.contextmanager
+def _silenced() -> Iterator[None]:
+    """Keep the OpenEXR library from writing to standard output and error; what it has to say is said by our errors."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # What the binding prints goes through Python's stream, what the library under it says through the descriptors.
+    with open(os.devnull, "wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
+        kept = [os.dup(stream) for stream in (1, 2)]
+        try:
+            for stream in (1, 2):
+                os.dup2(nowhere.fileno(), stream)
+            yield
+        finally:
+            for stream, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)

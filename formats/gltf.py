@@ -1,0 +1,32 @@
+"""glTF 2.0, `.glb` and `.gltf`: every triangle of the scene, placed as its nodes say. Read with trimesh."""
+
+import os
+
+import numpy as np
+
+from formats.errors import MeshError
+from formats.soup import TriangleSoup
+
+
+def read_gltf(path: str | os.PathLike[str]) -> TriangleSoup:
+    """Read a glTF file; positions are float32 in the file, placed in float64.
+
+    Normals are left to be computed: a scene of several parts need not have them in all.
+
+    Raises:
+        MeshError: the file is no glTF, is truncated, or holds no triangles.
+    """
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(os.fspath(path), process=False)
+        solids = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
+    except Exception as cause:  # trimesh lets whatever its parser stumbles over through, of any class
+        raise MeshError(f"{path}: cannot be read as glTF, it is damaged or of another kind: {cause}") from cause
+    if not solids:
+        raise MeshError(f"{path}: has no faces; expected triangles")
+    starts = np.cumsum([0, *(len(part.vertices) for part in solids)])
+    return TriangleSoup(
+        np.vstack([np.asarray(part.vertices, np.float64) for part in solids]),
+        np.vstack([np.asarray(part.faces, np.int64) + start for part, start in zip(solids, starts, strict=False)]),
+    )

@@ -1,0 +1,63 @@
+"""Images by their suffix: `.exr`, `.hdr` and `.png`, always linear, Rec.709 primaries, RGB, row 0 on top."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import ImageError
+from formats.exr import read_exr, write_exr
+from formats.png import read_png, write_png
+from formats.rgbe import read_rgbe, write_rgbe
+from formats.whole import existing, replacing
+
+_READERS: dict[str, Callable[[Path], NDArray[np.float32]]] = {".exr": read_exr, ".hdr": read_rgbe, ".png": read_png}
+
+
+def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read an image as linear float32 [H,W,3].
+
+    PNG is decoded from sRGB. NaN, infinite and negative pixels of an `.exr` come back as they are: whether they matter
+    depends on what the image is for.
+
+    Raises:
+        ImageError: another suffix, another kind of file than the suffix says, truncated, or without colour.
+        StorageError: the file is missing or cannot be opened.
+    """
+    suffix = _suffix(path, "read")
+    return _READERS[suffix](existing(path))
+
+
+def write_image(path: str | os.PathLike[str], image: NDArray[np.floating], *, exposure: float = 0.0) -> None:
+    """Write a linear image [H,W,3], whole or not at all.
+
+    `.exr` (float32) and `.hdr` (RGBE) keep radiance and ignore `exposure`; `.png` is multiplied by 2^exposure, clipped
+    to [0,1] and encoded as sRGB.
+
+    Raises:
+        ImageError: another suffix, another shape, pixels that the kind of file cannot hold (NaN in `.png` and `.hdr`).
+        StorageError: the disk is full or not writable.
+    """
+    suffix = _suffix(path, "written")
+    shape = np.shape(image)
+    if len(shape) != 3 or shape[2] != 3 or 0 in shape:
+        raise ImageError(f"{path}: expected an image of shape [H,W,3], found {list(shape)}")
+    if suffix == ".png" and np.isnan(image).any():
+        row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
+        raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to look at them")
+    with replacing(path) as part:
+        if suffix == ".exr":
+            write_exr(part, image)
+        elif suffix == ".hdr":
+            write_rgbe(part, image)
+        else:
+            write_png(part, image, exposure)
+
+
+def _suffix(path: str | os.PathLike[str], verb: str) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in _READERS:
+        raise ImageError(f"{path}: images of this kind cannot be {verb}; expected .exr, .hdr or .png, found '{suffix}'")
+    return suffix

@@ -1,0 +1,154 @@
+"""Radiance pictures (`.hdr`): three mantissas and a shared exponent in 4 bytes a pixel.
+
+Format: Greg Ward, "Real Pixels", Graphics Gems II (1991), and the Radiance file formats reference,
+https://radsite.lbl.gov/radiance/refer/filefmts.pdf. A pixel (r, g, b, e) with e > 0 is (r, g, b)·2^(e−136), with e = 0
+black. The EXPOSURE line is passed over, as other readers of sky maps do.
+"""
+
+import os
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import ImageError
+
+_RESOLUTION = re.compile(rb"^([+-])Y (\d+) ([+-])X (\d+)$")
+_LARGEST = 255 * 2.0**119  # mantissa 255 at the highest exponent
+
+
+def read_rgbe(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a Radiance picture as float32 [H,W,3], row 0 on top.
+
+    Raises:
+        ImageError: no Radiance picture, in XYZ colours, stored by columns, or truncated.
+    """
+    with open(path, "rb") as file:
+        content = file.read()
+    (upward, height, leftward, width), start = _header(content, path)
+    pixels = _scanlines(content, start, height, width, path)
+    if upward:
+        pixels = pixels[::-1]
+    if leftward:
+        pixels = pixels[:, ::-1]
+    scale = np.ldexp(np.float32(1), pixels[..., 3].astype(np.int32) - 136)
+    scale[pixels[..., 3] == 0] = 0
+    return pixels[..., :3].astype(np.float32) * scale[..., None]
+
+
+def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
+    """Write non-negative finite radiance [H,W,3], rounded to 8 bits relative to each pixel's largest channel.
+
+    Pixels below 2^-128 become black.
+
+    Raises:
+        ImageError: negative or non-finite pixels, or values beyond 1.7e38.
+    """
+    linear = np.asarray(image, np.float64)
+    unfit = ~((linear >= 0) & (linear <= _LARGEST)).all(axis=2)
+    if unfit.any():
+        row, column = np.argwhere(unfit)[0]
+        raise ImageError(
+            f"{path}: {unfit.sum()} pixels are negative, not finite or beyond {_LARGEST:.2g}, which a Radiance picture "
+            f"cannot hold; the first is row {row}, column {column} ({linear[row, column].tolist()}); write .exr instead"
+        )
+    largest = linear.max(axis=2)
+    exponent = np.frexp(largest)[1]
+    exponent += np.rint(np.ldexp(largest, 8 - exponent)) > 255  # rounding up may need the next exponent
+    pixels = np.zeros((*largest.shape, 4), np.uint8)
+    lit = exponent > -128
+    pixels[lit, :3] = np.rint(np.ldexp(linear[lit], 8 - exponent[lit, None]))
+    pixels[lit, 3] = exponent[lit] + 128
+    height, width = largest.shape
+    with open(path, "wb") as file:
+        file.write(f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii"))
+        # Plain pixels cannot be taken for run-length marks: each has a mantissa of at least 128.
+        file.write(pixels.tobytes())
+
+
+def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[tuple[bool, int, bool, int], int]:
+    """Return (rows run upward, height, columns run leftward, width) and where the pixels start."""
+    if not content.startswith(b"#?"):
+        raise ImageError(f"{path}: is not a Radiance picture: it does not begin with '#?'")
+    end = content.find(b"\n\n")
+    line_end = content.find(b"\n", end + 2)
+    if end < 0 or line_end < 0:
+        raise ImageError(f"{path}: the Radiance header has no end; the file is truncated or damaged")
+    for line in content[:end].split(b"\n"):
+        if line.startswith(b"FORMAT=") and line.strip() != b"FORMAT=32-bit_rle_rgbe":
+            found = line.decode("ascii", "replace")
+            raise ImageError(f"{path}: expected FORMAT=32-bit_rle_rgbe, found {found}; convert it to RGB")
+    line = content[end + 2 : line_end].strip()
+    match = _RESOLUTION.match(line)
+    if match is None:
+        found = line[:40].decode("ascii", "replace")
+        raise ImageError(f"{path}: expected a resolution like '-Y 512 +X 1024', found '{found}'; rows must come first")
+    height, width = int(match[2]), int(match[4])
+    if height == 0 or width == 0:
+        raise ImageError(f"{path}: the picture is empty: {width}x{height} pixels")
+    return (match[1] == b"+", height, match[3] == b"-", width), line_end + 1
+
+
+def _scanlines(content: bytes, at: int, height: int, width: int, path: str | os.PathLike[str]) -> NDArray[np.uint8]:
+    mark = bytes([2, 2, width >> 8, width & 255]) if 8 <= width < 32768 else None
+    # A coded row takes at least 4 bytes of mark and 2 a run of 127: a file this short cannot hold the picture.
+    if height * (width // 32 if mark else 1) > len(content):
+        raise ImageError(f"{path}: the file is truncated: {len(content)} bytes cannot hold {width}x{height} pixels")
+    pixels = np.empty((height, width, 4), np.uint8)
+    for row in range(height):
+        try:
+            if mark and content[at : at + 4] == mark:
+                at = _coded_row(content, at + 4, pixels[row])
+            else:
+                at = _plain_row(content, at, pixels[row])
+        except (IndexError, ValueError) as cause:
+            raise ImageError(f"{path}: the file is truncated or damaged in row {row} of {height}") from cause
+    return pixels
+
+
+def _coded_row(content: bytes, at: int, row: NDArray[np.uint8]) -> int:
+    """Decode the four channels of a row one after the other: runs (count - 128, value) and literals (count, values)."""
+    width = len(row)
+    for channel in range(4):
+        decoded = bytearray()
+        while len(decoded) < width:
+            count = content[at]
+            if count > 128:
+                decoded += content[at + 1 : at + 2] * (count - 128)
+                at += 2
+            else:
+                decoded += content[at + 1 : at + 1 + count]
+                at += 1 + count
+            if count == 0 or at > len(content):
+                raise ValueError
+        if len(decoded) != width:
+            raise ValueError
+        row[:, channel] = np.frombuffer(decoded, np.uint8)
+    return at
+
+
+def _plain_row(content: bytes, at: int, row: NDArray[np.uint8]) -> int:
+    """Decode a row of plain pixels; (1, 1, 1, n) repeats the last pixel, marks in succession counting in base 256."""
+    width = len(row)
+    plain = np.frombuffer(content, np.uint8, min(4 * width, len(content) - at), at).reshape(-1, 4)
+    if len(plain) == width and not (plain[:, :3] == 1).all(axis=1).any():
+        row[:] = plain
+        return at + 4 * width
+    column, shift = 0, 0
+    while column < width:
+        pixel = content[at : at + 4]
+        at += 4
+        if len(pixel) < 4:
+            raise ValueError
+        if pixel[:3] == b"\1\1\1":
+            count = pixel[3] << shift
+            if column == 0 or column + count > width:
+                raise ValueError
+            row[column : column + count] = row[column - 1]
+            column += count
+            shift += 8
+        else:
+            row[column] = np.frombuffer(pixel, np.uint8)
+            column += 1
+            shift = 0
+    return at

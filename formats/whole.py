@@ -1,0 +1,92 @@
+"""Files are written whole or not at all: under another name beside the old one, and renamed when they are complete."""
+
+import contextlib
+import errno
+import hashlib
+import os
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+
+from formats.errors import StorageError
+
+_REASONS = {
+    errno.ENOSPC: "the disk is full; free some space or write elsewhere",
+    errno.EDQUOT: "the disk quota is used up; free some space or write elsewhere",
+    errno.EFBIG: "the file grows beyond what the system allows; raise the limit or write elsewhere",
+    errno.EACCES: "permission denied; choose a folder that you may write to",
+    errno.EPERM: "permission denied; choose a folder that you may write to",
+    errno.EROFS: "the disk is read-only; write elsewhere",
+    errno.EIO: "the disk reports an input/output error; write elsewhere",
+}
+
+
+def storage_error(path: str | os.PathLike[str], cause: OSError) -> StorageError:
+    """Turn an operating system's error about writing `path` into one sentence."""
+    reason = _REASONS.get(cause.errno or 0) or cause.strerror or str(cause)
+    return StorageError(f"{path}: cannot be written: {reason}")
+
+
+@contextlib.contextmanager
+def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; what is written there takes the place of `path` when the block ends well.
+
+    On any exception the temporary file is removed and an older file at `path` stays as it was, byte for byte. A process
+    killed in the middle leaves the older file too, and a `.part` file beside it.
+
+    Raises:
+        StorageError: the folder is missing, `path` is no ordinary file, the disk is full or not writable.
+    """
+    target = Path(os.path.realpath(path))
+    _refuse_unusable(target, path)
+    part = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
+    try:
+        with open(part, "xb"):
+            pass
+        yield part
+        _flush(part)
+        os.replace(part, target)
+    except OSError as cause:
+        if isinstance(cause, StorageError) or cause.errno not in _REASONS:
+            raise
+        raise storage_error(path, cause) from cause
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file's bytes as 64 hexadecimal digits."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _refuse_unusable(target: Path, path: str | os.PathLike[str]) -> None:
+    if not target.parent.is_dir():
+        raise StorageError(f"{path}: cannot be written: the folder {target.parent} does not exist; create it first")
+    if target.is_dir():
+        raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
+    if target.exists() and not target.is_file():
+        raise StorageError(f"{path}: cannot be written: it is a device or a pipe, not an ordinary file")
+
+
+def _flush(part: Path) -> None:
+    with open(part, "rb+") as file:
+        os.fsync(file.fileno())
+
+
+def existing(path: str | os.PathLike[str]) -> Path:
+    """Return `path` if it is a file that can be read.
+
+    Raises:
+        StorageError: it is missing, a folder, or not readable.
+    """
+    try:
+        with open(path, "rb"):
+            return Path(path)
+    except FileNotFoundError as cause:
+        raise StorageError(f"{path}: there is no such file; check the name and the folder") from cause
+    except IsADirectoryError as cause:
+        raise StorageError(f"{path}: is a folder; give the name of a file") from cause
+    except OSError as cause:
+        raise StorageError(f"{path}: cannot be read: {cause.strerror}") from cause

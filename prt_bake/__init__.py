@@ -1,0 +1,99 @@
+"""prtbake's public face: `import prt_bake as prt`.
+
+A translucent object is path traced and fitted (`train`), its transport projected on real spherical harmonics for
+every vertex and view bin (`bake`), and relit by a dot product (`shade`). Names are loaded when they are first asked
+for: reading an asset and shading it never loads torch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from formats.asset import Asset, read_asset, write_asset
+    from formats.errors import PrtbakeError
+    from formats.image import read_image, write_image
+    from formats.mesh import Mesh, read_mesh, write_mesh
+    from formats.scene import Scene
+    from formats.scene import read_scene as load_scene
+    from prt_bake import sh, sphere
+    from prt_bake.baking import bake
+    from prt_bake.comparison import compare
+    from prt_bake.environment import project as project_environment
+    from prt_bake.environment import read_environment
+    from prt_bake.network import NeuralBSSRDF, load_model, save_model
+    from prt_bake.rendering import render_scene
+    from prt_bake.shading import shade
+    from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
+    from prt_bake.trainer.fit import train
+
+__all__ = [
+    "Asset",
+    "Mesh",
+    "NeuralBSSRDF",
+    "PrtbakeError",
+    "Scene",
+    "bake",
+    "compare",
+    "estimate_coefficients",
+    "estimate_transport",
+    "load_model",
+    "load_scene",
+    "project_environment",
+    "read_asset",
+    "read_environment",
+    "read_image",
+    "read_mesh",
+    "render_scene",
+    "save_model",
+    "sh",
+    "shade",
+    "sphere",
+    "train",
+    "write_asset",
+    "write_image",
+    "write_mesh",
+]
+
+# Public name → module, and the name within it; an empty name is the module itself.
+_ORIGIN = {
+    "Asset": ("formats.asset", "Asset"),
+    "Mesh": ("formats.mesh", "Mesh"),
+    "NeuralBSSRDF": ("prt_bake.network", "NeuralBSSRDF"),
+    "PrtbakeError": ("formats.errors", "PrtbakeError"),
+    "Scene": ("formats.scene", "Scene"),
+    "bake": ("prt_bake.baking", "bake"),
+    "compare": ("prt_bake.comparison", "compare"),
+    "estimate_coefficients": ("prt_bake.trainer.estimate", "estimate_coefficients"),
+    "estimate_transport": ("prt_bake.trainer.estimate", "estimate_transport"),
+    "load_model": ("prt_bake.network", "load_model"),
+    "load_scene": ("formats.scene", "read_scene"),
+    "project_environment": ("prt_bake.environment", "project"),
+    "read_asset": ("formats.asset", "read_asset"),
+    "read_environment": ("prt_bake.environment", "read_environment"),
+    "read_image": ("formats.image", "read_image"),
+    "read_mesh": ("formats.mesh", "read_mesh"),
+    "render_scene": ("prt_bake.rendering", "render_scene"),
+    "save_model": ("prt_bake.network", "save_model"),
+    "sh": ("prt_bake.sh", ""),
+    "shade": ("prt_bake.shading", "shade"),
+    "sphere": ("prt_bake.sphere", ""),
+    "train": ("prt_bake.trainer.fit", "train"),
+    "write_asset": ("formats.asset", "write_asset"),
+    "write_image": ("formats.image", "write_image"),
+    "write_mesh": ("formats.mesh", "write_mesh"),
+}
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name on first use, and keep it so that the next look-up is an ordinary one."""
+    if name not in _ORIGIN:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module_name, attribute = _ORIGIN[name]
+    module = import_module(module_name)
+    value: object = getattr(module, attribute) if attribute else module
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

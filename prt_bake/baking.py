@@ -1,0 +1,287 @@
+"""Baking: from a transport function and a mesh to an asset of transfer coefficients.
+
+`a_lm(x, ωo) = ∫ Ŝ(ωi; x, ωo) Y_lm(ωi) dωi` at every vertex x and every view bin ωo of the hemisphere about its normal.
+"""
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import Block, Task, bake_block, bake_blocks
+from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.plan import BakePlan, plan_bake
+from formats.asset import Asset
+from formats.errors import QueryError
+from formats.mesh import Mesh
+from prt_bake import sh, sphere
+from prt_bake.bake_error import ErrorMeter
+from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
+from prt_bake.bake_sampling import Resolved, resolve_sampling
+from prt_bake.randomness import hashed
+
+Progress = Callable[[int, int, tuple[float, float, float]], None]
+"""progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error))."""
+
+ROWS = 100
+PILOT_VERTICES = 8
+PILOT_LIMIT = 1 << 14
+_PILOT_STREAM = 14
+
+
+@dataclass(frozen=True)
+class Job:
+    """Everything resolved: where, in which bins and basis, how."""
+
+    transport: Any
+    mesh: Mesh
+    tangents: NDArray[np.float64]
+    rings: int
+    sectors: int
+    degree: int
+    resolved: Resolved
+    task: Task
+
+
+def bake(
+    transport: Any,
+    mesh: Mesh,
+    degree: int = 2,
+    rings: int = 16,
+    sectors: int = 64,
+    directions: str = "fibonacci",
+    samples: int = 64,
+    error: float | None = None,
+    seed: int = 0,
+    *,
+    out: str | Path | None = None,
+    precision: str = "float32",
+    storage: str = "float16",
+    workers: int = 1,
+    device: str = "cpu",
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+    provenance: dict[str, Any] | None = None,
+) -> Asset:
+    """Bakes `transport` at every vertex of `mesh` and every one of rings × sectors view bins.
+
+    Args:
+        transport: offers evaluate, evaluate_block or estimate_coefficients (`bakers.transport`); it is handed NumPy
+            arrays and may answer in NumPy or torch.
+        mesh: what is baked, in the transport's object space.
+        degree: of the spherical harmonics, K = (degree + 1)².
+        rings, sectors: view bins of the hemisphere about each vertex normal.
+        directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
+        samples: directions per bin, or random walks if the transport estimates coefficients itself. 64, the default,
+            is raised to 2K where that is more.
+        error: estimated relative RMSE to reach; a pilot at eight vertices doubles `samples` until it is.
+        seed: keys everything random; equal seeds give equal assets whatever the number of workers.
+        out: asset to write while baking; without it the coefficients are an array in float32.
+        precision: "float32" or "bfloat16", of a network's matrix work.
+        storage: "float16" or "float32", in the file.
+        workers: threads, each with a block of vertices of its own.
+        device: where a network is evaluated ("cpu", "cuda").
+        progress: called after each block.
+        stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
+        provenance: entries added to the asset's provenance (command, hashes, credits).
+
+    Returns:
+        The asset: coefficients [V,B,K,3], standard_error [V,B] (one sigma, rms over K and channels), tangents [V,3].
+        Where the bake was stopped, complete is false and the vertices left are not valid. Vertices at which the
+        transport answered something that is not finite are not valid and are named in provenance.
+
+    Raises:
+        QueryError: an argument out of its domain, a transport that offers nothing or answers in another shape, an
+            error that cannot be reached, a transport that is finite nowhere.
+        StorageError: the asset cannot be written.
+    """
+    began = time.monotonic()
+    transport = _prepared(transport, precision, device)
+    with _one_torch_thread():
+        job = _resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
+        spent = 0
+        if error is not None:
+            job, spent = _reach(job, error, directions, seed)
+        report = _settings(job, seed, precision, storage, workers, device, error) | (provenance or {})
+        head = asset_head(mesh, job.tangents, rings, sectors, degree, transport)
+        with open_sink(out, head, storage) as sink:
+            return _run(job, sink, report, began, spent, workers, progress, stop)
+
+
+def plan(
+    transport: Any,
+    mesh: Mesh,
+    degree: int = 2,
+    rings: int = 16,
+    sectors: int = 64,
+    directions: str = "fibonacci",
+    samples: int = 64,
+    seed: int = 0,
+    *,
+    precision: str = "float32",
+    storage: str = "float16",
+    workers: int = 1,
+    device: str = "cpu",
+) -> BakePlan:
+    """What `bake` with these arguments would cost; one vertex is baked to estimate the time. Raises as `bake` does."""
+    transport = _prepared(transport, precision, device)
+    with _one_torch_thread():
+        job = _resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
+        bake_block(job.task, 0, 1)
+        began = time.monotonic()
+        bake_block(job.task, 0, 1)
+        seconds = (time.monotonic() - began) * len(mesh.positions) / max(1, workers)
+    sizes = plan_bake(
+        len(mesh.positions), rings * sectors, sh.count(degree), job.resolved.samples, 2 if storage == "float16" else 4
+    )
+    return replace(sizes, seconds=seconds)
+
+
+def _prepared(transport: Any, precision: str, device: str) -> Any:
+    """The transport in its fast form, if it has one."""
+    if hasattr(transport, "prepared"):
+        return transport.prepared(precision=precision, device=device)
+    if precision != "float32" or device != "cpu":
+        raise QueryError(
+            f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
+            f"asked for {precision} on {device}: those are for networks"
+        )
+    return transport
+
+
+def _resolve(
+    transport: Any, mesh: Mesh, degree: int, rings: int, sectors: int, directions: str, samples: int, seed: int
+) -> Job:
+    local = sphere.view_bins(rings, sectors)
+    resolved = resolve_sampling(transport, degree, len(local), sectors, directions, samples, seed)
+    tangents = sphere.tangent_frame(mesh.normals)
+    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+
+    def outgoing(first: int, last: int) -> tuple[NDArray[np.float64], int]:
+        world = sphere.to_world(local, mesh.normals[first:last, None], tangents[first:last, None])
+        return bend_to_horizon(world, around, first)
+
+    task = Task(transport, mesh.positions, outgoing, len(local), sectors, resolved.sampling)
+    return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
+
+
+def _reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]:
+    """Doubles the samples until a few vertices, drawn by the seed, show the error asked for; and what that took."""
+    if not 0.0 < error < 1.0:
+        raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
+    vertices = np.argsort(hashed(_PILOT_STREAM, seed, np.arange(len(job.mesh.positions))))[:PILOT_VERTICES]
+    bins, spent = job.rings * job.sectors, 0
+    while True:
+        meter = ErrorMeter()
+        for vertex in vertices:
+            meter.add(bake_block(job.task, int(vertex), int(vertex) + 1))
+        spent += len(vertices) * bins * job.resolved.samples
+        if meter.total <= error:
+            return job, spent
+        samples = 2 * job.resolved.samples
+        if samples > PILOT_LIMIT:
+            raise QueryError(
+                f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} directions a bin leave "
+                f"{meter.total:.3g}, and more than {PILOT_LIMIT} are not tried; ask for less"
+            )
+        job = _resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed)
+
+
+def _run(
+    job: Job,
+    sink: Sink,
+    report: dict[str, Any],
+    began: float,
+    spent: int,
+    workers: int,
+    progress: Progress | None,
+    stop: Callable[[], bool] | None,
+) -> Asset:
+    """Bakes block by block into the sink, keeps the error figures, and closes the asset, whole or in part."""
+    vertices = len(job.mesh.positions)
+    per_vertex = job.rings * job.sectors * job.resolved.samples
+    meter, rows, invalid = ErrorMeter(), list[tuple[float, float, float]](), list[int]()
+    done = bent = 0
+    blocks = bake_blocks(job.task, range(vertices), workers)
+    try:
+        for block in _until(stop, blocks):
+            sink.write(block)
+            done, bent = block.first_vertex + len(block.valid), bent + block.bent
+            invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
+            meter.add(block)
+            row = (time.monotonic() - began, float(spent + done * per_vertex), meter.total)
+            if not rows or done * ROWS // vertices > len(rows) or done == vertices:
+                rows.append(row)
+            if progress is not None:
+                progress(done, vertices, row)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        blocks.close()
+    if len(invalid) == done > 0:
+        raise QueryError(f"the transport answered values that are not finite at every one of {done} vertices")
+    report |= {
+        "evaluations": spent + done * per_vertex,
+        "seconds": time.monotonic() - began,
+        "estimated_relative_rmse": {"total": meter.total, "percentile_95_over_vertices": meter.percentile_95},
+        "bins_bent_to_the_horizon": bent,
+        "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
+        "vertices_baked": done,
+    }
+    return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), complete=done == vertices)
+
+
+def _until(stop: Callable[[], bool] | None, blocks: Iterator[Block]) -> Iterator[Block]:
+    while not (stop is not None and stop()):
+        block = next(blocks, None)
+        if block is None:
+            return
+        yield block
+
+
+def _settings(
+    job: Job, seed: int, precision: str, storage: str, workers: int, device: str, error: float | None
+) -> dict[str, Any]:
+    """Provenance that is known before the bake."""
+    return {
+        "settings": {
+            "degree": job.degree,
+            "rings": job.rings,
+            "sectors": job.sectors,
+            "directions": job.resolved.directions,
+            "samples": job.resolved.samples,
+            "error": error,
+            "precision": precision,
+            "storage": storage,
+            "workers": workers,
+        },
+        "seed": seed,
+        "device": device,
+        "error_estimate": job.resolved.error_estimate,
+        "condition_number": job.resolved.condition,
+        "mesh_sha256": job.mesh.content_hash,
+        "transport": type(job.transport).__name__,
+        "eta": float(said_by(job.transport, "eta", 1.0)),
+        "model": dict(getattr(job.transport, "metadata", None) or {}),
+    }
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
+    """One intra-op thread a worker, if torch is loaded at all: more of them get in one another's way."""
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

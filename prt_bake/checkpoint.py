@@ -1,0 +1,89 @@
+"""Checkpoint files: a JSON text and named tensors, as `.pt` (torch's zip) or `.safetensors`.
+
+Neither form can run code when it is read: `.pt` goes through torch's restricted unpickler (`weights_only=True`),
+`.safetensors` holds no code by construction (https://github.com/huggingface/safetensors#format).
+"""
+
+import pickle
+import warnings
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from formats.errors import ModelError
+from formats.whole import replacing
+
+HEAD = "prtbake"
+
+
+def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) -> None:
+    """Writes JSON text `head` and CPU tensors to `path`, whole or not at all.
+
+    Raises ModelError on a suffix other than .pt and .safetensors, StorageError if the file cannot be written.
+    """
+    suffix = _suffix(path)
+    with replacing(Path(path)) as temporary:
+        if suffix == ".safetensors":
+            from safetensors.torch import save
+
+            temporary.write_bytes(save(tensors, metadata={HEAD: head}))
+        else:
+            with open(temporary, "wb") as stream:
+                torch.save({HEAD: head, "tensors": tensors}, stream)
+
+
+def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
+    """The JSON text and the tensors of a checkpoint; raises ModelError saying what the file is instead."""
+    path = Path(path)
+    suffix = _suffix(path)
+    if not path.is_file():
+        raise ModelError(f"{path}: no such file; expected a model (.pt or .safetensors)")
+    return _read_safetensors(path) if suffix == ".safetensors" else _read_pt(path)
+
+
+def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
+    try:
+        with warnings.catch_warnings():
+            # Remarks on foreign pickles; what matters of them is refused below.
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError:
+        raise ModelError(
+            f"{path}: holds something other than plain weights and was refused, nothing in it was run; "
+            f"expected a model written by prtbake"
+        ) from None
+    except (RuntimeError, EOFError, ValueError, KeyError, OSError) as fault:
+        raise ModelError(f"{path}: not a readable checkpoint ({_first_line(fault)}); truncated or not a .pt") from None
+    head, tensors = (content.get(HEAD), content.get("tensors")) if isinstance(content, dict) else (None, None)
+    if not isinstance(head, str) or not isinstance(tensors, dict):
+        raise ModelError(f"{path}: a checkpoint of something else; expected a model written by prtbake")
+    for name, tensor in tensors.items():
+        if not isinstance(name, str) or not isinstance(tensor, Tensor):
+            raise ModelError(f"{path}: {name!r} is not a named tensor")
+    return head, tensors
+
+
+def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            head = (file.metadata() or {}).get(HEAD)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as fault:
+        raise ModelError(f"{path}: not a readable .safetensors file ({_first_line(fault)})") from None
+    if head is None:
+        raise ModelError(f"{path}: a .safetensors file of something else; expected a model written by prtbake")
+    return head, tensors
+
+
+def _suffix(path: str | Path) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".pt", ".safetensors"):
+        raise ModelError(f"{path}: a model's name ends in .pt or .safetensors, found {suffix or 'no suffix'!r}")
+    return suffix
+
+
+def _first_line(fault: Exception) -> str:
+    return (str(fault).splitlines() or [type(fault).__name__])[0][:200]

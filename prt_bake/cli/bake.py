@@ -1,0 +1,91 @@
+"""`prtbake bake`: from a model or a scene, and a mesh, to an asset."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from formats.errors import PrtbakeError
+from prt_bake.cli.options import Device, Seed, output_option
+from prt_bake.cli.progress import reporting, stopping
+
+
+def bake(
+    context: typer.Context,
+    source: Annotated[Path, typer.Argument(help="model.pt (neural) or scene.toml (path traced).")],
+    mesh: Annotated[Path, typer.Argument(help="Mesh whose vertices are baked, in the source's object space.")],
+    output: Annotated[Path, output_option("ASSET.h5", ".h5", ".hdf5")],
+    rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins over the cosine to the normal.")] = 16,
+    sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
+    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree of the harmonics.")] = 2,
+    directions: Annotated[
+        Literal["fibonacci", "sobol", "uniform"], typer.Option(help="How incident directions are placed.")
+    ] = "fibonacci",
+    samples: Annotated[int, typer.Option(min=1, help="Directions a view bin; walks, for a scene.")] = 64,
+    error: Annotated[
+        float | None,
+        typer.Option(help="Relative RMSE to reach: samples are doubled until a pilot does.", show_default=False),
+    ] = None,
+    seed: Seed = 0,
+    device: Device = "cpu",
+    precision: Annotated[
+        Literal["float32", "bfloat16"], typer.Option(help="Of the network's matrix work.")
+    ] = "float32",
+    storage: Annotated[
+        Literal["float16", "float32"], typer.Option(help="Of the coefficients in the file.")
+    ] = "float16",
+    workers: Annotated[int, typer.Option(min=1, max=1024, help="Threads.")] = 1,
+    convention: Annotated[
+        str | None,
+        typer.Option(help="How the 7 inputs of a TorchScript SOURCE are meant.", show_default=False),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print size and estimated time, and stop.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Not supported yet.")] = False,
+    report: Annotated[
+        Path | None, typer.Option(metavar="R.json", help="Also write settings, errors and times.", show_default=False)
+    ] = None,
+) -> None:
+    """Project the transport on spherical harmonics, for every vertex and view bin of a mesh."""
+    from formats.mesh import read_mesh
+    from prt_bake import baking
+    from prt_bake.report import bake_report, write_report
+    from prt_bake.sources import open_source, origin
+
+    if resume:
+        raise PrtbakeError("bake --resume: is not supported yet; a bake starts anew")
+    transport, surface = open_source(source, device, convention), read_mesh(mesh)
+    sampling = (degree, rings, sectors, directions, samples)
+    if dry_run:
+        plan = baking.plan(
+            transport, surface, *sampling, seed, precision=precision, storage=storage, workers=workers, device=device
+        )
+        print(json.dumps(plan.as_json(), indent=2))
+        return
+    with reporting("bake") as show, stopping() as stop:
+        asset = baking.bake(
+            transport,
+            surface,
+            *sampling,
+            error,
+            seed,
+            out=output,
+            precision=precision,
+            storage=storage,
+            workers=workers,
+            device=device,
+            progress=lambda done, total, row: show(done / total, f"{done} of {total} vertices, error {row[2]:.2%}"),
+            stop=stop,
+            provenance={"command": context.obj, "mesh": mesh.name, **origin(source)},
+        )
+    summary = bake_report(asset)
+    if report is not None:
+        write_report(summary, report)
+    rmse = summary["estimated_relative_rmse"]
+    print(
+        f"{output}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
+        f"estimated relative RMSE {rmse['total']:.2%}, "
+        f"95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
+    )
+    if not asset.complete:
+        raise PrtbakeError(f"{output}: the bake was stopped; what is baked is a valid asset that says so")

@@ -1,0 +1,20 @@
+"""`prtbake check`: whether a file is sound."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from formats.errors import FormatError
+
+
+def check(file: Annotated[Path, typer.Argument(help="Mesh, sky, scene, model or asset.")]) -> None:
+    """Print every fault of a file, one line each; exit code 1 if there is any."""
+    from prt_bake.inspection import find_faults
+
+    faults = find_faults(file)
+    for fault in faults:
+        print(fault)
+    if faults:
+        raise FormatError(f"{file}: {len(faults)} {'fault' if len(faults) == 1 else 'faults'} found")
+    print(f"{file}: sound")

@@ -1,0 +1,92 @@
+"""Options that several commands share, and how their text is read."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import typer
+
+from formats.errors import FormatError, StorageError
+
+
+IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
+
+
+class Size(NamedTuple):
+    """Width and height of a picture in pixels."""
+
+    width: int
+    height: int
+
+
+class Point(NamedTuple):
+    """A position in object space, in scene units."""
+
+    x: float
+    y: float
+    z: float
+
+
+def _read_size(text: str) -> Size:
+    try:
+        width, height = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, such as 640x480") from None
+    if not (1 <= width <= 16384 and 1 <= height <= 16384):
+        raise typer.BadParameter(f"{text!r}: width and height are 1 to 16384 pixels")
+    return Size(width, height)
+
+
+def _read_point(text: str) -> Point:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not x,y,z in scene units, such as 0,1.5,3") from None
+    return Point(x, y, z)
+
+
+def output_option(metavar: str, *suffixes: str) -> Any:
+    """Declare `--output`, refused at once, not after an hour's work, where nothing of this kind can be written."""
+
+    def refuse_unusable(path: Path) -> Path:
+        if suffixes and path.suffix.lower() not in suffixes:
+            raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
+        if path.is_dir():
+            raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
+        if not path.parent.is_dir():
+            raise StorageError(f"{path}: cannot be written: the folder {path.parent} does not exist; create it first")
+        if not os.access(path.parent, os.W_OK):
+            raise StorageError(f"{path}: cannot be written: no permission for the folder {path.parent}")
+        return path
+
+    return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
+
+
+Up = Annotated[
+    Literal["y", "z"] | None,
+    typer.Option(help="Up axis of the sky; by default what the asset or the scene says, else y.", show_default=False),
+]
+Rotate = Annotated[
+    float,
+    typer.Option(metavar="DEG", help="Turn the light counter-clockwise, seen from above."),
+]
+PictureSize = Annotated[
+    Size,
+    typer.Option("--size", parser=_read_size, metavar="WxH", help="Pixels of the picture."),
+]
+Eye = Annotated[
+    Point | None,
+    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default the whole object is framed."),
+]
+Exposure = Annotated[
+    float,
+    typer.Option(metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG alone)."),
+]
+Mend = Annotated[
+    bool,
+    typer.Option("--mend", help="Replace NaN, infinite and negative pixels of the environment, and say how many."),
+]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
+Light = Annotated[Path, typer.Option(metavar="ENVIRONMENT", help="Lat-long sky, .exr or .hdr.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Device = Annotated[str, typer.Option(help='Where the network runs: "cpu" or "cuda".')]

@@ -1,0 +1,135 @@
+"""The main job end to end on what is shipped: model → asset → relit picture → its error against a path-traced reference."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset import Asset
+from formats.errors import StorageError
+from formats.image import read_image, write_image
+from formats.mesh import read_mesh
+from prt_bake import camera
+from prt_bake.baking import Progress, bake
+from prt_bake.comparison import Comparison, compare
+from prt_bake.environment import read_environment
+from prt_bake.network import load_model
+from prt_bake.report import bake_report, plot_error, write_report, write_side_by_side
+from prt_bake.shading import Picture, render_picture
+
+SHIPPED = Path(str(resources.files("prt_bake.shipped")))
+SCENE, MODEL, SKY = SHIPPED / "spot.toml", SHIPPED / "spot.pt", SHIPPED / "sky.hdr"
+MESH, FINE_MESH = SHIPPED / "spot_829.obj", SHIPPED / "spot.obj"
+REFERENCE, REFERENCE_REPORT = SHIPPED / "reference.exr", SHIPPED / "reference.json"
+"""A path-traced picture of the scene under the sky, and what `prtbake render --report` said of it."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How much work a demonstration does."""
+
+    mesh: Path
+    samples: int
+    """Incident directions per view bin."""
+    precision: str
+    magnification: int
+    """Width of the picture over that of the reference."""
+    exposure: float = 0.0
+
+
+QUICK = Settings(MESH, samples=32, precision="bfloat16", magnification=1)
+FINE = Settings(FINE_MESH, samples=64, precision="float32", magnification=2)
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What was written, and how good it is.
+
+    comparison is over the whole picture, sky included; object_comparison over the pixels that the object covers.
+    noise_mse is the mean squared standard error of the reference itself on the object.
+    """
+
+    asset: Asset
+    files: tuple[Path, ...]
+    comparison: Comparison
+    object_comparison: Comparison
+    noise_mse: float
+
+
+def demonstrate(
+    folder: Path,
+    settings: Settings = QUICK,
+    workers: int = 1,
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> Demonstration:
+    """Bake the shipped model, relight the asset under the shipped sky, and compare the picture with the reference.
+
+    Writes spot.h5, spot.png, spot.exr, comparison.png, error.png and report.json into `folder`, which is made.
+
+    Raises StorageError where `folder` cannot be written to.
+    """
+    _make(folder)
+    asset = _bake(folder / "spot.h5", settings, workers, progress, stop)
+    said = json.loads(REFERENCE_REPORT.read_text(encoding="utf-8"))
+    picture = _relight(asset, said, settings.magnification)
+    write_image(folder / "spot.exr", picture.image)
+    write_image(folder / "spot.png", picture.image, exposure=settings.exposure)
+    reference = read_image(REFERENCE)
+    small, coverage = (_shrunk(part, settings.magnification) for part in (picture.image, picture.coverage[..., None]))
+    whole = compare(small, reference, exposure=settings.exposure)
+    inside = compare(small, reference, coverage[..., 0] >= 1.0, settings.exposure)
+    write_side_by_side(small, reference, whole.flip_map, folder / "comparison.png", settings.exposure)
+    plot_error(asset.error_vs_time, folder / "error.png")
+    figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": said}
+    write_report({"bake": bake_report(asset), **figures, "clamped": picture.clamped}, folder / "report.json")
+    names = ("spot.h5", "spot.png", "spot.exr", "comparison.png", "error.png", "report.json")
+    return Demonstration(asset, tuple(folder / name for name in names), whole, inside, said["noise_mse"])
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise StorageError(f"{folder}: cannot be made: {cause.strerror}; choose another --out") from cause
+
+
+def _bake(
+    output: Path, settings: Settings, workers: int, progress: Progress | None, stop: Callable[[], bool] | None
+) -> Asset:
+    return bake(
+        load_model(MODEL),
+        read_mesh(settings.mesh),
+        samples=settings.samples,
+        out=output,
+        precision=settings.precision,
+        workers=workers,
+        progress=progress,
+        stop=stop,
+        provenance={"command": "prtbake demo", "source": MODEL.name, "mesh": settings.mesh.name},
+    )
+
+
+def _relight(asset: Asset, reference: dict[str, Any], magnification: int) -> Picture:
+    """The asset under the shipped sky, from where the reference was seen."""
+    view = camera.Camera(
+        np.array(reference["eye"]),
+        np.array(reference["target"]),
+        np.array(reference["up"]),
+        reference["fov"],
+        magnification * reference["width"],
+        magnification * reference["height"],
+    )
+    return render_picture(asset, read_environment(SKY), view)
+
+
+def _shrunk(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """The mean of blocks of factor × factor pixels."""
+    height, width, channels = image.shape
+    blocks = image.reshape(height // factor, factor, width // factor, factor, channels)
+    return np.asarray(blocks.mean(axis=(1, 3)), np.float32)

@@ -1,0 +1,201 @@
+"""What a file holds and whether it is sound, whichever of the five kinds it is: mesh, sky, scene, model or asset."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from formats.errors import FormatError, PrtbakeError
+from formats.whole import existing
+
+SUFFIXES = {
+    "mesh": (".ply", ".obj", ".glb", ".gltf"),
+    "sky": (".exr", ".hdr", ".png"),
+    "scene": (".toml",),
+    "model": (".pt", ".safetensors"),
+    "asset": (".h5", ".hdf5"),
+}
+
+
+def kind_of(path: str | Path) -> str:
+    """Return "mesh", "sky", "scene", "model" or "asset", by the file's suffix.
+
+    Raises:
+        StorageError: there is no such file.
+        FormatError: no kind has this suffix.
+    """
+    suffix = existing(path).suffix.lower()
+    for kind, suffixes in SUFFIXES.items():
+        if suffix in suffixes:
+            return kind
+    known = ", ".join(suffix for suffixes in SUFFIXES.values() for suffix in suffixes)
+    raise FormatError(f"{path}: cannot tell what this is by its suffix {suffix!r}; expected one of {known}")
+
+
+def describe(path: str | Path) -> dict[str, Any]:
+    """Return what a file holds as plain JSON values under readable names; lengths are in scene units.
+
+    Raises:
+        PrtbakeError: the file cannot be read as what its suffix says.
+    """
+    kind = kind_of(path)
+    return {"kind": kind, "bytes": Path(path).stat().st_size, **_DESCRIBE[kind](Path(path))}
+
+
+def find_faults(path: str | Path) -> list[str]:
+    """Return every fault of a file as a sentence; an empty list means that it is sound.
+
+    Raises:
+        StorageError: there is no such file.
+        FormatError: the suffix belongs to none of the five kinds.
+    """
+    kind = kind_of(path)
+    try:
+        return _FIND_FAULTS[kind](Path(path))
+    except PrtbakeError as fault:
+        return [str(fault)]
+
+
+def _describe_mesh(path: Path) -> dict[str, Any]:
+    from formats.mesh import open_edges, read_mesh, signed_volume
+
+    mesh = read_mesh(path, drop_flat_faces=True)
+    return {
+        "vertices": len(mesh.positions),
+        "faces": len(mesh.faces),
+        "faces without area": mesh.dropped_faces,
+        "vertices merged": 0 if mesh.source_vertex is None else len(mesh.source_vertex) - len(mesh.positions),
+        "bounds": mesh.bounds.tolist(),
+        "diagonal": mesh.diagonal,
+        "open edges": open_edges(mesh),
+        "volume": signed_volume(mesh),
+        "texture coordinates": mesh.uv is not None,
+        "content hash": mesh.content_hash,
+    }
+
+
+def _describe_sky(path: Path) -> dict[str, Any]:
+    from formats.image import read_image
+
+    image = read_image(path)
+    finite = np.isfinite(image)
+    return {
+        "width": image.shape[1],
+        "height": image.shape[0],
+        "mean radiance": image.mean(axis=(0, 1), dtype=np.float64, where=finite).tolist(),
+        "largest radiance": float(image.max(where=finite, initial=0)),
+        "values not finite": int((~finite).sum()),
+        "values negative": int((image < 0).sum()),
+    }
+
+
+def _describe_scene(path: Path) -> dict[str, Any]:
+    from formats.scene import read_scene
+
+    scene = read_scene(path)
+    return {
+        "mesh": str(scene.mesh_path),
+        "vertices": len(scene.mesh.positions),
+        "faces": len(scene.mesh.faces),
+        "diagonal": scene.mesh.diagonal,
+        "up": scene.up,
+        "unit": scene.unit,
+        "eta": scene.eta,
+        "roughness": scene.roughness,
+        "normals": scene.normals,
+        "sigma_t": _constant_or_grid(scene.sigma_t),
+        "albedo": _constant_or_grid(scene.albedo),
+        "phase_g": scene.phase_g,
+        "content hash": scene.content_hash,
+    }
+
+
+def _constant_or_grid(quantity: Any) -> Any:
+    values = np.asarray(quantity)
+    if values.ndim < 2:
+        return values.tolist()
+    return f"grid {list(values.shape)}, {values.min():g} to {values.max():g}"
+
+
+def _describe_model(path: Path) -> dict[str, Any]:
+    from prt_bake.network import load_model
+
+    network = load_model(path)
+    return {
+        "weights": sum(parameter.numel() for parameter in network.parameters()),
+        "box minimum": network.box_min.tolist(),
+        "box side": network.box_side,
+        **{f"settings: {name}": value for name, value in network.settings.as_json().items()},
+        **network.metadata,
+    }
+
+
+def _describe_asset(path: Path) -> dict[str, Any]:
+    from formats.asset import read_asset
+
+    asset = read_asset(path)
+    return {
+        "vertices": len(asset.mesh.positions),
+        "vertices baked": int(np.count_nonzero(asset.valid)),
+        "faces": len(asset.mesh.faces),
+        "rings": asset.rings,
+        "sectors": asset.sectors,
+        "degree": asset.degree,
+        "coefficients": f"{asset.coefficients.dtype} {list(asset.coefficients.shape)}",
+        "complete": bool(asset.complete),
+        "up": asset.up,
+        "unit": asset.unit,
+        "left out": asset.left_out,
+        **{f"provenance: {name}": value for name, value in asset.provenance.items()},
+    }
+
+
+def _sky_faults(path: Path) -> list[str]:
+    from formats.image import read_image
+    from prt_bake.environment import check
+
+    check(read_image(path), path)
+    return []
+
+
+def _scene_faults(path: Path) -> list[str]:
+    from formats.scene import read_scene
+
+    read_scene(path)
+    return []
+
+
+def _model_faults(path: Path) -> list[str]:
+    from prt_bake.network import load_model
+
+    load_model(path)
+    return []
+
+
+def _mesh_faults(path: Path) -> list[str]:
+    from formats.mesh import check_mesh
+
+    return check_mesh(path)
+
+
+def _asset_faults(path: Path) -> list[str]:
+    from formats.asset import check_asset
+
+    return check_asset(path)
+
+
+_DESCRIBE: dict[str, Callable[[Path], dict[str, Any]]] = {
+    "mesh": _describe_mesh,
+    "sky": _describe_sky,
+    "scene": _describe_scene,
+    "model": _describe_model,
+    "asset": _describe_asset,
+}
+_FIND_FAULTS: dict[str, Callable[[Path], list[str]]] = {
+    "mesh": _mesh_faults,
+    "sky": _sky_faults,
+    "scene": _scene_faults,
+    "model": _model_faults,
+    "asset": _asset_faults,
+}

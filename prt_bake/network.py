@@ -1,0 +1,239 @@
+"""The neural BSSRDF: a small network fitted to the transport function Ŝ(ωi; x, ωo) [1/sr] of one object.
+
+Input (ωi, x, ωo), in this order, each scaled as the settings say; positions become (x − box_min) / box_side in float64
+before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated skips →
+linear layer to RGB, times `output_scale`.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from formats.errors import ModelError
+from prt_bake.checkpoint import read_checkpoint, write_checkpoint
+from prt_bake.network_kernel import FusedNetwork
+from prt_bake.network_settings import PRESETS, NetworkSettings
+
+__all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
+
+FORMAT = "prtbake model"
+FORMAT_VERSION = 1
+ROWS_AT_ONCE = 8192
+
+
+class NeuralBSSRDF(nn.Module):
+    """Ŝ as a network; a transport for `prt.bake`, a module for the trainer."""
+
+    frequencies: Tensor
+    box_min: Tensor
+
+    def __init__(
+        self,
+        settings: NetworkSettings | None = None,
+        box_min: ArrayLike = (0.0, 0.0, 0.0),
+        box_side: float = 1.0,
+        output_scale: float = 1.0,
+        metadata: dict[str, Any] | None = None,
+    ) -> None:
+        """A freshly initialised network.
+
+        box_min [3] and box_side (longest side) are the object's bounding box in scene units; output_scale [1/sr] is
+        what the last layer's output is multiplied by; metadata is plain JSON and travels with the checkpoint. Weights
+        follow He et al. 2015 and, with G, depend on settings.seed alone. Raises ModelError if the box is not finite.
+        """
+        super().__init__()
+        self.settings = settings or NetworkSettings()
+        self.box_side = float(box_side)
+        self.output_scale = float(output_scale)
+        self.metadata: dict[str, Any] = dict(metadata or {})
+        corner = torch.as_tensor(np.asarray(box_min, dtype=np.float64))
+        scales = (self.box_side, self.output_scale)
+        if (
+            corner.shape != (3,)
+            or not bool(corner.isfinite().all())
+            or not all(np.isfinite(scales))
+            or min(scales) <= 0
+        ):
+            raise ModelError(
+                f"network: box_min must be three finite numbers, box_side and output_scale finite and positive; "
+                f"found {corner.tolist()}, {self.box_side}, {self.output_scale}"
+            )
+        generator = torch.Generator().manual_seed(self.settings.seed)
+        deviation = torch.randn(self.settings.features, self.settings.inputs, generator=generator)
+        self.register_buffer("frequencies", self.settings.feature_mean + self.settings.feature_spread * deviation)
+        self.register_buffer("box_min", corner, persistent=False)
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
+        self.output = nn.Linear(self.settings.width, 3)
+        self._initialise(generator)
+
+    def _initialise(self, generator: torch.Generator) -> None:
+        for layer in (*self.hidden, self.output):
+            assert isinstance(layer, nn.Linear)
+            gain = 1.0 if layer is self.output else 2.0
+            with torch.no_grad():
+                layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
+                layer.bias.zero_()
+
+    def forward(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """Ŝ [N,3] in 1/sr: unit vectors incident [N,3] and outgoing [N,3], positions [N,3] in object space.
+
+        Differentiable in the weights. Positions may be float64 and are made relative to the box before rounding.
+        Runs in the dtype of the weights from the features on (autocast works).
+        """
+        activations: list[Tensor] = []
+        h = self.fourier_features(self.inputs(incident, positions, outgoing)).to(self.output.weight.dtype)
+        for number, layer in enumerate(self.hidden, start=1):
+            sources = [activations[source - 1] for source in self.settings.sources(number)]
+            h = layer(torch.cat((h, *sources), dim=-1) if sources else h)
+            h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
+            activations.append(h)
+        result: Tensor = self.output(h) * self.output_scale
+        return result
+
+    def inputs(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """The scaled inputs u [N, 7 or 9] in float64: incident direction, position, outgoing direction."""
+        return torch.cat((self._scale(incident), self._relative(positions), self._scale(outgoing)), dim=-1)
+
+    def fourier_features(self, u: Tensor) -> Tensor:
+        """[cos 2πGu, sin 2πGu] [N, 2·features] in float32, exact to a few 10⁻⁶ whatever the mean of G.
+
+        The mean's share of the phase is the same for all frequencies: it is reduced to a fraction of a cycle in
+        float64, so that float32 sees only the deviations from it.
+        """
+        mean = self.settings.feature_mean
+        common = (u.sum(dim=-1, keepdim=True) * mean) % 1.0
+        deviation = (self.frequencies.double() - mean).float()
+        phase = (2.0 * torch.pi) * (common.float() + u.float() @ deviation.T)
+        return torch.cat((phase.cos(), phase.sin()), dim=-1)
+
+    def _scale(self, directions: Tensor) -> Tensor:
+        d = directions.double()
+        if self.settings.directions == "cartesian":
+            return d
+        theta = torch.atan2(torch.linalg.vector_norm(d[..., :2], dim=-1), d[..., 2])
+        phi = torch.atan2(d[..., 1], d[..., 0]) % (2.0 * torch.pi)
+        return torch.stack((theta / torch.pi, phi / (2.0 * torch.pi)), dim=-1)
+
+    def _relative(self, positions: Tensor) -> Tensor:
+        return (positions.double() - self.box_min) / self.box_side
+
+    def cycles(self, part: str, vectors: ArrayLike) -> Tensor:
+        """One input's share of Gu, in cycles reduced to [0, 1), float32 [..., features].
+
+        part: "incident", "positions" or "outgoing"; the shares add up to Gu modulo 1.
+        """
+        values = _float64(vectors, self.frequencies.device)
+        width = 2 if self.settings.directions == "spherical" else 3
+        columns = {"incident": (0, width), "positions": (width, width + 3), "outgoing": (width + 3, 2 * width + 3)}
+        first, last = columns[part]
+        u = self._relative(values) if part == "positions" else self._scale(values)
+        return ((u @ self.frequencies[:, first:last].double().T) % 1.0).float()
+
+    def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
+        """Ŝ [N,D,3] in 1/sr, float32: incident [D,3] shared by all queries or [N,D,3], positions [N,3], outgoing [N,3].
+
+        The plain path, row by row through `forward`; the reference for `evaluate_block`.
+        """
+        at = self.frequencies.device
+        x, eye, light = (_float64(vectors, at) for vectors in (positions, outgoing, incident))
+        count = x.shape[0]
+        light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
+        directions = light.shape[1]
+        answer = np.empty((count, directions, 3), dtype=np.float32)
+        rows = answer.reshape(-1, 3)
+        with torch.inference_mode():
+            for first in range(0, count * directions, ROWS_AT_ONCE):
+                row = torch.arange(first, min(first + ROWS_AT_ONCE, count * directions), device=at)
+                query = row // directions
+                radiance = self(light[query, row % directions], x[query], eye[query])
+                rows[first : first + ROWS_AT_ONCE] = radiance.float().cpu().numpy()
+        return answer
+
+    def prepared(self, precision: str = "float32", device: str = "cpu") -> FusedNetwork:
+        """A frozen copy with the fused `evaluate_block`; precision ("float32", "bfloat16") is the matrix work's."""
+        return FusedNetwork(self, precision, device)
+
+    def evaluate_block(
+        self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
+    ) -> NDArray[np.float32]:
+        """Ŝ [N,B,D,3]: bin (n, b) is lit from incident[rotation[n, b]]; see `FusedNetwork.evaluate_block`."""
+        return self.prepared(device=str(self.frequencies.device)).evaluate_block(
+            incident, rotation, positions, outgoing
+        )
+
+
+def _float64(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:
+    if isinstance(vectors, Tensor):
+        return vectors.detach().to(device, torch.float64)
+    # A copy: the array may be read-only, of which torch tensors know nothing.
+    return torch.from_numpy(np.array(vectors, dtype=np.float64)).to(device)
+
+
+def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
+    """Writes the network as `.pt` or `.safetensors`: weights in float32, everything else as JSON.
+
+    The default network takes 640–660 KiB. Raises ModelError on another suffix or on weights that are not finite,
+    StorageError if the file cannot be written; an older file then stays as it was.
+    """
+    head = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "settings": network.settings.as_json(),
+        "box_min": network.box_min.tolist(),
+        "box_side": network.box_side,
+        "output_scale": network.output_scale,
+        "metadata": network.metadata,
+    }
+    tensors = {name: tensor.detach().float().cpu().contiguous() for name, tensor in network.state_dict().items()}
+    _refuse_unsound(tensors, tensors, path)
+    write_checkpoint(path, json.dumps(head), tensors)
+
+
+def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
+    """The network that `save_model` wrote, ready to evaluate on `device`.
+
+    Nothing in the file is run: only plain tensors and JSON are accepted. Raises ModelError naming the file and the
+    tensor or key at fault.
+    """
+    text, tensors = read_checkpoint(path)
+    try:
+        head = json.loads(text)
+        if head["format"] != FORMAT or head["format_version"] != FORMAT_VERSION:
+            raise ModelError(
+                f"{path}: expected {FORMAT!r} version {FORMAT_VERSION}, "
+                f"found {head['format']!r} version {head['format_version']!r}"
+            )
+        network = NeuralBSSRDF(
+            NetworkSettings.from_json(head["settings"]),
+            head["box_min"],
+            head["box_side"],
+            head["output_scale"],
+            head["metadata"],
+        )
+    except ModelError as fault:
+        raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None
+    except (KeyError, TypeError, ValueError, AttributeError) as fault:
+        raise ModelError(f"{path}: the model's description is not readable ({fault!r}); write it anew") from None
+    _refuse_unsound(tensors, network.state_dict(), path)
+    network.load_state_dict(tensors)
+    return network.to(device).eval()
+
+
+def _refuse_unsound(tensors: dict[str, Tensor], expected: dict[str, Tensor], path: str | Path) -> None:
+    for name in sorted(expected.keys() | tensors.keys()):
+        if name not in tensors or name not in expected:
+            state = "missing" if name in expected else "not part of this network"
+            raise ModelError(f"{path}: tensor {name} is {state}")
+        found, wanted = tuple(tensors[name].shape), tuple(expected[name].shape)
+        if found != wanted:
+            raise ModelError(f"{path}: tensor {name} has shape {found}, expected {wanted}")
+        if not tensors[name].is_floating_point():
+            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected float32")
+        bad = int((~tensors[name].isfinite()).sum())
+        if bad:
+            raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite")

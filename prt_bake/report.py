@@ -1,0 +1,105 @@
+"""Reports of what a command did, as JSON texts and as a plot."""
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset import Asset
+from formats.errors import PrtbakeError
+from formats.image import write_image
+from formats.whole import replacing
+
+if TYPE_CHECKING:
+    from prt_bake.camera import Camera
+    from prt_bake.rendering import Rendering
+
+
+def bake_report(asset: Asset) -> dict[str, Any]:
+    """What a bake did and how exact it is, as plain JSON values: provenance, completeness and error against time."""
+    return {
+        "complete": asset.complete,
+        "vertices": len(asset.mesh.positions),
+        "left_out": asset.left_out,
+        "error_vs_time": {
+            "columns": ["seconds", "evaluations", "estimated relative RMSE"],
+            "rows": asset.error_vs_time.tolist(),
+        },
+        **asset.provenance,
+    }
+
+
+def rendering_report(picture: "Rendering", camera: "Camera") -> dict[str, Any]:
+    """What a path-traced picture cost, where it was seen from and how noisy it is, as plain JSON values.
+
+    The noise is over the pixels that the object covers wholly: `noise_mse` the mean squared standard error of radiance,
+    `relative_noise` its root over the root mean square of the radiance.
+    """
+    covered = picture.coverage >= 1.0
+    noise, radiance = (np.asarray(part[covered], np.float64) for part in (picture.standard_error, picture.image))
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "eye": camera.eye.tolist(),
+        "target": camera.target.tolist(),
+        "fov": camera.fov,
+        "walks": picture.walks,
+        "seconds": picture.seconds,
+        "noise_mse": float(np.mean(noise**2)) if noise.size else 0.0,
+        "relative_noise": float(np.linalg.norm(noise) / np.linalg.norm(radiance)) if radiance.any() else 0.0,
+    }
+
+
+def as_text(report: dict[str, Any]) -> str:
+    """The report as indented JSON; numbers that are not finite, which JSON does not know, become null."""
+    return json.dumps(_finite(report), indent=2, allow_nan=False)
+
+
+def write_report(report: dict[str, Any], path: str | Path) -> None:
+    """Write a report as JSON, whole or not at all; raises StorageError if the place cannot be written."""
+    with replacing(path) as part:
+        part.write_text(as_text(report) + "\n", encoding="utf-8")
+
+
+def write_side_by_side(
+    image: NDArray[np.float32],
+    reference: NDArray[np.float32],
+    flip_map: NDArray[np.float32],
+    path: str | Path,
+    exposure: float = 0.0,
+) -> None:
+    """Write image [H,W,3], reference [H,W,3] and the map of FLIP [H,W] (black 0, white 1) beside one another."""
+    error = np.repeat(flip_map[..., None] * 2.0**-exposure, 3, axis=2)
+    write_image(path, np.concatenate([image, reference, error], axis=1, dtype=np.float32), exposure=exposure)
+
+
+def plot_error(error_vs_time: NDArray[np.float64], path: str | Path) -> None:
+    """Draw a bake's estimated relative error against its run time, from rows of (seconds, evaluations, error) [rows,3].
+
+    Raises PrtbakeError where the extra `evaluate` is not installed, StorageError if the place cannot be written.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
+
+    seconds, evaluations, error = error_vs_time.T
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot(seconds, error, marker=".")
+    axes.set(xlabel="seconds", ylabel="estimated relative RMSE of the coefficients", ylim=(0.0, None))
+    axes.set_title(f"{evaluations[-1]:,.0f} evaluations" if len(evaluations) else "")
+    axes.grid(alpha=0.3)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=150, format="png")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

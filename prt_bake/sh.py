@@ -1,0 +1,144 @@
+"""Real spherical harmonics of any degree, by a recursion in Cartesian coordinates that has no pole.
+
+Convention, for the whole product: real, orthonormal over the sphere (∫ Y_lm Y_l'm' dω = δ_ll' δ_mm'), polar axis +z,
+azimuth φ from +x toward +y, no Condon–Shortley phase; the harmonic (l, m) stands at index l(l+1)+m:
+
+    Y_00 = 0.282095,   Y_1,-1 … Y_1,1 = 0.488603 (y, z, x),
+    Y_2,-2 … Y_2,2 = 1.092548 xy, 1.092548 yz, 0.315392 (3z²−1), 1.092548 xz, 0.546274 (x²−y²).
+
+With P̂_l^m the associated Legendre function normalised so that ∫ Y² dω = 1, without its phase,
+
+    Y_lm = √2 P̂_l^m(cosθ) cos mφ   (m > 0),      P̂_l^0(cosθ)   (m = 0),      √2 P̂_l^|m|(cosθ) sin |m|φ   (m < 0).
+
+P̂_l^m / sin^m θ is a polynomial in z, and sin^m θ (cos mφ, sin mφ) are the real and imaginary parts of (x + iy)^m:
+neither needs θ, φ or a division. Source of the three-term recursion: Holmes and Featherstone, "A unified approach to
+the Clenshaw summation and the recursive computation of very high degree and order normalised associated Legendre
+functions", J. Geodesy 76 (2002).
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from formats.errors import QueryError
+
+UNIT_TOLERANCE = 1e-5  # float32 directions pass and are made unit in float64; anything longer is a mistake
+
+
+def count(degree: int) -> int:
+    """Number of harmonics up to `degree`, K = (degree + 1)². Raises QueryError if `degree` is negative."""
+    if degree < 0:
+        raise QueryError(f"degree of the harmonics: expected 0 or more, found {degree}")
+    return (degree + 1) ** 2
+
+
+def degree_of(count: int) -> int:
+    """Degree whose K = (degree + 1)² is `count`. Raises QueryError if `count` is not a square of 1 or more."""
+    root = math.isqrt(max(count, 0))
+    if count < 1 or root * root != count:
+        raise QueryError(f"number of harmonics: expected a square (1, 4, 9, 16, …: whole degrees), found {count}")
+    return root - 1
+
+
+def evaluate(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
+    """Value of every harmonic up to `degree` [sr^-½] in each direction.
+
+    `directions` [..., 3] are unit vectors (any length within 1e-5 of 1 is made unit first); the result is [..., K], K
+    = (degree + 1)², float64, index l(l+1)+m. Raises QueryError if the last axis is not 3, or for directions that are
+    not finite or not unit (their count and the first index).
+    """
+    harmonics_count = count(degree)
+    x, y, z = _unit_components(directions)
+    harmonics = np.empty((*x.shape, harmonics_count))
+    # sin^m θ cos mφ and sin^m θ sin mφ: the parts of (x + iy)^m.
+    cosine, sine = np.ones_like(x), np.zeros_like(x)
+    # P̂_m^m / sin^m θ.
+    diagonal = math.sqrt(1 / (4 * math.pi))
+    for m in range(degree + 1):
+        if m > 0:
+            cosine, sine = x * cosine - y * sine, x * sine + y * cosine
+            diagonal *= math.sqrt((2 * m + 1) / (2 * m))
+        # (√2) P̂_l^m / sin^m θ, for this l and for l − 1.
+        profile = np.full_like(x, diagonal if m == 0 else math.sqrt(2) * diagonal)
+        previous = np.zeros_like(x)
+        for l in range(m, degree + 1):
+            if l > m:
+                scale = math.sqrt((4 * l * l - 1) / (l * l - m * m))
+                share = math.sqrt(((l - 1) ** 2 - m * m) / (4 * (l - 1) ** 2 - 1)) if l > m + 1 else 0.0
+                previous, profile = profile, scale * (z * profile - share * previous)
+            harmonics[..., l * (l + 1) + m] = profile * cosine
+            if m > 0:
+                harmonics[..., l * (l + 1) - m] = profile * sine
+    return harmonics
+
+
+def rotation(matrix: ArrayLike, degree: int) -> NDArray[np.float64]:
+    """Matrix M [K, K] with Y(R d) = M Y(d) for every direction d, R = `matrix` [3, 3] orthogonal.
+
+    A function with coefficients b, turned as L'(d) = L(R⁻¹ d), has the coefficients M b. M is orthogonal and
+    block-diagonal by degree; each block is ∫ Y_l(R d) Y_l(d)ᵀ dω by a quadrature that is exact for it. Reflections
+    (determinant −1) obey the same law and are accepted. Raises QueryError if `matrix` is not 3×3, finite and
+    orthogonal to 1e-6.
+    """
+    turn = np.asarray(matrix, dtype=np.float64)
+    if turn.shape != (3, 3):
+        raise QueryError(f"rotation: expected a matrix [3, 3], found an array of shape {list(turn.shape)}")
+    defect = float(np.abs(turn @ turn.T - np.eye(3)).max())
+    if not defect <= 1e-6:
+        raise QueryError(f"rotation: expected an orthogonal matrix, found R Rᵀ off the identity by {defect:.3g}")
+    directions, weights = quadrature(degree)
+    harmonics = evaluate(directions, degree)
+    turned = evaluate(directions @ turn.T, degree)
+    blocks = np.zeros((count(degree), count(degree)))
+    for l in range(degree + 1):
+        band = slice(l * l, (l + 1) ** 2)
+        blocks[band, band] = (turned[:, band] * weights[:, None]).T @ harmonics[:, band]
+    return blocks
+
+
+@lru_cache(maxsize=32)
+def quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Directions [D, 3] and weights [D] [sr] that integrate any product of two harmonics up to `degree` exactly.
+
+    Gauss–Legendre in cosθ (exact to degree 2·degree + 1) times equal steps in φ (exact below frequency 2·degree + 1);
+    D = (degree + 1)(2·degree + 1). The arrays are shared between calls and read-only. Raises QueryError if `degree`
+    is negative.
+    """
+    if degree < 0:
+        raise QueryError(f"degree of the quadrature: expected 0 or more, found {degree}")
+    rows, columns = degree + 1, 2 * degree + 1
+    cos_theta, row_weights = np.polynomial.legendre.leggauss(rows)
+    phi = 2 * math.pi * np.arange(columns) / columns
+    sin_theta = np.sqrt((1 - cos_theta) * (1 + cos_theta))
+    directions = np.stack(
+        [
+            np.outer(sin_theta, np.cos(phi)).ravel(),
+            np.outer(sin_theta, np.sin(phi)).ravel(),
+            np.repeat(cos_theta, columns),
+        ],
+        axis=-1,
+    )
+    weights = np.repeat(row_weights * (2 * math.pi / columns), columns)
+    directions.flags.writeable = False
+    weights.flags.writeable = False
+    return directions, weights
+
+
+def _unit_components(
+    directions: ArrayLike,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    vectors = np.asarray(directions, dtype=np.float64)
+    if vectors.ndim == 0 or vectors.shape[-1] != 3:
+        raise QueryError(f"directions: expected an array [..., 3], found shape {list(vectors.shape)}")
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    length = np.sqrt(x * x + y * y + z * z)
+    off = ~(np.abs(length - 1) <= UNIT_TOLERANCE)
+    if off.any():
+        first = tuple(int(axis[0]) for axis in np.nonzero(np.atleast_1d(off)))
+        raise QueryError(
+            f"directions: expected unit vectors, found {int(off.sum())} that are not; the first, "
+            f"at index {list(first)}, is {vectors.reshape(-1, 3)[int(np.argmax(off))].tolist()}"
+        )
+    return x / length, y / length, z / length

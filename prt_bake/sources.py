@@ -1,0 +1,68 @@
+"""What can be baked: a network (`.pt`, `.safetensors`), a TorchScript function (`.pt`), or a scene (`.toml`)."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from formats.errors import FormatError
+from formats.scene import Scene, read_scene
+from formats.whole import existing, sha256
+
+if TYPE_CHECKING:
+    from prt_bake.trainer.estimate import Estimate
+
+
+class PathTraced:
+    """A scene as a transport: its coefficients are estimated by random walks, without any network."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.metadata: dict[str, Any] = {
+            "scene": scene.path.name,
+            "scene_hash": scene.content_hash,
+            "up": scene.up,
+            "unit": scene.unit,
+            "eta": scene.eta,
+            "roughness": scene.roughness,
+        }
+
+    def estimate_coefficients(
+        self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seed: int
+    ) -> "Estimate":
+        """a_lm [N,K,3] at positions [N,3] on the scene's surface, seen along outgoing [N,3].
+
+        Raises QueryError where a position lies off the surface or a direction below the horizon.
+        """
+        from prt_bake.trainer.estimate import estimate_coefficients
+
+        return estimate_coefficients(self.scene, positions, outgoing, degree, paths, seed)
+
+
+def open_source(path: str | Path, device: str = "cpu", convention: str | None = None) -> Any:
+    """Return the transport that a file holds.
+
+    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.network_torchscript`); without
+    it a `.pt` file is one of our own networks.
+
+    Raises:
+        FormatError: a suffix that is no source.
+        PrtbakeError: the file is missing, damaged or hostile.
+    """
+    suffix = existing(path).suffix.lower()
+    if suffix == ".toml":
+        return PathTraced(read_scene(path))
+    if suffix not in (".pt", ".safetensors"):
+        raise FormatError(f"{path}: expected a model (.pt, .safetensors) or a scene (.toml), found {suffix!r}")
+    if convention is not None:
+        from prt_bake.network_torchscript import load_torchscript
+
+        return load_torchscript(path, convention)
+    from prt_bake.network import load_model
+
+    return load_model(path, device)
+
+
+def origin(path: str | Path) -> dict[str, str]:
+    """Name and SHA-256 of a source file, for provenance."""
+    return {"source": Path(path).name, "source_sha256": sha256(path)}

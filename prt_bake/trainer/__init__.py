@@ -1,0 +1,1 @@
+"""The reference path tracer, and the trainer that learns from it."""

@@ -1,0 +1,198 @@
+"""Estimates of the transport function Ŝ and of its harmonic coefficients, each with its standard error.
+
+A query is a point x on the surface and a direction ωo to the eye. `estimate_transport` gives Ŝ(ωi; x, ωo) [1/sr] for
+chosen directions of incidence, `estimate_coefficients` gives a_lm = ∫ Ŝ Y_lm dωi from where the walks leave. What
+both count, and what they report apart as unscattered, is said in the README under "What Ŝ counts".
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from formats.errors import QueryError
+from formats.scene import Scene
+from prt_bake.trainer.interface import SMOOTH
+from prt_bake.trainer.prepared import PreparedScene, prepare
+
+Array = NDArray[np.float64]
+
+_PATHS_A_CHUNK = 2048
+_NUMBERS_AT_ONCE = 4_000_000
+_KURTOSIS_A_PATH = 1 / 50
+"""An estimate is called reliable while the sample's kurtosis stays below this share of the number of paths."""
+_LEAST_PATHS = 64
+_CONNECTIONS = 4
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """`mean` and one-sigma `standard_error` of N queries, and what the figures rest on.
+
+    Attributes:
+        mean, standard_error: [N,3] or [N,D,3] (Ŝ, 1/sr) or [N,K,3] (coefficients).
+        unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
+            not in `mean`. 0 behind a rough interface, where that light is a function and is counted.
+        reliable: [N], False where the sample's own kurtosis says that the error bars cannot be trusted at this number
+            of paths.
+        lost: [N], mean throughput of walks that were cut (0 unless a walk passes ten million events).
+        paths, seconds: walks a query, and what they took.
+    """
+
+    mean: Array
+    standard_error: Array
+    unscattered: Array
+    reliable: NDArray[np.bool_]
+    lost: Array
+    paths: int
+    seconds: float
+
+
+def estimate_transport(
+    scene: Scene,
+    positions: ArrayLike,
+    outgoing: ArrayLike,
+    incident: ArrayLike,
+    paths: int = 1024,
+    seed: int = 0,
+    *,
+    connections: int = _CONNECTIONS,
+) -> Estimate:
+    """Ŝ(ωi; x, ωo) at positions [N,3] on the surface, outgoing [N,3], incident [N,3] or [N,D,3] (one walk serves the
+    D).
+
+    `connections` is how many of the D directions each event of a walk looks at; any number gives the same expectation.
+    The numbers depend on the seed, the query's place in the batch and the path alone.
+
+    Raises QueryError for wrong shapes, directions that are not of unit length, positions off the surface, queries
+    below the horizon, and for smooth interfaces, where Ŝ at a given ωi is a sum of delta functions seen by no
+    connection.
+    """
+    prepared = prepare(scene)
+    if prepared.kind == SMOOTH:
+        raise QueryError(
+            f"{scene.path}: interface.roughness is {scene.roughness:g}: behind a smooth interface no connection to a "
+            "given direction of incidence exists, so Ŝ cannot be estimated there; estimate_coefficients works, or make "
+            "it rough"
+        )
+    towards = _directions(incident, "incident")
+    single = towards.ndim == 2
+    towards = np.ascontiguousarray(towards[:, None] if single else towards)
+    queries = _place(prepared, positions, outgoing)
+    if towards.shape[0] != len(queries[0]) or towards.shape[-1] != 3:
+        raise QueryError(f"incident: shape {np.shape(incident)} where [{len(queries[0])},3] or [N,D,3] is expected")
+
+    def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
+        from prt_bake.trainer.kernels import sum_transport
+
+        sum_transport(
+            prepared.boundary,
+            prepared.medium,
+            tuple(part[chosen] for part in queries),
+            chunks,
+            towards[chosen],
+            connections,
+            prepared.lobe_kappa,
+            seed,
+            sums,
+        )
+
+    return _estimate(run, len(queries[0]), paths, towards.shape[1:2] if not single else (), towards.shape[1])
+
+
+def estimate_coefficients(
+    scene: Scene, positions: ArrayLike, outgoing: ArrayLike, degree: int = 2, paths: int = 1024, seed: int = 0
+) -> Estimate:
+    """a_lm(x, ωo) = ∫ Ŝ Y_lm dωi [N,K,3] from the walks' exits: E[throughput · Y_lm(exit)], any interface.
+
+    Raises QueryError as `estimate_transport`, but for smooth interfaces.
+    """
+    prepared = prepare(scene)
+    if degree < 0:
+        raise QueryError(f"degree: {degree} where 0 or more is expected")
+    queries = _place(prepared, positions, outgoing)
+
+    def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
+        from prt_bake.trainer.kernels import sum_coefficients
+
+        sum_coefficients(
+            prepared.boundary, prepared.medium, tuple(part[chosen] for part in queries), chunks, degree, seed, sums
+        )
+
+    size = (degree + 1) ** 2
+    return _estimate(run, len(queries[0]), paths, (size,), size)
+
+
+def _directions(rows: ArrayLike, name: str) -> Array:
+    directions = np.asarray(rows, np.float64)
+    if directions.ndim not in (2, 3) or directions.shape[-1] != 3:
+        raise QueryError(f"{name}: shape {directions.shape} where [N,3] is expected")
+    length = np.linalg.norm(directions, axis=-1)
+    wrong = np.argwhere(~(np.abs(length - 1.0) < 1e-4))
+    if len(wrong):
+        first = tuple(int(i) for i in wrong[0])
+        raise QueryError(
+            f"{name}: {len(wrong)} directions are not of unit length; the first is at {first} with length "
+            f"{length[first]:.6g}"
+        )
+    return np.asarray(directions / length[..., None])
+
+
+def _place(prepared: PreparedScene, positions: ArrayLike, outgoing: ArrayLike) -> tuple[Any, ...]:
+    where, eye = np.asarray(positions, np.float64), _directions(outgoing, "outgoing")
+    if where.shape != eye.shape or eye.ndim != 2:
+        raise QueryError(f"positions: shape {where.shape} beside outgoing {eye.shape} where both are [N,3]")
+    if not np.isfinite(where).all():
+        raise QueryError(f"positions: {int((~np.isfinite(where)).any(axis=1).sum())} of {len(where)} are not finite")
+    return prepared.place(where, eye, np.arange(len(where), dtype=np.uint64))
+
+
+def _blocks(count: int, paths: int, numbers: int) -> Iterator[tuple[slice, NDArray[np.int64]]]:
+    """Slices of queries whose sums fit in memory, each with its chunks (query, first path, paths)."""
+    per_query = -(-paths // _PATHS_A_CHUNK)
+    size = max(1, _NUMBERS_AT_ONCE // (numbers * 4 * per_query))
+    first = np.arange(0, paths, _PATHS_A_CHUNK)
+    length = np.minimum(_PATHS_A_CHUNK, paths - first)
+    for begin in range(0, count, size):
+        chosen = slice(begin, min(begin + size, count))
+        n = np.arange(chosen.stop - begin)
+        rows = [np.repeat(n, per_query), np.tile(first, len(n)), np.tile(length, len(n))]
+        yield chosen, np.ascontiguousarray(np.stack(rows, axis=1), np.int64)
+
+
+def _estimate(
+    run: Callable[[slice, NDArray[np.int64], Array], None], count: int, paths: int, shape: tuple[int, ...], rows: int
+) -> Estimate:
+    if paths < 2:
+        raise QueryError(f"paths: {paths} where at least 2 are needed for an error estimate")
+    begun = time.perf_counter()
+    numbers = rows * 3 + 2
+    powers = np.zeros((count, 4, numbers))
+    for chosen, chunks in _blocks(count, paths, numbers):
+        sums = np.zeros((len(chunks), 4, numbers))
+        run(chosen, chunks, sums)
+        powers[chosen] = sums.reshape(chosen.stop - chosen.start, -1, 4, numbers).sum(axis=1)
+    mean, error, kurtosis = _central(powers / paths, paths)
+    signal = kurtosis[:, : rows * 3].max(axis=1)
+    return Estimate(
+        mean=mean[:, : rows * 3].reshape(count, *shape, 3),
+        standard_error=error[:, : rows * 3].reshape(count, *shape, 3),
+        unscattered=mean[:, -2],
+        reliable=(signal <= paths * _KURTOSIS_A_PATH) & (paths >= _LEAST_PATHS),
+        lost=mean[:, -1],
+        paths=paths,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _central(raw: Array, paths: int) -> tuple[Array, Array, Array]:
+    """Mean, standard error of the mean and kurtosis from raw moments [N,4,M]; kurtosis 1 where nothing varies."""
+    mean, second, third, fourth = (raw[:, k] for k in range(4))
+    variance = np.maximum(second - mean**2, 0.0)
+    variance[variance < 1e-14 * second] = 0.0
+    central = np.maximum(fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4, 0.0)
+    kurtosis = np.where(variance > 0.0, central / np.where(variance > 0.0, variance, 1.0) ** 2, 1.0)
+    return mean, np.sqrt(variance / (paths - 1)), kurtosis

@@ -1,0 +1,210 @@
+"""The estimators' loops: chunks of paths in parallel, four power sums of every value, the same numbers for any thread
+count.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from prt_bake.trainer.connect import connect_aimed, connect_at_surface, connect_straight, straight_transmittance
+from prt_bake.trainer.counter import begin_stream
+from prt_bake.trainer.embree import new_ray
+from prt_bake.trainer.interface import MATCHED, ROUGH
+from prt_bake.trainer.walk import (
+    AT,
+    COUNTS_SIZE,
+    DIRECTION,
+    LOST,
+    SCATTERED,
+    SCATTERING,
+    SKY,
+    STATE_SIZE,
+    SURFACE,
+    THROUGHPUT,
+    advance,
+    cross,
+    enter,
+    goes_on,
+    scatter,
+)
+
+
+@njit(cache=True)
+def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
+    """Real orthonormal harmonics of one direction into basis [K], as prt_bake.sh.evaluate (its tests compare them)."""
+    diagonal = np.sqrt(0.25 / np.pi)
+    cosine, sine = 1.0, 0.0
+    for m in range(degree + 1):
+        if m > 0:
+            diagonal *= np.sqrt((2.0 * m + 1.0) / (2.0 * m))
+            cosine, sine = x * cosine - y * sine, x * sine + y * cosine
+        twice = 1.0 if m == 0 else np.sqrt(2.0)
+        before, legendre = 0.0, diagonal
+        last = 0.0
+        for l in range(m, degree + 1):
+            if l > m:
+                step = np.sqrt((4.0 * l * l - 1.0) / (l * l - m * m))
+                before, legendre = legendre, step * (z * legendre - (before / last if l > m + 1 else 0.0))
+                last = step
+            basis[l * (l + 1) + m] = twice * legendre * cosine
+            if m > 0:
+                basis[l * (l + 1) - m] = twice * legendre * sine
+
+
+@njit(cache=True)
+def _add_powers(value: Any, sums: Any) -> None:
+    for j in range(value.shape[0]):
+        x = value[j]
+        if x != 0.0:
+            square = x * x
+            sums[0, j] += x
+            sums[1, j] += square
+            sums[2, j] += square * x
+            sums[3, j] += square * square
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def sum_transport(
+    boundary: Any, medium: Any, queries: Any, chunks: Any, incident: Any, share: Any, kappa: Any, seed: Any, sums: Any
+) -> None:
+    """Power sums [chunks, 4, D·3 + 2] of Ŝ towards incident [N,D,3], then of the unscattered share and of what was
+    lost.
+
+    `queries` is (keys uint64, positions, outgoing, faces, barycentric) of the N queries; chunks int64 [., 3] are
+    (query, first path, paths).
+    """
+    keys, positions, outgoing, faces, barycentric = queries
+    directions = incident.shape[1]
+    for i in prange(chunks.shape[0]):
+        n = chunks[i, 0]
+        ray = new_ray()
+        state, counts, aim = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(9)
+        stream = np.zeros(2, np.uint64)
+        value = np.zeros(directions * 3 + 2)
+        received = value[: directions * 3].reshape(directions, 3)
+        for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
+            begin_stream(stream, seed, keys[n], path)
+            value[:] = 0.0
+            alive = enter(
+                boundary,
+                state,
+                counts,
+                positions[n],
+                outgoing[n],
+                faces[n],
+                barycentric[n, 0],
+                barycentric[n, 1],
+                stream,
+            )
+            if alive and boundary.kind == MATCHED:
+                value[-2] = straight_transmittance(
+                    boundary,
+                    medium,
+                    positions[n],
+                    state[DIRECTION : DIRECTION + 3],
+                    faces[n],
+                    state[AT : AT + 3],
+                    ray,
+                    stream,
+                )
+            while alive:
+                event = advance(boundary, medium, state, counts, ray, stream)
+                if event == SKY:
+                    break
+                if event == SCATTERING:
+                    if boundary.kind == MATCHED:
+                        connect_straight(boundary, medium, state, counts, incident[n], share, ray, stream, received)
+                    else:
+                        connect_aimed(
+                            boundary, medium, state, counts, incident[n], share, kappa, ray, aim, stream, received
+                        )
+                    scatter(medium, state, stream)
+                else:
+                    if boundary.kind == ROUGH:
+                        connect_at_surface(boundary, state, counts, incident[n], kappa, ray, received)
+                    alive = cross(boundary, state, counts, False, stream)
+                alive = alive and goes_on(boundary, state, counts, stream)
+            value[-1] = state[LOST]
+            _add_powers(value, sums[i])
+
+
+@njit(cache=True)
+def walk_out(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, stream: Any) -> bool:
+    """Walk until the object is left for good; False where the walk ends before (absorbed, or lost)."""
+    while True:
+        event = advance(boundary, medium, state, counts, ray, stream)
+        if event == SKY:
+            return True
+        if event == SURFACE:
+            if not cross(boundary, state, counts, False, stream):
+                return False
+        else:
+            scatter(medium, state, stream)
+        if not goes_on(boundary, state, counts, stream):
+            return False
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def sum_coefficients(boundary: Any, medium: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any) -> None:
+    """Power sums [chunks, 4, K·3 + 2] of throughput · Y_lm(exit), of the unscattered share and of what was lost."""
+    keys, positions, outgoing, faces, barycentric = queries
+    size = (degree + 1) * (degree + 1)
+    for i in prange(chunks.shape[0]):
+        n = chunks[i, 0]
+        ray = new_ray()
+        state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
+        stream = np.zeros(2, np.uint64)
+        value, basis = np.zeros(size * 3 + 2), np.zeros(size)
+        for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
+            begin_stream(stream, seed, keys[n], path)
+            value[:] = 0.0
+            if enter(
+                boundary,
+                state,
+                counts,
+                positions[n],
+                outgoing[n],
+                faces[n],
+                barycentric[n, 0],
+                barycentric[n, 1],
+                stream,
+            ) and walk_out(boundary, medium, state, counts, ray, stream):
+                if counts[SCATTERED] == 0 and boundary.kind != ROUGH:
+                    value[-2] = state[THROUGHPUT]
+                else:
+                    harmonics(state[DIRECTION], state[DIRECTION + 1], state[DIRECTION + 2], degree, basis)
+                    for k in range(size):
+                        for c in range(3):
+                            value[3 * k + c] = state[THROUGHPUT + c] * basis[k]
+            value[-1] = state[LOST]
+            _add_powers(value, sums[i])
+
+
+@njit(cache=True, parallel=True, nogil=True)
+def draw_exits(
+    boundary: Any, medium: Any, queries: Any, paths: Any, seed: Any, directions: Any, throughput: Any, scattered: Any
+) -> None:
+    """One exit a path: directions [N,P,3], throughput [N,P,3] (0: never left), scattered [N,P] (0: it met nothing)."""
+    keys, positions, outgoing, faces, barycentric = queries
+    for n in prange(len(keys)):
+        ray = new_ray()
+        state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
+        stream = np.zeros(2, np.uint64)
+        for path in range(paths):
+            begin_stream(stream, seed, keys[n], path)
+            left = enter(
+                boundary,
+                state,
+                counts,
+                positions[n],
+                outgoing[n],
+                faces[n],
+                barycentric[n, 0],
+                barycentric[n, 1],
+                stream,
+            ) and walk_out(boundary, medium, state, counts, ray, stream)
+            scattered[n, path] = counts[SCATTERED]
+            for c in range(3):
+                directions[n, path, c] = state[DIRECTION + c]
+                throughput[n, path, c] = state[THROUGHPUT + c] if left else 0.0

@@ -1,0 +1,200 @@
+"""Error of baked coefficients against evaluations of Ŝ: what each way of choosing the light's directions costs.
+
+    python tests/bench/bake_error.py [--model MODEL.pt --mesh MESH] [--out bench]
+
+Prints a table of relative RMSE against directions per view bin, the slope of each way and how many times fewer
+evaluations it needs than uniform Monte Carlo at 1 %; draws the same as a plot. The transports are two analytic ones (a
+clamped cosine with a shadow's edge; lobes about the view) and, if given, a network on a mesh.
+"""
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from bakers.baker import Sampling, Task, bake_block
+from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.projection import direction_pool
+from formats.mesh import Mesh, read_mesh
+from prt_bake import sh, sphere
+from prt_bake.bake_sampling import DirectionKind, direction_sets
+from prt_bake.network import load_model
+
+Array = NDArray[np.float64]
+
+DEGREE = 2
+RINGS, SECTORS, VERTICES, SEEDS = 2, 32, 4, 2
+TARGET = 0.01
+REFERENCE_DIRECTIONS = 1 << 15
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to choose directions and weights."""
+
+    name: str
+    kind: DirectionKind
+    fitted: bool
+    halves: bool
+    directions: tuple[int, ...]
+
+
+WAYS = (
+    Way("uniform Monte Carlo", "uniform", False, False, tuple(4**k for k in range(2, 9))),
+    Way("scrambled Sobol", "sobol", False, False, tuple(2**k for k in range(4, 12))),
+    Way("rotated lattice, equal weights", "fibonacci", False, False, tuple(2**k for k in range(4, 12))),
+    Way("two half-size lattices, fitted", "fibonacci", True, True, tuple(2**k for k in range(5, 12))),
+    Way("rotated lattice, fitted (default)", "fibonacci", True, False, tuple(2**k for k in range(4, 12))),
+)
+
+
+class Shadowed:
+    """A clamped cosine about the normal of a unit sphere, cut by a shadow's edge."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
+        lit = np.where(incident[..., 0] > 0.4 * positions[:, None, 1], 1.0, 0.5)
+        return np.stack([cosine * lit, cosine, cosine**2 + 0.05], axis=-1)
+
+
+class Lobed:
+    """A forward lobe about −ωo on a diffuse floor, as a thin translucent sheet has it."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        forward = np.exp(8.0 * (-np.einsum("ndi,ni->nd", incident, outgoing) - 1.0))
+        facing = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
+        return np.stack([forward + 0.3 * facing, 0.7 * forward + 0.2 * facing, 0.5 * forward + 0.1], axis=-1)
+
+
+def bench_sphere() -> Mesh:
+    from formats.mesh import build_mesh
+
+    corners = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
+    return build_mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
+
+
+def baker_of(transport: Any, mesh: Mesh) -> Callable[[Way, int, int], Array]:
+    """(way, directions per bin, seed) → coefficients [V,B,K,3] at a few vertices of the mesh."""
+    vertices = np.random.default_rng(1).permutation(len(mesh.positions))[:VERTICES]
+    normals = mesh.normals[vertices]
+    world = sphere.to_world(sphere.view_bins(RINGS, SECTORS), normals[:, None], sphere.tangent_frame(normals)[:, None])
+    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+    outgoing = np.concatenate(
+        [bend_to_horizon(view[None], around, int(vertex))[0] for vertex, view in zip(vertices, world, strict=True)]
+    )
+    bins = RINGS * SECTORS
+
+    def bake(way: Way, directions: int, seed: int) -> Array:
+        size = directions // 2 if way.halves else directions
+        incident = direction_sets(way.kind, size, seed)
+        pool = direction_pool(incident, sh.evaluate(incident, DEGREE), way.fitted)
+        taken = np.random.default_rng(seed).integers(0, len(incident), (len(vertices), bins))
+        other = (taken + len(incident) // 2) % len(incident)
+        estimator = "halves" if way.halves else "neighbours"
+        sampling = Sampling(pool, lambda a, b: taken[a:b], (lambda a, b: other[a:b]) if way.halves else None, estimator)
+        task = Task(transport, mesh.positions[vertices], lambda a, b: (outgoing[a:b], 0), bins, SECTORS, sampling)
+        return np.concatenate(
+            [bake_block(task, v, v + 1).coefficients.astype(np.float64) for v in range(len(vertices))]
+        )
+
+    return bake
+
+
+def measure(transport: Any, mesh: Mesh) -> dict[Way, Array]:
+    """Relative RMSE of every way at each of its numbers of directions."""
+    bake = baker_of(transport, mesh)
+    truth = bake(WAYS[-1], REFERENCE_DIRECTIONS, 1000)
+    errors: dict[Way, Array] = {}
+    for way in WAYS:
+        squares = [
+            np.mean([((bake(way, directions, seed) - truth) ** 2).sum() for seed in range(SEEDS)])
+            for directions in way.directions
+        ]
+        errors[way] = np.sqrt(np.array(squares) / (truth**2).sum())
+    return errors
+
+
+def slope(way: Way, errors: Array) -> float:
+    """Exponent p of error ≈ directions^p, fitted by least squares in logarithms."""
+    return float(np.polyfit(np.log(way.directions), np.log(errors), 1)[0])
+
+
+def needed(way: Way, errors: Array) -> float:
+    """Directions per bin at which the error falls to the target, between measured points or past them by the slope."""
+    logs, counts = np.log(errors), np.log(way.directions)
+    below = np.flatnonzero(errors <= TARGET)
+    if below.size and below[0] > 0:
+        first = below[0]
+        share = (logs[first - 1] - np.log(TARGET)) / (logs[first - 1] - logs[first])
+        return float(np.exp(counts[first - 1] + share * (counts[first] - counts[first - 1])))
+    if below.size:
+        return float(way.directions[0])
+    return float(np.exp(counts[-1] + (np.log(TARGET) - logs[-1]) / slope(way, errors)))
+
+
+def table(name: str, errors: dict[Way, Array]) -> str:
+    """The figures of one transport as plain text."""
+    columns = sorted({directions for way in WAYS for directions in way.directions})
+    lines = [f"\n{name}: relative RMSE of degree-{DEGREE} coefficients by directions per view bin"]
+    lines.append(f"{'':36}" + "".join(f"{column:>9}" for column in columns) + "    slope   at 1 %    fewer")
+    baseline = needed(WAYS[0], errors[WAYS[0]])
+    for way, values in errors.items():
+        at = dict(zip(way.directions, values, strict=True))
+        cells = "".join(f"{at[column]:9.2g}" if column in at else f"{'':9}" for column in columns)
+        count = needed(way, values)
+        lines.append(f"{way.name:36}{cells} {slope(way, values):8.2f} {count:8.0f} {baseline / count:7.0f}×")
+    return "\n".join(lines)
+
+
+def plot(results: dict[str, dict[Way, Array]], path: Path) -> None:
+    """One log-log panel a transport."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(1, len(results), figsize=(5.2 * len(results), 4.4), sharey=True, squeeze=False)
+    for panel, (name, errors) in zip(panels[0], results.items(), strict=True):
+        for way, values in errors.items():
+            panel.loglog(way.directions, values, marker="o", markersize=3, label=way.name)
+        panel.axhline(TARGET, color="black", linewidth=0.8, linestyle=":")
+        panel.set(title=name, xlabel="evaluations of Ŝ per view bin")
+        panel.grid(True, which="major", alpha=0.3)
+    panels[0][0].set_ylabel("relative RMSE of the coefficients")
+    panels[0][0].legend(fontsize=7)
+    figure.tight_layout()
+    figure.savefig(path, dpi=150)
+    pyplot.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", type=Path, help="a network's checkpoint; needs --mesh")
+    parser.add_argument("--mesh", type=Path)
+    parser.add_argument("--out", type=Path, default=Path("bench"))
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    transports: dict[str, tuple[Any, Mesh]] = {
+        "clamped cosine with a shadow's edge": (Shadowed(), bench_sphere()),
+        "forward lobe on a diffuse floor": (Lobed(), bench_sphere()),
+    }
+    if given.model is not None:
+        if given.mesh is None:
+            parser.error("--model needs --mesh")
+        transports[f"network {given.model.name}"] = load_model(given.model).prepared(), read_mesh(given.mesh)
+    results = {}
+    for name, (transport, mesh) in transports.items():
+        results[name] = measure(transport, mesh)
+        print(table(name, results[name]), flush=True)
+    given.out.mkdir(parents=True, exist_ok=True)
+    plot(results, given.out / "bake_error.png")
+    print(f"\nplot: {given.out / 'bake_error.png'}")
+
+
+if __name__ == "__main__":
+    main()

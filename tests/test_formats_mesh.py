@@ -1,0 +1,279 @@
+"""Meshes: there and back, merged vertices, exact numbers, and every way a file can be damaged."""
+
+import re
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from formats.errors import MeshError, StorageError
+from formats.mesh import (
+    Mesh,
+    build_mesh,
+    check_mesh,
+    flipped,
+    open_edges,
+    read_mesh,
+    signed_volume,
+    torn_edges,
+    write_mesh,
+)
+
+TETRAHEDRON = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+CUBE_QUADS = [(1, 4, 3, 2), (5, 6, 7, 8), (1, 2, 6, 5), (2, 3, 7, 6), (3, 4, 8, 7), (4, 1, 5, 8)]
+CUBE_CORNERS = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+
+
+def tetrahedron() -> Mesh:
+    return build_mesh(TETRAHEDRON, TETRAHEDRON_FACES)
+
+
+def sphere_mesh(rows: int = 8, columns: int = 12) -> Mesh:
+    """A closed sphere of latitude rows, its poles single vertices."""
+    theta = np.repeat(np.arange(1, rows) * np.pi / rows, columns)
+    phi = np.tile(np.arange(columns) * 2 * np.pi / columns, rows - 1)
+    ring = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+    positions = np.vstack([[0, 0, 1], ring, [0, 0, -1]])
+    here, ahead = np.arange(columns), (np.arange(columns) + 1) % columns
+    last = len(positions) - 1
+    faces = [np.stack([np.zeros(columns, int), 1 + here, 1 + ahead], axis=1)]
+    for row in range(rows - 2):
+        a, b = 1 + row * columns, 1 + (row + 1) * columns
+        faces += [np.stack([a + here, b + here, b + ahead], 1), np.stack([a + here, b + ahead, a + ahead], 1)]
+    base = 1 + (rows - 2) * columns
+    faces.append(np.stack([base + here, np.full(columns, last), base + ahead], axis=1))
+    return build_mesh(positions, np.vstack(faces))
+
+
+def ascii_ply(vertices: str, faces: str, kind: str = "float") -> str:
+    count, face_count = len(vertices.splitlines()), len(faces.splitlines())
+    return (
+        f"ply\nformat ascii 1.0\ncomment made by hand\nelement vertex {count}\nproperty {kind} x\nproperty {kind} y\n"
+        f"property {kind} z\nelement face {face_count}\nproperty list uchar int vertex_indices\nend_header\n"
+        f"{vertices}\n{faces}\n"
+    )
+
+
+TETRAHEDRON_VERTICES = "0 0 0\n1 0 0\n0 1 0\n0 0 1"
+TETRAHEDRON_ROWS = "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+@settings(max_examples=25, deadline=None, derandomize=True, database=None)
+@given(
+    jitter=npst.arrays(np.float64, (86, 3), elements=st.floats(-0.04, 0.04)),
+    scale=st.floats(1e-6, 1e6),
+    shift=st.floats(-1e3, 1e3),
+)
+def test_any_mesh_survives_write_and_read(tmp_path_factory, suffix, jitter, scale, shift):
+    ball = sphere_mesh()
+    mesh = build_mesh((ball.positions + jitter) * scale + shift, ball.faces)
+    kept = mesh.positions.copy()
+    path = tmp_path_factory.mktemp("mesh") / f"ball{suffix}"
+    write_mesh(mesh, path)
+    again = read_mesh(path)
+    np.testing.assert_array_equal(mesh.positions, kept)
+    np.testing.assert_array_equal(again.positions, kept)
+    np.testing.assert_array_equal(again.faces, mesh.faces)
+    np.testing.assert_allclose(again.normals, mesh.normals, rtol=0, atol=1e-15)
+    assert again.content_hash == mesh.content_hash
+    assert again.source_vertex is None
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_texture_coordinates_survive(tmp_path, suffix):
+    mesh = Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, uv=np.arange(8).reshape(4, 2) / 7)
+    write_mesh(mesh, tmp_path / f"t{suffix}")
+    np.testing.assert_array_equal(read_mesh(tmp_path / f"t{suffix}").uv, mesh.uv)
+
+
+def test_float64_stays_float64_in_ascii_and_both_byte_orders(tmp_path):
+    third = 1 / 3
+    for order, word in (("<", "binary_little_endian"), (">", "binary_big_endian")):
+        header = ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS, "double").split("end_header\n")[0]
+        body = struct.pack(f"{order}12d", 0, 0, third, 1, 0, 0, 0, 1, 0, 0, 0, 1e9 + third)
+        body += b"".join(struct.pack(f"{order}B3i", 3, *face) for face in TETRAHEDRON_FACES)
+        path = tmp_path / "t.ply"
+        path.write_bytes(header.replace("ascii", word).encode() + b"end_header\n" + body)
+        assert read_mesh(path).positions[[0, 3], 2].tolist() == [third, 1e9 + third]
+    text = ascii_ply(TETRAHEDRON_VERTICES.replace("1 0 0", f"{third!r} 0 0"), TETRAHEDRON_ROWS, "double")
+    (tmp_path / "t.ply").write_text(text)
+    assert read_mesh(tmp_path / "t.ply").positions[1, 0] == third
+
+
+def test_ply_passes_over_what_it_does_not_know_and_cuts_polygons(tmp_path):
+    corners = "\n".join(f"{x} {y} {z} 255" for x, y, z in CUBE_CORNERS)
+    quads = "\n".join(f"4 {' '.join(str(i - 1) for i in quad)} 7" for quad in CUBE_QUADS[1:])
+    triangles = "3 0 3 2 7\n3 0 2 1 7"
+    (tmp_path / "cube.ply").write_text(
+        "ply\nformat ascii 1.0\nelement material 1\nproperty list uchar float colour\n"
+        "element vertex 8\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n"
+        "element face 7\nproperty list uchar int vertex_index\nproperty uchar flags\nend_header\n"
+        f"2 0.5 0.5\n{corners}\n{triangles}\n{quads}\n"
+    )
+    mesh = read_mesh(tmp_path / "cube.ply")
+    assert (len(mesh.positions), len(mesh.faces), open_edges(mesh), torn_edges(mesh)) == (8, 12, 0, 0)
+    assert signed_volume(mesh) == pytest.approx(1, abs=1e-15)
+    assert mesh.face_areas.sum() == pytest.approx(6, abs=1e-15)
+
+
+def test_corners_split_by_normals_are_one_vertex(tmp_path):
+    rows = [f"v {x} {y} {z}" for quad in CUBE_QUADS for x, y, z in (CUBE_CORNERS[i - 1] for i in quad)]
+    rows += ["vn 0 0 -1", "vn 0 0 1", "vn 0 -1 0", "vn 1 0 0", "vn 0 1 0", "vn -1 0 0"]
+    rows += ["f " + " ".join(f"{4 * i + c + 1}//{i + 1}" for c in range(4)) for i in range(6)]
+    (tmp_path / "cube.obj").write_text("\n".join(rows))
+    mesh = read_mesh(tmp_path / "cube.obj")
+    assert (len(mesh.positions), len(mesh.faces), open_edges(mesh)) == (8, 12, 0)
+    assert mesh.source_vertex is not None
+    assert mesh.source_vertex.shape == (24,)
+    sources = np.array([CUBE_CORNERS[i - 1] for quad in CUBE_QUADS for i in quad], np.float64)
+    np.testing.assert_array_equal(mesh.positions[mesh.source_vertex], sources)
+    # The angle weights make a corner's normal the diagonal, whichever way the quads were cut.
+    np.testing.assert_allclose(mesh.normals, (2 * mesh.positions - 1) / np.sqrt(3), atol=1e-15)
+
+
+def test_unused_vertices_are_left_out(tmp_path):
+    vertices = "9 9 9\n" + TETRAHEDRON_VERTICES + "\n-0.0 0 0"
+    rows = "3 1 3 2\n3 5 2 4\n3 1 4 3\n3 2 3 4"
+    (tmp_path / "t.ply").write_text(ascii_ply(vertices, rows))
+    mesh = read_mesh(tmp_path / "t.ply")
+    assert mesh.source_vertex is not None
+    assert mesh.source_vertex.tolist() == [-1, 0, 1, 2, 3, 0]
+    np.testing.assert_array_equal(mesh.positions, TETRAHEDRON)
+    assert open_edges(mesh) == 0
+
+
+def test_obj_indices_may_count_backwards_and_lines_continue(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf -4 -2 -3\nf 1 2 4 # base\nf 1 4 \\\n3\nusemtl wax\nf 2/ 3/ 4/\n"
+    (tmp_path / "t.obj").write_text(text)
+    mesh = read_mesh(tmp_path / "t.obj")
+    np.testing.assert_array_equal(mesh.faces, TETRAHEDRON_FACES)
+    np.testing.assert_array_equal(mesh.positions, TETRAHEDRON)
+
+
+def test_gltf_parts_are_placed_by_their_nodes(tmp_path):
+    import trimesh
+
+    solid = trimesh.Trimesh(TETRAHEDRON, TETRAHEDRON_FACES, process=False)
+    scene = trimesh.Scene()
+    scene.add_geometry(solid, transform=np.diag([1.0, 1, 1, 1]))
+    scene.add_geometry(solid, transform=trimesh.transformations.translation_matrix([5.0, 0, 0]))
+    (tmp_path / "two.glb").write_bytes(trimesh.exchange.gltf.export_glb(scene))
+    mesh = read_mesh(tmp_path / "two.glb")
+    assert (len(mesh.positions), len(mesh.faces), open_edges(mesh)) == (8, 8, 0)
+    assert mesh.bounds.tolist() == [[0, 0, 0], [6, 1, 1]]
+    assert signed_volume(mesh) == pytest.approx(1 / 3)
+
+
+def test_volume_and_normals_of_a_sphere():
+    ball = sphere_mesh(40, 80)
+    assert open_edges(ball) == 0
+    assert signed_volume(ball) == pytest.approx(4 / 3 * np.pi, rel=5e-3)
+    assert signed_volume(flipped(ball)) == pytest.approx(-signed_volume(ball), rel=1e-13)
+    np.testing.assert_allclose(ball.normals, ball.positions, atol=2e-3)
+    np.testing.assert_array_equal(flipped(ball).normals, -ball.normals)
+    moved = build_mesh(ball.positions + 1e6, ball.faces)
+    assert signed_volume(moved) == pytest.approx(signed_volume(ball), rel=1e-9)
+    np.testing.assert_allclose(moved.normals, ball.normals, atol=1e-8)
+
+
+def test_open_and_torn_edges_are_counted():
+    assert open_edges(build_mesh(TETRAHEDRON, TETRAHEDRON_FACES[1:])) == 3
+    one_turned = TETRAHEDRON_FACES.copy()
+    one_turned[0] = one_turned[0][::-1]
+    torn = build_mesh(TETRAHEDRON, one_turned)
+    assert (open_edges(torn), torn_edges(torn)) == (0, 3)
+
+
+DAMAGED = {
+    "NaN": (ascii_ply(TETRAHEDRON_VERTICES.replace("0 1 0", "0 nan 0"), TETRAHEDRON_ROWS), "1 of 4 vertices.*vertex 2"),
+    "infinite": (ascii_ply(TETRAHEDRON_VERTICES.replace("0 0 1", "0 0 inf"), TETRAHEDRON_ROWS), "vertex 3"),
+    "index": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS.replace("1 2 3", "1 2 4")), "face 3.*from 0 to 3"),
+    "negative": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS.replace("1 2 3", "1 2 -1")), "face 3"),
+    "flat": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS + "\n3 0 1 1"), "1 of 5 faces have no area.*face 4"),
+    "collinear": (
+        ascii_ply(TETRAHEDRON_VERTICES + "\n0.1 0.1 0.1\n0.3 0.3 0.3", TETRAHEDRON_ROWS + "\n3 0 4 5", "double"),
+        "1 of 5 faces have no area",
+    ),
+    "cloud": (ascii_ply(TETRAHEDRON_VERTICES, ""), "no faces"),
+    "cut in a row": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS)[:-4], "row 3 of element face.*truncated"),
+    "cut in the header": ("ply\nformat ascii 1.0\nelement vertex 4\n", "end_header"),
+    "words": (ascii_ply(TETRAHEDRON_VERTICES.replace("1 0 0", "1 x 0"), TETRAHEDRON_ROWS), "damaged"),
+    "header": (ascii_ply("0 0 0", "").replace("float y", "quad y"), "line 6"),
+    "a list of lists": (ascii_ply("0 0 0", "-1"), "list of length -1"),
+    "not PLY": ("solid stl\n", "not a PLY"),
+    "empty": ("", "not a PLY"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_damaged_ply_is_refused_in_one_sentence(tmp_path, case):
+    text, sentence = DAMAGED[case]
+    (tmp_path / "bad.ply").write_text(text)
+    with pytest.raises(MeshError, match=sentence) as caught:
+        read_mesh(tmp_path / "bad.ply")
+    assert str(caught.value).startswith(str(tmp_path / "bad.ply"))
+    assert "\n" not in str(caught.value)
+    assert check_mesh(tmp_path / "bad.ply")[0] == str(caught.value)
+
+
+def test_binary_ply_cut_anywhere_is_refused(tmp_path):
+    write_mesh(sphere_mesh(), tmp_path / "ball.ply")
+    whole = (tmp_path / "ball.ply").read_bytes()
+    for tenth in range(10):
+        (tmp_path / "cut.ply").write_bytes(whole[: len(whole) * tenth // 10])
+        with pytest.raises(MeshError, match=re.escape(str(tmp_path / "cut.ply"))):
+            read_mesh(tmp_path / "cut.ply")
+
+
+def test_obj_faults_name_the_line(tmp_path):
+    for text, sentence in (
+        ("v 0 0 0\nv 1 0\n", "line 2"),
+        ("v 0 0 0\nf 1 0 1\n", "line 2"),
+        ("v 0 0 0\n", "no faces"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "do not exist"),
+        ("\0\1", "not an OBJ"),
+    ):
+        (tmp_path / "bad.obj").write_text(text)
+        with pytest.raises(MeshError, match=sentence):
+            read_mesh(tmp_path / "bad.obj")
+
+
+def test_wrong_kinds_are_refused(tmp_path):
+    (tmp_path / "bad.glb").write_bytes(b"\x89HDF\r\n\x1a\nnothing")
+    with pytest.raises(MeshError, match="glTF"):
+        read_mesh(tmp_path / "bad.glb")
+    with pytest.raises(MeshError, match=r"expected \.ply"):
+        read_mesh(tmp_path / "mesh.stl")
+    with pytest.raises(MeshError, match=r"expected \.ply or \.obj"):
+        write_mesh(tetrahedron(), tmp_path / "mesh.stl")
+    with pytest.raises(StorageError, match="no such file"):
+        read_mesh(tmp_path / "missing.ply")
+
+
+def test_flat_faces_can_be_dropped_and_are_counted(tmp_path):
+    (tmp_path / "t.ply").write_text(DAMAGED["flat"][0])
+    mesh = read_mesh(tmp_path / "t.ply", drop_flat_faces=True)
+    assert (mesh.dropped_faces, len(mesh.faces), open_edges(mesh)) == (1, 4, 0)
+
+
+def test_check_reports_holes_winding_and_lost_precision(tmp_path):
+    ball = sphere_mesh()
+    write_mesh(ball, tmp_path / "good.ply")
+    assert check_mesh(tmp_path / "good.ply") == []
+    write_mesh(build_mesh(ball.positions, ball.faces[1:]), tmp_path / "open.ply")
+    assert "3 edges" in check_mesh(tmp_path / "open.ply")[0]
+    write_mesh(flipped(ball), tmp_path / "inside_out.ply")
+    assert "inside out" in check_mesh(tmp_path / "inside_out.ply")[0]
+    far = (ball.positions + 1e4).astype(np.float32).astype(np.float64)
+    write_mesh(build_mesh(far, ball.faces), tmp_path / "far.ply")
+    assert "rounded to float32" in check_mesh(tmp_path / "far.ply")[0]
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    with pytest.raises(MeshError, match=r"normals has shape \(3, 3\), expected \(4, 3\)"):
+        Mesh(TETRAHEDRON, TETRAHEDRON_FACES, np.zeros((3, 3)))

@@ -1,0 +1,185 @@
+"""Scene files: what they say is what comes out, and every fault names its key."""
+
+import numpy as np
+import pytest
+
+from formats.errors import MeshError, SceneError, StorageError
+from formats.mesh import build_mesh, flipped, signed_volume, write_mesh
+from formats.scene import read_scene
+
+SCENE = """
+[object]
+mesh = "ball.ply"
+up = "z"
+unit = "cm"
+[interface]
+eta = 1.3
+roughness = 0.25
+normals = "vertex"
+[medium]
+sigma_t = 12.0
+albedo = [0.98, 0.90, 0.75]
+phase_g = 0.3
+bounds = [[-1, -1, -1], [1, 1, 2]]
+"""
+INSIDE = '[[inside]]\nname = "seed"\nmesh = "seed.ply"\nsurface = "diffuse"\nreflectance = "seed.png"\nin = "skin"\n'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+    mesh = build_mesh(positions, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    write_mesh(mesh, tmp_path / "ball.ply")
+    write_mesh(flipped(mesh), tmp_path / "inside_out.ply")
+    write_mesh(build_mesh(positions, mesh.faces[1:]), tmp_path / "open.ply")
+    write_mesh(build_mesh(2 * positions, mesh.faces), tmp_path / "larger.ply")
+    torn = mesh.faces.copy()
+    torn[0] = torn[0][::-1]
+    write_mesh(build_mesh(positions, torn), tmp_path / "torn.ply")
+    grid = np.random.default_rng(2).random((2, 3, 4), np.float32)
+    np.save(tmp_path / "grid.npy", grid)
+    np.save(tmp_path / "colour.npy", np.stack([grid] * 3, axis=3))
+    return tmp_path
+
+
+def scene(folder, old="", new=""):
+    assert old in SCENE
+    path = folder / "scene.toml"
+    path.write_text(SCENE.replace(old, new, 1) if old else SCENE + new)
+    return read_scene(path)
+
+
+def test_everything_that_is_said_comes_out(folder):
+    read = scene(folder)
+    assert (read.up, read.unit, read.eta, read.roughness, read.normals) == ("z", "cm", 1.3, 0.25, "vertex")
+    assert (read.sigma_t, read.albedo.tolist(), read.phase_g) == (12, [0.98, 0.9, 0.75], 0.3)
+    assert (read.bounds, read.flipped, len(read.mesh.faces)) == (None, False, 4)
+    assert read.mesh_path == folder / "ball.ply"
+    assert read.tables.medium.sigma_t == 12
+
+
+def test_what_may_be_left_out(folder):
+    (folder / "scene.toml").write_text('[object]\nmesh = "ball.ply"\n[medium]\nsigma_t = 0\nalbedo = 1\n')
+    read = read_scene(folder / "scene.toml")
+    assert (read.up, read.eta, read.roughness, read.normals, read.phase_g) == ("y", 1, 0, "face", 0)
+    assert read.albedo.tolist() == [1, 1, 1]
+
+
+def test_grids_are_loaded_and_keep_their_values(folder):
+    read = scene(folder, "12.0", '"grid.npy"')
+    np.testing.assert_array_equal(read.sigma_t, np.load(folder / "grid.npy").astype(np.float64))
+    np.testing.assert_array_equal(read.bounds, [[-1, -1, -1], [1, 1, 2]])
+    assert scene(folder, "[0.98, 0.90, 0.75]", '"colour.npy"').albedo.shape == (2, 3, 4, 3)
+    assert scene(folder, "[0.98, 0.90, 0.75]", '"grid.npy"').albedo.shape == (2, 3, 4)
+
+
+def test_a_mesh_wound_inside_out_is_turned(folder):
+    read = scene(folder, "ball.ply", "inside_out.ply")
+    assert read.flipped
+    assert signed_volume(read.mesh) > 0
+    np.testing.assert_allclose(read.mesh.normals, scene(folder).mesh.normals, atol=1e-15)
+
+
+def test_the_hash_follows_what_decides_the_transport(folder):
+    same = scene(folder).content_hash
+    assert scene(folder, 'unit = "cm"', 'unit = "mm"').content_hash == same
+    assert scene(folder, "0.98, 0.90", "0.98, 0.9").content_hash == same
+    assert scene(folder, "ball.ply", "inside_out.ply").content_hash == same
+    changes = [("1.3", "1.31"), ("0.25", "0.2"), ("vertex", "face"), ("12.0", "13"), ("0.75", "0.76"), ("0.3", "0")]
+    changes += [("12.0", '"grid.npy"'), ("[0.98, 0.90, 0.75]", '"grid.npy"'), ("ball.ply", "larger.ply")]
+    hashes = {scene(folder, *change).content_hash for change in changes}
+    assert len(hashes | {same}) == len(changes) + 1
+
+
+FAULTS = [
+    ("albedo", "albdo", "medium.albdo: unknown key; did you mean 'albedo'?"),
+    ("[medium]", "[medum]", "medum: unknown key; did you mean 'medium'?"),
+    (
+        "phase_g",
+        'colour = "red"\nphase_g',
+        "medium.colour: unknown key; expected one of sigma_t, albedo, phase_g, bounds",
+    ),
+    ("sigma_t = 12.0", "", "medium.sigma_t: is missing"),
+    ("12.0", "-1", "medium.sigma_t: expected one number that is not negative, or the name of an .npy grid, found -1"),
+    ("12.0", "nan", "medium.sigma_t: expected one number"),
+    ("12.0", "inf", "medium.sigma_t: expected one number"),
+    ("12.0", "true", "medium.sigma_t: expected one number"),
+    ("12.0", "1979-05-27", "medium.sigma_t: expected one number"),
+    ("12.0", "[1, 2, 3]", "medium.sigma_t: extinction by channel is not supported yet"),
+    (
+        "12.0",
+        '"colour.npy"',
+        "medium.sigma_t: colour.npy has shape [2, 3, 4, 3]; extinction by channel is not supported",
+    ),
+    ("12.0", '"ball.ply"', "is not an .npy array"),
+    ("[0.98, 0.90, 0.75]", "1.01", "medium.albedo: expected a number from 0 to 1"),
+    ("[0.98, 0.90, 0.75]", "[0.5, 0.5]", "medium.albedo: expected a number from 0 to 1, three of them"),
+    ("[0.98, 0.90, 0.75]", "[0.5, -0.5, 0.5]", "medium.albedo: expected a number from 0 to 1, three of them"),
+    ("0.3", "1.0", "medium.phase_g: expected a mean cosine between -1 and 1"),
+    ("1.3", "0", "interface.eta: expected an index"),
+    ("0.25", "1.5", "interface.roughness: expected a GGX alpha"),
+    ('"vertex"', '"smooth"', 'interface.normals: expected "face" or "vertex", found \'smooth\''),
+    ('"z"', '"x"', 'object.up: expected "y" or "z", found \'x\''),
+    ("[1, 1, 2]", "[1, 1, -1]", "medium.bounds: the lowest corner must come first"),
+    ("[1, 1, 2]", "[1, 1]", "medium.bounds: expected two corners"),
+    ("= 12.0", "= = 12", "is not TOML"),
+    ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply is not closed: 3 edges"),
+    ('mesh = "ball.ply"', 'mesh = "torn.ply"', "object.mesh: .*torn.ply has 3 edges between faces wound against"),
+    ("", INSIDE, "inside: objects inside the object are not supported yet"),
+    ("", INSIDE + "[inside.medium]\nsigma_t = -1\nalbedo = 1\n", "inside.0.medium.sigma_t: expected one number"),
+    ("", INSIDE.replace("surface", "surfac"), "inside.0.surfac: unknown key; did you mean 'surface'?"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), FAULTS)
+def test_every_fault_names_its_key(folder, old, new, sentence):
+    with pytest.raises(SceneError) as caught:
+        scene(folder, old, new)
+    told = str(caught.value)
+    assert told.startswith(f"{folder / 'scene.toml'}: ")
+    assert "\n" not in told
+    for part in sentence.split(".*"):
+        assert part in told
+
+
+def test_grids_out_of_range_are_told_with_count_and_place(folder):
+    grid = np.full((2, 3, 4), 0.5)
+    grid[1, 2, 3], grid[1, 0, 0] = np.nan, -2
+    np.save(folder / "bad.npy", grid)
+    with pytest.raises(
+        SceneError, match=r"medium\.sigma_t: .*bad\.npy has 2 of 24 values .*first at \[1, 0, 0\] is -2"
+    ):
+        scene(folder, "12.0", '"bad.npy"')
+    np.save(folder / "bad.npy", np.full((2, 2, 2), 1.5))
+    with pytest.raises(SceneError, match="expected values from 0 to 1"):
+        scene(folder, "[0.98, 0.90, 0.75]", '"bad.npy"')
+    for wrong in (np.zeros((2, 3)), np.zeros((2, 3, 4, 2)), np.zeros((0, 3, 4)), np.array(["a"]), np.zeros(3, complex)):
+        np.save(folder / "bad.npy", wrong)
+        with pytest.raises(SceneError, match=r"bad\.npy"):
+            scene(folder, "12.0", '"bad.npy"')
+
+
+def test_a_pickled_grid_is_refused_and_never_run(folder):
+    np.save(folder / "bad.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(SceneError, match=r"bad\.npy"):
+        scene(folder, "12.0", '"bad.npy"')
+
+
+def test_a_grid_needs_its_box(folder):
+    (folder / "scene.toml").write_text(SCENE.replace("12.0", '"grid.npy"').replace("bounds", "#"))
+    with pytest.raises(SceneError, match=r"medium\.bounds: is missing; a grid needs its box"):
+        read_scene(folder / "scene.toml")
+
+
+def test_missing_and_damaged_files_are_named(folder):
+    with pytest.raises(StorageError, match=r"nowhere\.npy: there is no such file"):
+        scene(folder, "12.0", '"nowhere.npy"')
+    with pytest.raises(StorageError, match=r"nowhere\.ply: there is no such file"):
+        scene(folder, "ball.ply", "nowhere.ply")
+    with pytest.raises(StorageError, match=r"nowhere\.toml: there is no such file"):
+        read_scene(folder / "nowhere.toml")
+    with pytest.raises(MeshError, match=r"grid\.npy"):
+        scene(folder, "ball.ply", "grid.npy")
+    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SceneError, match="not text"):
+        read_scene(folder / "binary.toml")

@@ -1,0 +1,245 @@
+"""Laws of the neural BSSRDF: its size, its features, its two ways to evaluate, its files."""
+
+import json
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from formats.errors import ModelError, QueryError
+from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
+from prt_bake.network_settings import NetworkSettings as Settings
+
+SMALL = {"features": 12, "width": 16}
+
+
+def unit(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:
+    vectors = rng.normal(size=(*shape, 3))
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+@pytest.fixture(params=["paper", "measured"])
+def network(request: pytest.FixtureRequest) -> NeuralBSSRDF:
+    return NeuralBSSRDF(PRESETS[request.param], box_min=(-1.0, -2.0, 0.5), box_side=3.0, output_scale=0.7)
+
+
+def test_default_network_has_the_papers_number_of_weights() -> None:
+    assert sum(weights.numel() for weights in NeuralBSSRDF().parameters()) == 164_867
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
+def test_file_has_the_papers_size_and_gives_the_same_network_back(
+    network: NeuralBSSRDF, suffix: str, tmp_path: Path
+) -> None:
+    network.metadata = {"up": "z", "eta": 1.3, "training": {"steps": 5}}
+    path = tmp_path / f"model{suffix}"
+    save_model(network, path)
+    assert 640 * 1024 <= path.stat().st_size <= 660 * 1024
+    again = load_model(path)
+    assert again.settings == network.settings
+    assert again.metadata == network.metadata
+    rng = np.random.default_rng(1)
+    query = unit(rng, 5, 2), rng.uniform(-1, 1, (5, 3)), unit(rng, 5)
+    np.testing.assert_array_equal(again.evaluate(*query), network.evaluate(*query))
+
+
+def test_features_are_those_of_the_definition_even_far_from_the_origin() -> None:
+    """cos 2πGu and sin 2πGu in float64, with mean 18 and an object a million units away."""
+    box_min = np.array([1e6, -2e6, 3e6])
+    network = NeuralBSSRDF(box_min=box_min, box_side=2.0)
+    rng = np.random.default_rng(2)
+    wi, wo, relative = unit(rng, 50), unit(rng, 50), rng.uniform(0, 1, (50, 3))
+    angles = [
+        np.stack([np.arccos(w[:, 2]) / np.pi, np.arctan2(w[:, 1], w[:, 0]) % (2 * np.pi) / (2 * np.pi)], axis=1)
+        for w in (wi, wo)
+    ]
+    u = np.concatenate([angles[0], relative, angles[1]], axis=1)
+    phase = 2 * np.pi * u @ network.frequencies.double().numpy().T
+    query = [torch.as_tensor(array) for array in (wi, box_min + 2.0 * relative, wo)]
+    features = network.fourier_features(network.inputs(*query)).numpy()
+    np.testing.assert_allclose(features, np.concatenate([np.cos(phase), np.sin(phase)], axis=1), atol=2e-5)
+
+
+def test_forward_is_the_architecture_of_the_paper() -> None:
+    """Five hidden layers, layer 1 joined to layer 3's input and layer 2 to layer 4's, written out by hand."""
+    network = NeuralBSSRDF(NetworkSettings(**SMALL), output_scale=2.0)
+    rng = np.random.default_rng(3)
+    query = [torch.as_tensor(array) for array in (unit(rng, 7), rng.uniform(0, 1, (7, 3)), unit(rng, 7))]
+    w = {name: weights.detach().double().numpy() for name, weights in network.named_parameters()}
+    x = network.fourier_features(network.inputs(*query)).double().numpy()
+
+    def layer(number: int, h: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(h @ w[f"hidden.{number - 1}.weight"].T + w[f"hidden.{number - 1}.bias"], 0.0)
+
+    h1 = layer(1, x)
+    h2 = layer(2, h1)
+    h3 = layer(3, np.concatenate([h2, h1], axis=1))
+    h4 = layer(4, np.concatenate([h3, h2], axis=1))
+    expected = 2.0 * (layer(5, h4) @ w["output.weight"].T + w["output.bias"])
+    np.testing.assert_allclose(network(*query).detach().numpy(), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-5), ("bfloat16", 3e-2)])
+def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precision: str, tolerance: float) -> None:
+    rng = np.random.default_rng(4)
+    incident, rotation = unit(rng, 4, 10), rng.integers(0, 4, (3, 70))
+    positions, outgoing = rng.uniform(-1, 2, (3, 3)), unit(rng, 3, 70)
+    block = network.prepared(precision).evaluate_block(incident, rotation, positions, outgoing)
+    plain = network.evaluate(
+        incident[rotation].reshape(-1, 10, 3), np.repeat(positions, 70, axis=0), outgoing.reshape(-1, 3)
+    )
+    assert block.shape == (3, 70, 10, 3)
+    np.testing.assert_allclose(block.reshape(plain.shape), plain, atol=tolerance * np.abs(plain).max())
+
+
+@pytest.mark.parametrize("activation", ["relu", "silu"])
+def test_fused_block_knows_every_setting(activation: str) -> None:
+    """Odd widths, other skips and another activation; more directions than one tile or table holds."""
+    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, ((1, 3), (1, 4), (2, 4)), activation, "cartesian")  # type: ignore[arg-type]
+    network = NeuralBSSRDF(settings)
+    rng = np.random.default_rng(5)
+    incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)
+    rotation = np.array([[19, 0, 7]])
+    block = network.evaluate_block(incident, rotation, positions, outgoing)
+    plain = network.evaluate(incident[rotation[0]], np.repeat(positions, 3, axis=0), outgoing[0])
+    np.testing.assert_allclose(block[0], plain, atol=2e-5 * np.abs(plain).max())
+
+
+def test_block_does_not_depend_on_how_it_is_cut(network: NeuralBSSRDF) -> None:
+    rng = np.random.default_rng(6)
+    incident, rotation = unit(rng, 8, 64), rng.integers(0, 8, (3, 50))
+    positions, outgoing = rng.uniform(0, 1, (3, 3)), unit(rng, 3, 50)
+    fused = network.prepared()
+    whole = fused.evaluate_block(incident, rotation, positions, outgoing)
+    part = fused.evaluate_block(incident, rotation[1:2, 3:], positions[1:2], outgoing[1:2, 3:])
+    np.testing.assert_array_equal(part, whole[1:2, 3:])
+
+
+def test_shared_directions_are_each_querys_own_repeated(network: NeuralBSSRDF) -> None:
+    rng = np.random.default_rng(7)
+    incident, positions, outgoing = unit(rng, 6), rng.uniform(0, 1, (4, 3)), unit(rng, 4)
+    own = np.broadcast_to(incident, (4, 6, 3))
+    np.testing.assert_array_equal(
+        network.evaluate(incident, positions, outgoing), network.evaluate(own, positions, outgoing)
+    )
+
+
+def test_preparing_leaves_the_network_as_it_was(network: NeuralBSSRDF) -> None:
+    network.train()
+    network.prepared("bfloat16")
+    assert network.training
+    assert network.output.weight.dtype is torch.float32
+
+
+class Hostile:
+    """Would write a file when unpickled."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> tuple[object, tuple[str, str]]:
+        return open, (str(self.target), "w")
+
+
+def test_hostile_pickle_is_refused_and_never_runs(tmp_path: Path) -> None:
+    target = tmp_path / "it ran"
+    torch.save({"prtbake": "{}", "tensors": Hostile(target)}, tmp_path / "model.pt")
+    with pytest.raises(ModelError, match=r"model\.pt.*refused"):
+        load_model(tmp_path / "model.pt")
+    (tmp_path / "bare.pt").write_bytes(pickle.dumps(Hostile(target)))
+    with pytest.raises(ModelError, match=r"bare\.pt"):
+        load_model(tmp_path / "bare.pt")
+    assert not target.exists()
+
+
+def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
+    """A small model with some tensors replaced (None: taken out)."""
+    path = tmp_path / "model.pt"
+    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
+    content = torch.load(path, weights_only=True)
+    for name, tensor in change.items():
+        content["tensors"][name] = tensor
+    content["tensors"] = {name: tensor for name, tensor in content["tensors"].items() if tensor is not None}
+    torch.save(content, path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"hidden.2.weight": torch.full((16, 32), torch.nan)},
+            r"hidden\.2\.weight holds 512 values that are not finite",
+        ),
+        ({"hidden.1.bias": torch.zeros(15)}, r"hidden\.1\.bias has shape \(15,\), expected \(16,\)"),
+        ({"output.bias": None}, r"output\.bias is missing"),
+        ({"extra": torch.zeros(2)}, r"extra is not part"),
+        ({"output.bias": torch.zeros(3, dtype=torch.int32)}, r"output\.bias holds torch\.int32"),
+        ({"output.bias": "words"}, r"'output\.bias' is not a named tensor"),
+    ],
+)
+def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ModelError, match=sentence):
+        load_model(damaged(tmp_path, change))
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
+def test_files_of_another_kind_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"model{suffix}"
+    with pytest.raises(ModelError, match="no such file"):
+        load_model(path)
+    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
+    whole = path.read_bytes()
+    for content in (b"", b"ply\nformat ascii 1.0\n", whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match=f"model\\{suffix}: "):
+            load_model(path)
+    with pytest.raises(ModelError, match="ends in"):
+        load_model(tmp_path / "model.onnx")
+
+
+def test_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
+    torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
+    with pytest.raises(ModelError, match="something else"):
+        load_model(tmp_path / "other.pt")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("colour", 1, "unknown key 'colour'"),
+        ("width", "wide", "width must be of type int"),
+        ("skips", [[3, 1]], r"skip \(3, 1\)"),
+        ("skips", 4, "pairs"),
+        ("layers", 0, "layers must be at least 1"),
+        ("activation", "sine", "activation must be relu or silu"),
+    ],
+)
+def test_settings_that_make_no_network_are_refused(key: str, value: object, sentence: str) -> None:
+    with pytest.raises(ModelError, match=sentence):
+        Settings.from_json(Settings().as_json() | {key: value})
+
+
+def test_settings_survive_json() -> None:
+    for settings in PRESETS.values():
+        assert Settings.from_json(json.loads(json.dumps(settings.as_json()))) == settings
+
+
+def test_unsound_network_is_not_saved_over_a_good_file(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    network = NeuralBSSRDF(NetworkSettings(**SMALL))
+    save_model(network, path)
+    before = path.read_bytes()
+    with torch.no_grad():
+        network.output.bias[1] = torch.inf
+    with pytest.raises(ModelError, match=r"output\.bias holds 1 value"):
+        save_model(network, path)
+    assert path.read_bytes() == before
+
+
+def test_unknown_precision_is_refused(network: NeuralBSSRDF) -> None:
+    with pytest.raises(QueryError, match="float32, bfloat16"):
+        network.prepared("float16")
