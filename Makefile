@@ -10,7 +10,7 @@ BIN := .venv/bin
 # Linear algebra in one thread a process: the tests' and the bake's workers share the cores among themselves.
 export OMP_NUM_THREADS := 1
 
-.PHONY: demo picture test lint bench clean
+.PHONY: demo picture test lint bench shipped clean
 
 demo: .venv/installed-evaluate
 	$(BIN)/prtbake demo --out demo
@@ -28,7 +28,18 @@ lint: .venv/installed-dev
 	$(BIN)/lint-imports
 
 bench: .venv/installed-dev
-	$(BIN)/python -m pytest tests/bench --capture no
+	$(BIN)/python tests/bench/bake_error.py --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --out bench
+	$(BIN)/python tests/bench/network_speed.py
+	$(BIN)/python tests/bench/training.py
+
+# What lies in prt_bake/shipped, made anew from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
+shipped: .venv/installed-evaluate
+	@test -f "$(SKY)" || { echo "prtbake: make shipped needs a sky: make shipped SKY=potsdamer_platz_1k.hdr" >&2; exit 1; }
+	$(BIN)/python -m prt_bake.shipped.remake "$(SKY)"
+	$(BIN)/prtbake train prt_bake/shipped/spot.toml -o prt_bake/shipped/spot.pt --minutes 10
+	rm -f prt_bake/shipped/spot.train.pt
+	$(BIN)/prtbake render prt_bake/shipped/spot.toml prt_bake/shipped/spot.obj --light prt_bake/shipped/sky.hdr \
+		-o prt_bake/shipped/reference.exr --size 256x256 --spp 2048 --report prt_bake/shipped/reference.json
 
 clean:
 	rm -rf .venv demo bench
@@ -38,6 +49,8 @@ clean:
 	@test -n "$(PYTHON)" || { echo "prtbake: no Python 3.11, 3.12 or 3.13 with the modules venv and ensurepip was found;" \
 		"install one (Debian, Ubuntu: 'sudo apt install python3 python3-venv') or name it: make PYTHON=/path/to/python" >&2; \
 		exit 1; }
-	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[$*]'
+	@echo "installing into .venv, once; this takes a minute or more"
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt \
+		--editable '.[$*]'
 	@touch $@

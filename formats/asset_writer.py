@@ -153,10 +153,10 @@ class AssetWriter:
         if self._finished:
             return
         self._finished = True
-        if self._file is not None:
-            self._file.discard()
         cause = cause or AssetError(f"{self._path}: the asset was not finished")
-        with contextlib.suppress(AssetError):
+        with deferred(), contextlib.suppress(AssetError):
+            if self._file is not None:
+                self._file.discard()
             self._stack.__exit__(type(cause), cause, cause.__traceback__)
 
     @contextlib.contextmanager

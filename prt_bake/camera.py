@@ -1,7 +1,8 @@
-"""A perspective camera and what its rays meet first.
+"""A perspective camera, what its rays meet first, and where its eye may not stand.
 
-Rays are begun where they enter the ball around the object, in float64, and cast by Embree relative to the object's
-centre: a camera a million units away sees as sharply as one that is near.
+Rays are begun where they enter the ball around the object, in float64, and cast by Embree relative to the middle of the
+bounding box in units of that ball: a camera a million units away sees as sharply as one that is near, and an object far
+from the origin as well as one at it.
 """
 
 from dataclasses import dataclass
@@ -15,15 +16,23 @@ from formats.mesh import Mesh
 
 Array = NDArray[np.float64]
 
-_AXES = {"y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}
+_AXES = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _VIEW = {"y": np.array([-0.43, 0.24, -0.87]), "z": np.array([-0.43, 0.87, 0.24])}
 """Where the default eye stands, seen from the object: in front of it (−z with y up), a little to the side and above."""
 _MARGIN = 1.08
+_CONTACT = 1e-4
+"""An eye this near to the surface, in diagonals of the object, is on it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Camera:
-    """Eye, target and up vector in object space; `fov` is the vertical field of view in degrees."""
+    """A perspective camera in object space.
+
+    eye, target: points [3], in scene units. up: a direction [3], made unit; where the view runs straight along it
+    another is taken. fov: the vertical field of view in degrees. width, height: in pixels, which are square.
+
+    Raises QueryError where these make no picture.
+    """
 
     eye: Array
     target: Array
@@ -31,6 +40,21 @@ class Camera:
     fov: float
     width: int
     height: int
+
+    def __post_init__(self) -> None:
+        for name in ("eye", "target", "up"):
+            object.__setattr__(self, name, _point(getattr(self, name), name))
+        length = float(np.linalg.norm(self.up))
+        if length == 0.0 or np.array_equal(self.eye, self.target):
+            raise QueryError(
+                f"camera: eye {self.eye.tolist()}, target {self.target.tolist()} and up {self.up.tolist()} where an "
+                "eye off the target and an up of some length are expected"
+            )
+        object.__setattr__(self, "up", self.up / length)
+        if self.width < 1 or self.height < 1:
+            raise QueryError(f"camera: {self.width}x{self.height} pixels where at least 1x1 is expected")
+        if not 0.0 < self.fov < 180.0:
+            raise QueryError(f"camera: a field of view of {self.fov:g} degrees where one between 0 and 180 is expected")
 
 
 @dataclass(frozen=True)
@@ -49,29 +73,94 @@ def fit(
     up: str = "y",
     fov: float = 30.0,
 ) -> Camera:
-    """A camera that looks at the middle of the mesh; without an `eye` it stands where the whole object fits.
+    """A camera that looks at the middle of the mesh; without an `eye` it stands where the whole object just fits.
 
-    Raises QueryError for sizes, angles or eyes that make no picture.
+    Raises QueryError for sizes, angles, axes or eyes that make no picture.
     """
-    if width < 1 or height < 1:
-        raise QueryError(f"camera: {width}x{height} pixels where at least 1x1 is expected")
-    if not 0.0 < fov < 180.0:
-        raise QueryError(f"camera: a field of view of {fov:g} degrees where one between 0 and 180 is expected")
-    low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-    target = 0.5 * (low + high)
-    if eye is None:
-        view = _VIEW[up] / np.linalg.norm(_VIEW[up])
-        place = target + view * _distance(mesh.positions - target, view, _AXES[up], fov, width / height)
-    else:
-        place = np.asarray(eye, np.float64)
-        if place.shape != (3,) or not np.isfinite(place).all() or np.allclose(place, target, rtol=0, atol=1e-12):
-            raise QueryError(
-                f"camera: eye {np.asarray(eye).tolist()} where three finite numbers off the target are expected"
-            )
-    return Camera(place, target, _AXES[up], fov, width, height)
+    if up not in _AXES:
+        raise QueryError(f'camera: up is {up!r} where "y" or "z" is expected')
+    target, above = mesh.center, np.array(_AXES[up])
+    view = _VIEW[up] / np.linalg.norm(_VIEW[up])
+    camera = Camera(target + view if eye is None else _point(eye, "eye"), target, above, fov, width, height)
+    if eye is not None:
+        return camera
+    distance = _distance_to_fit(mesh.positions - target, view, above, fov, width / height)
+    return Camera(target + view * distance, target, above, fov, width, height)
 
 
-def _distance(positions: Array, view: Array, up: Array, fov: float, aspect: float) -> float:
+def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
+    """Unit directions [R,W,S,3] of rays through the pixels of some rows, from the eye.
+
+    offsets [S,2] say where in each pixel, in [0,1)²: x to the right, y down.
+    """
+    forward = camera.target - camera.eye
+    forward = forward / np.linalg.norm(forward)
+    right, above = _across(forward, camera.up)
+    half = np.tan(np.radians(camera.fov) / 2.0)
+    y = 1.0 - 2.0 * (np.arange(camera.height)[rows, None] + offsets[:, 1]) / camera.height
+    x = (2.0 * (np.arange(camera.width)[:, None] + offsets[:, 0]) / camera.width - 1.0) * camera.width / camera.height
+    rays = forward + half * (x[None, :, :, None] * right + y[:, None, :, None] * above)
+    return np.asarray(rays / np.sqrt(np.einsum("rwsi,rwsi->rws", rays, rays))[..., None])
+
+
+class Visibility:
+    """A mesh in an Embree tree; tells what rays meet first."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        """Build the tree."""
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        self._center = mesh.center
+        relative = mesh.positions - self._center
+        self._radius = 1.0001 * float(np.linalg.norm(relative, axis=1).max())
+        self._scene: Any = EmbreeScene(robust=True)
+        scaled = np.ascontiguousarray(relative / self._radius, np.float32)
+        self._mesh = TriangleMesh(self._scene, scaled, np.ascontiguousarray(mesh.faces, np.int32))
+
+    def first_hits(self, origins: ArrayLike, rays: Array) -> Hits:
+        """What rays, unit directions [R,3] from origins [3] or [R,3], meet first; both sides of a face count."""
+        start = (np.asarray(origins, np.float64) - self._center) / self._radius
+        along = -np.sum(start * rays, axis=1)
+        nearest = start + along[:, None] * rays
+        closest = np.einsum("ri,ri->r", nearest, nearest)
+        into_ball = np.maximum(0.0, along - np.sqrt(np.maximum(0.0, 1.0 - closest)))
+        begins_inside = np.sum(start * start, axis=-1) < 1.0
+        meets = np.flatnonzero((closest <= 1.0) & ((along > 0.0) | begins_inside))
+        faces = np.full(len(rays), -1, np.int64)
+        barycentric = np.zeros((len(rays), 2))
+        if len(meets):
+            towards = rays[meets]
+            entry = (start if start.ndim == 1 else start[meets]) + into_ball[meets, None] * towards
+            found = self._scene.run(entry.astype(np.float32), towards.astype(np.float32), output=True)
+            faces[meets] = found["primID"]
+            barycentric[meets] = np.stack([found["u"], found["v"]], axis=1)
+        return Hits(faces, barycentric)
+
+
+def refuse_eye_in_object(mesh: Mesh, eye: Array) -> None:
+    """Raise QueryError if the eye [3] is inside the mesh or on it: an asset says nothing of what is seen there."""
+    low, high = mesh.bounds
+    contact = _CONTACT * mesh.diagonal
+    if ((eye < low - contact) | (eye > high + contact)).any():
+        return
+    corners = mesh.positions[mesh.faces] - eye
+    if _distance_to_faces(corners, mesh.face_normals) <= contact:
+        raise QueryError(f"eye: {eye.tolist()} lies on the surface of the object; it must stand off it")
+    if abs(_winding_number(corners)) > 0.5:
+        raise QueryError(
+            f"eye: {eye.tolist()} is inside the object; an asset holds what is seen from outside, step back"
+        )
+
+
+def _point(value: ArrayLike, name: str) -> Array:
+    point = np.array(value, np.float64)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise QueryError(f"camera: {name} is {point.tolist()} where three finite numbers are expected")
+    return point
+
+
+def _distance_to_fit(positions: Array, view: Array, up: Array, fov: float, aspect: float) -> float:
     """How far along `view` the eye must stand for all positions (about the target) to lie in the frame."""
     right, above = _across(-view, up)
     half = np.tan(np.radians(fov) / 2.0)
@@ -84,52 +173,31 @@ def _across(forward: Array, up: Array) -> tuple[Array, Array]:
     """Unit vectors to the right of and above a view; another up is taken for a view straight along it."""
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-9:
-        right = np.cross(forward, np.roll(up, 1))
+        right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     right /= np.linalg.norm(right)
     return right, np.cross(right, forward)
 
 
-def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
-    """Unit directions [R,W,S,3] of rays through the pixels of some rows; offsets [S,2] in [0,1)², x to the right, y
-    down.
+def _distance_to_faces(corners: Array, normals: Array) -> float:
+    """The distance from the origin to the nearest of faces with corners [F,3,3] and unit normals [F,3]."""
+    edges = np.roll(corners, -1, axis=1) - corners
+    share = -np.einsum("fki,fki->fk", corners, edges) / np.einsum("fki,fki->fk", edges, edges)
+    to_edges = np.linalg.norm(corners + np.clip(share, 0.0, 1.0)[..., None] * edges, axis=2)
+    sides = np.einsum("fki,fi->fk", np.cross(corners, edges), normals)
+    over_face = (sides >= 0.0).all(axis=1)
+    heights = np.abs(np.einsum("fi,fi->f", corners[:, 0], normals)[over_face])
+    return float(min(to_edges.min(), heights.min(initial=np.inf)))
+
+
+def _winding_number(corners: Array) -> float:
+    """How often faces with corners [F,3,3] enclose the origin: ±1 inside a closed surface, 0 outside.
+
+    The faces' solid angles over 4π (Van Oosterom and Strackee 1983; Jacobson et al. 2013).
     """
-    forward = camera.target - camera.eye
-    forward = forward / np.linalg.norm(forward)
-    right, above = _across(forward, camera.up)
-    half = np.tan(np.radians(camera.fov) / 2.0)
-    y = 1.0 - 2.0 * (np.arange(camera.height)[rows, None] + offsets[:, 1]) / camera.height
-    x = (2.0 * (np.arange(camera.width)[:, None] + offsets[:, 0]) / camera.width - 1.0) * camera.width / camera.height
-    rays = forward + half * (x[None, :, :, None] * right + y[:, None, :, None] * above)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
-
-
-class Visibility:
-    """A mesh in an Embree tree; tells what rays meet first."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        """Build the tree."""
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-
-        self._center = 0.5 * (mesh.positions.min(axis=0) + mesh.positions.max(axis=0))
-        relative = mesh.positions - self._center
-        self._radius = 1.0001 * float(np.linalg.norm(relative, axis=1).max())
-        self._scene: Any = EmbreeScene()
-        scaled = np.ascontiguousarray(relative / self._radius, np.float32)
-        self._mesh = TriangleMesh(self._scene, scaled, np.ascontiguousarray(mesh.faces, np.int32))
-
-    def first_hits(self, origins: ArrayLike, rays: Array) -> Hits:
-        """What rays [R,3] from origins [3] or [R,3] meet first."""
-        start = np.broadcast_to((np.asarray(origins, np.float64) - self._center) / self._radius, rays.shape)
-        along = -np.sum(start * rays, axis=1)
-        closest = np.sum((start + along[:, None] * rays) ** 2, axis=1)
-        near = np.maximum(0.0, along - np.sqrt(np.maximum(0.0, 1.0 - closest)))
-        meets = (closest <= 1.0) & ((along > 0.0) | (np.sum(start**2, axis=1) < 1.0))
-        faces = np.full(len(rays), -1, np.int64)
-        barycentric = np.zeros((len(rays), 2))
-        if meets.any():
-            entry = np.ascontiguousarray((start + near[:, None] * rays)[meets], np.float32)
-            found = self._scene.run(entry, np.ascontiguousarray(rays[meets], np.float32), output=True)
-            faces[meets] = found["primID"]
-            barycentric[meets] = np.stack([found["u"], found["v"]], axis=1)
-        return Hits(faces, barycentric)
+    a, b, c = np.moveaxis(corners, 1, 0)
+    length = np.linalg.norm(corners, axis=2)
+    triple = np.einsum("fi,fi->f", a, np.cross(b, c))
+    flat = length.prod(axis=1)
+    for first, second, other in ((a, b, 2), (b, c, 0), (c, a, 1)):
+        flat += np.einsum("fi,fi->f", first, second) * length[:, other]
+    return float(np.arctan2(triple, flat).sum() / (2.0 * np.pi))

@@ -1,4 +1,4 @@
-"""The main job end to end on what is shipped: model → asset → relit picture → its error against a path-traced reference."""
+"""The main job on what is shipped: model → asset → relit picture, and its error against a path-traced reference."""
 
 import json
 from collections.abc import Callable
@@ -23,8 +23,7 @@ from prt_bake.report import bake_report, plot_error, write_report, write_side_by
 from prt_bake.shading import Picture, render_picture
 
 SHIPPED = Path(str(resources.files("prt_bake.shipped")))
-SCENE, MODEL, SKY = SHIPPED / "spot.toml", SHIPPED / "spot.pt", SHIPPED / "sky.hdr"
-MESH, FINE_MESH = SHIPPED / "spot_829.obj", SHIPPED / "spot.obj"
+MODEL, MESH, SKY = SHIPPED / "spot.pt", SHIPPED / "spot.obj", SHIPPED / "sky.hdr"
 REFERENCE, REFERENCE_REPORT = SHIPPED / "reference.exr", SHIPPED / "reference.json"
 """A path-traced picture of the scene under the sky, and what `prtbake render --report` said of it."""
 
@@ -33,7 +32,6 @@ REFERENCE, REFERENCE_REPORT = SHIPPED / "reference.exr", SHIPPED / "reference.js
 class Settings:
     """How much work a demonstration does."""
 
-    mesh: Path
     samples: int
     """Incident directions per view bin."""
     precision: str
@@ -42,8 +40,8 @@ class Settings:
     exposure: float = 0.0
 
 
-QUICK = Settings(MESH, samples=32, precision="bfloat16", magnification=1)
-FINE = Settings(FINE_MESH, samples=64, precision="float32", magnification=2)
+QUICK = Settings(samples=32, precision="bfloat16", magnification=1)
+FINE = Settings(samples=64, precision="float32", magnification=2)
 
 
 @dataclass(frozen=True)
@@ -59,6 +57,11 @@ class Demonstration:
     comparison: Comparison
     object_comparison: Comparison
     noise_mse: float
+
+    def milestones(self, count: int = 6) -> NDArray[np.float64]:
+        """At most `count` rows (seconds, evaluations, estimated relative error), spread over the bake up to its end."""
+        rows = self.asset.error_vs_time
+        return rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(np.int64))] if len(rows) else rows
 
 
 def demonstrate(
@@ -104,14 +107,14 @@ def _bake(
 ) -> Asset:
     return bake(
         load_model(MODEL),
-        read_mesh(settings.mesh),
+        read_mesh(MESH),
         samples=settings.samples,
         out=output,
         precision=settings.precision,
         workers=workers,
         progress=progress,
         stop=stop,
-        provenance={"command": "prtbake demo", "source": MODEL.name, "mesh": settings.mesh.name},
+        provenance={"command": "prtbake demo", "source": MODEL.name, "mesh": MESH.name},
     )
 
 

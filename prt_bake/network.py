@@ -65,7 +65,11 @@ class NeuralBSSRDF(nn.Module):
             )
         generator = torch.Generator().manual_seed(self.settings.seed)
         deviation = torch.randn(self.settings.features, self.settings.inputs, generator=generator)
-        self.register_buffer("frequencies", self.settings.feature_mean + self.settings.feature_spread * deviation)
+        across = (self.settings.inputs - 3) // 2
+        deviation[:, across : across + 3] *= self.settings.position_spread
+        deviation[:, :across] *= self.settings.feature_spread
+        deviation[:, across + 3 :] *= self.settings.feature_spread
+        self.register_buffer("frequencies", self.settings.feature_mean + deviation)
         self.register_buffer("box_min", corner, persistent=False)
         self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
         self.output = nn.Linear(self.settings.width, 3)

@@ -1,95 +1,107 @@
-"""The inner loop of shading, compiled: view-bin interpolation of transfer vectors and their dot product with a light.
+"""The inner loop of shading, compiled: interpolation between view bins and the dot product with a light.
 
-Coefficients stay as they lie in the asset: float32, or the bits of float16 as uint16, widened by a table (numba has no half floats
-on a CPU). Sums are float64.
+Coefficients stay as they lie in the asset: float32, or the bits of float16 as uint16, widened by a table (numba has no
+half floats on a CPU). Sums are float64.
 """
 
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import njit, prange, types
-from numba.extending import overload
+from numba import get_num_threads, njit, prange, set_num_threads
 from numpy.typing import NDArray
 
 from prt_bake.sphere import BinCoordinates
 
+_BYTES_AT_ONCE = 64 << 20
+_VERTICES_A_THREAD = 1 << 14
+
+
+def reconstruct(
+    coefficients: Any, vertices: NDArray[np.int64], at: BinCoordinates, sectors: int, light: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Radiance [n,3], negative values kept, that `vertices` [n] (ascending) send to the eye under light [K,3].
+
+    coefficients: [V,B,K,C], float16 or float32, an array or an open HDF5 dataset, of which only what is needed is read;
+    B and C may be 1 and are broadcast. at: where each vertex's direction to the eye lies between the view bins, fields
+    [n] (`sphere.bin_coordinates`).
+    """
+    radiance = np.zeros((len(vertices), 3))
+    places = BinCoordinates._make(np.ascontiguousarray(field) for field in at)
+    light = np.ascontiguousarray(light, np.float64)
+    with _threads_for(len(vertices)):
+        for part, block, rows in _blocks(coefficients, vertices):
+            half = block.dtype == np.float16
+            bits, table = (block.view(np.uint16), _half_table()) if half else (block, None)
+            _reconstruct(bits, table, rows, tuple(field[part] for field in places), sectors, light, radiance[part])
+    return radiance
+
+
+@contextmanager
+def _threads_for(vertices: int) -> Iterator[None]:
+    """As many of numba's threads as have enough to do: on a busy machine waiting for one more costs milliseconds."""
+    most = get_num_threads()
+    set_num_threads(min(most, 1 + vertices // _VERTICES_A_THREAD))
+    try:
+        yield
+    finally:
+        set_num_threads(most)
+
+
+def _blocks(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, NDArray[Any], NDArray[np.int64]]]:
+    """Runs of `vertices`, coefficients that hold them, and their rows in those.
+
+    Memory is taken as it is; of a file only the chunks with vertices in them are read, few at a time.
+    """
+    if isinstance(coefficients, np.ndarray):
+        yield slice(0, len(vertices)), coefficients, vertices
+        return
+    size = coefficients.chunks[0] if coefficients.chunks else 1
+    chunks = np.unique(vertices // size)
+    chunk_bytes = size * math.prod(coefficients.shape[1:]) * coefficients.dtype.itemsize
+    step = max(1, _BYTES_AT_ONCE // chunk_bytes)
+    for first in range(0, len(chunks), step):
+        some = chunks[first : first + step]
+        part = slice(*np.searchsorted(vertices, [some[0] * size, (some[-1] + 1) * size]).tolist())
+        rows = size * np.searchsorted(some, vertices[part] // size) + vertices[part] % size
+        yield part, np.concatenate([coefficients[c * size : (c + 1) * size] for c in some.tolist()]), rows
+
 
 @cache
-def half_table() -> NDArray[np.float32]:
-    """float32 [65536]: the value of each float16 bit pattern."""
+def _half_table() -> NDArray[np.float32]:
+    """The value of each float16 bit pattern, float32 [65536]."""
     return np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float32)
 
 
-def _widened(stored, table):
-    """The number that `stored` stands for: itself, or the table's entry for the bits of a half float.
-
-    Without annotations: numba compares the signatures of an overload to the letter.
-    """
-    raise RuntimeError("for compiled code only")
-
-
-@overload(_widened)
-def _widened_compiled(stored, table):
-    if isinstance(stored, types.Integer):
-        return lambda stored, table: table[stored]
-    return lambda stored, table: stored
-
-
 @njit(cache=True)
-def _add_bin(coefficients: Any, table: Any, vertex: Any, b: Any, light: Any, weight: Any, radiance: Any) -> None:
-    channels = coefficients.shape[3]
-    for k in range(coefficients.shape[2]):
-        for c in range(3):
-            radiance[c] += weight * light[k, c] * _widened(coefficients[vertex, b, k, min(c, channels - 1)], table)
-
-
-@njit(cache=True)
-def _add_ring(
-    coefficients: Any, table: Any, vertex: Any, first: Any, low: Any, high: Any, share: Any, light: Any, weight: Any, radiance: Any
-) -> None:
-    if weight != 0.0:
-        _add_bin(coefficients, table, vertex, first + low, light, weight * (1.0 - share), radiance)
-        _add_bin(coefficients, table, vertex, first + high, light, weight * share, radiance)
+def _add_bin(transfer: Any, table: Any, light: Any, weight: Any, radiance: Any) -> None:
+    """Add weight · Σ_k transfer[k] light[k] of one bin; numba drops the branch that the type of `table` rules out."""
+    last = transfer.shape[1] - 1
+    for c in range(3):
+        channel, total = min(c, last), 0.0
+        for k in range(transfer.shape[0]):
+            stored = transfer[k, channel]
+            total += light[k, c] * (stored if table is None else table[stored])
+        radiance[c] += weight * total
 
 
 @njit(cache=True, parallel=True)
 def _reconstruct(coefficients: Any, table: Any, rows: Any, at: Any, sectors: Any, light: Any, radiance: Any) -> None:
     ring_low, ring_high, ring_weight, sector_low, sector_high, sector_weight, pole_weight = at
     for n in prange(rows.shape[0]):
-        vertex = rows[n]
-        if coefficients.shape[1] == 1:
-            _add_bin(coefficients, table, vertex, 0, light, 1.0, radiance[n])
+        bins, to_eye = coefficients[rows[n]], radiance[n]
+        if bins.shape[0] == 1:
+            _add_bin(bins[0], table, light, 1.0, to_eye)
             continue
-        for j in range(sectors):
-            if pole_weight[n] > 0.0:
-                _add_bin(coefficients, table, vertex, j, light, pole_weight[n] / sectors, radiance[n])
-        off_pole = 1.0 - pole_weight[n]
-        low, high, share = sector_low[n], sector_high[n], sector_weight[n]
-        first, second = sectors * ring_low[n], sectors * ring_high[n]
-        weight = ring_weight[n]
-        _add_ring(
-            coefficients, table, vertex, first, low, high, share, light, off_pole * (1.0 - weight), radiance[n]
-        )
-        _add_ring(coefficients, table, vertex, second, low, high, share, light, off_pole * weight, radiance[n])
-
-
-def reconstruct(
-    coefficients: NDArray[Any], rows: NDArray[np.int64], at: BinCoordinates, sectors: int, light: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Radiance [n,3], negative values kept, of the vertices `rows` [n] of coefficients [V,B|1,K,3|1] under light [K,3].
-
-    `at` holds where each vertex's direction to the eye lies between the view bins (`sphere.bin_coordinates`).
-    """
-    stored = coefficients.view(np.uint16) if coefficients.dtype == np.float16 else coefficients
-    radiance = np.zeros((len(rows), 3))
-    _reconstruct(
-        stored,
-        half_table(),
-        np.ascontiguousarray(rows, np.int64),
-        tuple(np.ascontiguousarray(part) for part in at),
-        sectors,
-        np.ascontiguousarray(light, np.float64),
-        radiance,
-    )
-    return radiance
+        off_pole, high, share = 1.0 - pole_weight[n], ring_weight[n], sector_weight[n]
+        for ring, ring_share in ((ring_low[n], off_pole * (1.0 - high)), (ring_high[n], off_pole * high)):
+            if ring_share > 0.0:
+                first = sectors * ring
+                _add_bin(bins[first + sector_low[n]], table, light, ring_share * (1.0 - share), to_eye)
+                _add_bin(bins[first + sector_high[n]], table, light, ring_share * share, to_eye)
+        if pole_weight[n] > 0.0:
+            for j in range(sectors):
+                _add_bin(bins[j], table, light, pole_weight[n] / sectors, to_eye)

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake import environment
-from prt_bake.camera import Camera, Visibility, directions
+from prt_bake.camera import Camera, Visibility, directions, refuse_eye_in_object
 from prt_bake.randomness import uniforms
 from prt_bake.trainer.exits import walk_exits
 
@@ -27,8 +28,10 @@ _PATHS_A_POINT = 8
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture [H,W,3] in linear radiance, its one-sigma standard error [H,W,3], the object's coverage [H,W], its
-    cost.
+    """A picture [H,W,3] in linear radiance, its standard error [H,W,3], the object's coverage [H,W], its cost.
+
+    The standard error, one sigma, is that of the walks; where in a pixel rays fall is not in it, so that it holds for
+    pixels the object covers wholly and says too little at its edge.
     """
 
     image: NDArray[np.float32]
@@ -53,9 +56,12 @@ def render_scene(
     """Path trace `scene` under a lat-long sky [H,W,3] with `spp` walks a pixel; results depend on the seed alone.
 
     `up` overrides the scene's up axis for the sky, `rotate` turns the light (degrees, counter-clockwise seen from
-    above).
+    above). Raises QueryError below 2 walks a pixel, which have no error, and for an eye inside the object.
     """
     begun = time.perf_counter()
+    if spp < 2:
+        raise QueryError(f"spp: {spp} walks a pixel where at least 2 are expected")
+    refuse_eye_in_object(scene.mesh, camera.eye)
     axis = up or scene.up
     turn = environment.rotation(rotate, axis)
     visibility = Visibility(scene.mesh)
@@ -116,7 +122,7 @@ def _render_rows(
         light = environment.lookup(sky, exits.reshape(-1, 3) @ turn, up).reshape(exits.shape)
         radiance = throughput * light
         seen[met] = radiance.mean(axis=1)
-        noise[met] = radiance.var(axis=1, ddof=1) / paths if paths > 1 else np.nan
+        noise[met] = radiance.var(axis=1, ddof=1) / paths
     seen, noise = seen.reshape(*shape, 3), noise.reshape(*shape, 3)
     covered = (hits.faces >= 0).reshape(shape).mean(axis=2)
     return seen.mean(axis=2), noise.sum(axis=2) / points**2, covered, len(met) * paths

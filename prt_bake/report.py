@@ -15,7 +15,6 @@ from formats.whole import replacing
 
 if TYPE_CHECKING:
     from prt_bake.camera import Camera
-    from prt_bake.rendering import Rendering
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
@@ -32,22 +31,25 @@ def bake_report(asset: Asset) -> dict[str, Any]:
     }
 
 
-def rendering_report(picture: "Rendering", camera: "Camera") -> dict[str, Any]:
-    """What a path-traced picture cost, where it was seen from and how noisy it is, as plain JSON values.
+def rendering_report(
+    camera: "Camera",
+    image: NDArray[np.float32],
+    standard_error: NDArray[np.float32],
+    coverage: NDArray[np.float32],
+) -> dict[str, Any]:
+    """From where a path-traced picture [H,W,3] was seen and how noisy it is, as plain JSON values.
 
     The noise is over the pixels that the object covers wholly: `noise_mse` the mean squared standard error of radiance,
     `relative_noise` its root over the root mean square of the radiance.
     """
-    covered = picture.coverage >= 1.0
-    noise, radiance = (np.asarray(part[covered], np.float64) for part in (picture.standard_error, picture.image))
+    noise, radiance = (np.asarray(part[coverage >= 1.0], np.float64) for part in (standard_error, image))
     return {
         "width": camera.width,
         "height": camera.height,
         "eye": camera.eye.tolist(),
         "target": camera.target.tolist(),
+        "up": camera.up.tolist(),
         "fov": camera.fov,
-        "walks": picture.walks,
-        "seconds": picture.seconds,
         "noise_mse": float(np.mean(noise**2)) if noise.size else 0.0,
         "relative_noise": float(np.linalg.norm(noise) / np.linalg.norm(radiance)) if radiance.any() else 0.0,
     }

@@ -1,5 +1,6 @@
 """Relighting a baked asset: radiance at its vertices, and whole pictures. Never loads torch."""
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -9,14 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
+from formats.mesh import Mesh
 from prt_bake import environment, sh, sphere
-from prt_bake.camera import Camera, Hits, Visibility, directions
+from prt_bake.camera import Camera, Hits, Visibility, directions, refuse_eye_in_object
 from prt_bake.reconstruction import reconstruct
 
 Array = NDArray[np.float64]
 
-_BYTES_AT_ONCE = 256 << 20
-_NEAREST_EYE = 1e-9
+_RAYS_AT_ONCE = 1 << 15
+"""Few enough for the arrays of one block of rows to stay in cache."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Shading:
 class Picture:
     """A picture [H,W,3] in linear radiance, the object's coverage [H,W], and what it took.
 
-    clamped: as in `Shading`. shaded: vertices worked on. unlit: share of the object's samples whose face has no valid vertex.
+    clamped: as in `Shading`. shaded: vertices worked on. unlit: share of the object's samples whose face has no valid
+    vertex; they are black.
     """
 
     image: NDArray[np.float32]
@@ -47,30 +50,32 @@ class Picture:
     seconds: float
 
 
-def shade(asset: Asset, light: ArrayLike, eye: ArrayLike) -> Array:
+def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike) -> Array:
     """Radiance [V,3] towards the eye: L = Σ a_lm(x, ωo) b_lm, interpolated between view bins, negative values cut to 0.
 
-    light: the sky's coefficients [K,3] of the asset's degree, of radiance. eye: a point [3] in object space, or directions to the
-    eye [V,3]. Vertices that were not baked hold 0. Raises QueryError for a light or an eye of another shape, and for an eye on a
-    vertex.
+    light: the sky's coefficients [K,3] of the asset's degree, of radiance; None for an asset made for one light
+    (quantity "radiance"). eye: a point [3] in object space, or directions to the eye [V,3] of any length. Vertices that
+    were not baked hold 0; directions below the horizon are taken as grazing. Raises QueryError for a light or an eye of
+    another shape or not finite, for an eye on the object or inside it, and for an asset without any baked vertex.
     """
     return shade_vertices(asset, light, eye).radiance
 
 
 def shade_vertices(
-    asset: Asset, light: ArrayLike, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
+    asset: Asset, light: ArrayLike | None, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
 ) -> Shading:
     """Like `shade`, for the `visible` vertices [V] alone where given, with the clamped share."""
+    if not asset.valid.any():
+        raise QueryError(
+            "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
+        )
     weights = _light(asset, light)
-    wanted = asset.valid if visible is None else asset.valid & visible
-    vertices = np.flatnonzero(wanted)
-    outgoing = _towards_eye(asset, eye)[vertices]
+    vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
+    outgoing = _towards_eye(asset, eye, vertices)
     local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
     at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
     radiance = np.zeros((len(asset.valid), 3))
-    for rows, coefficients, first in _blocks(asset, vertices):
-        part = sphere.BinCoordinates._make(field[rows] for field in at)
-        radiance[vertices[rows]] = reconstruct(coefficients, vertices[rows] - first, part, asset.sectors, weights)
+    radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
     negative = -float(radiance[radiance < 0.0].sum())
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
@@ -87,38 +92,38 @@ def render_picture(
     samples: int = 3,
     background: bool = True,
 ) -> Picture:
-    """A picture of the asset under a lat-long sky [H,W,3]: samples² rays a pixel, only vertices that are seen are shaded.
+    """A picture of the asset under a lat-long sky [H,W,3]: samples² rays a pixel, only vertices that are seen are
+    shaded.
 
-    `up` overrides the asset's up axis, `rotate` turns the light (degrees, counter-clockwise seen from above). The light reflected at the
-    surface itself is not in it.
+    `up` overrides the asset's up axis, `rotate` turns the light (degrees, counter-clockwise seen from above). Without
+    `background` the sky is black. The light reflected at the surface itself is not in the picture.
 
-    Raises QueryError where nothing could be shown: no vertex is valid, the camera misses the object, or the eye is inside it.
+    Raises QueryError where nothing could be shown: no vertex is valid, the camera misses the object, or the eye is
+    inside it.
     """
     begun = time.perf_counter()
     if samples < 1:
         raise QueryError(f"samples: {samples} where at least 1 a pixel side is expected")
-    if not asset.valid.any():
-        raise QueryError("asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)")
     axis = up or asset.up
-    light = environment.rotate_light(environment.project(sky, asset.degree, axis), rotate, axis)
-    offsets = _grid_offsets(samples)
-    rays = directions(camera, slice(None), offsets).reshape(-1, 3)
-    hits = Visibility(asset.mesh).first_hits(camera.eye, rays)
-    _refuse_empty(asset, camera, rays, hits)
-    corners = np.asarray(asset.mesh.faces, np.int64)[hits.faces[hits.faces >= 0]]
+    light = None
+    if asset.quantity == "transfer":
+        light = environment.rotate_light(environment.project(sky, asset.degree, axis), rotate, axis)
+    pixels, hits = _cast(asset.mesh, camera, _grid_offsets(samples))
+    corners = asset.mesh.faces[hits.faces]
     visible = np.zeros(len(asset.valid), np.bool_)
     visible[corners] = True
     shading = shade_vertices(asset, light, camera.eye, visible)
-    seen, unlit = _interpolate(asset, shading.radiance, corners, hits)
-    colour = np.zeros((len(rays), 3))
-    colour[hits.faces >= 0] = seen
+    seen, unlit = _interpolate(asset, shading.radiance, corners, hits.barycentric)
+    shape = (camera.height, camera.width)
+    coverage, *channels = (
+        np.bincount(pixels, share, math.prod(shape)).reshape(shape) / samples**2 for share in (None, *seen.T)
+    )
+    picture = np.stack(channels, axis=-1)
     if background:
-        missed = hits.faces < 0
-        colour[missed] = environment.lookup(sky, rays[missed] @ environment.rotation(rotate, axis), axis)
-    shape = (camera.height, camera.width, len(offsets))
+        _add_sky(picture, 1.0 - coverage, sky, camera, samples, rotate, axis)
     return Picture(
-        colour.reshape(*shape, 3).mean(axis=2).astype(np.float32),
-        (hits.faces >= 0).reshape(shape).mean(axis=2).astype(np.float32),
+        picture.astype(np.float32),
+        coverage.astype(np.float32),
         shading.clamped,
         shading.shaded,
         unlit,
@@ -126,45 +131,65 @@ def render_picture(
     )
 
 
-def _light(asset: Asset, light: ArrayLike) -> Array:
-    weights = np.asarray(light, np.float64)
+def _light(asset: Asset, light: ArrayLike | None) -> Array:
+    if asset.quantity == "radiance":
+        if light is not None:
+            raise QueryError("light: the asset was made for one light and cannot be relit; hand in None to see it so")
+        return np.ones((1, 3))
+    weights = np.zeros(0) if light is None else np.asarray(light, np.float64)
     count = sh.count(asset.degree)
     if weights.shape != (count, 3):
         raise QueryError(
-            f"light: shape {weights.shape} where [{count},3] is expected: the asset is of degree {asset.degree}; "
-            f"project the sky to that degree"
+            f"light: shape {list(weights.shape)} where [{count}, 3] is expected: the asset is of degree "
+            f"{asset.degree}; project the sky to that degree"
         )
     if not np.isfinite(weights).all():
-        raise QueryError("light: coefficients that are not finite")
+        raise QueryError(f"light: {int((~np.isfinite(weights)).sum())} of its coefficients are not finite")
     return weights
 
 
-def _towards_eye(asset: Asset, eye: ArrayLike) -> Array:
-    """Unit directions [V,3] from the vertices to the eye."""
-    towards = np.asarray(eye, np.float64)
+def _towards_eye(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> Array:
+    """Unit directions [n,3] from the vertices [n] to the eye."""
+    place = np.asarray(eye, np.float64)
     positions = asset.mesh.positions
-    if towards.shape == (3,):
-        towards = towards - positions
-    elif towards.shape != positions.shape:
-        raise QueryError(f"eye: shape {towards.shape} where a point [3] or directions [{len(positions)},3] are expected")
-    length = np.linalg.norm(towards, axis=1, keepdims=True)
-    if not (length > _NEAREST_EYE * asset.mesh.diagonal * (np.ndim(eye) == 1)).all() or not np.isfinite(towards).all():
-        raise QueryError(f"eye: on vertex {int(np.argmin(length))} or not finite; it must stand off the object")
-    return np.asarray(towards / length)
+    if place.shape not in ((3,), positions.shape):
+        raise QueryError(
+            f"eye: shape {list(place.shape)} where a point [3] or directions [{len(positions)}, 3] are expected"
+        )
+    towards = place - positions[vertices] if place.ndim == 1 else place[vertices]
+    length = np.linalg.norm(towards, axis=1)
+    wrong = ~(np.isfinite(length) & (length > 0.0))
+    if wrong.any():
+        raise QueryError(
+            f"eye: no direction to it from {int(wrong.sum())} vertices, the first is {vertices[wrong.argmax()]}: "
+            f"expected finite numbers, and directions of some length"
+        )
+    if place.ndim == 1:
+        refuse_eye_in_object(asset.mesh, place)
+    return np.asarray(towards / length[:, None])
 
 
-def _blocks(asset: Asset, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, NDArray[np.generic], int]]:
-    """Runs of `vertices` with the coefficients that hold them and the first vertex of those: all at once from memory, block by block
-    from an open file."""
-    coefficients = asset.coefficients
-    if isinstance(coefficients, np.ndarray):
-        yield slice(0, len(vertices)), coefficients, 0
-        return
-    size = max(1, _BYTES_AT_ONCE // int(np.prod(coefficients.shape[1:]) * coefficients.dtype.itemsize))
-    for first in range(0, len(asset.valid), size):
-        rows = slice(*np.searchsorted(vertices, [first, first + size]).tolist())
-        if rows.stop > rows.start:
-            yield rows, coefficients[first : first + size], first
+def _cast(mesh: Mesh, camera: Camera, offsets: Array) -> tuple[NDArray[np.int64], Hits]:
+    """The samples of a picture that meet the mesh: their pixels [n], row · width + column, and hits [n]."""
+    visibility = Visibility(mesh)
+    parts = []
+    for rows in _row_blocks(camera, len(offsets)):
+        hits = visibility.first_hits(camera.eye, directions(camera, rows, offsets).reshape(-1, 3))
+        met = np.flatnonzero(hits.faces >= 0)
+        parts.append((rows.start * camera.width + met // len(offsets), hits.faces[met], hits.barycentric[met]))
+    pixels, faces, barycentric = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if not len(pixels):
+        raise QueryError(
+            f"camera: the eye at {camera.eye.tolist()}, looking at {camera.target.tolist()}, sees nothing of the "
+            "object; turn it to the object, or narrow the view of one far away"
+        )
+    return pixels, Hits(faces, barycentric)
+
+
+def _row_blocks(camera: Camera, samples: int) -> Iterator[slice]:
+    step = max(1, _RAYS_AT_ONCE // (camera.width * samples))
+    for first in range(0, camera.height, step):
+        yield slice(first, min(first + step, camera.height))
 
 
 def _grid_offsets(samples: int) -> Array:
@@ -173,20 +198,28 @@ def _grid_offsets(samples: int) -> Array:
     return np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
 
 
-def _refuse_empty(asset: Asset, camera: Camera, rays: Array, hits: Hits) -> None:
-    met = hits.faces >= 0
-    if not met.any():
-        raise QueryError(f"camera: the eye at {camera.eye.tolist()} sees nothing of the object; look at it, or step back")
-    facing = np.sum(np.asarray(asset.mesh.face_normals)[hits.faces[met]] * rays[met], axis=1)
-    if (facing > 0.0).all():
-        raise QueryError(f"camera: the eye at {camera.eye.tolist()} is inside the object, where an asset holds nothing")
-
-
-def _interpolate(asset: Asset, radiance: Array, corners: NDArray[np.int64], hits: Hits) -> tuple[Array, float]:
+def _interpolate(asset: Asset, radiance: Array, corners: NDArray[np.int32], barycentric: Array) -> tuple[Array, float]:
     """Barycentric mean of the valid corners' radiance [n,3], and the share of samples that have none."""
-    uv = hits.barycentric[hits.faces >= 0]
-    weights = np.concatenate([1.0 - uv.sum(axis=1, keepdims=True), uv], axis=1) * asset.valid[corners]
-    total = weights.sum(axis=1, keepdims=True)
-    none = total[:, 0] <= 0.0
-    weights /= np.where(total > 0.0, total, 1.0)
-    return np.einsum("nk,nkc->nc", weights, radiance[corners]), float(none.mean())
+    shares = np.concatenate([1.0 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
+    weights = np.maximum(shares, 0.0) * asset.valid[corners]
+    total = weights.sum(axis=1)
+    weights /= np.where(total > 0.0, total, 1.0)[:, None]
+    return np.einsum("nk,nkc->nc", weights, radiance[corners]), float((total <= 0.0).mean())
+
+
+def _add_sky(
+    picture: Array, share: Array, sky: NDArray[np.float32], camera: Camera, samples: int, rotate: float, up: str
+) -> None:
+    """Add the sky to the `share` [H,W] of each pixel that the object leaves open.
+
+    As many samples a pixel side as it has texels of the sky along it, so that a sky finer than the picture does not
+    flicker, and at most `samples`.
+    """
+    texels = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / camera.height * len(sky) / math.pi
+    offsets = _grid_offsets(max(1, min(samples, math.ceil(texels))))
+    turn = environment.rotation(rotate, up)
+    for rows in _row_blocks(camera, len(offsets)):
+        shown = share[rows] > 0.0
+        rays = directions(camera, rows, offsets)[shown]
+        radiance = environment.lookup(sky, rays @ turn, up).mean(axis=1)
+        picture[rows][shown] += share[rows][shown][:, None] * radiance

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
-from formats.errors import FormatError
+from formats.errors import FormatError, QueryError
 from formats.scene import Scene, read_scene
 from formats.whole import existing, sha256
 
@@ -47,8 +47,9 @@ def open_source(path: str | Path, device: str = "cpu", convention: str | None = 
 
     Raises:
         FormatError: a suffix that is no source.
-        PrtbakeError: the file is missing, damaged or hostile.
+        PrtbakeError: the file is missing, damaged or hostile, or there is no such device.
     """
+    require_device(device)
     suffix = existing(path).suffix.lower()
     if suffix == ".toml":
         return PathTraced(read_scene(path))
@@ -61,6 +62,16 @@ def open_source(path: str | Path, device: str = "cpu", convention: str | None = 
     from prt_bake.network import load_model
 
     return load_model(path, device)
+
+
+def require_device(device: str) -> None:
+    """Raise QueryError if a network cannot run on `device`, "cpu" or "cuda"."""
+    if device == "cpu":
+        return
+    import torch
+
+    if device != "cuda" or not torch.cuda.is_available():
+        raise QueryError(f"device: {device!r} is not there (no graphics card that this torch can use); take 'cpu'")
 
 
 def origin(path: str | Path) -> dict[str, str]:

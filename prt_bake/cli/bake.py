@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Device, Seed, output_option
+from prt_bake.cli.options import Device, ReportFile, Seed, output_option
 from prt_bake.cli.progress import reporting, stopping
 
 
@@ -25,7 +25,9 @@ def bake(
     samples: Annotated[int, typer.Option(min=1, help="Directions a view bin; walks, for a scene.")] = 64,
     error: Annotated[
         float | None,
-        typer.Option(help="Relative RMSE to reach: samples are doubled until a pilot does.", show_default=False),
+        typer.Option(
+            min=0, max=1, help="Relative RMSE to reach: samples are doubled until a pilot does.", show_default=False
+        ),
     ] = None,
     seed: Seed = 0,
     device: Device = "cpu",
@@ -42,9 +44,7 @@ def bake(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print size and estimated time, and stop.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Not supported yet.")] = False,
-    report: Annotated[
-        Path | None, typer.Option(metavar="R.json", help="Also write settings, errors and times.", show_default=False)
-    ] = None,
+    report: ReportFile = None,
 ) -> None:
     """Project the transport on spherical harmonics, for every vertex and view bin of a mesh."""
     from formats.mesh import read_mesh

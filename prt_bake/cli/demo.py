@@ -13,7 +13,7 @@ from prt_bake.cli.progress import reporting, stopping
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for what is made.")] = Path("demo"),
     quality: Annotated[
-        Literal["quick", "fine"], typer.Option(help="quick: a minute or two; fine: finer mesh, larger picture.")
+        Literal["quick", "fine"], typer.Option(help="quick: a minute or two; fine: smaller errors, larger picture.")
     ] = "quick",
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Threads; by default as many as cores.", show_default=False)
@@ -34,7 +34,7 @@ def demo(
     for file in result.files:
         print(file)
     print("bake: seconds, evaluations, estimated relative RMSE of the coefficients")
-    for seconds, evaluations, error in result.asset.error_vs_time[-5:]:
+    for seconds, evaluations, error in result.milestones():
         print(f"  {seconds:8.1f} {evaluations:14,.0f} {error:9.3%}")
     for name, figures in (("picture", result.comparison), ("object", result.object_comparison)):
         print(

@@ -8,7 +8,6 @@ import typer
 
 from formats.errors import FormatError, StorageError
 
-
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
 
 
@@ -27,7 +26,9 @@ class Point(NamedTuple):
     z: float
 
 
-def _read_size(text: str) -> Size:
+def _read_size(text: str | Size) -> Size:
+    if isinstance(text, Size):  # the default passes through here too
+        return text
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
@@ -37,7 +38,9 @@ def _read_size(text: str) -> Size:
     return Size(width, height)
 
 
-def _read_point(text: str) -> Point:
+def _read_point(text: str | Point) -> Point:
+    if isinstance(text, Point):
+        return text
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
@@ -46,20 +49,26 @@ def _read_point(text: str) -> Point:
 
 
 def output_option(metavar: str, *suffixes: str) -> Any:
-    """Declare `--output`, refused at once, not after an hour's work, where nothing of this kind can be written."""
+    """Declare `--output`, refused at once, not after an hour's work, where no file of this kind can be written."""
 
     def refuse_unusable(path: Path) -> Path:
-        if suffixes and path.suffix.lower() not in suffixes:
+        if path.suffix.lower() not in suffixes:
             raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
-        if path.is_dir():
-            raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
-        if not path.parent.is_dir():
-            raise StorageError(f"{path}: cannot be written: the folder {path.parent} does not exist; create it first")
-        if not os.access(path.parent, os.W_OK):
-            raise StorageError(f"{path}: cannot be written: no permission for the folder {path.parent}")
-        return path
+        return _refuse_unwritable(path)
 
     return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
+
+
+def _refuse_unwritable(path: Path | None) -> Any:
+    if path is None:
+        return None
+    if path.is_dir():
+        raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
+    if not path.parent.is_dir():
+        raise StorageError(f"{path}: cannot be written: the folder {path.parent} does not exist; create it first")
+    if not os.access(path.parent, os.W_OK):
+        raise StorageError(f"{path}: cannot be written: no permission for the folder {path.parent}")
+    return path
 
 
 Up = Annotated[
@@ -68,7 +77,7 @@ Up = Annotated[
 ]
 Rotate = Annotated[
     float,
-    typer.Option(metavar="DEG", help="Turn the light counter-clockwise, seen from above."),
+    typer.Option(min=-36000, max=36000, metavar="DEG", help="Turn the light counter-clockwise, seen from above."),
 ]
 PictureSize = Annotated[
     Size,
@@ -80,7 +89,7 @@ Eye = Annotated[
 ]
 Exposure = Annotated[
     float,
-    typer.Option(metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG alone)."),
+    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG alone)."),
 ]
 Mend = Annotated[
     bool,
@@ -89,4 +98,13 @@ Mend = Annotated[
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
 Light = Annotated[Path, typer.Option(metavar="ENVIRONMENT", help="Lat-long sky, .exr or .hdr.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Device = Annotated[str, typer.Option(help='Where the network runs: "cpu" or "cuda".')]
+Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where the network runs.")]
+ReportFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="R.json",
+        callback=_refuse_unwritable,
+        help="Also write settings, errors and times.",
+        show_default=False,
+    ),
+]

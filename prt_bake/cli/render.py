@@ -13,6 +13,7 @@ from prt_bake.cli.options import (
     Light,
     Mend,
     PictureSize,
+    ReportFile,
     Rotate,
     Seed,
     Size,
@@ -23,6 +24,7 @@ from prt_bake.cli.progress import reporting, say
 
 
 def render(
+    context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="scene.toml (path traced).")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="What the camera is set up for, as in `prtbake shade`.")],
     light: Light,
@@ -35,9 +37,7 @@ def render(
     exposure: Exposure = 0.0,
     mend: Mend = False,
     seed: Seed = 0,
-    report: Annotated[
-        Path | None, typer.Option(metavar="R.json", help="Also write settings, noise and time.", show_default=False)
-    ] = None,
+    report: ReportFile = None,
 ) -> None:
     """Render a scene directly: the reference for baked pictures.
 
@@ -67,9 +67,11 @@ def render(
             progress=lambda share: show(share, f"{spp} walks a pixel"),
         )
     write_image(output, picture.image, exposure=exposure)
-    summary = rendering_report(picture, view)
+    noise = rendering_report(view, picture.image, picture.standard_error, picture.coverage)
     if report is not None:
-        write_report(summary, report)
+        cost = {"command": context.obj, "spp": spp, "seed": seed, "walks": picture.walks, "seconds": picture.seconds}
+        write_report(cost | noise, report)
     print(
-        f"{output}: {picture.walks:,} walks in {picture.seconds:.1f} s, noise {summary['relative_noise']:.2%} of the object"
+        f"{output}: {picture.walks:,} walks in {picture.seconds:.1f} s, "
+        f"standard error {noise['relative_noise']:.2%} of the object's radiance"
     )

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def train(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to learn.")],
     output: Annotated[Path, output_option("MODEL.pt", ".pt", ".safetensors")],
-    minutes: Annotated[float, typer.Option(help="Time to train.")] = 10.0,
+    minutes: Annotated[float, typer.Option(min=0, max=1e6, help="Time to train.")] = 10.0,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Optimiser steps, in place of minutes.", show_default=False)
     ] = None,
@@ -30,7 +30,10 @@ def train(
     learnt; --resume goes on from there.
     """
     from formats.scene import read_scene
+    from prt_bake.sources import require_device
     from prt_bake.trainer.fit import train as fit
+
+    require_device(device)
 
     with reporting("train") as show, stopping() as stop:
 
@@ -57,9 +60,9 @@ def train(
     training = network.metadata["training"]
     rmse = training["relative_rmse"]
     print(
-        f"{output}: {training['steps']} steps, {training['walks']:,} walks in {training['seconds']:.0f} s; relative RMSE "
-        f"on fresh queries {rmse['transport']:.2%}, of coefficients {rmse['coefficients']:.2%} (the reference's noise, "
-        f"{rmse['transport_noise']:.2%} and {rmse['coefficients_noise']:.2%}, taken out)"
+        f"{output}: {training['steps']} steps, {training['walks']:,} walks in {training['seconds']:.0f} s; "
+        f"relative RMSE on fresh queries {rmse['transport']:.2%}, of coefficients {rmse['coefficients']:.2%} "
+        f"(the reference's noise, {rmse['transport_noise']:.2%} and {rmse['coefficients_noise']:.2%}, taken out)"
     )
     if stopped:
         raise PrtbakeError(f"{output}: the training was stopped; the model holds what was learnt, --resume goes on")

@@ -36,6 +36,8 @@ class LearningSettings:
     """Seconds between checkpoints."""
     report_every: float = 2.0
     bfloat16: bool = True
+    held_out_queries: int = 512
+    held_out_walks: int = 256
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,9 @@ class _Run:
         self.stream, self.learning = stream, learning
         self.prepared: PreparedScene = prepare(scene)
         low, high = scene.mesh.positions.min(axis=0), scene.mesh.positions.max(axis=0)
-        self.held_out: HeldOut = hold_out(self.prepared, 512, 8, 256, VALIDATION_SEED)
+        self.held_out: HeldOut = hold_out(
+            self.prepared, learning.held_out_queries, 8, learning.held_out_walks, VALIDATION_SEED
+        )
         scale = float(np.sqrt(np.mean(self.held_out.mean**2)))
         self.network = NeuralBSSRDF(settings, low, float((high - low).max()), scale or 1.0, _metadata(scene)).to(
             self.device
@@ -203,7 +207,7 @@ class _Run:
 
     def _set_rate(self, share: float) -> None:
         rise = min(1.0, (share + 1e-4) / self.learning.warm_up)
-        rate = self.learning.rate * rise * 0.5 * (1.0 + np.cos(np.pi * min(1.0, share)))
+        rate = float(self.learning.rate * rise * 0.5 * (1.0 + np.cos(np.pi * min(1.0, share))))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
 
@@ -246,7 +250,9 @@ class _Run:
     def finish(self, output: str | Path | None) -> NeuralBSSRDF:
         """Measure the final figures, note them in the model and write it."""
         self.network.eval()
-        figures = final_figures(self.network, self.scene, self.prepared)
+        figures = final_figures(
+            self.network, self.scene, self.prepared, self.learning.held_out_queries, self.learning.held_out_walks
+        )
         self.network.metadata["training"] = {
             "seconds": self.seconds,
             "steps": self.step,

@@ -75,7 +75,7 @@ class FinalFigures:
 
 
 def final_figures(
-    network: Any, scene: Scene, prepared: PreparedScene, queries: int = 512, walks: int = 256, seed: int = FINAL_SEED
+    network: Any, scene: Scene, prepared: PreparedScene, queries: int, walks: int, seed: int = FINAL_SEED
 ) -> FinalFigures:
     """The figures of a trained network against the path tracer, on queries of a seed of their own."""
     fresh = hold_out(prepared, queries, 8, walks, seed)

@@ -1,0 +1,193 @@
+"""The trainer: what it asks, what it hands over, that it learns, and that it can go on after a stop."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from formats.errors import ModelError, QueryError, SceneError
+from formats.mesh import build_mesh, write_mesh
+from formats.scene import read_scene
+from prt_bake.network import NetworkSettings, load_model
+from prt_bake.trainer.fit import LearningSettings, train
+from prt_bake.trainer.prepared import prepare
+from prt_bake.trainer.queries import EDGE_SHARE, QuerySource
+from prt_bake.trainer.resume import state_path
+from prt_bake.trainer.stream import RingBuffer, StreamSettings
+from prt_bake.trainer.validation import hold_out, noise_free_ratio
+
+SCENE = """
+[object]
+mesh = "ball.ply"
+[interface]
+eta = {eta}
+roughness = {roughness}
+[medium]
+sigma_t = 4.0
+albedo = [0.9, 0.7, 0.5]
+"""
+SMALL = NetworkSettings(
+    features=32, feature_mean=0.0, feature_spread=0.15, width=32, layers=3, skips=((1, 3),), directions="cartesian"
+)
+STREAM = StreamSettings(queries_a_batch=512, capacity=1 << 15)
+LEARNING = LearningSettings(batch=1024, rate=1e-2, bfloat16=False, held_out_queries=128, held_out_walks=64)
+
+
+def make_scene(folder, eta=1.0, roughness=0.0):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    stretched = np.asarray(ball.vertices) * [1.0, 0.5, 2.0]
+    write_mesh(build_mesh(stretched, np.asarray(ball.faces)), folder / "ball.ply")
+    (folder / "scene.toml").write_text(SCENE.format(eta=eta, roughness=roughness))
+    return read_scene(folder / "scene.toml")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return make_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="module")
+def queries(scene):
+    return QuerySource(prepare(scene), 6, seed=3).draw(0, 20_000)
+
+
+def learnt(scene, steps, **more):
+    return train(scene, steps=steps, settings=SMALL, stream=STREAM, learning=LEARNING, seed=1, **more)
+
+
+def test_queries_cover_the_surface_by_area(scene, queries):
+    interior = queries.location.barycentric
+    inside = (interior.min(axis=1) > 2e-4) & (interior.sum(axis=1) < 1 - 2e-4)
+    expected = scene.mesh.face_areas / scene.mesh.face_areas.sum()
+    found = np.bincount(queries.location.faces[inside], minlength=len(expected))
+    expected = expected * inside.sum()
+    chi_square = np.sum((found - expected) ** 2 / expected)
+    freedom = len(expected) - 1
+    assert abs(chi_square - freedom) < 4.5 * np.sqrt(2 * freedom)  # false alarm 1e-5
+
+
+def test_a_tenth_of_the_queries_lies_on_vertices_and_edges(queries):
+    full = np.concatenate(
+        [1 - queries.location.barycentric.sum(axis=1, keepdims=True), queries.location.barycentric], axis=1
+    )
+    on_edge = (full < 1.5e-4).any(axis=1)
+    on_vertex = (full < 1.5e-4).sum(axis=1) == 2
+    spread = np.sqrt(EDGE_SHARE / len(full))
+    assert abs(on_edge.mean() - EDGE_SHARE) < 4.5 * spread
+    assert abs(on_vertex.mean() - EDGE_SHARE / 2) < 4.5 * spread
+
+
+def test_views_fill_the_hemisphere_and_stay_above_the_horizon(scene, queries):
+    cosine = np.sum(scene.mesh.face_normals[queries.location.faces] * queries.outgoing, axis=1)
+    assert cosine.min() > 0
+    assert abs(cosine.mean() - 0.5) < 0.02
+    assert np.allclose(np.linalg.norm(queries.outgoing, axis=1), 1)
+
+
+def test_each_direction_of_incidence_is_uniform(queries):
+    d = queries.incident
+    assert np.allclose(np.linalg.norm(d, axis=-1), 1)
+    assert np.abs(d.mean(axis=0)).max() < 4.5 / np.sqrt(3 * len(d))
+    second = np.einsum("ndi,ndj->dij", d, d) / len(d)
+    assert np.abs(second - np.eye(3) / 3).max() < 4.5 * 0.3 / np.sqrt(len(d))
+
+
+def test_a_query_depends_on_seed_and_number_alone(scene):
+    source = QuerySource(prepare(scene), 3, seed=5)
+    whole, part = source.draw(0, 100), source.draw(40, 20)
+    np.testing.assert_array_equal(whole.outgoing[40:60], part.outgoing)
+    np.testing.assert_array_equal(whole.incident[40:60], part.incident)
+    assert not np.array_equal(part.outgoing, QuerySource(prepare(scene), 3, seed=6).draw(40, 20).outgoing)
+
+
+def test_the_ring_keeps_the_newest():
+    ring = RingBuffer(10)
+    for first in (0, 6, 12):
+        ring.put(np.repeat(np.arange(first, first + 6, dtype=np.float32)[:, None], 12, axis=1))
+    assert ring.filled == 10
+    assert sorted(ring.rows[:, 0]) == list(range(8, 18))
+    drawn = ring.draw(1000, np.random.default_rng(0))
+    assert set(drawn[:, 0]) == set(range(8, 18))
+
+
+def test_the_reference_noise_is_taken_out():
+    generator = np.random.default_rng(4)
+    truth = generator.uniform(1, 2, (2000, 8, 3))
+    answer = truth * 1.05
+    error = np.full_like(truth, 0.5)
+    ratio = noise_free_ratio(answer, truth + generator.normal(0, error), error)
+    assert abs(ratio - 0.05) < 0.01
+    assert noise_free_ratio(truth, truth + generator.normal(0, error), error) < 0.02
+
+
+def test_training_learns(scene, tmp_path):
+    rows = []
+    network = learnt(scene, 600, output=tmp_path / "m.pt", progress=rows.append)
+    figures = network.metadata["training"]["relative_rmse"]
+    held_out = hold_out(prepare(scene), 256, 4, 64, seed=99)
+    error = held_out.relative_rmse(network)
+    constant = noise_free_ratio(held_out.mean.mean(axis=(0, 1)), held_out.mean, held_out.standard_error)
+    assert error < 0.7 * constant
+    assert abs(figures["transport"] - error) < 0.25 * error
+    assert figures["coefficients"] < error
+    read = load_model(tmp_path / "m.pt")
+    q = held_out.queries
+    np.testing.assert_array_equal(
+        read.evaluate(q.incident, q.positions, q.outgoing), network.evaluate(q.incident, q.positions, q.outgoing)
+    )
+
+
+def test_a_run_goes_on_where_it_stopped(scene, tmp_path):
+    output = tmp_path / "m.pt"
+    learnt(scene, 60, output=output)
+    state = torch.load(state_path(output), weights_only=True)
+    longer = learnt(scene, 100, output=output, resume=True)
+    training = longer.metadata["training"]
+    assert state["step"] == 60
+    assert training["steps"] == 100
+    assert training["walks"] > state["walks"]
+    assert training["seconds"] > state["seconds"]
+
+
+def test_ctrl_c_keeps_what_was_learnt(scene, tmp_path):
+    def interrupt(row):
+        raise KeyboardInterrupt
+
+    network = train(
+        scene,
+        minutes=1,
+        settings=SMALL,
+        stream=STREAM,
+        learning=dataclasses.replace(LEARNING, report_every=0.05),
+        output=tmp_path / "m.pt",
+        progress=interrupt,
+    )
+    assert network.metadata["training"]["steps"] > 0
+    assert load_model(tmp_path / "m.pt").metadata["training"]["seconds"] < 30
+
+
+def test_resuming_needs_a_sound_state_of_the_same_scene(scene, tmp_path):
+    output = tmp_path / "m.pt"
+    with pytest.raises(ModelError, match=r"m\.train\.pt: not found"):
+        learnt(scene, 10, output=output, resume=True)
+    state_path(output).write_bytes(b"not a state")
+    with pytest.raises(ModelError, match="not a readable training state"):
+        learnt(scene, 10, output=output, resume=True)
+    torch.save({"scene": "another"}, state_path(output))
+    with pytest.raises(ModelError, match="belongs to another scene"):
+        learnt(scene, 10, output=output, resume=True)
+    with pytest.raises(QueryError, match="resume needs the output"):
+        learnt(scene, 10, resume=True)
+
+
+def test_a_smooth_interface_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(SceneError, match="smooth interface is not supported"):
+        learnt(make_scene(tmp_path, eta=1.4), 10)
+
+
+def test_a_loss_that_is_not_finite_stops_the_run(scene):
+    wild = dataclasses.replace(LEARNING, rate=1e20, warm_up=1e-9)
+    with pytest.raises(QueryError, match="the loss of step"):
+        train(scene, steps=50, settings=SMALL, stream=STREAM, learning=wild)
