@@ -1,6 +1,5 @@
 # `make demo` and `make test` do everything on a fresh machine: each makes the virtual environment .venv by itself.
-# Torch comes from the configured package index; for one without GPU libraries:
-#     PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make demo
+# Torch comes from the configured package index; PIP_EXTRA_INDEX_URL may name one whose wheels have no GPU libraries.
 
 PYTHON = $(shell for candidate in python3.13 python3.12 python3.11 python3; do \
 	"$$candidate" -c 'import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' \
@@ -9,6 +8,7 @@ BIN := .venv/bin
 
 # Linear algebra in one thread a process: the tests' and the bake's workers share the cores among themselves.
 export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo picture test lint bench shipped clean
 

@@ -53,7 +53,7 @@ def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
             f"{path}: holds something other than plain weights and was refused, nothing in it was run; "
             f"expected a model written by prtbake"
         ) from None
-    except (RuntimeError, EOFError, ValueError, KeyError, OSError) as fault:
+    except Exception as fault:  # torch's restricted reader raises whatever the first bytes of a foreign file lead it to
         raise ModelError(f"{path}: not a readable checkpoint ({_first_line(fault)}); truncated or not a .pt") from None
     head, tensors = (content.get(HEAD), content.get("tensors")) if isinstance(content, dict) else (None, None)
     if not isinstance(head, str) or not isinstance(tensors, dict):

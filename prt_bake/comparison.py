@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 PIXELS_PER_DEGREE = 67.0
 _RELATIVE_FLOOR = 1e-2
 _SSIM_WINDOW = 11
+_MOST_STOPS = 100.0
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,11 @@ def compare(image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None = Non
     `mask`, [H,W] or [H,W,3], chooses the pixels that count: those above 0.5 in the mean of its channels. Windows of
     SSIM and FLIP about such a pixel reach beyond the mask.
 
-    Raises QueryError for shapes that do not match, a mask without pixels and pixels that are not finite; PrtbakeError
-    where the extra `evaluate` is not installed.
+    Raises QueryError for shapes that do not match, a mask without pixels, pixels or an exposure not finite;
+    PrtbakeError where the extra `evaluate` is not installed.
     """
+    if not abs(exposure) <= _MOST_STOPS:
+        raise QueryError(f"compare: an exposure of {exposure:g} where one between ±{_MOST_STOPS:g} stops is expected")
     ours, theirs = (_picture(part, name) * 2.0**exposure for part, name in ((image, "image"), (reference, "reference")))
     if ours.shape != theirs.shape:
         raise QueryError(
@@ -116,7 +119,7 @@ def _size(image: Array) -> str:
 def _quarter(image: Array) -> Array:
     """The mean of blocks of 4×4 pixels; what does not fill a block is left out."""
     h, w = image.shape[0] // 4, image.shape[1] // 4
-    return np.asarray(image[: 4 * h, : 4 * w].reshape(h, 4, w, 4, -1).mean(axis=(1, 3)))
+    return np.asarray(image[: 4 * h, : 4 * w].reshape(h, 4, w, 4, image.shape[2]).mean(axis=(1, 3)))
 
 
 def _ssim(image: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:

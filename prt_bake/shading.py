@@ -157,7 +157,8 @@ def _towards_eye(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> A
             f"eye: shape {list(place.shape)} where a point [3] or directions [{len(positions)}, 3] are expected"
         )
     towards = place - positions[vertices] if place.ndim == 1 else place[vertices]
-    length = np.linalg.norm(towards, axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(towards, axis=1)
     wrong = ~(np.isfinite(length) & (length > 0.0))
     if wrong.any():
         raise QueryError(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from formats.errors import FormatError, QueryError
+from formats.mesh import Mesh
 from formats.scene import Scene, read_scene
 from formats.whole import existing, sha256
 
@@ -39,11 +40,11 @@ class PathTraced:
         return estimate_coefficients(self.scene, positions, outgoing, degree, paths, seed)
 
 
-def open_source(path: str | Path, device: str = "cpu", convention: str | None = None) -> Any:
-    """Return the transport that a file holds.
+def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:
+    """Return the transport that a file holds, to be baked on `mesh`.
 
-    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.network_torchscript`); without
-    it a `.pt` file is one of our own networks.
+    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.network_torchscript`), in the
+    bounding box of the mesh; without it a `.pt` file is one of our own networks.
 
     Raises:
         FormatError: a suffix that is no source.
@@ -58,7 +59,8 @@ def open_source(path: str | Path, device: str = "cpu", convention: str | None = 
     if convention is not None:
         from prt_bake.network_torchscript import load_torchscript
 
-        return load_torchscript(path, convention)
+        low, high = mesh.bounds
+        return load_torchscript(path, convention, low, float((high - low).max()))
     from prt_bake.network import load_model
 
     return load_model(path, device)

@@ -119,10 +119,17 @@ def test_the_mask_chooses_what_counts():
 
 
 def test_pictures_below_the_window_have_no_ssim():
-    small = compare(picture(10, 60), picture(10, 60, seed=1))
-    assert np.isnan(small.ssim)
-    assert np.isnan(small.ssim_quarter)
-    assert small.mse > 0
+    for height, width in ((10, 60), (3, 60), (1, 1)):
+        small = compare(picture(height, width), picture(height, width, seed=1))
+        assert np.isnan(small.ssim)
+        assert np.isnan(small.ssim_quarter)
+        assert small.mse > 0
+
+
+@pytest.mark.parametrize("exposure", [np.nan, np.inf, -5000.0])
+def test_an_exposure_that_shows_nothing_is_refused(exposure):
+    with pytest.raises(QueryError, match="exposure of"):
+        compare(picture(), picture(), exposure=exposure)
 
 
 def test_figures_are_plain_numbers_for_json():

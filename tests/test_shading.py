@@ -214,6 +214,7 @@ def test_lights_that_do_not_fit_are_refused(light, sentence: str) -> None:
         ((0.1, 0.2, 0.1), "inside the object"),
         ((0, 0, math.inf), "finite"),
         ((0, math.nan, 9), "finite"),
+        ((0, 0, 1e200), "finite"),
         ((0, 9), r"shape \[2\] where a point \[3\] or directions \[66, 3\]"),
         (np.ones((65, 3)), r"shape \[65, 3\]"),
         (np.zeros((66, 3)), "66 vertices, the first is 0"),
@@ -242,7 +243,7 @@ def test_a_furnace_asset_under_a_constant_sky_cannot_be_seen() -> None:
     np.testing.assert_allclose(picture.image, 1.0, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("eye", [(0.0, 0.5, 4.0), (-3.0, 2.0, -1.0)])
+@pytest.mark.parametrize("eye", [(0.0, 0.5, 4.0), (-3.0, 2.0, -1.0), (0.3, 0.1, 0.2)])
 def test_a_picture_shows_vertex_radiance_interpolated_over_faces(eye) -> None:
     """At one sample a pixel: every pixel against the nearest of all faces, and the sky in the ray's direction."""
     asset, view = make_asset(ring()), front(eye=eye)

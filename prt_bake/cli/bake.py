@@ -13,8 +13,8 @@ from prt_bake.cli.progress import reporting, stopping
 
 def bake(
     context: typer.Context,
-    source: Annotated[Path, typer.Argument(help="model.pt (neural) or scene.toml (path traced).")],
-    mesh: Annotated[Path, typer.Argument(help="Mesh whose vertices are baked, in the source's object space.")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Its vertices are baked.")],
     output: Annotated[Path, output_option("ASSET.h5", ".h5", ".hdf5")],
     rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins over the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
@@ -46,7 +46,11 @@ def bake(
     resume: Annotated[bool, typer.Option("--resume", help="Not supported yet.")] = False,
     report: ReportFile = None,
 ) -> None:
-    """Project the transport on spherical harmonics, for every vertex and view bin of a mesh."""
+    """Bake a model or a scene on a mesh into an asset.
+
+    At every vertex and view bin the transport is projected on spherical harmonics. Ctrl-C stops the bake and keeps what
+    is done as a valid asset that says so.
+    """
     from formats.mesh import read_mesh
     from prt_bake import baking
     from prt_bake.report import bake_report, write_report
@@ -54,7 +58,8 @@ def bake(
 
     if resume:
         raise PrtbakeError("bake --resume: is not supported yet; a bake starts anew")
-    transport, surface = open_source(source, device, convention), read_mesh(mesh)
+    surface = read_mesh(mesh)
+    transport = open_source(source, surface, device, convention)
     sampling = (degree, rings, sectors, directions, samples)
     if dry_run:
         plan = baking.plan(

@@ -8,8 +8,11 @@ import typer
 from formats.errors import FormatError
 
 
-def check(file: Annotated[Path, typer.Argument(help="Mesh, sky, scene, model or asset.")]) -> None:
-    """Print every fault of a file, one line each; exit code 1 if there is any."""
+def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model or asset.")]) -> None:
+    """Print every fault of a file.
+
+    One line each; the exit code is 1 if there is any.
+    """
     from prt_bake.inspection import find_faults
 
     faults = find_faults(file)

@@ -54,20 +54,24 @@ def output_option(metavar: str, *suffixes: str) -> Any:
     def refuse_unusable(path: Path) -> Path:
         if path.suffix.lower() not in suffixes:
             raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
-        return _refuse_unwritable(path)
+        _refuse_unwritable(path)
+        return path
 
     return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
 
 
-def _refuse_unwritable(path: Path | None) -> Any:
-    if path is None:
-        return None
+def _refuse_unwritable(path: Path) -> None:
     if path.is_dir():
         raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
     if not path.parent.is_dir():
         raise StorageError(f"{path}: cannot be written: the folder {path.parent} does not exist; create it first")
     if not os.access(path.parent, os.W_OK):
         raise StorageError(f"{path}: cannot be written: no permission for the folder {path.parent}")
+
+
+def _read_report(path: Path | None) -> Path | None:
+    if path is not None:
+        _refuse_unwritable(path)
     return path
 
 
@@ -103,7 +107,7 @@ ReportFile = Annotated[
     Path | None,
     typer.Option(
         metavar="R.json",
-        callback=_refuse_unwritable,
+        callback=_read_report,
         help="Also write settings, errors and times.",
         show_default=False,
     ),

@@ -18,6 +18,7 @@ from prt_bake.trainer.interface import rough_density
 from prt_bake.trainer.media import phase, transmittance
 from prt_bake.trainer.walk import (
     AT,
+    CLEARANCE,
     DIRECTION,
     FACE,
     NORMAL,
@@ -47,7 +48,7 @@ def straight_transmittance(
         if leaves:
             kept *= transmittance(medium, p, d, begun, t, at, stream)
         begun = t
-        near = t
+        near = t + CLEARANCE
         skip = face
     return kept
 

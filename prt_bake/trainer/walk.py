@@ -27,6 +27,9 @@ FACE, INSIDE, EVENTS, SCATTERED = 0, 1, 2, 3
 COUNTS_SIZE = 4
 _LOOK_OUT_EVERY = 8
 _WEIGHT_WINDOW = 0.1
+CLEARANCE = 1e-6
+"""How far a ray that starts on a face must fly before it may meet another one: some ten roundings of a position, so
+that at a vertex no walk is handed to and fro between faces that all lie at distance 0."""
 
 
 class Boundary(NamedTuple):
@@ -158,8 +161,9 @@ def advance(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, strea
     p = state[POSITION : POSITION + 3]
     d = state[DIRECTION : DIRECTION + 3]
     at = state[AT : AT + 3]
+    near = CLEARANCE if counts[FACE] >= 0 else 0.0
     if counts[INSIDE] == 0:
-        face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, 0.0, np.inf, counts[FACE])
+        face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, np.inf, counts[FACE])
         if face < 0:
             return SKY
         if not _met_from_behind(boundary, face, d):
@@ -170,7 +174,7 @@ def advance(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, strea
     far = flight
     if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
         far = np.inf
-    face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, 0.0, far, counts[FACE])
+    face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), counts[FACE])
     if face < 0 and far == np.inf:
         return SKY
     if face >= 0 and (t <= flight or not _met_from_behind(boundary, face, d)):

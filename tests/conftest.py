@@ -1,0 +1,44 @@
+"""What the tests of the commands share: a folder of small sound files, and a way to run a command there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from command_line import SCENE, Outcome, Run
+
+from formats.image import write_image
+from formats.mesh import build_mesh, write_mesh
+from prt_bake.cli.main import main
+
+
+@pytest.fixture
+def prtbake(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path) -> Run:
+    """Run a command in the shared folder and return its exit code and what it printed."""
+
+    def run(*arguments: object) -> Outcome:
+        code = main([str(argument) for argument in arguments])
+        return Outcome(code, *capsys.readouterr())
+
+    monkeypatch.chdir(folder)
+    return run
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model, a mesh, a scene, a sky and an asset, all small and sound."""
+    from prt_bake.network import NetworkSettings, NeuralBSSRDF, save_model
+
+    path = tmp_path_factory.mktemp("cli")
+    sphere = trimesh.creation.icosphere(subdivisions=1)
+    write_mesh(build_mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)), path / "sphere.ply")
+    write_mesh(build_mesh(np.asarray(sphere.vertices), np.asarray(sphere.faces)[:-2]), path / "open.ply")
+    (path / "scene.toml").write_text(SCENE)
+    settings = NetworkSettings(features=8, width=16, feature_mean=0.0, feature_spread=0.25)
+    metadata = {"up": "z", "unit": "cm", "eta": 1.0}
+    save_model(NeuralBSSRDF(settings, (-1.0, -1.0, -1.0), 2.0, metadata=metadata), path / "model.pt")
+    write_image(path / "sky.exr", np.ones((8, 16, 3), np.float32))
+    write_image(path / "sky.hdr", np.ones((8, 16, 3), np.float32))
+    command = f"bake {path}/model.pt {path}/sphere.ply -o {path}/asset.h5 --rings 2 --sectors 4 --samples 18"
+    assert main(command.split()) == 0
+    return path
