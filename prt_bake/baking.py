@@ -3,50 +3,29 @@
 `a_lm(x, ωo) = ∫ Ŝ(ωi; x, ωo) Y_lm(ωi) dωi` at every vertex x and every view bin ωo of the hemisphere about its normal.
 """
 
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from bakers.baker import Block, Task, bake_block, bake_blocks
-from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.baker import Block, bake_block, bake_blocks
 from bakers.plan import BakePlan, plan_bake
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake import sh, sphere
+from prt_bake import sh
 from prt_bake.bake_error import ErrorMeter
+from prt_bake.bake_job import Job, one_torch_thread, prepared, resolve
 from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
-from prt_bake.bake_sampling import Resolved, resolve_sampling
-from prt_bake.randomness import hashed
+from prt_bake.bake_pilot import reach
 
 Progress = Callable[[int, int, tuple[float, float, float]], None]
 """progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error))."""
 
 ROWS = 100
-PILOT_VERTICES = 8
-PILOT_LIMIT = 1 << 14
-_PILOT_STREAM = 14
-
-
-@dataclass(frozen=True)
-class Job:
-    """Everything resolved: where, in which bins and basis, how."""
-
-    transport: Any
-    mesh: Mesh
-    tangents: NDArray[np.float64]
-    rings: int
-    sectors: int
-    degree: int
-    resolved: Resolved
-    task: Task
 
 
 def bake(
@@ -102,12 +81,12 @@ def bake(
         StorageError: the asset cannot be written.
     """
     began = time.monotonic()
-    transport = _prepared(transport, precision, device)
-    with _one_torch_thread():
-        job = _resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
+    transport = prepared(transport, precision, device)
+    with one_torch_thread():
+        job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         spent = 0
         if error is not None:
-            job, spent = _reach(job, error, directions, seed)
+            job, spent = reach(job, error, directions, seed)
         report = _settings(job, seed, precision, storage, workers, device, error) | (provenance or {})
         head = asset_head(mesh, job.tangents, rings, sectors, degree, transport)
         with open_sink(out, head, storage) as sink:
@@ -130,9 +109,9 @@ def plan(
     device: str = "cpu",
 ) -> BakePlan:
     """What `bake` with these arguments would cost; one vertex is baked to estimate the time. Raises as `bake` does."""
-    transport = _prepared(transport, precision, device)
-    with _one_torch_thread():
-        job = _resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
+    transport = prepared(transport, precision, device)
+    with one_torch_thread():
+        job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         bake_block(job.task, 0, 1)
         began = time.monotonic()
         bake_block(job.task, 0, 1)
@@ -141,56 +120,6 @@ def plan(
         len(mesh.positions), rings * sectors, sh.count(degree), job.resolved.samples, 2 if storage == "float16" else 4
     )
     return replace(sizes, seconds=seconds)
-
-
-def _prepared(transport: Any, precision: str, device: str) -> Any:
-    """The transport in its fast form, if it has one."""
-    if hasattr(transport, "prepared"):
-        return transport.prepared(precision=precision, device=device)
-    if precision != "float32" or device != "cpu":
-        raise QueryError(
-            f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
-            f"asked for {precision} on {device}: those are for networks"
-        )
-    return transport
-
-
-def _resolve(
-    transport: Any, mesh: Mesh, degree: int, rings: int, sectors: int, directions: str, samples: int, seed: int
-) -> Job:
-    local = sphere.view_bins(rings, sectors)
-    resolved = resolve_sampling(transport, degree, len(local), sectors, directions, samples, seed)
-    tangents = sphere.tangent_frame(mesh.normals)
-    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
-
-    def outgoing(first: int, last: int) -> tuple[NDArray[np.float64], int]:
-        world = sphere.to_world(local, mesh.normals[first:last, None], tangents[first:last, None])
-        return bend_to_horizon(world, around, first)
-
-    task = Task(transport, mesh.positions, outgoing, len(local), sectors, resolved.sampling)
-    return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
-
-
-def _reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]:
-    """Doubles the samples until a few vertices, drawn by the seed, show the error asked for; and what that took."""
-    if not 0.0 < error < 1.0:
-        raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
-    vertices = np.argsort(hashed(_PILOT_STREAM, seed, np.arange(len(job.mesh.positions))))[:PILOT_VERTICES]
-    bins, spent = job.rings * job.sectors, 0
-    while True:
-        meter = ErrorMeter()
-        for vertex in vertices:
-            meter.add(bake_block(job.task, int(vertex), int(vertex) + 1))
-        spent += len(vertices) * bins * job.resolved.samples
-        if meter.total <= error:
-            return job, spent
-        samples = 2 * job.resolved.samples
-        if samples > PILOT_LIMIT:
-            raise QueryError(
-                f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} directions a bin leave "
-                f"{meter.total:.3g}, and more than {PILOT_LIMIT} are not tried; ask for less"
-            )
-        job = _resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed)
 
 
 def _run(
@@ -270,18 +199,3 @@ def _settings(
         "eta": float(said_by(job.transport, "eta", 1.0)),
         "model": dict(getattr(job.transport, "metadata", None) or {}),
     }
-
-
-@contextmanager
-def _one_torch_thread() -> Iterator[None]:
-    """One intra-op thread a worker, if torch is loaded at all: more of them get in one another's way."""
-    torch = sys.modules.get("torch")
-    if torch is None:
-        yield
-        return
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

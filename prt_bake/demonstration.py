@@ -15,6 +15,7 @@ from formats.errors import StorageError
 from formats.image import read_image, write_image
 from formats.mesh import read_mesh
 from prt_bake import camera
+from prt_bake.bake_pilot import LADDER, error_ladder
 from prt_bake.baking import Progress, bake
 from prt_bake.comparison import Comparison, compare
 from prt_bake.environment import read_environment
@@ -48,7 +49,7 @@ FINE = Settings(samples=64, precision="float32", magnification=2)
 class Demonstration:
     """What was written, and how good it is.
 
-    comparison is over the whole picture, sky included; object_comparison over the pixels that the object covers.
+    comparison is over the whole picture, sky included; object_comparison over the pixels that the object covers wholly.
     noise_mse is the mean squared standard error of the reference itself on the object.
     """
 
@@ -57,11 +58,8 @@ class Demonstration:
     comparison: Comparison
     object_comparison: Comparison
     noise_mse: float
-
-    def milestones(self, count: int = 6) -> NDArray[np.float64]:
-        """At most `count` rows (seconds, evaluations, estimated relative error), spread over the bake up to its end."""
-        rows = self.asset.error_vs_time
-        return rows[np.unique(np.linspace(0, len(rows) - 1, count).astype(np.int64))] if len(rows) else rows
+    ladder: NDArray[np.float64]
+    """Rows (seconds, evaluations, estimated relative error) of this bake with fewer and with more directions."""
 
 
 def demonstrate(
@@ -88,11 +86,14 @@ def demonstrate(
     whole = compare(small, reference, exposure=settings.exposure)
     inside = compare(small, reference, coverage[..., 0] >= 1.0, settings.exposure)
     write_side_by_side(small, reference, whole.flip_map, folder / "comparison.png", settings.exposure)
-    plot_error(asset.error_vs_time, folder / "error.png")
+    ladder = error_ladder(
+        load_model(MODEL), read_mesh(MESH), samples=LADDER, precision=settings.precision, workers=workers
+    )
+    plot_error(ladder, asset.error_vs_time[-1], folder / "error.png")
     figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": said}
     write_report({"bake": bake_report(asset), **figures, "clamped": picture.clamped}, folder / "report.json")
     names = ("spot.h5", "spot.png", "spot.exr", "comparison.png", "error.png", "report.json")
-    return Demonstration(asset, tuple(folder / name for name in names), whole, inside, said["noise_mse"])
+    return Demonstration(asset, tuple(folder / name for name in names), whole, inside, said["noise_mse"], ladder)
 
 
 def _make(folder: Path) -> None:

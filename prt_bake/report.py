@@ -78,8 +78,10 @@ def write_side_by_side(
     write_image(path, np.concatenate([image, reference, error], axis=1, dtype=np.float32), exposure=exposure)
 
 
-def plot_error(error_vs_time: NDArray[np.float64], path: str | Path) -> None:
-    """Draw a bake's estimated relative error against its run time, from rows of (seconds, evaluations, error) [rows,3].
+def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: str | Path) -> None:
+    """Draw the estimated relative error of bakes against their run time, both on logarithmic axes.
+
+    ladder: rows of (seconds, evaluations, error) [rows,3], one a number of directions; baked: the row of the bake.
 
     Raises PrtbakeError where the extra `evaluate` is not installed, StorageError if the place cannot be written.
     """
@@ -88,13 +90,17 @@ def plot_error(error_vs_time: NDArray[np.float64], path: str | Path) -> None:
     except ImportError:
         raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
 
-    seconds, evaluations, error = error_vs_time.T
+    seconds, evaluations, error = ladder.T
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    axes.plot(seconds, error, marker=".")
-    axes.set(xlabel="seconds", ylabel="estimated relative RMSE of the coefficients", ylim=(0.0, None))
-    axes.set_title(f"{evaluations[-1]:,.0f} evaluations" if len(evaluations) else "")
-    axes.grid(alpha=0.3)
+    axes.loglog(seconds, error, marker="o", label="estimated from a few vertices")
+    axes.loglog([baked[0]], [baked[2]], marker="*", markersize=12, linestyle="", label="this bake")
+    for row in zip(seconds, error, evaluations, strict=True):
+        axes.annotate(f"{row[2]:.2g}", row[:2], xytext=(4, 6), textcoords="offset points", fontsize=8)
+    axes.set(xlabel="seconds", ylabel="estimated relative RMSE of the coefficients")
+    axes.set_title("network evaluations at each point")
+    axes.legend()
+    axes.grid(alpha=0.3, which="both")
     with replacing(path) as part:
         figure.savefig(part, dpi=150, format="png")
 

@@ -11,6 +11,7 @@ import prt_bake.baking
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
 from prt_bake import sh, sphere
+from prt_bake.bake_pilot import error_ladder
 from prt_bake.baking import bake, plan
 from prt_bake.network import NetworkSettings, NeuralBSSRDF
 
@@ -335,3 +336,13 @@ def test_thread_count_of_torch_is_put_back() -> None:
     prt_bake.baking.bake(Asking(), ball(6), 1, 1, 4)
     assert set(inside) == {1}
     assert torch.get_num_threads() == before
+
+
+def test_ladder_says_what_each_number_of_directions_costs_and_leaves() -> None:
+    mesh = ball()
+    rows = error_ladder(Kinked(), mesh, rings=4, sectors=32, samples=(18, 64, 256))
+    assert rows[:, 1].tolist() == [len(mesh.positions) * 4 * 32 * samples for samples in (18, 64, 256)]
+    assert (np.diff(rows[:, 2]) < 0).all()
+    assert (rows[:, 0] > 0).all()
+    whole = bake(Kinked(), mesh, rings=4, sectors=32, samples=64)
+    assert rows[1, 2] == pytest.approx(whole.provenance["estimated_relative_rmse"]["total"], rel=0.5)

@@ -33,9 +33,11 @@ def demo(
         )
     for file in result.files:
         print(file)
-    print("bake: seconds, evaluations, estimated relative RMSE of the coefficients")
-    for seconds, evaluations, error in result.milestones():
-        print(f"  {seconds:8.1f} {evaluations:14,.0f} {error:9.3%}")
+    print("error against run time: seconds, evaluations, estimated relative RMSE of the coefficients")
+    for seconds, evaluations, error in result.ladder:
+        print(f"  {seconds:8.1f} {evaluations:15,.0f} {error:9.3%}")
+    seconds, evaluations, error = result.asset.error_vs_time[-1]
+    print(f"  {seconds:8.1f} {evaluations:15,.0f} {error:9.3%}   this bake")
     for name, figures in (("picture", result.comparison), ("object", result.object_comparison)):
         print(
             f"{name}: MSE {figures.mse:.3g}, SSIM {figures.ssim:.4f}, FLIP {figures.flip:.4f} against the path tracer"

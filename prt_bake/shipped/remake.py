@@ -1,9 +1,9 @@
 """How every shipped file was made; `make shipped SKY=potsdamer_platz_1k.hdr` makes them anew.
 
-    sigma_t.npy, albedo.npy    marble.py
-    sky.hdr                    the CC0 sky at half size (the mean of 2 × 2 pixels)
-    spot.pt                    prtbake train spot.toml -o spot.pt --minutes 10
-    reference.exr, .json       prtbake render spot.toml spot.obj --light sky.hdr --size 256x256 --spp 2048 …
+sigma_t.npy, albedo.npy    marble.py
+sky.hdr                    the CC0 sky at half size (the mean of 2 × 2 pixels)
+spot.pt                    prtbake train spot.toml -o spot.pt --minutes 10
+reference.exr, .json       prtbake render spot.toml spot.obj --light sky.hdr --size 256x256 --spp 2048 …
 """
 
 import sys

@@ -7,7 +7,7 @@ from pathlib import Path
 def _drop_stale_kernels(folder: Path) -> None:
     """Delete compiled kernels that are older than any source beside them.
 
-    numba keeps a kernel by the file that it stands in, and does not see that a function it calls has changed in another.
+    numba keeps a kernel by the file that it stands in, and does not see that what it calls has changed in another.
     """
     kernels = list((folder / "__pycache__").glob("*.nb[ci]"))
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))

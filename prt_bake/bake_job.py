@@ -1,0 +1,75 @@
+"""A bake with everything resolved: where, in which bins and basis, how the light is sampled."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import Task
+from bakers.horizon import bend_to_horizon, vertex_faces
+from formats.errors import QueryError
+from formats.mesh import Mesh
+from prt_bake import sphere
+from prt_bake.bake_sampling import Resolved, resolve_sampling
+
+
+@dataclass(frozen=True)
+class Job:
+    """Everything resolved: where, in which bins and basis, how."""
+
+    transport: Any
+    mesh: Mesh
+    tangents: NDArray[np.float64]
+    rings: int
+    sectors: int
+    degree: int
+    resolved: Resolved
+    task: Task
+
+
+def resolve(
+    transport: Any, mesh: Mesh, degree: int, rings: int, sectors: int, directions: str, samples: int, seed: int
+) -> Job:
+    """Raises QueryError for arguments out of their domain."""
+    local = sphere.view_bins(rings, sectors)
+    resolved = resolve_sampling(transport, degree, len(local), sectors, directions, samples, seed)
+    tangents = sphere.tangent_frame(mesh.normals)
+    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+
+    def outgoing(first: int, last: int) -> tuple[NDArray[np.float64], int]:
+        world = sphere.to_world(local, mesh.normals[first:last, None], tangents[first:last, None])
+        return bend_to_horizon(world, around, first)
+
+    task = Task(transport, mesh.positions, outgoing, len(local), sectors, resolved.sampling)
+    return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
+
+
+def prepared(transport: Any, precision: str, device: str) -> Any:
+    """The transport in its fast form, if it has one."""
+    if hasattr(transport, "prepared"):
+        return transport.prepared(precision=precision, device=device)
+    if precision != "float32" or device != "cpu":
+        raise QueryError(
+            f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
+            f"asked for {precision} on {device}: those are for networks"
+        )
+    return transport
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """One intra-op thread a worker, if torch is loaded at all: more of them get in one another's way."""
+    torch = sys.modules.get("torch")
+    if torch is None:
+        yield
+        return
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,84 @@
+"""What a few vertices tell of a whole bake: its error and its time for more and for fewer directions."""
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import bake_block
+from formats.errors import QueryError
+from formats.mesh import Mesh
+from prt_bake.bake_error import ErrorMeter
+from prt_bake.bake_job import Job, one_torch_thread, prepared, resolve
+from prt_bake.randomness import hashed
+
+PILOT_VERTICES = 8
+PILOT_LIMIT = 1 << 14
+LADDER = (18, 32, 64, 128, 256)
+_PILOT_STREAM = 14
+
+
+def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]:
+    """Doubles the samples until a few vertices, drawn by the seed, show the error asked for; and what that took."""
+    if not 0.0 < error < 1.0:
+        raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
+    vertices = _pilot_vertices(job.mesh, seed)
+    bins, spent = job.rings * job.sectors, 0
+    while True:
+        meter = _baked(job, vertices)
+        spent += len(vertices) * bins * job.resolved.samples
+        if meter.total <= error:
+            return job, spent
+        samples = 2 * job.resolved.samples
+        if samples > PILOT_LIMIT:
+            raise QueryError(
+                f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} directions a bin leave "
+                f"{meter.total:.3g}, and more than {PILOT_LIMIT} are not tried; ask for less"
+            )
+        job = resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed)
+
+
+def error_ladder(
+    transport: Any,
+    mesh: Mesh,
+    degree: int = 2,
+    rings: int = 16,
+    sectors: int = 64,
+    samples: tuple[int, ...] = LADDER,
+    seed: int = 0,
+    *,
+    precision: str = "float32",
+    workers: int = 1,
+    device: str = "cpu",
+) -> NDArray[np.float64]:
+    """Rows (seconds, evaluations, estimated relative RMSE) of baking the whole mesh with each number of directions.
+
+    Error and time come from a few vertices drawn by the seed; the time is carried to all vertices and shared among the
+    workers. Raises as `bake` does.
+    """
+    transport = prepared(transport, precision, device)
+    rows = []
+    with one_torch_thread():
+        for count in samples:
+            job = resolve(transport, mesh, degree, rings, sectors, "fibonacci", count, seed)
+            vertices = _pilot_vertices(mesh, seed)
+            bake_block(job.task, 0, 1)
+            began = time.monotonic()
+            error = _baked(job, vertices).total
+            share = len(mesh.positions) / len(vertices)
+            seconds = (time.monotonic() - began) * share / max(1, workers)
+            rows.append((seconds, float(len(mesh.positions) * rings * sectors * job.resolved.samples), error))
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def _pilot_vertices(mesh: Mesh, seed: int) -> list[int]:
+    order = np.argsort(hashed(_PILOT_STREAM, seed, np.arange(len(mesh.positions))))
+    return [int(vertex) for vertex in order[:PILOT_VERTICES]]
+
+
+def _baked(job: Job, vertices: list[int]) -> ErrorMeter:
+    meter = ErrorMeter()
+    for vertex in vertices:
+        meter.add(bake_block(job.task, vertex, vertex + 1))
+    return meter
