@@ -16,6 +16,11 @@ from formats.mesh import Mesh
 from prt_bake import sphere
 from prt_bake.bake_sampling import Resolved, resolve_sampling
 
+OUTSIDE = 0.01
+"""How far a mesh may leave the model's box, in sides of it."""
+
+MOST_BINS = 1 << 16
+
 
 @dataclass(frozen=True)
 class Job:
@@ -35,6 +40,8 @@ def resolve(
     transport: Any, mesh: Mesh, degree: int, rings: int, sectors: int, directions: str, samples: int, seed: int
 ) -> Job:
     """Raises QueryError for arguments out of their domain."""
+    if rings * sectors > MOST_BINS:
+        raise QueryError(f"rings × sectors: {rings} × {sectors} view bins, where at most {MOST_BINS:,} are possible")
     local = sphere.view_bins(rings, sectors)
     resolved = resolve_sampling(transport, degree, len(local), sectors, directions, samples, seed)
     tangents = sphere.tangent_frame(mesh.normals)
@@ -46,6 +53,22 @@ def resolve(
 
     task = Task(transport, mesh.positions, outgoing, len(local), sectors, resolved.sampling)
     return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
+
+
+def refuse_foreign(transport: Any, mesh: Mesh) -> None:
+    """Raise QueryError where the mesh leaves the box that a network was trained in: beyond it a network is wild."""
+    if not hasattr(transport, "box_min") or not hasattr(transport, "box_side"):
+        return
+    low = np.asarray(transport.box_min, np.float64)
+    side = float(transport.box_side)
+    beyond = np.maximum(low - mesh.positions, mesh.positions - low - side).max(axis=1)
+    outside = np.flatnonzero(beyond > OUTSIDE * side)
+    if len(outside):
+        first = int(outside[0])
+        raise QueryError(
+            f"mesh: {len(outside)} of {len(mesh.positions)} vertices lie outside the box that the model was trained "
+            f"in; the first is number {first}, {beyond[first]:.3g} away; bake the mesh of the model's own scene"
+        )
 
 
 def prepared(transport: Any, precision: str, device: str) -> Any:

@@ -15,8 +15,19 @@ from formats.mesh import Mesh
 from prt_bake import sh, sphere
 
 CHECK_DIRECTIONS = np.array([[2.0, 3.0, 6.0], [-6.0, 2.0, -3.0]]) / 7.0
-SELFTEST_LOCAL = np.array([[0.48, 0.36, 0.8], [-0.64, 0.6, 0.48]])
-"""Local directions to the eye at which an importer's radiance is compared."""
+SELFTEST_LOCAL = np.array(
+    [
+        [0.48, 0.36, 0.8],
+        [-0.64, 0.6, 0.48],
+        [0.0, 0.0, 1.0],
+        [-0.12, 0.09, 0.98869],
+        [0.6, -0.003, 0.79999],
+        [0.6, -0.8, 0.004],
+    ]
+)
+SELFTEST_LOCAL /= np.linalg.norm(SELFTEST_LOCAL, axis=1, keepdims=True)
+"""Local directions to the eye at which an importer's radiance is compared: two anywhere, the pole, beside the pole,
+over the seam of φ, and grazing."""
 
 
 class Sink(Protocol):
@@ -109,11 +120,17 @@ class ArraySink:
 
 
 class FileSink:
-    """Streams the coefficients to an asset file."""
+    """Streams the coefficients to an asset file.
+
+    Where `out` exists already the new one takes its place only when it is whole; a part stays beside it as
+    partial-NAME.
+    """
 
     def __init__(self, head: AssetHead, storage: Storage, out: str | Path) -> None:
-        self._head, self._out = head, out
-        self._writer = AssetWriter(out, head, storage=storage)
+        self._head, self._out = head, Path(out)
+        replaces = self._out.is_file()
+        self._target = self._out.with_name(f"partial-{self._out.name}") if replaces else self._out
+        self._writer = AssetWriter(self._target, head, storage=storage)
         self._first: tuple[int, NDArray[np.float32]] | None = None
 
     def __enter__(self) -> Self:
@@ -146,11 +163,13 @@ class FileSink:
         if self._writer.storage_note:
             provenance = provenance | {"storage_note": self._writer.storage_note}
         self._writer.finish(provenance, error_vs_time, check, complete=complete)
-        return read_asset(self._out, load=False)
+        if complete and self._target != self._out:
+            self._target.replace(self._out)
+        return read_asset(self._out if complete else self._target, load=False)
 
 
 def selftest(head: AssetHead, vertex: int, coefficients: NDArray[np.floating]) -> dict[str, NDArray[Any]]:
-    """A light, two views of one vertex and the radiance that an importer must find there, coefficients [B,K,3] given.
+    """A light, some views of one vertex and the radiance that an importer must find there, coefficients [B,K,3] given.
 
     The radiance is interpolated between view bins and not clamped.
     """

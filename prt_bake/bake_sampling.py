@@ -18,6 +18,7 @@ from prt_bake.randomness import hashed
 DirectionKind = Literal["fibonacci", "sobol", "uniform"]
 
 DEFAULT_SAMPLES = 64
+MOST_SAMPLES = 1 << 20
 POOL_SIZE = 256
 SMALLEST_POOL = 16
 POOL_DIRECTIONS = 1 << 18
@@ -49,6 +50,8 @@ def resolve_sampling(
     """
     if samples < 1:
         raise QueryError(f"samples must be at least 1, found {samples}")
+    if samples > MOST_SAMPLES:
+        raise QueryError(f"samples: {samples:,} a bin, where at most {MOST_SAMPLES:,} are possible")
     if way_in(transport) == "coefficients":
         walks = Walks(degree, samples, lambda vertex: int(hashed(_WALK_STREAM, seed, vertex) >> np.uint64(1)))
         return Resolved(walks, "random walks", samples, "independent walks", None)

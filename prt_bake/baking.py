@@ -18,7 +18,7 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
 from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_job import Job, one_torch_thread, prepared, resolve
+from prt_bake.bake_job import Job, one_torch_thread, prepared, refuse_foreign, resolve
 from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
 from prt_bake.bake_pilot import reach
 
@@ -76,11 +76,13 @@ def bake(
         transport answered something that is not finite are not valid and are named in provenance.
 
     Raises:
-        QueryError: an argument out of its domain, a transport that offers nothing or answers in another shape, an
-            error that cannot be reached, a transport that is finite nowhere.
+        QueryError: an argument out of its domain, a mesh outside the box that a network was trained in, a transport
+            that offers nothing or answers in another shape, an error that cannot be reached, a transport that is finite
+            nowhere, a bake that was stopped before its first vertex.
         StorageError: the asset cannot be written.
     """
     began = time.monotonic()
+    refuse_foreign(transport, mesh)
     transport = prepared(transport, precision, device)
     with one_torch_thread():
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
@@ -153,7 +155,9 @@ def _run(
         pass
     finally:
         blocks.close()
-    if len(invalid) == done > 0:
+    if done == 0:
+        raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
+    if len(invalid) == done:
         raise QueryError(f"the transport answered values that are not finite at every one of {done} vertices")
     report |= {
         "evaluations": spent + done * per_vertex,

@@ -4,6 +4,7 @@ Neither form can run code when it is read: `.pt` goes through torch's restricted
 `.safetensors` holds no code by construction (https://github.com/huggingface/safetensors#format).
 """
 
+import io
 import pickle
 import warnings
 from pathlib import Path
@@ -29,8 +30,10 @@ def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) ->
 
             temporary.write_bytes(save(tensors, metadata={HEAD: head}))
         else:
-            with open(temporary, "wb") as stream:
-                torch.save({HEAD: head, "tensors": tensors}, stream)
+            # Through memory: on a full disk torch's own writer fails in a way of its own.
+            content = io.BytesIO()
+            torch.save({HEAD: head, "tensors": tensors}, content)
+            temporary.write_bytes(content.getvalue())
 
 
 def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
@@ -48,13 +51,8 @@ def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
             # Remarks on foreign pickles; what matters of them is refused below.
             warnings.simplefilter("ignore")
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError:
-        raise ModelError(
-            f"{path}: holds something other than plain weights and was refused, nothing in it was run; "
-            f"expected a model written by prtbake"
-        ) from None
     except Exception as fault:  # torch's restricted reader raises whatever the first bytes of a foreign file lead it to
-        raise ModelError(f"{path}: not a readable checkpoint ({_first_line(fault)}); truncated or not a .pt") from None
+        raise ModelError(f"{path}: {_what_it_is(fault)}") from None
     head, tensors = (content.get(HEAD), content.get("tensors")) if isinstance(content, dict) else (None, None)
     if not isinstance(head, str) or not isinstance(tensors, dict):
         raise ModelError(f"{path}: a checkpoint of something else; expected a model written by prtbake")
@@ -62,6 +60,20 @@ def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
         if not isinstance(name, str) or not isinstance(tensor, Tensor):
             raise ModelError(f"{path}: {name!r} is not a named tensor")
     return head, tensors
+
+
+def _what_it_is(fault: Exception) -> str:
+    if "TorchScript" in str(fault):
+        return (
+            "a TorchScript function; say how its 7 inputs are meant with --convention, "
+            'for example "incident, position, outgoing"'
+        )
+    if isinstance(fault, pickle.UnpicklingError):
+        return (
+            "holds something other than plain weights and was refused, nothing in it was run; "
+            "expected a model written by prtbake"
+        )
+    return f"not a readable checkpoint ({_first_line(fault)}); truncated or not a .pt"
 
 
 def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:

@@ -23,8 +23,6 @@ class NetworkSettings:
     """Mean of the entries of the frequency matrix G, in cycles per unit of input."""
     feature_spread: float = 1.0
     """Standard deviation of the entries of G that act on directions."""
-    position_spread: float = 1.0
-    """Standard deviation of the entries of G that act on the position."""
     width: int = 128
     layers: int = 5
     """Hidden layers, the linear layer to RGB not counted."""
@@ -35,6 +33,8 @@ class NetworkSettings:
     """spherical: (θ/π, φ/2π) about object space's z, φ in [0, 2π). cartesian: the unit vector as it is."""
     seed: int = 0
     """Draws G and the initial weights."""
+    position_spread: float = 1.0
+    """Standard deviation of the entries of G that act on the position."""
 
     def __post_init__(self) -> None:
         for name in ("features", "width", "layers"):

@@ -18,8 +18,13 @@ if TYPE_CHECKING:
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
-    """What a bake did and how exact it is, as plain JSON values: provenance, completeness and error against time."""
+    """What a bake did and how exact it is, as plain JSON values: provenance, completeness and error against time.
+
+    `model_error` is what the baked network itself said of its coefficients when it was trained, where it did.
+    """
+    trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
     return {
+        **({"model_error": trained["coefficients"]} if "coefficients" in trained else {}),
         "complete": asset.complete,
         "vertices": len(asset.mesh.positions),
         "left_out": asset.left_out,

@@ -346,3 +346,46 @@ def test_ladder_says_what_each_number_of_directions_costs_and_leaves() -> None:
     assert (rows[:, 0] > 0).all()
     whole = bake(Kinked(), mesh, rings=4, sectors=32, samples=64)
     assert rows[1, 2] == pytest.approx(whole.provenance["estimated_relative_rmse"]["total"], rel=0.5)
+
+
+def test_a_part_never_takes_the_place_of_a_whole_asset(tmp_path: Path) -> None:
+    out = tmp_path / "ball.h5"
+    mesh = ball(200)
+    bake(Kinked(), mesh, rings=2, sectors=4, samples=18, out=out).close()
+    before = out.read_bytes()
+    with pytest.raises(QueryError, match="nothing was written"):
+        bake(Kinked(), mesh, rings=2, sectors=4, samples=18, out=out, stop=lambda: True)
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.h5"]
+    seen: list[int] = []
+    part = bake(
+        Banded(2),
+        mesh,
+        samples=64,
+        out=out,
+        progress=lambda done, total, row: seen.append(done),
+        stop=lambda: bool(seen),
+    )
+    part.close()
+    assert not part.complete
+    assert 0 < part.valid.sum() < len(mesh.positions)
+    assert out.read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.h5", "partial-ball.h5"]
+    bake(Kinked(), mesh, rings=2, sectors=4, samples=20, out=out).close()
+    assert out.read_bytes() != before
+
+
+def test_a_mesh_outside_the_models_box_is_refused() -> None:
+    mesh = ball()
+    network = NeuralBSSRDF(NetworkSettings(features=4, width=4, layers=2, skips=()), mesh.positions.min(axis=0), 2.0)
+    far = build_mesh(mesh.positions + [0.0, 3.0, 0.0], mesh.faces)
+    with pytest.raises(QueryError, match=r"14 of 14 vertices lie outside the box .* number 0, "):
+        bake(network, far, rings=1, sectors=1)
+    assert bake(network, mesh, rings=1, sectors=1).complete
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"), [({"rings": 1024, "sectors": 1024}, "view bins"), ({"samples": 10**9}, "a bin")]
+)
+def test_sizes_past_all_reason_are_refused_at_once(change: dict[str, int], sentence: str) -> None:
+    with pytest.raises(QueryError, match=sentence):
+        plan(Kinked(), ball(), **change)

@@ -86,11 +86,14 @@ def bake(
     summary = bake_report(asset)
     if report is not None:
         write_report(summary, report)
+    written = Path(asset.coefficients.file.filename)
     rmse = summary["estimated_relative_rmse"]
     print(
-        f"{output}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
-        f"estimated relative RMSE {rmse['total']:.2%}, "
+        f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
+        f"estimated relative RMSE of the projection {rmse['total']:.2%}, "
         f"95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
     )
+    if "model_error" in summary:
+        print(f"the model's own error is not in these figures: {summary['model_error']:.2%} of the coefficients")
     if not asset.complete:
-        raise PrtbakeError(f"{output}: the bake was stopped; what is baked is a valid asset that says so")
+        raise PrtbakeError(f"{written}: the bake was stopped; what is baked is a valid asset that says so")

@@ -99,7 +99,7 @@ Mend = Annotated[
     bool,
     typer.Option("--mend", help="Replace NaN, infinite and negative pixels of the environment, and say how many."),
 ]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of every random number.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of every random number.")]
 Light = Annotated[Path, typer.Option(metavar="ENVIRONMENT", help="Lat-long sky, .exr or .hdr.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where the network runs.")]

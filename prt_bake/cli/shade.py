@@ -50,5 +50,5 @@ def shade(
         say(f"{asset}: is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black")
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
-        f"{picture.clamped:.3%} of the energy"
+        f"{abs(picture.clamped):.3%} of the energy"
     )

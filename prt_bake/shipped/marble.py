@@ -14,10 +14,10 @@ SHAPE = (36, 36, 20)
 SEED = 20
 
 _STONE_SIGMA_T, _VEIN_SIGMA_T = 16.0, 40.0
-_STONE_ALBEDO = np.array([0.990, 0.975, 0.935])
-_VEIN_ALBEDO = np.array([0.80, 0.90, 0.93])
-_VEIN_WIDTH = 0.16
-_WAVES, _OCTAVES, _CYCLES_A_UNIT = 10, 3, 0.55
+_STONE_ALBEDO = np.array([0.990, 0.970, 0.900])
+_VEIN_ALBEDO = np.array([0.72, 0.93, 0.86])
+_VEIN_WIDTH = 0.3
+_WAVES, _OCTAVES, _CYCLES_A_UNIT = 10, 2, 0.3
 
 
 def veins() -> NDArray[np.float64]:

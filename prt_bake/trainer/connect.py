@@ -77,9 +77,25 @@ def connect_straight(
 
 
 @njit(cache=True, inline="always")
-def _lobe_density(cosine: Any, kappa: Any) -> Any:
+def lobe_density(cosine: Any, kappa: Any) -> Any:
     """A von Mises–Fisher lobe per solid angle."""
     return kappa / (2.0 * math.pi * (1.0 - math.exp(-2.0 * kappa))) * math.exp(kappa * (cosine - 1.0))
+
+
+@njit(cache=True)
+def draw_aim(w: Any, kappa: Any, v: Any, stream: Any) -> Any:
+    """Draw a direction v of the lobe about w; returns the cosine between them."""
+    cosine = 1.0 + math.log(1.0 - uniform(stream) * (1.0 - math.exp(-2.0 * kappa))) / kappa
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    angle = 2.0 * math.pi * uniform(stream)
+    a, b = sine * math.cos(angle), sine * math.sin(angle)
+    sx, sy, sz, tx, ty, tz = frame(w[0], w[1], w[2])
+    v[0], v[1], v[2] = (
+        a * sx + b * tx + cosine * w[0],
+        a * sy + b * ty + cosine * w[1],
+        a * sz + b * tz + cosine * w[2],
+    )
+    return cosine
 
 
 @njit(cache=True)
@@ -113,7 +129,7 @@ def connect_at_surface(boundary: Any, state: Any, counts: Any, incident: Any, ka
             continue
         if state[PHASE] > 0.0:
             cosine = d[0] * w[0] + d[1] * w[1] + d[2] * w[2]
-            weight *= state[PHASE] / (state[PHASE] + _lobe_density(cosine, kappa))
+            weight *= state[PHASE] / (state[PHASE] + lobe_density(cosine, kappa))
         face, _t = nearest_hit(boundary.intersect, boundary.scene, ray, p, w, 0.0, np.inf, counts[FACE])
         if face < 0:
             for c in range(3):
@@ -148,16 +164,7 @@ def connect_aimed(
     for j in range(looked):
         i = (first + j * count // looked) % count
         w = incident[i]
-        cosine = 1.0 + math.log(1.0 - uniform(stream) * (1.0 - math.exp(-2.0 * kappa))) / kappa
-        sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
-        angle = 2.0 * math.pi * uniform(stream)
-        a, b = sine * math.cos(angle), sine * math.sin(angle)
-        sx, sy, sz, tx, ty, tz = frame(w[0], w[1], w[2])
-        v[0], v[1], v[2] = (
-            a * sx + b * tx + cosine * w[0],
-            a * sy + b * ty + cosine * w[1],
-            a * sz + b * tz + cosine * w[2],
-        )
+        cosine = draw_aim(w, kappa, v, stream)
         face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, v, 0.0, np.inf, counts[FACE])
         if face < 0:
             continue
@@ -175,6 +182,6 @@ def connect_aimed(
             continue
         scattered = phase(d[0] * v[0] + d[1] * v[1] + d[2] * v[2], medium.phase_g)
         kept = transmittance(medium, p, v, 0.0, t, state[AT : AT + 3], stream)
-        weight = scattered * through * kept / (scattered + _lobe_density(cosine, kappa)) * count / looked
+        weight = scattered * through * kept / (scattered + lobe_density(cosine, kappa)) * count / looked
         for c in range(3):
             value[i, c] += state[THROUGHPUT + c] * weight

@@ -36,8 +36,8 @@ class Estimate:
         mean, standard_error: [N,3] or [N,D,3] (Ŝ, 1/sr) or [N,K,3] (coefficients).
         unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
             not in `mean`. 0 behind a rough interface, where that light is a function and is counted.
-        reliable: [N], False where the sample's own kurtosis says that the error bars cannot be trusted at this number
-            of paths.
+        reliable: [N], False where the error bars cannot be trusted at this number of paths: the sample's own kurtosis
+            says so, or no path has brought anything to some value (it is 0 ± 0, and may still be anything small).
         lost: [N], mean throughput of walks that were cut (0 unless a walk passes ten million events).
         paths, seconds: walks a query, and what they took.
     """
@@ -177,11 +177,12 @@ def _estimate(
         powers[chosen] = sums.reshape(chosen.stop - chosen.start, -1, 4, numbers).sum(axis=1)
     mean, error, kurtosis = _central(powers / paths, paths)
     signal = kurtosis[:, : rows * 3].max(axis=1)
+    touched = (powers[:, 1, : rows * 3].reshape(count, rows, 3) > 0.0).any(axis=2).all(axis=1)
     return Estimate(
         mean=mean[:, : rows * 3].reshape(count, *shape, 3),
         standard_error=error[:, : rows * 3].reshape(count, *shape, 3),
         unscattered=mean[:, -2],
-        reliable=(signal <= paths * _KURTOSIS_A_PATH) & (paths >= _LEAST_PATHS),
+        reliable=touched & (signal <= paths * _KURTOSIS_A_PATH) & (paths >= _LEAST_PATHS),
         lost=mean[:, -1],
         paths=paths,
         seconds=time.perf_counter() - begun,

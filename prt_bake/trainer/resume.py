@@ -1,5 +1,6 @@
 """What a training run needs to go on: `NAME.train.pt` beside the model, plain tensors and numbers only."""
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ def write_state(output: str | Path, state: dict[str, Any]) -> None:
     """Write the state, whole or not at all."""
     import torch
 
+    content = io.BytesIO()
+    torch.save(state, content)
     with replacing(state_path(output)) as part:
-        torch.save(state, part)
+        part.write_bytes(content.getvalue())
 
 
 def read_state(output: str | Path, scene_hash: str) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from prt_bake.trainer.interface import MATCHED, sample_interface
 from prt_bake.trainer.media import free_flight, multiply_albedo, phase, phase_cosine
 
 SCATTERING, SURFACE, SKY = 0, 1, 2
-POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST = 0, 3, 6, 9, 12, 13, 16
+POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN = 0, 3, 6, 9, 12, 13, 16, 17
 STATE_SIZE = 20
 FACE, INSIDE, EVENTS, SCATTERED = 0, 1, 2, 3
 COUNTS_SIZE = 4
@@ -152,7 +152,9 @@ def enter(
     state[LOST] = 0.0
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
     counts[FACE], counts[INSIDE], counts[EVENTS], counts[SCATTERED] = face, 0, 0, 0
-    return cross(boundary, state, counts, True, stream)
+    enters = cross(boundary, state, counts, True, stream)
+    state[BEGUN] = state[THROUGHPUT]
+    return enters
 
 
 @njit(cache=True)
@@ -226,7 +228,7 @@ def scatter(medium: Any, state: Any, stream: Any) -> None:
 
 @njit(cache=True)
 def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
-    """Unbiased roulette on walks that carry little; ends those past `most_events`, with what they carried noted as
+    """Unbiased roulette on walks that carry little of what they began with; ends those past `most_events`, with what they carried noted as
     lost.
     """
     largest = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
@@ -235,8 +237,8 @@ def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     if counts[EVENTS] >= boundary.most_events:
         state[LOST] = largest
         return False
-    if largest < _WEIGHT_WINDOW:
-        survival = largest / (3.0 * _WEIGHT_WINDOW)
+    if largest < _WEIGHT_WINDOW * state[BEGUN]:
+        survival = largest / (3.0 * _WEIGHT_WINDOW * state[BEGUN])
         if uniform(stream) >= survival:
             return False
         for c in range(3):

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from formats.scene import read_scene
-from prt_bake.demonstration import SCENE
+from prt_bake.demonstration import SHIPPED
 from prt_bake.network import PRESETS, NetworkSettings
 from prt_bake.trainer.fit import LearningSettings, train
 from prt_bake.trainer.stream import StreamSettings
@@ -31,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1500)
     steps = parser.parse_args().steps
-    scene = read_scene(SCENE)
+    scene = read_scene(SHIPPED / "spot.toml")
     print(f"{'variant':32} {'error of S':>10} {'of a_lm':>8} {'walks':>10} {'seconds':>8}   ({steps} steps)")
     for name, (settings, stream) in VARIANTS.items():
         learning = LearningSettings(held_out_queries=256)

@@ -1,0 +1,32 @@
+"""How far chance may take a figure: thresholds with a stated rate of false alarms."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+FALSE_ALARM = 1e-4
+"""The probability that a test of this kind fails by chance when its seed is changed, unless it says otherwise."""
+
+
+def largest_z(count: int, false_alarm: float = FALSE_ALARM) -> float:
+    """What the largest |z| of `count` normal figures stays below, dependent or not (Bonferroni)."""
+    return float(stats.norm.isf(0.5 * false_alarm / count))
+
+
+def z_scores(a: ArrayLike, a_error: ArrayLike, b: ArrayLike, b_error: ArrayLike = 0.0) -> np.ndarray:
+    """(a − b) in standard errors; 0 where both are equal and neither has an error."""
+    difference, error = np.asarray(a) - np.asarray(b), np.hypot(a_error, b_error)
+    error = np.broadcast_to(error, difference.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(difference == 0.0, 0.0, difference / error)
+
+
+def assert_agree(a: ArrayLike, a_error: ArrayLike, b: ArrayLike, b_error: ArrayLike = 0.0) -> None:
+    """Every figure of `a` agrees with `b` within both errors, at FALSE_ALARM for all of them together."""
+    z = z_scores(a, a_error, b, b_error)
+    limit = largest_z(z.size)
+    worst = np.unravel_index(np.argmax(np.abs(z)), z.shape)
+    assert np.abs(z).max() < limit, (
+        f"z = {z[worst]:.2f} at {tuple(int(i) for i in worst)}, limit {limit:.2f}: {np.asarray(a)[worst]} and "
+        f"{np.broadcast_to(b, z.shape)[worst]}"
+    )
