@@ -17,6 +17,7 @@ demo: .venv/installed-evaluate
 
 picture: .venv/installed-evaluate
 	$(BIN)/prtbake demo --out demo/picture --quality fine
+	cp demo/picture/spot.png demo/picture/comparison.png docs/
 
 test: .venv/installed-dev
 	$(BIN)/python -m pytest --numprocesses auto

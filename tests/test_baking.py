@@ -377,7 +377,7 @@ def test_a_part_never_takes_the_place_of_a_whole_asset(tmp_path: Path) -> None:
 def test_a_mesh_outside_the_models_box_is_refused() -> None:
     mesh = ball()
     network = NeuralBSSRDF(NetworkSettings(features=4, width=4, layers=2, skips=()), mesh.positions.min(axis=0), 2.0)
-    far = build_mesh(mesh.positions + [0.0, 3.0, 0.0], mesh.faces)
+    far = build_mesh(mesh.positions + np.array([0.0, 3.0, 0.0]), mesh.faces)
     with pytest.raises(QueryError, match=r"14 of 14 vertices lie outside the box .* number 0, "):
         bake(network, far, rings=1, sectors=1)
     assert bake(network, mesh, rings=1, sectors=1).complete

@@ -30,7 +30,7 @@ def test_values_integrate_to_the_coefficients(kind, tmp_path):
     shape, medium = KINDS[kind]
     scene = make_scene(tmp_path, shape(), **medium)
     positions, outgoing, _ = queries(scene.mesh, 6, seed=1)
-    copies, directions = 96, 8
+    copies, directions = 64, 8
     incident = unit_directions(6 * copies * directions, seed=2).reshape(-1, directions, 3)
     values = estimate_transport(
         scene, np.repeat(positions, copies, 0), np.repeat(outgoing, copies, 0), incident, paths=200, seed=3
@@ -38,7 +38,7 @@ def test_values_integrate_to_the_coefficients(kind, tmp_path):
     basis = sh.evaluate(incident, 2)
     each = 4 * np.pi * np.einsum("ndc,ndk->nkc", values.mean, basis).reshape(6, copies, 9, 3) / directions
     mean, error = each.mean(axis=1), each.std(axis=1, ddof=1) / np.sqrt(copies)
-    walked = estimate_coefficients(scene, positions, outgoing, 2, paths=40_000, seed=4)
+    walked = estimate_coefficients(scene, positions, outgoing, 2, paths=20_000, seed=4)
     assert_agree(mean, error, walked.mean, walked.standard_error)
 
 
@@ -53,8 +53,8 @@ def test_a_grid_of_one_value_is_a_homogeneous_medium(interface, tmp_path):
     ):
         (tmp_path / name).mkdir()
         scene = make_scene(tmp_path / name, lumpy(), sigma_t=sigma_t, albedo=albedo, phase_g=0.4, **interface)
-        values.append(estimate_transport(scene, positions, outgoing, incident, paths=8000, seed=len(values)))
-        coefficients.append(estimate_coefficients(scene, positions, outgoing, 2, paths=4000, seed=len(values)))
+        values.append(estimate_transport(scene, positions, outgoing, incident, paths=4000, seed=len(values)))
+        coefficients.append(estimate_coefficients(scene, positions, outgoing, 2, paths=2000, seed=len(values)))
     for one, other in (values, coefficients):
         assert_agree(one.mean, one.standard_error, other.mean, other.standard_error)
         binomial = np.sqrt(np.maximum(one.unscattered, 1 / one.paths) / one.paths)
@@ -76,10 +76,10 @@ def test_only_the_optical_thickness_counts(scale, shift, tmp_path):
     """A mesh of another size or far from the origin, its extinction scaled along: the same numbers by other seeds."""
     near, far, outgoing, incident = scaled(tmp_path, scale, shift)
     first, second = (
-        estimate_transport(*scene, outgoing, incident, paths=3000, seed=n) for n, scene in enumerate((near, far))
+        estimate_transport(*scene, outgoing, incident, paths=1500, seed=n) for n, scene in enumerate((near, far))
     )
     assert_agree(first.mean, first.standard_error, second.mean, second.standard_error)
-    first, second = (estimate_coefficients(*scene, outgoing, 2, 2000, n) for n, scene in enumerate((near, far)))
+    first, second = (estimate_coefficients(*scene, outgoing, 2, 1500, n) for n, scene in enumerate((near, far)))
     assert_agree(first.mean, first.standard_error, second.mean, second.standard_error)
 
 
@@ -117,18 +117,22 @@ def test_results_depend_on_neither_threads_nor_batches(estimate, tmp_path, monke
     assert not np.array_equal(run(seed=4).mean, reference.mean)
 
 
-@pytest.mark.parametrize("connections", [1, 3, 16])
 @pytest.mark.parametrize("kind", ["index-matched grid", "rough"])
-def test_connections_are_a_matter_of_cost_alone(kind, connections, tmp_path):
+def test_connections_are_a_matter_of_cost_alone(kind, tmp_path):
+    """However few of the directions an event looks at, sums over sixteen of them stay; the errors come from copies."""
     shape, medium = KINDS[kind]
     scene = make_scene(tmp_path, shape(2), **medium)
-    positions, outgoing, _ = queries(scene.mesh, 5, seed=1)
-    incident = unit_directions(80, seed=2).reshape(5, 16, 3)
-    few = estimate_transport(scene, positions, outgoing, incident, 6000, 3, connections=connections)
-    usual = estimate_transport(scene, positions, outgoing, incident, 6000, 4)
-    told = few.reliable & usual.reliable
-    assert told.any()
-    assert_agree(few.mean[told], few.standard_error[told], usual.mean[told], usual.standard_error[told])
+    count, copies = 4, 48
+    positions, outgoing, _ = (np.repeat(rows, copies, axis=0) for rows in queries(scene.mesh, count, seed=1))
+    incident = np.repeat(unit_directions(count * 16, seed=2).reshape(count, 16, 3), copies, axis=0)
+    means, errors = [], []
+    for connections in (1, 3, 16):
+        seen = estimate_transport(scene, positions, outgoing, incident, 200, connections, connections=connections)
+        sums = np.einsum("ndc,d->nc", seen.mean, np.tile([1.0, 0.5], 8)).reshape(count, copies, 3)
+        means.append(sums.mean(axis=1))
+        errors.append(sums.std(axis=1, ddof=1) / np.sqrt(copies))
+    assert_agree(means[0], errors[0], means[2], errors[2])
+    assert_agree(means[1], errors[1], means[2], errors[2])
 
 
 def test_one_direction_a_query_or_many_is_the_same_thing(tmp_path):

@@ -7,7 +7,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.options import Device, Seed, output_option
-from prt_bake.cli.progress import reporting, stopping
+from prt_bake.cli.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
     from prt_bake.trainer.fit import TrainingRow
@@ -18,7 +18,7 @@ def train(
     output: Annotated[Path, output_option("MODEL.pt", ".pt", ".safetensors")],
     minutes: Annotated[float, typer.Option(min=0, max=1e6, help="Time to train.")] = 10.0,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Optimiser steps, in place of minutes.", show_default=False)
+        int | None, typer.Option(min=1, help="Optimiser steps in all, in place of minutes.", show_default=False)
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from MODEL.train.pt beside the output.")] = False,
     seed: Seed = 0,
@@ -55,6 +55,7 @@ def train(
             output=output,
             resume=resume,
             progress=follow,
+            say=say,
         )
         stopped = stop()
     training = network.metadata["training"]

@@ -177,7 +177,7 @@ def _estimate(
         powers[chosen] = sums.reshape(chosen.stop - chosen.start, -1, 4, numbers).sum(axis=1)
     mean, error, kurtosis = _central(powers / paths, paths)
     signal = kurtosis[:, : rows * 3].max(axis=1)
-    touched = (powers[:, 1, : rows * 3].reshape(count, rows, 3) > 0.0).any(axis=2).all(axis=1)
+    touched = np.all(np.any(powers[:, 1, : rows * 3].reshape(count, rows, 3) > 0.0, axis=2), axis=1)
     return Estimate(
         mean=mean[:, : rows * 3].reshape(count, *shape, 3),
         standard_error=error[:, : rows * 3].reshape(count, *shape, 3),

@@ -67,11 +67,13 @@ def train(
     output: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    say: Callable[[str], None] | None = None,
     stream: StreamSettings | None = None,
     learning: LearningSettings | None = None,
 ) -> NeuralBSSRDF:
     """Train a neural BSSRDF of a scene for `minutes`, or for `steps` where given, and return it with its final figures.
 
+    `steps` counts from the very beginning, resumed or not. `say` is told what goes on before and after the learning.
     The figures (relative RMSE of Ŝ and of a_lm on fresh queries, reference noise taken out) stand in
     `network.metadata["training"]`. With `output` the model is written there once a minute and at the end, beside it
     what `resume` needs. A KeyboardInterrupt ends the training early and keeps what was learnt.
@@ -85,6 +87,8 @@ def train(
         )
     if minutes <= 0 or (steps is not None and steps < 1):
         raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")
+    tell = say or (lambda sentence: None)
+    tell("path tracing the queries that the training is measured by")
     run = _Run(
         scene, settings or PRESETS["measured"], seed, device, stream or StreamSettings(), learning or LearningSettings()
     )
@@ -93,6 +97,7 @@ def train(
             raise QueryError("train: resume needs the output that it goes on from")
         run.restore(read_state(output, scene.content_hash))
     run.learn(minutes * 60.0, steps, output, progress)
+    tell("path tracing fresh queries for the final figures")
     return run.finish(output)
 
 

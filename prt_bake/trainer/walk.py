@@ -228,8 +228,9 @@ def scatter(medium: Any, state: Any, stream: Any) -> None:
 
 @njit(cache=True)
 def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
-    """Unbiased roulette on walks that carry little of what they began with; ends those past `most_events`, with what they carried noted as
-    lost.
+    """Unbiased roulette on walks that carry little of what they began with.
+
+    Walks past `most_events` end, with what they carried noted as lost.
     """
     largest = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
     if largest <= 0.0:
