@@ -10,8 +10,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import rough_density
@@ -31,7 +31,7 @@ from prt_bake.trainer.walk import (
 )
 
 
-@njit(cache=True)
+@walk_function()
 def straight_transmittance(
     boundary: Any, medium: Any, p: Any, d: Any, skip: Any, at: Any, ray: Any, stream: Any
 ) -> Any:
@@ -53,7 +53,7 @@ def straight_transmittance(
     return kept
 
 
-@njit(cache=True)
+@walk_function()
 def connect_straight(
     boundary: Any, medium: Any, state: Any, counts: Any, incident: Any, share: Any, ray: Any, stream: Any, value: Any
 ) -> None:
@@ -76,13 +76,13 @@ def connect_straight(
             value[i, c] += state[THROUGHPUT + c] * weight
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def lobe_density(cosine: Any, kappa: Any) -> Any:
     """A von Mises–Fisher lobe per solid angle."""
     return kappa / (2.0 * math.pi * (1.0 - math.exp(-2.0 * kappa))) * math.exp(kappa * (cosine - 1.0))
 
 
-@njit(cache=True)
+@walk_function()
 def draw_aim(w: Any, kappa: Any, v: Any, stream: Any) -> Any:
     """Draw a direction v of the lobe about w; returns the cosine between them."""
     cosine = 1.0 + math.log(1.0 - uniform(stream) * (1.0 - math.exp(-2.0 * kappa))) / kappa
@@ -98,7 +98,7 @@ def draw_aim(w: Any, kappa: Any, v: Any, stream: Any) -> Any:
     return cosine
 
 
-@njit(cache=True)
+@walk_function()
 def _through_boundary(boundary: Any, face: Any, normal: Any, d: Any, w: Any) -> Any:
     """f |cos| of the rough interface between an eye path flying along d and light from w."""
     g = boundary.face_normals[face]
@@ -117,7 +117,7 @@ def _through_boundary(boundary: Any, face: Any, normal: Any, d: Any, w: Any) -> 
     return rough_density(boundary.alpha, eta, ix, iy, iz, ox, oy, oz)
 
 
-@njit(cache=True)
+@walk_function()
 def connect_at_surface(boundary: Any, state: Any, counts: Any, incident: Any, kappa: Any, ray: Any, value: Any) -> None:
     """Add to value [D,3] what the walk's arrival at a rough boundary receives; counts[FACE] is the face reached."""
     d = state[DIRECTION : DIRECTION + 3]
@@ -136,7 +136,7 @@ def connect_at_surface(boundary: Any, state: Any, counts: Any, incident: Any, ka
                 value[i, c] += state[THROUGHPUT + c] * weight
 
 
-@njit(cache=True)
+@walk_function()
 def connect_aimed(
     boundary: Any,
     medium: Any,

@@ -8,7 +8,8 @@ one of SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom num
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from prt_bake.trainer.compiled import walk_function
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -18,7 +19,7 @@ _ONE = np.uint64(1)
 _TO_UNIT = 1.0 / 9007199254740992.0
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def mix(z: Any) -> Any:
     """The SplitMix64 finaliser: a bijection of 64-bit words in which every input bit reaches every output bit."""
     z = (z ^ (z >> _S30)) * _FIRST
@@ -26,7 +27,7 @@ def mix(z: Any) -> Any:
     return z ^ (z >> _S31)
 
 
-@njit(cache=True)
+@walk_function()
 def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
     """Set `stream` (uint64 [2]: counter, step) to the beginning of the stream of (seed, query, path)."""
     key = mix(np.uint64(seed) + _GOLDEN)
@@ -36,7 +37,7 @@ def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
     stream[1] = mix(key + _GOLDEN) | _ONE
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def uniform(stream: Any) -> Any:
     """The next number of the stream, uniform in [0, 1), with 53 random bits."""
     stream[0] += stream[1]

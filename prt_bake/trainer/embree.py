@@ -16,6 +16,8 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from prt_bake.trainer.compiled import walk_function
+
 _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
 _UINT3, _FLOAT3 = 0x5003, 0x9003
 _ROBUST = 4
@@ -118,7 +120,7 @@ def new_ray() -> Any:
     return room[(4 - first) % 4 : (4 - first) % 4 + RAY_FLOATS]
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def _intersect(
     address: Any, scene: Any, ray: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any, near: Any, far: Any
 ) -> Any:
@@ -136,7 +138,7 @@ def _intersect(
     return words[18] != _NO_HIT
 
 
-@njit(cache=True)
+@walk_function()
 def nearest_hit(address: Any, scene: Any, ray: Any, p: Any, d: Any, near: Any, far: Any, skip: Any) -> Any:
     """The nearest face that the ray p + t d meets with near < t < far, `skip` left out.
 

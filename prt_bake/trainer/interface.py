@@ -12,14 +12,13 @@ Squared index ratios are left out: a path begins and ends outside the object, so
 import math
 from typing import Any
 
-from numba import njit
-
+from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 
 MATCHED, SMOOTH, ROUGH = 0, 1, 2
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def fresnel(cosine: Any, eta: Any) -> Any:
     """Reflectance of unpolarised light, `cosine` ≥ 0 on the side of incidence; 1 on total internal reflection."""
     squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
@@ -31,7 +30,7 @@ def fresnel(cosine: Any, eta: Any) -> Any:
     return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def masking(cosine: Any, alpha: Any) -> Any:
     """Smith's G1 of GGX for a direction at `cosine` to the normal (Walter 2007, eq. 34)."""
     squared = cosine * cosine
@@ -40,7 +39,7 @@ def masking(cosine: Any, alpha: Any) -> Any:
     return 2.0 / (1.0 + math.sqrt(1.0 + alpha * alpha * (1.0 - squared) / squared))
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def microfacet_density(cosine: Any, alpha: Any) -> Any:
     """GGX's D (Walter 2007, eq. 33), written to stay accurate for small alpha."""
     squared = cosine * cosine
@@ -48,7 +47,7 @@ def microfacet_density(cosine: Any, alpha: Any) -> Any:
     return alpha * alpha / (math.pi * root * root)
 
 
-@njit(cache=True)
+@walk_function()
 def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) -> Any:
     """A microfacet normal seen from `i` (iz > 0), density G1(i) |i·m| D(m) / iz (Heitz 2018, by the disc)."""
     x, y, z = alpha * ix, alpha * iy, iz
@@ -74,14 +73,14 @@ def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) 
     return mx * scale, my * scale, mz * scale
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def _refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
     across = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
     along = cosine / eta - across
     return along * mx - ix / eta, along * my - iy / eta, along * mz - iz / eta
 
 
-@njit(cache=True)
+@walk_function()
 def sample_interface(
     kind: Any, alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, transmit_only: Any, stream: Any
 ) -> Any:
@@ -117,7 +116,7 @@ def sample_interface(
     return ox, oy, oz, weight
 
 
-@njit(cache=True)
+@walk_function()
 def rough_density(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
     """f(i, o) |o·n| of the rough interface, for reflection (oz > 0) or transmission (oz < 0), per solid angle of o.
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.connect import connect_aimed, connect_at_surface, connect_straight, straight_transmittance
 from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.embree import new_ray
@@ -30,7 +31,7 @@ from prt_bake.trainer.walk import (
 )
 
 
-@njit(cache=True)
+@walk_function()
 def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
     """Real orthonormal harmonics of one direction into basis [K], as prt_bake.sh.evaluate (its tests compare them)."""
     diagonal = np.sqrt(0.25 / np.pi)
@@ -52,7 +53,7 @@ def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
                 basis[l * (l + 1) - m] = twice * legendre * sine
 
 
-@njit(cache=True)
+@walk_function()
 def _add_powers(value: Any, sums: Any) -> None:
     for j in range(value.shape[0]):
         x = value[j]
@@ -83,6 +84,7 @@ def sum_transport(
         stream = np.zeros(2, np.uint64)
         value = np.zeros(directions * 3 + 2)
         received = value[: directions * 3].reshape(directions, 3)
+        towards = incident[n]
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
@@ -114,22 +116,22 @@ def sum_transport(
                     break
                 if event == SCATTERING:
                     if boundary.kind == MATCHED:
-                        connect_straight(boundary, medium, state, counts, incident[n], share, ray, stream, received)
+                        connect_straight(boundary, medium, state, counts, towards, share, ray, stream, received)
                     else:
                         connect_aimed(
-                            boundary, medium, state, counts, incident[n], share, kappa, ray, aim, stream, received
+                            boundary, medium, state, counts, towards, share, kappa, ray, aim, stream, received
                         )
                     scatter(medium, state, stream)
                 else:
                     if boundary.kind == ROUGH:
-                        connect_at_surface(boundary, state, counts, incident[n], kappa, ray, received)
+                        connect_at_surface(boundary, state, counts, towards, kappa, ray, received)
                     alive = cross(boundary, state, counts, False, stream)
                 alive = alive and goes_on(boundary, state, counts, stream)
             value[-1] = state[LOST]
             _add_powers(value, sums[i])
 
 
-@njit(cache=True)
+@walk_function()
 def walk_out(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, stream: Any) -> bool:
     """Walk until the object is left for good; False where the walk ends before (absorbed, or lost)."""
     while True:

@@ -8,9 +8,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 
 
@@ -30,7 +30,7 @@ class Medium(NamedTuple):
     """1 / side of the grids' box, along x, y and z."""
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     """The lower cell and the fraction beyond it on one axis of a grid with values at cell centres, clamped."""
     g = (position - low) * per_length * count - 0.5
@@ -39,7 +39,7 @@ def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     return first, g - first
 
 
-@njit(cache=True)
+@walk_function()
 def extinction(medium: Any, p: Any) -> Any:
     """sigma_t at p, trilinear."""
     if not medium.has_extinction_grid:
@@ -59,7 +59,7 @@ def extinction(medium: Any, p: Any) -> Any:
     return a * (1.0 - fz) + b * fz
 
 
-@njit(cache=True)
+@walk_function()
 def multiply_albedo(medium: Any, p: Any, throughput: Any) -> None:
     """Multiply the throughput [3] by the albedo at p, trilinear."""
     if not medium.has_albedo_grid:
@@ -82,7 +82,7 @@ def multiply_albedo(medium: Any, p: Any, throughput: Any) -> None:
         throughput[c] *= a * (1.0 - fz) + b * fz
 
 
-@njit(cache=True)
+@walk_function()
 def free_flight(medium: Any, p: Any, d: Any, far: Any, at: Any, stream: Any) -> Any:
     """Distance to the next scattering event along p + t d, infinite where none comes before `far` (delta tracking).
 
@@ -104,7 +104,7 @@ def free_flight(medium: Any, p: Any, d: Any, far: Any, at: Any, stream: Any) -> 
             return t
 
 
-@njit(cache=True)
+@walk_function()
 def transmittance(medium: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any) -> Any:
     """An unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`; exact where sigma_t is one number."""
     majorant = medium.sigma_t
@@ -127,7 +127,7 @@ def transmittance(medium: Any, p: Any, d: Any, near: Any, far: Any, at: Any, str
             kept *= 2.0
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def phase(cosine: Any, g: Any) -> Any:
     """Henyey–Greenstein per solid angle; `cosine` is between the directions of flight before and after."""
     g2 = g * g
@@ -135,7 +135,7 @@ def phase(cosine: Any, g: Any) -> Any:
     return (1.0 - g2) / (4.0 * math.pi * root * math.sqrt(root))
 
 
-@njit(cache=True)
+@walk_function()
 def phase_cosine(g: Any, u: Any) -> Any:
     """The cosine of a Henyey–Greenstein deflection for u in [0, 1), accurate from g = 0 to |g| → 1.
 

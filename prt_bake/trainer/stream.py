@@ -23,7 +23,7 @@ class StreamSettings:
     queries_a_batch: int = 4096
     directions: int = 8
     walks: int = 1
-    connections: int = 2
+    connections: int = 4
     capacity: int = 1 << 20
     """Values that the buffer holds."""
 

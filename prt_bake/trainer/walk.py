@@ -12,9 +12,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import MATCHED, sample_interface
@@ -51,7 +51,7 @@ class Boundary(NamedTuple):
     """A walk ends after so many events; what it still carried is counted as lost and reported."""
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def _towards_box(p: Any, d: Any, radius: Any) -> Any:
     """How far p + t d stays in the ball of the object (an upper bound for every crossing)."""
     along = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
@@ -62,7 +62,7 @@ def _towards_box(p: Any, d: Any, radius: Any) -> Any:
     return max(0.0, -along + math.sqrt(root))
 
 
-@njit(cache=True)
+@walk_function()
 def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
     """Write the interface's normal at (u, v) of a face: the face's own, or the interpolated one where it is asked
     for.
@@ -81,7 +81,7 @@ def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
         normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def frame(nx: Any, ny: Any, nz: Any) -> Any:
     """Two unit vectors across n (Duff et al. 2017)."""
     sign = math.copysign(1.0, nz)
@@ -90,7 +90,7 @@ def frame(nx: Any, ny: Any, nz: Any) -> Any:
     return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
 
 
-@njit(cache=True)
+@walk_function()
 def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
     """The interface normal turned to the side that d comes from, and 1/eta or eta of the crossing.
 
@@ -106,7 +106,7 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
     return x, y, z, eta
 
 
-@njit(cache=True)
+@walk_function()
 def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: Any) -> bool:
     """Take the interface's event at the face that the walk has reached; False where the walk ends there."""
     d = state[DIRECTION : DIRECTION + 3]
@@ -140,7 +140,7 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     return True
 
 
-@njit(cache=True)
+@walk_function()
 def enter(
     boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, stream: Any
 ) -> bool:
@@ -157,7 +157,7 @@ def enter(
     return enters
 
 
-@njit(cache=True)
+@walk_function()
 def advance(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
     """Fly to the next event: SCATTERING at a point inside, SURFACE at a face, or SKY where nothing is met any more."""
     p = state[POSITION : POSITION + 3]
@@ -191,13 +191,13 @@ def advance(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, strea
     return SCATTERING
 
 
-@njit(cache=True, inline="always")
+@walk_function(inline="always")
 def _met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
     g = boundary.face_normals[face]
     return d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
 
 
-@njit(cache=True)
+@walk_function()
 def _move_to_face(boundary: Any, state: Any, counts: Any, ray: Any, face: Any) -> None:
     """Set the walk on the face that `ray` has met, by barycentric coordinates (more exact than p + t d)."""
     u, v = np.float64(ray[15]), np.float64(ray[16])
@@ -211,7 +211,7 @@ def _move_to_face(boundary: Any, state: Any, counts: Any, ray: Any, face: Any) -
     counts[INSIDE] = 1 if _met_from_behind(boundary, face, state[DIRECTION : DIRECTION + 3]) else 0
 
 
-@njit(cache=True)
+@walk_function()
 def scatter(medium: Any, state: Any, stream: Any) -> None:
     """Draw a new direction from the phase function; its density stays in state[PHASE]."""
     d = state[DIRECTION : DIRECTION + 3]
@@ -226,7 +226,7 @@ def scatter(medium: Any, state: Any, stream: Any) -> None:
     state[PHASE] = phase(cosine, medium.phase_g)
 
 
-@njit(cache=True)
+@walk_function()
 def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     """Unbiased roulette on walks that carry little of what they began with.
 
