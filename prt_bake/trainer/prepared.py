@@ -92,13 +92,13 @@ class PreparedScene:
 
     @property
     def lobe_kappa(self) -> float:
-        """Concentration of the lobe that aims through a rough boundary: refraction's bend and the roughness, in
-        quadrature.
+        """Concentration of the lobe that aims through a rough boundary.
+
+        Fitted to the least variance per path on a sphere: eta 1.1–1.5, alpha 0.1–0.5, sigma_t 5 and 15.
         """
         eta = max(self.boundary.eta, 1.0 / self.boundary.eta)
-        bend = 0.6 * (eta - 1.0)
-        blur = self.boundary.alpha * (1.0 - 1.0 / eta)
-        return 1.0 / (bend * bend + blur * blur + 0.003)
+        bend = 0.7 * (1.0 - 1.0 / eta)
+        return (1.0 + self.boundary.alpha**2) / (bend * bend + 0.003)
 
 
 def interface_kind(scene: Scene) -> int:
