@@ -52,7 +52,7 @@ class Experiment:
         ("coefficients", MATCHED, 768),
         ("coefficients", ROUGH, 768),
         ("transport", MATCHED, 640),
-        ("transport", ROUGH, 640),
+        ("transport", ROUGH, 896),
     ],
     ids=["coefficients-matched", "coefficients-rough", "transport-matched", "transport-rough"],
 )
@@ -68,7 +68,7 @@ def test_bounds_cover_the_truth(estimator, medium, paths, tmp_path):
 
 
 def test_too_few_paths_for_heavy_tails_are_flagged(tmp_path):
-    """Light from behind comes through rarely and strongly: the bounds fall short, and most pairs say so, at a count
+    """Light from behind comes through rarely and strongly: the bounds fall short, and most pairs say so, near a count
     of paths that is enough for light from the viewer's side.
     """
     covered, reliable = Experiment(tmp_path, ROUGH, "transport", behind=True).coverage(640, seeds=60)
