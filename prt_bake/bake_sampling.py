@@ -20,9 +20,9 @@ DirectionKind = Literal["fibonacci", "sobol", "uniform"]
 DEFAULT_SAMPLES = 64
 MOST_SAMPLES = 1 << 20
 POOL_SIZE = 256
-SMALLEST_POOL = 16
-POOL_DIRECTIONS = 1 << 18
-"""Most directions in a pool: larger sets come in fewer copies."""
+SMALLEST_POOL = 32
+POOL_DIRECTIONS = 1 << 14
+"""Most directions in a pool, as many as a network holds tables for: larger sets come in fewer copies."""
 _POOL_STREAM, _BIN_STREAM, _WALK_STREAM = 11, 12, 13
 
 
