@@ -1,7 +1,7 @@
 """`prtbake train`: from a scene to a model."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -20,6 +20,10 @@ def train(
     steps: Annotated[
         int | None, typer.Option(min=1, help="Optimiser steps in all, in place of minutes.", show_default=False)
     ] = None,
+    preset: Annotated[
+        Literal["measured", "paper"],
+        typer.Option(help="The network: as measured best, or as the paper has it."),
+    ] = "measured",
     resume: Annotated[bool, typer.Option("--resume", help="Go on from MODEL.train.pt beside the output.")] = False,
     seed: Seed = 0,
     device: Device = "cpu",
@@ -30,6 +34,7 @@ def train(
     learnt; --resume goes on from there.
     """
     from formats.scene import read_scene
+    from prt_bake.network_settings import PRESETS
     from prt_bake.sources import require_device
     from prt_bake.trainer.fit import train as fit
 
@@ -51,6 +56,7 @@ def train(
             minutes=minutes,
             steps=steps,
             seed=seed,
+            settings=PRESETS[preset],
             device=device,
             output=output,
             resume=resume,

@@ -73,6 +73,7 @@ def train(
 ) -> NeuralBSSRDF:
     """Train a neural BSSRDF of a scene for `minutes`, or for `steps` where given, and return it with its final figures.
 
+    `settings` are those of the preset "measured" unless given; `PRESETS["paper"]` is the paper's network.
     `steps` counts from the very beginning, resumed or not. `say` is told what goes on before and after the learning.
     The figures (relative RMSE of Ŝ and of a_lm on fresh queries, reference noise taken out) stand in
     `network.metadata["training"]`. With `output` the model is written there once a minute and at the end, beside it
