@@ -59,7 +59,11 @@ def random_rotations(count: int, seed: int) -> NDArray[np.float64]:
     QueryError if `count` is below 1.
     """
     _require_some(count)
-    numbers = uniforms((ROTATION_STREAM, seed, np.arange(count)), 3)
+    return rotations(uniforms((ROTATION_STREAM, seed, np.arange(count)), 3))
+
+
+def rotations(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rotations [R, 3, 3] that numbers [R, 3], uniform in [0, 1), stand for; uniform on SO(3) (Shoemake 1992)."""
     low, high = np.sqrt(1 - numbers[:, 0]), np.sqrt(numbers[:, 0])
     alpha, beta = 2 * math.pi * numbers[:, 1], 2 * math.pi * numbers[:, 2]
     x, y, z, w = low * np.sin(alpha), low * np.cos(alpha), high * np.sin(beta), high * np.cos(beta)

@@ -196,7 +196,6 @@ def run(path: Path, how: str, storage: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize("storage", ["float16", "float32"])
 def test_a_disk_that_takes_no_more_leaves_the_old_asset(tmp_path, storage):
-    pytest.importorskip("resource")
     path = tmp_path / "a.h5"
     path.write_text("old")
     ended = run(path, "full", storage)

@@ -12,8 +12,6 @@ from significance import assert_agree
 
 from prt_bake.trainer.estimate import estimate_transport
 
-pytest.importorskip("mitsuba", reason="the extra `validate`")
-
 GRIDS = np.random.default_rng(0)
 SIGMA_T, ALBEDO = GRIDS.uniform(0.5, 6.0, (4, 5, 6)), GRIDS.uniform(0.5, 1.0, (3, 4, 3, 3))
 SCENES = {

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.mesh import Mesh
+from prt_bake.directions import rotations
 from prt_bake.randomness import uniforms
 from prt_bake.sphere import fibonacci
 from prt_bake.surface import Location
@@ -75,7 +76,7 @@ class QuerySource:
         if on_edge.any():
             outgoing[on_edge], found, _bent = self.prepared.surface.above_horizon(positions[on_edge], outgoing[on_edge])
             location.faces[on_edge], location.barycentric[on_edge] = found.faces, found.barycentric
-        incident = np.einsum("nij,dj->ndi", _rotations(u[:, 6:9]), self.lattice)
+        incident = np.einsum("nij,dj->ndi", rotations(u[:, 6:9]), self.lattice)
         return Queries(keys, positions, outgoing, np.ascontiguousarray(incident), location)
 
     def for_kernel(self, queries: Queries) -> tuple[Any, ...]:
@@ -110,16 +111,3 @@ def _hemisphere(normals: Array, u: Array, v: Array) -> Array:
     cosine = np.sum(d * normals, axis=1, keepdims=True)
     d = np.where(cosine < 0.0, d - 2.0 * cosine * normals, d)
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
-
-
-def _rotations(u: Array) -> Array:
-    """Uniform rotations [N,3,3] from three numbers each (Shoemake 1992)."""
-    a, b = np.sqrt(1.0 - u[:, 0]), np.sqrt(u[:, 0])
-    x, y = a * np.sin(2 * np.pi * u[:, 1]), a * np.cos(2 * np.pi * u[:, 1])
-    z, w = b * np.sin(2 * np.pi * u[:, 2]), b * np.cos(2 * np.pi * u[:, 2])
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
