@@ -9,11 +9,11 @@ def _drop_stale_kernels(folder: Path) -> None:
 
     numba keeps a kernel by the file that it stands in, and does not see that what it calls has changed in another.
     """
-    kernels = list((folder / "__pycache__").glob("*.nb[ci]"))
     newest = max(source.stat().st_mtime for source in folder.glob("*.py"))
-    if kernels and min(kernel.stat().st_mtime for kernel in kernels) < newest:
-        for kernel in kernels:
-            with suppress(OSError):
+    for kernel in (folder / "__pycache__").glob("*.nb[ci]"):
+        # Another process may be at the same work, or have no right to it.
+        with suppress(OSError):
+            if kernel.stat().st_mtime < newest:
                 kernel.unlink()
 
 
