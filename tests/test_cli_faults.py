@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -177,15 +176,15 @@ def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_pa
 
 
 def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
-    """Start a bake that takes minutes, and return once it has begun to write."""
-    command = [sys.executable, "-m", "prt_bake.cli", "bake", "model.pt", "sphere.ply", "-o", str(output)]
-    options = ["--samples", "1024"]
-    process = subprocess.Popen(
-        [*command, *options], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    """Start a bake that takes minutes, and return once it says that its first vertices are done."""
+    program = (
+        "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "
+        "sys.exit(main.main(sys.argv[1:]))"
     )
-    while not list(output.parent.glob(".*.part")):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
+    command = [sys.executable, "-c", program, "bake", "model.pt", "sphere.ply", "-o", str(output), "--samples", "1024"]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert "of 42 vertices" in process.stderr.readline()
     return process
 
 
