@@ -2,33 +2,35 @@
 
 The truth is a run of TRUTH_PATHS times as many paths: its own error is 1 / √TRUTH_PATHS of a pair's and takes 0.2 %
 from the coverage. A pair counts where the estimator calls it reliable. Coverage over 4,000 independent pairs has a
-standard deviation of 0.35 %: 93–97 % is nearly six of them.
+standard deviation of 0.35 %: 93–97 % is nearly six of them. At least 4,032 of 5,040 pairs must be reliable.
 """
 
 import numpy as np
 import pytest
-from scenes import make_scene, queries, sphere, unit_directions
+from scenes import lumpy, make_scene, queries, sphere, unit_directions
 
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 
-QUERIES, SEEDS, LEAST_PAIRS, LEAST_QUERIES = 24, 200, 4000, 20
+QUERIES, SEEDS, LEAST_QUERIES = 24, 210, 20
 TRUTH_PATHS = 64
 BOUND = 1.96
 TRUTH_SEED = 1_000_003
 MATCHED = {"sigma_t": 4.0, "albedo": [0.9, 0.7, 0.5], "phase_g": 0.0}
 ROUGH = {"sigma_t": 2.0, "albedo": [0.9, 0.7, 0.5], "phase_g": 0.0, "eta": 1.3, "roughness": 0.6}
+NARROW = {"sigma_t": 4.0, "albedo": [0.98, 0.9, 0.75], "phase_g": 0.3, "eta": 1.3, "roughness": 0.25}
+THICK = {"sigma_t": 20.0, "albedo": [0.9, 0.7, 0.5], "phase_g": 0.5, "eta": 1.3, "roughness": 0.3}
 
 
 class Experiment:
-    """One estimator on one scene, by paths and seed; light from the viewer's side or from behind the object."""
+    """One estimator on one scene, by paths and seed; light from all sides, or from behind the object alone."""
 
-    def __init__(self, folder, medium, estimator, behind=False):
-        self.scene = make_scene(folder, sphere(2), **medium)
+    def __init__(self, folder, mesh, medium, estimator, behind=False):
+        self.scene = make_scene(folder, mesh, **medium)
         self.positions, self.outgoing, normals = queries(self.scene.mesh, QUERIES, seed=11)
         self.estimator = estimator
-        towards = unit_directions(QUERIES, seed=77)
-        side = np.sign(np.sum(towards * normals, axis=1, keepdims=True))
-        self.incident = towards * (-side if behind else side)
+        self.incident = unit_directions(QUERIES, seed=77)
+        if behind:
+            self.incident *= -np.sign(np.sum(self.incident * normals, axis=1, keepdims=True))
 
     def estimate(self, paths, seed):
         if self.estimator == "coefficients":
@@ -41,25 +43,34 @@ class Experiment:
         estimates = [self.estimate(paths, seed) for seed in range(seeds)]
         means, errors = (np.stack([getattr(e, name) for e in estimates]) for name in ("mean", "standard_error"))
         typical = np.sqrt(np.mean(errors**2, axis=0))
-        assert np.median(truth.standard_error / typical) == pytest.approx(TRUTH_PATHS**-0.5, rel=0.1)
+        assert np.median(truth.standard_error / typical) < 1.1 * TRUTH_PATHS**-0.5
         covered = np.abs(means - truth.mean) <= BOUND * errors
         return covered.reshape(seeds, QUERIES, -1), np.stack([e.reliable for e in estimates])
 
 
 @pytest.mark.parametrize(
-    ("estimator", "medium", "paths"),
+    ("estimator", "mesh", "medium", "paths"),
     [
-        ("coefficients", MATCHED, 768),
-        ("coefficients", ROUGH, 768),
-        ("transport", MATCHED, 640),
-        ("transport", ROUGH, 896),
+        ("coefficients", sphere(2), MATCHED, 768),
+        ("coefficients", sphere(2), ROUGH, 768),
+        ("transport", sphere(2), MATCHED, 1024),
+        ("transport", sphere(2), ROUGH, 1024),
+        ("transport", lumpy(2), ROUGH, 1024),
+        ("transport", sphere(2), NARROW, 1024),
     ],
-    ids=["coefficients-matched", "coefficients-rough", "transport-matched", "transport-rough"],
+    ids=[
+        "coefficients-matched",
+        "coefficients-rough",
+        "transport-matched",
+        "transport-rough",
+        "transport-rough-hollows",
+        "transport-narrow",
+    ],
 )
-def test_bounds_cover_the_truth(estimator, medium, paths, tmp_path):
-    covered, reliable = Experiment(tmp_path, medium, estimator).coverage(paths)
+def test_bounds_cover_the_truth(estimator, mesh, medium, paths, tmp_path):
+    covered, reliable = Experiment(tmp_path, mesh, medium, estimator).coverage(paths)
     counted = covered[reliable]
-    assert len(counted) >= LEAST_PAIRS
+    assert len(counted) >= 0.8 * QUERIES * SEEDS
     assert (reliable.mean(axis=0) > 0.5).sum() >= LEAST_QUERIES
     assert 0.93 <= counted.mean() <= 0.97
     each = counted.mean(axis=0)
@@ -68,18 +79,24 @@ def test_bounds_cover_the_truth(estimator, medium, paths, tmp_path):
 
 
 def test_too_few_paths_for_heavy_tails_are_flagged(tmp_path):
-    """Light from behind comes through rarely and strongly: the bounds fall short, and most pairs say so, near a count
-    of paths that is enough for light from the viewer's side.
-    """
-    covered, reliable = Experiment(tmp_path, ROUGH, "transport", behind=True).coverage(640, seeds=60)
-    assert reliable.mean() < 0.2
+    """Light from behind a thick object comes through rarely and strongly: the bounds fall short, and say so."""
+    covered, reliable = Experiment(tmp_path, sphere(2), THICK, "transport", behind=True).coverage(1024, seeds=30)
+    assert reliable.mean() < 0.1
     assert covered[~reliable].mean() < 0.93
+
+
+@pytest.mark.parametrize("sharp", [{"phase_g": 0.9}, {"phase_g": -0.9}, {"eta": 1.3, "roughness": 0.05}])
+def test_a_sharp_lobe_needs_many_paths(sharp, tmp_path):
+    """A sample that missed all of the strong paths looks perfect: the scene says how many it takes."""
+    for estimator, expected in (("transport", False), ("coefficients", True)):
+        few = Experiment(tmp_path, sphere(2), MATCHED | sharp, estimator).estimate(4096, seed=1)
+        assert few.reliable.any() == expected
 
 
 @pytest.mark.parametrize("estimator", ["coefficients", "transport"])
 def test_a_value_that_no_path_has_touched_is_flagged(estimator, tmp_path):
     """0 ± 0 covers nothing: a thin medium of which all walks but one in some ten thousand come through unscattered."""
-    thin = Experiment(tmp_path, {"sigma_t": 1e-4, "albedo": 0.9}, estimator)
+    thin = Experiment(tmp_path, sphere(2), {"sigma_t": 1e-4, "albedo": 0.9}, estimator)
     few = thin.estimate(64, seed=1)
     untouched = (few.standard_error == 0.0).reshape(QUERIES, -1).all(axis=1)
     assert untouched.sum() >= LEAST_QUERIES

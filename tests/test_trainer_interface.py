@@ -1,6 +1,6 @@
 """The interface sends light as its density says, and its density obeys the laws of Fresnel, Snell and Helmholtz.
 
-About 30 tests of false-alarm rate `sampling.FALSE_ALARM` each.
+About 35 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
 
 import math
@@ -20,6 +20,7 @@ from prt_bake.trainer.interface import (
     fresnel,
     masking,
     microfacet_density,
+    microfacet_transport,
     rough_density,
     sample_interface,
     visible_microfacet,
@@ -60,6 +61,15 @@ def interface_events(kind, alpha, eta, i, transmit_only, count):
 @njit
 def interface_densities(alpha, eta, i, o):
     return np.array([rough_density(alpha, eta, i[0], i[1], i[2], w[0], w[1], w[2]) for w in o])
+
+
+@njit
+def drawing_densities(alpha, eta, i, o):
+    values = np.empty(len(o))
+    for n in range(len(o)):
+        density, reflectance = microfacet_transport(alpha, eta, i[0], i[1], i[2], o[n, 0], o[n, 1], o[n, 2])
+        values[n] = density * (reflectance if o[n, 2] > 0.0 else 1.0 - reflectance)
+    return values
 
 
 @njit
@@ -150,6 +160,17 @@ def test_rough_interface_sends_light_by_its_density(alpha, eta, cosine, transmit
         expected = cells[alpha].integrate(np.where(there, density, 0.0)).sum()
         if not (transmit_only and side > 0.0):
             assert_mean_is(np.where(np.sign(rows[:, 2]) == side, weights, 0.0), expected)
+
+
+@pytest.mark.parametrize(("alpha", "eta", "cosine"), INTERFACES)
+def test_rough_interface_draws_directions_by_the_density_that_connections_divide_by(alpha, eta, cosine, cells):
+    """All events count, whatever their weight."""
+    i = seen_from(cosine)
+    probabilities = cells[alpha].integrate(drawing_densities(alpha, eta, i, cells[alpha].directions))
+    rows, _thinning = interface_events(ROUGH, alpha, eta, i, False, SAMPLES)
+    drawn = rows[rows[:, 3] > 0.0, :3]
+    counts = np.append(cells[alpha].count(drawn), SAMPLES - len(drawn))
+    assert_counts_follow(counts, np.append(probabilities, 1.0 - probabilities.sum()))
 
 
 def test_rough_interface_is_reciprocal():

@@ -1,6 +1,6 @@
-"""What the path tracer draws follows the density it says: streams, phase function, free flights, lobes.
+"""What the path tracer draws follows the density it says: streams, phase function, free flights.
 
-About 50 tests of false-alarm rate `sampling.FALSE_ALARM` each.
+About 45 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
 
 import math
@@ -14,7 +14,6 @@ from scipy.integrate import quad
 from scipy.interpolate import RegularGridInterpolator
 
 from prt_bake import sh
-from prt_bake.trainer.connect import draw_aim, lobe_density
 from prt_bake.trainer.counter import begin_stream, uniform
 from prt_bake.trainer.kernels import harmonics
 from prt_bake.trainer.media import Medium, extinction, free_flight, multiply_albedo, phase, phase_cosine, transmittance
@@ -116,16 +115,6 @@ def scattered(medium, before, count):
         scatter(medium, state, stream)
         drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[PHASE]
     return drawn, densities
-
-
-@njit
-def aimed(axis, kappa, count):
-    """Directions [N,3] of the lobe about an axis, and the cosines said of them [N]."""
-    drawn, cosines, stream = np.empty((count, 3)), np.empty(count), np.zeros(2, np.uint64)
-    for n in range(count):
-        begin_stream(stream, 8, 2, n)
-        cosines[n] = draw_aim(axis, kappa, drawn[n], stream)
-    return drawn, cosines
 
 
 def ring_counts(directions, axis, heights, edges):
@@ -242,12 +231,6 @@ def test_transmittance_of_a_homogeneous_medium_is_exact():
     np.testing.assert_allclose(kept, math.exp(-2.5 * 0.7), rtol=1e-14)
 
 
-@pytest.mark.parametrize("kappa", [0.5, 3.0, 30.0, 333.0])
-def test_aiming_lobe_integrates_to_one(kappa):
-    total = quad(lambda cosine: 2 * math.pi * lobe_density(cosine, kappa), -1.0, 1.0, points=[1 - 5 / (kappa + 5)])
-    assert total[0] == pytest.approx(1.0, abs=1e-10)
-
-
 def test_kernel_harmonics_are_those_of_the_package():
     directions = np.concatenate([unit_directions(500, seed=9), np.eye(3), -np.eye(3)])
     for degree in (0, 1, 2, 7, 20):
@@ -284,12 +267,3 @@ def test_scattered_directions_lie_about_the_old_one(g):
     edges = np.linspace(-1.0, 1.0, 17)
     below = 0.5 * (1 + edges) if g == 0 else (1 - g * g) / (2 * g) / np.sqrt(1 + g * g - 2 * g * edges)
     assert_counts_follow(ring_counts(drawn, before, cosines, edges), np.repeat(np.diff(below) / 12, 12))
-
-
-@pytest.mark.parametrize("kappa", [0.5, 30.0, 333.0])
-def test_aimed_directions_follow_the_lobe(kappa):
-    axis = np.array([0.36, 0.48, -0.8])
-    drawn, cosines = aimed(axis, kappa, SAMPLES)
-    np.testing.assert_allclose(drawn @ axis, cosines, atol=1e-14)
-    share = np.expm1(-kappa * (1 - cosines)) / math.expm1(-2 * kappa)
-    assert_counts_follow(ring_counts(drawn, axis, share, np.linspace(0, 1, 17)), np.full(192, 1 / 192))

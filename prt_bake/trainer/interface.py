@@ -117,32 +117,52 @@ def sample_interface(
 
 
 @walk_function()
-def rough_density(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
-    """f(i, o) |o·n| of the rough interface, for reflection (oz > 0) or transmission (oz < 0), per solid angle of o.
+def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: Any, u2: Any) -> Any:
+    """Draw a direction by refraction at a visible microfacet, density `microfacet_transport`; oz ≥ 0: none."""
+    mx, my, mz = visible_microfacet(ix, iy, iz, alpha, u1, u2)
+    cosine = ix * mx + iy * my + iz * mz
+    if cosine <= 0.0 or fresnel(cosine, eta) >= 1.0:
+        return 0.0, 0.0, 1.0
+    return _refract(ix, iy, iz, mx, my, mz, cosine, eta)
 
-    It is `sample_interface`'s weight times its density: Walter 2007, eqs. 20 and 21, less the squared index ratio.
+
+@walk_function()
+def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
+    """Density of o, per solid angle, when a visible microfacet drawn from i reflects (oz > 0) or refracts (oz < 0).
+
+    Returns it with the reflectance of that microfacet (Walter 2007, eqs. 38 and 40, Heitz 2018).
     """
     if iz <= 0.0 or oz == 0.0:
-        return 0.0
+        return 0.0, 0.0
     if oz > 0.0:
         hx, hy, hz = ix + ox, iy + oy, iz + oz
     else:
         hx, hy, hz = -(ix + eta * ox), -(iy + eta * oy), -(iz + eta * oz)
     length = math.sqrt(hx * hx + hy * hy + hz * hz)
     if length < 1e-12:
-        return 0.0
+        return 0.0, 0.0
     if hz < 0.0:
         length = -length
     hx, hy, hz = hx / length, hy / length, hz / length
     from_i = ix * hx + iy * hy + iz * hz
     to_o = ox * hx + oy * hy + oz * hz
     if from_i <= 0.0 or to_o * oz <= 0.0:
-        return 0.0
-    shape = microfacet_density(hz, alpha) * masking(iz, alpha) * masking(oz, alpha) / iz
+        return 0.0, 0.0
+    visible = microfacet_density(hz, alpha) * masking(iz, alpha) / iz
     reflectance = fresnel(from_i, eta)
     if oz > 0.0:
-        return 0.25 * shape * reflectance
+        return 0.25 * visible, reflectance
     root = from_i + eta * to_o
     if root == 0.0:
-        return 0.0
-    return shape * (1.0 - reflectance) * from_i * eta * eta * abs(to_o) / (root * root)
+        return 0.0, 0.0
+    return visible * from_i * eta * eta * abs(to_o) / (root * root), reflectance
+
+
+@walk_function()
+def rough_density(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
+    """f(i, o) |o·n| of the rough interface, for reflection (oz > 0) or transmission (oz < 0), per solid angle of o.
+
+    It is `sample_interface`'s weight times its density: Walter 2007, eqs. 20 and 21, less the squared index ratio.
+    """
+    density, reflectance = microfacet_transport(alpha, eta, ix, iy, iz, ox, oy, oz)
+    return density * masking(oz, alpha) * (reflectance if oz > 0.0 else 1.0 - reflectance)

@@ -8,7 +8,15 @@ import numpy as np
 from numba import njit, prange
 
 from prt_bake.trainer.compiled import walk_function
-from prt_bake.trainer.connect import connect_aimed, connect_at_surface, connect_straight, straight_transmittance
+from prt_bake.trainer.connect import connect_straight, straight_transmittance
+from prt_bake.trainer.connect_rough import (
+    CROSSING,
+    ENTERING,
+    SCATTERED_HERE,
+    connect_ahead,
+    connect_aimed,
+    connect_at_surface,
+)
 from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.embree import new_ray
 from prt_bake.trainer.interface import MATCHED, ROUGH
@@ -16,14 +24,15 @@ from prt_bake.trainer.walk import (
     AT,
     COUNTS_SIZE,
     DIRECTION,
+    INSIDE,
     LOST,
     SCATTERED,
-    SCATTERING,
     SKY,
     STATE_SIZE,
     SURFACE,
     THROUGHPUT,
     advance,
+    begin,
     cross,
     enter,
     goes_on,
@@ -67,7 +76,7 @@ def _add_powers(value: Any, sums: Any) -> None:
 
 @njit(cache=True, parallel=True, nogil=True)
 def sum_transport(
-    boundary: Any, medium: Any, queries: Any, chunks: Any, incident: Any, share: Any, kappa: Any, seed: Any, sums: Any
+    boundary: Any, medium: Any, queries: Any, chunks: Any, incident: Any, share: Any, aims: Any, seed: Any, sums: Any
 ) -> None:
     """Power sums [chunks, 4, D·3 + 2] of Ŝ towards incident [N,D,3], then of the unscattered share and of what was
     lost.
@@ -80,7 +89,7 @@ def sum_transport(
     for i in prange(chunks.shape[0]):
         n = chunks[i, 0]
         ray = new_ray()
-        state, counts, aim = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(9)
+        state, counts, room = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(9)
         stream = np.zeros(2, np.uint64)
         value = np.zeros(directions * 3 + 2)
         received = value[: directions * 3].reshape(directions, 3)
@@ -88,17 +97,15 @@ def sum_transport(
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
-            alive = enter(
-                boundary,
-                state,
-                counts,
-                positions[n],
-                outgoing[n],
-                faces[n],
-                barycentric[n, 0],
-                barycentric[n, 1],
-                stream,
-            )
+            begin(boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1])
+            rough = boundary.kind == ROUGH
+            if rough:
+                connect_aimed(
+                    boundary, medium, state, counts, towards, share, aims, ray, room, ENTERING, stream, received
+                )
+            alive = enter(boundary, state, counts, stream)
+            if alive and rough:
+                connect_ahead(boundary, medium, state, counts, towards, share, aims, ray, room, True, stream, received)
             if alive and boundary.kind == MATCHED:
                 value[-2] = straight_transmittance(
                     boundary,
@@ -114,18 +121,36 @@ def sum_transport(
                 event = advance(boundary, medium, state, counts, ray, stream)
                 if event == SKY:
                     break
-                if event == SCATTERING:
-                    if boundary.kind == MATCHED:
-                        connect_straight(boundary, medium, state, counts, towards, share, ray, stream, received)
-                    else:
+                if event == SURFACE:
+                    if rough:
+                        connect_at_surface(boundary, state, counts, towards, share, aims, ray, room, received)
                         connect_aimed(
-                            boundary, medium, state, counts, towards, share, kappa, ray, aim, stream, received
+                            boundary, medium, state, counts, towards, share, aims, ray, room, CROSSING, stream, received
                         )
-                    scatter(medium, state, stream)
-                else:
-                    if boundary.kind == ROUGH:
-                        connect_at_surface(boundary, state, counts, towards, kappa, ray, received)
                     alive = cross(boundary, state, counts, False, stream)
+                    if alive and rough and counts[INSIDE] == 1:
+                        connect_ahead(
+                            boundary, medium, state, counts, towards, share, aims, ray, room, False, stream, received
+                        )
+                else:
+                    if rough:
+                        connect_aimed(
+                            boundary,
+                            medium,
+                            state,
+                            counts,
+                            towards,
+                            share,
+                            aims,
+                            ray,
+                            room,
+                            SCATTERED_HERE,
+                            stream,
+                            received,
+                        )
+                    else:
+                        connect_straight(boundary, medium, state, counts, towards, share, ray, stream, received)
+                    scatter(medium, state, stream)
                 alive = alive and goes_on(boundary, state, counts, stream)
             value[-1] = state[LOST]
             _add_powers(value, sums[i])
@@ -161,17 +186,8 @@ def sum_coefficients(boundary: Any, medium: Any, queries: Any, chunks: Any, degr
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
-            if enter(
-                boundary,
-                state,
-                counts,
-                positions[n],
-                outgoing[n],
-                faces[n],
-                barycentric[n, 0],
-                barycentric[n, 1],
-                stream,
-            ) and walk_out(boundary, medium, state, counts, ray, stream):
+            begin(boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1])
+            if enter(boundary, state, counts, stream) and walk_out(boundary, medium, state, counts, ray, stream):
                 if counts[SCATTERED] == 0 and boundary.kind != ROUGH:
                     value[-2] = state[THROUGHPUT]
                 else:
@@ -195,17 +211,8 @@ def draw_exits(
         stream = np.zeros(2, np.uint64)
         for path in range(paths):
             begin_stream(stream, seed, keys[n], path)
-            left = enter(
-                boundary,
-                state,
-                counts,
-                positions[n],
-                outgoing[n],
-                faces[n],
-                barycentric[n, 0],
-                barycentric[n, 1],
-                stream,
-            ) and walk_out(boundary, medium, state, counts, ray, stream)
+            begin(boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1])
+            left = enter(boundary, state, counts, stream) and walk_out(boundary, medium, state, counts, ray, stream)
             scattered[n, path] = counts[SCATTERED]
             for c in range(3):
                 directions[n, path, c] = state[DIRECTION + c]

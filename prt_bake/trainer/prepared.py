@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from formats.scene import Scene
 from prt_bake.surface import Location, Surface
+from prt_bake.trainer.aim import Aim, aim_for
 from prt_bake.trainer.embree import TriangleScene, intersect_address
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 from prt_bake.trainer.media import Medium
@@ -54,6 +55,7 @@ class PreparedScene:
             radius=1.001 * float(np.linalg.norm(self.positions, axis=1).max()),
             most_events=MOST_EVENTS,
         )
+        self.aims: Aim = aim_for(self.boundary.alpha, self.boundary.eta)
         self.medium = self._medium(scene)
 
     def _medium(self, scene: Scene) -> Medium:
@@ -89,16 +91,6 @@ class PreparedScene:
         corners = self.positions[self.faces[location.faces]]
         placed = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         return keys, placed, np.ascontiguousarray(outgoing), location.faces, location.barycentric
-
-    @property
-    def lobe_kappa(self) -> float:
-        """Concentration of the lobe that aims through a rough boundary.
-
-        Fitted to the least variance per path on a sphere: eta 1.1–1.5, alpha 0.1–0.5, sigma_t 5 and 15.
-        """
-        eta = max(self.boundary.eta, 1.0 / self.boundary.eta)
-        bend = 0.7 * (1.0 - 1.0 / eta)
-        return (1.0 + self.boundary.alpha**2) / (bend * bend + 0.003)
 
 
 def interface_kind(scene: Scene) -> int:

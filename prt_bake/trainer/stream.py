@@ -144,7 +144,7 @@ def render(
         chunks,
         queries.incident,
         connections,
-        prepared.lobe_kappa,
+        prepared.aims,
         seed,
         sums,
     )

@@ -1,7 +1,7 @@
 """The random walk that everything is estimated with: from x along −ωo into the object, until it leaves for good.
 
-A walk is a row of numbers (`state`) that three functions move on: `enter` takes the first event at x, `advance` flies
-to the next event (a scattering, the boundary, or the sky), `scatter` and `cross` choose what happens there. An
+A walk is a row of numbers (`state`) that `begin` sets at x and three functions move on: `enter` lets it in, `advance`
+flies to the next event (a scattering, the boundary, or the sky), `scatter` and `cross` choose what happens there. An
 estimator is a loop over them that reads what it wants at each event.
 
 The walker's side is decided by the face it meets: what is met from behind was flown through inside. A ray that slips
@@ -21,10 +21,12 @@ from prt_bake.trainer.interface import MATCHED, sample_interface
 from prt_bake.trainer.media import free_flight, multiply_albedo, phase, phase_cosine
 
 SCATTERING, SURFACE, SKY = 0, 1, 2
-POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN = 0, 3, 6, 9, 12, 13, 16, 17
-STATE_SIZE = 20
+POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN, ORIGIN, ARRIVED = 0, 3, 6, 9, 12, 13, 16, 17, 18, 21
+STATE_SIZE = 24
 FACE, INSIDE, EVENTS, SCATTERED = 0, 1, 2, 3
 COUNTS_SIZE = 4
+AHEAD = -1.0
+"""In state[PHASE]: what the next arrival at the boundary receives is counted already."""
 _LOOK_OUT_EVERY = 8
 _WEIGHT_WINDOW = 0.1
 CLEARANCE = 1e-6
@@ -108,8 +110,13 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
 
 @walk_function()
 def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: Any) -> bool:
-    """Take the interface's event at the face that the walk has reached; False where the walk ends there."""
+    """Take the interface's event at the face that the walk has reached; False where the walk ends there.
+
+    The direction of flight before it stays in state[ARRIVED].
+    """
     d = state[DIRECTION : DIRECTION + 3]
+    for k in range(3):
+        state[ARRIVED + k] = d[k]
     counts[EVENTS] += 1
     state[PHASE] = 0.0
     if boundary.kind == MATCHED:
@@ -141,10 +148,8 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
 
 
 @walk_function()
-def enter(
-    boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, stream: Any
-) -> bool:
-    """Begin a walk at `position` on `face`, seen from `outgoing`: throughput 1, then the transmission inwards."""
+def begin(boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any) -> None:
+    """Set a walk of throughput 1 at `position` on `face`, seen from `outgoing`, before it is let in."""
     for k in range(3):
         state[POSITION + k] = position[k]
         state[DIRECTION + k] = -outgoing[k]
@@ -152,6 +157,11 @@ def enter(
     state[LOST] = 0.0
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
     counts[FACE], counts[INSIDE], counts[EVENTS], counts[SCATTERED] = face, 0, 0, 0
+
+
+@walk_function()
+def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
+    """Let a walk in: the transmission inwards is its first weight. False where it ends there."""
     enters = cross(boundary, state, counts, True, stream)
     state[BEGUN] = state[THROUGHPUT]
     return enters
@@ -213,8 +223,12 @@ def _move_to_face(boundary: Any, state: Any, counts: Any, ray: Any, face: Any) -
 
 @walk_function()
 def scatter(medium: Any, state: Any, stream: Any) -> None:
-    """Draw a new direction from the phase function; its density stays in state[PHASE]."""
+    """Draw a new direction from the phase function; its density stays in state[PHASE], its place in
+    state[ORIGIN].
+    """
     d = state[DIRECTION : DIRECTION + 3]
+    for k in range(3):
+        state[ORIGIN + k] = state[POSITION + k]
     cosine = phase_cosine(medium.phase_g, uniform(stream))
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     angle = 2.0 * math.pi * uniform(stream)
