@@ -67,7 +67,7 @@ def test_lobe_integrates_to_one(kappa):
 
 
 @pytest.mark.parametrize("eta", [1.3, 1 / 1.3, 1.5])
-@pytest.mark.parametrize("alpha", [0.1, 0.2])
+@pytest.mark.parametrize("alpha", [0.15, 0.25])
 @pytest.mark.parametrize("cosine", [0.98, 0.6, 0.35])
 @pytest.mark.parametrize("has_normal", [True, False])
 def test_aims_follow_their_density(alpha, eta, cosine, has_normal, cells):
