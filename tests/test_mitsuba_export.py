@@ -71,7 +71,7 @@ def test_files_say_what_the_dictionary_says(tmp_path: Path, write: Callable[[Pat
         }
     )
     pictures = [np.array(mi.render(w, sensor=eye, spp=4, seed=3, integrator=w.integrator())) for w in (world, same)]
-    np.testing.assert_array_equal(*pictures)
+    np.testing.assert_allclose(*pictures, rtol=1e-5)  # threads add up in any order
     assert pictures[0].std() > 0.01
     assert np.array(world.sensors()[0].film().size()).tolist() == [640, 480]
 
