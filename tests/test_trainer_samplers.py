@@ -17,7 +17,7 @@ from prt_bake import sh
 from prt_bake.trainer.counter import begin_stream, uniform
 from prt_bake.trainer.kernels import harmonics
 from prt_bake.trainer.media import Medium, extinction, free_flight, multiply_albedo, phase, phase_cosine, transmittance
-from prt_bake.trainer.walk import DIRECTION, PHASE, STATE_SIZE, scatter
+from prt_bake.trainer.walk import COUNTS_SIZE, DIRECTION, MASK, PHASE, STATE_SIZE, scatter
 
 GENERATOR = np.random.default_rng(17)
 # Contrast 40:1, so that most of delta tracking's events are null ones.
