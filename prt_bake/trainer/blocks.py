@@ -51,7 +51,9 @@ def _reduced(grid: Array, shape: tuple[int, int, int], take: np.ufunc) -> Array:
         first = np.clip(np.floor(edges[:-1] - 1e-6), 0, cells - 1).astype(int)
         last = np.clip(np.ceil(edges[1:] + 1e-6), 0, cells - 1).astype(int)
         rows = np.moveaxis(grid, axis, 0)
-        grid = np.moveaxis(np.stack([take.reduce(rows[a : b + 1], axis=0) for a, b in zip(first, last, strict=True)]), 0, axis)
+        grid = np.moveaxis(
+            np.stack([take.reduce(rows[a : b + 1], axis=0) for a, b in zip(first, last, strict=True)]), 0, axis
+        )
     return grid
 
 

@@ -60,7 +60,7 @@ class Boundary(NamedTuple):
     most_events: int
     """A walk ends after so many events; what it still carried is counted as lost and reported."""
     clearance: NDArray[np.float32]
-    """Cells of the box −½ … ½ [n,n,n], z first: what from anywhere in a cell inside the object no face is nearer than."""
+    """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
 
 
 @walk_function()

@@ -35,7 +35,7 @@ def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> 
 
 
 def _samples(corners: Array, spacing: float) -> list[Array]:
-    """Points on triangles [F,3,3], no place of a triangle farther than `spacing` from one, in lots of equal fineness."""
+    """Points on triangles [F,3,3], no place of one farther than `spacing` from them, in lots of equal fineness."""
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.maximum(1, np.ceil(edges / spacing).astype(int))
     lots = []

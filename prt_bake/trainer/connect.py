@@ -32,7 +32,6 @@ from prt_bake.trainer.walk import (
     MASK,
     NORMAL,
     POSITION,
-    REFLECTING,
     SCATTERING,
     SURFACE,
     THROUGHPUT,
@@ -93,9 +92,7 @@ def march(
 
 
 @walk_function()
-def unscattered(
-    boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any, kept: Any
-) -> None:
+def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any, kept: Any) -> None:
     """Write into kept [3] the share of a view into an index-matched object that crosses it without any event."""
     for c in range(3):
         kept[c] = 1.0
@@ -121,9 +118,7 @@ def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: A
 
 
 @walk_function()
-def sent_through(
-    boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any
-) -> Any:
+def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any) -> Any:
     """f |cos| of the rough interface from flight d to v (both along the eye path), and by what density `cross` draws
     v.
     """

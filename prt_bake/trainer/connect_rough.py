@@ -175,9 +175,7 @@ def _density_sent(boundary: Any, state: Any, counts: Any, entering: Any) -> Any:
     before = counts[MASK] ^ (1 << boundary.part[face]) if passed else counts[MASK]
     _after, _kind, eta = crossing(boundary, face, before)
     alpha = alpha_at(boundary, face, state[U], state[V])
-    _value, density = sent_through(
-        boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, arrived, d, entering
-    )
+    _value, density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, arrived, d, entering)
     return density
 
 
@@ -202,9 +200,7 @@ def _attenuate_to(
     if not boundary.nested:
         attenuate(media, boundary.region_of_mask[before], p, v, 0.0, t, at, stream, kept)
         return
-    march(
-        boundary, media, p, v, counts[FACE], counts[FORMER], mask, t * (1.0 - 1e-6), at, ray, stream, kept
-    )
+    march(boundary, media, p, v, counts[FACE], counts[FORMER], mask, t * (1.0 - 1e-6), at, ray, stream, kept)
 
 
 @walk_function()

@@ -83,9 +83,9 @@ def estimate_transport(
     smooth = smooth_part(scene)
     if smooth is not None:
         raise QueryError(
-            f"{scene.path}: the interface of '{smooth.name}' is smooth (roughness {float(np.mean(smooth.roughness)):g}): "
-            "behind a smooth interface no connection to a given direction of incidence exists, so Ŝ cannot be estimated "
-            "there; estimate_coefficients works, or make it rough"
+            f"{scene.path}: the interface of '{smooth.name}' is smooth (roughness {np.mean(smooth.roughness):g}); "
+            "behind it no connection to a given direction of incidence exists, so Ŝ cannot be estimated there: "
+            "estimate_coefficients works, or make it rough"
         )
     towards = _directions(incident, "incident")
     single = towards.ndim == 2

@@ -129,9 +129,7 @@ def _receive(
     """Take an event of the walk with all that it receives from `towards`; False where the walk ends there."""
     rough = boundary.kind == ROUGH
     if rough and event == SURFACE:
-        return _receive_rough(
-            boundary, media, state, counts, towards, share, aims, ray, room, False, stream, received
-        )
+        return _receive_rough(boundary, media, state, counts, towards, share, aims, ray, room, False, stream, received)
     if rough:
         connect_aimed(boundary, media, state, counts, towards, share, aims, ray, room, event, stream, received)
     else:

@@ -138,7 +138,11 @@ def _textures(parts: tuple[Part, ...]) -> dict[str, Any]:
             table[i] = size, *image.shape[:2]
             texels.append(colours.ravel())
             size += colours.size
-        uv = part.mesh.corner_uv if textured and part.mesh.corner_uv is not None else np.zeros((len(part.mesh.faces), 3, 2))
+        uv = (
+            part.mesh.corner_uv
+            if textured and part.mesh.corner_uv is not None
+            else np.zeros((len(part.mesh.faces), 3, 2))
+        )
         corners.append(uv)
     return {
         "texels": np.concatenate(texels) if texels else np.zeros(0, np.float32),

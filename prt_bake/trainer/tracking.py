@@ -36,7 +36,12 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
 @walk_function(inline="always")
 def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     """The block of the region's grid at p + t d, and where the ray leaves it (beyond t, whatever the rounding)."""
-    first, nx, ny, nz = media.blocks[region, 0], media.blocks[region, 1], media.blocks[region, 2], media.blocks[region, 3]
+    first, nx, ny, nz = (
+        media.blocks[region, 0],
+        media.blocks[region, 1],
+        media.blocks[region, 2],
+        media.blocks[region, 3],
+    )
     low, per_length = media.low[region], media.per_length[region]
     probe = t + 1e-7
     x, tx = _block_axis(p[0], d[0], probe, low[0], per_length[0], nx)
@@ -56,7 +61,7 @@ def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stre
         return np.inf
     depth = -math.log(1.0 - uniform(stream))
     if media.extinction_layout[region, 1] == 0:
-        return depth / majorant
+        return depth / majorant if depth < far * majorant else np.inf
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
@@ -78,9 +83,7 @@ def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stre
 
 
 @walk_function()
-def flight_by_channel(
-    media: Any, region: Any, p: Any, d: Any, far: Any, throughput: Any, at: Any, stream: Any
-) -> Any:
+def flight_by_channel(media: Any, region: Any, p: Any, d: Any, far: Any, throughput: Any, at: Any, stream: Any) -> Any:
     """Distance to the next scattering event before `far`, else infinite, with the throughput [3] weighted for either.
 
     For regions whose extinction differs between channels.
@@ -150,9 +153,7 @@ def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any
 
 
 @walk_function()
-def attenuate(
-    media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any
-) -> None:
+def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any) -> None:
     """Multiply kept [3] by an unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`.
 
     It is exact where sigma_t is one number, and in blocks of a grid where it is.

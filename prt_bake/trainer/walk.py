@@ -199,18 +199,14 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
         return np.inf, -1
     if boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
         return t, face
-    flight = flight_by_channel(
-        media, region, p, d, t, state[THROUGHPUT : THROUGHPUT + 3], state[AT : AT + 3], stream
-    )
+    flight = flight_by_channel(media, region, p, d, t, state[THROUGHPUT : THROUGHPUT + 3], state[AT : AT + 3], stream)
     if flight < t:
         return flight, -1
     return t, face
 
 
 @walk_function()
-def _arrive(
-    boundary: Any, state: Any, counts: Any, ray: Any, face: Any, before: Any, flight: Any
-) -> Any:
+def _arrive(boundary: Any, state: Any, counts: Any, ray: Any, face: Any, before: Any, flight: Any) -> Any:
     """Set the walk on the face that `ray` has met, by barycentric coordinates (more exact than p + t d), and through it
     where nothing stands there. Returns the kind of interface, negative where the walk has passed.
     """
@@ -310,9 +306,7 @@ def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> 
 @walk_function()
 def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
     """Send the walk back from a diffuse surface by the cosine; density and place are kept as by `scatter`."""
-    nx, ny, nz = facing_normal(
-        boundary, counts[FACE], state[NORMAL : NORMAL + 3], state[DIRECTION : DIRECTION + 3]
-    )
+    nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], state[DIRECTION : DIRECTION + 3])
     squared = uniform(stream)
     r, cosine = math.sqrt(squared), math.sqrt(1.0 - squared)
     angle = 2.0 * math.pi * uniform(stream)
