@@ -29,6 +29,9 @@ class Boundary(NamedTuple):
 
     intersect: int
     scene: int
+    scenes: NDArray[np.int64]
+    """The handle of each part alone."""
+    first_face: NDArray[np.int64]
     positions: NDArray[np.float64]
     faces: NDArray[np.int64]
     face_normals: NDArray[np.float64]
@@ -178,31 +181,41 @@ def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: 
     """The nearest face along p + t d between `at`, where `face` lies (−1: none), and `far`, and its distance t.
 
     Faces closer to `face` than CLEARANCE are left out where they belong to its part, or to `former`, the part that was
-    crossed at this very place before; a face of a third part there lies on the one that the ray starts on, and counts.
+    crossed at this very place before, on the same flight. A face of a third part so near, before or behind, lies on the
+    one that the ray starts on, and counts.
     """
     if face < 0:
         return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, at, far, face)
-    if not boundary.nested:
-        near = at + CLEARANCE
-        return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
-    near = at
-    while True:
-        found, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
-        if found < 0 or t >= at + CLEARANCE:
-            return found, t
-        part = boundary.part[found]
-        if part != boundary.part[face] and part != former:
-            return found, t
-        near = t * (1.0 + 2e-7) + 1e-9
+    if boundary.nested:
+        found = _lying_on(boundary, ray, p, d, at, boundary.part[face], former)
+        if found >= 0:
+            return found, at
+    near = at + CLEARANCE
+    return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
 
 
 @walk_function()
-def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, former: Any, mask: Any) -> Any:
+def _lying_on(boundary: Any, ray: Any, p: Any, d: Any, at: Any, part: Any, former: Any) -> Any:
+    """A face at p + at d of neither of two parts; −1: none. Each part is asked by itself, since faces that lie on one
+    another hide each other.
+    """
+    back = at - CLEARANCE
+    start = (p[0] + back * d[0], p[1] + back * d[1], p[2] + back * d[2])
+    for other in range(len(boundary.scenes)):
+        if other != part and other != former:
+            found, _t = nearest_hit(boundary.intersect, boundary.scenes[other], ray, start, d, 0.0, 2.0 * CLEARANCE, -1)
+            if found >= 0:
+                return boundary.first_face[other] + found
+    return -1
+
+
+@walk_function()
+def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
     """The first face along p + t d that is more than an index-matched boundary, its distance, and the mask before it.
 
     Face −1: the ray reaches the sky. The ray starts on `face` (−1: on none) with the walker's `mask`.
     """
-    at = 0.0
+    at, former = 0.0, -1
     while True:
         found, t = next_face(boundary, ray, p, d, at, np.inf, face, former)
         if found < 0:
@@ -217,21 +230,19 @@ def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, former: Any, mask:
 
 @walk_function()
 def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
-    """Mask of the parts other than the face's own that hold the point just inside `face` along `inward`."""
-    if not boundary.nested:
-        return 0
-    mask, seen = 0, 1 << boundary.part[face]
-    near = 0.0
-    while True:
-        found, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, inward, near, np.inf, face)
-        if found < 0:
-            return mask
-        bit = 1 << boundary.part[found]
-        if seen & bit == 0:
-            seen |= bit
-            if met_from_behind(boundary, found, inward):
-                mask |= bit
-        near = t * (1.0 + 2e-7) + 1e-9
+    """Mask of the parts other than the face's own that hold the point just inside `face` along `inward`.
+
+    Each part is asked by itself, so that surfaces that lie on one another do not hide each other.
+    """
+    mask = 0
+    for part in range(len(boundary.alphas)):
+        if not boundary.nested or part == boundary.part[face]:
+            continue
+        # What lies within the clearance lies on the face: the point just inside is beyond it.
+        found, _t = nearest_hit(boundary.intersect, boundary.scenes[part], ray, p, inward, CLEARANCE, np.inf, -1)
+        if found >= 0 and met_from_behind(boundary, boundary.first_face[part] + found, inward):
+            mask |= 1 << part
+    return mask
 
 
 @walk_function(inline="always")

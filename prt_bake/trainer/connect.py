@@ -28,7 +28,6 @@ from prt_bake.trainer.walk import (
     AT,
     DIRECTION,
     FACE,
-    FORMER,
     MASK,
     NORMAL,
     POSITION,
@@ -61,7 +60,6 @@ def march(
     p: Any,
     d: Any,
     face: Any,
-    former: Any,
     mask: Any,
     far: Any,
     at: Any,
@@ -73,7 +71,7 @@ def march(
 
     False where anything else stands in the way. The ray starts on `face` (−1: on none) with the walker's `mask`.
     """
-    t = 0.0
+    t, former = 0.0, -1
     while True:
         found, hit = next_face(boundary, ray, p, d, t, far, face, former)
         if found < 0:
@@ -98,7 +96,7 @@ def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, st
         kept[c] = 1.0
     p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
     at = state[AT : AT + 3]
-    if not march(boundary, media, p, d, counts[FACE], counts[FORMER], counts[MASK], np.inf, at, ray, stream, kept):
+    if not march(boundary, media, p, d, counts[FACE], counts[MASK], np.inf, at, ray, stream, kept):
         for c in range(3):
             kept[c] = 0.0
 
@@ -193,8 +191,6 @@ def connect_straight(
             continue
         for c in range(3):
             kept[c] = sent * count / (looked * chance)
-        if march(
-            boundary, media, p, w, counts[FACE], counts[FORMER], mask, np.inf, state[AT : AT + 3], ray, stream, kept
-        ):
+        if march(boundary, media, p, w, counts[FACE], mask, np.inf, state[AT : AT + 3], ray, stream, kept):
             for c in range(3):
                 value[i, c] += state[THROUGHPUT + c] * kept[c]

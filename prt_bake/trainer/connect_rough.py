@@ -31,7 +31,6 @@ from prt_bake.trainer.walk import (
     AT,
     DIRECTION,
     FACE,
-    FORMER,
     LOOKED,
     MASK,
     NORMAL,
@@ -139,7 +138,7 @@ def connect_ahead(
     v, q, normal, kept = room[0:3], room[3:6], room[6:9], room[9:12]
     density = _density_sent(boundary, state, counts, entering)
     state[PHASE] = AHEAD
-    face, t, before = reach(boundary, ray, p, d, counts[FACE], counts[FORMER], counts[MASK])
+    face, t, before = reach(boundary, ray, p, d, counts[FACE], counts[MASK])
     if face < 0 or not is_outermost(boundary, face, before):
         return
     b1, b2 = np.float64(ray[15]), np.float64(ray[16])
@@ -200,7 +199,7 @@ def _attenuate_to(
     if not boundary.nested:
         attenuate(media, boundary.region_of_mask[before], p, v, 0.0, t, at, stream, kept)
         return
-    march(boundary, media, p, v, counts[FACE], counts[FORMER], mask, t * (1.0 - 1e-6), at, ray, stream, kept)
+    march(boundary, media, p, v, counts[FACE], mask, t * (1.0 - 1e-6), at, ray, stream, kept)
 
 
 @walk_function()
@@ -246,7 +245,7 @@ def connect_aimed(
         sent, density = _sent_inside(boundary, media, state, counts, event, v)
         if sent <= 0.0:
             continue
-        face, t, before = reach(boundary, ray, p, v, counts[FACE], counts[FORMER], inside)
+        face, t, before = reach(boundary, ray, p, v, counts[FACE], inside)
         if face < 0 or not is_outermost(boundary, face, before) or not met_from_behind(boundary, face, v):
             continue
         b1, b2 = np.float64(ray[15]), np.float64(ray[16])

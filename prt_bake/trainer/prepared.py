@@ -43,6 +43,10 @@ class PreparedScene:
         )
         faces = np.concatenate([part.mesh.faces.astype(np.int64) + first[i] for i, part in enumerate(parts)])
         self._tree = TriangleScene(np.ascontiguousarray(positions32), np.ascontiguousarray(faces, np.uint32))
+        self._trees = [self._tree]
+        if len(parts) > 1:
+            ends = zip(first[:-1], first[1:], parts, strict=True)
+            self._trees = [TriangleScene(positions32[a:b], part.mesh.faces.astype(np.uint32)) for a, b, part in ends]
         self.positions = positions32.astype(np.float64)
         self.faces = np.ascontiguousarray(faces)
         given = np.concatenate([part.mesh.face_normals for part in parts])
@@ -51,6 +55,8 @@ class PreparedScene:
         return Boundary(
             intersect=intersect_address(),
             scene=self._tree.handle,
+            scenes=np.array([tree.handle for tree in self._trees], np.int64),
+            first_face=np.cumsum([0] + [len(part.mesh.faces) for part in parts[:-1]]).astype(np.int64),
             positions=self.positions,
             faces=self.faces,
             face_normals=np.ascontiguousarray(_face_normals(self.positions, self.faces, given)),

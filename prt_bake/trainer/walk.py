@@ -261,6 +261,7 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     x, y, z = ox * sx + oy * tx + oz * nx, ox * sy + oy * ty + oz * ny, ox * sz + oy * tz + oz * nz
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     d[0], d[1], d[2] = x * scale, y * scale, z * scale
+    counts[FORMER] = -1
     behind = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     crossed = oz < 0.0
     if (before * behind > 0.0) != crossed:
@@ -280,7 +281,7 @@ def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> No
     state[PHASE] = density
     for k in range(3):
         state[ORIGIN + k] = state[POSITION + k]
-    counts[ORIGIN_FACE] = counts[FACE]
+    counts[ORIGIN_FACE], counts[FORMER] = counts[FACE], -1
 
 
 @walk_function()
