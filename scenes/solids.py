@@ -108,7 +108,8 @@ def rounded_box(half: float, edge: float, bevel: int = 4, flat: int = 2) -> Soli
     index = np.arange(count * count).reshape(count, count)
     quads = np.stack([index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]], axis=-1).reshape(-1, 4)
     triangles = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
-    points, faces = [], []
+    points: list[Array] = []
+    faces: list[NDArray[np.int64]] = []
     for axis in range(3):
         for sign in (-1.0, 1.0):
             sheet = np.empty((count * count, 3))

@@ -91,7 +91,8 @@ def _ear(x: Array, y: Array, z: Array) -> Array:
 def _ellipsoid(x: Array, y: Array, z: Array, a: float, b: float, c: float) -> Array:
     scaled = np.sqrt((x / a) ** 2 + (y / b) ** 2 + (z / c) ** 2)
     slope = np.sqrt((x / a**2) ** 2 + (y / b**2) ** 2 + (z / c**2) ** 2)
-    return scaled * (scaled - 1.0) / np.maximum(slope, 1e-9)
+    distance: Array = scaled * (scaled - 1.0) / np.maximum(slope, 1e-9)
+    return distance
 
 
 def _blend(a: Array, b: Array, width: float) -> Array:

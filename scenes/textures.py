@@ -14,10 +14,11 @@ def bloom(width: int = 128) -> NDArray[np.uint8]:
     return np.rint(255 * (0.1 + 0.35 * patches)).astype(np.uint8)
 
 
-def seed_skin(width: int = 64) -> Array:
+def seed_skin(width: int = 128) -> Array:
     """Linear reflectances [H,W,3]: brown, with darker furrows."""
-    furrows = share(_ball(width) * [1.0, 0.3, 1.0], "veins", 0.25, seed=2, octaves=3)[..., None]
-    return (1 - furrows) * np.array([0.30, 0.17, 0.08]) + furrows * np.array([0.10, 0.05, 0.025])
+    furrows = share(_ball(width) * [1.0, 0.3, 1.0], "veins", 0.5, seed=2, octaves=3)[..., None]
+    skin: Array = (1 - furrows) * np.array([0.30, 0.17, 0.08]) + furrows * np.array([0.10, 0.05, 0.025])
+    return skin
 
 
 def _ball(width: int) -> Array:
