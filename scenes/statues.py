@@ -98,7 +98,8 @@ def _ellipsoid(x: Array, y: Array, z: Array, a: float, b: float, c: float) -> Ar
 def _blend(a: Array, b: Array, width: float) -> Array:
     """The union, its crease filled over a width (Quílez's polynomial smooth minimum)."""
     h = np.maximum(width - np.abs(a - b), 0.0) / width
-    return np.minimum(a, b) - h * h * width / 4.0
+    union: Array = np.minimum(a, b) - h * h * width / 4.0
+    return union
 
 
 def _smoothed(positions: Array, faces: NDArray[np.int64], rounds: int) -> Array:
