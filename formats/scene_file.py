@@ -8,7 +8,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from formats.errors import SceneError
-from formats.scene_schema import InsideTable, InterfaceTable, MediumTable, ObjectTable, SceneFile, Table
+from formats.scene_schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
 from formats.whole import existing
 
 _EXPECTED = {
@@ -23,6 +23,18 @@ _EXPECTED = {
     "roughness": "a GGX alpha from 0 to 1, or the name of an image",
     "energy_compensation": "true or false",
     "normals": '"face" or "vertex"',
+    "unit_in_mm": "a positive number of millimetres",
+    "material": "the name of a measured material",
+    "density": "a positive number",
+    "mix": "a table [medium.mix]",
+    "mix.sigma_t": "one number that is not negative, or three of them (RGB)",
+    "mix.albedo": "a number from 0 to 1, or three of them (RGB)",
+    "pattern": '"noise", "veins" or "turbulence"',
+    "feature": "a positive length in scene units",
+    "seed": "a whole number from 0 to 2^63 - 1",
+    "octaves": "a whole number from 1 to 10",
+    "thresholds": "two numbers, the lower one first",
+    "resolution": "a whole number of cells from 2 to 256",
     "sigma_t": "one number that is not negative, three of them (RGB), or the name of an .npy grid",
     "albedo": "a number from 0 to 1, three of them (RGB), or the name of an .npy grid",
     "phase_g": "a mean cosine between -1 and 1, both excluded",
@@ -65,10 +77,16 @@ def _sentence(fault: ValidationError, tables: Mapping[str, object]) -> str:
         advice = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
         return f"{key}: unknown key; {advice}"
     if kind == "missing" and len(path) == len(errors[0]["loc"]):
-        return f"{key}: is missing; expected {_EXPECTED[name]}"
+        return f"{key}: is missing; expected {expected(key)}"
     if kind == "value_error":
         return f"{key}: {errors[0]['msg'].removeprefix('Value error, ')}"
-    return f"{key}: expected {_EXPECTED[name]}, found {found!r}"
+    return f"{key}: expected {expected(key)}, found {found!r}"
+
+
+def expected(key: str) -> str:
+    """Say what a key, given with its tables, may be: "medium.albedo" is a number, three, or the name of a grid."""
+    tables = key.split(".")
+    return _EXPECTED.get(".".join(tables[-2:])) or _EXPECTED[tables[-1]]
 
 
 def _located(loc: tuple[int | str, ...], tables: Mapping[str, object]) -> tuple[list[int | str], object]:
@@ -91,6 +109,7 @@ def _known_keys(path: list[int | str]) -> list[str]:
         "object": ObjectTable,
         "interface": InterfaceTable,
         "medium": MediumTable,
+        "mix": MixTable,
         "inside": InsideTable,
     }
     names = [part for part in path[:-1] if isinstance(part, str)]

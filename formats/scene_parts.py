@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from formats.errors import SceneError
 from formats.mesh import Mesh, flipped, open_edges, read_mesh, signed_volume, torn_edges
-from formats.scene_medium import Medium, clear_medium, read_medium
+from formats.scene_medium import Medium, Place, clear_medium, read_medium
 from formats.scene_schema import InsideTable, InterfaceTable, SceneFile
 from formats.texture import read_reflectance_texture, read_roughness_texture
 
@@ -63,9 +63,9 @@ def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:
     parents = _parents(tables.inside, path)
     parts: dict[int, Part] = {0: _outermost(tables, path)}
     while len(parts) <= len(tables.inside):
-        for index, table in enumerate(tables.inside, start=1):
+        for index in range(1, len(parents)):
             if index not in parts and parents[index] in parts:
-                parts[index] = _inner(table, index, parents[index], parts[parents[index]], path)
+                parts[index] = _inner(tables, index, parents[index], parts[parents[index]], path)
     return tuple(parts[index] for index in sorted(parts))
 
 
@@ -83,12 +83,12 @@ def _outermost(tables: SceneFile, path: Path) -> Part:
         normals=tables.interface.normals,
         energy_compensation=tables.interface.energy_compensation,
         diffuse=None,
-        medium=read_medium(tables.medium, path, "medium"),
+        medium=read_medium(tables.medium, Place(path, "medium", mesh.bounds, tables.object)),
     )
 
 
-def _inner(table: InsideTable, index: int, parent_index: int, parent: Part, path: Path) -> Part:
-    key = f"inside.{index - 1}"
+def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path: Path) -> Part:
+    table, key = tables.inside[index - 1], f"inside.{index - 1}"
     if parent.diffuse is not None:
         raise SceneError(
             f"{path}: {key}.in: {table.name!r} lies in {parent.name!r}, which is diffuse: no light gets there; put it "
@@ -99,7 +99,8 @@ def _inner(table: InsideTable, index: int, parent_index: int, parent: Part, path
     _refuse_outside(mesh, parent, f"{path}: {key}.mesh: {mesh_path}")
     interface = table.interface or InterfaceTable()
     diffuse = _reflectance(table, mesh, path, key) if table.surface == "diffuse" else None
-    filling = clear_medium() if table.medium is None else read_medium(table.medium, path, f"{key}.medium")
+    place = Place(path, f"{key}.medium", mesh.bounds, tables.object)
+    filling = clear_medium() if table.medium is None else read_medium(table.medium, place)
     return Part(
         name=table.name,
         parent=parent_index,

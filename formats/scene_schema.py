@@ -4,10 +4,13 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
 
+from formats.solid_texture import Pattern
+
 _Unit = Annotated[float, Field(ge=0, le=1)]
 _Extinction = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Coordinate = Annotated[float, Field(allow_inf_nan=False)]
 _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]
+_Density = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _Extinctions = Annotated[tuple[_Extinction, _Extinction, _Extinction], Strict(False)]
 _Colour = Annotated[tuple[_Unit, _Unit, _Unit], Strict(False)]
 
@@ -24,6 +27,7 @@ class ObjectTable(Table):
     mesh: str = Field(min_length=1)
     up: Literal["y", "z"] = "y"
     unit: str = "unit"
+    unit_in_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
 class InterfaceTable(Table):
@@ -35,13 +39,38 @@ class InterfaceTable(Table):
     energy_compensation: bool = False
 
 
-class MediumTable(Table):
-    """[medium]: what scatters and absorbs; a string names a grid file."""
+class MixTable(Table):
+    """[medium.mix]: a second substance, mixed in by a procedural pattern."""
 
-    sigma_t: _Extinction | _Extinctions | str
-    albedo: _Unit | _Colour | str
+    material: str | None = None
+    density: _Density = 1.0
+    sigma_t: _Extinction | _Extinctions | None = None
+    albedo: _Unit | _Colour | None = None
+    pattern: Pattern
+    feature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    octaves: int = Field(default=4, ge=1, le=10)
+    thresholds: Annotated[tuple[_Coordinate, _Coordinate], Strict(False)] | None = None
+    resolution: int = Field(default=64, ge=2, le=256)
+
+    @field_validator("thresholds")
+    @classmethod
+    def _apart(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError("the first threshold must be below the second")
+        return value
+
+
+class MediumTable(Table):
+    """[medium]: what scatters and absorbs; a string names a grid file. Either `material`, or `sigma_t` and `albedo`."""
+
+    material: str | None = None
+    density: _Density = 1.0
+    sigma_t: _Extinction | _Extinctions | str | None = None
+    albedo: _Unit | _Colour | str | None = None
     phase_g: float = Field(default=0.0, gt=-1, lt=1)
     bounds: Annotated[tuple[_Point, _Point], Strict(False)] | None = None
+    mix: MixTable | None = None
 
     @field_validator("bounds")
     @classmethod

@@ -11,6 +11,7 @@ from formats.whole import existing
 
 if TYPE_CHECKING:
     from formats.scene_parts import Part
+    from formats.scene_schema import MediumTable
 
 SUFFIXES = {
     "mesh": (".ply", ".obj", ".glb", ".gltf"),
@@ -111,13 +112,17 @@ def _describe_scene(path: Path) -> dict[str, Any]:
     from formats.scene import read_scene
 
     scene = read_scene(path)
+    tables = [scene.tables.medium, *(table.medium for table in scene.tables.inside)]
+    outermost, *others = [
+        {**_describe_part(part), **_materials(part, table)} for part, table in zip(scene.parts, tables, strict=True)
+    ]
     inside = {
         f"{part.name}: {name}": value
-        for part in scene.parts[1:]
-        for name, value in {"in": scene.parts[part.parent].name, **_describe_part(part)}.items()
+        for part, told in zip(scene.parts[1:], others, strict=True)
+        for name, value in {"in": scene.parts[part.parent].name, **told}.items()
     }
     return {
-        **_describe_part(scene.parts[0]),
+        **outermost,
         "up": scene.up,
         "unit": scene.unit,
         "parts": len(scene.parts),
@@ -146,6 +151,21 @@ def _describe_part(part: "Part") -> dict[str, Any]:
         "albedo": _constant_or_array(part.medium.albedo, "grid"),
         "phase_g": part.medium.phase_g,
     }
+
+
+def _materials(part: "Part", table: "MediumTable | None") -> dict[str, Any]:
+    """The materials that a part's table names, with the index that they were measured with."""
+    from formats.materials import find_material
+
+    told = {}
+    for key, name in (
+        ("material", table and table.material),
+        ("mixed with", table and table.mix and table.mix.material),
+    ):
+        if name:
+            material = find_material(name)
+            told[key] = f"{material.name}, measured with eta {material.eta:g}; taken is that of the scene, {part.eta:g}"
+    return told
 
 
 def _constant_or_array(quantity: Any, kind: str) -> Any:

@@ -108,7 +108,7 @@ FAULTS = [
     (
         "phase_g",
         'colour = "red"\nphase_g',
-        "medium.colour: unknown key; expected one of sigma_t, albedo, phase_g, bounds",
+        "medium.colour: unknown key; expected one of material, density, sigma_t, albedo, phase_g, bounds, mix",
     ),
     ("sigma_t = 12.0", "", "medium.sigma_t: is missing"),
     (
