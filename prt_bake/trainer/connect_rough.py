@@ -56,7 +56,7 @@ def is_outermost(boundary: Any, face: Any, before: Any) -> bool:
     if not boundary.nested:
         return True
     after = before ^ (1 << boundary.part[face])
-    return boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0
+    return bool(boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0)
 
 
 @walk_function()

@@ -130,7 +130,7 @@ def _mean_alpha(part: Part) -> float:
 def _mean_reflectance(part: Part) -> Array:
     if part.diffuse is None:
         return np.zeros(3)
-    return np.asarray(part.diffuse, np.float64).reshape(-1, 3).mean(axis=0)
+    return np.asarray(part.diffuse.reshape(-1, 3).mean(axis=0), np.float64)
 
 
 def _textures(parts: tuple[Part, ...]) -> dict[str, Any]:

@@ -215,7 +215,7 @@ def _worth_following(kept: Any, certain: Any, watched: Any, stream: Any) -> bool
     """Roulette on what is nearly dark: False, with kept set to 0, or kept doubled."""
     if max(kept[0], max(kept[1], kept[2])) * math.exp(-certain) >= watched:
         return True
-    alive = uniform(stream) < 0.5
+    alive = bool(uniform(stream) < 0.5)
     for c in range(3):
         kept[c] *= 2.0 if alive else 0.0
     return alive
