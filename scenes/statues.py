@@ -85,7 +85,8 @@ def _ear(x: Array, y: Array, z: Array) -> Array:
     along = np.sin(turn) * outwards + np.cos(turn) * backwards
     dish = across - 0.35 * (along - 0.16) ** 2
     beyond = np.maximum(_ellipsoid(0.0 * x, y - 0.24 - 0.25 * along, along - 0.16, 1.0, 0.22, 0.16), 0.0)
-    return np.hypot(beyond, dish) - 0.05
+    distance: Array = np.hypot(beyond, dish) - 0.05
+    return distance
 
 
 def _ellipsoid(x: Array, y: Array, z: Array, a: float, b: float, c: float) -> Array:
