@@ -17,6 +17,8 @@ from formats.scene_medium import Medium
 from formats.scene_parts import Part, read_parts
 from formats.scene_schema import SceneFile
 
+__all__ = ["Medium", "Part", "Scene", "read_scene"]
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:

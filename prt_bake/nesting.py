@@ -11,23 +11,25 @@ from formats.scene_parts import Part
 TOLERANCE = 1e-4
 """How far a part may stick out of its parent unnoticed, in diagonals of the parent."""
 _PAIRS = 1_000_000  # points times faces held in memory at once
+_MOST_PAIRS = 100_000_000  # points times faces tested in all
 
 
 def sticking_out(parts: tuple[Part, ...]) -> list[str]:
     """Return a sentence for every part that sticks out of its parent by more than the tolerance; it is clipped there.
 
-    Tested are the vertices of the part, and those of the parent that the part holds.
+    Tested are the vertices of the part, and those of the parent that the part holds; of large meshes an even sample.
     """
     sentences = []
     for part in parts[1:]:
         parent = parts[part.parent]
-        outside = part.mesh.positions[winding(parent.mesh, part.mesh.positions) < 0.5]
-        swallowed = parent.mesh.positions[winding(part.mesh, parent.mesh.positions) > 0.5]
+        tested, parent_s = _sample(part.mesh, parent.mesh), _sample(parent.mesh, part.mesh)
+        outside = tested[winding(parent.mesh, tested) < 0.5]
+        swallowed = parent_s[winding(part.mesh, parent_s) > 0.5]
         out = max(_farthest(parent.mesh, outside), _farthest(part.mesh, swallowed)) / parent.mesh.diagonal
         if out > TOLERANCE:
             sentences.append(
                 f"{part.name!r} sticks out of {parent.name!r} by {out:.2g} of its diagonal ({len(outside)} of "
-                f"{len(part.mesh.positions)} vertices lie outside); what sticks out is cut off"
+                f"{len(tested)} vertices lie outside); what sticks out is cut off"
             )
     return sentences
 
@@ -59,6 +61,12 @@ def distances(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
         to_faces = np.where(np.minimum.reduce(sides) >= 0.0, np.abs(height), np.inf)
         nearest[rows] = np.minimum.reduce([*to_edges, to_faces]).min(axis=1)
     return nearest
+
+
+def _sample(mesh: Mesh, other: Mesh) -> NDArray[np.float64]:
+    """The mesh's vertices, or every so many of them where testing all against the other's faces would take too long."""
+    every = -(-len(mesh.positions) * len(other.faces) // _MOST_PAIRS)
+    return mesh.positions[:: max(1, every)]
 
 
 def _farthest(mesh: Mesh, points: NDArray[np.float64]) -> float:

@@ -111,6 +111,23 @@ def test_seams_survive_merging_and_writing(tmp_path, suffix):
     np.testing.assert_array_equal(again.uv, mesh.uv)
 
 
+def test_polygons_of_a_ply_take_their_texture_coordinates_along(tmp_path):
+    corners = "\n".join(f"{x} {y} {z}" for x, y, z in CUBE_CORNERS)
+    pairs = [(0, 0), (1, 0), (1, 0.5), (0, 0.5)]
+    rows = "\n".join(
+        f"4 {' '.join(str(i - 1) for i in quad)} 8 {' '.join(f'{u + k} {v}' for u, v in pairs)}"
+        for k, quad in enumerate(CUBE_QUADS)
+    )
+    (tmp_path / "cube.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 6\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+        f"{corners}\n{rows}\n"
+    )
+    mesh = read_mesh(tmp_path / "cube.ply")
+    expected = [[(u + k, v) for u, v in (pairs[i] for i in fan)] for k in range(6) for fan in ((0, 1, 2), (0, 2, 3))]
+    np.testing.assert_array_equal(mesh.corner_uv, expected)
+
+
 def test_a_turned_face_keeps_each_corner_s_own_texture_coordinates(tmp_path):
     mesh = seamed_cube(tmp_path)
     turned = flipped(mesh)
