@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from prt_bake.trainer.boundary import facing_normal, normal_at
+from prt_bake.trainer.boundary import facing_normal, normal_at, part_of
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.embree import nearest_hit
@@ -70,7 +70,7 @@ def _outermost_face(boundary: Any, p: Any, v: Any, skip: Any, ray: Any) -> Any:
     near = 0.0
     while True:
         face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, v, near, np.inf, skip)
-        if face < 0 or boundary.part[face] == 0:
+        if face < 0 or part_of(boundary, face) == 0:
             return face
         near = t * (1.0 + 2e-7) + 1e-9
 
@@ -89,7 +89,7 @@ def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v
         face = _outermost_face(boundary, p, v, skip, ray)
         if face < 0:
             return found
-        g = boundary.face_normals[face]
+        g = boundary.faces[face]
         if w[0] * g[0] + w[1] * g[1] + w[2] * g[2] <= 0.0:
             return found
         normal_at(boundary, face, np.float64(ray[15]), np.float64(ray[16]), normal)

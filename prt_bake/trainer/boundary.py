@@ -25,34 +25,29 @@ position, so that at a vertex no walk is handed to and fro between faces that al
 
 
 class Boundary(NamedTuple):
-    """All parts' surfaces; lengths in units of the object's longest side, about its centre."""
+    """All parts' surfaces; lengths in units of the object's longest side, about its centre.
+
+    Kernels hand this record from function to function, each array as some ten words: few wide tables cost less than
+    many narrow ones (a third of the walk's time).
+    """
 
     intersect: int
     scene: int
-    scenes: NDArray[np.int64]
-    """The handle of each part alone."""
-    first_face: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    face_normals: NDArray[np.float64]
-    vertex_normals: NDArray[np.float64]
-    part: NDArray[np.int64]
-    """The part of each face; those of part 0, the object itself, come first."""
-    corner_uv: NDArray[np.float64]
-    """[F,3,2], or [0,3,2] where no part has a texture."""
-    texels: NDArray[np.float32]
-    """The textures of all parts, three channels, one after the other."""
-    texture: NDArray[np.int64]
-    """First texel, height and width for each part; height 0 where it has none."""
-    alphas: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-    diffuse: NDArray[np.bool_]
-    interpolate: NDArray[np.bool_]
-    compensation: NDArray[np.float64]
-    """Tables of `prt_bake.trainer.compensation` for each part."""
+    faces: NDArray[np.float64]
+    """[F,28]: normal (first), corners, normals and texture coordinates of the corners, part. Those of part 0, the
+    object itself, come first."""
+    parts: NDArray[np.float64]
+    """[P,9]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, and the texture's first texel,
+    height (0: no texture) and width."""
     etas: NDArray[np.float64]
     """Absolute index of each region."""
+    handles: NDArray[np.int64]
+    """[P,2]: Embree's scene of each part alone, and its first face."""
+    texels: NDArray[np.float32]
+    """The textures of all parts, three channels, one after the other."""
     region_of_mask: NDArray[np.int64]
+    clearance: NDArray[np.float32]
+    """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
     nested: bool
     kind: int
     alpha: float
@@ -62,8 +57,16 @@ class Boundary(NamedTuple):
     """A ball about the origin of this radius holds the object."""
     most_events: int
     """A walk ends after so many events; what it still carried is counted as lost and reported."""
-    clearance: NDArray[np.float32]
-    """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
+
+
+CORNERS, CORNER_NORMALS, CORNER_UV, PART, FACE_SIZE = 3, 12, 21, 27, 28
+ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH, PART_SIZE = 0, 1, 4, 5, 6, 7, 8, 9
+
+
+@walk_function(inline="always")
+def part_of(boundary: Any, face: Any) -> Any:
+    """The part that a face belongs to."""
+    return int(boundary.faces[face, PART])
 
 
 @walk_function()
@@ -71,24 +74,33 @@ def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
     """Write the interface's normal at (u, v) of a face: the face's own, or the interpolated one where it is asked
     for.
     """
+    row = boundary.faces[face]
     for k in range(3):
-        normal[k] = boundary.face_normals[face, k]
-    if not boundary.interpolate[boundary.part[face]]:
+        normal[k] = row[k]
+    if boundary.parts[part_of(boundary, face), INTERPOLATED] == 0.0:
         return
-    a, b, c = boundary.faces[face, 0], boundary.faces[face, 1], boundary.faces[face, 2]
-    n = boundary.vertex_normals
-    x = (1.0 - u - v) * n[a, 0] + u * n[b, 0] + v * n[c, 0]
-    y = (1.0 - u - v) * n[a, 1] + u * n[b, 1] + v * n[c, 1]
-    z = (1.0 - u - v) * n[a, 2] + u * n[b, 2] + v * n[c, 2]
+    w, n = 1.0 - u - v, CORNER_NORMALS
+    x = w * row[n] + u * row[n + 3] + v * row[n + 6]
+    y = w * row[n + 1] + u * row[n + 4] + v * row[n + 7]
+    z = w * row[n + 2] + u * row[n + 5] + v * row[n + 8]
     length = math.sqrt(x * x + y * y + z * z)
     if length > 1e-6:
         normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
+@walk_function(inline="always")
+def place_on(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> None:
+    """Write the point at (u, v) of a face."""
+    row = boundary.faces[face]
+    for k in range(3):
+        position[k] = (1.0 - u - v) * row[CORNERS + k] + u * row[CORNERS + 3 + k] + v * row[CORNERS + 6 + k]
+
+
 @walk_function()
 def _texel(boundary: Any, part: Any, s: Any, t: Any, channel: Any) -> Any:
     """A part's texture at (s, t), bilinear and repeating; t = 0 is the bottom row's lower edge."""
-    first, height, width = boundary.texture[part, 0], boundary.texture[part, 1], boundary.texture[part, 2]
+    row = boundary.parts[part]
+    first, height, width = int(row[FIRST_TEXEL]), int(row[HEIGHT]), int(row[WIDTH])
     x, y = s * width - 0.5, (1.0 - t) * height - 0.5
     column, row = math.floor(x), math.floor(y)
     fx, fy = x - column, y - row
@@ -104,40 +116,40 @@ def _texel(boundary: Any, part: Any, s: Any, t: Any, channel: Any) -> Any:
 
 @walk_function()
 def _textured(boundary: Any, face: Any, u: Any, v: Any, channel: Any) -> Any:
-    uv = boundary.corner_uv[face]
-    s = (1.0 - u - v) * uv[0, 0] + u * uv[1, 0] + v * uv[2, 0]
-    t = (1.0 - u - v) * uv[0, 1] + u * uv[1, 1] + v * uv[2, 1]
-    return _texel(boundary, boundary.part[face], s, t, channel)
+    row = boundary.faces[face]
+    s = (1.0 - u - v) * row[CORNER_UV] + u * row[CORNER_UV + 2] + v * row[CORNER_UV + 4]
+    t = (1.0 - u - v) * row[CORNER_UV + 1] + u * row[CORNER_UV + 3] + v * row[CORNER_UV + 5]
+    return _texel(boundary, part_of(boundary, face), s, t, channel)
 
 
 @walk_function(inline="always")
 def alpha_at(boundary: Any, face: Any, u: Any, v: Any) -> Any:
     """GGX alpha of the interface at (u, v) of a face."""
-    part = boundary.part[face]
-    if boundary.texture[part, 1] == 0 or boundary.diffuse[part]:
-        return boundary.alphas[part]
+    row = boundary.parts[part_of(boundary, face)]
+    if row[HEIGHT] == 0.0 or row[IS_DIFFUSE] != 0.0:
+        return row[ALPHA]
     return _textured(boundary, face, u, v, 0)
 
 
 @walk_function()
 def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel: Any) -> Any:
     """What the diffuse `part` reflects where it is met at a face (of another part where both surfaces coincide)."""
-    if boundary.texture[part, 1] == 0 or boundary.part[face] != part:
-        return boundary.reflectance[part, channel]
+    if boundary.parts[part, HEIGHT] == 0.0 or part_of(boundary, face) != part:
+        return boundary.parts[part, REFLECTANCE + channel]
     return _textured(boundary, face, u, v, channel)
 
 
 @walk_function(inline="always")
 def met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray along d meets the face from inside its part."""
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     return d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
 
 
 @walk_function(inline="always")
 def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
     """The mask of a walker that meets the face along d: its side tells whether it is in the face's part."""
-    bit = 1 << boundary.part[face]
+    bit = 1 << part_of(boundary, face)
     if met_from_behind(boundary, face, d):
         return mask | bit
     return mask & ~bit
@@ -146,19 +158,19 @@ def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
 @walk_function()
 def crossing(boundary: Any, face: Any, before: Any) -> Any:
     """(mask behind the face, kind of interface, relative index) for a walker that meets it with mask `before`."""
-    part = boundary.part[face]
+    part = part_of(boundary, face)
     after = before ^ (1 << part)
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
     if here == there:
         return after, PASS, 1.0
-    if here > 0 and boundary.diffuse[here - 1]:
+    if here > 0 and boundary.parts[here - 1, IS_DIFFUSE] != 0.0:
         return after, OPAQUE, 1.0
-    if there > 0 and boundary.diffuse[there - 1]:
+    if there > 0 and boundary.parts[there - 1, IS_DIFFUSE] != 0.0:
         return after, DIFFUSE, 1.0
     eta = boundary.etas[there] / boundary.etas[here]
     if abs(eta - 1.0) < 1e-9:
         return after, MATCHED, 1.0
-    return after, SMOOTH if boundary.alphas[part] < SMOOTHEST else ROUGH, eta
+    return after, SMOOTH if boundary.parts[part, ALPHA] < SMOOTHEST else ROUGH, eta
 
 
 @walk_function()
@@ -167,7 +179,7 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
 
     An interpolated normal that d sees from the wrong side gives way to the face's own.
     """
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     geometric = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     sign = -1.0 if geometric > 0.0 else 1.0
     x, y, z = sign * normal[0], sign * normal[1], sign * normal[2]
@@ -187,7 +199,7 @@ def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: 
     if face < 0:
         return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, at, far, face)
     if boundary.nested:
-        found = _lying_on(boundary, ray, p, d, at, boundary.part[face], former)
+        found = _lying_on(boundary, ray, p, d, at, part_of(boundary, face), former)
         if found >= 0:
             return found, at
     near = at + CLEARANCE
@@ -201,11 +213,13 @@ def _lying_on(boundary: Any, ray: Any, p: Any, d: Any, at: Any, part: Any, forme
     """
     back = at - CLEARANCE
     start = (p[0] + back * d[0], p[1] + back * d[1], p[2] + back * d[2])
-    for other in range(len(boundary.scenes)):
+    for other in range(len(boundary.parts)):
         if other != part and other != former:
-            found, _t = nearest_hit(boundary.intersect, boundary.scenes[other], ray, start, d, 0.0, 2.0 * CLEARANCE, -1)
+            found, _t = nearest_hit(
+                boundary.intersect, boundary.handles[other, 0], ray, start, d, 0.0, 2.0 * CLEARANCE, -1
+            )
             if found >= 0:
-                return boundary.first_face[other] + found
+                return boundary.handles[other, 1] + found
     return -1
 
 
@@ -224,7 +238,7 @@ def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
         after, kind, _eta = crossing(boundary, found, before)
         if kind != PASS and kind != MATCHED:
             return found, t, before
-        former = boundary.part[face] if face >= 0 and t < at + 2.0 * CLEARANCE else -1
+        former = part_of(boundary, face) if face >= 0 and t < at + 2.0 * CLEARANCE else -1
         face, mask, at = found, after, t
 
 
@@ -235,12 +249,12 @@ def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
     Each part is asked by itself, so that surfaces that lie on one another do not hide each other.
     """
     mask = 0
-    for part in range(len(boundary.alphas)):
-        if not boundary.nested or part == boundary.part[face]:
+    for part in range(len(boundary.parts)):
+        if not boundary.nested or part == part_of(boundary, face):
             continue
         # What lies within the clearance lies on the face: the point just inside is beyond it.
-        found, _t = nearest_hit(boundary.intersect, boundary.scenes[part], ray, p, inward, CLEARANCE, np.inf, -1)
-        if found >= 0 and met_from_behind(boundary, boundary.first_face[part] + found, inward):
+        found, _t = nearest_hit(boundary.intersect, boundary.handles[part, 0], ray, p, inward, CLEARANCE, np.inf, -1)
+        if found >= 0 and met_from_behind(boundary, boundary.handles[part, 1] + found, inward):
             mask |= 1 << part
     return mask
 

@@ -17,12 +17,13 @@ from prt_bake.trainer.boundary import (
     facing_normal,
     mask_before,
     next_face,
+    part_of,
     room_about,
 )
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import MATCHED, microfacet_transport, rough_density
-from prt_bake.trainer.media import phase
+from prt_bake.trainer.media import MINORANT, PHASE_G, phase
 from prt_bake.trainer.tracking import attenuate
 from prt_bake.trainer.walk import (
     AT,
@@ -47,7 +48,7 @@ _ALWAYS_LOOKED = 2.0
 @walk_function()
 def look_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
     """With what probability a scattering event looks at the light: that of getting out, where it lies deep inside."""
-    depth = media.minorant[region_of(boundary, counts)] * room_about(boundary, state[POSITION : POSITION + 3])
+    depth = media.regions[region_of(boundary, counts), MINORANT] * room_about(boundary, state[POSITION : POSITION + 3])
     if depth <= _ALWAYS_LOOKED:
         return 1.0
     return math.exp(_ALWAYS_LOOKED - depth)
@@ -85,7 +86,7 @@ def march(
         attenuate(media, boundary.region_of_mask[before], p, d, t, hit, at, stream, kept)
         if kept[0] + kept[1] + kept[2] == 0.0:
             return True
-        former = boundary.part[face] if face >= 0 and hit < t + 2.0 * CLEARANCE else -1
+        former = part_of(boundary, face) if face >= 0 and hit < t + 2.0 * CLEARANCE else -1
         face, mask, t = found, after, hit
 
 
@@ -106,8 +107,8 @@ def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: A
     """What an event sends along v per solid angle: the phase function, or the cosine law of a diffuse surface."""
     d = state[DIRECTION : DIRECTION + 3]
     if event == SCATTERING:
-        return phase(d[0] * v[0] + d[1] * v[1] + d[2] * v[2], media.phase_g[region_of(boundary, counts)])
-    g = boundary.face_normals[counts[FACE]]
+        return phase(d[0] * v[0] + d[1] * v[1] + d[2] * v[2], media.regions[region_of(boundary, counts), PHASE_G])
+    g = boundary.faces[counts[FACE]]
     nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], d)
     # What an interpolated normal would send behind the face itself is lost, as by `bounce`, which flies into it.
     if (v[0] * g[0] + v[1] * g[1] + v[2] * g[2]) * (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) >= 0.0:
@@ -120,7 +121,7 @@ def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d:
     """f |cos| of the rough interface from flight d to v (both along the eye path), and by what density `cross` draws
     v.
     """
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     after = v[0] * g[0] + v[1] * g[1] + v[2] * g[2]
     nx, ny, nz = facing_normal(boundary, face, normal, d)
@@ -151,7 +152,7 @@ def _sent_straight(boundary: Any, media: Any, state: Any, counts: Any, event: An
     after, _kind, eta = crossing(boundary, face, mask)
     alpha = alpha_at(boundary, face, state[U], state[V])
     sent, _density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, d, w, False)
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     passes = (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) * (w[0] * g[0] + w[1] * g[1] + w[2] * g[2]) > 0.0
     return sent, after if passes else mask
 

@@ -17,6 +17,7 @@ from prt_bake.trainer.boundary import (
     crossing,
     met_from_behind,
     normal_at,
+    part_of,
     reach,
 )
 from prt_bake.trainer.compiled import walk_function
@@ -55,7 +56,7 @@ def is_outermost(boundary: Any, face: Any, before: Any) -> bool:
     """Whether outside lies on either side of the face for a walker that meets it with mask `before`."""
     if not boundary.nested:
         return True
-    after = before ^ (1 << boundary.part[face])
+    after = before ^ (1 << part_of(boundary, face))
     return bool(boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0)
 
 
@@ -64,7 +65,7 @@ def _received(
     boundary: Any, face: Any, before: Any, normal: Any, u: Any, v: Any, q: Any, d: Any, w: Any, ray: Any
 ) -> Any:
     """f |cos| between a flight d that arrives at q on a face and light from w; 0 where the object hides the light."""
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     if w[0] * g[0] + w[1] * g[1] + w[2] * g[2] <= 0.0:
         return 0.0
     _after, kind, eta = crossing(boundary, face, before)
@@ -167,11 +168,11 @@ def _density_sent(boundary: Any, state: Any, counts: Any, entering: Any) -> Any:
     face = counts[FACE]
     d = state[DIRECTION : DIRECTION + 3]
     arrived = state[ARRIVED : ARRIVED + 3]
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     passed = (arrived[0] * g[0] + arrived[1] * g[1] + arrived[2] * g[2]) * (
         d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     ) > 0.0
-    before = counts[MASK] ^ (1 << boundary.part[face]) if passed else counts[MASK]
+    before = counts[MASK] ^ (1 << part_of(boundary, face)) if passed else counts[MASK]
     _after, _kind, eta = crossing(boundary, face, before)
     alpha = alpha_at(boundary, face, state[U], state[V])
     _value, density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, arrived, d, entering)
@@ -234,7 +235,7 @@ def connect_aimed(
     v, q, normal, kept = room[0:3], room[3:6], room[6:9], room[9:12]
     inside = counts[MASK]
     if event == SURFACE or event == ENTERING:
-        inside |= 1 << boundary.part[counts[FACE]]
+        inside |= 1 << part_of(boundary, counts[FACE])
     for j in range(looked):
         i = (first + j * count // looked) % count
         w = incident[i]
@@ -269,7 +270,7 @@ def _sent_inside(boundary: Any, media: Any, state: Any, counts: Any, event: Any,
         sent = sent_by(boundary, media, state, counts, event, v)
         return sent, sent
     face = counts[FACE]
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     if v[0] * g[0] + v[1] * g[1] + v[2] * g[2] >= 0.0:
         return 0.0, 0.0
     _after, _kind, eta = crossing(boundary, face, counts[MASK])

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.trainer.interface import ROUGH
+from prt_bake.trainer.media import PHASE_G
 from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
 
 Array = NDArray[np.float64]
@@ -142,7 +143,7 @@ def _sharpness(prepared: PreparedScene) -> float:
     """
     if prepared.kind == ROUGH:
         return max(1.0, prepared.boundary.alpha**-2)
-    g = float(np.abs(prepared.medium.phase_g).max())
+    g = float(np.abs(prepared.medium.regions[:, PHASE_G]).max())
     return (1.0 + g) / (1.0 - g) ** 2
 
 

@@ -83,8 +83,8 @@ def train(
     smooth = smooth_part(scene)
     if smooth is not None:
         raise SceneError(
-            f"{scene.path}: the boundary of '{smooth.name}' is smooth: training behind a smooth interface is not supported "
-            "yet; give it a small roughness such as 0.05"
+            f"{scene.path}: the boundary of '{smooth.name}' is smooth: training behind a smooth interface is "
+            "not supported yet; give it a small roughness such as 0.05"
         )
     if minutes <= 0 or (steps is not None and steps < 1):
         raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")

@@ -77,7 +77,7 @@ def _held_at(boundary: Any, position: Any, face: Any, inward: Any, ray: Any) -> 
     if not boundary.nested:
         return 0
     for k in range(3):
-        inward[k] = -boundary.face_normals[face, k]
+        inward[k] = -boundary.faces[face, k]
     return contained(boundary, position, inward, face, ray)
 
 

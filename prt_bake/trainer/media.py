@@ -14,30 +14,28 @@ from prt_bake.trainer.compiled import walk_function
 
 
 class Media(NamedTuple):
-    """The media of R regions; region 0 is outside, where nothing is."""
+    """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
 
-    majorant: NDArray[np.float64]
-    """Largest extinction of each region in any channel; 0 where it is clear."""
-    minorant: NDArray[np.float64]
-    """Least extinction of each region in any channel."""
-    chromatic: NDArray[np.bool_]
-    """Whether extinction differs between the channels."""
-    sigma_t: NDArray[np.float64]
-    """[R,3]; what counts where there is no grid."""
-    albedo: NDArray[np.float64]
-    phase_g: NDArray[np.float64]
+    regions: NDArray[np.float64]
+    """[R,30], by the names below."""
     extinction_cells: NDArray[np.float32]
-    extinction_layout: NDArray[np.int64]
-    """[R,5]: first cell, channels (0: no grid), cells along z, y, x."""
     albedo_cells: NDArray[np.float32]
-    albedo_layout: NDArray[np.int64]
-    low: NDArray[np.float64]
-    per_length: NDArray[np.float64]
-    """[R,3]: 1 / side of the grids' box, along x, y and z."""
-    bounds_of_blocks: NDArray[np.float64]
+    blocks: NDArray[np.float64]
     """[.,2]: least and largest extinction in each block of a grid (`prt_bake.trainer.blocks`)."""
-    blocks: NDArray[np.int64]
-    """[R,4]: first block, blocks along x, y, z."""
+
+
+MAJORANT, MINORANT, CHROMATIC, PHASE_G = 0, 1, 2, 3
+"""Largest (0: clear) and least extinction in any channel, whether it differs between channels, mean cosine."""
+SIGMA_T, ALBEDO = 4, 7
+"""By channel; what counts where there is no grid."""
+LOW, PER_LENGTH = 10, 13
+"""Lowest corner of the grids' box, and 1 / side of it, along x, y and z."""
+EXTINCTION_GRID, ALBEDO_GRID = 16, 21
+"""First cell, channels (0: no grid), cells along z, y, x."""
+CHANNELS = 1
+BLOCKS = 26
+"""First block, blocks along x, y, z."""
+REGION_SIZE = 30
 
 
 @walk_function(inline="always")
@@ -50,11 +48,13 @@ def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
 
 
 @walk_function(inline="always")
-def _trilinear(cells: Any, layout: Any, low: Any, per_length: Any, p: Any, channel: Any) -> Any:
-    first, channels, nz, ny, nx = layout[0], layout[1], layout[2], layout[3], layout[4]
-    x, fx = _cell(p[0], low[0], per_length[0], nx)
-    y, fy = _cell(p[1], low[1], per_length[1], ny)
-    z, fz = _cell(p[2], low[2], per_length[2], nz)
+def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
+    """A channel of the grid that `row` of a region describes from column `grid` on."""
+    first, channels = int(row[grid]), int(row[grid + 1])
+    nz, ny, nx = int(row[grid + 2]), int(row[grid + 3]), int(row[grid + 4])
+    x, fx = _cell(p[0], row[LOW], row[PER_LENGTH], nx)
+    y, fy = _cell(p[1], row[LOW + 1], row[PER_LENGTH + 1], ny)
+    z, fz = _cell(p[2], row[LOW + 2], row[PER_LENGTH + 2], nz)
     across = channels if x + 1 < nx else 0
     down = channels * nx if y + 1 < ny else 0
     deep = channels * nx * ny if z + 1 < nz else 0
@@ -72,35 +72,28 @@ def _trilinear(cells: Any, layout: Any, low: Any, per_length: Any, p: Any, chann
 @walk_function()
 def extinction(media: Any, region: Any, p: Any, channel: Any) -> Any:
     """sigma_t of a channel at p, trilinear."""
-    layout = media.extinction_layout[region]
-    if layout[1] == 0:
-        return media.sigma_t[region, channel]
-    return _trilinear(
-        media.extinction_cells,
-        layout,
-        media.low[region],
-        media.per_length[region],
-        p,
-        channel if layout[1] == 3 else 0,
-    )
+    row = media.regions[region]
+    channels = row[EXTINCTION_GRID + CHANNELS]
+    if channels == 0.0:
+        return row[SIGMA_T + channel]
+    return _trilinear(media.extinction_cells, row, EXTINCTION_GRID, p, channel if channels == 3.0 else 0)
 
 
 @walk_function()
 def multiply_albedo(media: Any, region: Any, p: Any, throughput: Any) -> None:
     """Multiply the throughput [3] by the albedo at p, trilinear."""
-    layout = media.albedo_layout[region]
-    if layout[1] == 0:
+    row = media.regions[region]
+    channels = row[ALBEDO_GRID + CHANNELS]
+    if channels == 0.0:
         for c in range(3):
-            throughput[c] *= media.albedo[region, c]
-        return
-    low, per_length = media.low[region], media.per_length[region]
-    if layout[1] == 1:
-        albedo = _trilinear(media.albedo_cells, layout, low, per_length, p, 0)
+            throughput[c] *= row[ALBEDO + c]
+    elif channels == 1.0:
+        albedo = _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, 0)
         for c in range(3):
             throughput[c] *= albedo
-        return
-    for c in range(3):
-        throughput[c] *= _trilinear(media.albedo_cells, layout, low, per_length, p, c)
+    else:
+        for c in range(3):
+            throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
 
 
 @walk_function(inline="always")

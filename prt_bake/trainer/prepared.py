@@ -9,10 +9,27 @@ from numpy.typing import NDArray
 from formats.scene import Part, Scene
 from prt_bake.surface import Location, Surface
 from prt_bake.trainer.aim import Aim, aim_for
-from prt_bake.trainer.boundary import SMOOTHEST, Boundary
+from prt_bake.trainer.boundary import (
+    ALPHA,
+    CORNER_NORMALS,
+    CORNER_UV,
+    CORNERS,
+    FACE_SIZE,
+    FIRST_TEXEL,
+    HEIGHT,
+    INTERPOLATED,
+    IS_DIFFUSE,
+    PART,
+    PART_SIZE,
+    REFLECTANCE,
+    SMOOTHEST,
+    WIDTH,
+    Boundary,
+)
 from prt_bake.trainer.clearance import clearance_grid
 from prt_bake.trainer.embree import TriangleScene, intersect_address
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
+from prt_bake.trainer.media import MAJORANT
 from prt_bake.trainer.prepared_media import prepare_media
 
 MOST_EVENTS = 10_000_000
@@ -49,34 +66,21 @@ class PreparedScene:
             self._trees = [TriangleScene(positions32[a:b], part.mesh.faces.astype(np.uint32)) for a, b, part in ends]
         self.positions = positions32.astype(np.float64)
         self.faces = np.ascontiguousarray(faces)
-        given = np.concatenate([part.mesh.face_normals for part in parts])
         own = self.positions[: first[1]]
-        thickest = float(self.medium.majorant.max())
         return Boundary(
             intersect=intersect_address(),
             scene=self._tree.handle,
-            scenes=np.array([tree.handle for tree in self._trees], np.int64),
-            first_face=np.cumsum([0] + [len(part.mesh.faces) for part in parts[:-1]]).astype(np.int64),
-            positions=self.positions,
-            faces=self.faces,
-            face_normals=np.ascontiguousarray(_face_normals(self.positions, self.faces, given)),
-            vertex_normals=np.ascontiguousarray(np.concatenate([part.mesh.normals for part in parts])),
-            part=np.repeat(np.arange(len(parts)), [len(part.mesh.faces) for part in parts]).astype(np.int64),
-            **_textures(parts),
-            alphas=np.array([_mean_alpha(part) for part in parts]),
-            reflectance=np.array([_mean_reflectance(part) for part in parts]),
-            diffuse=np.array([part.diffuse is not None for part in parts]),
-            interpolate=np.array([part.normals == "vertex" for part in parts]),
-            compensation=np.zeros((len(parts), 0)),
+            **_tables(parts, self.positions, self.faces),
             etas=np.array([1.0] + [float(part.eta) for part in parts]),
+            handles=np.stack([[tree.handle for tree in self._trees], _first_faces(parts)], axis=1).astype(np.int64),
             region_of_mask=_regions(parts),
+            clearance=clearance_grid(self.positions, self.faces, float(self.medium.regions[:, MAJORANT].max())),
             nested=len(parts) > 1,
             kind=self.kind,
             alpha=_mean_alpha(parts[0]),
             eta=float(scene.eta),
             radius=1.001 * float(np.linalg.norm(own, axis=1).max()),
             most_events=MOST_EVENTS,
-            clearance=clearance_grid(self.positions, self.faces, thickest),
         )
 
     def place(self, positions: Array, outgoing: Array, keys: NDArray[np.uint64]) -> tuple[Any, ...]:
@@ -133,28 +137,42 @@ def _mean_reflectance(part: Part) -> Array:
     return np.asarray(part.diffuse.reshape(-1, 3).mean(axis=0), np.float64)
 
 
-def _textures(parts: tuple[Part, ...]) -> dict[str, Any]:
-    """Texels of all parts with where they lie, and texture coordinates of every corner where there is a texture."""
-    texels, table, corners, size = [], np.zeros((len(parts), 3), np.int64), [], 0
-    for i, part in enumerate(parts):
-        image = np.asarray(part.diffuse if part.diffuse is not None else part.roughness, np.float32)
-        textured = image.ndim == (3 if part.diffuse is not None else 2)
-        if textured:
-            colours = np.broadcast_to(image if image.ndim == 3 else image[..., None], (*image.shape[:2], 3))
-            table[i] = size, *image.shape[:2]
-            texels.append(colours.ravel())
-            size += colours.size
-        uv = (
-            part.mesh.corner_uv
-            if textured and part.mesh.corner_uv is not None
-            else np.zeros((len(part.mesh.faces), 3, 2))
-        )
-        corners.append(uv)
+def _first_faces(parts: tuple[Part, ...]) -> NDArray[np.int64]:
+    return np.cumsum([0] + [len(part.mesh.faces) for part in parts[:-1]]).astype(np.int64)
+
+
+def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64]) -> dict[str, Any]:
+    """`faces`, `parts` and `texels` of the boundary."""
+    rows, table, texels = np.zeros((len(faces), FACE_SIZE)), np.zeros((len(parts), PART_SIZE)), list[Any]()
+    given = np.concatenate([part.mesh.face_normals for part in parts])
+    rows[:, :CORNERS] = _face_normals(positions, faces, given)
+    rows[:, CORNERS:CORNER_NORMALS] = positions[faces].reshape(-1, 9)
+    for i, (part, first) in enumerate(zip(parts, _first_faces(parts), strict=True)):
+        own = rows[first : first + len(part.mesh.faces)]
+        own[:, CORNER_NORMALS:CORNER_UV] = part.mesh.normals[part.mesh.faces].reshape(-1, 9)
+        own[:, PART] = i
+        row = table[i]
+        row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
+        row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"
+        image = _texture(part)
+        if image is not None:
+            row[FIRST_TEXEL], row[HEIGHT], row[WIDTH] = sum(map(len, texels)), *image.shape[:2]
+            texels.append(image.ravel())
+            if part.mesh.corner_uv is not None:
+                own[:, CORNER_UV:PART] = part.mesh.corner_uv.reshape(-1, 6)
     return {
+        "faces": rows,
+        "parts": table,
         "texels": np.concatenate(texels) if texels else np.zeros(0, np.float32),
-        "texture": table,
-        "corner_uv": np.ascontiguousarray(np.concatenate(corners) if texels else np.zeros((0, 3, 2))),
     }
+
+
+def _texture(part: Part) -> NDArray[np.float32] | None:
+    """The part's texture [H,W,3], of reflectance or of roughness, if it has one."""
+    image = np.asarray(part.roughness if part.diffuse is None else part.diffuse, np.float32)
+    if image.ndim < 2:
+        return None
+    return np.ascontiguousarray(np.broadcast_to(image if image.ndim == 3 else image[..., None], (*image.shape[:2], 3)))
 
 
 def _regions(parts: tuple[Part, ...]) -> NDArray[np.int64]:

@@ -5,55 +5,59 @@ from numpy.typing import NDArray
 
 from formats.scene import Medium, Part
 from prt_bake.trainer.blocks import blocks_of
-from prt_bake.trainer.media import Media
+from prt_bake.trainer.media import (
+    ALBEDO,
+    ALBEDO_GRID,
+    BLOCKS,
+    CHROMATIC,
+    EXTINCTION_GRID,
+    LOW,
+    MAJORANT,
+    MINORANT,
+    PER_LENGTH,
+    PHASE_G,
+    REGION_SIZE,
+    SIGMA_T,
+    Media,
+)
 
 Array = NDArray[np.float64]
 
 
 def prepare_media(parts: tuple[Part, ...], center: Array, scale: float) -> Media:
     """Media of the regions outside (clear) and inside each part, in lengths of the object's longest side."""
-    count = len(parts) + 1
-    sigma_t, albedo, phase_g = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count)
-    majorant, minorant = np.zeros(count), np.zeros(count)
-    low, per_length = np.full((count, 3), -0.5), np.ones((count, 3))
-    extinctions, albedos, blocks = _Cells(count), _Cells(count), _Blocks(count)
-    for region, part in enumerate(parts, start=1):
+    regions = np.zeros((len(parts) + 1, REGION_SIZE))
+    regions[:, PER_LENGTH : PER_LENGTH + 3] = 1.0
+    extinctions, albedos, blocks = _Rows(), _Rows(), list[Array]()
+    for row, part in zip(regions[1:], parts, strict=True):
         if part.medium is None:
             continue
         medium = part.medium
-        phase_g[region] = medium.phase_g
         corners = np.array([[-0.5] * 3, [0.5] * 3])
         if medium.bounds is not None:
             corners = (medium.bounds - center) / scale
-        low[region], per_length[region] = corners[0], 1.0 / (corners[1] - corners[0])
+        side = corners[1] - corners[0]
+        row[LOW : LOW + 3], row[PER_LENGTH : PER_LENGTH + 3] = corners[0], 1.0 / side
+        row[PHASE_G], row[CHROMATIC] = medium.phase_g, _differs(medium)
         extinction = np.asarray(medium.sigma_t, np.float64) * scale
-        majorant[region], minorant[region] = extinction.max(), extinction.min()
         if extinction.ndim >= 3:
             # What the kernels look up is rounded to float32, so the blocks count that.
-            extinction = extinctions.add(region, extinction)
-            majorant[region], minorant[region] = extinction.max(), extinction.min()
-            blocks.add(region, extinction, corners[1] - corners[0])
+            extinction = extinctions.add(row[EXTINCTION_GRID : EXTINCTION_GRID + 5], extinction)
+            bounds, shape = blocks_of(extinction, side)
+            row[BLOCKS : BLOCKS + 4] = sum(map(len, blocks)), *shape
+            blocks.append(bounds)
         else:
-            sigma_t[region] = extinction
+            row[SIGMA_T : SIGMA_T + 3] = extinction
+        row[MAJORANT], row[MINORANT] = extinction.max(), extinction.min()
         if np.ndim(medium.albedo) >= 3:
-            albedos.add(region, np.asarray(medium.albedo, np.float64))
+            albedos.add(row[ALBEDO_GRID : ALBEDO_GRID + 5], np.asarray(medium.albedo, np.float64))
         else:
-            albedo[region] = medium.albedo
+            row[ALBEDO : ALBEDO + 3] = medium.albedo
     return Media(
-        majorant=majorant,
-        minorant=minorant,
-        chromatic=np.array([False] + [part.medium is not None and _differs(part.medium) for part in parts]),
-        sigma_t=sigma_t,
-        albedo=albedo,
-        phase_g=phase_g,
+        regions=regions,
         extinction_cells=extinctions.joined(),
-        extinction_layout=extinctions.layout,
         albedo_cells=albedos.joined(),
-        albedo_layout=albedos.layout,
-        low=low,
-        per_length=per_length,
-        bounds_of_blocks=blocks.joined(),
-        blocks=blocks.layout,
+        blocks=np.concatenate(blocks) if blocks else np.zeros((1, 2)),
     )
 
 
@@ -63,38 +67,20 @@ def _differs(medium: Medium) -> bool:
     return values.ndim in (1, 4) and bool((values[..., :1] != values).any())
 
 
-class _Cells:
+class _Rows:
     """Grids laid one after the other."""
 
-    def __init__(self, regions: int) -> None:
-        self.layout = np.zeros((regions, 5), np.int64)
+    def __init__(self) -> None:
         self._rows: list[NDArray[np.float32]] = []
 
-    def add(self, region: int, grid: Array) -> Array:
-        """Lay a grid [Z,Y,X] or [Z,Y,X,3] behind the others and return it as it was rounded."""
+    def add(self, described: Array, grid: Array) -> Array:
+        """Lay a grid [Z,Y,X] or [Z,Y,X,3] behind the others, say where, and return it as it was rounded."""
         rounded = np.ascontiguousarray(grid, np.float32)
         if rounded.ndim == 4 and (rounded[..., :1] == rounded).all():
             rounded = np.ascontiguousarray(rounded[..., 0])
-        self.layout[region] = sum(map(len, self._rows)), 3 if rounded.ndim == 4 else 1, *rounded.shape[:3]
+        described[:] = sum(map(len, self._rows)), 3 if rounded.ndim == 4 else 1, *rounded.shape[:3]
         self._rows.append(rounded.ravel())
         return rounded.astype(np.float64)
 
     def joined(self) -> NDArray[np.float32]:
         return np.concatenate(self._rows) if self._rows else np.zeros(1, np.float32)
-
-
-class _Blocks:
-    """The blocks of all grids, one after the other."""
-
-    def __init__(self, regions: int) -> None:
-        self.layout = np.ones((regions, 4), np.int64)
-        self._rows: list[Array] = []
-
-    def add(self, region: int, extinction: Array, side: Array) -> None:
-        """Cut a grid over a box of `side` into blocks."""
-        bounds, shape = blocks_of(extinction, side)
-        self.layout[region] = sum(map(len, self._rows)), *shape
-        self._rows.append(bounds)
-
-    def joined(self) -> Array:
-        return np.concatenate(self._rows) if self._rows else np.zeros((1, 2))

@@ -14,7 +14,17 @@ import numpy as np
 
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
-from prt_bake.trainer.media import extinction
+from prt_bake.trainer.media import (
+    BLOCKS,
+    CHANNELS,
+    CHROMATIC,
+    EXTINCTION_GRID,
+    LOW,
+    MAJORANT,
+    PER_LENGTH,
+    SIGMA_T,
+    extinction,
+)
 
 _DARK = 0.05
 """Transmittances below this share of what they began with go on by roulette."""
@@ -36,17 +46,12 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
 @walk_function(inline="always")
 def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     """The block of the region's grid at p + t d, and where the ray leaves it (beyond t, whatever the rounding)."""
-    first, nx, ny, nz = (
-        media.blocks[region, 0],
-        media.blocks[region, 1],
-        media.blocks[region, 2],
-        media.blocks[region, 3],
-    )
-    low, per_length = media.low[region], media.per_length[region]
+    row = media.regions[region]
+    first, nx, ny, nz = int(row[BLOCKS]), int(row[BLOCKS + 1]), int(row[BLOCKS + 2]), int(row[BLOCKS + 3])
     probe = t + 1e-7
-    x, tx = _block_axis(p[0], d[0], probe, low[0], per_length[0], nx)
-    y, ty = _block_axis(p[1], d[1], probe, low[1], per_length[1], ny)
-    z, tz = _block_axis(p[2], d[2], probe, low[2], per_length[2], nz)
+    x, tx = _block_axis(p[0], d[0], probe, row[LOW], row[PER_LENGTH], nx)
+    y, ty = _block_axis(p[1], d[1], probe, row[LOW + 1], row[PER_LENGTH + 1], ny)
+    z, tz = _block_axis(p[2], d[2], probe, row[LOW + 2], row[PER_LENGTH + 2], nz)
     return first + (z * ny + y) * nx + x, max(min(tx, min(ty, tz)), probe)
 
 
@@ -56,16 +61,16 @@ def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stre
 
     For regions whose extinction is the same in all channels. `at` is room for a position.
     """
-    majorant = media.majorant[region]
+    majorant = media.regions[region, MAJORANT]
     if majorant <= 0.0:
         return np.inf
     depth = -math.log(1.0 - uniform(stream))
-    if media.extinction_layout[region, 1] == 0:
+    if media.regions[region, EXTINCTION_GRID + CHANNELS] == 0.0:
         return depth / majorant if depth < far * majorant else np.inf
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
-        highest = media.bounds_of_blocks[block, 1]
+        highest = media.blocks[block, 1]
         step = depth / highest if highest > 0.0 else np.inf
         if t + step >= end:
             depth -= (end - t) * highest
@@ -88,13 +93,13 @@ def flight_by_channel(media: Any, region: Any, p: Any, d: Any, far: Any, through
 
     For regions whose extinction differs between channels.
     """
-    if media.extinction_layout[region, 1] == 0:
-        return _homogeneous_by_channel(media.sigma_t[region], far, throughput, stream)
+    if media.regions[region, EXTINCTION_GRID + CHANNELS] == 0.0:
+        return _homogeneous_by_channel(media.regions[region, SIGMA_T : SIGMA_T + 3], far, throughput, stream)
     depth = -math.log(1.0 - uniform(stream))
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
-        highest = media.bounds_of_blocks[block, 1]
+        highest = media.blocks[block, 1]
         step = depth / highest if highest > 0.0 else np.inf
         if t + step >= end:
             depth -= (end - t) * highest
@@ -158,16 +163,16 @@ def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: 
 
     It is exact where sigma_t is one number, and in blocks of a grid where it is.
     """
-    if media.majorant[region] <= 0.0 or far <= near:
+    if media.regions[region, MAJORANT] <= 0.0 or far <= near:
         return
-    if media.extinction_layout[region, 1] == 0:
-        if not media.chromatic[region]:
-            factor = math.exp(-media.majorant[region] * (far - near))
+    if media.regions[region, EXTINCTION_GRID + CHANNELS] == 0.0:
+        if media.regions[region, CHROMATIC] == 0.0:
+            factor = math.exp(-media.regions[region, MAJORANT] * (far - near))
             for c in range(3):
                 kept[c] *= factor
             return
         for c in range(3):
-            kept[c] *= math.exp(-media.sigma_t[region, c] * (far - near))
+            kept[c] *= math.exp(-media.regions[region, SIGMA_T + c] * (far - near))
         return
     _attenuate_in_grid(media, region, p, d, near, far, at, stream, kept)
 
@@ -176,13 +181,13 @@ def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: 
 def _attenuate_in_grid(
     media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any
 ) -> None:
-    channels = media.extinction_layout[region, 1]
+    channels = media.regions[region, EXTINCTION_GRID + CHANNELS]
     watched = _DARK * max(kept[0], max(kept[1], kept[2]))
     depth = -math.log(1.0 - uniform(stream))
     t, certain = near, 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
-        lowest, highest = media.bounds_of_blocks[block, 0], media.bounds_of_blocks[block, 1]
+        lowest, highest = media.blocks[block, 0], media.blocks[block, 1]
         end = min(end, far)
         rest = highest - lowest
         step = depth / rest if rest > 0.0 else np.inf
@@ -196,7 +201,7 @@ def _attenuate_in_grid(
         t = reached
         for k in range(3):
             at[k] = p[k] + t * d[k]
-        if channels == 1:
+        if channels == 1.0:
             factor = 1.0 - (extinction(media, region, at, 0) - lowest) / rest
             for c in range(3):
                 kept[c] *= factor

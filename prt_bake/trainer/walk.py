@@ -25,13 +25,15 @@ from prt_bake.trainer.boundary import (
     mask_before,
     next_face,
     normal_at,
+    part_of,
+    place_on,
     reflectance_at,
     room_about,
 )
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import MATCHED, ROUGH, sample_interface
-from prt_bake.trainer.media import multiply_albedo, phase, phase_cosine
+from prt_bake.trainer.media import CHROMATIC, MAJORANT, PHASE_G, multiply_albedo, phase, phase_cosine
 from prt_bake.trainer.tracking import flight_by_channel, free_flight
 
 SCATTERING, SURFACE, SKY, REFLECTING = 0, 1, 2, 3
@@ -117,10 +119,10 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
     p = state[POSITION : POSITION + 3]
     while True:
         region = region_of(boundary, counts)
-        majorant = media.majorant[region]
+        majorant = media.regions[region, MAJORANT]
         if majorant <= 0.0:
             flight, face = _to_next_face(boundary, state, counts, ray)
-        elif media.chromatic[region]:
+        elif media.regions[region, CHROMATIC] != 0.0:
             flight, face = _fly_by_channel(boundary, media, region, state, counts, ray, stream)
         else:
             flight, face = _fly(boundary, media, region, state, counts, ray, stream)
@@ -211,13 +213,9 @@ def _arrive(boundary: Any, state: Any, counts: Any, ray: Any, face: Any, before:
     where nothing stands there. Returns the kind of interface, negative where the walk has passed.
     """
     u, v = np.float64(ray[15]), np.float64(ray[16])
-    a, b, c = boundary.faces[face, 0], boundary.faces[face, 1], boundary.faces[face, 2]
-    for k in range(3):
-        state[POSITION + k] = (
-            (1.0 - u - v) * boundary.positions[a, k] + u * boundary.positions[b, k] + v * boundary.positions[c, k]
-        )
+    place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
     after, kind, _eta = crossing(boundary, face, before)
-    counts[FORMER] = boundary.part[counts[FACE]] if counts[FACE] >= 0 and flight < 2.0 * CLEARANCE else -1
+    counts[FORMER] = part_of(boundary, counts[FACE]) if counts[FACE] >= 0 and flight < 2.0 * CLEARANCE else -1
     counts[FACE] = face
     if kind == PASS or kind == MATCHED:
         counts[MASK] = after
@@ -256,7 +254,7 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     ox, oy, oz, weight = sample_interface(kind, alpha, eta, ix, iy, iz, transmit_only, stream)
     if weight <= 0.0:
         return False
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     x, y, z = ox * sx + oy * tx + oz * nx, ox * sy + oy * ty + oz * ny, ox * sz + oy * tz + oz * nz
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
@@ -288,7 +286,7 @@ def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> No
 def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> None:
     """Draw a new direction from the phase function; its density stays in state[PHASE], its place in state[ORIGIN]."""
     d = state[DIRECTION : DIRECTION + 3]
-    g = media.phase_g[region_of(boundary, counts)]
+    g = media.regions[region_of(boundary, counts), PHASE_G]
     cosine = phase_cosine(g, uniform(stream))
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     angle = 2.0 * math.pi * uniform(stream)
