@@ -6,7 +6,7 @@ The H function solves 1 / H(μ) = √(1 − a) + a/2 ∫₀¹ μ' H(μ') / (μ +
 import numpy as np
 from numpy.typing import ArrayLike
 
-_NODES = 200
+_NODES = 64
 
 
 def h_function(albedo: float, cosine: ArrayLike) -> np.ndarray:

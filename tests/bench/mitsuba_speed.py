@@ -45,7 +45,7 @@ class Case:
     mesh: Callable[[], Mesh]
     keys: dict[str, Any]
     bar: float
-    mitsuba_seconds: float = 0.3
+    mitsuba_seconds: float = 0.2
 
 
 def _unit_sphere() -> Mesh:
@@ -76,7 +76,7 @@ CASES = (
         },
         20.0,
     ),
-    Case("sphere, matched, sigma_t 500", _unit_sphere, {"sigma_t": 500.0, "albedo": THICK_ALBEDO}, 5.0, 1.2),
+    Case("sphere, matched, sigma_t 500", _unit_sphere, {"sigma_t": 500.0, "albedo": THICK_ALBEDO}, 5.0, 0.8),
 )
 
 
