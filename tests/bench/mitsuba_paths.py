@@ -1,7 +1,4 @@
-"""Mitsuba's paths for one query of Ŝ, many at a time where the variant can, in batches whose spread tells the noise.
-
-Imported when Mitsuba's variant is set.
-"""
+"""Mitsuba's paths for one query of Ŝ, many at a time where the variant can, in batches whose spread tells the noise."""
 
 import tempfile
 import time
@@ -20,9 +17,11 @@ _START = 1e-6 * _LONGEST_SIDE
 
 
 class MitsubaPaths:
-    """A scene under one distant light, asked from points on its surface."""
+    """A scene under one distant light, asked from points on its surface by one of Mitsuba's variants."""
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, variant: str) -> None:
+        self.variant = variant
+        mi.set_variant(variant)
         low, high = scene.mesh.bounds
         self._center, self._scale = scene.mesh.center, _LONGEST_SIDE / float((high - low).max())
         self._matched = scene.eta == 1.0
@@ -30,12 +29,13 @@ class MitsubaPaths:
             exported = mitsuba_dictionary(scene, folder, incident=[0.0, 0.0, 1.0], scale=self._scale)
             self._world = mi.load_dict(exported)
         self._parameters = mi.traverse(self._world)
-        self._vectorised = mi.variant().startswith("llvm")
+        self._vectorised = variant.startswith("llvm")
 
     def batch_means(
         self, position: np.ndarray, outgoing: np.ndarray, incident: np.ndarray, paths: int, seed: int
     ) -> tuple[np.ndarray, float]:
         """Means [BATCHES,3] of `paths` paths each, and the seconds that all of them took."""
+        mi.set_variant(self.variant)
         self._point_light(incident)
         there = (position - self._center) * self._scale
         width = BATCHES * paths if self._vectorised else 1

@@ -1,4 +1,4 @@
-"""Which of Mitsuba's CPU variants works here, the fastest first.
+"""Which of Mitsuba's CPU variants work here.
 
 `llvm_ad_rgb` needs a libLLVM of the system. Some load and then abort the process on a real kernel, so each is tried in
 a process of its own.
@@ -27,8 +27,8 @@ raise SystemExit(0 if 0 < max(seen.x) < 1e4 else 3)
 """
 
 
-def choose_variant() -> tuple[str, str]:
-    """Set DRJIT_LIBLLVM_PATH as needed; return the variant and a sentence about the choice."""
+def working_variants() -> tuple[list[str], str]:
+    """Set DRJIT_LIBLLVM_PATH as needed; return the variants and a sentence about them."""
     tried = []
     for library in _libraries():
         environment = os.environ | ({"DRJIT_LIBLLVM_PATH": library} if library else {})
@@ -37,11 +37,11 @@ def choose_variant() -> tuple[str, str]:
         )
         if trial.returncode == 0:
             os.environ.update({"DRJIT_LIBLLVM_PATH": library} if library else {})
-            return "llvm_ad_rgb", f"llvm_ad_rgb with {library or 'the libLLVM that it finds itself'}"
+            return ["llvm_ad_rgb", "scalar_rgb"], f"libLLVM: {library or 'the one that it finds itself'}"
         tried.append(library or "the one found by itself")
-    return "scalar_rgb", (
-        f"scalar_rgb, one thread through Python: its speed says little; no libLLVM works (tried {', '.join(tried)}); "
-        "install Debian's libllvm19 or name one in DRJIT_LIBLLVM_PATH"
+    return ["scalar_rgb"], (
+        f"no libLLVM works (tried {', '.join(tried)}), so that its vectorised variant is missing: install Debian's "
+        "libllvm19, or name one in DRJIT_LIBLLVM_PATH"
     )
 
 

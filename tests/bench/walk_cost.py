@@ -1,4 +1,4 @@
-"""What a query costs as matter grows thick, and as it grows uneven: seconds, and efficiency beside the first row's.
+"""What a query costs on one thread as matter grows thick, and as it grows uneven: seconds, and efficiency beside the first row's.
 
     PYTHONPATH=tests python tests/bench/walk_cost.py [--queries 5]
 
@@ -11,6 +11,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from efficiency import ours, paths_for, timed
 
@@ -58,6 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--queries", type=int, default=5)
     count = parser.parse_args().queries
+    numba.set_num_threads(1)
     for albedo in (1.0, 0.999):
         rows = {f"{sigma_t:g}": {"sigma_t": sigma_t, "albedo": albedo} for sigma_t in THICKNESS}
         table(f"thickness, albedo {albedo:g}", rows, count)
