@@ -34,8 +34,8 @@ class Boundary(NamedTuple):
     intersect: int
     scene: int
     faces: NDArray[np.float64]
-    """[F,28]: normal (first), corners, normals and texture coordinates of the corners, part. Those of part 0, the
-    object itself, come first."""
+    """[F,29]: normal (first), corners, normals and texture coordinates of the corners, part, and whether nothing lies
+    in front of its plane. Those of part 0, the object itself, come first."""
     parts: NDArray[np.float64]
     """[P,9]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, and the texture's first texel,
     height (0: no texture) and width."""
@@ -59,7 +59,7 @@ class Boundary(NamedTuple):
     """A walk ends after so many events; what it still carried is counted as lost and reported."""
 
 
-CORNERS, CORNER_NORMALS, CORNER_UV, PART, FACE_SIZE = 3, 12, 21, 27, 28
+CORNERS, CORNER_NORMALS, CORNER_UV, PART, OPEN, FACE_SIZE = 3, 12, 21, 27, 28, 29
 ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH, PART_SIZE = 0, 1, 4, 5, 6, 7, 8, 9
 
 
@@ -140,6 +140,13 @@ def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel:
 
 
 @walk_function(inline="always")
+def sees_sky(boundary: Any, face: Any, d: Any) -> Any:
+    """Whether a ray that leaves the face along d is known to meet nothing any more."""
+    row = boundary.faces[face]
+    return row[OPEN] != 0.0 and d[0] * row[0] + d[1] * row[1] + d[2] * row[2] > 0.0
+
+
+@walk_function(inline="always")
 def met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray along d meets the face from inside its part."""
     g = boundary.faces[face]
@@ -150,14 +157,21 @@ def met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
 def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
     """The mask of a walker that meets the face along d: its side tells whether it is in the face's part."""
     bit = 1 << part_of(boundary, face)
-    if met_from_behind(boundary, face, d):
-        return mask | bit
-    return mask & ~bit
+    return mask | bit if met_from_behind(boundary, face, d) else mask & ~bit
+
+
+@walk_function(inline="always")
+def crossing(boundary: Any, face: Any, before: Any) -> Any:
+    """(mask behind the face, kind of interface, relative index) for a walker that meets it with mask `before`."""
+    after, kind = before ^ 1, boundary.kind
+    eta = boundary.eta if before == 0 else 1.0 / boundary.eta
+    if boundary.nested:
+        after, kind, eta = _crossing_of_parts(boundary, face, before)
+    return after, kind, eta
 
 
 @walk_function()
-def crossing(boundary: Any, face: Any, before: Any) -> Any:
-    """(mask behind the face, kind of interface, relative index) for a walker that meets it with mask `before`."""
+def _crossing_of_parts(boundary: Any, face: Any, before: Any) -> Any:
     part = part_of(boundary, face)
     after = before ^ (1 << part)
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
@@ -188,33 +202,34 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
     return x, y, z
 
 
-@walk_function()
+@walk_function(inline="always")
 def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: Any, former: Any) -> Any:
     """The nearest face along p + t d between `at`, where `face` lies (−1: none), and `far`, and its distance t.
 
-    Faces closer to `face` than CLEARANCE are left out where they belong to its part, or to `former`, the part that was
-    crossed at this very place before, on the same flight. A face of a third part so near, before or behind, lies on the
-    one that the ray starts on, and counts.
+    Faces closer to `face` than CLEARANCE are left out where they belong to its part, or to those of the mask `former`,
+    which were crossed at this very place before, on the same flight. A face of another part so near, before or behind,
+    lies on the one that the ray starts on, and counts.
     """
-    if face < 0:
-        return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, at, far, face)
-    if boundary.nested:
-        found = _lying_on(boundary, ray, p, d, at, part_of(boundary, face), former)
-        if found >= 0:
-            return found, at
-    near = at + CLEARANCE
-    return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
+    near, found, t = at, -1, at
+    if face >= 0:
+        near = at + CLEARANCE
+        if boundary.nested:
+            found = _lying_on(boundary, ray, p, d, at, former | 1 << part_of(boundary, face))
+    if found < 0:
+        found, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
+    return found, t
 
 
 @walk_function()
-def _lying_on(boundary: Any, ray: Any, p: Any, d: Any, at: Any, part: Any, former: Any) -> Any:
-    """A face at p + at d of neither of two parts; −1: none. Each part is asked by itself, since faces that lie on one
-    another hide each other.
+def _lying_on(boundary: Any, ray: Any, p: Any, d: Any, at: Any, crossed: Any) -> Any:
+    """A face at p + at d of a part that is not in the mask `crossed`; −1: none.
+
+    Each part is asked by itself, since faces that lie on one another hide each other.
     """
     back = at - CLEARANCE
     start = (p[0] + back * d[0], p[1] + back * d[1], p[2] + back * d[2])
     for other in range(len(boundary.parts)):
-        if other != part and other != former:
+        if crossed >> other & 1 == 0:
             found, _t = nearest_hit(
                 boundary.intersect, boundary.handles[other, 0], ray, start, d, 0.0, 2.0 * CLEARANCE, -1
             )
@@ -223,13 +238,19 @@ def _lying_on(boundary: Any, ray: Any, p: Any, d: Any, at: Any, part: Any, forme
     return -1
 
 
+@walk_function(inline="always")
+def crossed_here(boundary: Any, face: Any, former: Any, flight: Any) -> Any:
+    """The mask of parts crossed at the place where a flight from `face` ends: 0, unless it was none."""
+    return former | 1 << part_of(boundary, face) if face >= 0 and flight < 2.0 * CLEARANCE else 0
+
+
 @walk_function()
 def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
     """The first face along p + t d that is more than an index-matched boundary, its distance, and the mask before it.
 
     Face −1: the ray reaches the sky. The ray starts on `face` (−1: on none) with the walker's `mask`.
     """
-    at, former = 0.0, -1
+    at, former = 0.0, 0
     while True:
         found, t = next_face(boundary, ray, p, d, at, np.inf, face, former)
         if found < 0:
@@ -238,7 +259,7 @@ def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
         after, kind, _eta = crossing(boundary, found, before)
         if kind != PASS and kind != MATCHED:
             return found, t, before
-        former = part_of(boundary, face) if face >= 0 and t < at + 2.0 * CLEARANCE else -1
+        former = crossed_here(boundary, face, former, t - at)
         face, mask, at = found, after, t
 
 

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_FEWEST_FREE_PATHS = 12.0
+_FEWEST_FREE_PATHS = 2.0
 """In objects thinner than this, in mean free paths, flights seldom end where there is any clearance."""
+_THICK = 120.0
 _COARSE, _FINE = 48, 128
+_ON_PLANE = 1e-6
 
 
 def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> NDArray[np.float32]:
@@ -20,7 +22,7 @@ def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> 
         return np.zeros((0, 0, 0), np.float32)
     from scipy import ndimage
 
-    n = _COARSE if depth < 10 * _FEWEST_FREE_PATHS else _FINE
+    n = _COARSE if depth < _THICK else _FINE
     touched = np.zeros((n + 2,) * 3, bool)
     for points in _samples(positions[faces], 0.5 / n):
         x, y, z = np.clip(((points + 0.5) * n).astype(int), 0, n - 1).T + 1
@@ -32,6 +34,26 @@ def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> 
     # known at samples, which miss the nearest point by less than a quarter of a cell.
     bound = (distance - np.sqrt(3.0) - 0.5) / n
     return np.ascontiguousarray(np.maximum(bound, 0.0), np.float32)
+
+
+def open_faces(rows: Array, positions: Array) -> NDArray[np.bool_]:
+    """Which faces [F,28] have nothing in front of their plane: a ray that leaves by them meets nothing any more.
+
+    On a convex object that is every face. Only the corners of the convex hull need be looked at.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = positions[ConvexHull(positions).vertices]
+    except QhullError:
+        return np.zeros(len(rows), bool)
+    normals = rows[:, :3]
+    behind = np.einsum("fi,fi->f", normals, rows[:, 3:6]) + _ON_PLANE
+    step = max(1, 4_000_000 // len(hull))
+    lots = [
+        (normals[i : i + step] @ hull.T <= behind[i : i + step, None]).all(axis=1) for i in range(0, len(rows), step)
+    ]
+    return np.concatenate(lots)
 
 
 def _samples(corners: Array, spacing: float) -> list[Array]:

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from prt_bake.trainer.boundary import (
-    CLEARANCE,
     PASS,
     alpha_at,
+    crossed_here,
     crossing,
     facing_normal,
     mask_before,
     next_face,
-    part_of,
     room_about,
+    sees_sky,
 )
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
@@ -45,13 +45,11 @@ _ALWAYS_LOOKED = 2.0
 """Events at less than this many mean free paths from any face always look at the light."""
 
 
-@walk_function()
+@walk_function(inline="always")
 def look_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
     """With what probability a scattering event looks at the light: that of getting out, where it lies deep inside."""
     depth = media.regions[region_of(boundary, counts), MINORANT] * room_about(boundary, state[POSITION : POSITION + 3])
-    if depth <= _ALWAYS_LOOKED:
-        return 1.0
-    return math.exp(_ALWAYS_LOOKED - depth)
+    return 1.0 if depth <= _ALWAYS_LOOKED else math.exp(_ALWAYS_LOOKED - depth)
 
 
 @walk_function()
@@ -72,8 +70,10 @@ def march(
 
     False where anything else stands in the way. The ray starts on `face` (−1: on none) with the walker's `mask`.
     """
-    t, former = 0.0, -1
+    t, former = 0.0, 0
     while True:
+        if face >= 0 and sees_sky(boundary, face, d):
+            return True
         found, hit = next_face(boundary, ray, p, d, t, far, face, former)
         if found < 0:
             if far < np.inf:
@@ -86,7 +86,7 @@ def march(
         attenuate(media, boundary.region_of_mask[before], p, d, t, hit, at, stream, kept)
         if kept[0] + kept[1] + kept[2] == 0.0:
             return True
-        former = part_of(boundary, face) if face >= 0 and hit < t + 2.0 * CLEARANCE else -1
+        former = crossed_here(boundary, face, former, hit - t)
         face, mask, t = found, after, hit
 
 
@@ -183,11 +183,17 @@ def connect_straight(
         return
     first = 0 if looked == count else int(uniform(stream) * count)
     p = state[POSITION : POSITION + 3]
+    d = state[DIRECTION : DIRECTION + 3]
     kept = room[0:3]
+    phase_g = media.regions[region_of(boundary, counts), PHASE_G]
     for j in range(looked):
         i = (first + j * count // looked) % count
         w = incident[i]
-        sent, mask = _sent_straight(boundary, media, state, counts, event, w)
+        mask = counts[MASK]
+        if event == SCATTERING:
+            sent = phase(d[0] * w[0] + d[1] * w[1] + d[2] * w[2], phase_g)
+        else:
+            sent, mask = _sent_straight(boundary, media, state, counts, event, w)
         if sent <= 0.0:
             continue
         for c in range(3):

@@ -19,6 +19,7 @@ from prt_bake.trainer.boundary import (
     normal_at,
     part_of,
     reach,
+    sees_sky,
 )
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.connect import look_probability, march, sent_by, sent_through
@@ -72,7 +73,7 @@ def _received(
     if kind != ROUGH:
         return 0.0
     through, _density = sent_through(boundary, face, normal, alpha_at(boundary, face, u, v), eta, d, w, False)
-    if through > 0.0:
+    if through > 0.0 and not sees_sky(boundary, face, w):
         near = CLEARANCE if boundary.nested else 0.0
         hidden, _t = nearest_hit(boundary.intersect, boundary.scene, ray, q, w, near, np.inf, face)
         if hidden >= 0:

@@ -111,7 +111,7 @@ def _receive_rough(
     return alive
 
 
-@walk_function()
+@walk_function(inline="always")
 def _receive(
     boundary: Any,
     media: Any,
@@ -137,7 +137,7 @@ def _receive(
     return _take(boundary, media, state, counts, event, stream)
 
 
-@walk_function()
+@walk_function(inline="always")
 def _take(boundary: Any, media: Any, state: Any, counts: Any, event: Any, stream: Any) -> bool:
     """Send the walk on from its event; False where it ends there."""
     if event == SURFACE:

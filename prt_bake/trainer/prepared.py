@@ -19,6 +19,7 @@ from prt_bake.trainer.boundary import (
     HEIGHT,
     INTERPOLATED,
     IS_DIFFUSE,
+    OPEN,
     PART,
     PART_SIZE,
     REFLECTANCE,
@@ -26,7 +27,7 @@ from prt_bake.trainer.boundary import (
     WIDTH,
     Boundary,
 )
-from prt_bake.trainer.clearance import clearance_grid
+from prt_bake.trainer.clearance import clearance_grid, open_faces
 from prt_bake.trainer.embree import TriangleScene, intersect_address
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 from prt_bake.trainer.media import MAJORANT
@@ -151,6 +152,8 @@ def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64])
         own = rows[first : first + len(part.mesh.faces)]
         own[:, CORNER_NORMALS:CORNER_UV] = part.mesh.normals[part.mesh.faces].reshape(-1, 9)
         own[:, PART] = i
+        if i == 0:
+            own[:, OPEN] = open_faces(own, positions[: len(part.mesh.positions)])
         row = table[i]
         row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
         row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"

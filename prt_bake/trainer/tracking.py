@@ -55,18 +55,24 @@ def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     return first + (z * ny + y) * nx + x, max(min(tx, min(ty, tz)), probe)
 
 
-@walk_function()
+@walk_function(inline="always")
 def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stream: Any) -> Any:
     """Distance to the next scattering event along p + t d, infinite where none comes before `far`.
 
     For regions whose extinction is the same in all channels. `at` is room for a position.
     """
     majorant = media.regions[region, MAJORANT]
-    if majorant <= 0.0:
-        return np.inf
     depth = -math.log(1.0 - uniform(stream))
-    if media.regions[region, EXTINCTION_GRID + CHANNELS] == 0.0:
-        return depth / majorant if depth < far * majorant else np.inf
+    flight = np.inf
+    if media.regions[region, EXTINCTION_GRID + CHANNELS] != 0.0:
+        flight = _flight_in_grid(media, region, p, d, far, depth, at, stream)
+    elif depth < far * majorant:
+        flight = depth / majorant
+    return flight
+
+
+@walk_function()
+def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: Any, at: Any, stream: Any) -> Any:
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
@@ -157,24 +163,23 @@ def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any
     return t if t < far else np.inf
 
 
-@walk_function()
+@walk_function(inline="always")
 def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any) -> None:
     """Multiply kept [3] by an unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`.
 
     It is exact where sigma_t is one number, and in blocks of a grid where it is.
     """
-    if media.regions[region, MAJORANT] <= 0.0 or far <= near:
-        return
-    if media.regions[region, EXTINCTION_GRID + CHANNELS] == 0.0:
-        if media.regions[region, CHROMATIC] == 0.0:
-            factor = math.exp(-media.regions[region, MAJORANT] * (far - near))
+    row = media.regions[region]
+    if row[MAJORANT] > 0.0 and far > near:
+        if row[EXTINCTION_GRID + CHANNELS] != 0.0:
+            _attenuate_in_grid(media, region, p, d, near, far, at, stream, kept)
+        elif row[CHROMATIC] == 0.0:
+            factor = math.exp(-row[MAJORANT] * (far - near))
             for c in range(3):
                 kept[c] *= factor
-            return
-        for c in range(3):
-            kept[c] *= math.exp(-media.regions[region, SIGMA_T + c] * (far - near))
-        return
-    _attenuate_in_grid(media, region, p, d, near, far, at, stream, kept)
+        else:
+            for c in range(3):
+                kept[c] *= math.exp(-row[SIGMA_T + c] * (far - near))
 
 
 @walk_function()

@@ -15,20 +15,20 @@ from typing import Any
 import numpy as np
 
 from prt_bake.trainer.boundary import (
-    CLEARANCE,
     DIFFUSE,
     OPAQUE,
     PASS,
     alpha_at,
+    crossed_here,
     crossing,
     facing_normal,
     mask_before,
     next_face,
     normal_at,
-    part_of,
     place_on,
     reflectance_at,
     room_about,
+    sees_sky,
 )
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
@@ -89,7 +89,7 @@ def begin(
     state[LOST], state[PHASE], state[U], state[V] = 0.0, 0.0, u, v
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
     counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, held, 0, 0
-    counts[FORMER], counts[ORIGIN_FACE] = -1, -1
+    counts[FORMER], counts[ORIGIN_FACE] = 0, -1
 
 
 @walk_function()
@@ -120,6 +120,8 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
     while True:
         region = region_of(boundary, counts)
         majorant = media.regions[region, MAJORANT]
+        if counts[FACE] >= 0 and sees_sky(boundary, counts[FACE], state[DIRECTION : DIRECTION + 3]):
+            return SKY
         if majorant <= 0.0:
             flight, face = _to_next_face(boundary, state, counts, ray)
         elif media.regions[region, CHROMATIC] != 0.0:
@@ -148,14 +150,14 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         d = state[DIRECTION : DIRECTION + 3]
         for k in range(3):
             p[k] += flight * d[k]
-        counts[FACE], counts[FORMER] = -1, -1
+        counts[FACE], counts[FORMER] = -1, 0
         counts[EVENTS] += 1
         counts[SCATTERED] += 1
         multiply_albedo(media, region, p, state[THROUGHPUT : THROUGHPUT + 3])
         return SCATTERING
 
 
-@walk_function()
+@walk_function(inline="always")
 def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     """(Distance, face) of the next face through what is clear; (inf, −1) for the sky."""
     face, t = next_face(
@@ -171,7 +173,7 @@ def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     return t, face
 
 
-@walk_function()
+@walk_function(inline="always")
 def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
     """(Distance, −1) of a scattering event, (distance, face) of a face met before, or (inf, −1)."""
     p = state[POSITION : POSITION + 3]
@@ -207,7 +209,7 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
     return t, face
 
 
-@walk_function()
+@walk_function(inline="always")
 def _arrive(boundary: Any, state: Any, counts: Any, ray: Any, face: Any, before: Any, flight: Any) -> Any:
     """Set the walk on the face that `ray` has met, by barycentric coordinates (more exact than p + t d), and through it
     where nothing stands there. Returns the kind of interface, negative where the walk has passed.
@@ -215,7 +217,7 @@ def _arrive(boundary: Any, state: Any, counts: Any, ray: Any, face: Any, before:
     u, v = np.float64(ray[15]), np.float64(ray[16])
     place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
     after, kind, _eta = crossing(boundary, face, before)
-    counts[FORMER] = part_of(boundary, counts[FACE]) if counts[FACE] >= 0 and flight < 2.0 * CLEARANCE else -1
+    counts[FORMER] = crossed_here(boundary, counts[FACE], counts[FORMER], flight)
     counts[FACE] = face
     if kind == PASS or kind == MATCHED:
         counts[MASK] = after
@@ -259,7 +261,7 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     x, y, z = ox * sx + oy * tx + oz * nx, ox * sy + oy * ty + oz * ny, ox * sz + oy * tz + oz * nz
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     d[0], d[1], d[2] = x * scale, y * scale, z * scale
-    counts[FORMER] = -1
+    counts[FORMER] = 0
     behind = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     crossed = oz < 0.0
     if (before * behind > 0.0) != crossed:
@@ -279,7 +281,7 @@ def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> No
     state[PHASE] = density
     for k in range(3):
         state[ORIGIN + k] = state[POSITION + k]
-    counts[ORIGIN_FACE], counts[FORMER] = counts[FACE], -1
+    counts[ORIGIN_FACE], counts[FORMER] = counts[FACE], 0
 
 
 @walk_function()
