@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from formats.asset import Asset, read_asset, write_asset
     from formats.errors import PrtbakeError
-    from formats.image import read_image, write_image
+    from formats.image import read_image, read_layers, write_image
     from formats.mesh import Mesh, read_mesh, write_mesh
     from formats.scene import Scene
     from formats.scene import read_scene as load_scene
@@ -42,6 +42,7 @@ __all__ = [
     "read_asset",
     "read_environment",
     "read_image",
+    "read_layers",
     "read_mesh",
     "render_scene",
     "save_model",
@@ -71,6 +72,7 @@ _ORIGIN = {
     "read_asset": ("formats.asset", "read_asset"),
     "read_environment": ("prt_bake.environment", "read_environment"),
     "read_image": ("formats.image", "read_image"),
+    "read_layers": ("formats.image", "read_layers"),
     "read_mesh": ("formats.mesh", "read_mesh"),
     "render_scene": ("prt_bake.rendering", "render_scene"),
     "save_model": ("prt_bake.network", "save_model"),
