@@ -18,7 +18,9 @@ from prt_bake.trainer.lit import Connections
 
 Array = NDArray[np.float64]
 
-_LEVELS = 64
+_LEVELS = 96
+_DARKEST = 1e-6
+"""Of the mean: no level is lower, where most of a sky is black."""
 
 
 class Emitter(Protocol):
@@ -135,7 +137,8 @@ def _level(grey: Array, connections: Connections) -> float | None:
     if not grey.max() > mean > 0.0:
         return None
     variances = []
-    levels = np.geomspace(mean, grey.max(), _LEVELS, endpoint=False)
+    lowest = max(float(np.median(grey)), _DARKEST * mean)
+    levels = np.geomspace(min(lowest, mean), grey.max(), _LEVELS, endpoint=False)
     for level in levels:
         clipped = np.minimum(grey, level)
         below = float(area @ clipped.sum(axis=1))

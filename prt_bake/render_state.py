@@ -112,7 +112,7 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
     if not path.is_file():
         raise FormatError(f"{path}: not found; there is nothing to resume, render without --resume")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             head = json.loads(str(file["head"]))
             radiance, square, coverage = (np.asarray(file[name], np.float64) for name in _ARRAYS)
         found, numbers = dict(head["identity"]), head["numbers"]
