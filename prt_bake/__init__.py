@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from prt_bake.comparison import compare
     from prt_bake.environment import project as project_environment
     from prt_bake.environment import read_environment
+    from prt_bake.lighting import Lighting, read_lighting
     from prt_bake.network import NeuralBSSRDF, load_model, save_model
     from prt_bake.rendering import render_scene
     from prt_bake.shading import shade
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Asset",
+    "Lighting",
     "Mesh",
     "NeuralBSSRDF",
     "PrtbakeError",
@@ -43,6 +45,7 @@ __all__ = [
     "read_environment",
     "read_image",
     "read_layers",
+    "read_lighting",
     "read_mesh",
     "render_scene",
     "save_model",
@@ -58,6 +61,7 @@ __all__ = [
 # Public name → module, and the name within it; an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),
+    "Lighting": ("prt_bake.lighting", "Lighting"),
     "Mesh": ("formats.mesh", "Mesh"),
     "NeuralBSSRDF": ("prt_bake.network", "NeuralBSSRDF"),
     "PrtbakeError": ("formats.errors", "PrtbakeError"),
@@ -73,6 +77,7 @@ _ORIGIN = {
     "read_environment": ("prt_bake.environment", "read_environment"),
     "read_image": ("formats.image", "read_image"),
     "read_layers": ("formats.image", "read_layers"),
+    "read_lighting": ("prt_bake.lighting", "read_lighting"),
     "read_mesh": ("formats.mesh", "read_mesh"),
     "render_scene": ("prt_bake.rendering", "render_scene"),
     "save_model": ("prt_bake.network", "save_model"),

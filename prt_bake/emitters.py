@@ -130,20 +130,23 @@ def split_sky(sky: Sky, connections: Connections) -> tuple[Sky | None, Sky]:
 
 def _level(grey: Array, connections: Connections) -> float | None:
     height, width = grey.shape
-    area = np.sin(np.pi * (np.arange(height) + 0.5) / height)
-    area /= area.sum() * width
-    mean = float(area @ grey.sum(axis=1))
-    whole = float(area @ (grey**2).sum(axis=1)) - mean**2
-    if not grey.max() > mean > 0.0:
+    rows = np.sin(np.pi * (np.arange(height) + 0.5) / height)
+    area = np.repeat(rows / (rows.sum() * width), width)
+    value = grey.ravel()
+    mean, largest = float(area @ value), float(value.max())
+    if not largest > mean > 0.0:
         return None
-    variances = []
-    lowest = max(float(np.median(grey)), _DARKEST * mean)
-    levels = np.geomspace(min(lowest, mean), grey.max(), _LEVELS, endpoint=False)
-    for level in levels:
-        clipped = np.minimum(grey, level)
-        below = float(area @ clipped.sum(axis=1))
-        left = float(area @ (clipped**2).sum(axis=1)) - below**2
-        variances.append(left + connections.variance * (mean - below) ** 2)
+    whole = float(area @ value**2) - mean**2
+    lowest = min(mean, max(float(np.median(value)), _DARKEST * mean))
+    levels = np.geomspace(lowest, largest, _LEVELS, endpoint=False)
+    below = np.searchsorted(levels, value, side="right")  # how many of the levels lie below each pixel
+    share, first, second = (
+        np.cumsum(np.bincount(below, weights, _LEVELS + 1))[:_LEVELS]
+        for weights in (area, area * value, area * value**2)
+    )
+    clipped = first + levels * (1.0 - share)
+    left = second + levels**2 * (1.0 - share) - clipped**2
+    variances = left + connections.variance * (mean - clipped) ** 2
     best = int(np.argmin(variances))
     return float(levels[best]) if (1.0 + connections.cost) * variances[best] < whole else None
 
