@@ -32,6 +32,8 @@ bench: .venv/installed-dev
 	$(BIN)/python tests/bench/bake_error.py --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --out bench
 	$(BIN)/python tests/bench/network_speed.py
 	$(BIN)/python tests/bench/training.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/mitsuba_speed.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/walk_cost.py
 
 # What lies in prt_bake/shipped, made anew from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
 shipped: .venv/installed-evaluate

@@ -1,4 +1,4 @@
-"""Images by their suffix: `.exr`, `.hdr` and `.png`, always linear, Rec.709 primaries, RGB, row 0 on top."""
+"""Images by their suffix: `.exr`, `.hdr`, `.png` and `.jpg`, always linear, Rec.709 primaries, RGB, row 0 on top."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -9,24 +9,28 @@ from numpy.typing import NDArray
 
 from formats.errors import ImageError
 from formats.exr import Layers, read_exr, read_exr_layers, write_exr
-from formats.png import read_png, write_png
+from formats.png import read_jpeg, read_png, read_png_levels, write_png
 from formats.rgbe import read_rgbe, write_rgbe
 from formats.whole import existing, replacing
 
-_READERS: dict[str, Callable[[Path], NDArray[np.float32]]] = {".exr": read_exr, ".hdr": read_rgbe, ".png": read_png}
+_READERS: dict[str, Callable[[Path], NDArray[np.float32]]] = {
+    **{".exr": read_exr, ".hdr": read_rgbe, ".png": read_png},
+    **{".jpg": read_jpeg, ".jpeg": read_jpeg},
+}
+_WRITTEN = (".exr", ".hdr", ".png")
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read an image as linear float32 [H,W,3].
 
-    PNG is decoded from sRGB. NaN, infinite and negative pixels of an `.exr` come back as they are: whether they matter
-    depends on what the image is for.
+    PNG and JPEG are decoded from sRGB. NaN, infinite and negative pixels of an `.exr` come back as they are: whether
+    they matter depends on what the image is for.
 
     Raises:
         ImageError: another suffix, another kind of file than the suffix says, truncated, or without colour.
         StorageError: the file is missing or cannot be opened.
     """
-    suffix = _suffix(path, "read")
+    suffix = _suffix(path, "read", tuple(_READERS))
     return _READERS[suffix](existing(path))
 
 
@@ -36,9 +40,22 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
     A picture of `prtbake render` has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the object's share of
     the pixel. Raises as `read_image`.
     """
-    if _suffix(path, "read") == ".exr":
+    if _suffix(path, "read", tuple(_READERS)) == ".exr":
         return read_exr_layers(existing(path))
     return Layers(read_image(path), {}, {})
+
+
+def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read the first channel of an image as plain numbers, float64 [H,W], row 0 on top.
+
+    A PNG's values are taken as they are stored, from 0 to 1, without the sRGB curve.
+
+    Raises:
+        ImageError, StorageError: as `read_image`.
+    """
+    if Path(path).suffix.lower() == ".png":
+        return read_png_levels(existing(path))
+    return read_image(path)[..., 0].astype(np.float64)
 
 
 def write_image(
@@ -60,15 +77,14 @@ def write_image(
             (NaN in `.png` and `.hdr`).
         StorageError: the disk is full or not writable.
     """
-    suffix = _suffix(path, "written")
+    suffix = _suffix(path, "written", _WRITTEN)
     shape = np.shape(image)
     if len(shape) != 3 or shape[2] != 3 or 0 in shape:
         raise ImageError(f"{path}: expected an image of shape [H,W,3], found {list(shape)}")
     for name, pixels in (layers or {}).items():
         if np.shape(pixels) not in (shape, shape[:2]):
-            raise ImageError(
-                f"{path}: layer {name}: expected {list(shape)} or {list(shape[:2])}, found {np.shape(pixels)}"
-            )
+            expected = f"{list(shape)} or {list(shape[:2])}"
+            raise ImageError(f"{path}: layer {name}: expected {expected}, found {list(np.shape(pixels))}")
     if suffix == ".png" and np.isnan(image).any():
         row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
         raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to look at them")
@@ -81,8 +97,9 @@ def write_image(
             write_png(part, image, exposure)
 
 
-def _suffix(path: str | os.PathLike[str], verb: str) -> str:
+def _suffix(path: str | os.PathLike[str], verb: str, known: tuple[str, ...]) -> str:
     suffix = Path(path).suffix.lower()
-    if suffix not in _READERS:
-        raise ImageError(f"{path}: images of this kind cannot be {verb}; expected .exr, .hdr or .png, found '{suffix}'")
+    if suffix not in known:
+        kinds = f"{', '.join(known[:-1])} or {known[-1]}"
+        raise ImageError(f"{path}: images of this kind cannot be {verb}; expected {kinds}, found '{suffix}'")
     return suffix

@@ -41,6 +41,8 @@ class Mesh:
         faces: int32 [F,3], indices into positions.
         normals: float64 [V,3], unit.
         uv: float64 [V,2], or None; where a seam splits a vertex, the first face's.
+        corner_uv: float64 [F,3,2], the texture coordinates of each face's corners, v upwards, or None; where only `uv`
+            is given, taken from it.
         source_vertex: int64 [n], from the file's vertex to the one kept (-1: used by no face), or None if all are as in
             the file.
         dropped_faces: faces without area that were left out on reading.
@@ -50,12 +52,16 @@ class Mesh:
     faces: NDArray[np.int32]
     normals: NDArray[np.float64]
     uv: NDArray[np.float64] | None = None
+    corner_uv: NDArray[np.float64] | None = None
     source_vertex: NDArray[np.int64] | None = None
     dropped_faces: int = 0
 
     def __post_init__(self) -> None:
-        count = len(self.positions)
-        expected = {"positions": (count, 3), "faces": (len(self.faces), 3), "normals": (count, 3), "uv": (count, 2)}
+        count, triangles = len(self.positions), len(self.faces)
+        expected = {
+            **{"positions": (count, 3), "faces": (triangles, 3), "normals": (count, 3)},
+            **{"uv": (count, 2), "corner_uv": (triangles, 3, 2)},
+        }
         for name, shape in expected.items():
             array = getattr(self, name)
             if array is None:
@@ -64,6 +70,8 @@ class Mesh:
                 raise MeshError(f"mesh: {name} has shape {np.shape(array)}, expected {shape}")
             kind = np.int32 if name == "faces" else np.float64
             object.__setattr__(self, name, np.ascontiguousarray(array, kind))
+        if self.corner_uv is None and self.uv is not None:
+            object.__setattr__(self, "corner_uv", self.uv[self.faces])
 
     @property
     def bounds(self) -> NDArray[np.float64]:
@@ -99,6 +107,11 @@ class Mesh:
         digest = hashlib.sha256(self.positions.astype("<f8").tobytes())
         digest.update(self.faces.astype("<u4").tobytes())
         return digest.hexdigest()
+
+    @property
+    def seamless(self) -> bool:
+        """Whether the texture coordinates are one pair a vertex, so that `uv` says all that `corner_uv` does."""
+        return self.uv is None or self.corner_uv is None or np.array_equal(self.uv[self.faces], self.corner_uv)
 
 
 def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) -> Mesh:
@@ -151,7 +164,7 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
     if suffix not in _WRITERS:
         raise MeshError(f"{path}: cannot write a mesh of this kind; expected {' or '.join(_WRITERS)}, found '{suffix}'")
     with replacing(path) as part:
-        _WRITERS[suffix](part, mesh.positions, mesh.faces, mesh.normals, mesh.uv)
+        _WRITERS[suffix](part, mesh.positions, mesh.faces, mesh.normals, mesh.uv if mesh.seamless else mesh.corner_uv)
 
 
 def open_edges(mesh: Mesh) -> int:
@@ -174,7 +187,8 @@ def signed_volume(mesh: Mesh) -> float:
 
 def flipped(mesh: Mesh) -> Mesh:
     """Return the mesh with every face wound the other way and every normal reversed."""
-    return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals)
+    corner_uv = None if mesh.corner_uv is None else mesh.corner_uv[:, ::-1]
+    return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals, corner_uv=corner_uv)
 
 
 def check_mesh(path: str | os.PathLike[str]) -> list[str]:
@@ -239,11 +253,13 @@ def _assembled(
     place[used] = np.arange(len(used))
     positions, faces, source_vertex = positions[used], place[faces], place[source_vertex]
     centred = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    corner_uv = None if soup.corner_uv is None else soup.corner_uv[kept_faces]
     return Mesh(
         positions=positions,
         faces=faces.astype(np.int32),
         normals=geometry.vertex_normals(centred, faces, _sound_normals(soup, kept_faces)),
-        uv=None if soup.corner_uv is None else soup.corner_uv[kept_faces].reshape(-1, 2)[first_corner],
+        uv=None if corner_uv is None else corner_uv.reshape(-1, 2)[first_corner],
+        corner_uv=corner_uv,
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
         dropped_faces=int((~kept_faces).sum()),
     )

@@ -75,14 +75,33 @@ def write_obj(
     normals: NDArray[np.float64],
     uv: NDArray[np.float64] | None,
 ) -> None:
-    """Write OBJ text with 17 digits, so that reading it gives the same float64 numbers back."""
+    """Write OBJ text with 17 digits, so that reading it gives the same float64 numbers back.
+
+    `uv` is [V,2], or [F,3,2] where seams need one pair a corner, or None.
+    """
+    pairs, corners = _numbered(uv, faces)
     rows = [f"v {x:.17g} {y:.17g} {z:.17g}" for x, y, z in positions]
     rows += [f"vn {x:.17g} {y:.17g} {z:.17g}" for x, y, z in normals]
-    rows += [] if uv is None else [f"vt {u:.17g} {v:.17g}" for u, v in uv]
-    corner = "{0}//{0}" if uv is None else "{0}/{0}/{0}"
-    rows += ["f " + " ".join(corner.format(index + 1) for index in face) for face in faces.tolist()]
+    rows += [f"vt {u:.17g} {v:.17g}" for u, v in pairs]
+    corner = "{0}//{0}" if uv is None else "{0}/{1}/{0}"
+    rows += [
+        "f " + " ".join(corner.format(index + 1, pair + 1) for index, pair in zip(face, textured, strict=True))
+        for face, textured in zip(faces.tolist(), corners.tolist(), strict=True)
+    ]
     with open(path, "w", encoding="ascii", newline="\n") as file:
         file.write("\n".join([*rows, ""]))
+
+
+def _numbered(
+    uv: NDArray[np.float64] | None, faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
+    """Return the pairs to write [n,2] and each corner's place among them [F,3]."""
+    if uv is None:
+        return np.zeros((0, 2)), faces
+    if uv.ndim == 2:
+        return uv, faces
+    pairs, places = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
+    return pairs, places.reshape(-1, 3)
 
 
 def _index(word: str, count: int) -> int:

@@ -1,8 +1,8 @@
 """PLY, ascii and binary, every number kept as precise as the file has it.
 
 Format: Greg Turk, "The PLY Polygon File Format" (1994), http://paulbourke.net/dataformats/ply/. Read are the vertex
-properties x y z, nx ny nz and u v (or s t, texture_u texture_v) and the face list vertex_indices (or vertex_index);
-everything else is passed over.
+properties x y z, nx ny nz and u v (or s t, texture_u texture_v), the face list vertex_indices (or vertex_index) and
+the face list texcoord (two numbers a corner, as MeshLab writes it); everything else is passed over.
 """
 
 import os
@@ -46,15 +46,25 @@ def write_ply(
     normals: NDArray[np.float64],
     uv: NDArray[np.float64] | None,
 ) -> None:
-    """Write binary little-endian PLY with float64 vertices: positions, normals [V,3], uv [V,2] or None, faces [F,3]."""
-    columns = [positions, normals] if uv is None else [positions, normals, uv]
-    names = ["x", "y", "z", "nx", "ny", "nz"] + ([] if uv is None else ["s", "t"])
+    """Write binary little-endian PLY with float64 vertices: positions, normals [V,3], faces [F,3].
+
+    `uv` is [V,2], or [F,3,2] where seams need one pair a corner (written as the face list texcoord), or None.
+    """
+    of_vertices, of_corners = uv is not None and uv.ndim == 2, uv is not None and uv.ndim == 3
+    columns = [positions, normals, uv] if uv is not None and of_vertices else [positions, normals]
+    names = ["x", "y", "z", "nx", "ny", "nz"] + (["s", "t"] if of_vertices else [])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
     header += [f"property double {name}" for name in names]
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    rows = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", (3,))]))
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header += ["property list uchar double texcoord"] if of_corners else []
+    header += ["end_header", ""]
+    textured = [("pairs", "u1"), ("texcoord", "<f8", (3, 2))] if of_corners else []
+    rows = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", (3,)), *textured]))
     rows["count"] = 3
     rows["corners"] = faces
+    if of_corners:
+        rows["pairs"] = 6
+        rows["texcoord"] = uv
     with open(path, "wb") as file:
         file.write("\n".join(header).encode("ascii"))
         file.write(np.hstack(columns).astype("<f8").tobytes())
@@ -105,14 +115,24 @@ def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> Tria
         raise MeshError(f"{path}: has no faces (no list vertex_indices); a surface is needed, not a point cloud")
     if not np.array_equal(lists.values, np.floor(lists.values)) or not np.isfinite(lists.values).all():
         raise MeshError(f"{path}: a face's vertex_indices are not whole numbers")
-    corners = lists.values.astype(np.int64)[fan(lists.sizes)]
+    cut = fan(lists.sizes)
+    corners = lists.values.astype(np.int64)[cut]
     # Attributes are looked up only where every index is good: read_mesh names the bad ones.
     sound = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
     normals = _joined(vertices, ("nx", "ny", "nz")) if sound else None
     uv = next((u for names in _TEXTURE_NAMES if (u := _joined(vertices, names)) is not None), None) if sound else None
-    return TriangleSoup(
-        positions, corners, None if normals is None else normals[corners], None if uv is None else uv[corners]
-    )
+    corner_uv = _of_corners(faces, lists, cut)
+    if corner_uv is None and uv is not None:
+        corner_uv = uv[corners]
+    return TriangleSoup(positions, corners, None if normals is None else normals[corners], corner_uv)
+
+
+def _of_corners(faces: Columns, lists: Lists, cut: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Return the texture coordinates that the face list texcoord gives to the corners [F,3,2], or None."""
+    pairs = faces.get("texcoord")
+    if not isinstance(pairs, Lists) or not np.array_equal(pairs.sizes, 2 * lists.sizes):
+        return None
+    return np.asarray(pairs.values, np.float64).reshape(-1, 2)[cut]
 
 
 def _joined(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64] | None:

@@ -1,4 +1,4 @@
-"""PNG, 8 bits a channel, with the sRGB curve of IEC 61966-2-1 between the file's values and linear radiance."""
+"""PNG and JPEG, 8 bits a channel, with the sRGB curve of IEC 61966-2-1 between their values and linear radiance."""
 
 import os
 
@@ -26,14 +26,40 @@ def read_png(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     Raises:
         ImageError: the file is no PNG, or truncated.
     """
+    return to_linear(_pixels(path, "PNG", "RGB") / 255.0).astype(np.float32)
+
+
+def read_jpeg(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a JPEG as linear float32 [H,W,3]; grey is repeated over the channels.
+
+    Raises:
+        ImageError: the file is no JPEG, or truncated.
+    """
+    return to_linear(_pixels(path, "JPEG", "RGB") / 255.0).astype(np.float32)
+
+
+def read_png_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read the first channel of a PNG as it is stored, without the sRGB curve: float64 [H,W] from 0 to 1.
+
+    Raises:
+        ImageError: the file is no PNG, or truncated.
+    """
+    stored = _pixels(path, "PNG", None)
+    first = stored if stored.ndim == 2 else stored[..., 0]
+    return first / (255.0 if stored.dtype == np.uint8 else 65535.0)
+
+
+def _pixels(path: str | os.PathLike[str], kind: str, mode: str | None) -> NDArray[np.integer]:
+    """Read the stored values of a picture in Pillow's `mode`; None keeps the channels and depth of the file."""
     from PIL import Image
 
     try:
-        with Image.open(path, formats=["PNG"]) as picture:
-            pixels = np.asarray(picture.convert("RGB"))
+        with Image.open(path, formats=[kind]) as picture:
+            if mode is None:
+                mode = {"1": "L", "P": "RGB", "PA": "RGB"}.get(picture.mode, picture.mode)
+            return np.asarray(picture.convert(mode))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as cause:
-        raise ImageError(f"{path}: cannot be read as PNG, it is truncated, damaged or of another kind") from cause
-    return to_linear(pixels / 255.0).astype(np.float32)
+        raise ImageError(f"{path}: cannot be read as {kind}, it is truncated, damaged or of another kind") from cause
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposure: float) -> None:

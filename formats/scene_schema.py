@@ -1,78 +1,76 @@
-"""What a scene file may say: the tables of the TOML, their keys and ranges, and the words for what is wrong."""
+"""What a scene file may say: the tables of the TOML, their keys and ranges."""
 
-import difflib
-import tomllib
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
 
-from formats.errors import SceneError
-from formats.whole import existing
+from formats.solid_texture import Pattern
 
 _Unit = Annotated[float, Field(ge=0, le=1)]
 _Extinction = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 _Coordinate = Annotated[float, Field(allow_inf_nan=False)]
 _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]
+_Density = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Extinctions = Annotated[tuple[_Extinction, _Extinction, _Extinction], Strict(False)]
 _Colour = Annotated[tuple[_Unit, _Unit, _Unit], Strict(False)]
 
-_EXPECTED = {
-    "object": "a table [object]",
-    "interface": "a table [interface]",
-    "medium": "a table [medium]",
-    "inside": "tables [[inside]]",
-    "mesh": "the name of a mesh file",
-    "up": '"y" or "z"',
-    "unit": "the name of the unit of length",
-    "eta": "an index of refraction from 0.25 to 4",
-    "roughness": "a GGX alpha from 0 to 1",
-    "normals": '"face" or "vertex"',
-    "sigma_t": "one number that is not negative, or the name of an .npy grid",
-    "albedo": "a number from 0 to 1, three of them (RGB), or the name of an .npy grid",
-    "phase_g": "a mean cosine between -1 and 1, both excluded",
-    "bounds": "two corners, as in [[-1, -1, -1], [1, 1, 1]]",
-    "name": "a name",
-    "in": "the name of another object",
-    "surface": '"diffuse"',
-    "reflectance": "a number from 0 to 1, three of them (RGB), or the name of an image",
-}
 
+class Table(BaseModel):
+    """A table whose keys are all known."""
 
-class _Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
 
-class ObjectTable(_Table):
+class ObjectTable(Table):
     """[object]: the outer surface, a mesh file relative to the scene file."""
 
     mesh: str = Field(min_length=1)
     up: Literal["y", "z"] = "y"
     unit: str = "unit"
+    unit_in_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
 
 
-class InterfaceTable(_Table):
-    """[interface]: the dielectric boundary; index-matched if left out."""
+class InterfaceTable(Table):
+    """[interface]: the dielectric boundary; index-matched if left out. A string names a roughness texture."""
 
-    eta: float = Field(default=1.0, ge=0.25, le=4)
-    roughness: _Unit = 0.0
+    eta: float | None = Field(default=None, ge=0.25, le=4)
+    roughness: _Unit | str = 0.0
     normals: Literal["face", "vertex"] = "face"
+    energy_compensation: bool = False
 
 
-class MediumTable(_Table):
-    """[medium]: what scatters and absorbs; a string names a grid file."""
+class MixTable(Table):
+    """[medium.mix]: a second substance, mixed in by a procedural pattern."""
 
-    sigma_t: _Extinction | str
-    albedo: _Unit | _Colour | str
+    material: str | None = None
+    density: _Density = 1.0
+    sigma_t: _Extinction | _Extinctions | None = None
+    albedo: _Unit | _Colour | None = None
+    pattern: Pattern
+    feature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    octaves: int = Field(default=4, ge=1, le=10)
+    thresholds: Annotated[tuple[_Coordinate, _Coordinate], Strict(False)] | None = None
+    resolution: int = Field(default=64, ge=2, le=256)
+
+    @field_validator("thresholds")
+    @classmethod
+    def _apart(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError("the first threshold must be below the second")
+        return value
+
+
+class MediumTable(Table):
+    """[medium]: what scatters and absorbs; a string names a grid file. Either `material`, or `sigma_t` and `albedo`."""
+
+    material: str | None = None
+    density: _Density = 1.0
+    sigma_t: _Extinction | _Extinctions | str | None = None
+    albedo: _Unit | _Colour | str | None = None
     phase_g: float = Field(default=0.0, gt=-1, lt=1)
     bounds: Annotated[tuple[_Point, _Point], Strict(False)] | None = None
-
-    @field_validator("sigma_t", mode="before")
-    @classmethod
-    def _one_extinction(cls, value: object) -> object:
-        if isinstance(value, list):
-            raise ValueError("extinction by channel is not supported yet; give one number or the name of a grid")
-        return value
+    mix: MixTable | None = None
 
     @field_validator("bounds")
     @classmethod
@@ -82,10 +80,10 @@ class MediumTable(_Table):
         return value
 
 
-class InsideTable(_Table):
-    """[[inside]]: an object inside the object, nested by `in`."""
+class InsideTable(Table):
+    """[[inside]]: an object inside the object, nested by `in`; diffuse, or a dielectric with a medium."""
 
-    name: str
+    name: str = Field(min_length=1)
     mesh: str = Field(min_length=1)
     inside_of: str | None = Field(default=None, alias="in")
     surface: Literal["diffuse"] | None = None
@@ -93,75 +91,22 @@ class InsideTable(_Table):
     interface: InterfaceTable | None = None
     medium: MediumTable | None = None
 
+    @model_validator(mode="after")
+    def _one_surface(self) -> "InsideTable":
+        if self.surface is None and self.reflectance is not None:
+            raise ValueError('reflectance needs surface = "diffuse"; a dielectric has [inside.interface]')
+        if self.surface == "diffuse" and self.reflectance is None:
+            raise ValueError("reflectance is missing; a diffuse surface needs one")
+        if self.surface == "diffuse" and (self.interface is not None or self.medium is not None):
+            table = "interface" if self.interface is not None else "medium"
+            raise ValueError(f'a diffuse surface lets no light in; remove [inside.{table}], or surface = "diffuse"')
+        return self
 
-class SceneFile(_Table):
+
+class SceneFile(Table):
     """A whole scene file."""
 
     object: ObjectTable
     interface: InterfaceTable = InterfaceTable()
     medium: MediumTable
     inside: Annotated[tuple[InsideTable, ...], Strict(False)] = ()
-
-
-def parse_scene(path: Path) -> SceneFile:
-    """Read a scene file's tables and check every key and range; the files it names are not opened.
-
-    Raises:
-        SceneError: no TOML, an unknown or missing key, a value of the wrong type or out of range.
-        StorageError: the file is missing.
-    """
-    try:
-        tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
-    except UnicodeDecodeError as cause:
-        raise SceneError(f"{path}: is not a scene file: it is not text") from cause
-    except tomllib.TOMLDecodeError as cause:
-        raise SceneError(f"{path}: is not TOML: {cause}") from cause
-    try:
-        return SceneFile.model_validate(tables)
-    except ValidationError as cause:
-        raise SceneError(f"{path}: {_sentence(cause, tables)}") from cause
-
-
-def _sentence(fault: ValidationError, tables: Mapping[str, object]) -> str:
-    """Tell the first fault by its key; unknown keys come first, since a misspelt key also makes another one missing."""
-    errors = sorted(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
-    path, found = _located(errors[0]["loc"], tables)
-    kind, name = errors[0]["type"], str(path[-1])
-    key = ".".join(str(part) for part in path)
-    if kind == "extra_forbidden":
-        known = _known_keys(path)
-        close = difflib.get_close_matches(name, known, n=1)
-        advice = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
-        return f"{key}: unknown key; {advice}"
-    if kind == "missing" and len(path) == len(errors[0]["loc"]):
-        return f"{key}: is missing; expected {_EXPECTED[name]}"
-    if kind == "value_error":
-        return f"{key}: {errors[0]['msg'].removeprefix('Value error, ')}"
-    return f"{key}: expected {_EXPECTED[name]}, found {found!r}"
-
-
-def _located(loc: tuple[int | str, ...], tables: Mapping[str, object]) -> tuple[list[int | str], object]:
-    """Cut what pydantic adds to a location (members of a union, items of an array) and return it with its value."""
-    path: list[int | str] = []
-    value: object = tables
-    for part in loc:
-        if isinstance(value, Mapping):
-            value = value.get(str(part))
-        elif isinstance(value, list) and isinstance(part, int) and path == ["inside"]:
-            value = value[part]
-        else:
-            break
-        path.append(part)
-    return path, value
-
-
-def _known_keys(path: list[int | str]) -> list[str]:
-    tables: dict[str, type[_Table]] = {
-        "object": ObjectTable,
-        "interface": InterfaceTable,
-        "medium": MediumTable,
-        "inside": InsideTable,
-    }
-    names = [part for part in path[:-1] if isinstance(part, str)]
-    model = tables[names[-1]] if names else SceneFile
-    return [field.alias or name for name, field in model.model_fields.items()]

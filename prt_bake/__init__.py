@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from prt_bake.environment import project as project_environment
     from prt_bake.environment import read_environment
     from prt_bake.lighting import Lighting, read_lighting
+    from prt_bake.mitsuba_export import mitsuba_dictionary
     from prt_bake.network import NeuralBSSRDF, load_model, save_model
     from prt_bake.rendering import render_scene
     from prt_bake.shading import shade
@@ -40,6 +41,7 @@ __all__ = [
     "estimate_transport",
     "load_model",
     "load_scene",
+    "mitsuba_dictionary",
     "project_environment",
     "read_asset",
     "read_environment",
@@ -72,6 +74,7 @@ _ORIGIN = {
     "estimate_transport": ("prt_bake.trainer.estimate", "estimate_transport"),
     "load_model": ("prt_bake.network", "load_model"),
     "load_scene": ("formats.scene", "read_scene"),
+    "mitsuba_dictionary": ("prt_bake.mitsuba_export", "mitsuba_dictionary"),
     "project_environment": ("prt_bake.environment", "project"),
     "read_asset": ("formats.asset", "read_asset"),
     "read_environment": ("prt_bake.environment", "read_environment"),

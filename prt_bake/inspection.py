@@ -2,12 +2,16 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from formats.errors import FormatError, PrtbakeError
 from formats.whole import existing
+
+if TYPE_CHECKING:
+    from formats.scene_parts import Part
+    from formats.scene_schema import MediumTable
 
 SUFFIXES = {
     "mesh": (".ply", ".obj", ".glb", ".gltf"),
@@ -57,6 +61,20 @@ def find_faults(path: str | Path) -> list[str]:
         return [str(fault)]
 
 
+def find_remarks(path: str | Path) -> list[str]:
+    """Return what is allowed but seldom meant in a sound file, as sentences: parts of a scene that stick out.
+
+    Raises:
+        PrtbakeError: the file cannot be read as what its suffix says.
+    """
+    if kind_of(path) != "scene":
+        return []
+    from formats.scene import read_scene
+    from prt_bake.nesting import sticking_out
+
+    return [f"{path}: {sentence}" for sentence in sticking_out(read_scene(path).parts)]
+
+
 def _describe_mesh(path: Path) -> dict[str, Any]:
     from formats.mesh import open_edges, read_mesh, signed_volume
 
@@ -70,7 +88,7 @@ def _describe_mesh(path: Path) -> dict[str, Any]:
         "diagonal": mesh.diagonal,
         "open edges": open_edges(mesh),
         "volume": signed_volume(mesh),
-        "texture coordinates": mesh.uv is not None,
+        "texture coordinates": mesh.corner_uv is not None,
         "content hash": mesh.content_hash,
     }
 
@@ -94,28 +112,67 @@ def _describe_scene(path: Path) -> dict[str, Any]:
     from formats.scene import read_scene
 
     scene = read_scene(path)
+    tables = [scene.tables.medium, *(table.medium for table in scene.tables.inside)]
+    outermost, *others = [
+        {**_describe_part(part), **_materials(part, table)} for part, table in zip(scene.parts, tables, strict=True)
+    ]
+    inside = {
+        f"{part.name}: {name}": value
+        for part, told in zip(scene.parts[1:], others, strict=True)
+        for name, value in {"in": scene.parts[part.parent].name, **told}.items()
+    }
     return {
-        "mesh": str(scene.mesh_path),
-        "vertices": len(scene.mesh.positions),
-        "faces": len(scene.mesh.faces),
-        "diagonal": scene.mesh.diagonal,
+        **outermost,
         "up": scene.up,
         "unit": scene.unit,
-        "eta": scene.eta,
-        "roughness": scene.roughness,
-        "normals": scene.normals,
-        "sigma_t": _constant_or_grid(scene.sigma_t),
-        "albedo": _constant_or_grid(scene.albedo),
-        "phase_g": scene.phase_g,
+        "parts": len(scene.parts),
+        **inside,
         "content hash": scene.content_hash,
     }
 
 
-def _constant_or_grid(quantity: Any) -> Any:
+def _describe_part(part: "Part") -> dict[str, Any]:
+    told: dict[str, Any] = {
+        "mesh": str(part.mesh_path),
+        "vertices": len(part.mesh.positions),
+        "faces": len(part.mesh.faces),
+        "diagonal": part.mesh.diagonal,
+    }
+    if part.diffuse is not None:
+        return {**told, "reflectance": _constant_or_array(part.diffuse, "texture")}
+    assert part.medium is not None
+    return {
+        **told,
+        "eta": part.eta,
+        "roughness": _constant_or_array(part.roughness, "texture"),
+        "normals": part.normals,
+        "energy compensation": part.energy_compensation,
+        "sigma_t": _constant_or_array(part.medium.sigma_t, "grid"),
+        "albedo": _constant_or_array(part.medium.albedo, "grid"),
+        "phase_g": part.medium.phase_g,
+    }
+
+
+def _materials(part: "Part", table: "MediumTable | None") -> dict[str, Any]:
+    """The materials that a part's table names, with the index that they were measured with."""
+    from formats.materials import find_material
+
+    told = {}
+    for key, name in (
+        ("material", table and table.material),
+        ("mixed with", table and table.mix and table.mix.material),
+    ):
+        if name:
+            material = find_material(name)
+            told[key] = f"{material.name}, measured with eta {material.eta:g}; taken is that of the scene, {part.eta:g}"
+    return told
+
+
+def _constant_or_array(quantity: Any, kind: str) -> Any:
     values = np.asarray(quantity)
     if values.ndim < 2:
         return values.tolist()
-    return f"grid {list(values.shape)}, {values.min():g} to {values.max():g}"
+    return f"{kind} {list(values.shape)}, {values.min():g} to {values.max():g}"
 
 
 def _describe_model(path: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from prt_bake.camera import Camera, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.render_pass import POINTS, PassTracer, pass_seed
 from prt_bake.render_state import Sums, read_checkpoint, relative_noise, write_checkpoint
-from prt_bake.trainer.lit import connections
+from prt_bake.trainer.prepared import smooth_part
 
 Array = NDArray[np.float64]
 
@@ -210,10 +210,11 @@ def _refuse_endless(
 
 
 def _refuse_unseen(scene: Scene, lighting: Lighting) -> None:
-    if connections(scene) is None and any(sun.angular_diameter == 0.0 for sun in lighting.suns):
+    smooth = smooth_part(scene)
+    if smooth is not None and any(sun.angular_diameter == 0.0 for sun in lighting.suns):
         raise QueryError(
-            f"{scene.path}: behind a smooth interface no walk meets a directional light without size; give the light "
-            "an angular diameter (the sun's is 0.53 degrees), or the interface some roughness"
+            f"{scene.path}: behind the smooth interface of '{smooth.name}' no walk meets a directional light without "
+            "size; give the light an angular diameter (the sun's is 0.53 degrees), or make the interface rough"
         )
 
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from formats.errors import FormatError, QueryError
@@ -25,7 +26,7 @@ class PathTraced:
             "up": scene.up,
             "unit": scene.unit,
             "eta": scene.eta,
-            "roughness": scene.roughness,
+            "roughness": float(np.mean(scene.roughness)),
         }
 
     def estimate_coefficients(

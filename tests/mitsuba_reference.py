@@ -1,81 +1,66 @@
 """The same scenes in Mitsuba 3 (variant scalar_rgb), an independent renderer, asked one path at a time.
 
-A directional emitter of unit irradiance makes the radiance Ŝ itself. Behind a rough interface the first event is drawn
-from the transmission lobe alone, since Ŝ leaves out light reflected at x.
+A directional emitter of unit irradiance makes the radiance Ŝ itself. Behind a rough or smooth interface the first event
+is drawn from the transmission lobe alone, since Ŝ leaves out light reflected at x. Light from a directional emitter
+reaches no event through a smooth boundary: a scene with one is compared under a white sky.
 """
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
 
 from formats.scene import Scene
+from prt_bake.mitsuba_export import mitsuba_dictionary
 
 mi.set_variant("scalar_rgb")
 
-
-def _volume(value: ArrayLike, bounds: ArrayLike | None) -> dict[str, Any]:
-    value = np.asarray(value, np.float64)
-    if value.ndim < 3:
-        return {"type": "constvolume", "value": {"type": "rgb", "value": np.broadcast_to(value, 3).tolist()}}
-    grid = value[..., None] if value.ndim == 3 else value
-    low, high = np.asarray(bounds, np.float64)
-    return {
-        "type": "gridvolume",
-        "grid": mi.VolumeGrid(np.ascontiguousarray(grid, np.float32)),
-        "raw": True,
-        "wrap_mode": "clamp",
-        "to_world": mi.ScalarTransform4f().translate(low.tolist()).scale((high - low).tolist()),
-    }
-
-
-def _load(scene: Scene, incident: np.ndarray) -> Any:
-    matched = scene.eta == 1.0
-    varies = np.ndim(scene.sigma_t) == 3 or np.ndim(scene.albedo) >= 3
-    sigma_t = _volume(scene.sigma_t, scene.bounds) if varies else float(scene.sigma_t)
-    medium = {
-        "type": "heterogeneous" if varies else "homogeneous",
-        "sigma_t": sigma_t,
-        "albedo": _volume(scene.albedo, scene.bounds),
-        "phase": {"type": "hg", "g": float(scene.phase_g)},
-        "has_spectral_extinction": False,
-    }
-    bsdf = (
-        {"type": "null"}
-        if matched
-        else {
-            "type": "roughdielectric",
-            "distribution": "ggx",
-            "alpha": float(scene.roughness),
-            "int_ior": float(scene.eta),
-            "ext_ior": 1.0,
-        }
-    )
-    shape = {"type": "ply", "filename": str(scene.mesh_path), "face_normals": True, "bsdf": bsdf, "interior": medium}
-    light = {
-        "type": "directional",
-        "direction": (-incident).tolist(),
-        "irradiance": {"type": "rgb", "value": [1.0] * 3},
-    }
-    integrator = {"type": "volpath", "max_depth": -1, "rr_depth": 2000}
-    return mi.load_dict({"type": "scene", "integrator": integrator, "object": shape, "light": light})
+LONGEST_SIDE = 100.0
+"""Mitsuba steps off surfaces by some 1e-4 · (1 + |x|): in so large an object three times less than in a unit one."""
+START = 1e-6
+"""Paths are started by hand so far under x, in sides: Mitsuba's own offset lengthens a thin chord at a grazing view by
+a tenth."""
 
 
 def transport(
     scene: Scene, position: np.ndarray, outgoing: np.ndarray, incident: np.ndarray, paths: int, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean [3] and standard error [3] of Ŝ from `paths` paths.
+    """Mean [3] and standard error [3] of Ŝ from `paths` paths; boundaries on the way may be matched, rough or
+    diffuse."""
+    return _seen(scene, position, outgoing, incident, paths, seed)
 
-    Paths are started by hand 1e-6 under x: Mitsuba's own offset of some 1e-4 lengthens a thin chord at a grazing view
-    by a tenth.
-    """
-    world = _load(scene, incident)
+
+def under_white_sky(
+    scene: Scene, position: np.ndarray, outgoing: np.ndarray, paths: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean [3] and standard error [3] of what passes x from inside under a sky of radiance 1, ∫ Ŝ dωi and the
+    unscattered light; boundaries of every kind."""
+    return _seen(scene, position, outgoing, None, paths, seed)
+
+
+def _scale(scene: Scene) -> float:
+    low, high = scene.mesh.bounds
+    return LONGEST_SIDE / float((high - low).max())
+
+
+def load(scene: Scene, incident: np.ndarray | None) -> Any:
+    """Mitsuba's scene, the middle of the bounding box at its origin and the longest side of length LONGEST_SIDE."""
+    with tempfile.TemporaryDirectory() as folder:
+        return mi.load_dict(mitsuba_dictionary(scene, Path(folder), incident=incident, scale=_scale(scene)))
+
+
+def _seen(
+    scene: Scene, position: np.ndarray, outgoing: np.ndarray, incident: np.ndarray | None, paths: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    world = load(scene, incident)
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed)
     integrator = world.integrator()
-    hit = world.ray_intersect(mi.Ray3f((position + 1e-3 * outgoing).tolist(), (-outgoing).tolist()))
-    begin = (position - 1e-6 * np.array(hit.n)).tolist()
+    there = (position - scene.mesh.center) * _scale(scene)
+    hit = world.ray_intersect(mi.Ray3f((there + 1e-3 * LONGEST_SIDE * outgoing).tolist(), (-outgoing).tolist()))
+    begin = (there - START * LONGEST_SIDE * np.array(hit.n)).tolist()
     inside = hit.target_medium(-hit.n)
     values = np.empty((paths, 3))
     if scene.eta == 1.0:

@@ -182,3 +182,17 @@ def test_check_names_every_fault(prtbake: Run, folder: Path, tmp_path: Path) -> 
     assert checked.code == 1
     assert "4 edges" in checked.out
     assert "1 fault" in checked.err
+
+
+def test_check_remarks_upon_a_part_that_sticks_out(prtbake: Run, folder: Path) -> None:
+    twin = '[[inside]]\nname = "twin"\nmesh = "moved.obj"\n[inside.medium]\nmaterial = "whole milk"\n'
+    rows = [f"v {x} {y} {z}" for x, y, z in ((0, 0, 0), (2, 0, 0), (0, 0.5, 0), (0, 0, 0.5))]
+    (folder / "moved.obj").write_text("\n".join([*rows, "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]))
+    (folder / "twins.toml").write_text((folder / "scene.toml").read_text() + twin)
+    checked = prtbake("check", "twins.toml")
+    assert checked.code == 0
+    assert checked.out.startswith("remark: twins.toml: 'twin' sticks out of 'object' by 0.29 of its diagonal (1 of 4 ")
+    assert checked.out.endswith("twins.toml: sound\n")
+    told = json.loads(prtbake("info", "twins.toml", "--json").out)
+    assert (told["parts"], told["twin: in"]) == (2, "object")
+    assert told["twin: material"] == "wholemilk, measured with eta 1.3; taken is that of the scene, 1"

@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from PIL import Image
 
 from formats.errors import ImageError
-from formats.image import read_image, read_layers, write_image
+from formats.image import read_image, read_layers, read_levels, write_image
 from formats.png import to_linear, to_srgb
 
 HEADER = b"#?RADIANCE\n# by hand\nFORMAT=32-bit_rle_rgbe\n\n"
@@ -193,7 +194,6 @@ def test_srgb_curve_and_its_inverse():
 
 
 def test_png_round_trip_exposure_and_note(tmp_path):
-    from PIL import Image
 
     codes = np.arange(256, dtype=np.uint8).repeat(3).reshape(16, 16, 3)
     Image.fromarray(codes).save(tmp_path / "codes.png")
@@ -208,7 +208,6 @@ def test_png_round_trip_exposure_and_note(tmp_path):
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])
 def test_png_of_every_mode(tmp_path, mode):
-    from PIL import Image
 
     Image.fromarray(np.full((4, 5, 3), 255, np.uint8)).convert(mode).save(tmp_path / "a.png")
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), np.ones((4, 5, 3), np.float32))
@@ -228,13 +227,15 @@ def test_truncated_images_are_refused_in_one_sentence(tmp_path, suffix, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
+@pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png", ".jpg"])
 def test_other_kinds_are_refused(tmp_path, suffix):
     (tmp_path / f"a{suffix}").write_text("a poem, not a picture")
     with pytest.raises(ImageError):
         read_image(tmp_path / f"a{suffix}")
-    with pytest.raises(ImageError, match=r"expected \.exr, \.hdr or \.png"):
-        read_image(tmp_path / "a.jpg")
+    with pytest.raises(ImageError, match=r"read; expected \.exr, .* or \.jpeg, found '\.gif'"):
+        read_image(tmp_path / "a.gif")
+    with pytest.raises(ImageError, match=r"written; expected \.exr, \.hdr or \.png, found '\.jpg'"):
+        write_image(tmp_path / "a.jpg", np.zeros((2, 2, 3)))
 
 
 def test_damaged_radiance_is_refused(tmp_path):
@@ -261,3 +262,34 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(ImageError, match="shape"):
         write_image(tmp_path / "a.exr", np.zeros((2, 2)))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "stored", "expected"),
+    [
+        ("L", [[0, 51, 255]], [0, 0.2, 1]),
+        ("RGB", [[[51, 9, 9], [102, 0, 255], [255, 0, 0]]], [0.2, 0.4, 1]),
+        ("RGBA", [[[51, 9, 9, 0], [102, 0, 255, 1], [255, 0, 0, 255]]], [0.2, 0.4, 1]),
+        ("I;16", [[0, 13107, 65535]], [0, 0.2, 1]),
+    ],
+)
+def test_levels_of_a_png_are_its_first_channel_as_stored(tmp_path, mode, stored, expected):
+    array = np.array(stored, np.uint16 if mode == "I;16" else np.uint8)
+    Image.fromarray(array).save(tmp_path / "a.png")
+    levels = read_levels(tmp_path / "a.png")
+    assert (levels.dtype, levels.shape) == (np.float64, (1, 3))
+    np.testing.assert_allclose(levels[0], expected, atol=1e-15)
+
+
+def test_levels_of_linear_pictures_are_their_numbers(tmp_path):
+    picture = np.array([[[0.25, 9, 9], [0.5, 0, 0]]], np.float32)
+    for suffix in (".exr", ".hdr"):
+        write_image(tmp_path / f"a{suffix}", picture)
+        np.testing.assert_allclose(read_levels(tmp_path / f"a{suffix}"), [[0.25, 0.5]], atol=0.04)
+
+
+def test_a_jpeg_is_decoded_as_srgb(tmp_path):
+    Image.fromarray(np.full((8, 8, 3), 188, np.uint8)).save(tmp_path / "a.jpg", quality=100)
+    picture = read_image(tmp_path / "a.jpg")
+    assert (picture.shape, picture.dtype) == ((8, 8, 3), np.float32)
+    np.testing.assert_allclose(picture, 0.503, atol=0.006)

@@ -91,6 +91,85 @@ def test_texture_coordinates_survive(tmp_path, suffix):
     np.testing.assert_array_equal(read_mesh(tmp_path / f"t{suffix}").uv, mesh.uv)
 
 
+def seamed_cube(folder) -> Mesh:
+    """A cube as an atlas: every face has its own square of the picture, so each vertex has three pairs."""
+    rows = [f"v {x} {y} {z}" for x, y, z in CUBE_CORNERS]
+    rows += [f"vt {(i % 3 + u) / 3} {(i // 3 + v) / 2}" for i in range(6) for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    rows += ["f " + " ".join(f"{v}/{4 * i + c + 1}" for c, v in enumerate(quad)) for i, quad in enumerate(CUBE_QUADS)]
+    (folder / "cube.obj").write_text("\n".join(rows))
+    return read_mesh(folder / "cube.obj")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_seams_survive_merging_and_writing(tmp_path, suffix):
+    mesh = seamed_cube(tmp_path)
+    assert (len(mesh.positions), mesh.corner_uv.shape, mesh.seamless) == (8, (12, 3, 2), False)
+    np.testing.assert_allclose(mesh.corner_uv[2], [[1 / 3, 0], [2 / 3, 0], [2 / 3, 0.5]], atol=1e-15)
+    write_mesh(mesh, tmp_path / f"again{suffix}")
+    again = read_mesh(tmp_path / f"again{suffix}")
+    np.testing.assert_array_equal(again.corner_uv, mesh.corner_uv)
+    np.testing.assert_array_equal(again.uv, mesh.uv)
+
+
+def test_polygons_of_a_ply_take_their_texture_coordinates_along(tmp_path):
+    corners = "\n".join(f"{x} {y} {z}" for x, y, z in CUBE_CORNERS)
+    pairs = [(0, 0), (1, 0), (1, 0.5), (0, 0.5)]
+    rows = "\n".join(
+        f"4 {' '.join(str(i - 1) for i in quad)} 8 {' '.join(f'{u + k} {v}' for u, v in pairs)}"
+        for k, quad in enumerate(CUBE_QUADS)
+    )
+    (tmp_path / "cube.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 6\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\nend_header\n"
+        f"{corners}\n{rows}\n"
+    )
+    mesh = read_mesh(tmp_path / "cube.ply")
+    expected = [[(u + k, v) for u, v in (pairs[i] for i in fan)] for k in range(6) for fan in ((0, 1, 2), (0, 2, 3))]
+    np.testing.assert_array_equal(mesh.corner_uv, expected)
+
+
+def test_a_turned_face_keeps_each_corner_s_own_texture_coordinates(tmp_path):
+    mesh = seamed_cube(tmp_path)
+    turned = flipped(mesh)
+    for face in range(12):
+        before = {int(v): tuple(uv) for v, uv in zip(mesh.faces[face], mesh.corner_uv[face], strict=True)}
+        after = {int(v): tuple(uv) for v, uv in zip(turned.faces[face], turned.corner_uv[face], strict=True)}
+        assert before == after
+    np.testing.assert_array_equal(flipped(turned).corner_uv, mesh.corner_uv)
+
+
+def test_dropped_faces_take_their_texture_coordinates_with_them(tmp_path):
+    text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 0.5 0.5\n"
+    (tmp_path / "t.obj").write_text(
+        text + "f 1/1 2/2 2/2\nf 1/1 3/3 2/2\nf 1/4 2/4 4/4\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
+    )
+    mesh = read_mesh(tmp_path / "t.obj", drop_flat_faces=True)
+    assert mesh.dropped_faces == 1
+    np.testing.assert_array_equal(mesh.corner_uv[0], [[0, 0], [0, 1], [1, 0]])
+    np.testing.assert_array_equal(mesh.corner_uv[1], np.full((3, 2), 0.5))
+
+
+def test_one_pair_a_vertex_is_the_same_at_every_corner():
+    mesh = Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, uv=np.arange(8).reshape(4, 2) / 7)
+    np.testing.assert_array_equal(mesh.corner_uv, mesh.uv[TETRAHEDRON_FACES])
+    assert mesh.seamless
+    assert tetrahedron().corner_uv is None
+    with pytest.raises(MeshError, match="corner_uv has shape"):
+        Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, corner_uv=np.zeros((4, 2)))
+
+
+def test_gltf_texture_coordinates_point_upwards(tmp_path):
+    import trimesh
+
+    solid = trimesh.Trimesh(TETRAHEDRON, TETRAHEDRON_FACES, process=False)
+    solid.visual = trimesh.visual.TextureVisuals(uv=[[0, 0], [1, 0], [0, 0.75], [0.25, 1]])
+    (tmp_path / "one.glb").write_bytes(trimesh.exchange.gltf.export_glb(trimesh.Scene(solid)))
+    mesh = read_mesh(tmp_path / "one.glb")
+    expected = {(0, 0, 0): (0, 0), (1, 0, 0): (1, 0), (0, 1, 0): (0, 0.75), (0, 0, 1): (0.25, 1)}
+    for position, uv in zip(mesh.positions[mesh.faces].reshape(-1, 3), mesh.corner_uv.reshape(-1, 2), strict=True):
+        assert tuple(uv) == expected[tuple(position)]
+
+
 def test_float64_stays_float64_in_ascii_and_both_byte_orders(tmp_path):
     third = 1 / 3
     for order, word in (("<", "binary_little_endian"), (">", "binary_big_endian")):

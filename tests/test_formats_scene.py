@@ -22,7 +22,6 @@ albedo = [0.98, 0.90, 0.75]
 phase_g = 0.3
 bounds = [[-1, -1, -1], [1, 1, 2]]
 """
-INSIDE = '[[inside]]\nname = "seed"\nmesh = "seed.ply"\nsurface = "diffuse"\nreflectance = "seed.png"\nin = "skin"\n'
 
 
 @pytest.fixture
@@ -53,6 +52,9 @@ def test_everything_that_is_said_comes_out(folder):
     read = scene(folder)
     assert (read.up, read.unit, read.eta, read.roughness, read.normals) == ("z", "cm", 1.3, 0.25, "vertex")
     assert (read.sigma_t, read.albedo.tolist(), read.phase_g) == (12, [0.98, 0.9, 0.75], 0.3)
+    assert len(read.parts) == 1
+    assert (read.parts[0].name, read.parts[0].parent, read.parts[0].diffuse) == ("object", -1, None)
+    assert read.parts[0].energy_compensation is False
     assert (read.bounds, read.flipped, len(read.mesh.faces)) == (None, False, 4)
     assert read.mesh_path == folder / "ball.ply"
     assert read.tables.medium.sigma_t == 12
@@ -71,6 +73,14 @@ def test_grids_are_loaded_and_keep_their_values(folder):
     np.testing.assert_array_equal(read.bounds, [[-1, -1, -1], [1, 1, 2]])
     assert scene(folder, "[0.98, 0.90, 0.75]", '"colour.npy"').albedo.shape == (2, 3, 4, 3)
     assert scene(folder, "[0.98, 0.90, 0.75]", '"grid.npy"').albedo.shape == (2, 3, 4)
+    assert scene(folder, "12.0", '"colour.npy"').sigma_t.shape == (2, 3, 4, 3)
+
+
+def test_extinction_may_differ_by_channel(folder):
+    read = scene(folder, "12.0", "[1, 2.5, 3]")
+    assert read.sigma_t.tolist() == [1, 2.5, 3]
+    assert read.sigma_t.dtype == np.float64
+    assert read.content_hash != scene(folder, "12.0", "[3, 2.5, 1]").content_hash
 
 
 def test_a_mesh_wound_inside_out_is_turned(folder):
@@ -87,6 +97,7 @@ def test_the_hash_follows_what_decides_the_transport(folder):
     assert scene(folder, "ball.ply", "inside_out.ply").content_hash == same
     changes = [("1.3", "1.31"), ("0.25", "0.2"), ("vertex", "face"), ("12.0", "13"), ("0.75", "0.76"), ("0.3", "0")]
     changes += [("12.0", '"grid.npy"'), ("[0.98, 0.90, 0.75]", '"grid.npy"'), ("ball.ply", "larger.ply")]
+    changes += [("0.25", "0.25\nenergy_compensation = true"), ("12.0", "[12, 12, 12]")]
     hashes = {scene(folder, *change).content_hash for change in changes}
     assert len(hashes | {same}) == len(changes) + 1
 
@@ -97,20 +108,20 @@ FAULTS = [
     (
         "phase_g",
         'colour = "red"\nphase_g',
-        "medium.colour: unknown key; expected one of sigma_t, albedo, phase_g, bounds",
+        "medium.colour: unknown key; expected one of material, density, sigma_t, albedo, phase_g, bounds, mix",
     ),
     ("sigma_t = 12.0", "", "medium.sigma_t: is missing"),
-    ("12.0", "-1", "medium.sigma_t: expected one number that is not negative, or the name of an .npy grid, found -1"),
+    (
+        "12.0",
+        "-1",
+        "medium.sigma_t: expected one number that is not negative, three of them (RGB), or the name of an .npy",
+    ),
     ("12.0", "nan", "medium.sigma_t: expected one number"),
     ("12.0", "inf", "medium.sigma_t: expected one number"),
     ("12.0", "true", "medium.sigma_t: expected one number"),
     ("12.0", "1979-05-27", "medium.sigma_t: expected one number"),
-    ("12.0", "[1, 2, 3]", "medium.sigma_t: extinction by channel is not supported yet"),
-    (
-        "12.0",
-        '"colour.npy"',
-        "medium.sigma_t: colour.npy has shape [2, 3, 4, 3]; extinction by channel is not supported",
-    ),
+    ("12.0", "[1, 2]", "medium.sigma_t: expected one number that is not negative, three of them (RGB)"),
+    ("12.0", "[1, 2, -3]", "medium.sigma_t: expected one number that is not negative, three of them (RGB)"),
     ("12.0", '"ball.ply"', "is not an .npy array"),
     ("[0.98, 0.90, 0.75]", "1.01", "medium.albedo: expected a number from 0 to 1"),
     ("[0.98, 0.90, 0.75]", "[0.5, 0.5]", "medium.albedo: expected a number from 0 to 1, three of them"),
@@ -125,9 +136,8 @@ FAULTS = [
     ("= 12.0", "= = 12", "is not TOML"),
     ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply is not closed: 3 edges"),
     ('mesh = "ball.ply"', 'mesh = "torn.ply"', "object.mesh: .*torn.ply has 3 edges between faces wound against"),
-    ("", INSIDE, "inside: objects inside the object are not supported yet"),
-    ("", INSIDE + "[inside.medium]\nsigma_t = -1\nalbedo = 1\n", "inside.0.medium.sigma_t: expected one number"),
-    ("", INSIDE.replace("surface", "surfac"), "inside.0.surfac: unknown key; did you mean 'surface'?"),
+    ("0.25", '"alpha.png"', "interface.roughness: an image needs texture coordinates, and the mesh has none"),
+    ("0.25", '0.25\nenergy_compensation = "yes"', "interface.energy_compensation: expected true or false"),
 ]
 
 

@@ -130,7 +130,7 @@ def test_behind_a_smooth_interface_exits_meet_the_disc(tmp_path: Path) -> None:
     halves = render(scene, Lighting((), (up, down)))
     furnace = render(scene, np.ones((4, 8, 3), np.float32))
     np.testing.assert_allclose(halves.image, furnace.image, rtol=1e-5)
-    with pytest.raises(QueryError, match=r"ball\.toml: behind a smooth interface .* angular diameter"):
+    with pytest.raises(QueryError, match=r"ball\.toml: behind the smooth interface of 'object' .* angular diameter"):
         render(scene, Lighting((), (sun(diameter=2.0), sun())))
 
 

@@ -1,29 +1,26 @@
-"""What the path tracer draws follows the density it says: streams, phase function, free flights.
+"""What the path tracer draws follows the density it says: streams and phase function.
 
 About 45 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
 
 import math
+from collections import namedtuple
 
 import numpy as np
 import pytest
+from grids import medium_of
 from numba import njit
 from sampling import SAMPLES, assert_counts_follow, assert_mean_is
 from scenes import unit_directions
 from scipy.integrate import quad
-from scipy.interpolate import RegularGridInterpolator
 
 from prt_bake import sh
 from prt_bake.trainer.counter import begin_stream, uniform
 from prt_bake.trainer.kernels import harmonics
-from prt_bake.trainer.media import Medium, extinction, free_flight, multiply_albedo, phase, phase_cosine, transmittance
-from prt_bake.trainer.walk import DIRECTION, PHASE, STATE_SIZE, scatter
+from prt_bake.trainer.media import phase, phase_cosine
+from prt_bake.trainer.walk import COUNTS_SIZE, DIRECTION, MASK, PHASE, STATE_SIZE, scatter
 
-GENERATOR = np.random.default_rng(17)
-# Contrast 40:1, so that most of delta tracking's events are null ones.
-EXTINCTION = GENERATOR.uniform(0.1, 4.0, (3, 4, 5)).astype(np.float32)
-ALBEDO = GENERATOR.uniform(0.0, 1.0, (4, 2, 3, 3)).astype(np.float32)
-LOW, HIGH = np.array([-0.5, -0.4, -0.3]), np.array([0.5, 0.6, 0.2])
+Regions = namedtuple("Regions", "region_of_mask")
 
 
 @njit
@@ -43,76 +40,15 @@ def phase_cosines(g, u):
 
 
 @njit
-def flights(medium, p, d, far, count):
-    distances, at, stream = np.empty(count), np.zeros(3), np.zeros(2, np.uint64)
-    for n in range(count):
-        begin_stream(stream, 5, 2, n)
-        distances[n] = free_flight(medium, p, d, far, at, stream)
-    return distances
-
-
-@njit
-def transmittances(medium, p, d, near, far, count):
-    kept, at, stream = np.empty(count), np.zeros(3), np.zeros(2, np.uint64)
-    for n in range(count):
-        begin_stream(stream, 6, 2, n)
-        kept[n] = transmittance(medium, p, d, near, far, at, stream)
-    return kept
-
-
-def grid_medium(sigma_t=EXTINCTION, albedo=ALBEDO, phase_g=0.0):
-    return Medium(
-        sigma_t=float(sigma_t.max()),
-        phase_g=phase_g,
-        albedo=np.ones(3),
-        extinction_grid=sigma_t,
-        albedo_grid=albedo,
-        has_extinction_grid=True,
-        has_albedo_grid=True,
-        low=LOW,
-        per_length=1.0 / (HIGH - LOW),
-    )
-
-
-def homogeneous_medium(sigma_t):
-    nothing = np.zeros((1, 1, 1), np.float32)
-    return grid_medium()._replace(
-        sigma_t=sigma_t,
-        has_extinction_grid=False,
-        extinction_grid=nothing,
-        has_albedo_grid=False,
-        albedo_grid=nothing[..., None],
-    )
-
-
-def look_up(grid, points):
-    """scipy's own trilinear look-up of a grid [Z,Y,X,…] at points [N,3] = (x, y, z), clamped to the cell centres."""
-    for axis in range(3):
-        if grid.shape[axis] == 1:
-            grid = np.repeat(grid, 2, axis=axis)
-    centres = [
-        LOW[k] + (np.arange(count) + 0.5) / count * (HIGH[k] - LOW[k]) for k, count in enumerate(grid.shape[2::-1])
-    ]
-    inside = np.clip(points, [c[0] for c in centres], [c[-1] for c in centres])
-    return RegularGridInterpolator(centres[::-1], grid.astype(np.float64))(inside[:, ::-1])
-
-
-def optical_depths(p, d, far, steps=20_000):
-    """Distances and ∫ sigma_t up to each, along p + t d in the grid, by the midpoint rule."""
-    t = np.linspace(0.0, far, steps + 1)
-    middles = 0.5 * (t[1:] + t[:-1])
-    return t, np.append(0.0, np.cumsum(look_up(EXTINCTION, p + middles[:, None] * d)) * far / steps)
-
-
-@njit
-def scattered(medium, before, count):
+def scattered(regions, medium, before, count):
     """Directions [N,3] after one scattering each, and the density that the walk keeps [N]."""
     drawn, densities = np.empty((count, 3)), np.empty(count)
-    state, stream = np.zeros(STATE_SIZE), np.zeros(2, np.uint64)
+    state, counts, stream = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(2, np.uint64)
+    counts[MASK] = 1
     for n in range(count):
         begin_stream(stream, 7, 2, n)
         state[DIRECTION : DIRECTION + 3] = before
-        scatter(medium, state, stream)
+        scatter(regions, medium, state, counts, stream)
         drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[PHASE]
     return drawn, densities
 
@@ -188,49 +124,6 @@ def test_phase_cosine_runs_from_backward_to_forward(g):
     assert (np.diff(cosines) >= 0.0).all()
 
 
-def test_free_flights_in_a_grid_follow_the_optical_depth():
-    p, d, far = np.array([-0.6, -0.5, -0.35]), np.array([0.8, 0.6, 0.0]), 1.6
-    d = d * math.sqrt(0.9) + [0.0, 0.0, math.sqrt(0.1)]
-    t, depth = optical_depths(p, d, far)
-    distances = flights(grid_medium(), p, d, far, SAMPLES)
-    met = distances[np.isfinite(distances)]
-    assert met.max() < far
-    reached = 1 - math.exp(-depth[-1])
-    passed = -np.expm1(-np.interp(met, t, depth))
-    counts = np.append(np.histogram(passed, bins=64, range=(0.0, reached))[0], SAMPLES - len(met))
-    assert_counts_follow(counts, np.append(np.full(64, reached / 64), 1 - reached))
-
-
-def test_free_flights_in_a_homogeneous_medium_are_exponential():
-    distances = flights(homogeneous_medium(2.5), np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.7, SAMPLES)
-    met = distances[np.isfinite(distances)]
-    reached = 1 - math.exp(-2.5 * 0.7)
-    counts = np.append(np.histogram(-np.expm1(-2.5 * met), bins=64, range=(0.0, reached))[0], SAMPLES - len(met))
-    assert_counts_follow(counts, np.append(np.full(64, reached / 64), 1 - reached))
-
-
-def test_nothing_is_met_in_a_vacuum():
-    vacuum = homogeneous_medium(0.0)
-    assert np.isinf(flights(vacuum, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.inf, 10)).all()
-    assert (transmittances(vacuum, np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.0, 5.0, 10) == 1.0).all()
-
-
-# The last one is deep enough for the roulette to decide nearly always.
-@pytest.mark.parametrize(("near", "far"), [(0.0, 0.3), (0.4, 1.2), (0.0, 4.0)])
-def test_transmittance_in_a_grid_is_unbiased(near, far):
-    p, d = np.array([-0.6, -0.5, -0.35]), np.array([0.6, 0.64, 0.48])
-    t, depth = optical_depths(p, d, far)
-    expected = math.exp(np.interp(near, t, depth) - depth[-1])
-    kept = transmittances(grid_medium(), p, d, near, far, SAMPLES)
-    assert kept.min() >= 0.0
-    assert_mean_is(kept, expected)
-
-
-def test_transmittance_of_a_homogeneous_medium_is_exact():
-    kept = transmittances(homogeneous_medium(2.5), np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.2, 0.9, 3)
-    np.testing.assert_allclose(kept, math.exp(-2.5 * 0.7), rtol=1e-14)
-
-
 def test_kernel_harmonics_are_those_of_the_package():
     directions = np.concatenate([unit_directions(500, seed=9), np.eye(3), -np.eye(3)])
     for degree in (0, 1, 2, 7, 20):
@@ -240,27 +133,11 @@ def test_kernel_harmonics_are_those_of_the_package():
         np.testing.assert_allclose(basis, sh.evaluate(directions, degree), rtol=0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("shape", [(3, 4, 5), (1, 4, 2), (2, 1, 1), (1, 1, 1)])
-def test_grids_are_trilinear_between_cell_centres_and_clamped_beyond(shape):
-    generator = np.random.default_rng(10)
-    sigma_t = generator.uniform(0.1, 4.0, shape).astype(np.float32)
-    albedo = generator.uniform(0.0, 1.0, (*shape[::-1], 3)).astype(np.float32)
-    medium = grid_medium(sigma_t, albedo)
-    points = np.concatenate([generator.uniform(LOW - 0.3, HIGH + 0.3, (2000, 3)), [LOW, HIGH]])
-    extinctions, throughputs = np.empty(len(points)), np.empty((len(points), 3))
-    for n, point in enumerate(points):
-        extinctions[n] = extinction(medium, point)
-        throughputs[n] = 0.5
-        multiply_albedo(medium, point, throughputs[n])
-    np.testing.assert_allclose(extinctions, look_up(sigma_t, points), rtol=1e-6)
-    np.testing.assert_allclose(throughputs, 0.5 * look_up(albedo, points), rtol=1e-6)
-
-
 @pytest.mark.parametrize("g", [-0.5, 0.0, 0.8])
 def test_scattered_directions_lie_about_the_old_one(g):
     """Cosine and azimuth to the direction before; the density that the walk keeps is that of the direction drawn."""
     before = np.array([0.6, -0.48, -0.64])
-    drawn, densities = scattered(grid_medium(phase_g=g), before, SAMPLES)
+    drawn, densities = scattered(Regions(np.array([0, 1])), medium_of(2.0, phase_g=g), before, SAMPLES)
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-14)
     cosines = drawn @ before
     np.testing.assert_allclose(densities[:1000], [phase(cosine, g) for cosine in cosines[:1000]], rtol=1e-12)

@@ -11,13 +11,15 @@ from formats.errors import FormatError
 def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model or asset.")]) -> None:
     """Print every fault of a file.
 
-    One line each; the exit code is 1 if there is any.
+    One line each; the exit code is 1 if there is any. Remarks (what is allowed, but seldom meant) leave it 0.
     """
-    from prt_bake.inspection import find_faults
+    from prt_bake.inspection import find_faults, find_remarks
 
     faults = find_faults(file)
     for fault in faults:
         print(fault)
     if faults:
         raise FormatError(f"{file}: {len(faults)} {'fault' if len(faults) == 1 else 'faults'} found")
+    for remark in find_remarks(file):
+        print(f"remark: {remark}")
     print(f"{file}: sound")

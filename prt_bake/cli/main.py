@@ -13,6 +13,7 @@ from prt_bake.cli.check import check
 from prt_bake.cli.compare import compare
 from prt_bake.cli.demo import demo
 from prt_bake.cli.describe import describe
+from prt_bake.cli.export import export
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
 from prt_bake.cli.shade import shade
@@ -37,6 +38,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "compare": compare,
     "info": describe,
     "check": check,
+    "export": export,
 }
 for name, command in COMMANDS.items():
     app.command(name, no_args_is_help=name != "demo")(command)

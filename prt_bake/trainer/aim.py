@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from prt_bake.trainer.boundary import facing_normal, normal_at, part_of
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import microfacet_transport, refract_at_microfacet
-from prt_bake.trainer.walk import facing_normal, frame, normal_at
+from prt_bake.trainer.walk import frame
 
 _REFRACTED_SHARE = 0.7
 
@@ -34,11 +35,12 @@ def aim_for(alpha: float, eta: float) -> Aim:
     """The aim for a GGX roughness and a relative index.
 
     The lobe is fitted to the least variance per path on a sphere (eta 1.1–1.5, alpha 0.1–0.5, sigma_t 5 and 15); the
-    looks to the most efficiency on a sphere and on a mesh with hollows, alpha 0.03–0.6: the wider the interface's own
-    lobe, the less a look is worth its ray.
+    looks to the most efficiency on a sphere and on a mesh with hollows, eta 1.3, alpha 0.03–0.6: the wider the lobe that
+    the interface refracts into, the less a look is worth its ray.
     """
     bend = 0.7 * (1.0 - 1.0 / max(eta, 1.0 / eta))
-    looks = sum(alpha < limit for limit in (0.4, 0.2, 0.05))
+    width = alpha * abs(1.0 - 1.0 / eta)
+    looks = sum(width < limit for limit in (0.1, 0.05, 0.0125))
     return Aim((1.0 + alpha**2) / (bend * bend + 0.003), looks)
 
 
@@ -64,6 +66,17 @@ def draw_lobe(w: Any, kappa: Any, v: Any, stream: Any) -> None:
 
 
 @walk_function()
+def _outermost_face(boundary: Any, p: Any, v: Any, skip: Any, ray: Any) -> Any:
+    """The first face of the object itself along p + t v, whatever stands inside; −1: none."""
+    near = 0.0
+    while True:
+        face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, v, near, np.inf, skip)
+        if face < 0 or part_of(boundary, face) == 0:
+            return face
+        near = t * (1.0 + 2e-7) + 1e-9
+
+
+@walk_function()
 def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v: Any, normal: Any) -> bool:
     """Write the outward normal of the boundary near where light from w reaches p; False where there is none.
 
@@ -74,14 +87,14 @@ def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v
         v[k] = w[k]
     found = False
     for step in range(looks):
-        face, _t = nearest_hit(boundary.intersect, boundary.scene, ray, p, v, 0.0, np.inf, skip)
+        face = _outermost_face(boundary, p, v, skip, ray)
         if face < 0:
             return found
-        g = boundary.face_normals[face]
+        g = boundary.faces[face]
         if w[0] * g[0] + w[1] * g[1] + w[2] * g[2] <= 0.0:
             return found
         normal_at(boundary, face, np.float64(ray[15]), np.float64(ray[16]), normal)
-        x, y, z, _eta = facing_normal(boundary, face, normal, w)
+        x, y, z = facing_normal(boundary, face, normal, w)
         normal[0], normal[1], normal[2] = -x, -y, -z
         found = True
         if step + 1 < looks:

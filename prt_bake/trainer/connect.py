@@ -1,60 +1,202 @@
 """Connections: what a walk's event receives from given directions of incidence, without waiting for the walk to leave.
 
-Here for index-matched objects, where every scattering event looks straight towards the light; rough interfaces are in
-`prt_bake.trainer.connect_rough`.
+Here for objects whose own boundary is index-matched, where every event looks straight towards the light; through rough
+boundaries of the object itself see `prt_bake.trainer.connect_rough`.
 """
 
+import math
 from typing import Any
 
 import numpy as np
 
+from prt_bake.trainer.boundary import (
+    PASS,
+    alpha_at,
+    crossing,
+    facing_normal,
+    meet,
+    next_face,
+    room_about,
+    sees_sky,
+)
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
-from prt_bake.trainer.embree import nearest_hit
-from prt_bake.trainer.media import phase, transmittance
-from prt_bake.trainer.walk import AT, CLEARANCE, DIRECTION, FACE, POSITION, THROUGHPUT
+from prt_bake.trainer.interface import MATCHED, microfacet_transport, rough_density
+from prt_bake.trainer.media import MINORANT, PHASE_G, phase
+from prt_bake.trainer.tracking import attenuate
+from prt_bake.trainer.walk import (
+    AT,
+    BEFORE,
+    BEHIND,
+    DIRECTION,
+    FACE,
+    MASK,
+    NORMAL,
+    POSITION,
+    SCATTERING,
+    SURFACE,
+    THROUGHPUT,
+    U,
+    V,
+    frame,
+    region_of,
+)
+
+_ALWAYS_LOOKED = 2.0
+"""Events at less than this many mean free paths from any face always look at the light."""
+
+
+@walk_function(inline="always")
+def look_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
+    """With what probability a scattering event looks at the light: that of getting out, where it lies deep inside."""
+    depth = media.regions[region_of(boundary, counts), MINORANT] * room_about(boundary, state[POSITION : POSITION + 3])
+    return 1.0 if depth <= _ALWAYS_LOOKED else math.exp(_ALWAYS_LOOKED - depth)
 
 
 @walk_function()
-def straight_transmittance(
-    boundary: Any, medium: Any, p: Any, d: Any, skip: Any, at: Any, ray: Any, stream: Any
-) -> Any:
-    """Transmittance from p along d to infinity through an index-matched object, every crossing included."""
-    kept = 1.0
-    near = 0.0
-    begun = 0.0
-    while kept > 0.0:
-        face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, np.inf, skip)
-        if face < 0:
-            return kept
-        g = boundary.face_normals[face]
-        leaves = d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
-        if leaves:
-            kept *= transmittance(medium, p, d, begun, t, at, stream)
-        begun = t
-        near = t + CLEARANCE
-        skip = face
-    return kept
+def march(
+    boundary: Any,
+    media: Any,
+    p: Any,
+    d: Any,
+    face: Any,
+    mask: Any,
+    far: Any,
+    at: Any,
+    ray: Any,
+    stream: Any,
+    kept: Any,
+) -> bool:
+    """Multiply kept [3] by the transmittance along p + t d up to `far`, through index-matched boundaries.
+
+    False where anything else stands in the way. The ray starts on `face` (−1: on none) with the walker's `mask`.
+    """
+    t = 0.0
+    while True:
+        if face >= 0 and sees_sky(boundary, face, d):
+            return True
+        found, hit = next_face(boundary, ray, p, d, t, far, face)
+        if found < 0:
+            if far < np.inf:
+                attenuate(media, boundary.region_of_mask[mask], p, d, t, far, at, stream, kept)
+            return True
+        found, _u, _v, before, after = meet(boundary, ray, p, d, hit, found, mask)
+        kind, _eta = crossing(boundary, found, before, after)
+        if kind != PASS and kind != MATCHED:
+            return False
+        attenuate(media, boundary.region_of_mask[before], p, d, t, hit, at, stream, kept)
+        if kept[0] + kept[1] + kept[2] == 0.0:
+            return True
+        face, mask, t = found, after, hit
+
+
+@walk_function()
+def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any, kept: Any) -> None:
+    """Write into kept [3] the share of a view into an index-matched object that crosses it without any event."""
+    for c in range(3):
+        kept[c] = 1.0
+    p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
+    at = state[AT : AT + 3]
+    if not march(boundary, media, p, d, counts[FACE], counts[MASK], np.inf, at, ray, stream, kept):
+        for c in range(3):
+            kept[c] = 0.0
+
+
+@walk_function()
+def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: Any) -> Any:
+    """What an event sends along v per solid angle: the phase function, or the cosine law of a diffuse surface."""
+    d = state[DIRECTION : DIRECTION + 3]
+    if event == SCATTERING:
+        return phase(d[0] * v[0] + d[1] * v[1] + d[2] * v[2], media.regions[region_of(boundary, counts), PHASE_G])
+    g = boundary.faces[counts[FACE]]
+    nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], d)
+    # What an interpolated normal would send behind the face itself is lost, as by `bounce`, which flies into it.
+    if (v[0] * g[0] + v[1] * g[1] + v[2] * g[2]) * (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) >= 0.0:
+        return 0.0
+    return max(0.0, v[0] * nx + v[1] * ny + v[2] * nz) / math.pi
+
+
+@walk_function()
+def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any) -> Any:
+    """f |cos| of the rough interface from flight d to v (both along the eye path), and by what density `cross` draws
+    v.
+    """
+    g = boundary.faces[face]
+    before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
+    after = v[0] * g[0] + v[1] * g[1] + v[2] * g[2]
+    nx, ny, nz = facing_normal(boundary, face, normal, d)
+    oz = v[0] * nx + v[1] * ny + v[2] * nz
+    if (before * after > 0.0) != (oz < 0.0):
+        return 0.0, 0.0
+    sx, sy, sz, tx, ty, tz = frame(nx, ny, nz)
+    ix, iy = -(d[0] * sx + d[1] * sy + d[2] * sz), -(d[0] * tx + d[1] * ty + d[2] * tz)
+    iz = -(d[0] * nx + d[1] * ny + d[2] * nz)
+    ox, oy = v[0] * sx + v[1] * sy + v[2] * sz, v[0] * tx + v[1] * ty + v[2] * tz
+    value = rough_density(alpha, eta, ix, iy, iz, ox, oy, oz)
+    if value <= 0.0:
+        return 0.0, 0.0
+    density, reflectance = microfacet_transport(alpha, eta, ix, iy, iz, ox, oy, oz)
+    if not entering:
+        density *= reflectance if oz > 0.0 else 1.0 - reflectance
+    return value, density
+
+
+@walk_function()
+def _sent_straight(boundary: Any, media: Any, state: Any, counts: Any, event: Any, w: Any) -> Any:
+    """What the walk's event sends towards w, and the mask of the walker that flies there."""
+    if event != SURFACE:
+        return sent_by(boundary, media, state, counts, event, w), counts[MASK]
+    face = counts[FACE]
+    d = state[DIRECTION : DIRECTION + 3]
+    _kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
+    alpha = alpha_at(boundary, face, state[U], state[V])
+    sent, _density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, d, w, False)
+    g = boundary.faces[face]
+    passes = (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) * (w[0] * g[0] + w[1] * g[1] + w[2] * g[2]) > 0.0
+    return sent, counts[BEHIND] if passes else counts[BEFORE]
 
 
 @walk_function()
 def connect_straight(
-    boundary: Any, medium: Any, state: Any, counts: Any, incident: Any, share: Any, ray: Any, stream: Any, value: Any
+    boundary: Any,
+    media: Any,
+    state: Any,
+    counts: Any,
+    event: Any,
+    incident: Any,
+    share: Any,
+    ray: Any,
+    room: Any,
+    stream: Any,
+    value: Any,
 ) -> None:
-    """Add to value [D,3] what a scattering event receives from the directions incident [D,3], index-matched.
+    """Add to value [D,3] what an event receives from the directions incident [D,3].
 
-    `share` of the directions are looked at in turn from a random first one, each weighted by D / looked at.
+    `event` is SCATTERING, REFLECTING, or SURFACE at a rough interface inside. `share` of the directions are looked at
+    in turn from a random first one, each weighted by D / looked at. `room` is for 3 numbers.
     """
     count = incident.shape[0]
     looked = min(count, share)
+    chance = look_probability(boundary, media, state, counts) if event == SCATTERING else 1.0
+    if chance < 1.0 and uniform(stream) >= chance:
+        return
     first = 0 if looked == count else int(uniform(stream) * count)
-    d = state[DIRECTION : DIRECTION + 3]
     p = state[POSITION : POSITION + 3]
+    d = state[DIRECTION : DIRECTION + 3]
+    kept = room[0:3]
+    phase_g = media.regions[region_of(boundary, counts), PHASE_G]
     for j in range(looked):
         i = (first + j * count // looked) % count
         w = incident[i]
-        cosine = d[0] * w[0] + d[1] * w[1] + d[2] * w[2]
-        kept = straight_transmittance(boundary, medium, p, w, counts[FACE], state[AT : AT + 3], ray, stream)
-        weight = phase(cosine, medium.phase_g) * kept * count / looked
+        mask = counts[MASK]
+        if event == SCATTERING:
+            sent = phase(d[0] * w[0] + d[1] * w[1] + d[2] * w[2], phase_g)
+        else:
+            sent, mask = _sent_straight(boundary, media, state, counts, event, w)
+        if sent <= 0.0:
+            continue
         for c in range(3):
-            value[i, c] += state[THROUGHPUT + c] * weight
+            kept[c] = sent * count / (looked * chance)
+        if march(boundary, media, p, w, counts[FACE], mask, np.inf, state[AT : AT + 3], ray, stream, kept):
+            for c in range(3):
+                value[i, c] += state[THROUGHPUT + c] * kept[c]

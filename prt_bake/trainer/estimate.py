@@ -15,8 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.scene import Scene
-from prt_bake.trainer.interface import ROUGH, SMOOTH
-from prt_bake.trainer.prepared import PreparedScene, prepare
+from prt_bake.trainer.interface import ROUGH
+from prt_bake.trainer.media import PHASE_G
+from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
 
 Array = NDArray[np.float64]
 
@@ -29,6 +30,8 @@ _LEAST_PATHS = 64
 """So many paths are needed for a connection that is never stronger than an even spread; `_sharpness` times for others,
 whose strong paths are as rare as they are strong: a sample that missed them all looks perfect."""
 _CONNECTIONS = 4
+_TINY_VARIANCE = 1e-140
+"""Below this, fourth powers underflow: what is so dark is called unreliable."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +42,8 @@ class Estimate:
         mean, standard_error: [N,3] or [N,D,3] (Ŝ, 1/sr) or [N,K,3] (coefficients). mean ± 1.96 standard_error holds the
             truth 95 times in 100: the error is widened by what the sample's skewness asks for.
         unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
-            not in `mean`. 0 behind a rough interface, where that light is a function and is counted.
+            not in `mean`. 0 behind a rough interface, where that light is a function and is counted. [N,3] where
+            extinction differs between the channels.
         reliable: [N], False where the error bars cannot be trusted at this number of paths: the sample's own kurtosis
             says so, or the interface or phase function is too sharp for so few, or no path has brought anything to some
             value (it is 0 ± 0, and may still be anything small).
@@ -77,11 +81,12 @@ def estimate_transport(
     connection.
     """
     prepared = prepare(scene)
-    if prepared.kind == SMOOTH:
+    smooth = smooth_part(scene)
+    if smooth is not None:
         raise QueryError(
-            f"{scene.path}: interface.roughness is {scene.roughness:g}: behind a smooth interface no connection to a "
-            "given direction of incidence exists, so Ŝ cannot be estimated there; estimate_coefficients works, or make "
-            "it rough"
+            f"{scene.path}: the interface of '{smooth.name}' is smooth (roughness {np.mean(smooth.roughness):g}); "
+            "behind it no connection to a given direction of incidence exists, so Ŝ cannot be estimated there: "
+            "estimate_coefficients works, or make it rough"
         )
     towards = _directions(incident, "incident")
     single = towards.ndim == 2
@@ -138,7 +143,7 @@ def _sharpness(prepared: PreparedScene) -> float:
     """
     if prepared.kind == ROUGH:
         return max(1.0, prepared.boundary.alpha**-2)
-    g = abs(prepared.medium.phase_g)
+    g = float(np.abs(prepared.medium.regions[:, PHASE_G]).max())
     return (1.0 + g) / (1.0 - g) ** 2
 
 
@@ -190,7 +195,7 @@ def _estimate(
     if paths < 2:
         raise QueryError(f"paths: {paths} where at least 2 are needed for an error estimate")
     begun = time.perf_counter()
-    numbers = rows * 3 + 2
+    numbers = rows * 3 + 4
     powers = np.zeros((count, 4, numbers))
     for chosen, chunks in _blocks(count, paths, numbers):
         sums = np.zeros((len(chunks), 4, numbers))
@@ -202,7 +207,7 @@ def _estimate(
     return Estimate(
         mean=mean[:, : rows * 3].reshape(count, *shape, 3),
         standard_error=error[:, : rows * 3].reshape(count, *shape, 3),
-        unscattered=mean[:, -2],
+        unscattered=_one_where_equal(mean[:, -4:-1]),
         reliable=touched & (signal <= paths * _KURTOSIS_A_PATH) & (paths >= least_paths),
         lost=mean[:, -1],
         paths=paths,
@@ -210,16 +215,23 @@ def _estimate(
     )
 
 
+def _one_where_equal(shares: Array) -> Array:
+    """[N] of [N,3] if the channels are equal."""
+    return shares[:, 0] if np.array_equal(shares, np.broadcast_to(shares[:, :1], shares.shape)) else shares
+
+
 def _central(raw: Array, paths: int) -> tuple[Array, Array, Array]:
-    """Mean, standard error of the mean and kurtosis from raw moments [N,4,M]; kurtosis 1 where nothing varies."""
+    """Mean, standard error of the mean and kurtosis from raw moments [N,4,M]; kurtosis 1 where nothing varies, and
+    infinite where it is out of float64's reach.
+    """
     mean, second, third, fourth = (raw[:, k] for k in range(4))
     variance = np.maximum(second - mean**2, 0.0)
     variance[variance < 1e-14 * second] = 0.0
-    varies = variance > 0.0
+    varies = variance > _TINY_VARIANCE
     unit = np.where(varies, variance, 1.0)
     skewness = np.where(varies, (third - 3 * mean * second + 2 * mean**3) / unit**1.5, 0.0)
     central = np.maximum(fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4, 0.0)
-    kurtosis = np.where(varies, central / unit**2, 1.0)
+    kurtosis = np.where(varies, central / unit**2, np.where(variance > 0.0, np.inf, 1.0))
     return mean, np.sqrt(variance / (paths - 1)) * _widened(skewness, kurtosis, paths), kurtosis
 
 
@@ -231,5 +243,6 @@ def _widened(skewness: Array, kurtosis: Array, paths: int) -> Array:
     Expansion, section 2.6), turned into a width.
     """
     z2 = 1.96**2
+    kurtosis = np.where(np.isfinite(kurtosis), kurtosis, 3.0)
     short = skewness**2 * (z2 * z2 + 2 * z2 - 3) / 18 - (kurtosis - 3) * (z2 - 3) / 12 + (z2 + 1) / 4
     return np.asarray(1.0 + np.maximum(short, 0.0) / paths)

@@ -17,8 +17,7 @@ import torch
 from formats.errors import QueryError, SceneError
 from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
-from prt_bake.trainer.interface import SMOOTH
-from prt_bake.trainer.prepared import PreparedScene, prepare
+from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
 from prt_bake.trainer.resume import read_state, write_state
 from prt_bake.trainer.stream import Renderer, StreamSettings
 from prt_bake.trainer.validation import VALIDATION_SEED, HeldOut, final_figures, hold_out
@@ -81,10 +80,11 @@ def train(
 
     Raises SceneError for a smooth interface (Ŝ has no point values there), QueryError for a time that is not positive.
     """
-    if prepare(scene).kind == SMOOTH:
+    smooth = smooth_part(scene)
+    if smooth is not None:
         raise SceneError(
-            f"{scene.path}: interface.roughness is {scene.roughness:g}: training behind a smooth interface is not "
-            "supported yet; give it a small roughness such as 0.05"
+            f"{scene.path}: the boundary of '{smooth.name}' is smooth: training behind a smooth interface is "
+            "not supported yet; give it a small roughness such as 0.05"
         )
     if minutes <= 0 or (steps is not None and steps < 1):
         raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")
@@ -283,5 +283,5 @@ def _metadata(scene: Scene) -> dict[str, Any]:
         "up": scene.up,
         "unit": scene.unit,
         "eta": float(scene.eta),
-        "roughness": float(scene.roughness),
+        "roughness": float(np.mean(scene.roughness)),
     }

@@ -7,35 +7,32 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
+from prt_bake.trainer.boundary import contained
 from prt_bake.trainer.compiled import walk_function
-from prt_bake.trainer.connect import connect_straight, straight_transmittance
-from prt_bake.trainer.connect_rough import (
-    CROSSING,
-    ENTERING,
-    SCATTERED_HERE,
-    connect_ahead,
-    connect_aimed,
-    connect_at_surface,
-)
+from prt_bake.trainer.connect import connect_straight, unscattered
+from prt_bake.trainer.connect_rough import ENTERING, connect_ahead, connect_aimed, connect_at_surface, is_outermost
 from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.embree import new_ray
 from prt_bake.trainer.interface import MATCHED, ROUGH
 from prt_bake.trainer.walk import (
-    AT,
+    BEFORE,
+    BEHIND,
     COUNTS_SIZE,
     DIRECTION,
-    INSIDE,
     LOST,
     SCATTERED,
+    SCATTERING,
     SKY,
     STATE_SIZE,
     SURFACE,
     THROUGHPUT,
     advance,
     begin,
+    bounce,
     cross,
     enter,
     goes_on,
+    region_of,
     scatter,
 )
 
@@ -74,11 +71,89 @@ def _add_powers(value: Any, sums: Any) -> None:
             sums[3, j] += square * square
 
 
+@walk_function()
+def _held_at(boundary: Any, position: Any, face: Any, inward: Any, ray: Any) -> Any:
+    """Mask of the parts inside the object that hold a query's point too; `inward` is room for a direction."""
+    if not boundary.nested:
+        return 0
+    for k in range(3):
+        inward[k] = -boundary.faces[face, k]
+    return contained(boundary, position, inward, face, ray)
+
+
+@walk_function()
+def _receive_rough(
+    boundary: Any,
+    media: Any,
+    state: Any,
+    counts: Any,
+    towards: Any,
+    share: Any,
+    aims: Any,
+    ray: Any,
+    room: Any,
+    entering: Any,
+    stream: Any,
+    received: Any,
+) -> bool:
+    """Take the event at a dielectric boundary in an object that is rough outside, with all that it receives; False
+    where the walk ends.
+    """
+    outermost = entering or is_outermost(boundary, counts[BEFORE], counts[BEHIND])
+    if outermost:
+        if not entering:
+            connect_at_surface(boundary, state, counts, towards, share, aims, ray, room, received)
+        event = ENTERING if entering else SURFACE
+        connect_aimed(boundary, media, state, counts, towards, share, aims, ray, room, event, stream, received)
+    alive = enter(boundary, state, counts, stream) if entering else cross(boundary, state, counts, False, stream)
+    if alive and outermost and region_of(boundary, counts) > 0:
+        connect_ahead(boundary, media, state, counts, towards, share, aims, ray, room, entering, stream, received)
+    return alive
+
+
+@walk_function(inline="always")
+def _receive(
+    boundary: Any,
+    media: Any,
+    state: Any,
+    counts: Any,
+    event: Any,
+    towards: Any,
+    share: Any,
+    aims: Any,
+    ray: Any,
+    room: Any,
+    stream: Any,
+    received: Any,
+) -> bool:
+    """Take an event of the walk with all that it receives from `towards`; False where the walk ends there."""
+    rough = boundary.kind == ROUGH
+    if rough and event == SURFACE:
+        return _receive_rough(boundary, media, state, counts, towards, share, aims, ray, room, False, stream, received)
+    if rough:
+        connect_aimed(boundary, media, state, counts, towards, share, aims, ray, room, event, stream, received)
+    else:
+        connect_straight(boundary, media, state, counts, event, towards, share, ray, room, stream, received)
+    return _take(boundary, media, state, counts, event, stream)
+
+
+@walk_function(inline="always")
+def _take(boundary: Any, media: Any, state: Any, counts: Any, event: Any, stream: Any) -> bool:
+    """Send the walk on from its event; False where it ends there."""
+    if event == SURFACE:
+        return cross(boundary, state, counts, False, stream)
+    if event == SCATTERING:
+        scatter(boundary, media, state, counts, stream)
+    else:
+        bounce(boundary, state, counts, stream)
+    return True
+
+
 @njit(cache=True, parallel=True, nogil=True)
 def sum_transport(
-    boundary: Any, medium: Any, queries: Any, chunks: Any, incident: Any, share: Any, aims: Any, seed: Any, sums: Any
+    boundary: Any, media: Any, queries: Any, chunks: Any, incident: Any, share: Any, aims: Any, seed: Any, sums: Any
 ) -> None:
-    """Power sums [chunks, 4, D·3 + 2] of Ŝ towards incident [N,D,3], then of the unscattered share and of what was
+    """Power sums [chunks, 4, D·3 + 4] of Ŝ towards incident [N,D,3], then of the unscattered share and of what was
     lost.
 
     `queries` is (keys uint64, positions, outgoing, faces, barycentric) of the N queries; chunks int64 [., 3] are
@@ -89,92 +164,53 @@ def sum_transport(
     for i in prange(chunks.shape[0]):
         n = chunks[i, 0]
         ray = new_ray()
-        state, counts, room = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(9)
+        state, counts, room = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(12)
         stream = np.zeros(2, np.uint64)
-        value = np.zeros(directions * 3 + 2)
+        value = np.zeros(directions * 3 + 4)
         received = value[: directions * 3].reshape(directions, 3)
         towards = incident[n]
+        held = _held_at(boundary, positions[n], faces[n], room[0:3], ray)
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
-            begin(boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1])
-            rough = boundary.kind == ROUGH
-            if rough:
-                connect_aimed(
-                    boundary, medium, state, counts, towards, share, aims, ray, room, ENTERING, stream, received
+            begin(
+                boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1], held
+            )
+            if boundary.kind == ROUGH:
+                alive = _receive_rough(
+                    boundary, media, state, counts, towards, share, aims, ray, room, True, stream, received
                 )
-            alive = enter(boundary, state, counts, stream)
-            if alive and rough:
-                connect_ahead(boundary, medium, state, counts, towards, share, aims, ray, room, True, stream, received)
-            if alive and boundary.kind == MATCHED:
-                value[-2] = straight_transmittance(
-                    boundary,
-                    medium,
-                    positions[n],
-                    state[DIRECTION : DIRECTION + 3],
-                    faces[n],
-                    state[AT : AT + 3],
-                    ray,
-                    stream,
-                )
+            else:
+                alive = enter(boundary, state, counts, stream)
+                if boundary.kind == MATCHED:
+                    unscattered(boundary, media, state, counts, ray, stream, value[-4:-1])
             while alive:
-                event = advance(boundary, medium, state, counts, ray, stream)
+                event = advance(boundary, media, state, counts, ray, stream)
                 if event == SKY:
                     break
-                if event == SURFACE:
-                    if rough:
-                        connect_at_surface(boundary, state, counts, towards, share, aims, ray, room, received)
-                        connect_aimed(
-                            boundary, medium, state, counts, towards, share, aims, ray, room, CROSSING, stream, received
-                        )
-                    alive = cross(boundary, state, counts, False, stream)
-                    if alive and rough and counts[INSIDE] == 1:
-                        connect_ahead(
-                            boundary, medium, state, counts, towards, share, aims, ray, room, False, stream, received
-                        )
-                else:
-                    if rough:
-                        connect_aimed(
-                            boundary,
-                            medium,
-                            state,
-                            counts,
-                            towards,
-                            share,
-                            aims,
-                            ray,
-                            room,
-                            SCATTERED_HERE,
-                            stream,
-                            received,
-                        )
-                    else:
-                        connect_straight(boundary, medium, state, counts, towards, share, ray, stream, received)
-                    scatter(medium, state, stream)
-                alive = alive and goes_on(boundary, state, counts, stream)
+                alive = _receive(
+                    boundary, media, state, counts, event, towards, share, aims, ray, room, stream, received
+                ) and goes_on(boundary, state, counts, stream)
             value[-1] = state[LOST]
             _add_powers(value, sums[i])
 
 
 @walk_function()
-def walk_out(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, stream: Any) -> bool:
+def walk_out(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any) -> bool:
     """Walk until the object is left for good; False where the walk ends before (absorbed, or lost)."""
     while True:
-        event = advance(boundary, medium, state, counts, ray, stream)
+        event = advance(boundary, media, state, counts, ray, stream)
         if event == SKY:
             return True
-        if event == SURFACE:
-            if not cross(boundary, state, counts, False, stream):
-                return False
-        else:
-            scatter(medium, state, stream)
+        if not _take(boundary, media, state, counts, event, stream):
+            return False
         if not goes_on(boundary, state, counts, stream):
             return False
 
 
 @njit(cache=True, parallel=True, nogil=True)
-def sum_coefficients(boundary: Any, medium: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any) -> None:
-    """Power sums [chunks, 4, K·3 + 2] of throughput · Y_lm(exit), of the unscattered share and of what was lost."""
+def sum_coefficients(boundary: Any, media: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any) -> None:
+    """Power sums [chunks, 4, K·3 + 4] of throughput · Y_lm(exit), of the unscattered share and of what was lost."""
     keys, positions, outgoing, faces, barycentric = queries
     size = (degree + 1) * (degree + 1)
     for i in prange(chunks.shape[0]):
@@ -182,14 +218,18 @@ def sum_coefficients(boundary: Any, medium: Any, queries: Any, chunks: Any, degr
         ray = new_ray()
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
         stream = np.zeros(2, np.uint64)
-        value, basis = np.zeros(size * 3 + 2), np.zeros(size)
+        value, basis = np.zeros(size * 3 + 4), np.zeros(size)
+        held = _held_at(boundary, positions[n], faces[n], state[0:3], ray)
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
-            begin(boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1])
-            if enter(boundary, state, counts, stream) and walk_out(boundary, medium, state, counts, ray, stream):
-                if counts[SCATTERED] == 0 and boundary.kind != ROUGH:
-                    value[-2] = state[THROUGHPUT]
+            begin(
+                boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1], held
+            )
+            if enter(boundary, state, counts, stream) and walk_out(boundary, media, state, counts, ray, stream):
+                if counts[SCATTERED] == 0:
+                    for c in range(3):
+                        value[c - 4] = state[THROUGHPUT + c]
                 else:
                     harmonics(state[DIRECTION], state[DIRECTION + 1], state[DIRECTION + 2], degree, basis)
                     for k in range(size):
@@ -201,7 +241,7 @@ def sum_coefficients(boundary: Any, medium: Any, queries: Any, chunks: Any, degr
 
 @njit(cache=True, parallel=True, nogil=True)
 def draw_exits(
-    boundary: Any, medium: Any, queries: Any, paths: Any, seed: Any, directions: Any, throughput: Any, scattered: Any
+    boundary: Any, media: Any, queries: Any, paths: Any, seed: Any, directions: Any, throughput: Any, scattered: Any
 ) -> None:
     """One exit a path: directions [N,P,3], throughput [N,P,3] (0: never left), scattered [N,P] (0: it met nothing)."""
     keys, positions, outgoing, faces, barycentric = queries
@@ -209,10 +249,13 @@ def draw_exits(
         ray = new_ray()
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
         stream = np.zeros(2, np.uint64)
+        held = _held_at(boundary, positions[n], faces[n], state[0:3], ray)
         for path in range(paths):
             begin_stream(stream, seed, keys[n], path)
-            begin(boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1])
-            left = enter(boundary, state, counts, stream) and walk_out(boundary, medium, state, counts, ray, stream)
+            begin(
+                boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1], held
+            )
+            left = enter(boundary, state, counts, stream) and walk_out(boundary, media, state, counts, ray, stream)
             scattered[n, path] = counts[SCATTERED]
             for c in range(3):
                 directions[n, path, c] = state[DIRECTION + c]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from formats.scene import Scene
 from prt_bake.surface import Location
-from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
-from prt_bake.trainer.prepared import interface_kind, prepare
+from prt_bake.trainer.interface import MATCHED
+from prt_bake.trainer.prepared import interface_kind, prepare, smooth_part
 
 Array = NDArray[np.float64]
 
@@ -42,22 +42,21 @@ class Connections(NamedTuple):
 
 
 def connections(scene: Scene) -> Connections | None:
-    """What connections are worth in a scene; None where there are none, behind a smooth interface.
+    """What connections are worth in a scene; None where there are none, behind a smooth interface (`smooth_part`).
 
     The figures are rough fits to what was measured on a lumpy ball of 4 to 15 mean free paths, alpha 0.02 to 0.3.
     """
-    kind = interface_kind(scene)
-    if kind == SMOOTH:
+    if smooth_part(scene) is not None:
         return None
-    if kind == MATCHED:
+    if interface_kind(scene) == MATCHED:
         return Connections(variance=0.8, cost=1.5)
     alpha = float(np.mean(scene.roughness))
     return Connections(variance=0.6 + 0.03 / alpha**1.7, cost=4.0)
 
 
 def sees_straight_through(scene: Scene) -> bool:
-    """Whether unscattered light comes along the view itself, unbent."""
-    return interface_kind(scene) == MATCHED
+    """Whether unscattered light comes along the view itself, unbent, and in no other way."""
+    return interface_kind(scene) == MATCHED and smooth_part(scene) is None
 
 
 def walk_lit(
@@ -131,7 +130,7 @@ def walk_out(
         throughput,
         scattered,
     )
-    return Exits(directions, throughput, (scattered == 0) & (prepared.kind != ROUGH))
+    return Exits(directions, throughput, scattered == 0)
 
 
 def _location(faces: NDArray[np.int64], barycentric: Array) -> Location:

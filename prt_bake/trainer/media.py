@@ -1,7 +1,7 @@
-"""What fills the object: extinction, albedo and phase function, and the two ways light is followed through them.
+"""What fills each region: extinction, albedo and phase function, as the kernels take them.
 
-Distances to a scattering event are drawn by delta tracking (Woodcock 1965), transmittances by ratio tracking (Novák et
-al. 2014): both are unbiased for any grid. Lengths here are the walk's own (the object's longest side is about one).
+Grids of all regions lie one after the other in flat arrays; `layout` says where. Lengths are the walk's own (the
+object's longest side is about one).
 """
 
 import math
@@ -11,23 +11,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.trainer.compiled import walk_function
-from prt_bake.trainer.counter import uniform
 
 
-class Medium(NamedTuple):
-    """A medium as the kernels take it: numbers where it is homogeneous, grids [Z,Y,X] and [Z,Y,X,3] where it is not."""
+class Media(NamedTuple):
+    """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
 
-    sigma_t: float
-    """Extinction, or the grid's largest value: the majorant."""
-    phase_g: float
-    albedo: NDArray[np.float64]
-    extinction_grid: NDArray[np.float32]
-    albedo_grid: NDArray[np.float32]
-    has_extinction_grid: bool
-    has_albedo_grid: bool
-    low: NDArray[np.float64]
-    per_length: NDArray[np.float64]
-    """1 / side of the grids' box, along x, y and z."""
+    regions: NDArray[np.float64]
+    """[R,30], by the names below."""
+    extinction_cells: NDArray[np.float32]
+    albedo_cells: NDArray[np.float32]
+    blocks: NDArray[np.float64]
+    """[.,2]: least and largest extinction in each block of a grid (`prt_bake.trainer.blocks`)."""
+
+
+MAJORANT, MINORANT, CHROMATIC, PHASE_G = 0, 1, 2, 3
+"""Largest (0: clear) and least extinction in any channel, whether it differs between channels, mean cosine."""
+SIGMA_T, ALBEDO = 4, 7
+"""By channel; what counts where there is no grid."""
+LOW, PER_LENGTH = 10, 13
+"""Lowest corner of the grids' box, and 1 / side of it, along x, y and z."""
+EXTINCTION_GRID, ALBEDO_GRID = 16, 21
+"""First cell, channels (0: no grid), cells along z, y, x."""
+CHANNELS = 1
+BLOCKS = 26
+"""First block, blocks along x, y, z."""
+REGION_SIZE = 30
 
 
 @walk_function(inline="always")
@@ -39,92 +47,53 @@ def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     return first, g - first
 
 
-@walk_function()
-def extinction(medium: Any, p: Any) -> Any:
-    """sigma_t at p, trilinear."""
-    if not medium.has_extinction_grid:
-        return medium.sigma_t
-    grid = medium.extinction_grid
-    nz, ny, nx = grid.shape
-    x, fx = _cell(p[0], medium.low[0], medium.per_length[0], nx)
-    y, fy = _cell(p[1], medium.low[1], medium.per_length[1], ny)
-    z, fz = _cell(p[2], medium.low[2], medium.per_length[2], nz)
-    x1, y1, z1 = min(x + 1, nx - 1), min(y + 1, ny - 1), min(z + 1, nz - 1)
-    a = (grid[z, y, x] * (1.0 - fx) + grid[z, y, x1] * fx) * (1.0 - fy) + (
-        grid[z, y1, x] * (1.0 - fx) + grid[z, y1, x1] * fx
+@walk_function(inline="always")
+def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
+    """A channel of the grid that `row` of a region describes from column `grid` on."""
+    first, channels = int(row[grid]), int(row[grid + 1])
+    nz, ny, nx = int(row[grid + 2]), int(row[grid + 3]), int(row[grid + 4])
+    x, fx = _cell(p[0], row[LOW], row[PER_LENGTH], nx)
+    y, fy = _cell(p[1], row[LOW + 1], row[PER_LENGTH + 1], ny)
+    z, fz = _cell(p[2], row[LOW + 2], row[PER_LENGTH + 2], nz)
+    across = channels if x + 1 < nx else 0
+    down = channels * nx if y + 1 < ny else 0
+    deep = channels * nx * ny if z + 1 < nz else 0
+    i = first + channels * ((z * ny + y) * nx + x) + channel
+    a = (cells[i] * (1.0 - fx) + cells[i + across] * fx) * (1.0 - fy) + (
+        cells[i + down] * (1.0 - fx) + cells[i + down + across] * fx
     ) * fy
-    b = (grid[z1, y, x] * (1.0 - fx) + grid[z1, y, x1] * fx) * (1.0 - fy) + (
-        grid[z1, y1, x] * (1.0 - fx) + grid[z1, y1, x1] * fx
+    i += deep
+    b = (cells[i] * (1.0 - fx) + cells[i + across] * fx) * (1.0 - fy) + (
+        cells[i + down] * (1.0 - fx) + cells[i + down + across] * fx
     ) * fy
     return a * (1.0 - fz) + b * fz
 
 
 @walk_function()
-def multiply_albedo(medium: Any, p: Any, throughput: Any) -> None:
+def extinction(media: Any, region: Any, p: Any, channel: Any) -> Any:
+    """sigma_t of a channel at p, trilinear."""
+    row = media.regions[region]
+    channels = row[EXTINCTION_GRID + CHANNELS]
+    if channels == 0.0:
+        return row[SIGMA_T + channel]
+    return _trilinear(media.extinction_cells, row, EXTINCTION_GRID, p, channel if channels == 3.0 else 0)
+
+
+@walk_function()
+def multiply_albedo(media: Any, region: Any, p: Any, throughput: Any) -> None:
     """Multiply the throughput [3] by the albedo at p, trilinear."""
-    if not medium.has_albedo_grid:
+    row = media.regions[region]
+    channels = row[ALBEDO_GRID + CHANNELS]
+    if channels == 0.0:
         for c in range(3):
-            throughput[c] *= medium.albedo[c]
-        return
-    grid = medium.albedo_grid
-    nz, ny, nx = grid.shape[0], grid.shape[1], grid.shape[2]
-    x, fx = _cell(p[0], medium.low[0], medium.per_length[0], nx)
-    y, fy = _cell(p[1], medium.low[1], medium.per_length[1], ny)
-    z, fz = _cell(p[2], medium.low[2], medium.per_length[2], nz)
-    x1, y1, z1 = min(x + 1, nx - 1), min(y + 1, ny - 1), min(z + 1, nz - 1)
-    for c in range(3):
-        a = (grid[z, y, x, c] * (1.0 - fx) + grid[z, y, x1, c] * fx) * (1.0 - fy) + (
-            grid[z, y1, x, c] * (1.0 - fx) + grid[z, y1, x1, c] * fx
-        ) * fy
-        b = (grid[z1, y, x, c] * (1.0 - fx) + grid[z1, y, x1, c] * fx) * (1.0 - fy) + (
-            grid[z1, y1, x, c] * (1.0 - fx) + grid[z1, y1, x1, c] * fx
-        ) * fy
-        throughput[c] *= a * (1.0 - fz) + b * fz
-
-
-@walk_function()
-def free_flight(medium: Any, p: Any, d: Any, far: Any, at: Any, stream: Any) -> Any:
-    """Distance to the next scattering event along p + t d, infinite where none comes before `far` (delta tracking).
-
-    `at` is room for a position.
-    """
-    majorant = medium.sigma_t
-    if majorant <= 0.0:
-        return np.inf
-    t = 0.0
-    while True:
-        t -= math.log(1.0 - uniform(stream)) / majorant
-        if t >= far:
-            return np.inf
-        if not medium.has_extinction_grid:
-            return t
-        for k in range(3):
-            at[k] = p[k] + t * d[k]
-        if uniform(stream) * majorant < extinction(medium, at):
-            return t
-
-
-@walk_function()
-def transmittance(medium: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any) -> Any:
-    """An unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`; exact where sigma_t is one number."""
-    majorant = medium.sigma_t
-    if not medium.has_extinction_grid:
-        return math.exp(-majorant * (far - near))
-    if majorant <= 0.0:
-        return 1.0
-    kept = 1.0
-    t = near
-    while True:
-        t -= math.log(1.0 - uniform(stream)) / majorant
-        if t >= far:
-            return kept
-        for k in range(3):
-            at[k] = p[k] + t * d[k]
-        kept *= 1.0 - extinction(medium, at) / majorant
-        if kept < 0.05:
-            if uniform(stream) < 0.5:
-                return 0.0
-            kept *= 2.0
+            throughput[c] *= row[ALBEDO + c]
+    elif channels == 1.0:
+        albedo = _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, 0)
+        for c in range(3):
+            throughput[c] *= albedo
+    else:
+        for c in range(3):
+            throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
 
 
 @walk_function(inline="always")

@@ -6,18 +6,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.scene import Scene
+from formats.scene import Part, Scene
 from prt_bake.surface import Location, Surface
 from prt_bake.trainer.aim import Aim, aim_for
+from prt_bake.trainer.boundary import (
+    ALPHA,
+    CORNER_NORMALS,
+    CORNER_UV,
+    CORNERS,
+    FACE_SIZE,
+    FIRST_TEXEL,
+    HEIGHT,
+    INTERPOLATED,
+    IS_DIFFUSE,
+    OPEN,
+    PART,
+    PART_SIZE,
+    REFLECTANCE,
+    SAME_INDEX,
+    SMOOTHEST,
+    WIDTH,
+    Boundary,
+)
+from prt_bake.trainer.clearance import clearance_grid, open_faces
 from prt_bake.trainer.embree import TriangleScene, intersect_address
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
-from prt_bake.trainer.media import Medium
-from prt_bake.trainer.walk import Boundary
+from prt_bake.trainer.media import MAJORANT
+from prt_bake.trainer.prepared_media import prepare_media
 
 MOST_EVENTS = 10_000_000
 """Events after which a walk is cut; what it still carried is reported as lost."""
-_SMOOTHEST = 1e-4
-"""A rough interface below this alpha is taken as smooth: its lobe is narrower than what float64 samples tell apart."""
 
 Array = NDArray[np.float64]
 
@@ -27,56 +45,44 @@ class PreparedScene:
 
     def __init__(self, scene: Scene) -> None:
         """Build from a scene record; costs the building of an Embree tree."""
-        mesh = scene.mesh
-        low, high = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-        self.center: Array = 0.5 * (low + high)
+        low, high = scene.mesh.bounds
+        self.center: Array = low + 0.5 * (high - low)
         self.scale = float((high - low).max())
-        self.surface = Surface(mesh)
+        self.surface = Surface(scene.mesh)
         self.kind = interface_kind(scene)
-        faces = np.ascontiguousarray(mesh.faces, np.uint32)
-        positions = np.ascontiguousarray((mesh.positions - self.center) / self.scale, np.float32)
-        self._tree = TriangleScene(positions, faces)
-        self.positions = positions.astype(np.float64)
-        self.faces = faces.astype(np.int64)
-        self.face_normals = np.ascontiguousarray(
-            _face_normals(self.positions, self.faces, np.asarray(mesh.face_normals))
+        self.medium = prepare_media(scene.parts, self.center, self.scale)
+        self.boundary = self._boundary(scene)
+        self.aims: Aim = aim_for(self.boundary.alpha, self.boundary.eta)
+
+    def _boundary(self, scene: Scene) -> Boundary:
+        parts = scene.parts
+        first = np.cumsum([0] + [len(part.mesh.positions) for part in parts])
+        positions32 = np.concatenate(
+            [((part.mesh.positions - self.center) / self.scale).astype(np.float32) for part in parts]
         )
-        self.boundary = Boundary(
+        faces = np.concatenate([part.mesh.faces.astype(np.int64) + first[i] for i, part in enumerate(parts)])
+        self._tree = TriangleScene(np.ascontiguousarray(positions32), np.ascontiguousarray(faces, np.uint32))
+        self._trees = [self._tree]
+        if len(parts) > 1:
+            ends = zip(first[:-1], first[1:], parts, strict=True)
+            self._trees = [TriangleScene(positions32[a:b], part.mesh.faces.astype(np.uint32)) for a, b, part in ends]
+        self.positions = positions32.astype(np.float64)
+        self.faces = np.ascontiguousarray(faces)
+        own = self.positions[: first[1]]
+        return Boundary(
             intersect=intersect_address(),
             scene=self._tree.handle,
-            positions=self.positions,
-            faces=self.faces,
-            face_normals=self.face_normals,
-            vertex_normals=np.ascontiguousarray(mesh.normals, np.float64),
-            interpolate_normals=scene.normals == "vertex",
+            **_tables(parts, self.positions, self.faces),
+            etas=np.array([1.0] + [float(part.eta) for part in parts]),
+            handles=np.stack([[tree.handle for tree in self._trees], _first_faces(parts)], axis=1).astype(np.int64),
+            region_of_mask=_regions(parts),
+            clearance=clearance_grid(self.positions, self.faces, float(self.medium.regions[:, MAJORANT].max())),
+            nested=len(parts) > 1,
             kind=self.kind,
-            alpha=float(scene.roughness),
+            alpha=_mean_alpha(parts[0]),
             eta=float(scene.eta),
-            radius=1.001 * float(np.linalg.norm(self.positions, axis=1).max()),
+            radius=1.001 * float(np.linalg.norm(own, axis=1).max()),
             most_events=MOST_EVENTS,
-        )
-        self.aims: Aim = aim_for(self.boundary.alpha, self.boundary.eta)
-        self.medium = self._medium(scene)
-
-    def _medium(self, scene: Scene) -> Medium:
-        extinction, albedo = np.asarray(scene.sigma_t, np.float64), np.asarray(scene.albedo, np.float64)
-        extinction_varies, albedo_varies = extinction.ndim == 3, albedo.ndim >= 3
-        low, high = np.full(3, -0.5), np.full(3, 0.5)
-        if scene.bounds is not None:
-            low, high = (np.asarray(scene.bounds, np.float64) - self.center) / self.scale
-        if albedo_varies:
-            albedo = np.broadcast_to(albedo[..., None] if albedo.ndim == 3 else albedo, (*albedo.shape[:3], 3))
-        nothing = np.zeros((1, 1, 1))
-        return Medium(
-            sigma_t=float(extinction.max()) * self.scale,
-            phase_g=float(scene.phase_g),
-            albedo=np.ones(3) if albedo_varies else np.ascontiguousarray(np.broadcast_to(albedo, 3)),
-            extinction_grid=np.ascontiguousarray(extinction * self.scale if extinction_varies else nothing, np.float32),
-            albedo_grid=np.ascontiguousarray(albedo if albedo_varies else nothing[..., None], np.float32),
-            has_extinction_grid=extinction_varies,
-            has_albedo_grid=albedo_varies,
-            low=low,
-            per_length=1.0 / (high - low),
         )
 
     def place(self, positions: Array, outgoing: Array, keys: NDArray[np.uint64]) -> tuple[Any, ...]:
@@ -94,10 +100,102 @@ class PreparedScene:
 
 
 def interface_kind(scene: Scene) -> int:
-    """MATCHED where eta is 1, whatever the roughness; SMOOTH where there is no roughness; else ROUGH."""
-    if scene.eta == 1.0:
+    """Of the object's own boundary: MATCHED where eta is 1, whatever the roughness; SMOOTH without roughness; or
+    ROUGH.
+    """
+    return _kind(scene.parts[0], 1.0)
+
+
+def _kind(part: Part, outside: float) -> int:
+    if abs(part.eta / outside - 1.0) < SAME_INDEX:
         return MATCHED
-    return ROUGH if scene.roughness >= _SMOOTHEST else SMOOTH
+    return ROUGH if _mean_alpha(part) >= SMOOTHEST else SMOOTH
+
+
+def smooth_part(scene: Scene) -> Part | None:
+    """The part whose smooth interface hides the light from connections, if there is one.
+
+    Light that comes through a rough boundary of the object can be connected to whatever stands inside; through an
+    index-matched one it can where nothing smooth stands inside.
+    """
+    outermost = scene.parts[0]
+    if interface_kind(scene) == ROUGH:
+        return None
+    if interface_kind(scene) == SMOOTH:
+        return outermost
+    for part in scene.parts[1:]:
+        if part.diffuse is None and _kind(part, scene.parts[part.parent].eta) == SMOOTH:
+            return part
+    return None
+
+
+def _mean_alpha(part: Part) -> float:
+    return float(np.mean(part.roughness))
+
+
+def _mean_reflectance(part: Part) -> Array:
+    if part.diffuse is None:
+        return np.zeros(3)
+    return np.asarray(part.diffuse.reshape(-1, 3).mean(axis=0), np.float64)
+
+
+def _first_faces(parts: tuple[Part, ...]) -> NDArray[np.int64]:
+    return np.cumsum([0] + [len(part.mesh.faces) for part in parts[:-1]]).astype(np.int64)
+
+
+def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64]) -> dict[str, Any]:
+    """`faces`, `parts` and `texels` of the boundary."""
+    rows, table, texels = np.zeros((len(faces), FACE_SIZE)), np.zeros((len(parts), PART_SIZE)), list[Any]()
+    given = np.concatenate([part.mesh.face_normals for part in parts])
+    rows[:, :CORNERS] = _face_normals(positions, faces, given)
+    rows[:, CORNERS:CORNER_NORMALS] = positions[faces].reshape(-1, 9)
+    for i, (part, first) in enumerate(zip(parts, _first_faces(parts), strict=True)):
+        own = rows[first : first + len(part.mesh.faces)]
+        own[:, CORNER_NORMALS:CORNER_UV] = part.mesh.normals[part.mesh.faces].reshape(-1, 9)
+        own[:, PART] = i
+        if i == 0:
+            own[:, OPEN] = open_faces(own, positions[: len(part.mesh.positions)])
+        row = table[i]
+        row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
+        row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"
+        image = _texture(part)
+        if image is not None:
+            row[FIRST_TEXEL], row[HEIGHT], row[WIDTH] = sum(map(len, texels)), *image.shape[:2]
+            texels.append(image.ravel())
+            if part.mesh.corner_uv is not None:
+                own[:, CORNER_UV:PART] = part.mesh.corner_uv.reshape(-1, 6)
+    return {
+        "faces": rows,
+        "parts": table,
+        "texels": np.concatenate(texels) if texels else np.zeros(0, np.float32),
+    }
+
+
+def _texture(part: Part) -> NDArray[np.float32] | None:
+    """The part's texture [H,W,3], of reflectance or of roughness, if it has one."""
+    image = np.asarray(part.roughness if part.diffuse is None else part.diffuse, np.float32)
+    if image.ndim < 2:
+        return None
+    return np.ascontiguousarray(np.broadcast_to(image if image.ndim == 3 else image[..., None], (*image.shape[:2], 3)))
+
+
+def _regions(parts: tuple[Part, ...]) -> NDArray[np.int64]:
+    """The region of every mask: the deepest part that counts, the later one of siblings, as part + 1; 0 outside.
+
+    A part counts only where all that it lies in count.
+    """
+    chain = []
+    for i, part in enumerate(parts):
+        bits, above = 1 << i, part.parent
+        while above >= 0:
+            bits |= 1 << above
+            above = parts[above].parent
+        chain.append(bits)
+    regions = np.zeros(1 << len(parts), np.int64)
+    for mask in range(len(regions)):
+        counting = [(chain[i].bit_count(), i) for i in range(len(parts)) if mask & chain[i] == chain[i]]
+        regions[mask] = max(counting)[1] + 1 if counting else 0
+    return regions
 
 
 def _face_normals(positions: Array, faces: NDArray[np.int64], fallback: Array) -> Array:

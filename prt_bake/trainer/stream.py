@@ -135,7 +135,7 @@ def render(
 
     count, directions = queries.incident.shape[:2]
     chunks = np.stack([np.arange(count), np.zeros(count, int), np.full(count, walks)], axis=1)
-    sums = np.zeros((count, 4, directions * 3 + 2))
+    sums = np.zeros((count, 4, directions * 3 + 4))
     placed: tuple[Any, ...] = source.for_kernel(queries)
     sum_transport(
         prepared.boundary,
@@ -148,9 +148,9 @@ def render(
         seed,
         sums,
     )
-    mean = sums[:, 0, :-2] / walks
+    mean = sums[:, 0, :-4] / walks
     with np.errstate(invalid="ignore", divide="ignore"):
         error = (
-            np.sqrt(np.maximum(sums[:, 1, :-2] / walks - mean**2, 0.0) / (walks - 1)) if walks > 1 else mean * np.nan
+            np.sqrt(np.maximum(sums[:, 1, :-4] / walks - mean**2, 0.0) / (walks - 1)) if walks > 1 else mean * np.nan
         )
     return mean.reshape(count, directions, 3), error.reshape(count, directions, 3)

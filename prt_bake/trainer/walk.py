@@ -1,60 +1,57 @@
 """The random walk that everything is estimated with: from x along −ωo into the object, until it leaves for good.
 
-A walk is a row of numbers (`state`) that `begin` sets at x and three functions move on: `enter` lets it in, `advance`
-flies to the next event (a scattering, the boundary, or the sky), `scatter` and `cross` choose what happens there. An
-estimator is a loop over them that reads what it wants at each event.
+A walk is a row of numbers (`state`) that `begin` sets at x and four functions move on: `enter` lets it in, `advance`
+flies to the next event (a scattering, a dielectric boundary, a diffuse surface, or the sky), and `scatter`, `cross` and
+`bounce` choose what happens there. An estimator is a loop over them that reads what it wants at each event.
+Index-matched boundaries are no events: `advance` flies through.
 
 The walker's side is decided by the face it meets: what is met from behind was flown through inside. A ray that slips
 through an edge is therefore put right by the next face it meets, and energy is kept whatever the mesh.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from prt_bake.trainer.boundary import (
+    DIFFUSE,
+    OPAQUE,
+    PASS,
+    alpha_at,
+    crossing,
+    facing_normal,
+    mask_before,
+    meet,
+    next_face,
+    normal_at,
+    part_of,
+    place_on,
+    reflectance_at,
+    room_about,
+    sees_sky,
+)
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.counter import uniform
-from prt_bake.trainer.embree import nearest_hit
-from prt_bake.trainer.interface import MATCHED, sample_interface
-from prt_bake.trainer.media import free_flight, multiply_albedo, phase, phase_cosine
+from prt_bake.trainer.interface import MATCHED, ROUGH, sample_interface
+from prt_bake.trainer.media import CHROMATIC, MAJORANT, PHASE_G, multiply_albedo, phase, phase_cosine
+from prt_bake.trainer.tracking import flight_by_channel, free_flight
 
-SCATTERING, SURFACE, SKY = 0, 1, 2
+SCATTERING, SURFACE, SKY, REFLECTING = 0, 1, 2, 3
 POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN, ORIGIN, ARRIVED = 0, 3, 6, 9, 12, 13, 16, 17, 18, 21
-STATE_SIZE = 24
-FACE, INSIDE, EVENTS, SCATTERED = 0, 1, 2, 3
-COUNTS_SIZE = 4
+U, V, LOOKED = 24, 25, 26
+STATE_SIZE = 32
+FACE, MASK, EVENTS, SCATTERED, BEFORE, BEHIND, ORIGIN_FACE = 0, 1, 2, 3, 4, 5, 6
+COUNTS_SIZE = 8
+"""The walker's mask, and where it has come to a face those before and behind it."""
 AHEAD = -1.0
-"""In state[PHASE]: what the next arrival at the boundary receives is counted already."""
+"""In state[PHASE]: what the next arrival at the object's boundary receives is counted already."""
 _LOOK_OUT_EVERY = 8
 _WEIGHT_WINDOW = 0.1
-CLEARANCE = 1e-6
-"""How far a ray that starts on a face must fly before it may meet another one: some ten roundings of a position, so
-that at a vertex no walk is handed to and fro between faces that all lie at distance 0."""
-
-
-class Boundary(NamedTuple):
-    """The object's surface as the kernels take it; lengths in units of its longest side, about its centre."""
-
-    intersect: int
-    scene: int
-    positions: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    face_normals: NDArray[np.float64]
-    vertex_normals: NDArray[np.float64]
-    interpolate_normals: bool
-    kind: int
-    alpha: float
-    eta: float
-    radius: float
-    """A ball about the origin of this radius holds the object."""
-    most_events: int
-    """A walk ends after so many events; what it still carried is counted as lost and reported."""
 
 
 @walk_function(inline="always")
-def _towards_box(p: Any, d: Any, radius: Any) -> Any:
+def _towards_ball(p: Any, d: Any, radius: Any) -> Any:
     """How far p + t d stays in the ball of the object (an upper bound for every crossing)."""
     along = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
     squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2] - radius * radius
@@ -62,25 +59,6 @@ def _towards_box(p: Any, d: Any, radius: Any) -> Any:
     if root <= 0.0:
         return 0.0
     return max(0.0, -along + math.sqrt(root))
-
-
-@walk_function()
-def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
-    """Write the interface's normal at (u, v) of a face: the face's own, or the interpolated one where it is asked
-    for.
-    """
-    for k in range(3):
-        normal[k] = boundary.face_normals[face, k]
-    if not boundary.interpolate_normals:
-        return
-    a, b, c = boundary.faces[face, 0], boundary.faces[face, 1], boundary.faces[face, 2]
-    n = boundary.vertex_normals
-    x = (1.0 - u - v) * n[a, 0] + u * n[b, 0] + v * n[c, 0]
-    y = (1.0 - u - v) * n[a, 1] + u * n[b, 1] + v * n[c, 1]
-    z = (1.0 - u - v) * n[a, 2] + u * n[b, 2] + v * n[c, 2]
-    length = math.sqrt(x * x + y * y + z * z)
-    if length > 1e-6:
-        normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
 @walk_function(inline="always")
@@ -92,25 +70,163 @@ def frame(nx: Any, ny: Any, nz: Any) -> Any:
     return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
 
 
-@walk_function()
-def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
-    """The interface normal turned to the side that d comes from, and 1/eta or eta of the crossing.
+@walk_function(inline="always")
+def region_of(boundary: Any, counts: Any) -> Any:
+    """The region that the walker is in."""
+    return boundary.region_of_mask[counts[MASK]]
 
-    An interpolated normal that d sees from the wrong side gives way to the face's own.
+
+@walk_function()
+def begin(
+    boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, held: Any
+) -> None:
+    """Set a walk of throughput 1 at `position` on `face`, seen from `outgoing`, before it is let in.
+
+    `held` is the mask of the parts inside the object that hold x too (`contained`).
     """
-    g = boundary.face_normals[face]
-    geometric = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
-    sign = -1.0 if geometric > 0.0 else 1.0
-    eta = 1.0 / boundary.eta if geometric > 0.0 else boundary.eta
-    x, y, z = sign * normal[0], sign * normal[1], sign * normal[2]
-    if -(d[0] * x + d[1] * y + d[2] * z) <= 1e-9:
-        x, y, z = sign * g[0], sign * g[1], sign * g[2]
-    return x, y, z, eta
+    for k in range(3):
+        state[POSITION + k] = position[k]
+        state[DIRECTION + k] = -outgoing[k]
+        state[THROUGHPUT + k] = 1.0
+    state[LOST], state[PHASE], state[U], state[V] = 0.0, 0.0, u, v
+    normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
+    counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, held, 0, 0
+    counts[BEFORE], counts[BEHIND], counts[ORIGIN_FACE] = held, held | 1 << part_of(boundary, face), -1
+
+
+@walk_function()
+def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
+    """Let a walk in: the transmission inwards is its first weight. False where it ends there."""
+    kind, _eta = crossing(boundary, counts[FACE], counts[BEFORE], counts[BEHIND])
+    enters = True
+    if kind == MATCHED:
+        counts[MASK] = counts[BEHIND]
+        for k in range(3):
+            state[ARRIVED + k] = state[DIRECTION + k]
+    elif kind == DIFFUSE:
+        # A diffuse part reaches the very surface: nothing of the object lies before it.
+        enters = False
+    else:
+        enters = cross(boundary, state, counts, True, stream)
+    state[BEGUN] = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
+    return enters
+
+
+@walk_function()
+def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
+    """Fly to the next event: SCATTERING at a point inside, SURFACE at a dielectric boundary, REFLECTING at a diffuse
+    surface, or SKY where nothing is met any more.
+    """
+    p = state[POSITION : POSITION + 3]
+    while True:
+        region = region_of(boundary, counts)
+        majorant = media.regions[region, MAJORANT]
+        if counts[FACE] >= 0 and sees_sky(boundary, counts[FACE], state[DIRECTION : DIRECTION + 3]):
+            return SKY
+        if majorant <= 0.0:
+            flight, face = _to_next_face(boundary, state, counts, ray)
+        elif media.regions[region, CHROMATIC] != 0.0:
+            flight, face = _fly_by_channel(boundary, media, region, state, counts, ray, stream)
+        else:
+            flight, face = _fly(boundary, media, region, state, counts, ray, stream)
+        if face >= 0:
+            d = state[DIRECTION : DIRECTION + 3]
+            face, u, v, before, after = meet(boundary, ray, p, d, flight, face, counts[MASK])
+            if boundary.region_of_mask[before] != region:
+                counts[MASK] = before
+                continue
+            kind = _arrive(boundary, state, counts, face, u, v, before, after)
+            if kind == OPAQUE:
+                for c in range(3):
+                    state[THROUGHPUT + c] = 0.0
+                return SKY
+            if kind == DIFFUSE:
+                counts[EVENTS] += 1
+                counts[SCATTERED] += 1
+                return REFLECTING
+            if kind >= 0:
+                return SURFACE
+            continue
+        if flight == np.inf:
+            return SKY
+        d = state[DIRECTION : DIRECTION + 3]
+        for k in range(3):
+            p[k] += flight * d[k]
+        counts[FACE] = -1
+        counts[EVENTS] += 1
+        counts[SCATTERED] += 1
+        multiply_albedo(media, region, p, state[THROUGHPUT : THROUGHPUT + 3])
+        return SCATTERING
+
+
+@walk_function(inline="always")
+def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
+    """(Distance, face) of the next face through what is clear; (inf, −1) for the sky."""
+    p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
+    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
+    return t, face
+
+
+@walk_function(inline="always")
+def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
+    """(Distance, −1) of a scattering event, (distance, face) of a face met before, or (inf, −1)."""
+    p = state[POSITION : POSITION + 3]
+    d = state[DIRECTION : DIRECTION + 3]
+    ball = _towards_ball(p, d, boundary.radius)
+    flight = free_flight(media, region, p, d, ball, state[AT : AT + 3], stream)
+    if counts[FACE] < 0 and flight < room_about(boundary, p):
+        return flight, -1
+    far = flight
+    if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
+        far = np.inf
+    face, t = next_face(boundary, ray, p, d, 0.0, far, counts[FACE])
+    if face < 0:
+        return (np.inf if far == np.inf else flight), -1
+    if t <= flight or boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
+        return t, face
+    return flight, -1
+
+
+@walk_function()
+def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
+    """The same where extinction differs between channels: what reaches a face is weighted too, so it is found first."""
+    p = state[POSITION : POSITION + 3]
+    d = state[DIRECTION : DIRECTION + 3]
+    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
+    if face < 0:
+        return np.inf, -1
+    if boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
+        return t, face
+    flight = flight_by_channel(media, region, p, d, t, state[THROUGHPUT : THROUGHPUT + 3], state[AT : AT + 3], stream)
+    if flight < t:
+        return flight, -1
+    return t, face
+
+
+@walk_function(inline="always")
+def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, before: Any, after: Any) -> Any:
+    """Set the walk on a face that it has met, by barycentric coordinates (more exact than p + t d), and through it
+    where nothing stands there. Returns the kind of interface, negative where the walk has passed.
+    """
+    place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
+    kind, _eta = crossing(boundary, face, before, after)
+    counts[FACE] = face
+    if kind == PASS or kind == MATCHED:
+        counts[MASK] = after
+        return PASS
+    counts[MASK], counts[BEFORE], counts[BEHIND] = before, before, after
+    state[U], state[V] = u, v
+    normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
+    if kind == DIFFUSE:
+        part = boundary.region_of_mask[after] - 1
+        for k in range(3):
+            state[THROUGHPUT + k] *= reflectance_at(boundary, face, part, u, v, k)
+    return kind
 
 
 @walk_function()
 def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: Any) -> bool:
-    """Take the interface's event at the face that the walk has reached; False where the walk ends there.
+    """Take the dielectric's event at the face that the walk has reached; False where the walk ends there.
 
     The direction of flight before it stays in state[ARRIVED].
     """
@@ -119,125 +235,83 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
         state[ARRIVED + k] = d[k]
     counts[EVENTS] += 1
     state[PHASE] = 0.0
-    if boundary.kind == MATCHED:
-        counts[INSIDE] = 1 - counts[INSIDE]
-        return True
     face = counts[FACE]
-    nx, ny, nz, eta = facing_normal(boundary, face, state[NORMAL : NORMAL + 3], d)
+    kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
+    if kind == ROUGH:
+        counts[SCATTERED] += 1
+    nx, ny, nz = facing_normal(boundary, face, state[NORMAL : NORMAL + 3], d)
     sx, sy, sz, tx, ty, tz = frame(nx, ny, nz)
     ix = -(d[0] * sx + d[1] * sy + d[2] * sz)
     iy = -(d[0] * tx + d[1] * ty + d[2] * tz)
     iz = -(d[0] * nx + d[1] * ny + d[2] * nz)
-    ox, oy, oz, weight = sample_interface(boundary.kind, boundary.alpha, eta, ix, iy, iz, transmit_only, stream)
+    alpha = alpha_at(boundary, face, state[U], state[V])
+    ox, oy, oz, weight = sample_interface(kind, alpha, eta, ix, iy, iz, transmit_only, stream)
     if weight <= 0.0:
         return False
-    g = boundary.face_normals[face]
+    g = boundary.faces[face]
     before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     x, y, z = ox * sx + oy * tx + oz * nx, ox * sy + oy * ty + oz * ny, ox * sz + oy * tz + oz * nz
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     d[0], d[1], d[2] = x * scale, y * scale, z * scale
-    after = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
+    behind = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     crossed = oz < 0.0
-    if (before * after > 0.0) != crossed:
+    if (before * behind > 0.0) != crossed:
         return False
     if crossed:
-        counts[INSIDE] = 1 - counts[INSIDE]
+        counts[MASK] = counts[BEHIND]
     for c in range(3):
         state[THROUGHPUT + c] *= weight
     return True
 
 
 @walk_function()
-def begin(boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any) -> None:
-    """Set a walk of throughput 1 at `position` on `face`, seen from `outgoing`, before it is let in."""
-    for k in range(3):
-        state[POSITION + k] = position[k]
-        state[DIRECTION + k] = -outgoing[k]
-        state[THROUGHPUT + k] = 1.0
-    state[LOST] = 0.0
-    normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
-    counts[FACE], counts[INSIDE], counts[EVENTS], counts[SCATTERED] = face, 0, 0, 0
-
-
-@walk_function()
-def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
-    """Let a walk in: the transmission inwards is its first weight. False where it ends there."""
-    enters = cross(boundary, state, counts, True, stream)
-    state[BEGUN] = state[THROUGHPUT]
-    return enters
-
-
-@walk_function()
-def advance(boundary: Any, medium: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
-    """Fly to the next event: SCATTERING at a point inside, SURFACE at a face, or SKY where nothing is met any more."""
-    p = state[POSITION : POSITION + 3]
-    d = state[DIRECTION : DIRECTION + 3]
-    at = state[AT : AT + 3]
-    near = CLEARANCE if counts[FACE] >= 0 else 0.0
-    if counts[INSIDE] == 0:
-        face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, np.inf, counts[FACE])
-        if face < 0:
-            return SKY
-        if not _met_from_behind(boundary, face, d):
-            _move_to_face(boundary, state, counts, ray, face)
-            return SURFACE
-        counts[INSIDE] = 1
-    flight = free_flight(medium, p, d, _towards_box(p, d, boundary.radius), at, stream)
-    far = flight
-    if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
-        far = np.inf
-    face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), counts[FACE])
-    if face < 0 and far == np.inf:
-        return SKY
-    if face >= 0 and (t <= flight or not _met_from_behind(boundary, face, d)):
-        _move_to_face(boundary, state, counts, ray, face)
-        return SURFACE
-    for k in range(3):
-        p[k] += flight * d[k]
-    counts[FACE] = -1
-    counts[EVENTS] += 1
-    counts[SCATTERED] += 1
-    multiply_albedo(medium, p, state[THROUGHPUT : THROUGHPUT + 3])
-    return SCATTERING
-
-
-@walk_function(inline="always")
-def _met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
-    g = boundary.face_normals[face]
-    return d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
-
-
-@walk_function()
-def _move_to_face(boundary: Any, state: Any, counts: Any, ray: Any, face: Any) -> None:
-    """Set the walk on the face that `ray` has met, by barycentric coordinates (more exact than p + t d)."""
-    u, v = np.float64(ray[15]), np.float64(ray[16])
-    a, b, c = boundary.faces[face, 0], boundary.faces[face, 1], boundary.faces[face, 2]
-    for k in range(3):
-        state[POSITION + k] = (
-            (1.0 - u - v) * boundary.positions[a, k] + u * boundary.positions[b, k] + v * boundary.positions[c, k]
-        )
-    normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
-    counts[FACE] = face
-    counts[INSIDE] = 1 if _met_from_behind(boundary, face, state[DIRECTION : DIRECTION + 3]) else 0
-
-
-@walk_function()
-def scatter(medium: Any, state: Any, stream: Any) -> None:
-    """Draw a new direction from the phase function; its density stays in state[PHASE], its place in
-    state[ORIGIN].
-    """
-    d = state[DIRECTION : DIRECTION + 3]
+def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> None:
+    """Send the walk along (x, y, z), drawn by `density`, and note where it starts."""
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    state[DIRECTION], state[DIRECTION + 1], state[DIRECTION + 2] = x * scale, y * scale, z * scale
+    state[PHASE] = density
     for k in range(3):
         state[ORIGIN + k] = state[POSITION + k]
-    cosine = phase_cosine(medium.phase_g, uniform(stream))
+    counts[ORIGIN_FACE] = counts[FACE]
+
+
+@walk_function()
+def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> None:
+    """Draw a new direction from the phase function; its density stays in state[PHASE], its place in state[ORIGIN]."""
+    d = state[DIRECTION : DIRECTION + 3]
+    g = media.regions[region_of(boundary, counts), PHASE_G]
+    cosine = phase_cosine(g, uniform(stream))
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     angle = 2.0 * math.pi * uniform(stream)
     sx, sy, sz, tx, ty, tz = frame(d[0], d[1], d[2])
     a, b = sine * math.cos(angle), sine * math.sin(angle)
-    x, y, z = a * sx + b * tx + cosine * d[0], a * sy + b * ty + cosine * d[1], a * sz + b * tz + cosine * d[2]
-    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-    d[0], d[1], d[2] = x * scale, y * scale, z * scale
-    state[PHASE] = phase(cosine, medium.phase_g)
+    _depart(
+        state,
+        counts,
+        a * sx + b * tx + cosine * d[0],
+        a * sy + b * ty + cosine * d[1],
+        a * sz + b * tz + cosine * d[2],
+        phase(cosine, g),
+    )
+
+
+@walk_function()
+def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
+    """Send the walk back from a diffuse surface by the cosine; density and place are kept as by `scatter`."""
+    nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], state[DIRECTION : DIRECTION + 3])
+    squared = uniform(stream)
+    r, cosine = math.sqrt(squared), math.sqrt(1.0 - squared)
+    angle = 2.0 * math.pi * uniform(stream)
+    sx, sy, sz, tx, ty, tz = frame(nx, ny, nz)
+    a, b = r * math.cos(angle), r * math.sin(angle)
+    _depart(
+        state,
+        counts,
+        a * sx + b * tx + cosine * nx,
+        a * sy + b * ty + cosine * ny,
+        a * sz + b * tz + cosine * nz,
+        cosine / math.pi,
+    )
 
 
 @walk_function()

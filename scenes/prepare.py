@@ -1,0 +1,48 @@
+"""A mesh of one's own made ready for a scene: `python -m scenes.prepare IN OUT --size 2 --center 0,0,0`.
+
+Faces without area are dropped, the box is moved to the centre and scaled so that its longest side has the size. A scan
+with holes is refused: close them first.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from formats.errors import MeshError, PrtbakeError
+from formats.mesh import build_mesh, flipped, open_edges, read_mesh, signed_volume, torn_edges, write_mesh
+
+
+def prepare(source: Path, out: Path, size: float, center: tuple[float, float, float]) -> None:
+    """Write the mesh so placed.
+
+    Raises:
+        MeshError: it is damaged, or not closed and wound consistently.
+        StorageError: the file is missing, or the disk does not take it.
+    """
+    mesh = read_mesh(source, drop_flat_faces=True)
+    if faults := open_edges(mesh) + torn_edges(mesh):
+        raise MeshError(f"{source}: {faults} edges are open or torn; close the holes first (MeshLab: Screened Poisson)")
+    low, high = mesh.bounds
+    scale = size / float((high - low).max())
+    placed = build_mesh((mesh.positions - mesh.center) * scale + np.asarray(center), mesh.faces)
+    write_mesh(flipped(placed) if signed_volume(placed) < 0 else placed, out)
+
+
+def _point(text: str) -> tuple[float, float, float]:
+    x, y, z = (float(part) for part in text.split(","))
+    return x, y, z
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Place and scale a closed mesh for a scene.")
+    parser.add_argument("source", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--size", type=float, default=2.0, help="longest side of its box, in scene units")
+    parser.add_argument("--center", type=_point, default=(0.0, 0.0, 0.0), help="middle of its box, as x,y,z")
+    given = parser.parse_args()
+    try:
+        prepare(given.source, given.out, given.size, given.center)
+    except PrtbakeError as fault:
+        sys.exit(f"prepare: {fault}")

@@ -1,0 +1,71 @@
+"""What a query costs on one thread as matter grows thick or uneven: seconds, and efficiency beside the first row's.
+
+    PYTHONPATH=tests python tests/bench/walk_cost.py [--queries 5]
+
+Ŝ of a sphere of diameter 1 behind an index-matched boundary, lit from the side that is seen; `seconds` are those to 1 %
+of a value, `paths/s` those of one query, both geometric means over queries.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from efficiency import ours, paths_for, timed
+
+from scenes import make_scene, moved, queries, sphere, unit_directions
+
+THICKNESS = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
+CONTRAST = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
+DENSE_SHARE = 0.01
+ERROR = 0.01
+SECONDS = 0.1
+
+
+def cost(count: int, **keys: Any) -> tuple[float, float]:
+    """Paths/s of one query, and seconds to a relative error of ERROR."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = make_scene(Path(folder), moved(sphere(4), 0.5), **keys)
+    positions, outgoing, normals = queries(scene.mesh, count, 1)
+    incident = unit_directions(count, 2)
+    incident *= np.sign(np.sum(incident * normals, axis=1, keepdims=True))
+    queried = [ours(scene, positions[n], outgoing[n], incident[n : n + 1]) for n in range(count)]
+    paths = paths_for(queried[0], SECONDS)
+    runs = [timed(batches, paths, n) for n, batches in enumerate(queried)]
+    seconds = np.array([run.seconds for run in runs])
+    noise = np.array([run.variance[0] / run.mean[0] ** 2 for run in runs])
+    return float(np.exp(-np.log(seconds).mean())), float(np.exp(np.log(noise * seconds).mean())) / ERROR**2
+
+
+def uneven(contrast: float) -> np.ndarray:
+    """Extinction 5, and that times the contrast in one cell of a hundred."""
+    return np.where(np.random.default_rng(5).random((16, 16, 16)) < DENSE_SHARE, 5.0 * contrast, 5.0)
+
+
+def table(title: str, rows: dict[str, dict[str, Any]], count: int) -> None:
+    """Print a row for each medium."""
+    print(f"\n{title:24}{'paths/s':>12}{'seconds to 1 %':>16}{'efficiency':>12}")
+    first = None
+    for name, keys in rows.items():
+        rate, seconds = cost(count, **keys)
+        first = first or seconds
+        print(f"{name:24}{rate:12,.0f}{seconds:16.3g}{first / seconds:12.3g}", flush=True)
+
+
+def main() -> None:
+    """Print the three tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--queries", type=int, default=5)
+    count = parser.parse_args().queries
+    numba.set_num_threads(1)
+    for albedo in (1.0, 0.999):
+        rows = {f"{sigma_t:g}": {"sigma_t": sigma_t, "albedo": albedo} for sigma_t in THICKNESS}
+        table(f"thickness, albedo {albedo:g}", rows, count)
+    rows = {f"{contrast:g}": {"sigma_t": uneven(contrast), "albedo": 0.99} for contrast in CONTRAST}
+    table("contrast, albedo 0.99", rows, count)
+
+
+if __name__ == "__main__":
+    main()
