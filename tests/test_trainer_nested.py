@@ -237,6 +237,6 @@ def test_smooth_glass_in_index_matched_matter_is_refused_by_name(tmp_path):
     inner = {"mesh": small(0.5), "name": "marble", "interface": {"eta": 1.5}, "medium": CLEAR}
     scene = nested(tmp_path, sphere(2), HAZE, {}, inner)
     positions, outgoing, _ = queries(scene.mesh, 2, 1)
-    with pytest.raises(QueryError, match="'marble' is smooth"):
+    with pytest.raises(QueryError, match="'marble' is a smooth interface"):
         estimate_transport(scene, positions, outgoing, outgoing, 16)
     assert np.isfinite(estimate_coefficients(scene, positions, outgoing, 1, 64).mean).all()
