@@ -84,7 +84,7 @@ def estimate_transport(
     smooth = smooth_part(scene)
     if smooth is not None:
         raise QueryError(
-            f"{scene.path}: the interface of '{smooth.name}' is a smooth interface (roughness {np.mean(smooth.roughness):g}): "
+            f"{scene.path}: the boundary of '{smooth.name}' is a smooth interface; "
             "behind it no connection to a given direction of incidence exists, so Ŝ cannot be estimated there: "
             "estimate_coefficients works, or make it rough"
         )
