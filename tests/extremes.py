@@ -39,9 +39,7 @@ def let_in(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> np.ndar
     return np.asarray(1.0 - fresnel(np.sum(outgoing * normals, axis=1), 1.0, scene.eta))
 
 
-def assert_furnace(
-    scene: Scene, positions: np.ndarray, outgoing: np.ndarray, paths: int, rtol: float = 1e-5
-) -> None:
+def assert_furnace(scene: Scene, positions: np.ndarray, outgoing: np.ndarray, paths: int, rtol: float = 1e-5) -> None:
     """White matter and a smooth or index-matched boundary: each walk comes back whole, but for the reflection at x."""
     total, _error = white_sky(scene, positions, outgoing, paths)
     due = let_in(scene, positions, outgoing)

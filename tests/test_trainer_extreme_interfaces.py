@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from extremes import ROOT, assert_furnace, assert_sound, into_cap, let_in, white_sky
 from nested_scenes import CLEAR, nested_scene
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree, largest_z
 
 from formats.mesh import Mesh
 from formats.scene import Scene
 from prt_bake.trainer import prepared
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 WHITE: dict[str, Any] = {"sigma_t": 3.0, "albedo": 1.0}
 HAZE: dict[str, Any] = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99]}
@@ -119,7 +119,12 @@ def test_a_part_that_touches_the_boundary_in_a_point_keeps_all_energy(tmp_path: 
 @pytest.mark.parametrize("outside", [1.0, 1.5])
 def test_a_part_that_sticks_out_keeps_all_energy(tmp_path: Path, outside: float) -> None:
     """It is cut off at the boundary, where its own index meets the air."""
-    inside = {"mesh": moved(sphere(2), 0.4, [0.5, 0.05, 0.02]), "name": "bump", "interface": {"eta": 1.3}, "medium": WHITE}
+    inside = {
+        "mesh": moved(sphere(2), 0.4, [0.5, 0.05, 0.02]),
+        "name": "bump",
+        "interface": {"eta": 1.3},
+        "medium": WHITE,
+    }
     scene = nested_scene(tmp_path, slab(1.0), WHITE, (inside,), eta=outside)
     positions, outgoing, _ = queries(scene.mesh, 40, 1)
     held = np.linalg.norm(positions - [0.5, 0.05, 0.02], axis=1) < 0.38

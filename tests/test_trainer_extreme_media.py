@@ -11,12 +11,12 @@ import half_space
 import numpy as np
 import pytest
 from extremes import ROOT, assert_furnace, assert_sound, into_cap, white_sky
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree
 
 from formats.scene import Scene
 from prt_bake.trainer import prepared
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 MATCHED: dict[str, Any] = {}
 SMOOTH: dict[str, Any] = {"eta": 1.4}
@@ -125,9 +125,7 @@ def test_rare_dense_cells_do_not_decide_the_cost(tmp_path: Path, interface: dict
 
 @pytest.mark.parametrize("interface", [MATCHED, SMOOTH])
 @pytest.mark.parametrize("contrast", [1e4, np.inf])
-def test_uneven_white_matter_gives_everything_back(
-    tmp_path: Path, contrast: float, interface: dict[str, Any]
-) -> None:
+def test_uneven_white_matter_gives_everything_back(tmp_path: Path, contrast: float, interface: dict[str, Any]) -> None:
     """Cells a ten thousand times as dense as others, and empty ones."""
     dense = np.random.default_rng(3).random((12, 9, 10)) < 0.05
     scene = make_scene(tmp_path, lumpy(2), sigma_t=np.where(dense, 200.0, 200.0 / contrast), albedo=1.0, **interface)
@@ -151,7 +149,9 @@ def test_a_grid_of_nothing_is_nothing(tmp_path: Path, shape: tuple[int, int, int
 def test_one_cell_is_a_number_wherever_its_box_lies(tmp_path: Path, bounds: Any) -> None:
     (tmp_path / "plain").mkdir()
     plain = make_scene(tmp_path / "plain", lumpy(2), sigma_t=3.0, albedo=0.8)
-    grid = make_scene(tmp_path, lumpy(2), sigma_t=np.full((1, 1, 1), 3.0), albedo=np.full((1, 1, 1, 3), 0.8), bounds=bounds)
+    grid = make_scene(
+        tmp_path, lumpy(2), sigma_t=np.full((1, 1, 1), 3.0), albedo=np.full((1, 1, 1, 3), 0.8), bounds=bounds
+    )
     _assert_alike(plain, grid)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import trimesh
 from extremes import assert_furnace, assert_sound
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree
 
 from formats.errors import MeshError, SceneError
@@ -19,6 +18,7 @@ from formats.mesh import Mesh, build_mesh
 from formats.scene import Scene
 from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
 from prt_bake.trainer.prepared import prepare
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 SMOOTH: dict[str, Any] = {"eta": 1.4}

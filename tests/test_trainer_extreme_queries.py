@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from extremes import ROOT, assert_furnace, assert_sound, white_sky
-from scenes import lumpy, make_scene, queries, slab, sphere, unit_directions
 from significance import assert_agree
 
 from formats.errors import QueryError
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
+from scenes import lumpy, make_scene, queries, slab, sphere, unit_directions
 
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 NARROW: dict[str, Any] = {"eta": 1.5, "roughness": 0.01}
@@ -60,7 +60,9 @@ def test_light_from_exact_directions(tmp_path: Path, interface: dict[str, Any]) 
     diagonals = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 1.0], [1.0, 0.0, -1.0], [1.0, 1.0, 1.0]])
     diagonals /= np.linalg.norm(diagonals, axis=1, keepdims=True)
     outgoing = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
-    incident = np.concatenate([np.tile(np.concatenate([axes, diagonals]), (3, 1, 1)), outgoing[:, None], -outgoing[:, None]], 1)
+    incident = np.concatenate(
+        [np.tile(np.concatenate([axes, diagonals]), (3, 1, 1)), outgoing[:, None], -outgoing[:, None]], 1
+    )
     seen = estimate_transport(scene, np.tile(TOP, (3, 1)), outgoing, incident, 2048, 1)
     assert_sound(seen)
     # Light along the face gets in nowhere near, light from above does.

@@ -17,11 +17,14 @@ from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 
 PASS, DIFFUSE, OPAQUE = -1, 3, 4
 """What a crossing may be beside the kinds of dielectrics: nothing, a diffuse surface met, one met from within."""
+SAME_INDEX = 1e-9
+"""Relative indices closer to 1 than this are index-matched."""
 SMOOTHEST = 1e-4
 """A rough interface below this alpha is taken as smooth: its lobe is narrower than what float64 samples tell apart."""
 CLEARANCE = 1e-6
-"""How far a ray that starts on a face must fly before it may meet another one of the same part: some ten roundings of a
-position, so that at a vertex no walk is handed to and fro between faces that all lie at distance 0."""
+"""How far a ray that starts on a face must fly before it may meet another one: some ten roundings of a position, so
+that at a vertex no walk is handed to and fro between faces that all lie at distance 0. Faces of several parts that lie
+so near one another are met together, as one interface between what is before and what is behind all of them."""
 
 
 class Boundary(NamedTuple):
@@ -161,30 +164,68 @@ def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
 
 
 @walk_function(inline="always")
-def crossing(boundary: Any, face: Any, before: Any) -> Any:
-    """(mask behind the face, kind of interface, relative index) for a walker that meets it with mask `before`."""
-    after, kind = before ^ 1, boundary.kind
-    eta = boundary.eta if before == 0 else 1.0 / boundary.eta
+def meet(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) -> Any:
+    """What a walker with `mask` meets at p + t d, where `ray` has just hit a face: the face that decides, where on it
+    (u, v), and the masks before and behind that place.
+
+    All parts whose faces lie there are crossed as one; the first of them in the scene gives the interface.
+    """
+    u, v = np.float64(ray[15]), np.float64(ray[16])
+    before = mask_before(boundary, face, d, mask)
+    after = before ^ (1 << part_of(boundary, face))
     if boundary.nested:
-        after, kind, eta = _crossing_of_parts(boundary, face, before)
-    return after, kind, eta
+        face, u, v, before, after = _meet_together(boundary, ray, p, d, t, face, u, v, before, after)
+    return face, u, v, before, after
 
 
 @walk_function()
-def _crossing_of_parts(boundary: Any, face: Any, before: Any) -> Any:
-    part = part_of(boundary, face)
-    after = before ^ (1 << part)
+def _meet_together(
+    boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, u: Any, v: Any, before: Any, after: Any
+) -> Any:
+    """Each part is asked by itself, since faces that lie on one another hide each other."""
+    back = t - CLEARANCE
+    start = (p[0] + back * d[0], p[1] + back * d[1], p[2] + back * d[2])
+    hit = part_of(boundary, face)
+    for part in range(len(boundary.parts)):
+        if part == hit:
+            continue
+        tree = boundary.handles[part, 0]
+        found, _t = nearest_hit(boundary.intersect, tree, ray, start, d, 0.0, 2.0 * CLEARANCE, -1)
+        if found < 0:
+            continue
+        other, bit = boundary.handles[part, 1] + found, 1 << part
+        if met_from_behind(boundary, other, d):
+            before, after = before | bit, after & ~bit
+        else:
+            before, after = before & ~bit, after | bit
+        if part < part_of(boundary, face):
+            face, u, v = other, np.float64(ray[15]), np.float64(ray[16])
+    return face, u, v, before, after
+
+
+@walk_function(inline="always")
+def crossing(boundary: Any, face: Any, before: Any, after: Any) -> Any:
+    """Kind of interface, and relative index, at a face with these masks of the walker before and behind it."""
+    kind = boundary.kind
+    eta = boundary.eta if before == 0 else 1.0 / boundary.eta
+    if boundary.nested:
+        kind, eta = _crossing_of_parts(boundary, face, before, after)
+    return kind, eta
+
+
+@walk_function()
+def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
     if here == there:
-        return after, PASS, 1.0
+        return PASS, 1.0
     if here > 0 and boundary.parts[here - 1, IS_DIFFUSE] != 0.0:
-        return after, OPAQUE, 1.0
+        return OPAQUE, 1.0
     if there > 0 and boundary.parts[there - 1, IS_DIFFUSE] != 0.0:
-        return after, DIFFUSE, 1.0
+        return DIFFUSE, 1.0
     eta = boundary.etas[there] / boundary.etas[here]
-    if abs(eta - 1.0) < 1e-9:
-        return after, MATCHED, 1.0
-    return after, SMOOTH if boundary.parts[part, ALPHA] < SMOOTHEST else ROUGH, eta
+    if abs(eta - 1.0) < SAME_INDEX:
+        return MATCHED, 1.0
+    return SMOOTH if boundary.parts[part_of(boundary, face), ALPHA] < SMOOTHEST else ROUGH, eta
 
 
 @walk_function()
@@ -203,63 +244,31 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
 
 
 @walk_function(inline="always")
-def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: Any, former: Any) -> Any:
+def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: Any) -> Any:
     """The nearest face along p + t d between `at`, where `face` lies (−1: none), and `far`, and its distance t.
 
-    Faces closer to `face` than CLEARANCE are left out where they belong to its part, or to those of the mask `former`,
-    which were crossed at this very place before, on the same flight. A face of another part so near, before or behind,
-    lies on the one that the ray starts on, and counts.
+    Faces closer to `face` than CLEARANCE are left out: they were met together with it.
     """
-    near, found, t = at, -1, at
-    if face >= 0:
-        near = at + CLEARANCE
-        if boundary.nested:
-            found = _lying_on(boundary, ray, p, d, at, former | 1 << part_of(boundary, face))
-    if found < 0:
-        found, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
-    return found, t
-
-
-@walk_function()
-def _lying_on(boundary: Any, ray: Any, p: Any, d: Any, at: Any, crossed: Any) -> Any:
-    """A face at p + at d of a part that is not in the mask `crossed`; −1: none.
-
-    Each part is asked by itself, since faces that lie on one another hide each other.
-    """
-    back = at - CLEARANCE
-    start = (p[0] + back * d[0], p[1] + back * d[1], p[2] + back * d[2])
-    for other in range(len(boundary.parts)):
-        if crossed >> other & 1 == 0:
-            found, _t = nearest_hit(
-                boundary.intersect, boundary.handles[other, 0], ray, start, d, 0.0, 2.0 * CLEARANCE, -1
-            )
-            if found >= 0:
-                return boundary.handles[other, 1] + found
-    return -1
-
-
-@walk_function(inline="always")
-def crossed_here(boundary: Any, face: Any, former: Any, flight: Any) -> Any:
-    """The mask of parts crossed at the place where a flight from `face` ends: 0, unless it was none."""
-    return former | 1 << part_of(boundary, face) if face >= 0 and flight < 2.0 * CLEARANCE else 0
+    near = at + CLEARANCE if face >= 0 else at
+    return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
 
 
 @walk_function()
 def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
-    """The first face along p + t d that is more than an index-matched boundary, its distance, and the mask before it.
+    """The first face along p + t d that is more than an index-matched boundary, where on it the ray arrives (u, v), its
+    distance, and the masks before and behind it.
 
     Face −1: the ray reaches the sky. The ray starts on `face` (−1: on none) with the walker's `mask`.
     """
-    at, former = 0.0, 0
+    at = 0.0
     while True:
-        found, t = next_face(boundary, ray, p, d, at, np.inf, face, former)
+        found, t = next_face(boundary, ray, p, d, at, np.inf, face)
         if found < 0:
-            return found, t, mask
-        before = mask_before(boundary, found, d, mask)
-        after, kind, _eta = crossing(boundary, found, before)
+            return found, 0.0, 0.0, t, mask, mask
+        found, u, v, before, after = meet(boundary, ray, p, d, t, found, mask)
+        kind, _eta = crossing(boundary, found, before, after)
         if kind != PASS and kind != MATCHED:
-            return found, t, before
-        former = crossed_here(boundary, face, former, t - at)
+            return found, u, v, t, before, after
         face, mask, at = found, after, t
 
 

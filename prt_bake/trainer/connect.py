@@ -12,10 +12,9 @@ import numpy as np
 from prt_bake.trainer.boundary import (
     PASS,
     alpha_at,
-    crossed_here,
     crossing,
     facing_normal,
-    mask_before,
+    meet,
     next_face,
     room_about,
     sees_sky,
@@ -27,6 +26,8 @@ from prt_bake.trainer.media import MINORANT, PHASE_G, phase
 from prt_bake.trainer.tracking import attenuate
 from prt_bake.trainer.walk import (
     AT,
+    BEFORE,
+    BEHIND,
     DIRECTION,
     FACE,
     MASK,
@@ -70,23 +71,22 @@ def march(
 
     False where anything else stands in the way. The ray starts on `face` (−1: on none) with the walker's `mask`.
     """
-    t, former = 0.0, 0
+    t = 0.0
     while True:
         if face >= 0 and sees_sky(boundary, face, d):
             return True
-        found, hit = next_face(boundary, ray, p, d, t, far, face, former)
+        found, hit = next_face(boundary, ray, p, d, t, far, face)
         if found < 0:
             if far < np.inf:
                 attenuate(media, boundary.region_of_mask[mask], p, d, t, far, at, stream, kept)
             return True
-        before = mask_before(boundary, found, d, mask)
-        after, kind, _eta = crossing(boundary, found, before)
+        found, _u, _v, before, after = meet(boundary, ray, p, d, hit, found, mask)
+        kind, _eta = crossing(boundary, found, before, after)
         if kind != PASS and kind != MATCHED:
             return False
         attenuate(media, boundary.region_of_mask[before], p, d, t, hit, at, stream, kept)
         if kept[0] + kept[1] + kept[2] == 0.0:
             return True
-        former = crossed_here(boundary, face, former, hit - t)
         face, mask, t = found, after, hit
 
 
@@ -144,17 +144,16 @@ def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d:
 @walk_function()
 def _sent_straight(boundary: Any, media: Any, state: Any, counts: Any, event: Any, w: Any) -> Any:
     """What the walk's event sends towards w, and the mask of the walker that flies there."""
-    mask = counts[MASK]
     if event != SURFACE:
-        return sent_by(boundary, media, state, counts, event, w), mask
+        return sent_by(boundary, media, state, counts, event, w), counts[MASK]
     face = counts[FACE]
     d = state[DIRECTION : DIRECTION + 3]
-    after, _kind, eta = crossing(boundary, face, mask)
+    _kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
     alpha = alpha_at(boundary, face, state[U], state[V])
     sent, _density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, d, w, False)
     g = boundary.faces[face]
     passes = (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) * (w[0] * g[0] + w[1] * g[1] + w[2] * g[2]) > 0.0
-    return sent, after if passes else mask
+    return sent, counts[BEHIND] if passes else counts[BEFORE]
 
 
 @walk_function()

@@ -17,7 +17,6 @@ from prt_bake.trainer.boundary import (
     crossing,
     met_from_behind,
     normal_at,
-    part_of,
     reach,
     sees_sky,
 )
@@ -31,6 +30,8 @@ from prt_bake.trainer.walk import (
     AHEAD,
     ARRIVED,
     AT,
+    BEFORE,
+    BEHIND,
     DIRECTION,
     FACE,
     LOOKED,
@@ -52,24 +53,31 @@ ENTERING = 4
 """The event at x, where every walk is let in; beside SCATTERING, REFLECTING and SURFACE."""
 
 
-@walk_function()
-def is_outermost(boundary: Any, face: Any, before: Any) -> bool:
-    """Whether outside lies on either side of the face for a walker that meets it with mask `before`."""
-    if not boundary.nested:
-        return True
-    after = before ^ (1 << part_of(boundary, face))
-    return bool(boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0)
+@walk_function(inline="always")
+def is_outermost(boundary: Any, before: Any, after: Any) -> Any:
+    """Whether outside lies on either side of a face with these masks before and behind it."""
+    return boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0
 
 
 @walk_function()
 def _received(
-    boundary: Any, face: Any, before: Any, normal: Any, u: Any, v: Any, q: Any, d: Any, w: Any, ray: Any
+    boundary: Any,
+    face: Any,
+    before: Any,
+    after: Any,
+    normal: Any,
+    u: Any,
+    v: Any,
+    q: Any,
+    d: Any,
+    w: Any,
+    ray: Any,
 ) -> Any:
     """f |cos| between a flight d that arrives at q on a face and light from w; 0 where the object hides the light."""
     g = boundary.faces[face]
     if w[0] * g[0] + w[1] * g[1] + w[2] * g[2] <= 0.0:
         return 0.0
-    _after, kind, eta = crossing(boundary, face, before)
+    kind, eta = crossing(boundary, face, before, after)
     if kind != ROUGH:
         return 0.0
     through, _density = sent_through(boundary, face, normal, alpha_at(boundary, face, u, v), eta, d, w, False)
@@ -89,7 +97,7 @@ def connect_at_surface(
 
     `share` of the directions had a chance to be aimed at from the event before. `room` is for 12 numbers.
     """
-    if state[PHASE] == AHEAD or not is_outermost(boundary, counts[FACE], counts[MASK]):
+    if state[PHASE] == AHEAD or not is_outermost(boundary, counts[BEFORE], counts[BEHIND]):
         return
     count = incident.shape[0]
     fraction = min(count, share) / count * state[LOOKED]
@@ -98,7 +106,9 @@ def connect_at_surface(
     normal = state[NORMAL : NORMAL + 3]
     for i in range(count):
         w = incident[i]
-        weight = _received(boundary, counts[FACE], counts[MASK], normal, state[U], state[V], p, d, w, ray)
+        weight = _received(
+            boundary, counts[FACE], counts[BEFORE], counts[BEHIND], normal, state[U], state[V], p, d, w, ray
+        )
         if weight <= 0.0:
             continue
         if state[PHASE] > 0.0:
@@ -140,10 +150,9 @@ def connect_ahead(
     v, q, normal, kept = room[0:3], room[3:6], room[6:9], room[9:12]
     density = _density_sent(boundary, state, counts, entering)
     state[PHASE] = AHEAD
-    face, t, before = reach(boundary, ray, p, d, counts[FACE], counts[MASK])
-    if face < 0 or not is_outermost(boundary, face, before):
+    face, b1, b2, t, before, after = reach(boundary, ray, p, d, counts[FACE], counts[MASK])
+    if face < 0 or not is_outermost(boundary, before, after):
         return
-    b1, b2 = np.float64(ray[15]), np.float64(ray[16])
     for c in range(3):
         kept[c] = 1.0 / fraction
     _attenuate_to(boundary, media, state, counts, d, t, counts[MASK], before, ray, stream, kept)
@@ -153,7 +162,7 @@ def connect_ahead(
         i = (first + j * count // looked) % count
         w = incident[i]
         normal_at(boundary, face, b1, b2, normal)
-        weight = _received(boundary, face, before, normal, b1, b2, q, d, w, ray)
+        weight = _received(boundary, face, before, after, normal, b1, b2, q, d, w, ray)
         if weight <= 0.0:
             continue
         has_normal = look_ahead(boundary, aims.looks, p, w, counts[FACE], ray, v, normal)
@@ -169,12 +178,7 @@ def _density_sent(boundary: Any, state: Any, counts: Any, entering: Any) -> Any:
     face = counts[FACE]
     d = state[DIRECTION : DIRECTION + 3]
     arrived = state[ARRIVED : ARRIVED + 3]
-    g = boundary.faces[face]
-    passed = (arrived[0] * g[0] + arrived[1] * g[1] + arrived[2] * g[2]) * (
-        d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
-    ) > 0.0
-    before = counts[MASK] ^ (1 << part_of(boundary, face)) if passed else counts[MASK]
-    _after, _kind, eta = crossing(boundary, face, before)
+    _kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
     alpha = alpha_at(boundary, face, state[U], state[V])
     _value, density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, arrived, d, entering)
     return density
@@ -232,11 +236,11 @@ def connect_aimed(
         return
     fraction = looked / count * chance
     first = 0 if looked == count else int(uniform(stream) * count)
-    p = state[POSITION : POSITION + 3]
+    d, p = state[DIRECTION : DIRECTION + 3], state[POSITION : POSITION + 3]
     v, q, normal, kept = room[0:3], room[3:6], room[6:9], room[9:12]
     inside = counts[MASK]
     if event == SURFACE or event == ENTERING:
-        inside |= 1 << part_of(boundary, counts[FACE])
+        inside = counts[BEFORE] if met_from_behind(boundary, counts[FACE], d) else counts[BEHIND]
     for j in range(looked):
         i = (first + j * count // looked) % count
         w = incident[i]
@@ -247,14 +251,13 @@ def connect_aimed(
         sent, density = _sent_inside(boundary, media, state, counts, event, v)
         if sent <= 0.0:
             continue
-        face, t, before = reach(boundary, ray, p, v, counts[FACE], inside)
-        if face < 0 or not is_outermost(boundary, face, before) or not met_from_behind(boundary, face, v):
+        face, b1, b2, t, before, after = reach(boundary, ray, p, v, counts[FACE], inside)
+        if face < 0 or not is_outermost(boundary, before, after) or not met_from_behind(boundary, face, v):
             continue
-        b1, b2 = np.float64(ray[15]), np.float64(ray[16])
         normal_at(boundary, face, b1, b2, normal)
         for k in range(3):
             q[k] = p[k] + t * v[k]
-        through = _received(boundary, face, before, normal, b1, b2, q, v, w, ray)
+        through = _received(boundary, face, before, after, normal, b1, b2, q, v, w, ray)
         if through <= 0.0:
             continue
         for c in range(3):
@@ -274,7 +277,7 @@ def _sent_inside(boundary: Any, media: Any, state: Any, counts: Any, event: Any,
     g = boundary.faces[face]
     if v[0] * g[0] + v[1] * g[1] + v[2] * g[2] >= 0.0:
         return 0.0, 0.0
-    _after, _kind, eta = crossing(boundary, face, counts[MASK])
+    _kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
     alpha = alpha_at(boundary, face, state[U], state[V])
     return sent_through(
         boundary,

@@ -15,11 +15,11 @@ from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.embree import new_ray
 from prt_bake.trainer.interface import MATCHED, ROUGH
 from prt_bake.trainer.walk import (
+    BEFORE,
+    BEHIND,
     COUNTS_SIZE,
     DIRECTION,
-    FACE,
     LOST,
-    MASK,
     SCATTERED,
     SCATTERING,
     SKY,
@@ -99,7 +99,7 @@ def _receive_rough(
     """Take the event at a dielectric boundary in an object that is rough outside, with all that it receives; False
     where the walk ends.
     """
-    outermost = entering or is_outermost(boundary, counts[FACE], counts[MASK])
+    outermost = entering or is_outermost(boundary, counts[BEFORE], counts[BEHIND])
     if outermost:
         if not entering:
             connect_at_surface(boundary, state, counts, towards, share, aims, ray, room, received)

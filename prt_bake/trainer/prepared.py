@@ -23,6 +23,7 @@ from prt_bake.trainer.boundary import (
     PART,
     PART_SIZE,
     REFLECTANCE,
+    SAME_INDEX,
     SMOOTHEST,
     WIDTH,
     Boundary,
@@ -106,7 +107,7 @@ def interface_kind(scene: Scene) -> int:
 
 
 def _kind(part: Part, outside: float) -> int:
-    if part.eta == outside:
+    if abs(part.eta / outside - 1.0) < SAME_INDEX:
         return MATCHED
     return ROUGH if _mean_alpha(part) >= SMOOTHEST else SMOOTH
 

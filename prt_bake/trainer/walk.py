@@ -19,12 +19,13 @@ from prt_bake.trainer.boundary import (
     OPAQUE,
     PASS,
     alpha_at,
-    crossed_here,
     crossing,
     facing_normal,
     mask_before,
+    meet,
     next_face,
     normal_at,
+    part_of,
     place_on,
     reflectance_at,
     room_about,
@@ -40,8 +41,9 @@ SCATTERING, SURFACE, SKY, REFLECTING = 0, 1, 2, 3
 POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN, ORIGIN, ARRIVED = 0, 3, 6, 9, 12, 13, 16, 17, 18, 21
 U, V, LOOKED = 24, 25, 26
 STATE_SIZE = 32
-FACE, MASK, EVENTS, SCATTERED, FORMER, ORIGIN_FACE = 0, 1, 2, 3, 4, 5
+FACE, MASK, EVENTS, SCATTERED, BEFORE, BEHIND, ORIGIN_FACE = 0, 1, 2, 3, 4, 5, 6
 COUNTS_SIZE = 8
+"""The walker's mask, and where it has come to a face those before and behind it."""
 AHEAD = -1.0
 """In state[PHASE]: what the next arrival at the object's boundary receives is counted already."""
 _LOOK_OUT_EVERY = 8
@@ -89,22 +91,21 @@ def begin(
     state[LOST], state[PHASE], state[U], state[V] = 0.0, 0.0, u, v
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
     counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, held, 0, 0
-    counts[FORMER], counts[ORIGIN_FACE] = 0, -1
+    counts[BEFORE], counts[BEHIND], counts[ORIGIN_FACE] = held, held | 1 << part_of(boundary, face), -1
 
 
 @walk_function()
 def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     """Let a walk in: the transmission inwards is its first weight. False where it ends there."""
-    after, kind, _eta = crossing(boundary, counts[FACE], counts[MASK])
-    if kind == DIFFUSE:
-        # A diffuse part that ends at the very surface is met next, at distance 0.
-        counts[MASK] = 0
-        after, kind, _eta = crossing(boundary, counts[FACE], counts[MASK])
+    kind, _eta = crossing(boundary, counts[FACE], counts[BEFORE], counts[BEHIND])
     enters = True
     if kind == MATCHED:
-        counts[MASK] = after
+        counts[MASK] = counts[BEHIND]
         for k in range(3):
             state[ARRIVED + k] = state[DIRECTION + k]
+    elif kind == DIFFUSE:
+        # A diffuse part reaches the very surface: nothing of the object lies before it.
+        enters = False
     else:
         enters = cross(boundary, state, counts, True, stream)
     state[BEGUN] = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
@@ -129,11 +130,12 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         else:
             flight, face = _fly(boundary, media, region, state, counts, ray, stream)
         if face >= 0:
-            before = mask_before(boundary, face, state[DIRECTION : DIRECTION + 3], counts[MASK])
+            d = state[DIRECTION : DIRECTION + 3]
+            face, u, v, before, after = meet(boundary, ray, p, d, flight, face, counts[MASK])
             if boundary.region_of_mask[before] != region:
                 counts[MASK] = before
                 continue
-            kind = _arrive(boundary, state, counts, ray, face, before, flight)
+            kind = _arrive(boundary, state, counts, face, u, v, before, after)
             if kind == OPAQUE:
                 for c in range(3):
                     state[THROUGHPUT + c] = 0.0
@@ -150,7 +152,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         d = state[DIRECTION : DIRECTION + 3]
         for k in range(3):
             p[k] += flight * d[k]
-        counts[FACE], counts[FORMER] = -1, 0
+        counts[FACE] = -1
         counts[EVENTS] += 1
         counts[SCATTERED] += 1
         multiply_albedo(media, region, p, state[THROUGHPUT : THROUGHPUT + 3])
@@ -160,16 +162,8 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
 @walk_function(inline="always")
 def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     """(Distance, face) of the next face through what is clear; (inf, −1) for the sky."""
-    face, t = next_face(
-        boundary,
-        ray,
-        state[POSITION : POSITION + 3],
-        state[DIRECTION : DIRECTION + 3],
-        0.0,
-        np.inf,
-        counts[FACE],
-        counts[FORMER],
-    )
+    p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
+    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
     return t, face
 
 
@@ -185,7 +179,7 @@ def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: A
     far = flight
     if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
         far = np.inf
-    face, t = next_face(boundary, ray, p, d, 0.0, far, counts[FACE], counts[FORMER])
+    face, t = next_face(boundary, ray, p, d, 0.0, far, counts[FACE])
     if face < 0:
         return (np.inf if far == np.inf else flight), -1
     if t <= flight or boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
@@ -198,7 +192,7 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
     """The same where extinction differs between channels: what reaches a face is weighted too, so it is found first."""
     p = state[POSITION : POSITION + 3]
     d = state[DIRECTION : DIRECTION + 3]
-    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE], counts[FORMER])
+    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
     if face < 0:
         return np.inf, -1
     if boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
@@ -210,19 +204,17 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
 
 
 @walk_function(inline="always")
-def _arrive(boundary: Any, state: Any, counts: Any, ray: Any, face: Any, before: Any, flight: Any) -> Any:
-    """Set the walk on the face that `ray` has met, by barycentric coordinates (more exact than p + t d), and through it
+def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, before: Any, after: Any) -> Any:
+    """Set the walk on a face that it has met, by barycentric coordinates (more exact than p + t d), and through it
     where nothing stands there. Returns the kind of interface, negative where the walk has passed.
     """
-    u, v = np.float64(ray[15]), np.float64(ray[16])
     place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
-    after, kind, _eta = crossing(boundary, face, before)
-    counts[FORMER] = crossed_here(boundary, counts[FACE], counts[FORMER], flight)
+    kind, _eta = crossing(boundary, face, before, after)
     counts[FACE] = face
     if kind == PASS or kind == MATCHED:
         counts[MASK] = after
         return PASS
-    counts[MASK] = before
+    counts[MASK], counts[BEFORE], counts[BEHIND] = before, before, after
     state[U], state[V] = u, v
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
     if kind == DIFFUSE:
@@ -244,7 +236,7 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     counts[EVENTS] += 1
     state[PHASE] = 0.0
     face = counts[FACE]
-    after, kind, eta = crossing(boundary, face, counts[MASK])
+    kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
     if kind == ROUGH:
         counts[SCATTERED] += 1
     nx, ny, nz = facing_normal(boundary, face, state[NORMAL : NORMAL + 3], d)
@@ -261,13 +253,12 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     x, y, z = ox * sx + oy * tx + oz * nx, ox * sy + oy * ty + oz * ny, ox * sz + oy * tz + oz * nz
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     d[0], d[1], d[2] = x * scale, y * scale, z * scale
-    counts[FORMER] = 0
     behind = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
     crossed = oz < 0.0
     if (before * behind > 0.0) != crossed:
         return False
     if crossed:
-        counts[MASK] = after
+        counts[MASK] = counts[BEHIND]
     for c in range(3):
         state[THROUGHPUT + c] *= weight
     return True
@@ -281,7 +272,7 @@ def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> No
     state[PHASE] = density
     for k in range(3):
         state[ORIGIN + k] = state[POSITION + k]
-    counts[ORIGIN_FACE], counts[FORMER] = counts[FACE], 0
+    counts[ORIGIN_FACE] = counts[FACE]
 
 
 @walk_function()

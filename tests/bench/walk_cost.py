@@ -1,4 +1,4 @@
-"""What a query costs on one thread as matter grows thick, and as it grows uneven: seconds, and efficiency beside the first row's.
+"""What a query costs on one thread as matter grows thick or uneven: seconds, and efficiency beside the first row's.
 
     PYTHONPATH=tests python tests/bench/walk_cost.py [--queries 5]
 
