@@ -21,6 +21,10 @@ class SceneError(FormatError):
     """A scene file with an unknown key, a value out of range, or a mesh or grid that does not fit."""
 
 
+class LightError(FormatError):
+    """A light that is none: an unknown key, a direction without length, a negative irradiance."""
+
+
 class AssetError(FormatError):
     """An asset that is truncated, of another version, or at odds with itself."""
 

@@ -1,4 +1,5 @@
-"""OpenEXR: linear radiance, written as float32; any layer that holds RGB or luminance is read.
+"""OpenEXR: linear radiance, written as float32; any layer that holds RGB or luminance is read, and layers
+beside the picture (its standard error, its coverage) are kept apart from it.
 
 Format: https://openexr.com/en/latest/OpenEXRFileLayout.html, through the official `OpenEXR` binding.
 """
@@ -9,12 +10,29 @@ import io
 import os
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """A picture and what its file holds beside it.
+
+    Attributes:
+        image: the colour that `read_exr` reads, [H,W,3].
+        layers: the other layers by name: [H,W,3] where R, G and B are there (`error`), [H,W] where Y is (`coverage`);
+            any other channel under its whole name, [H,W].
+        attributes: the header's texts by name, those of the picture's own part.
+    """
+
+    image: NDArray[np.float32]
+    layers: Mapping[str, NDArray[np.float32]]
+    attributes: Mapping[str, str]
 
 
 def read_exr(path: str | os.PathLike[str]) -> NDArray[np.float32]:
@@ -25,6 +43,32 @@ def read_exr(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     Raises:
         ImageError: no OpenEXR, truncated, or without colour.
     """
+    header, channels, names = _read_colour_part(path)
+    return _framed(_stacked(channels, names), header)
+
+
+def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
+    """Read an OpenEXR picture with the layers and texts that its part holds beside the colour; raises as
+    `read_exr`.
+    """
+    header, channels, names = _read_colour_part(path)
+    rest = {name: pixels for name, pixels in channels.items() if name not in names}
+    layers = {}
+    for prefix in {name.rpartition(".")[0] for name in rest} - {""}:
+        if all(f"{prefix}.{letter}" in rest for letter in "RGB"):
+            colour = _stacked(rest, (f"{prefix}.R", f"{prefix}.G", f"{prefix}.B"))
+            layers[prefix] = _framed(colour, header)
+            rest = {name: pixels for name, pixels in rest.items() if name not in {f"{prefix}.{c}" for c in "RGB"}}
+    for name in rest:
+        layers[name.removesuffix(".Y")] = _framed(_stacked(rest, (name,)), header)[..., 0]
+    image = _framed(_stacked(channels, names), header)
+    return Layers(image, layers, {name: text for name, text in header.items() if isinstance(text, str)})
+
+
+def _read_colour_part(
+    path: str | os.PathLike[str],
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]], tuple[str, str, str]]:
+    """Header, channels and names of the three colour channels of the first part that has colour."""
     import OpenEXR
 
     with open(path, "rb") as file:
@@ -42,24 +86,39 @@ def read_exr(path: str | os.PathLike[str]) -> NDArray[np.float32]:
         raise ImageError(f"{path}: the OpenEXR picture is truncated or damaged")
     for header, channels in parts:
         if names := _colour(channels):
-            return _framed(np.stack([channels[name] for name in names], axis=2).astype(np.float32), header)
+            return header, channels, names
     found = ", ".join(sorted(name for _, channels in parts for name in channels))
     raise ImageError(f"{path}: has no colour: expected channels R, G, B or Y, found {found or 'none'}")
 
 
-def write_exr(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
-    """Write [H,W,3] as float32 scan lines, ZIP compressed; raises OSError if the disk does not take it."""
+def write_exr(
+    path: str | os.PathLike[str],
+    image: NDArray[np.floating],
+    layers: Mapping[str, NDArray[np.floating]] | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Write [H,W,3] as float32 scan lines, ZIP compressed; raises OSError if the disk does not take it.
+
+    layers: beside R, G, B: an array [H,W,3] named `error` becomes error.R, error.G, error.B, an array [H,W] named
+    `coverage` becomes coverage.Y. attributes: texts for the header.
+    """
     import OpenEXR
 
-    # OpenEXR writes wrong pixels without a word if the array is not contiguous, and alters the header it is given.
-    pixels = np.ascontiguousarray(image, np.float32)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    # OpenEXR writes wrong pixels without a word if an array is not contiguous, and alters the header it is given.
+    channels = {"RGB": np.ascontiguousarray(image, np.float32)}
+    for name, pixels in (layers or {}).items():
+        channels[name if np.ndim(pixels) == 3 else f"{name}.Y"] = np.ascontiguousarray(pixels, np.float32)
+    header = {**(attributes or {}), "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     try:
         with _silenced():
-            OpenEXR.File(header, {"RGB": pixels}).write(os.fspath(path))
+            OpenEXR.File(header, channels).write(os.fspath(path))
     except RuntimeError as cause:
         code = errno.ENOSPC if "No space left" in str(cause) else errno.EIO
         raise OSError(code, str(cause)) from cause
+
+
+def _stacked(channels: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[np.float32]:
+    return np.stack([channels[name] for name in names], axis=2).astype(np.float32)
 
 
 def _colour(channels: Mapping[str, NDArray[Any]]) -> tuple[str, str, str] | None:
@@ -81,7 +140,7 @@ def _framed(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[n
     height, width = pixels.shape[:2]
     if (x, y) == (left, top) and (height, width) == (bottom - top + 1, right - left + 1):
         return pixels
-    framed = np.zeros((bottom - top + 1, right - left + 1, 3), np.float32)
+    framed = np.zeros((bottom - top + 1, right - left + 1, pixels.shape[2]), np.float32)
     rows = slice(max(y, top), min(y + height, bottom + 1))
     columns = slice(max(x, left), min(x + width, right + 1))
     framed[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[

@@ -1,14 +1,14 @@
 """Images by their suffix: `.exr`, `.hdr`, `.png` and `.jpg`, always linear, Rec.709 primaries, RGB, row 0 on top."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError
-from formats.exr import read_exr, write_exr
+from formats.exr import Layers, read_exr, read_exr_layers, write_exr
 from formats.png import read_jpeg, read_png, read_png_levels, write_png
 from formats.rgbe import read_rgbe, write_rgbe
 from formats.whole import existing, replacing
@@ -34,6 +34,17 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     return _READERS[suffix](existing(path))
 
 
+def read_layers(path: str | os.PathLike[str]) -> Layers:
+    """Read an image with the layers beside it and the texts of its header; only `.exr` has any.
+
+    A picture of `prtbake render` has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the object's share of
+    the pixel. Raises as `read_image`.
+    """
+    if _suffix(path, "read", tuple(_READERS)) == ".exr":
+        return read_exr_layers(existing(path))
+    return Layers(read_image(path), {}, {})
+
+
 def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Read the first channel of an image as plain numbers, float64 [H,W], row 0 on top.
 
@@ -47,26 +58,39 @@ def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     return read_image(path)[..., 0].astype(np.float64)
 
 
-def write_image(path: str | os.PathLike[str], image: NDArray[np.floating], *, exposure: float = 0.0) -> None:
+def write_image(
+    path: str | os.PathLike[str],
+    image: NDArray[np.floating],
+    *,
+    exposure: float = 0.0,
+    layers: Mapping[str, NDArray[np.floating]] | None = None,
+    attributes: Mapping[str, str] | None = None,
+) -> None:
     """Write a linear image [H,W,3], whole or not at all.
 
     `.exr` (float32) and `.hdr` (RGBE) keep radiance and ignore `exposure`; `.png` is multiplied by 2^exposure, clipped
-    to [0,1] and encoded as sRGB.
+    to [0,1] and encoded as sRGB. layers ([H,W,3] or [H,W] by name) and attributes (texts) go beside the colour of an
+    `.exr`, where `read_layers` finds them; other kinds of file have no place for them and leave them out.
 
     Raises:
-        ImageError: another suffix, another shape, pixels that the kind of file cannot hold (NaN in `.png` and `.hdr`).
+        ImageError: another suffix, another shape, a layer of another size, pixels that the kind of file cannot hold
+            (NaN in `.png` and `.hdr`).
         StorageError: the disk is full or not writable.
     """
     suffix = _suffix(path, "written", _WRITTEN)
     shape = np.shape(image)
     if len(shape) != 3 or shape[2] != 3 or 0 in shape:
         raise ImageError(f"{path}: expected an image of shape [H,W,3], found {list(shape)}")
+    for name, pixels in (layers or {}).items():
+        if np.shape(pixels) not in (shape, shape[:2]):
+            expected = f"{list(shape)} or {list(shape[:2])}"
+            raise ImageError(f"{path}: layer {name}: expected {expected}, found {list(np.shape(pixels))}")
     if suffix == ".png" and np.isnan(image).any():
         row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
         raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to look at them")
     with replacing(path) as part:
         if suffix == ".exr":
-            write_exr(part, image)
+            write_exr(part, image, layers, attributes)
         elif suffix == ".hdr":
             write_rgbe(part, image)
         else:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from formats.asset import Asset, read_asset, write_asset
     from formats.errors import PrtbakeError
-    from formats.image import read_image, write_image
+    from formats.image import read_image, read_layers, write_image
     from formats.mesh import Mesh, read_mesh, write_mesh
     from formats.scene import Scene
     from formats.scene import read_scene as load_scene
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from prt_bake.comparison import compare
     from prt_bake.environment import project as project_environment
     from prt_bake.environment import read_environment
+    from prt_bake.lighting import Lighting, read_lighting
     from prt_bake.mitsuba_export import mitsuba_dictionary
     from prt_bake.network import NeuralBSSRDF, load_model, save_model
     from prt_bake.rendering import render_scene
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Asset",
+    "Lighting",
     "Mesh",
     "NeuralBSSRDF",
     "PrtbakeError",
@@ -44,6 +46,8 @@ __all__ = [
     "read_asset",
     "read_environment",
     "read_image",
+    "read_layers",
+    "read_lighting",
     "read_mesh",
     "render_scene",
     "save_model",
@@ -59,6 +63,7 @@ __all__ = [
 # Public name → module, and the name within it; an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),
+    "Lighting": ("prt_bake.lighting", "Lighting"),
     "Mesh": ("formats.mesh", "Mesh"),
     "NeuralBSSRDF": ("prt_bake.network", "NeuralBSSRDF"),
     "PrtbakeError": ("formats.errors", "PrtbakeError"),
@@ -74,6 +79,8 @@ _ORIGIN = {
     "read_asset": ("formats.asset", "read_asset"),
     "read_environment": ("prt_bake.environment", "read_environment"),
     "read_image": ("formats.image", "read_image"),
+    "read_layers": ("formats.image", "read_layers"),
+    "read_lighting": ("prt_bake.lighting", "read_lighting"),
     "read_mesh": ("formats.mesh", "read_mesh"),
     "render_scene": ("prt_bake.rendering", "render_scene"),
     "save_model": ("prt_bake.network", "save_model"),

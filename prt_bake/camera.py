@@ -91,15 +91,15 @@ def fit(
 def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
     """Unit directions [R,W,S,3] of rays through the pixels of some rows, from the eye.
 
-    offsets [S,2] say where in each pixel, in [0,1)²: x to the right, y down.
+    offsets [S,2], or [R,W,S,2] of each pixel's own, say where in a pixel, in [0,1)²: x to the right, y down.
     """
     forward = camera.target - camera.eye
     forward = forward / np.linalg.norm(forward)
     right, above = _across(forward, camera.up)
     half = np.tan(np.radians(camera.fov) / 2.0)
-    y = 1.0 - 2.0 * (np.arange(camera.height)[rows, None] + offsets[:, 1]) / camera.height
-    x = (2.0 * (np.arange(camera.width)[:, None] + offsets[:, 0]) / camera.width - 1.0) * camera.width / camera.height
-    rays = forward + half * (x[None, :, :, None] * right + y[:, None, :, None] * above)
+    y = 1.0 - 2.0 * (np.arange(camera.height)[rows, None, None] + offsets[..., 1]) / camera.height
+    x = (2.0 * (np.arange(camera.width)[:, None] + offsets[..., 0]) / camera.width - 1.0) * camera.width / camera.height
+    rays = forward + half * (x[..., None] * right + y[..., None] * above)
     return np.asarray(rays / np.sqrt(np.einsum("rwsi,rwsi->rws", rays, rays))[..., None])
 
 

@@ -97,9 +97,13 @@ def lookup(image: ArrayLike, directions: ArrayLike, up: str = "y") -> NDArray[np
     Columns wrap around; above the centres of the first row and below those of the last the value stays. Raises
     ImageError if the shape is not [H, W, 3], QueryError if `up` is neither "y" nor "z".
     """
-    pixels = _picture(image)
+    return radiance_at(_picture(image), *pixel_of(directions, up))
+
+
+def radiance_at(image: ArrayLike, u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [..., C] of the picture `image` [H, W, C] at places (u, v) [...], bilinear as `lookup` says."""
+    pixels = np.asarray(image)
     height, width = pixels.shape[:2]
-    u, v = pixel_of(directions, up)
     row = np.clip(v * height - 0.5, 0, height - 1)
     top = np.floor(row).astype(np.int64)
     bottom = np.minimum(top + 1, height - 1)

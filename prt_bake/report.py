@@ -12,6 +12,7 @@ from formats.asset import Asset
 from formats.errors import PrtbakeError
 from formats.image import write_image
 from formats.whole import replacing
+from prt_bake.render_state import relative_noise
 
 if TYPE_CHECKING:
     from prt_bake.camera import Camera
@@ -41,13 +42,15 @@ def rendering_report(
     image: NDArray[np.float32],
     standard_error: NDArray[np.float32],
     coverage: NDArray[np.float32],
+    history: NDArray[np.float64],
 ) -> dict[str, Any]:
     """From where a path-traced picture [H,W,3] was seen and how noisy it is, as plain JSON values.
 
     The noise is over the pixels that the object covers wholly: `noise_mse` the mean squared standard error of radiance,
-    `relative_noise` its root over the root mean square of the radiance.
+    `relative_noise` its root over the mean of the radiance, `error_vs_time` how that fell: the rows of `history`
+    [rows,3].
     """
-    noise, radiance = (np.asarray(part[coverage >= 1.0], np.float64) for part in (standard_error, image))
+    noise = np.asarray(standard_error[coverage >= 1.0], np.float64)
     return {
         "width": camera.width,
         "height": camera.height,
@@ -56,7 +59,8 @@ def rendering_report(
         "up": camera.up.tolist(),
         "fov": camera.fov,
         "noise_mse": float(np.mean(noise**2)) if noise.size else 0.0,
-        "relative_noise": float(np.linalg.norm(noise) / np.linalg.norm(radiance)) if radiance.any() else 0.0,
+        "relative_noise": relative_noise(image, standard_error, coverage),
+        "error_vs_time": {"columns": ["seconds", "walks", "relative noise"], "rows": history.tolist()},
     }
 
 

@@ -72,7 +72,7 @@ def into_cap(
     lots: int = 24,
     directions: int = 16,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """∫ Ŝ dωi [3] over a cap by connections, its error, and the same from the exits that fall into it, and its error."""
+    """∫ Ŝ dωi [3] over a cap by connections, its error, and the same from the exits that fall into it, with theirs."""
     incident = cap(axis, degrees, lots * directions, 3).reshape(lots, directions, 3)
     seen = estimate_transport(scene, np.tile(position, (lots, 1)), np.tile(outgoing, (lots, 1)), incident, paths, 2)
     solid_angle = 2.0 * np.pi * (1.0 - np.cos(np.radians(degrees)))

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as npst
 from PIL import Image
 
 from formats.errors import ImageError
-from formats.image import read_image, read_levels, write_image
+from formats.image import read_image, read_layers, read_levels, write_image
 from formats.png import to_linear, to_srgb
 
 HEADER = b"#?RADIANCE\n# by hand\nFORMAT=32-bit_rle_rgbe\n\n"
@@ -122,6 +122,49 @@ def test_openexr_layers_grey_and_alpha(tmp_path):
     write_channels(path, {"depth.Z": image[..., 0]})
     with pytest.raises(ImageError, match=r"found depth\.Z"):
         read_image(path)
+
+
+def test_layers_stand_beside_the_picture_and_plain_readers_see_none(tmp_path):
+    import cv2
+
+    image, path = noise(6, 8), tmp_path / "a.exr"
+    error, coverage = image[::-1] * 0.1, image[..., 0] / 9
+    write_image(path, image, layers={"error": error, "coverage": coverage}, attributes={"prtbake.spp": "64"})
+    np.testing.assert_array_equal(read_image(path), image)
+    read = read_layers(path)
+    np.testing.assert_array_equal(read.image, image)
+    assert read.layers.keys() == {"error", "coverage"}
+    np.testing.assert_array_equal(read.layers["error"], error.astype(np.float32))
+    np.testing.assert_array_equal(read.layers["coverage"], coverage)
+    assert read.attributes == {"prtbake.spp": "64"}
+    assert channel_names(path) == {"R", "G", "B", "error.R", "error.G", "error.B", "coverage.Y"}
+    write_image(tmp_path / "a.hdr", image, layers={"error": error}, attributes={"prtbake.spp": "64"})
+    np.testing.assert_array_equal(
+        cv2.imread(str(tmp_path / "a.hdr"), cv2.IMREAD_UNCHANGED)[..., ::-1], read_layers(tmp_path / "a.hdr").image
+    )
+    assert read_layers(tmp_path / "a.hdr").layers == {}
+
+
+def test_foreign_layers_are_read_under_their_own_names(tmp_path):
+    image, path = noise(4, 5), tmp_path / "a.exr"
+    write_channels(path, {"diffuse": image, "depth.Z": image[..., 0], "A": image[..., 1]})
+    read = read_layers(path)
+    np.testing.assert_array_equal(read.image, image)
+    assert read.layers.keys() == {"depth.Z", "A"}
+    np.testing.assert_array_equal(read.layers["depth.Z"], image[..., 0])
+
+
+def test_a_layer_of_another_size_is_refused(tmp_path):
+    with pytest.raises(ImageError, match=r"layer coverage: expected \[6, 8, 3\] or \[6, 8\]"):
+        write_image(tmp_path / "a.exr", noise(6, 8), layers={"coverage": np.zeros((6, 7))})
+    assert list(tmp_path.iterdir()) == []
+
+
+def channel_names(path):
+    import OpenEXR
+
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        return set(file.channels())
 
 
 def test_openexr_parts_and_windows(tmp_path):

@@ -35,8 +35,8 @@ def aim_for(alpha: float, eta: float) -> Aim:
     """The aim for a GGX roughness and a relative index.
 
     The lobe is fitted to the least variance per path on a sphere (eta 1.1–1.5, alpha 0.1–0.5, sigma_t 5 and 15); the
-    looks to the most efficiency on a sphere and on a mesh with hollows, eta 1.3, alpha 0.03–0.6: the wider the lobe that
-    the interface refracts into, the less a look is worth its ray.
+    looks to the most efficiency on a sphere and on a mesh with hollows, eta 1.3, alpha 0.03–0.6: the wider the
+    interface refracts, the less a look is worth its ray.
     """
     bend = 0.7 * (1.0 - 1.0 / max(eta, 1.0 / eta))
     width = alpha * abs(1.0 - 1.0 / eta)

@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from prt_bake.trainer.clearance import NEAR_CELLS, REACH
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 
+_MOST_PLANES = 24
 PASS, DIFFUSE, OPAQUE = -1, 3, 4
 """What a crossing may be beside the kinds of dielectrics: nothing, a diffuse surface met, one met from within."""
 SAME_INDEX = 1e-9
@@ -51,6 +53,8 @@ class Boundary(NamedTuple):
     region_of_mask: NDArray[np.int64]
     clearance: NDArray[np.float32]
     """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
+    near: NDArray[np.int32]
+    """The faces near each cell of a grid (`prt_bake.trainer.clearance.near_faces`)."""
     nested: bool
     kind: int
     alpha: float
@@ -298,4 +302,25 @@ def room_about(boundary: Any, p: Any) -> Any:
     x, y, z = int((p[0] + 0.5) * n), int((p[1] + 0.5) * n), int((p[2] + 0.5) * n)
     if x < 0 or y < 0 or z < 0 or x >= n or y >= n or z >= n:
         return 0.0
-    return np.float64(boundary.clearance[z, y, x])
+    room = np.float64(boundary.clearance[z, y, x])
+    if room > 0.0 or boundary.near.shape[0] == 0:
+        return room
+    return _room_before_planes(boundary, p)
+
+
+@walk_function()
+def _room_before_planes(boundary: Any, p: Any) -> Any:
+    """The same near the surface: the distance to the planes of the faces that come near."""
+    n = NEAR_CELLS
+    cell = (int((p[2] + 0.5) * n) * n + int((p[1] + 0.5) * n)) * n + int((p[0] + 0.5) * n)
+    first, last = boundary.near[cell], boundary.near[cell + 1]
+    if last == first or last - first > _MOST_PLANES:
+        return 0.0
+    room = REACH / n
+    for i in range(first, last):
+        row = boundary.faces[boundary.near[i]]
+        x, y, z = p[0] - row[CORNERS], p[1] - row[CORNERS + 1], p[2] - row[CORNERS + 2]
+        height = x * row[0] + y * row[1] + z * row[2]
+        # In front of a plane nothing is known of the side that the place is on.
+        room = min(room, max(0.0, -height))
+    return room

@@ -13,7 +13,12 @@ _FEWEST_FREE_PATHS = 2.0
 """In objects thinner than this, in mean free paths, flights seldom end where there is any clearance."""
 _THICK = 120.0
 _COARSE, _FINE = 48, 128
+_THICK_NEAR = 20.0
+_MOST_ENTRIES = 30_000_000
 _ON_PLANE = 1e-6
+NEAR_CELLS = 64
+REACH = 0.5
+"""In sides of a cell of NEAR_CELLS."""
 
 
 def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> NDArray[np.float32]:
@@ -34,6 +39,40 @@ def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> 
     # known at samples, which miss the nearest point by less than a quarter of a cell.
     bound = (distance - np.sqrt(3.0) - 0.5) / n
     return np.ascontiguousarray(np.maximum(bound, 0.0), np.float32)
+
+
+def near_faces(positions: Array, faces: NDArray[np.int64], depth: float) -> NDArray[np.int32]:
+    """Which faces come near each cell: n³ + 1 places, then the faces of one cell after those of another.
+
+    A face that a cell does not name is at least REACH of a cell's side away from all of it. Planes of the faces named
+    give a bound for places close to the surface, where the grid of clearances knows nothing. n is NEAR_CELLS, or the
+    table empty where the object is thin.
+    """
+    n = NEAR_CELLS
+    if depth < _THICK_NEAR:
+        return np.zeros(0, np.int32)
+    corners = positions[faces]
+    low = np.clip(np.floor((corners.min(axis=1) + 0.5) * n - REACH), 0, n - 1).astype(np.int64)
+    high = np.clip(np.floor((corners.max(axis=1) + 0.5) * n + REACH), 0, n - 1).astype(np.int64)
+    spans = high - low + 1
+    count = spans.prod(axis=1)
+    if count.sum() > _MOST_ENTRIES:
+        return np.zeros(0, np.int32)
+    face = np.repeat(np.arange(len(faces)), count)
+    nth = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    x = low[face, 0] + nth % spans[face, 0]
+    y = low[face, 1] + nth // spans[face, 0] % spans[face, 1]
+    z = low[face, 2] + nth // (spans[face, 0] * spans[face, 1])
+    cell = (z * n + y) * n + x
+    centre = (np.stack([x, y, z], axis=1) + 0.5) / n - 0.5
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    away = np.abs(np.einsum("ni,ni->n", centre - corners[face, 0], normals[face]))
+    near = away <= (0.5 * np.sqrt(3.0) + REACH) / n
+    face, cell = face[near], cell[near]
+    order = np.argsort(cell, kind="stable")
+    starts = np.searchsorted(cell[order], np.arange(n**3 + 1)) + n**3 + 1
+    return np.concatenate([starts, face[order]]).astype(np.int32)
 
 
 def open_faces(rows: Array, positions: Array) -> NDArray[np.bool_]:

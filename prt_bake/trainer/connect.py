@@ -42,8 +42,8 @@ from prt_bake.trainer.walk import (
     region_of,
 )
 
-_ALWAYS_LOOKED = 2.0
-"""Events at less than this many mean free paths from any face always look at the light."""
+_ALWAYS_LOOKED = 1.0
+"""Events at less than so many mean free paths from any face always look at the light."""
 
 
 @walk_function(inline="always")

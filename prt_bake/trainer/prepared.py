@@ -28,7 +28,7 @@ from prt_bake.trainer.boundary import (
     WIDTH,
     Boundary,
 )
-from prt_bake.trainer.clearance import clearance_grid, open_faces
+from prt_bake.trainer.clearance import clearance_grid, near_faces, open_faces
 from prt_bake.trainer.embree import TriangleScene, intersect_address
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 from prt_bake.trainer.media import MAJORANT
@@ -69,6 +69,7 @@ class PreparedScene:
         self.positions = positions32.astype(np.float64)
         self.faces = np.ascontiguousarray(faces)
         own = self.positions[: first[1]]
+        thickness = float(self.medium.regions[:, MAJORANT].max())
         return Boundary(
             intersect=intersect_address(),
             scene=self._tree.handle,
@@ -76,7 +77,8 @@ class PreparedScene:
             etas=np.array([1.0] + [float(part.eta) for part in parts]),
             handles=np.stack([[tree.handle for tree in self._trees], _first_faces(parts)], axis=1).astype(np.int64),
             region_of_mask=_regions(parts),
-            clearance=clearance_grid(self.positions, self.faces, float(self.medium.regions[:, MAJORANT].max())),
+            clearance=clearance_grid(self.positions, self.faces, thickness),
+            near=near_faces(self.positions, self.faces, thickness),
             nested=len(parts) > 1,
             kind=self.kind,
             alpha=_mean_alpha(parts[0]),

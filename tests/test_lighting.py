@@ -1,0 +1,165 @@
+"""Lights apart from any object: what is drawn from them is what is looked up in them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sampling import assert_mean_is
+
+from formats.errors import ImageError, LightError, QueryError
+from formats.image import write_image
+from formats.lights import DirectionalLight
+from prt_bake import environment
+from prt_bake.emitters import BrightSky, Disc, plan_light, split_sky
+from prt_bake.lighting import Lighting, Sky, in_disc, radiance, read_lighting, solid_angle
+from prt_bake.randomness import uniforms
+from prt_bake.trainer.lit import Connections
+
+WORTH = Connections(variance=0.8, cost=1.5)
+
+
+def sun(direction=(0.0, 0.6, 0.8), irradiance=(3.0, 2.0, 1.0), diameter=0.0) -> DirectionalLight:
+    return DirectionalLight(np.array(direction), np.array(irradiance), diameter)
+
+
+def sky(height: int, width: int, up: str = "y", degrees: float = 30.0, seed: int = 1) -> Sky:
+    image = np.random.default_rng(seed).random((height, width, 3)).astype(np.float32) ** 4
+    image[::2, 1::3] = 0.0
+    return Sky(image, up, environment.rotation(degrees, up))
+
+
+def places(light: Sky) -> tuple[np.ndarray, np.ndarray]:
+    """The midpoints of a fine grid over the sphere: directions [N,3], and radiance times solid angle [N,3]."""
+    v, u = np.meshgrid((np.arange(300) + 0.5) / 300, (np.arange(600) + 0.5) / 600, indexing="ij")
+    directions = environment.direction_of(u.ravel(), v.ravel(), light.up) @ light.turn.T
+    measure = 2 * math.pi**2 * np.sin(math.pi * v.ravel()) / v.size
+    return directions, light.radiance(directions) * measure[:, None]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (2, 3), (7, 6)])
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_draws_from_a_sky_weigh_what_the_sky_looks_like(shape: tuple[int, int], up: str) -> None:
+    light = sky(*shape, up)
+    light.image[0, 0] = [1.0, 3.0, 0.5]
+    directions, weights = BrightSky(light).draw(uniforms((7, np.arange(100_000)), 3))
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
+    grid, energy = places(light)
+    bump = np.array([0.48, -0.6, 0.64])
+    for value in (lambda d: 1.0 + d[:, 0], lambda d: d[:, 1] * d[:, 2], lambda d: np.exp(6 * (d @ bump - 1))):
+        for channel in range(3):
+            assert_mean_is(weights[:, channel] * value(directions), (energy[:, channel] * value(grid)).sum())
+
+
+def test_weights_of_a_lone_pixel_hardly_vary() -> None:
+    light = Sky(np.zeros((64, 128, 3), np.float32), "y", np.eye(3))
+    light.image[20, 0] = 1e5
+    directions, weights = BrightSky(light).draw(uniforms((8, np.arange(20_000)), 3))
+    assert weights.std() < 0.03 * weights.mean()
+    assert (light.radiance(directions) > 0).all()
+    columns = environment.pixel_of(directions)[0] * 128
+    assert ((columns < 1.5) | (columns > 127.5)).all()
+
+
+def test_a_split_sky_is_the_sky() -> None:
+    light = sky(16, 32)
+    light.image[5, 7] = 1e5
+    bright, rest = split_sky(light, WORTH)
+    assert bright is not None
+    directions = np.random.default_rng(2).normal(size=(5000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    whole = light.radiance(directions)
+    np.testing.assert_allclose(bright.radiance(directions) + rest.radiance(directions), whole, rtol=1e-6, atol=1e-12)
+    assert min(bright.image.min(), rest.image.min()) >= 0
+    assert rest.image.mean(axis=2).max() < light.image.mean(axis=2).max() / 100
+    np.testing.assert_allclose(rest.image[5, 7], rest.image[5, 7, 0], rtol=1e-6)
+
+
+def test_skies_without_bright_places_are_left_whole() -> None:
+    for image in (np.ones((8, 16, 3)), np.zeros((8, 16, 3)), 1.0 + sky(8, 16).image):
+        light = Sky(image.astype(np.float32), "y", np.eye(3))
+        bright, rest = split_sky(light, Connections(variance=2.0, cost=4.0))
+        assert bright is None
+        assert rest is light
+
+
+def test_what_cannot_be_connected_to_is_left_to_the_walks() -> None:
+    light = sky(16, 32)
+    light.image[5, 7] = 1e5
+    lighting = Lighting((light,), (sun(diameter=1.0),))
+    plan = plan_light(lighting, None)
+    assert (plan.emitters, plan.skies, plan.suns) == ((), lighting.skies, lighting.suns)
+    plan = plan_light(lighting, WORTH)
+    assert [type(emitter) for emitter in plan.emitters] == [Disc, BrightSky]
+    assert plan.suns == ()
+
+
+@pytest.mark.parametrize("diameter", [0.0, 1e-5, 0.53, 40.0, 180.0])
+def test_a_disc_is_drawn_uniformly_to_its_edge(diameter: float) -> None:
+    light = sun(diameter=diameter)
+    directions, weights = Disc(light).draw(uniforms((9, np.arange(50_000)), 3))
+    np.testing.assert_array_equal(weights, np.broadcast_to([3.0, 2.0, 1.0], weights.shape))
+    apart = np.linalg.norm(directions - light.direction, axis=1)  # the chord, 2 sin(angle / 2)
+    chord = 2 * math.sin(math.radians(diameter) / 4)
+    assert apart.max() <= chord * (1 + 1e-9) + 1e-15
+    if diameter > 0:
+        # The solid angle within a chord c is π c²: uniform where c² is.
+        assert_mean_is((apart / chord) ** 2, 0.5)
+        assert in_disc(light, directions[apart < chord * (1 - 1e-9)]).all()
+        across = np.cross(light.direction, [1.0, 0.0, 0.0])
+        assert_mean_is(directions @ across / chord, 0.0)
+    else:
+        assert not in_disc(light, directions).any()
+
+
+def test_a_disc_has_the_radiance_of_its_irradiance_over_its_solid_angle() -> None:
+    light = sun(diameter=60.0)
+    d = np.random.default_rng(3).normal(size=(200_000, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    assert solid_angle(light) == pytest.approx(2 * math.pi * (1 - math.cos(math.radians(30))))
+    assert_mean_is(radiance((), (light,), d)[:, 0] * 4 * math.pi, 3.0)
+    inside = d @ light.direction > math.cos(math.radians(30))
+    np.testing.assert_array_equal(radiance((), (light,), d).any(axis=1), inside)
+
+
+def test_all_kinds_of_light_are_read_and_turned_together(tmp_path: Path) -> None:
+    image = sky(8, 16).image
+    write_image(tmp_path / "sky.exr", image)
+    (tmp_path / "lights.toml").write_text(
+        '[[sky]]\nfile = "sky.exr"\nrotate = 90\nexposure = 1\n[[directional]]\ndirection = [1, 0, 0]\n'
+    )
+    given = [tmp_path / "sky.exr", tmp_path / "lights.toml", "sun:0,0,1:2,2,2:3"]
+    lighting = read_lighting([str(light) for light in given], up="y", rotate=90.0)
+    assert (len(lighting.skies), len(lighting.suns)) == (2, 2)
+    np.testing.assert_allclose([light.direction for light in lighting.suns], [[0, 0, -1], [1, 0, 0]], atol=1e-15)
+    d = environment.direction_of([0.3, 0.55, 0.8], [0.2, 0.5, 0.9])
+    first = environment.lookup(image, d @ environment.rotation(90.0))
+    second = 2 * environment.lookup(image, d @ environment.rotation(180.0))
+    np.testing.assert_allclose(lighting.radiance(d), first + second, rtol=1e-6)
+
+
+def test_a_hash_tells_lightings_apart(tmp_path: Path) -> None:
+    light = sky(8, 16)
+    base = Lighting((light,), (sun(),))
+    others = [
+        Lighting((light,)),
+        Lighting((light,), (sun(diameter=1.0),)),
+        Lighting((light,), (sun(irradiance=(3.0, 2.0, 1.5)),)),
+        Lighting((light,), (sun(direction=(0.0, 0.8, 0.6)),)),
+        Lighting((sky(8, 16, seed=2),), (sun(),)),
+        base.turned(1.0, "y"),
+        Lighting((sky(8, 16, "z"),), (sun(),)),
+    ]
+    assert len({lighting.content_hash() for lighting in [base, *others]}) == 8
+    assert Lighting((sky(8, 16),), (sun(),)).content_hash() == base.content_hash()
+
+
+def test_what_is_no_light_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(QueryError, match="light: there is none"):
+        read_lighting([])
+    with pytest.raises(LightError, match="sun:0,0,0"):
+        read_lighting(["sun:0,0,0"])
+    write_image(tmp_path / "sky.exr", np.full((4, 8, 3), 1e30, np.float32))
+    (tmp_path / "a.toml").write_text('[[sky]]\nfile = "sky.exr"\nexposure = 60\n')
+    with pytest.raises(ImageError, match=r"sky\.exr"):
+        read_lighting([tmp_path / "a.toml"])

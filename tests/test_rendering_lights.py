@@ -1,0 +1,148 @@
+"""Pictures under suns: directional lights, and skies with one pixel that outshines all others."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pictures import front, make_scene, mean_z, uneven_sky, z_score
+from scenes import lumpy, queries, unit_directions
+from scenes import make_scene as scene_of
+from significance import assert_agree
+
+from formats.errors import QueryError
+from formats.lights import DirectionalLight
+from formats.scene import Scene
+from prt_bake.lighting import Lighting, Sky, as_lighting
+from prt_bake.rendering import Rendering, render_scene
+from prt_bake.trainer.estimate import estimate_transport
+from prt_bake.trainer.lit import walk_lit
+from prt_bake.trainer.prepared import prepare
+
+ROUGH = {"eta": 1.4, "roughness": 0.3}
+MATCHED: dict[str, float] = {}
+SMOOTH = {"eta": 1.4}
+
+
+def sun(direction=(-0.36, 0.48, 0.8), irradiance=(3.0, 2.0, 1.0), diameter=0.0) -> DirectionalLight:
+    return DirectionalLight(np.array(direction), np.array(irradiance), diameter)
+
+
+def render(scene: Scene, light, spp: int = 64, seed: int = 1, size: int = 16, **options) -> Rendering:
+    return render_scene(scene, light, front(size=size), spp=spp, seed=seed, **options)
+
+
+def by_exits_alone(monkeypatch: pytest.MonkeyPatch, *arguments, **options) -> Rendering:
+    with monkeypatch.context() as patch:
+        patch.setattr("prt_bake.render_pass.connections", lambda scene: None)
+        return render(*arguments, **options)
+
+
+@pytest.mark.parametrize("interface", [MATCHED, ROUGH])
+def test_what_a_walk_receives_is_the_transport_function(tmp_path: Path, interface: dict[str, float]) -> None:
+    scene = scene_of(tmp_path, lumpy(2), **interface)
+    positions, outgoing, _normals = queries(scene.mesh, 6, 1)
+    incident = unit_directions(18, 2).reshape(6, 3, 3)
+    at = prepare(scene).surface.locate(positions, outgoing)
+    keys = np.arange(6, dtype=np.uint64)
+    mean, square = walk_lit(scene, at.faces, at.barycentric, outgoing, keys, incident, 4096, 5)
+    expected = estimate_transport(scene, positions, outgoing, incident, 4096, 6, connections=3)
+    assert_agree(mean, np.sqrt((square - mean**2) / 4095), expected.mean, expected.standard_error)
+
+
+@pytest.mark.parametrize("interface", [MATCHED, ROUGH])
+def test_a_wide_disc_looks_the_same_connected_and_met_by_exits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interface: dict[str, float]
+) -> None:
+    scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]", **interface)
+    lighting = Lighting((), (sun(diameter=50.0), sun((0.8, 0.0, -0.6), (1.0, 1.0, 4.0), 30.0)))
+    connected = render(scene, lighting, 256)
+    met = by_exits_alone(monkeypatch, scene, lighting, 256, 2)
+    assert np.abs(mean_z(connected, met)).max() < 4
+    assert abs(z_score(connected, met)) < 4
+    inside = connected.coverage == 1
+    assert np.mean(met.standard_error[inside] ** 2) > 2 * np.mean(connected.standard_error[inside] ** 2)
+
+
+@pytest.mark.parametrize("interface", [MATCHED, ROUGH])
+def test_a_sky_with_a_sun_looks_the_same_and_is_a_tenth_as_noisy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interface: dict[str, float]
+) -> None:
+    scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]", **interface)
+    sky = uneven_sky()
+    sky[5, 20] = 1e5 * np.array([1.0, 0.9, 0.7])
+    connected = render(scene, sky, 64)
+    met = by_exits_alone(monkeypatch, scene, sky, 2048, 2)
+    assert np.abs(mean_z(connected, met)).max() < 4
+    inside = connected.coverage == 1
+    a_walk = [64 * connected.standard_error[inside] ** 2, 2048 * met.standard_error[inside] ** 2]
+    assert np.mean(a_walk[1]) > 10 * np.mean(a_walk[0])
+
+
+def test_two_half_spheres_of_light_are_a_white_furnace(tmp_path: Path) -> None:
+    """Index-matched: radiance 1 everywhere, what is connected and what comes straight through taken together."""
+    up, down = (sun((0.0, y, 0.0), [2 * math.pi] * 3, 180.0) for y in (1.0, -1.0))
+    picture = render(make_scene(tmp_path, "1.0", sigma_t=1.0), Lighting((), (up, down)), 256)
+    inside = picture.coverage == 1
+    # All channels share their walks.
+    excess = picture.image[inside].astype(np.float64).mean(axis=1) - 1.0
+    assert abs(excess.sum()) < 4 * np.sqrt((picture.standard_error[inside][:, 0].astype(np.float64) ** 2).sum())
+    np.testing.assert_allclose(picture.image[picture.coverage == 0], 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("sky", [False, True])
+def test_through_nothing_the_disc_is_seen_as_it_is(tmp_path: Path, sky: bool) -> None:
+    """An index-matched object without a medium cannot be seen: the disc stands behind it, edges exact."""
+    light = sun((0.0, 0.0, -1.0), (3.0, 2.0, 1.0), 12.0)
+    skies = as_lighting(uneven_sky(), "y", 0.0).skies if sky else ()
+    scene = make_scene(tmp_path, sigma_t=0.0)
+    picture = render(scene, Lighting(skies, (light,)), 32, size=24)
+    beside = render_scene(scene, Lighting(skies, (light,)), front((0.0, 0.0, -4.0), 24), spp=32)
+    radiance = np.array([3.0, 2.0, 1.0]) / (2 * math.pi * (1 - math.cos(math.radians(6))))
+    middle = picture.image[11:13, 11:13]
+    background = uneven_sky().max() if sky else 0.0
+    assert (np.abs(middle - radiance) <= background * 1.01 + 1e-4).all()
+    assert picture.image[2:4, 11:13].max() <= background
+    assert beside.image.max() <= background
+    seen = picture.image.astype(np.float64).sum(axis=(0, 1))
+    if not sky:
+        assert seen[0] / seen[2] == pytest.approx(3.0)
+
+
+def test_light_adds_up_and_turns(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, "0.8", **ROUGH)
+    one = render(scene, Lighting((), (sun(irradiance=(1.0, 2.0, 0.5)),)))
+    twice = render(scene, Lighting((), (sun(irradiance=(2.0, 4.0, 1.0)),)))
+    np.testing.assert_allclose(twice.image, 2 * one.image, rtol=1e-5)
+    assert one.image[one.coverage == 0].max() == 0
+    turned = render_scene(
+        scene, Lighting((), (sun(irradiance=(1.0, 2.0, 0.5)),)), front((4.0, 0.0, 0.0)), spp=64, seed=2, rotate=90.0
+    )
+    assert abs(z_score(one, turned)) < 4
+    assert np.abs(mean_z(one, turned)).max() < 4
+    unturned = render_scene(scene, Lighting((), (sun(irradiance=(1.0, 2.0, 0.5)),)), front((4.0, 0.0, 0.0)))
+    assert np.abs(mean_z(one, unturned)).min() > 6
+
+
+def test_behind_a_smooth_interface_exits_meet_the_disc(tmp_path: Path) -> None:
+    scene = make_scene(tmp_path, "0.8", **SMOOTH)
+    up, down = (sun((0.0, y, 0.0), [2 * math.pi] * 3, 180.0) for y in (1.0, -1.0))
+    halves = render(scene, Lighting((), (up, down)))
+    furnace = render(scene, np.ones((4, 8, 3), np.float32))
+    np.testing.assert_allclose(halves.image, furnace.image, rtol=1e-5)
+    with pytest.raises(QueryError, match=r"ball\.toml: behind the smooth interface of 'object' .* angular diameter"):
+        render(scene, Lighting((), (sun(diameter=2.0), sun())))
+
+
+def test_a_sun_in_the_sky_and_a_directional_light_agree(tmp_path: Path) -> None:
+    """One bright pixel of a black sky, and a light of its irradiance from its middle."""
+    scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]")
+    sky = np.zeros((128, 256, 3), np.float32)
+    sky[40, 70] = 1e5
+    zenith, azimuth = math.pi * 40.5 / 128, 2 * math.pi * (70.5 / 256 - 0.5)
+    direction = (math.cos(azimuth) * math.sin(zenith), math.cos(zenith), math.sin(azimuth) * math.sin(zenith))
+    irradiance = 1e5 * (math.pi / 128) * (2 * math.pi / 256) * math.sin(zenith)
+    pixel = render(scene, Lighting((Sky(sky, "y", np.eye(3)),)), 256, background=False)
+    light = render(scene, Lighting((), (sun(direction, [irradiance] * 3),)), 256, 2)
+    assert np.abs(mean_z(pixel, light)).max() < 4
+    assert abs(z_score(pixel, light)) < 4
