@@ -73,10 +73,9 @@ def test_connections_agree_with_exits_at_any_index(tmp_path: Path, eta: float, r
     outgoing = normal + 0.2 * np.roll(normal, 1)
     outgoing /= np.linalg.norm(outgoing)
     for axis in (normal, -np.cross(normal, np.roll(normal, 1)) / np.linalg.norm(np.cross(normal, np.roll(normal, 1)))):
-        assert_agree(*into_cap(scene, position, outgoing, axis, 60.0, paths=1500, exits=60_000))
+        assert_agree(*into_cap(scene, position, outgoing, axis, 60.0, paths=400, exits=40_000))
 
 
-@pytest.mark.xfail(strict=True, reason="a rough boundary of nearly no index is index-matched to the walk alone")
 def test_a_rough_boundary_of_nearly_no_index_lets_light_in(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, sphere(2), **WHITE, eta=1.0 + 1e-10, roughness=0.1)
     positions, outgoing, _ = queries(scene.mesh, 8, 3)
@@ -93,8 +92,9 @@ def _stays_white(scene: Scene, paths: int = 64) -> None:
     assert_furnace(scene, positions, outgoing, paths)
 
 
-def test_siblings_that_touch_in_faces_keep_all_energy(tmp_path: Path) -> None:
+def test_siblings_that_touch_in_faces_keep_all_energy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Four cubes round an edge that they share, within another."""
+    monkeypatch.setattr(prepared, "MOST_EVENTS", 5000)
     inside = tuple(
         {"mesh": moved(slab(1.0), 0.4, [x, 0.0, z]), "name": f"at {x}, {z}", "interface": {"eta": eta}, "medium": WHITE}
         for x, z, eta in ((-0.2, -0.2, 1.1), (0.2, -0.2, 1.2), (-0.2, 0.2, 1.3), (0.2, 0.2, 1.4))
@@ -139,7 +139,6 @@ def test_a_part_that_sticks_out_keeps_all_energy(tmp_path: Path, outside: float)
     np.testing.assert_allclose(total[far, 1], due[far], rtol=1e-5)
 
 
-@pytest.mark.xfail(strict=True, reason="a walk is handed to and fro between faces that coincide")
 @pytest.mark.parametrize("outside", [1.0, 1.5])
 def test_a_part_that_touches_the_boundary_in_a_face_keeps_all_energy(
     tmp_path: Path, outside: float, monkeypatch: pytest.MonkeyPatch
@@ -168,33 +167,37 @@ from nested_scenes import nested_scene
 from scenes import queries, sphere
 from prt_bake.trainer.estimate import estimate_coefficients
 white = {"sigma_t": 3.0, "albedo": 1.0}
-inside = [{"mesh": sphere(2), "name": "one", "medium": white}, {"mesh": sphere(2), "name": "two", "in": "one", "medium": white}]
-scene = nested_scene(Path(sys.argv[1]), sphere(2), white, tuple(inside[: int(sys.argv[2])]))
+inside = [
+    {"mesh": sphere(2), "name": f"{i}", "in": f"{i - 1}" if i else "object", "medium": white} for i in range(int(sys.argv[2]))
+]
+scene = nested_scene(Path(sys.argv[1]), sphere(2), white, tuple(inside))
 positions, outgoing, _ = queries(scene.mesh, 4, 1)
-assert abs(estimate_coefficients(scene, positions, outgoing, 0, 16, 1).mean[:, 0].min() - 0.2821) < 0.2
+seen = estimate_coefficients(scene, positions, outgoing, 0, 16, 1)
+assert abs(12.5664**0.5 * seen.mean[:, 0, 0] + seen.unscattered - 1.0).max() < 1e-4
 """
 
 
-@pytest.mark.parametrize(
-    "coincident", [1, pytest.param(2, marks=pytest.mark.xfail(strict=True, reason="walks never end: defect 1"))]
-)
+@pytest.mark.parametrize("coincident", [1, 2, 3])
 def test_surfaces_in_one_place_do_not_hang(tmp_path: Path, coincident: int) -> None:
     """The object, a part that fills it, and one that fills that: in a process of its own, which can be ended."""
     command = [sys.executable, "-c", THREE_IN_ONE_PLACE, str(tmp_path), str(coincident)]
     # The first one compiles where no cache is warm.
-    limit = 300 if coincident == 1 else 15
+    limit = 300 if coincident == 1 else 30
     assert subprocess.run(command, timeout=limit, cwd=Path(__file__).parent).returncode == 0
 
 
-def test_a_diffuse_part_that_fills_the_object_hides_all_else(tmp_path: Path) -> None:
-    """A white body behind an index-matched boundary in the same place: all light comes back, none from behind."""
-    inside = {"mesh": sphere(2), "name": "body", "surface": "diffuse", "reflectance": 1.0}
-    scene = nested_scene(tmp_path, sphere(2), WHITE, (inside,))
+def test_a_diffuse_part_that_fills_the_object_leaves_nothing_to_see(tmp_path: Path) -> None:
+    """Light reflected at x itself is not counted, and nothing lies before it. Elsewhere the body lights the object."""
+    body = {"name": "body", "surface": "diffuse", "reflectance": 1.0}
+    scene = nested_scene(tmp_path, sphere(2), WHITE, (body | {"mesh": sphere(2)},))
     positions, outgoing, _ = queries(scene.mesh, 12, 3)
     total, _error = white_sky(scene, positions, outgoing, 64)
-    np.testing.assert_allclose(total, 1.0, rtol=1e-9)
-    behind = estimate_transport(scene, positions, outgoing, -positions / np.linalg.norm(positions, axis=1)[:, None], 64)
-    np.testing.assert_array_equal(behind.mean, 0.0)
+    np.testing.assert_array_equal(total, 0.0)
+    inlay = nested_scene(tmp_path, slab(1.0), WHITE, (body | {"mesh": moved(slab(1.0), 0.5, [-0.25, 0.0, 0.0])},))
+    positions, outgoing, _ = queries(inlay.mesh, 40, 3)
+    beside = np.abs(positions - [-0.5, 0.0, 0.0]).max(axis=1) > 0.251
+    total, _error = white_sky(inlay, positions[beside], outgoing[beside], 64)
+    np.testing.assert_allclose(total, 1.0, rtol=1e-5)
 
 
 def test_a_rough_boundary_gives_more_the_smoother_it_is(tmp_path: Path) -> None:

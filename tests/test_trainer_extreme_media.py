@@ -181,7 +181,7 @@ def test_a_grid_of_256_cells_each_way(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, lumpy(2), sigma_t=grid, albedo=1.0)
     begun = time.perf_counter()
     medium = prepared.prepare(scene).medium
-    assert time.perf_counter() - begun < 6.0
+    assert time.perf_counter() - begun < 10.0
     assert medium.extinction_cells.nbytes == grid.nbytes
     assert_furnace(scene, *queries(scene.mesh, 8, 3)[:2], paths=64)
 
