@@ -168,7 +168,8 @@ from scenes import queries, sphere
 from prt_bake.trainer.estimate import estimate_coefficients
 white = {"sigma_t": 3.0, "albedo": 1.0}
 inside = [
-    {"mesh": sphere(2), "name": f"{i}", "in": f"{i - 1}" if i else "object", "medium": white} for i in range(int(sys.argv[2]))
+    {"mesh": sphere(2), "name": f"{i}", "in": f"{i - 1}" if i else "object", "medium": white}
+    for i in range(int(sys.argv[2]))
 ]
 scene = nested_scene(Path(sys.argv[1]), sphere(2), white, tuple(inside))
 positions, outgoing, _ = queries(scene.mesh, 4, 1)

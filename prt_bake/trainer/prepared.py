@@ -107,8 +107,8 @@ def _refuse_compensation(scene: Scene) -> None:
     for part in scene.parts:
         if part.energy_compensation:
             raise SceneError(
-                f"{scene.path}: the interface of '{part.name}' asks for energy_compensation, which the walks do not know "
-                "yet; take it out"
+                f"{scene.path}: the interface of '{part.name}' asks for energy_compensation, which the walks do not "
+                "know yet; take it out"
             )
 
 
