@@ -1,5 +1,7 @@
 """What the tests of the commands share: a folder of small sound files, and a way to run a command there."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,12 @@ from command_line import SCENE, Outcome, Run
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli.main import main
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before several processes share the tests, one compiles the kernels: two that save one at once mix them up."""
+    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
+        subprocess.run([sys.executable, Path(__file__).with_name("warm.py")], check=True)
 
 
 @pytest.fixture

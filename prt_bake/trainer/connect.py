@@ -42,7 +42,7 @@ from prt_bake.trainer.walk import (
     region_of,
 )
 
-_ALWAYS_LOOKED = 1.0
+_ALWAYS_LOOKED = 2.0
 """Events at less than so many mean free paths from any face always look at the light."""
 
 
