@@ -73,7 +73,7 @@ def test_light_along_a_face_is_the_limit_of_light_that_grazes_it(tmp_path: Path)
     """Index-matched: Ŝ is continuous there, and exact directions fall between faces, not through."""
     scene = make_scene(tmp_path, slab(1.0), sigma_t=2.0, albedo=0.9)
     exact = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    near = exact + [0.0, 0.0, 1e-5]
+    near = exact + np.array([0.0, 0.0, 1e-5])
     near /= np.linalg.norm(near, axis=1, keepdims=True)
     places, outgoing = np.tile(TOP, (3, 1)), np.tile([0.6, 0.0, 0.8], (3, 1))
     one = estimate_transport(scene, places, outgoing, exact, 20_000, 1)
