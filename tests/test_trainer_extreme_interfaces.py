@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extremes import ROOT, assert_furnace, assert_sound, into_cap, let_in, white_sky
 from nested_scenes import CLEAR, nested_scene
 from significance import assert_agree, largest_z
+from soundness import ROOT, assert_furnace, assert_sound, into_cap, let_in, white_sky
 
 from formats.mesh import Mesh
 from formats.scene import Scene

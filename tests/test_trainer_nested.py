@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from significance import assert_agree
 
-from formats.errors import QueryError
+from formats.errors import QueryError, SceneError
 from formats.mesh import Mesh, write_mesh
 from formats.scene import Scene, read_scene
 from prt_bake.surface import Surface
@@ -237,6 +237,13 @@ def test_smooth_glass_in_index_matched_matter_is_refused_by_name(tmp_path):
     inner = {"mesh": small(0.5), "name": "marble", "interface": {"eta": 1.5}, "medium": CLEAR}
     scene = nested(tmp_path, sphere(2), HAZE, {}, inner)
     positions, outgoing, _ = queries(scene.mesh, 2, 1)
-    with pytest.raises(QueryError, match="'marble' is smooth"):
+    with pytest.raises(QueryError, match="'marble' is a smooth interface"):
         estimate_transport(scene, positions, outgoing, outgoing, 16)
     assert np.isfinite(estimate_coefficients(scene, positions, outgoing, 1, 64).mean).all()
+
+
+def test_compensation_is_refused_rather_than_ignored(tmp_path):
+    scene = nested(tmp_path, sphere(2), HAZE, {"eta": 1.3, "roughness": 0.4, "energy_compensation": True})
+    positions, outgoing, _ = queries(scene.mesh, 2, 1)
+    with pytest.raises(SceneError, match="'object' asks for energy_compensation"):
+        estimate_coefficients(scene, positions, outgoing, 1, 64)

@@ -16,6 +16,7 @@ _COARSE, _FINE = 48, 128
 _THICK_NEAR = 20.0
 _MOST_ENTRIES = 30_000_000
 _ON_PLANE = 1e-6
+_MOST_PAIRS = 100_000_000
 NEAR_CELLS = 64
 REACH = 0.5
 """In sides of a cell of NEAR_CELLS."""
@@ -78,7 +79,8 @@ def near_faces(positions: Array, faces: NDArray[np.int64], depth: float) -> NDAr
 def open_faces(rows: Array, positions: Array) -> NDArray[np.bool_]:
     """Which faces [F,28] have nothing in front of their plane: a ray that leaves by them meets nothing any more.
 
-    On a convex object that is every face. Only the corners of the convex hull need be looked at.
+    On a convex object that is every face. Only the corners of the convex hull need be looked at; where even those are
+    too many, an object that is not convex all over counts as having no such face.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -86,6 +88,12 @@ def open_faces(rows: Array, positions: Array) -> NDArray[np.bool_]:
         hull = positions[ConvexHull(positions).vertices]
     except QhullError:
         return np.zeros(len(rows), bool)
+    if len(rows) * len(hull) > _MOST_PAIRS:
+        import trimesh
+
+        index = np.arange(3 * len(rows)).reshape(-1, 3)
+        whole = trimesh.Trimesh(rows[:, 3:12].reshape(-1, 3), index, process=True)
+        return np.full(len(rows), bool(whole.is_convex))
     normals = rows[:, :3]
     behind = np.einsum("fi,fi->f", normals, rows[:, 3:6]) + _ON_PLANE
     step = max(1, 4_000_000 // len(hull))

@@ -29,7 +29,7 @@ share would do harm: of samples near the limit it takes those that missed the st
 _LEAST_PATHS = 64
 """So many paths are needed for a connection that is never stronger than an even spread; `_sharpness` times for others,
 whose strong paths are as rare as they are strong: a sample that missed them all looks perfect."""
-_CONNECTIONS = 4
+_CONNECTIONS = 8
 _TINY_VARIANCE = 1e-140
 """Below this, fourth powers underflow: what is so dark is called unreliable."""
 
@@ -84,7 +84,7 @@ def estimate_transport(
     smooth = smooth_part(scene)
     if smooth is not None:
         raise QueryError(
-            f"{scene.path}: the interface of '{smooth.name}' is smooth (roughness {np.mean(smooth.roughness):g}); "
+            f"{scene.path}: the boundary of '{smooth.name}' is a smooth interface; "
             "behind it no connection to a given direction of incidence exists, so Ŝ cannot be estimated there: "
             "estimate_coefficients works, or make it rough"
         )

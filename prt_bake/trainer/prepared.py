@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.errors import SceneError
 from formats.scene import Part, Scene
 from prt_bake.surface import Location, Surface
 from prt_bake.trainer.aim import Aim, aim_for
@@ -45,6 +46,7 @@ class PreparedScene:
 
     def __init__(self, scene: Scene) -> None:
         """Build from a scene record; costs the building of an Embree tree."""
+        _refuse_compensation(scene)
         low, high = scene.mesh.bounds
         self.center: Array = low + 0.5 * (high - low)
         self.scale = float((high - low).max())
@@ -99,6 +101,15 @@ class PreparedScene:
         corners = self.positions[self.faces[location.faces]]
         placed = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         return keys, placed, np.ascontiguousarray(outgoing), location.faces, location.barycentric
+
+
+def _refuse_compensation(scene: Scene) -> None:
+    for part in scene.parts:
+        if part.energy_compensation:
+            raise SceneError(
+                f"{scene.path}: the interface of '{part.name}' asks for energy_compensation, which the walks do not "
+                "know yet; take it out"
+            )
 
 
 def interface_kind(scene: Scene) -> int:
