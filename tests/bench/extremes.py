@@ -53,7 +53,7 @@ def cases() -> dict[str, Callable[[Path], Scene]]:
         found[f"{name}, channels 1 : 30 : 1000"] = _plain(sphere(3), sigma_t=[0.1, 3.0, 100.0], **interface)
     for eta in (0.7, 1.0 + 1e-6, 1.01, 2.5):
         for roughness in (1e-3, 0.01, 0.1, 1.0):
-            found[f"eta {eta:g}, roughness {roughness:g}"] = _plain(lumpy(2), eta=eta, roughness=roughness)
+            found[f"eta {eta}, roughness {roughness:g}"] = _plain(lumpy(2), eta=eta, roughness=roughness)
     found["ball in a corner"] = _inside(
         {"mesh": moved(sphere(2), 0.5, 0.2), "interface": ROUGH, "medium": CLEAR}, **ROUGH
     )
