@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extremes import ROOT, assert_furnace, assert_sound, into_cap, let_in, white_sky
 from nested_scenes import CLEAR, nested_scene
 from significance import assert_agree, largest_z
+from soundness import ROOT, assert_furnace, assert_sound, into_cap, let_in, white_sky
 
 from formats.mesh import Mesh
 from formats.scene import Scene
@@ -167,10 +167,8 @@ from nested_scenes import nested_scene
 from scenes import queries, sphere
 from prt_bake.trainer.estimate import estimate_coefficients
 white = {"sigma_t": 3.0, "albedo": 1.0}
-inside = [
-    {"mesh": sphere(2), "name": f"{i}", "in": f"{i - 1}" if i else "object", "medium": white}
-    for i in range(int(sys.argv[2]))
-]
+parents = ["object", "0", "1"][: int(sys.argv[2])]
+inside = [{"mesh": sphere(2), "name": str(i), "in": parents[i], "medium": white} for i in range(len(parents))]
 scene = nested_scene(Path(sys.argv[1]), sphere(2), white, tuple(inside))
 positions, outgoing, _ = queries(scene.mesh, 4, 1)
 seen = estimate_coefficients(scene, positions, outgoing, 0, 16, 1)

@@ -10,8 +10,8 @@ from typing import Any
 import half_space
 import numpy as np
 import pytest
-from extremes import ROOT, assert_furnace, assert_sound, into_cap, white_sky
 from significance import assert_agree
+from soundness import ROOT, assert_furnace, assert_sound, into_cap, white_sky
 
 from formats.scene import Scene
 from prt_bake.trainer import prepared

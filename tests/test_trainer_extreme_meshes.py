@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from extremes import assert_furnace, assert_sound
 from significance import assert_agree
+from soundness import assert_furnace, assert_sound
 
 from formats.errors import MeshError, SceneError
 from formats.mesh import Mesh, build_mesh

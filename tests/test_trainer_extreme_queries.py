@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from extremes import ROOT, assert_furnace, assert_sound, white_sky
 from significance import assert_agree
+from soundness import ROOT, assert_furnace, assert_sound, white_sky
 
 from formats.errors import QueryError
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
