@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-
-from formats.image import write_image
 from scenes import solids, statues, textures
 from scenes.solids import turn_matrix
+
+from formats.image import write_image
 
 HERE = Path(__file__).parent
 

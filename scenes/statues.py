@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-
 from scenes.solids import Solid, plain, revolution, tube
 
 Array = NDArray[np.float64]

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import sphere
 
 from formats.errors import SceneError
 from formats.materials import MATERIALS, MILLIMETRES, find_material, substance
 from formats.mesh import write_mesh
 from formats.scene import read_scene
 from prt_bake.inspection import describe
-from scenes import sphere
 
 # The column "diffuse reflectance" of the same figure; blue of chicken1 is left out: there the figure's own coefficients
 # give 0.13, which is not the 0.10 printed beside them.

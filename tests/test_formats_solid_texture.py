@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import moved, sphere
 from scipy import stats
 from significance import FALSE_ALARM
 
@@ -11,7 +12,6 @@ from formats.errors import SceneError
 from formats.mesh import build_mesh, write_mesh
 from formats.scene import read_scene
 from formats.solid_texture import THRESHOLDS, gradient_noise, share
-from scenes import moved, sphere
 
 PATTERNS = sorted(THRESHOLDS)
 GOLDEN_NOISE = (

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 from nested_scenes import CLEAR, nested_scene
+from scenes import make_scene, moved, sphere
 
 import prt_bake as prt
 from formats.errors import QueryError, SceneError, StorageError
 from formats.scene import Scene
-from scenes import make_scene, moved, sphere
 
 BALL = sphere(1)
 MILK: dict[str, Any] = {"sigma_t": [1.0, 2.0, 3.0], "albedo": 0.9, "phase_g": 0.3}

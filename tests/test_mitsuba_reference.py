@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from nested_scenes import CLEAR, nested_scene
 from optical_depth import crossings
+from scenes import moved, sphere, unit_directions
 from significance import assert_agree
 
 from formats.mesh import Mesh
-from scenes import moved, sphere, unit_directions
 
 BALL = sphere(2)
 VIEW = np.array([0.12, 0.05, 0.99])

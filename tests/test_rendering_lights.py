@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from nested_scenes import nested_scene
 from pictures import front, make_scene, mean_z, uneven_sky, z_score
+from scenes import lumpy, moved, queries, sphere, unit_directions
+from scenes import make_scene as scene_of
 from significance import assert_agree
 
 from formats.errors import QueryError
@@ -17,8 +19,6 @@ from prt_bake.rendering import Rendering, render_scene
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.lit import walk_lit
 from prt_bake.trainer.prepared import prepare
-from scenes import lumpy, moved, queries, sphere, unit_directions
-from scenes import make_scene as scene_of
 
 ROUGH = {"eta": 1.4, "roughness": 0.3}
 MATCHED: dict[str, float] = {}

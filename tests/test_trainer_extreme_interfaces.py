@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from nested_scenes import CLEAR, nested_scene
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree, largest_z
 from soundness import ROOT, assert_furnace, assert_sound, into_cap, let_in, white_sky
 
@@ -18,7 +19,6 @@ from formats.mesh import Mesh
 from formats.scene import Scene
 from prt_bake.trainer import prepared
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 WHITE: dict[str, Any] = {"sigma_t": 3.0, "albedo": 1.0}
 HAZE: dict[str, Any] = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99]}

@@ -10,13 +10,13 @@ from typing import Any
 import half_space
 import numpy as np
 import pytest
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree
 from soundness import ROOT, assert_furnace, assert_sound, into_cap, white_sky
 
 from formats.scene import Scene
 from prt_bake.trainer import prepared
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 MATCHED: dict[str, Any] = {}
 SMOOTH: dict[str, Any] = {"eta": 1.4}

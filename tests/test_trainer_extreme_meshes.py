@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree
 from soundness import assert_furnace, assert_sound
 
@@ -18,7 +19,6 @@ from formats.mesh import Mesh, build_mesh
 from formats.scene import Scene
 from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
 from prt_bake.trainer.prepared import prepare
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 SMOOTH: dict[str, Any] = {"eta": 1.4}

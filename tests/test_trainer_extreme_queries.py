@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import lumpy, make_scene, queries, slab, sphere, unit_directions
 from significance import assert_agree
 from soundness import ROOT, assert_furnace, assert_sound, white_sky
 
 from formats.errors import QueryError
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-from scenes import lumpy, make_scene, queries, slab, sphere, unit_directions
 
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 NARROW: dict[str, Any] = {"eta": 1.5, "roughness": 0.01}

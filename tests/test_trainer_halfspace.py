@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from half_space import h_function, reflected, white_sky
+from scenes import make_scene, slab
 from significance import assert_agree
 
 from formats.scene import Scene
 from prt_bake import estimate_coefficients, estimate_transport
-from scenes import make_scene, slab
 
 ALBEDOS = (0.5, 0.9, 0.99)
 COSINES = np.array([0.05, 0.2, 0.5, 0.8, 1.0])

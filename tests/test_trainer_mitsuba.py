@@ -8,10 +8,10 @@ reliable are taken one by one, and the sum over all queries is compared besides.
 import numpy as np
 import pytest
 from nested_scenes import nested_scene
+from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions
 from significance import assert_agree
 
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions
 
 GRIDS = np.random.default_rng(0)
 SIGMA_T, ALBEDO = GRIDS.uniform(0.5, 6.0, (4, 5, 6)), GRIDS.uniform(0.5, 1.0, (3, 4, 3, 3))

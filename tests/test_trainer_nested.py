@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenes import lumpy, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree
 
 from formats.errors import QueryError, SceneError
@@ -18,7 +19,6 @@ from prt_bake.surface import Surface
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 from prt_bake.trainer.exits import walk_exits
 from prt_bake.trainer.interface import fresnel
-from scenes import lumpy, moved, queries, slab, sphere, unit_directions
 
 HAZE = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3}
 MILK = {"sigma_t": 9.0, "albedo": [0.99, 0.8, 0.5]}

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from optical_depth import optical_depth, single_scattering
+from scenes import lumpy, make_scene, queries, sphere, unit_directions
 from significance import assert_agree
 
 from prt_bake import estimate_coefficients, estimate_transport
-from scenes import lumpy, make_scene, queries, sphere, unit_directions
 
 EDGES = (-0.99, 0.99)
 

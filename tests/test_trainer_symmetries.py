@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from optical_depth import crossings
+from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions
 from significance import assert_agree
 
 from formats.mesh import build_mesh
 from formats.scene import Scene
 from prt_bake import estimate_coefficients, estimate_transport, sh
 from prt_bake.directions import random_rotations
-from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions
 
 GRIDS = np.random.default_rng(0)
 SIGMA_T, ALBEDO = GRIDS.uniform(0.5, 6.0, (4, 5, 6)), GRIDS.uniform(0.5, 1.0, (3, 4, 3, 3))

@@ -4,11 +4,11 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from scenes import make_scene, queries, sphere, unit_directions
 
 from prt_bake.surface import Surface
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 from prt_bake.trainer.exits import walk_exits
-from scenes import make_scene, queries, sphere, unit_directions
 
 
 def main() -> None:

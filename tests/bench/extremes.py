@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 from nested_scenes import CLEAR, nested_scene
+from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from soundness import ROOT, connects
 
 from formats.mesh import Mesh
 from formats.scene import Scene, read_scene
 from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 
 ROUGH: dict[str, Any] = {"eta": 1.4, "roughness": 0.3}
 SCENES = Path(__file__).parents[2] / "scenes"

@@ -21,11 +21,11 @@ import numpy as np
 from efficiency import Batches, Run, ours, paths_for, timed
 from half_space import reflected
 from mitsuba_variant import working_variants
+from scenes import blotches, lumpy, make_scene, moved, queries, sphere, unit_directions
 
 from formats.mesh import Mesh
 from formats.scene import Scene
 from prt_bake.directions import fibonacci
-from scenes import blotches, lumpy, make_scene, moved, queries, sphere, unit_directions
 
 DIRECTIONS = 64
 SAMPLED_DIRECTIONS = 2

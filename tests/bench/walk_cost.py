@@ -14,7 +14,6 @@ from typing import Any
 import numba
 import numpy as np
 from efficiency import ours, paths_for, timed
-
 from scenes import make_scene, moved, queries, sphere, unit_directions
 
 THICKNESS = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
