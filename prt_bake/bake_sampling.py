@@ -7,8 +7,9 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.baker import Sampling, Walks
+from bakers.baker import Sampling
 from bakers.error_estimate import choose_estimator
+from bakers.path_traced import Walks
 from bakers.projection import direction_pool
 from bakers.transport import way_in
 from formats.errors import QueryError
