@@ -42,14 +42,16 @@ class Boundary(NamedTuple):
     """[F,29]: normal (first), corners, normals and texture coordinates of the corners, part, and whether nothing lies
     in front of its plane. Those of part 0, the object itself, come first."""
     parts: NDArray[np.float64]
-    """[P,9]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, and the texture's first texel,
-    height (0: no texture) and width."""
+    """[P,10]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
+    height (0: no texture) and width, and whether a rough interface is compensated."""
     etas: NDArray[np.float64]
     """Absolute index of each region."""
     handles: NDArray[np.int64]
     """[P,2]: Embree's scene of each part alone, and its first face."""
     texels: NDArray[np.float32]
     """The textures of all parts, three channels, one after the other."""
+    losses: NDArray[np.float64]
+    """What compensated interfaces give back (`prt_bake.trainer.losses.loss_tables`); empty where there are none."""
     region_of_mask: NDArray[np.int64]
     clearance: NDArray[np.float32]
     """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
@@ -67,7 +69,17 @@ class Boundary(NamedTuple):
 
 
 CORNERS, CORNER_NORMALS, CORNER_UV, PART, OPEN, FACE_SIZE = 3, 12, 21, 27, 28, 29
-ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH, PART_SIZE = 0, 1, 4, 5, 6, 7, 8, 9
+ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH, COMPENSATED, PART_SIZE = (
+    0,
+    1,
+    4,
+    5,
+    6,
+    7,
+    8,
+    9,
+    10,
+)
 
 
 @walk_function(inline="always")
@@ -144,6 +156,12 @@ def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel:
     if boundary.parts[part, HEIGHT] == 0.0 or part_of(boundary, face) != part:
         return boundary.parts[part, REFLECTANCE + channel]
     return _textured(boundary, face, u, v, channel)
+
+
+@walk_function(inline="always")
+def is_compensated(boundary: Any, face: Any) -> Any:
+    """Whether the interface at a face, where it is rough, gives back what single scattering loses."""
+    return boundary.losses.shape[0] > 0 and boundary.parts[part_of(boundary, face), COMPENSATED] != 0.0
 
 
 @walk_function(inline="always")
