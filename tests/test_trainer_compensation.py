@@ -16,6 +16,7 @@ from scenes import blotches, lumpy, queries, sphere, unit_directions
 from significance import assert_agree
 from test_trainer_nested import nested, small
 
+from prt_bake.inspection import find_remarks
 from prt_bake.trainer.compensation import returned_density, sample_compensated
 from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
@@ -188,3 +189,9 @@ def test_what_a_boundary_loses_of_a_furnace_is_what_walks_lose(tmp_path: Path) -
     lost = 1.0 - ROOT * seen.mean[:, 0, 0] - reflectance(cosines, 0.3, 1.4)
     assert np.average(lost, weights=cosines) == pytest.approx(furnace_loss(0.3, 1.4), rel=0.02)
     assert furnace_loss(0.3, 1.4) == pytest.approx(0.29, abs=0.005)
+    (remark,) = find_remarks(scene.path)
+    assert "'object': at roughness 0.3 and relative eta 1.4 single scattering loses 29.0% of a white furnace" in remark
+    inner = {"mesh": small(0.4), "interface": {"eta": 1.4, **COMPENSATED}, "medium": WHITE}
+    matched = nested(tmp_path, sphere(2), WHITE, {}, inner)
+    (remark,) = find_remarks(matched.path)
+    assert "'inner0': at roughness 0.3 and relative eta 1.4 single scattering would lose 29.0% of a white" in remark

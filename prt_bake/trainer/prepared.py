@@ -18,6 +18,7 @@ from prt_bake.trainer.boundary import (
     FACE_SIZE,
     FIRST_TEXEL,
     HEIGHT,
+    INDEX,
     INTERPOLATED,
     IS_DIFFUSE,
     OPEN,
@@ -76,7 +77,6 @@ class PreparedScene:
             intersect=intersect_address(),
             scene=self._tree.handle,
             **_tables(parts, self.positions, self.faces),
-            etas=np.array([1.0] + [float(part.eta) for part in parts]),
             losses=_losses(parts),
             handles=np.stack([[tree.handle for tree in self._trees], _first_faces(parts)], axis=1).astype(np.int64),
             region_of_mask=_regions(parts),
@@ -163,7 +163,7 @@ def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64])
         row = table[i]
         row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
         row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"
-        row[COMPENSATED] = part.energy_compensation
+        row[COMPENSATED], row[INDEX] = part.energy_compensation, part.eta
         image = _texture(part)
         if image is not None:
             row[FIRST_TEXEL], row[HEIGHT], row[WIDTH] = sum(map(len, texels)), *image.shape[:2]
