@@ -10,8 +10,7 @@ import pytest
 from formats.image import read_image, read_levels
 from formats.mesh import build_mesh, check_mesh, read_mesh, write_mesh
 from formats.scene import read_scene
-from prt_bake.nesting import sticking_out
-from prt_bake.nesting import winding
+from prt_bake.nesting import sticking_out, winding
 
 ROOT = Path(__file__).parent.parent
 SCENES = ROOT / "scenes"
