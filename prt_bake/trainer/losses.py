@@ -8,9 +8,9 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from prt_bake.compilation import compiled
 from prt_bake.trainer.compiled import walk_function
 from prt_bake.trainer.interface import fresnel, masking, refract, visible_microfacet
 
@@ -51,7 +51,7 @@ def _row(eta: float, alpha: float) -> Array:
     return row
 
 
-@njit(cache=True)
+@compiled()
 def _kept_at(eta: float, alpha: float, cosines: Array) -> Array:
     """What single scattering keeps [2,N] of light that comes at each cosine: reflected, and let through.
 
