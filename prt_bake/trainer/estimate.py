@@ -5,6 +5,7 @@ chosen directions of incidence, `estimate_coefficients` gives a_lm = ∫ Ŝ Y_lm
 both count, and what they report apart as unscattered, is said in the README under "What Ŝ counts".
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -29,7 +30,16 @@ share would do harm: of samples near the limit it takes those that missed the st
 _LEAST_PATHS = 64
 """So many paths are needed for a connection that is never stronger than an even spread; `_sharpness` times for others,
 whose strong paths are as rare as they are strong: a sample that missed them all looks perfect."""
+_DARK = 1e-3 / (4.0 * math.pi)
+"""[1/sr]: a thousandth of an even spread of all light. Of what is surely darker an upper bound is enough."""
+_UNSEEN = 3.0
+"""What happens to less than `_UNSEEN` / paths of the walks stays unseen in a sample 5 times in 100 (rule of three)."""
+_BRIGHT = 1.0 / math.pi
+"""[1/sr]: what a walk brings that finds its way to the light, as much as white paper gives back. Behind sharp lobes it
+comes in fewer, stronger paths: most of them are aimed at, the others count with `_UNAIMED` of the lobe's sharpness."""
+_UNAIMED = 0.1
 _CONNECTIONS = 8
+_BOUND = 1.96
 _TINY_VARIANCE = 1e-140
 """Below this, fourth powers underflow: what is so dark is called unreliable."""
 
@@ -40,13 +50,16 @@ class Estimate:
 
     Attributes:
         mean, standard_error: [N,3] or [N,D,3] (Ŝ, 1/sr) or [N,K,3] (coefficients). mean ± 1.96 standard_error holds the
-            truth 95 times in 100: the error is widened by what the sample's skewness asks for.
+            truth 95 times in 100 where the query is `reliable`: the error is widened by what the sample's skewness asks
+            for. It holds it more often for values of Ŝ that are surely darker than 8e-5 1/sr (a thousandth of an even
+            spread of all light) and rest on too few strong paths, or on none: 1.96 standard_error counts there what
+            paths that were not seen may bring, 3 / paths times the strength of a strong one.
         unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
             not in `mean`. 0 behind a rough interface, where that light is a function and is counted. [N,3] where
             extinction differs between the channels.
-        reliable: [N], False where the error bars cannot be trusted at this number of paths: the sample's own kurtosis
-            says so, or the interface or phase function is too sharp for so few, or no path has brought anything to some
-            value (it is 0 ± 0, and may still be anything small).
+        reliable: [N], False where the error bars cannot be trusted at this number of paths: the interface or phase
+            function is too sharp for so few, or the sample's own kurtosis is above a fifth of the paths for some value,
+            or no path has brought anything to it, and the bound above does not show it to be that dark.
         lost: [N], mean throughput of walks that were cut (0 unless a walk passes ten million events).
         paths, seconds: walks a query, and what they took.
     """
@@ -111,7 +124,9 @@ def estimate_transport(
         )
 
     shape = () if single else towards.shape[1:2]
-    return _estimate(run, len(queries[0]), paths, shape, towards.shape[1], _LEAST_PATHS * _sharpness(prepared))
+    sharpness = _sharpness(prepared)
+    strong = _BRIGHT * max(1.0, _UNAIMED * sharpness)
+    return _estimate(run, len(queries[0]), paths, shape, towards.shape[1], _LEAST_PATHS * sharpness, strong)
 
 
 def estimate_coefficients(
@@ -143,7 +158,7 @@ def estimate_coefficients(
         )
 
     size = (degree + 1) ** 2
-    return _estimate(run, len(queries[0]), paths, (size,), size, _LEAST_PATHS)
+    return _estimate(run, len(queries[0]), paths, (size,), size, _LEAST_PATHS, math.inf)
 
 
 def _sharpness(prepared: PreparedScene) -> float:
@@ -202,7 +217,9 @@ def _estimate(
     shape: tuple[int, ...],
     rows: int,
     least_paths: float,
+    strong: float,
 ) -> Estimate:
+    """`strong` is what a walk brings that finds its way to the light; infinite where being dark excuses nothing."""
     if paths < 2:
         raise QueryError(f"paths: {paths} where at least 2 are needed for an error estimate")
     begun = time.perf_counter()
@@ -213,17 +230,34 @@ def _estimate(
         run(chosen, chunks, sums)
         powers[chosen] = sums.reshape(chosen.stop - chosen.start, -1, 4, numbers).sum(axis=1)
     mean, error, kurtosis = _central(powers / paths, paths)
-    signal = kurtosis[:, : rows * 3].max(axis=1)
-    touched = np.all(np.any(powers[:, 1, : rows * 3].reshape(count, rows, 3) > 0.0, axis=2), axis=1)
+    values = slice(0, rows * 3)
+    touched = np.any(powers[:, 1, values].reshape(count, rows, 3) > 0.0, axis=2)
+    trusted = np.repeat(touched, 3, axis=1) & (kurtosis[:, values] <= paths * _KURTOSIS_A_PATH)
+    error[:, values], dark = _widened_in_the_dark(
+        mean[:, values], error[:, values], powers[..., values], ~trusted, paths, strong
+    )
     return Estimate(
-        mean=mean[:, : rows * 3].reshape(count, *shape, 3),
-        standard_error=error[:, : rows * 3].reshape(count, *shape, 3),
+        mean=mean[:, values].reshape(count, *shape, 3),
+        standard_error=error[:, values].reshape(count, *shape, 3),
         unscattered=_one_where_equal(mean[:, -4:-1]),
-        reliable=touched & (signal <= paths * _KURTOSIS_A_PATH) & (paths >= least_paths),
+        reliable=np.all(trusted | dark, axis=1) & (paths >= least_paths),
         lost=mean[:, -1],
         paths=paths,
         seconds=time.perf_counter() - begun,
     )
+
+
+def _widened_in_the_dark(
+    mean: Array, error: Array, powers: Array, doubtful: NDArray[np.bool_], paths: int, strong: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Errors [N,M] that count what unseen paths may bring where a value is doubtful and dark all the same, and where
+    that is.
+    """
+    third, fourth = powers[:, 2], powers[:, 3]
+    seen = np.divide(fourth, third, out=np.zeros_like(third), where=third > 0.0)
+    wide = error + _UNSEEN / paths * np.maximum(strong, seen) / _BOUND
+    dark = doubtful & (mean + _BOUND * wide <= _DARK)
+    return np.where(dark, wide, error), dark
 
 
 def _one_where_equal(shares: Array) -> Array:
@@ -253,7 +287,7 @@ def _widened(skewness: Array, kurtosis: Array, paths: int) -> Array:
     is the second-order term of the studentised mean's Edgeworth expansion (Hall 1992, The Bootstrap and Edgeworth
     Expansion, section 2.6), turned into a width.
     """
-    z2 = 1.96**2
+    z2 = _BOUND**2
     kurtosis = np.where(np.isfinite(kurtosis), kurtosis, 3.0)
     short = skewness**2 * (z2 * z2 + 2 * z2 - 3) / 18 - (kurtosis - 3) * (z2 - 3) / 12 + (z2 + 1) / 4
     return np.asarray(1.0 + np.maximum(short, 0.0) / paths)
