@@ -187,7 +187,7 @@ def test_a_pickled_grid_is_refused_and_never_run(folder):
     ("old", "new", "sentence"),
     [
         ("ball.ply", "none.ply", r"object\.mesh: .*none\.ply: there is no such file"),
-        ("ball.ply", "scene.toml", r"object\.mesh: .*scene\.toml: is not a mesh this can read"),
+        ("ball.ply", "grid.npy", r"object\.mesh: .*grid\.npy: is not a mesh this can read"),
         ("12.0", '"none.npy"', r"medium\.sigma_t: .*none\.npy: there is no such file"),
     ],
 )
