@@ -183,6 +183,26 @@ def test_info_and_check_of_every_kind(prtbake: Run, file: str, kind: str) -> Non
     assert (checked.code, checked.out, checked.err) == (0, f"{file}: sound\n", "")
 
 
+def test_a_path_traced_bake_says_what_its_figures_leave_out(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+    thin = (folder / "scene.toml").read_text().replace("4.0", "0.5")
+    (folder / "thin.toml").write_text(thin)
+    few = ["--rings", 2, "--sectors", 2, "--samples", 16]
+    baked = prtbake("bake", "thin.toml", "sphere.ply", "-o", tmp_path / "a.h5", *few)
+    assert baked.code == 0, baked.err
+    first, *remarks = baked.out.splitlines()
+    assert "42 of 42 vertices" in first
+    assert "estimated relative RMSE of the walks" in first
+    assert "of the view goes straight through the object" in remarks[0]
+    assert remarks[1] == (
+        "100.0% of the bins have too few walks for their error figure to be trusted; give more --samples"
+    )
+    assert prtbake("check", tmp_path / "a.h5").code == 0
+    alone = prtbake("bake", "thin.toml", "sphere.ply", "-o", tmp_path / "b.h5", *few, "--workers", 1)
+    assert alone.code == 0
+    first, second = (read_asset(tmp_path / name).coefficients for name in ("a.h5", "b.h5"))
+    np.testing.assert_array_equal(first, second)
+
+
 def test_check_names_every_fault(prtbake: Run, folder: Path, tmp_path: Path) -> None:
     wound = (folder / "open.ply").read_bytes()
     (tmp_path / "open.ply").write_bytes(wound)

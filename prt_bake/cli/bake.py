@@ -116,4 +116,6 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
     if walks["lost"] > 0:
         yield f"{walks['lost']:.2g} of the light was lost in walks that were cut"
     if walks["unreliable_bins"]:
-        yield f"{walks['unreliable_bins']:,} bins have too few walks for their error figure; give more --samples"
+        bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
+        share = walks["unreliable_bins"] / bins
+        yield f"{share:.1%} of the bins have too few walks for their error figure to be trusted; give more --samples"
