@@ -32,6 +32,8 @@ _LEAST_PATHS = 64
 """So many paths are needed for a connection that is never stronger than an even spread; `_sharpness` times for others,
 whose strong paths are as rare as they are strong: a sample that missed them all looks perfect."""
 _BY_CHANCE = 4.0
+"""For light that a dielectric inside bends (measured on a drink with ice, alpha 0.05: bounds cover 86 % at 80 times
+alpha⁻² paths, 93.5 % at 160, 95 % at 330)."""
 _DARK = 1e-3 / (4.0 * math.pi)
 """[1/sr]: a thousandth of an even spread of all light. Of what is surely darker an upper bound is enough."""
 _UNSEEN = 3.0
@@ -43,7 +45,7 @@ _UNAIMED = 0.1
 _CONNECTIONS = 8
 _BOUND = 1.96
 _TINY_VARIANCE = 1e-140
-"""Below this, fourth powers underflow: what is so dark is called unreliable."""
+"""Below this, fourth powers underflow: the kurtosis of what is so dark is called infinite."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +61,11 @@ class Estimate:
         unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
             not in `mean`. 0 behind a rough interface, where that light is a function and is counted. [N,3] where
             extinction differs between the channels.
-        reliable: [N], False where the error bars cannot be trusted at this number of paths: the interface or phase
-            function is too sharp for so few (64 times what a lobe is stronger than an even spread, a texture's on
-            average, four times that where a dielectric inside bends the light), or the sample's own kurtosis is above a fifth of the paths for some value,
-            or no path has brought anything to it, and the bound above does not show it to be that dark.
+        reliable: [N], False where the error bars cannot be trusted at this number of paths. It asks for 64 paths, times
+            how much stronger than an even spread the peak of the interface's lobe or of the phase function is (a
+            texture's on average), times four where a dielectric inside bends the light; and for each value that some
+            path has brought anything and the sample's kurtosis stays below a fifth of the paths, or else that the
+            bound above shows it to be that dark.
         lost: [N], mean throughput of walks that were cut (0 unless a walk passes ten million events).
         paths, seconds: walks a query, and what they took.
     """
