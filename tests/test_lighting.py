@@ -82,6 +82,16 @@ def test_weights_of_a_lone_pixel_hardly_vary() -> None:
     assert ((columns < 1.5) | (columns > 127.5)).all()
 
 
+@pytest.mark.parametrize("radiance", [1.0, 0.1, 7e-5])
+def test_nothing_of_a_sky_of_one_radiance_is_bright(radiance: float) -> None:
+    """Its mean is off its radiance by a rounding, which must not pass for a bright part."""
+    for height in (1, 4, 5, 8, 33):
+        light = Sky(np.full((height, 2 * height, 3), radiance, np.float32), "y", np.eye(3))
+        bright, rest = split_sky(light, Connections(variance=0.8, cost=0.0))
+        assert bright is None
+        np.testing.assert_array_equal(rest.image, light.image)
+
+
 def test_a_split_sky_is_the_sky() -> None:
     light = sky(16, 32)
     light.image[5, 7] = 1e5

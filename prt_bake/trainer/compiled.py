@@ -6,7 +6,7 @@ atomic operations, on counters that all threads share. The walk is more than twi
 
 from functools import partial
 
-from numba import njit
+from prt_bake.compilation import compiled
 
-walk_function = partial(njit, cache=True, _nrt=False)
+walk_function = partial(compiled, _nrt=False)
 """Decorator, called with no argument or with numba's own; for functions that make no array."""

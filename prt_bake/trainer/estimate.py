@@ -136,16 +136,25 @@ def estimate_transport(
 
 
 def estimate_coefficients(
-    scene: Scene, positions: ArrayLike, outgoing: ArrayLike, degree: int = 2, paths: int = 1024, seed: int = 0
+    scene: Scene,
+    positions: ArrayLike,
+    outgoing: ArrayLike,
+    degree: int = 2,
+    paths: int = 1024,
+    seed: int = 0,
+    *,
+    keys: NDArray[np.uint64] | None = None,
 ) -> Estimate:
     """a_lm(x, ωo) = ∫ Ŝ Y_lm dωi [N,K,3] from the walks' exits: E[throughput · Y_lm(exit)], any interface.
+
+    `keys` [N] take the place of the queries' numbers in the batch, where the random numbers must not depend on it.
 
     Raises QueryError as `estimate_transport`, but for smooth interfaces.
     """
     prepared = prepare(scene)
     if degree < 0:
         raise QueryError(f"degree: {degree} where 0 or more is expected")
-    queries = _place(prepared, positions, outgoing)
+    queries = _place(prepared, positions, outgoing, keys)
 
     def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
         from prt_bake.trainer.kernels import sum_coefficients
@@ -187,13 +196,15 @@ def _directions(rows: ArrayLike, name: str) -> Array:
     return np.asarray(directions / length[..., None])
 
 
-def _place(prepared: PreparedScene, positions: ArrayLike, outgoing: ArrayLike) -> tuple[Any, ...]:
+def _place(
+    prepared: PreparedScene, positions: ArrayLike, outgoing: ArrayLike, keys: NDArray[np.uint64] | None = None
+) -> tuple[Any, ...]:
     where, eye = np.asarray(positions, np.float64), _directions(outgoing, "outgoing")
     if where.shape != eye.shape or eye.ndim != 2:
         raise QueryError(f"positions: shape {where.shape} beside outgoing {eye.shape} where both are [N,3]")
     if not np.isfinite(where).all():
         raise QueryError(f"positions: {int((~np.isfinite(where)).any(axis=1).sum())} of {len(where)} are not finite")
-    return prepared.place(where, eye, np.arange(len(where), dtype=np.uint64))
+    return prepared.place(where, eye, np.arange(len(where), dtype=np.uint64) if keys is None else keys)
 
 
 def _blocks(count: int, paths: int, numbers: int) -> Iterator[tuple[slice, NDArray[np.int64]]]:
