@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.scene import Scene
+from prt_bake.trainer.boundary import SMOOTHEST
 from prt_bake.trainer.interface import ROUGH
 from prt_bake.trainer.media import PHASE_G
-from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
+from prt_bake.trainer.prepared import PreparedScene, has_dielectric_inside, prepare, smooth_part
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,9 @@ share would do harm: of samples near the limit it takes those that missed the st
 _LEAST_PATHS = 64
 """So many paths are needed for a connection that is never stronger than an even spread; `_sharpness` times for others,
 whose strong paths are as rare as they are strong: a sample that missed them all looks perfect."""
+_BY_CHANCE = 4.0
+"""For light that a dielectric inside bends (measured on a drink with ice, alpha 0.05: bounds cover 86 % at 80 times
+alpha⁻² paths, 93.5 % at 160, 95 % at 330)."""
 _DARK = 1e-3 / (4.0 * math.pi)
 """[1/sr]: a thousandth of an even spread of all light. Of what is surely darker an upper bound is enough."""
 _UNSEEN = 3.0
@@ -41,7 +45,7 @@ _UNAIMED = 0.1
 _CONNECTIONS = 8
 _BOUND = 1.96
 _TINY_VARIANCE = 1e-140
-"""Below this, fourth powers underflow: what is so dark is called unreliable."""
+"""Below this, fourth powers underflow: the kurtosis of what is so dark is called infinite."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +61,11 @@ class Estimate:
         unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
             not in `mean`. 0 behind a rough interface, where that light is a function and is counted. [N,3] where
             extinction differs between the channels.
-        reliable: [N], False where the error bars cannot be trusted at this number of paths: the interface or phase
-            function is too sharp for so few, or the sample's own kurtosis is above a fifth of the paths for some value,
-            or no path has brought anything to it, and the bound above does not show it to be that dark.
+        reliable: [N], False where the error bars cannot be trusted at this number of paths. It asks for 64 paths, times
+            how much stronger than an even spread the peak of the interface's lobe or of the phase function is (a
+            texture's on average), times four where a dielectric inside bends the light; and for each value that some
+            path has brought anything and the sample's kurtosis stays below a fifth of the paths, or else that the
+            bound above shows it to be that dark.
         lost: [N], mean throughput of walks that were cut (0 unless a walk passes ten million events).
         paths, seconds: walks a query, and what they took.
     """
@@ -124,7 +130,7 @@ def estimate_transport(
         )
 
     shape = () if single else towards.shape[1:2]
-    sharpness = _sharpness(prepared)
+    sharpness = _sharpness(scene, prepared)
     strong = _BRIGHT * max(1.0, _UNAIMED * sharpness)
     return _estimate(run, len(queries[0]), paths, shape, towards.shape[1], _LEAST_PATHS * sharpness, strong)
 
@@ -161,12 +167,16 @@ def estimate_coefficients(
     return _estimate(run, len(queries[0]), paths, (size,), size, _LEAST_PATHS, math.inf)
 
 
-def _sharpness(prepared: PreparedScene) -> float:
+def _sharpness(scene: Scene, prepared: PreparedScene) -> float:
     """How much stronger than an even spread a single connection can be: the peak of the phase function where events
-    look straight at the light, of the interface's lobe where they look through it.
+    look straight at the light, of the interface's lobe where they look through it, averaged over a texture.
+
+    What a dielectric inside bends cannot be aimed at the light and finds it by chance alone, `_BY_CHANCE` times as
+    rarely.
     """
     if prepared.kind == ROUGH:
-        return max(1.0, prepared.boundary.alpha**-2)
+        lobes = float(np.mean(np.maximum(scene.roughness, SMOOTHEST) ** -2.0))
+        return max(1.0, lobes) * (_BY_CHANCE if has_dielectric_inside(scene) else 1.0)
     g = float(np.abs(prepared.medium.regions[:, PHASE_G]).max())
     return (1.0 + g) / (1.0 - g) ** 2
 

@@ -134,6 +134,13 @@ def smooth_part(scene: Scene) -> Part | None:
     return None
 
 
+def has_dielectric_inside(scene: Scene) -> bool:
+    """Whether a part inside the object bends light: of another index than what it stands in."""
+    return any(
+        part.diffuse is None and _kind(part, scene.parts[part.parent].eta) != MATCHED for part in scene.parts[1:]
+    )
+
+
 def _mean_alpha(part: Part) -> float:
     return float(np.mean(part.roughness))
 
