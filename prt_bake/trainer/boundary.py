@@ -11,12 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.clearance import NEAR_CELLS, REACH
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 
-_MOST_PLANES = 24
 PASS, DIFFUSE, OPAQUE = -1, 3, 4
 """What a crossing may be beside the kinds of dielectrics: nothing, a diffuse surface met, one met from within."""
 SAME_INDEX = 1e-9
@@ -41,6 +39,8 @@ class Boundary(NamedTuple):
     faces: NDArray[np.float64]
     """[F,29]: normal (first), corners, normals and texture coordinates of the corners, part, and whether nothing lies
     in front of its plane. Those of part 0, the object itself, come first."""
+    planes: NDArray[np.float64]
+    """[F,4]: each face's normal, and its plane's distance from the origin along it."""
     parts: NDArray[np.float64]
     """[P,11]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
     height (0: no texture) and width, whether a rough interface is compensated, and the absolute index inside."""
@@ -77,7 +77,7 @@ def part_of(boundary: Any, face: Any) -> Any:
     return int(boundary.faces[face, PART])
 
 
-@walk_function()
+@called_function()
 def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
     """Write the interface's normal at (u, v) of a face: the face's own, or the interpolated one where it is asked
     for.
@@ -122,7 +122,7 @@ def _texel(boundary: Any, part: Any, s: Any, t: Any, channel: Any) -> Any:
     return upper * (1.0 - fy) + lower * fy
 
 
-@walk_function()
+@called_function()
 def _textured(boundary: Any, face: Any, u: Any, v: Any, channel: Any) -> Any:
     row = boundary.faces[face]
     s = (1.0 - u - v) * row[CORNER_UV] + u * row[CORNER_UV + 2] + v * row[CORNER_UV + 4]
@@ -139,7 +139,7 @@ def alpha_at(boundary: Any, face: Any, u: Any, v: Any) -> Any:
     return _textured(boundary, face, u, v, 0)
 
 
-@walk_function()
+@called_function()
 def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel: Any) -> Any:
     """What the diffuse `part` reflects where it is met at a face (of another part where both surfaces coincide)."""
     if boundary.parts[part, HEIGHT] == 0.0 or part_of(boundary, face) != part:
@@ -189,7 +189,7 @@ def meet(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) 
     return face, u, v, before, after
 
 
-@walk_function()
+@called_function()
 def _meet_together(
     boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, u: Any, v: Any, before: Any, after: Any
 ) -> Any:
@@ -229,7 +229,7 @@ def _index(boundary: Any, region: Any) -> Any:
     return 1.0 if region == 0 else boundary.parts[region - 1, INDEX]
 
 
-@walk_function()
+@called_function()
 def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
     if here == there:
@@ -269,7 +269,7 @@ def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: 
     return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
 
 
-@walk_function()
+@called_function()
 def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
     """The first face along p + t d that is more than an index-matched boundary, where on it the ray arrives (u, v), its
     distance, and the masks before and behind it.
@@ -288,7 +288,7 @@ def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
         face, mask, at = found, after, t
 
 
-@walk_function()
+@called_function()
 def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
     """Mask of the parts other than the face's own that hold the point just inside `face` along `inward`.
 
@@ -303,36 +303,3 @@ def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
         if found >= 0 and met_from_behind(boundary, boundary.handles[part, 1] + found, inward):
             mask |= 1 << part
     return mask
-
-
-@walk_function(inline="always")
-def room_about(boundary: Any, p: Any) -> Any:
-    """A distance from p, inside the object, within which there is no face; 0 where nothing is known."""
-    n = boundary.clearance.shape[0]
-    if n == 0:
-        return 0.0
-    x, y, z = int((p[0] + 0.5) * n), int((p[1] + 0.5) * n), int((p[2] + 0.5) * n)
-    if x < 0 or y < 0 or z < 0 or x >= n or y >= n or z >= n:
-        return 0.0
-    room = np.float64(boundary.clearance[z, y, x])
-    if room > 0.0 or boundary.near.shape[0] == 0:
-        return room
-    return _room_before_planes(boundary, p)
-
-
-@walk_function()
-def _room_before_planes(boundary: Any, p: Any) -> Any:
-    """The same near the surface: the distance to the planes of the faces that come near."""
-    n = NEAR_CELLS
-    cell = (int((p[2] + 0.5) * n) * n + int((p[1] + 0.5) * n)) * n + int((p[0] + 0.5) * n)
-    first, last = boundary.near[cell], boundary.near[cell + 1]
-    if last == first or last - first > _MOST_PLANES:
-        return 0.0
-    room = REACH / n
-    for i in range(first, last):
-        row = boundary.faces[boundary.near[i]]
-        x, y, z = p[0] - row[CORNERS], p[1] - row[CORNERS + 1], p[2] - row[CORNERS + 2]
-        height = x * row[0] + y * row[1] + z * row[2]
-        # In front of a plane nothing is known of the side that the place is on.
-        room = min(room, max(0.0, -height))
-    return room

@@ -8,9 +8,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 
 
 class Media(NamedTuple):
@@ -87,13 +88,25 @@ def multiply_albedo(media: Any, region: Any, p: Any, throughput: Any) -> None:
     if channels == 0.0:
         for c in range(3):
             throughput[c] *= row[ALBEDO + c]
-    elif channels == 1.0:
+    else:
+        _multiply_gridded_albedo(media, row, p, throughput)
+
+
+@called_function()
+def _multiply_gridded_albedo(media: Any, row: Any, p: Any, throughput: Any) -> None:
+    if row[ALBEDO_GRID + CHANNELS] == 1.0:
         albedo = _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, 0)
         for c in range(3):
             throughput[c] *= albedo
     else:
         for c in range(3):
             throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
+
+
+@njit(cache=True)
+def is_uneven(media: Any) -> bool:
+    """Whether the extinction of any region is a grid, along which transmittances are drawn."""
+    return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())
 
 
 @walk_function(inline="always")

@@ -179,6 +179,7 @@ def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64])
                 own[:, CORNER_UV:PART] = part.mesh.corner_uv.reshape(-1, 6)
     return {
         "faces": rows,
+        "planes": np.column_stack([rows[:, :3], np.einsum("fi,fi->f", rows[:, :3], rows[:, CORNERS : CORNERS + 3])]),
         "parts": table,
         "texels": np.concatenate(texels) if texels else np.zeros(0, np.float32),
     }

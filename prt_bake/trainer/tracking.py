@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.media import (
     BLOCKS,
@@ -71,7 +71,7 @@ def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stre
     return flight
 
 
-@walk_function()
+@called_function()
 def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: Any, at: Any, stream: Any) -> Any:
     t = 0.0
     while t < far:
@@ -93,7 +93,7 @@ def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: An
     return np.inf
 
 
-@walk_function()
+@called_function()
 def flight_by_channel(media: Any, region: Any, p: Any, d: Any, far: Any, throughput: Any, at: Any, stream: Any) -> Any:
     """Distance to the next scattering event before `far`, else infinite, with the throughput [3] weighted for either.
 
@@ -140,7 +140,7 @@ def _collides(media: Any, region: Any, at: Any, highest: Any, throughput: Any, u
     return False
 
 
-@walk_function()
+@called_function()
 def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any) -> Any:
     total = throughput[0] + throughput[1] + throughput[2]
     if total <= 0.0:
@@ -182,7 +182,7 @@ def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: 
                 kept[c] *= math.exp(-row[SIGMA_T + c] * (far - near))
 
 
-@walk_function()
+@called_function()
 def _attenuate_in_grid(
     media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any
 ) -> None:
