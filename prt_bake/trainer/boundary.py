@@ -42,10 +42,9 @@ class Boundary(NamedTuple):
     planes: NDArray[np.float64]
     """[F,4]: each face's normal, and its plane's distance from the origin along it."""
     parts: NDArray[np.float64]
-    """[P,11]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
-    height (0: no texture) and width, whether a rough interface is compensated, and the absolute index inside."""
-    handles: NDArray[np.int64]
-    """[P,2]: Embree's scene of each part alone, and its first face."""
+    """[P,13]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
+    height (0: no texture) and width, whether a rough interface is compensated, the absolute index inside, the address of
+    Embree's scene of the part alone (float64 holds it exactly), and the part's first face."""
     texels: NDArray[np.float32]
     """The textures of all parts, three channels, one after the other."""
     losses: NDArray[np.float64]
@@ -68,7 +67,7 @@ class Boundary(NamedTuple):
 
 CORNERS, CORNER_NORMALS, CORNER_UV, PART, OPEN, FACE_SIZE = 3, 12, 21, 27, 28, 29
 ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH = 0, 1, 4, 5, 6, 7, 8
-COMPENSATED, INDEX, PART_SIZE = 9, 10, 11
+COMPENSATED, INDEX, TREE, FIRST_FACE, PART_SIZE = 9, 10, 11, 12, 13
 
 
 @walk_function(inline="always")
@@ -200,11 +199,11 @@ def _meet_together(
     for part in range(len(boundary.parts)):
         if part == hit:
             continue
-        tree = boundary.handles[part, 0]
+        tree, first = int(boundary.parts[part, TREE]), int(boundary.parts[part, FIRST_FACE])
         found, _t = nearest_hit(boundary.intersect, tree, ray, start, d, 0.0, 2.0 * CLEARANCE, -1)
         if found < 0:
             continue
-        other, bit = boundary.handles[part, 1] + found, 1 << part
+        other, bit = first + found, 1 << part
         if met_from_behind(boundary, other, d):
             before, after = before | bit, after & ~bit
         else:
@@ -299,7 +298,8 @@ def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
         if not boundary.nested or part == part_of(boundary, face):
             continue
         # What lies within the clearance lies on the face: the point just inside is beyond it.
-        found, _t = nearest_hit(boundary.intersect, boundary.handles[part, 0], ray, p, inward, CLEARANCE, np.inf, -1)
-        if found >= 0 and met_from_behind(boundary, boundary.handles[part, 1] + found, inward):
+        tree, first = int(boundary.parts[part, TREE]), int(boundary.parts[part, FIRST_FACE])
+        found, _t = nearest_hit(boundary.intersect, tree, ray, p, inward, CLEARANCE, np.inf, -1)
+        if found >= 0 and met_from_behind(boundary, first + found, inward):
             mask |= 1 << part
     return mask
