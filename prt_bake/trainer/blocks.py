@@ -1,7 +1,8 @@
 """Blocks of a grid with their least and largest extinction, so that tracking steps as far as each place allows.
 
 A majorant for the whole grid would let its densest cell decide the cost everywhere; blocks as small as cells would cost
-more steps than they save. The number of blocks is chosen by the steps that a long ray is expected to take.
+more steps than they save. The number of blocks is chosen by the steps that a long ray is expected to take. Blocks that
+are deeper than their cells are many are followed cell by cell (`prt_bake.trainer.cells`).
 """
 
 import numpy as np
@@ -11,7 +12,14 @@ Array = NDArray[np.float64]
 
 _STEP_COST = 0.4
 """Leaving a block, in tentative events."""
+_CELL_COST = 1.2
+"""Following a cell exactly, in tentative events."""
 _MOST = 64
+
+
+def steep(cells: tuple[int, ...], side: Array) -> float:
+    """The extinction above which following the cells of a grid [Z,Y,X] costs less than tentative events."""
+    return _CELL_COST * float((np.array(cells[:3]) / side[::-1]).max())
 
 
 def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
@@ -27,7 +35,7 @@ def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
     while count <= _MOST:
         shape = _shape(low.shape, side, count)
         bounds = np.stack([_reduced(low, shape, np.minimum), _reduced(high, shape, np.maximum)], axis=-1)
-        spent = _steps(bounds, shape, side)
+        spent = _steps(bounds, shape, low.shape, side)
         if spent < cost:
             best, cost = (bounds, shape), spent
         if all(n == cells for n, cells in zip(shape, low.shape, strict=True)):
@@ -57,7 +65,7 @@ def _reduced(grid: Array, shape: tuple[int, int, int], take: np.ufunc) -> Array:
     return grid
 
 
-def _steps(bounds: Array, shape: tuple[int, int, int], side: Array) -> float:
+def _steps(bounds: Array, shape: tuple[int, int, int], cells: tuple[int, ...], side: Array) -> float:
     """Tentative events and steps between blocks that a ray along the longest side is expected to take."""
     crossed = np.mean(np.array(shape[::-1]) / side) * side.max() if np.prod(shape) > 1 else 0.0
-    return float(bounds[..., 1].mean() * side.max() + _STEP_COST * crossed)
+    return float(np.minimum(bounds[..., 1], steep(cells, side)).mean() * side.max() + _STEP_COST * crossed)

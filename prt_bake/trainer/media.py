@@ -18,7 +18,7 @@ class Media(NamedTuple):
     """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
 
     regions: NDArray[np.float64]
-    """[R,30], by the names below."""
+    """[R,31], by the names below."""
     extinction_cells: NDArray[np.float32]
     albedo_cells: NDArray[np.float32]
     blocks: NDArray[np.float64]
@@ -36,7 +36,9 @@ EXTINCTION_GRID, ALBEDO_GRID = 16, 21
 CHANNELS = 1
 BLOCKS = 26
 """First block, blocks along x, y, z."""
-REGION_SIZE = 30
+STEEP = 30
+"""Blocks of a larger extinction than this are followed cell by cell."""
+REGION_SIZE = 31
 
 
 @walk_function(inline="always")

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Medium, Part
-from prt_bake.trainer.blocks import blocks_of
+from prt_bake.trainer.blocks import blocks_of, steep
 from prt_bake.trainer.media import (
     ALBEDO,
     ALBEDO_GRID,
@@ -18,6 +18,7 @@ from prt_bake.trainer.media import (
     PHASE_G,
     REGION_SIZE,
     SIGMA_T,
+    STEEP,
     Media,
 )
 
@@ -44,6 +45,7 @@ def prepare_media(parts: tuple[Part, ...], center: Array, scale: float) -> Media
             # What the kernels look up is rounded to float32, so the blocks count that.
             extinction = extinctions.add(row[EXTINCTION_GRID : EXTINCTION_GRID + 5], extinction)
             bounds, shape = blocks_of(extinction, side)
+            row[STEEP] = steep(extinction.shape, side)
             row[BLOCKS : BLOCKS + 4] = sum(map(len, blocks)), *shape
             blocks.append(bounds)
         else:

@@ -2,7 +2,8 @@
 
 Distances to a scattering event are drawn by delta tracking (Woodcock 1965), transmittances by ratio tracking (Novák et
 al. 2014), both against the largest extinction of each block of the grid that the ray goes through; of a block's least
-extinction the transmittance is exact. Where extinction differs between channels, events are drawn from the mean of the
+extinction the transmittance is exact. Where that would take too many tentative events, cells are followed one by one
+(`prt_bake.trainer.cells`). Where extinction differs between channels, events are drawn from the mean of the
 channels weighted by what each still carries, which is the balance heuristic over channels (Kutz et al. 2017, "Spectral
 and decomposition tracking"): the sum of the three is kept by every event but absorption, so that none of them explodes.
 """
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from prt_bake.trainer.cells import attenuate_in_cells, flight_in_cells
 from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.media import (
@@ -23,6 +25,7 @@ from prt_bake.trainer.media import (
     MAJORANT,
     PER_LENGTH,
     SIGMA_T,
+    STEEP,
     extinction,
 )
 
@@ -77,6 +80,13 @@ def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: An
     while t < far:
         block, end = _block(media, region, p, d, t)
         highest = media.blocks[block, 1]
+        if highest > media.regions[region, STEEP]:
+            # What is left of `depth` is exponential again, whatever happens here.
+            found = flight_in_cells(media, region, p, d, t, min(end, far), at, stream)
+            if found < np.inf:
+                return found
+            t = end
+            continue
         step = depth / highest if highest > 0.0 else np.inf
         if t + step >= end:
             depth -= (end - t) * highest
@@ -195,6 +205,12 @@ def _attenuate_in_grid(
         lowest, highest = media.blocks[block, 0], media.blocks[block, 1]
         end = min(end, far)
         rest = highest - lowest
+        if rest > media.regions[region, STEEP]:
+            attenuate_in_cells(media, region, channels, p, d, t, end, at, kept)
+            t = end
+            if not _worth_following(kept, certain, watched, stream):
+                return
+            continue
         step = depth / rest if rest > 0.0 else np.inf
         met = t + step < end
         reached = t + step if met else end
