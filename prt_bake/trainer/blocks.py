@@ -25,8 +25,9 @@ def steep(cells: tuple[int, ...], side: Array) -> float:
 def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
     """Least and largest extinction [.,2] of the blocks of a grid [Z,Y,X] or [Z,Y,X,3] over a box of `side` (x, y, z).
 
-    Returns them, x fastest, with the number of blocks along x, y and z. Values between cell centres are trilinear, so
-    that a block counts every cell that reaches into it.
+    Returns them, x fastest, with the number of blocks along x, y and z. They share the box between the centres of the
+    outermost voxels evenly, and beyond that box those at its sides go on. Values between the centres are trilinear, so
+    that what is largest and least in a block lies among the voxels that it reaches to.
     """
     low = grid.min(axis=3) if grid.ndim == 4 else grid
     high = grid.max(axis=3) if grid.ndim == 4 else grid
@@ -38,7 +39,7 @@ def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
         spent = _steps(bounds, shape, low.shape, side)
         if spent < cost:
             best, cost = (bounds, shape), spent
-        if all(n == cells for n, cells in zip(shape, low.shape, strict=True)):
+        if all(n >= voxels - 1 for n, voxels in zip(shape, low.shape, strict=True)):
             break
         count *= 2
     assert best is not None
@@ -47,15 +48,15 @@ def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
 
 
 def _shape(cells: tuple[int, ...], side: Array, count: int) -> tuple[int, int, int]:
-    """Blocks along z, y, x: `count` along the longest side, no more than cells."""
+    """Blocks along z, y, x: `count` along the longest side, no more than there are cells between centres."""
     wanted = np.ceil(count * side[::-1] / side.max()).astype(int)
-    return tuple(int(min(n, max(1, w))) for n, w in zip(cells, wanted, strict=True))  # type: ignore[return-value]
+    return tuple(int(max(1, min(n - 1, w))) for n, w in zip(cells, wanted, strict=True))  # type: ignore[return-value]
 
 
 def _reduced(grid: Array, shape: tuple[int, int, int], take: np.ufunc) -> Array:
     for axis, blocks in enumerate(shape):
         cells = grid.shape[axis]
-        edges = np.arange(blocks + 1) / blocks * cells - 0.5
+        edges = np.arange(blocks + 1) / blocks * (cells - 1)
         first = np.clip(np.floor(edges[:-1] - 1e-6), 0, cells - 1).astype(int)
         last = np.clip(np.ceil(edges[1:] + 1e-6), 0, cells - 1).astype(int)
         rows = np.moveaxis(grid, axis, 0)

@@ -16,7 +16,7 @@ from prt_bake.trainer.media import EXTINCTION_GRID, LOW, PER_LENGTH, extinction
 
 _GAUSS = 0.5 / math.sqrt(3.0)
 _MOST_STEPS = 60
-_EXACT = 1e-12
+_EXACT = 1e-11
 
 
 @walk_function()
@@ -76,7 +76,7 @@ def flight_in_cells(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any
 
 @called_function()
 def _place_of(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, depth: Any, passed: Any, at: Any) -> Any:
-    """Where along a cell of depth `passed` the depth is `depth`: Newton's steps, halves where they leave the bracket."""
+    """Where along a cell of depth `passed` the depth is `depth`: Newton's steps, else halves."""
     low, high = near, far
     t = near + (far - near) * depth / passed
     for _ in range(_MOST_STEPS):

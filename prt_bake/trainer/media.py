@@ -18,7 +18,7 @@ class Media(NamedTuple):
     """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
 
     regions: NDArray[np.float64]
-    """[R,31], by the names below."""
+    """[R,37], by the names below."""
     extinction_cells: NDArray[np.float32]
     albedo_cells: NDArray[np.float32]
     blocks: NDArray[np.float64]
@@ -36,9 +36,11 @@ EXTINCTION_GRID, ALBEDO_GRID = 16, 21
 CHANNELS = 1
 BLOCKS = 26
 """First block, blocks along x, y, z."""
-STEEP = 30
+BLOCKS_LOW, BLOCKS_PER_LENGTH = 30, 33
+"""Where blocks begin, and how many come to a length, along x, y and z; the outermost ones go on without end."""
+STEEP = 36
 """Blocks of a larger extinction than this are followed cell by cell."""
-REGION_SIZE = 31
+REGION_SIZE = 37
 
 
 @walk_function(inline="always")

@@ -18,12 +18,12 @@ from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.media import (
     BLOCKS,
+    BLOCKS_LOW,
+    BLOCKS_PER_LENGTH,
     CHANNELS,
     CHROMATIC,
     EXTINCTION_GRID,
-    LOW,
     MAJORANT,
-    PER_LENGTH,
     SIGMA_T,
     STEEP,
     extinction,
@@ -38,11 +38,11 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
     """The block on one axis at p + probe d, and where the ray leaves it; the outermost blocks have no end."""
     if count == 1:
         return 0, np.inf
-    i = int(min(max((p + probe * d - low) * per_length * count, 0.0), count - 1.0))
+    i = int(min(max((p + probe * d - low) * per_length, 0.0), count - 1.0))
     if d > 0.0 and i < count - 1:
-        return i, (low + (i + 1) / (count * per_length) - p) / d
+        return i, (low + (i + 1) / per_length - p) / d
     if d < 0.0 and i > 0:
-        return i, (low + i / (count * per_length) - p) / d
+        return i, (low + i / per_length - p) / d
     return i, np.inf
 
 
@@ -52,9 +52,10 @@ def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     row = media.regions[region]
     first, nx, ny, nz = int(row[BLOCKS]), int(row[BLOCKS + 1]), int(row[BLOCKS + 2]), int(row[BLOCKS + 3])
     probe = t + 1e-7
-    x, tx = _block_axis(p[0], d[0], probe, row[LOW], row[PER_LENGTH], nx)
-    y, ty = _block_axis(p[1], d[1], probe, row[LOW + 1], row[PER_LENGTH + 1], ny)
-    z, tz = _block_axis(p[2], d[2], probe, row[LOW + 2], row[PER_LENGTH + 2], nz)
+    low, per_length = row[BLOCKS_LOW : BLOCKS_LOW + 3], row[BLOCKS_PER_LENGTH : BLOCKS_PER_LENGTH + 3]
+    x, tx = _block_axis(p[0], d[0], probe, low[0], per_length[0], nx)
+    y, ty = _block_axis(p[1], d[1], probe, low[1], per_length[1], ny)
+    z, tz = _block_axis(p[2], d[2], probe, low[2], per_length[2], nz)
     return first + (z * ny + y) * nx + x, max(min(tx, min(ty, tz)), probe)
 
 
