@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.error_estimate import Estimator, halves_variance, neighbour_variance
+from bakers.path_traced import Account, Walks, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
 from bakers.projection import DirectionPool, project, residual_variance
 from bakers.transport import as_radiance, way_in
@@ -33,6 +34,8 @@ class Block:
     """[n], false where the transport answered something that is not finite."""
     bent: int
     """Bins whose direction lay below the horizon."""
+    account: Account | None = None
+    """What random walks say beside the coefficients."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +48,6 @@ class Sampling:
     second_rotation: Callable[[int, int], NDArray[np.int64]] | None
     """Another set for each bin, where the error comes from two half-size sets."""
     estimator: Estimator
-
-
-@dataclass(frozen=True)
-class Walks:
-    """How many random walks estimate the coefficients at every bin."""
-
-    degree: int
-    paths: int
-    seed: Callable[[int], int]
-    """Vertex → its own seed."""
 
 
 @dataclass(frozen=True)
@@ -72,13 +65,13 @@ class Task:
 
 
 def bake_blocks(task: Task, vertices: range, workers: int = 1) -> Generator[Block, None, None]:
-    """Yields the blocks of `vertices` in order, computed by `workers` threads.
+    """Yields the blocks of `vertices` in order, computed by `workers` threads, or by those of the walks themselves.
 
     Whatever the transport raises is raised here. Closing the iterator waits for the blocks under way.
     """
     size = block_size(task)
     starts = range(vertices.start, vertices.stop, size)
-    if workers <= 1:
+    if workers <= 1 or isinstance(task.sampling, Walks):
         for first in starts:
             yield bake_block(task, first, min(first + size, vertices.stop))
         return
@@ -98,15 +91,18 @@ def bake_blocks(task: Task, vertices: range, workers: int = 1) -> Generator[Bloc
 def block_size(task: Task) -> int:
     """Vertices per block."""
     if isinstance(task.sampling, Walks):
-        return 1
+        return vertices_walked_at_once(task.bins, task.sampling.paths)
     return vertices_at_once(task.bins, task.sampling.pool.incident.shape[1])
 
 
 def bake_block(task: Task, first: int, last: int) -> Block:
     """Bakes vertices first … last − 1."""
     outgoing, bent = task.outgoing(first, last)
+    account = None
     if isinstance(task.sampling, Walks):
-        coefficients, variance = _walk(task, task.sampling, outgoing, first, last)
+        positions = task.positions[first:last]
+        coefficients, variance, account = walk_block(task.transport, task.sampling, positions, outgoing, first)
+        bent += account.bent
     else:
         coefficients, variance = _sample(task, task.sampling, outgoing, first, last)
     with np.errstate(over="ignore"):
@@ -114,7 +110,7 @@ def bake_block(task: Task, first: int, last: int) -> Block:
     valid = np.asarray(np.isfinite(rounded).all(axis=(1, 2, 3)) & np.isfinite(variance).all(axis=1))
     rounded[~valid] = 0.0
     standard_error = np.sqrt(np.where(valid[:, None], variance, 0.0)).astype(np.float32)
-    return Block(first, rounded, standard_error, valid, bent)
+    return Block(first, rounded, standard_error, valid, bent, account)
 
 
 def _sample(task: Task, sampling: Sampling, outgoing: Array, first: int, last: int) -> tuple[Array, Array]:
@@ -146,18 +142,3 @@ def _values(
     incident = pool.incident[rotation].reshape(-1, directions, 3)
     answer = task.transport.evaluate(incident, np.repeat(positions, task.bins, axis=0), outgoing.reshape(-1, 3))
     return as_radiance(answer, (len(incident), directions, 3), "evaluate").reshape(expected)
-
-
-def _walk(task: Task, walks: Walks, outgoing: Array, first: int, last: int) -> tuple[Array, Array]:
-    """Coefficients and their variance from random walks, vertex by vertex with a seed of its own."""
-    means, variances = [], []
-    for vertex in range(first, last):
-        positions = np.repeat(task.positions[vertex : vertex + 1], task.bins, axis=0)
-        estimate = task.transport.estimate_coefficients(
-            positions, outgoing[vertex - first], walks.degree, walks.paths, walks.seed(vertex)
-        )
-        count = (walks.degree + 1) ** 2
-        means.append(as_radiance(estimate.mean, (task.bins, count, 3), "estimate_coefficients"))
-        error = as_radiance(estimate.standard_error, (task.bins, count, 3), "estimate_coefficients")
-        variances.append((error**2).mean(axis=(1, 2)))
-    return np.stack(means).astype(np.float64), np.stack(variances)

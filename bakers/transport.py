@@ -4,6 +4,7 @@ Arguments are NumPy float64 arrays of unit vectors and object-space positions; a
 tensors. Axes: N queries or vertices, B view bins, D incident directions, R copies of a direction set, C = 3 channels.
 """
 
+from collections.abc import Sequence
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -52,6 +53,18 @@ class CoefficientTransport(Protocol):
         self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seed: int, /
     ) -> CoefficientEstimate:
         """a_lm at positions [N,3] seen along outgoing [N,3], from `paths` walks a query, keyed by `seed`."""
+
+
+@runtime_checkable
+class WalkBlockTransport(Protocol):
+    """The same for many vertices at once; offered beside `estimate_coefficients`, which says what it means."""
+
+    def estimate_block(
+        self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seeds: Sequence[int], /
+    ) -> Any:
+        """`mean` and `standard_error` [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], and the `account`
+        (`bakers.path_traced`) of what else the walks say; each vertex's numbers depend on its own of the seeds [n].
+        """
 
 
 AnyTransport = Transport | BlockTransport | CoefficientTransport

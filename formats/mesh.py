@@ -111,7 +111,9 @@ class Mesh:
     @property
     def seamless(self) -> bool:
         """Whether the texture coordinates are one pair a vertex, so that `uv` says all that `corner_uv` does."""
-        return self.uv is None or self.corner_uv is None or np.array_equal(self.uv[self.faces], self.corner_uv)
+        if self.uv is None or self.corner_uv is None:
+            return self.corner_uv is None
+        return np.array_equal(self.uv[self.faces], self.corner_uv)
 
 
 def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) -> Mesh:

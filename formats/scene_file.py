@@ -2,12 +2,13 @@
 
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from formats.errors import SceneError
+from formats.errors import PrtbakeError, SceneError
 from formats.scene_schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
 from formats.whole import existing
 
@@ -87,6 +88,17 @@ def expected(key: str) -> str:
     """Say what a key, given with its tables, may be: "medium.albedo" is a number, three, or the name of a grid."""
     tables = key.split(".")
     return _EXPECTED.get(".".join(tables[-2:])) or _EXPECTED[tables[-1]]
+
+
+@contextmanager
+def named_by(path: Path, key: str) -> Iterator[None]:
+    """Tell the faults of a file that a scene file names by that scene file and the key, before its own sentence."""
+    try:
+        yield
+    except PrtbakeError as fault:
+        if str(fault).startswith(f"{path}: "):
+            raise
+        raise type(fault)(f"{path}: {key}: {fault}") from fault
 
 
 def _located(loc: tuple[int | str, ...], tables: Mapping[str, object]) -> tuple[list[int | str], object]:

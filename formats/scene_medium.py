@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 
 from formats.errors import SceneError
 from formats.materials import MILLIMETRES, Substance, albedo_of, find_material, substance
-from formats.scene_file import expected
+from formats.scene_file import expected, named_by
 from formats.scene_grid import read_grid
 from formats.scene_schema import MediumTable, MixTable, ObjectTable
 from formats.solid_texture import share
 
+MOST_MEAN_FREE_PATHS = 1e9
+"""Along the longest side of a part: beyond, one is shorter than a float32 position can tell."""
 _PADDING = 1e-3
 """How far a mixture's box reaches beyond the part's, in the part's longest side."""
 
@@ -61,32 +63,56 @@ def read_medium(table: MediumTable, place: Place) -> Medium:
 
     Raises:
         SceneError: an unknown material, a unit of length that is not known, keys that exclude one another, a grid that
-            does not fit, or one without `bounds`.
+            does not fit, lies elsewhere or has no `bounds`, an extinction beyond `MOST_MEAN_FREE_PATHS`.
         StorageError: a grid is missing.
     """
     _refuse_contradictions(table, place, place.key)
-    if table.mix is not None:
-        return _mixed(table, table.mix, place)
+    # What is too large for float64 is infinite, and refused with all that is too large.
+    with np.errstate(over="ignore", invalid="ignore"):
+        medium = _mixed(table, table.mix, place) if table.mix is not None else _plain(table, place)
+    _refuse_opaque(medium, table, place)
+    return medium
+
+
+def _plain(table: MediumTable, place: Place) -> Medium:
+    """A medium of one substance."""
     if table.material is not None:
         pure = _substance(table, place, place.key, table.phase_g)
         return Medium(pure.sigma_t, pure.albedo, table.phase_g)
     has_grid = isinstance(table.sigma_t, str) or isinstance(table.albedo, str)
-    if has_grid and table.bounds is None:
+    sigma_t, albedo = _quantity(table.sigma_t, place, "sigma_t", np.inf), _quantity(table.albedo, place, "albedo", 1.0)
+    return Medium(sigma_t, albedo, table.phase_g, _box_of_grids(table, place) if has_grid else None)
+
+
+def _box_of_grids(table: MediumTable, place: Place) -> NDArray[np.float64]:
+    where = f"{place.path}: {place.key}.bounds"
+    if table.bounds is None:
+        raise SceneError(f"{where}: is missing; a grid needs its box, as in bounds = [[-1, -1, -1], [1, 1, 1]]")
+    box = np.array(table.bounds, np.float64)
+    low, high = place.bounds
+    if (box[0] >= high).any() or (box[1] <= low).any():
         raise SceneError(
-            f"{place.path}: {place.key}.bounds: is missing; a grid needs its box, as in "
-            f"bounds = [[-1, -1, -1], [1, 1, 1]]"
+            f"{where}: the grids' box {box.tolist()} lies wholly beside the part's, {place.bounds.tolist()}; expected "
+            "one that meets it: check the unit of length"
         )
-    return Medium(
-        sigma_t=_quantity(table.sigma_t, place, "sigma_t", np.inf),
-        albedo=_quantity(table.albedo, place, "albedo", 1.0),
-        phase_g=table.phase_g,
-        bounds=np.array(table.bounds, np.float64) if has_grid else None,
-    )
+    return box
+
+
+def _refuse_opaque(medium: Medium, table: MediumTable, place: Place) -> None:
+    largest = float(np.max(medium.sigma_t))
+    paths = largest * float((place.bounds[1] - place.bounds[0]).max())
+    if not paths <= MOST_MEAN_FREE_PATHS:
+        key = "sigma_t" if table.material is None else "density"
+        raise SceneError(
+            f"{place.path}: {place.key}.{key}: an extinction of {largest:g} per scene unit makes the part {paths:.3g} "
+            f"mean free paths long; expected at most {MOST_MEAN_FREE_PATHS:g}: check the unit of length"
+        )
 
 
 def _quantity(given: object, place: Place, name: str, highest: float) -> NDArray[np.float64]:
     if isinstance(given, str):
-        return read_grid(place.path, f"{place.key}.{name}", given, highest)
+        with named_by(place.path, f"{place.key}.{name}"):
+            return read_grid(place.path, f"{place.key}.{name}", given, highest)
     quantity = np.asarray(given, np.float64)
     return np.broadcast_to(quantity, 3).copy() if name == "albedo" else quantity
 

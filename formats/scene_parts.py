@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from formats.errors import SceneError
 from formats.mesh import Mesh, flipped, open_edges, read_mesh, signed_volume, torn_edges
+from formats.scene_file import named_by
 from formats.scene_medium import Medium, Place, clear_medium, read_medium
 from formats.scene_schema import InsideTable, InterfaceTable, SceneFile
 from formats.texture import read_reflectance_texture, read_roughness_texture
@@ -149,7 +150,8 @@ def _parents(inside: tuple[InsideTable, ...], path: Path) -> list[int]:
 
 
 def _closed_mesh(mesh_path: Path, path: Path, key: str) -> tuple[Mesh, bool]:
-    mesh = read_mesh(mesh_path)
+    with named_by(path, key):
+        mesh = read_mesh(mesh_path)
     if count := open_edges(mesh):
         raise SceneError(
             f"{path}: {key}: {mesh_path} is not closed: {count} edges are not shared by exactly two faces; "
@@ -180,13 +182,15 @@ def _roughness(interface: InterfaceTable, mesh: Mesh, path: Path, key: str) -> f
     if not isinstance(interface.roughness, str):
         return interface.roughness
     _require_uv(mesh, f"{path}: {key}.roughness")
-    return read_roughness_texture(path, f"{key}.roughness", interface.roughness)
+    with named_by(path, f"{key}.roughness"):
+        return read_roughness_texture(path, f"{key}.roughness", interface.roughness)
 
 
 def _reflectance(table: InsideTable, mesh: Mesh, path: Path, key: str) -> NDArray[np.float64]:
     if isinstance(table.reflectance, str):
         _require_uv(mesh, f"{path}: {key}.reflectance")
-        return read_reflectance_texture(path, f"{key}.reflectance", table.reflectance)
+        with named_by(path, f"{key}.reflectance"):
+            return read_reflectance_texture(path, f"{key}.reflectance", table.reflectance)
     return np.broadcast_to(np.asarray(table.reflectance, np.float64), 3).copy()
 
 

@@ -8,7 +8,7 @@ from formats.solid_texture import Pattern
 
 _Unit = Annotated[float, Field(ge=0, le=1)]
 _Extinction = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-_Coordinate = Annotated[float, Field(allow_inf_nan=False)]
+_Coordinate = Annotated[float, Field(ge=-1e30, le=1e30)]
 _Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]
 _Density = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _Extinctions = Annotated[tuple[_Extinction, _Extinction, _Extinction], Strict(False)]

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from bakers.baker import Task
 from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.transport import way_in
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sphere
@@ -56,7 +57,11 @@ def resolve(
 
 
 def refuse_foreign(transport: Any, mesh: Mesh) -> None:
-    """Raise QueryError where the mesh leaves the box that a network was trained in: beyond it a network is wild."""
+    """Raise QueryError where the mesh is not the transport's own: where it leaves the box that a network was trained in
+    (beyond it a network is wild), or whatever the transport itself says of it.
+    """
+    if hasattr(transport, "refuse_foreign"):
+        transport.refuse_foreign(mesh)
     if not hasattr(transport, "box_min") or not hasattr(transport, "box_side"):
         return
     low = np.asarray(transport.box_min, np.float64)
@@ -84,15 +89,17 @@ def prepared(transport: Any, precision: str, device: str) -> Any:
 
 
 @contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """One intra-op thread a worker, if torch is loaded at all: more of them get in one another's way."""
-    torch = sys.modules.get("torch")
-    if torch is None:
+def limited_threads(transport: Any, workers: int) -> Iterator[None]:
+    """Random walks take `workers` threads, as many as there are at most; torch one intra-op thread a worker, if it is
+    loaded at all: more of them get in one another's way.
+    """
+    with ExitStack() as before:
+        if way_in(transport) == "coefficients":
+            import numba
+
+            before.callback(numba.set_num_threads, numba.get_num_threads())
+            numba.set_num_threads(max(1, min(workers, numba.config.NUMBA_NUM_THREADS)))  # type: ignore[attr-defined]
+        if (torch := sys.modules.get("torch")) is not None:
+            before.callback(torch.set_num_threads, torch.get_num_threads())
+            torch.set_num_threads(1)
         yield
-        return
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

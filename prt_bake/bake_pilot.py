@@ -1,5 +1,6 @@
 """What a few vertices tell of a whole bake: its error and its time for more and for fewer directions."""
 
+import math
 import time
 from typing import Any
 
@@ -7,36 +8,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import bake_block
+from bakers.path_traced import Walks
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_job import Job, one_torch_thread, prepared, resolve
+from prt_bake.bake_job import Job, limited_threads, prepared, resolve
+from prt_bake.bake_sampling import MOST_SAMPLES
 from prt_bake.randomness import hashed
 
 PILOT_VERTICES = 8
 PILOT_LIMIT = 1 << 14
 LADDER = (18, 32, 64, 128, 256)
+SEEN = 0.3
+"""A relative error of walks below which their number is foretold from it."""
+MARGIN = 1.1
+"""More walks than foretold, for what a few vertices do not show."""
 _PILOT_STREAM = 14
 
 
 def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]:
-    """Doubles the samples until a few vertices, drawn by the seed, show the error asked for; and what that took."""
+    """Takes more samples until a few vertices, drawn by the seed, show the error asked for; and what that took.
+
+    Directions are doubled. The error of walks falls as the root of their number, so that one pilot tells how many.
+    """
     if not 0.0 < error < 1.0:
         raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
     vertices = _pilot_vertices(job.mesh, seed)
     bins, spent = job.rings * job.sectors, 0
+    walks = isinstance(job.resolved.sampling, Walks)
+    limit, kind = (MOST_SAMPLES, "walks") if walks else (PILOT_LIMIT, "directions")
+    foretold = False
     while True:
         meter = _baked(job, vertices)
         spent += len(vertices) * bins * job.resolved.samples
         if meter.total <= error:
             return job, spent
         samples = 2 * job.resolved.samples
-        if samples > PILOT_LIMIT:
+        if walks and meter.total < SEEN:
+            samples, foretold = math.ceil(MARGIN * job.resolved.samples * (meter.total / error) ** 2), True
+        if samples > limit:
             raise QueryError(
-                f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} directions a bin leave "
-                f"{meter.total:.3g}, and more than {PILOT_LIMIT} are not tried; ask for less"
+                f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} {kind} a bin leave "
+                f"{meter.total:.3g}, and more than {limit:,} are not tried; ask for less"
             )
         job = resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed)
+        if foretold:
+            return job, spent
 
 
 def error_ladder(
@@ -59,7 +76,7 @@ def error_ladder(
     """
     transport = prepared(transport, precision, device)
     rows = []
-    with one_torch_thread():
+    with limited_threads(transport, 1):
         for count in samples:
             job = resolve(transport, mesh, degree, rings, sectors, "fibonacci", count, seed)
             vertices = _pilot_vertices(mesh, seed)

@@ -7,8 +7,9 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.baker import Sampling, Walks
+from bakers.baker import Sampling
 from bakers.error_estimate import choose_estimator
+from bakers.path_traced import Walks
 from bakers.projection import direction_pool
 from bakers.transport import way_in
 from formats.errors import QueryError
@@ -53,6 +54,8 @@ def resolve_sampling(
     if samples > MOST_SAMPLES:
         raise QueryError(f"samples: {samples:,} a bin, where at most {MOST_SAMPLES:,} are possible")
     if way_in(transport) == "coefficients":
+        if samples < 2:
+            raise QueryError("samples: 1 walk a bin, where at least 2 are needed for an error estimate")
         walks = Walks(degree, samples, lambda vertex: int(hashed(_WALK_STREAM, seed, vertex) >> np.uint64(1)))
         return Resolved(walks, "random walks", samples, "independent walks", None)
     if directions not in get_args(DirectionKind):

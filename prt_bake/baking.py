@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from bakers.baker import Block, bake_block, bake_blocks
+from bakers.baker import Block, bake_block, bake_blocks, block_size
+from bakers.path_traced import Account, Walks
 from bakers.plan import BakePlan, plan_bake
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
 from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_job import Job, one_torch_thread, prepared, refuse_foreign, resolve
+from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
 from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
 from prt_bake.bake_pilot import reach
 
@@ -59,12 +60,12 @@ def bake(
         directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
         samples: directions per bin, or random walks if the transport estimates coefficients itself. 64, the default,
             is raised to 2K where that is more.
-        error: estimated relative RMSE to reach; a pilot at eight vertices doubles `samples` until it is.
+        error: estimated relative RMSE to reach; a pilot at eight vertices tells how many `samples` that takes.
         seed: keys everything random; equal seeds give equal assets whatever the number of workers.
         out: asset to write while baking; without it the coefficients are an array in float32.
         precision: "float32" or "bfloat16", of a network's matrix work.
         storage: "float16" or "float32", in the file.
-        workers: threads, each with a block of vertices of its own.
+        workers: threads, each with a block of vertices of its own; those of random walks share each block.
         device: where a network is evaluated ("cpu", "cuda").
         progress: called after each block.
         stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
@@ -76,7 +77,8 @@ def bake(
         transport answered something that is not finite are not valid and are named in provenance.
 
     Raises:
-        QueryError: an argument out of its domain, a mesh outside the box that a network was trained in, a transport
+        QueryError: an argument out of its domain, a mesh outside the box that a network was trained in or off the
+            surface of the scene that is path traced, a transport
             that offers nothing or answers in another shape, an error that cannot be reached, a transport that is finite
             nowhere, a bake that was stopped before its first vertex.
         StorageError: the asset cannot be written.
@@ -84,7 +86,7 @@ def bake(
     began = time.monotonic()
     refuse_foreign(transport, mesh)
     transport = prepared(transport, precision, device)
-    with one_torch_thread():
+    with limited_threads(transport, workers):
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         spent = 0
         if error is not None:
@@ -110,14 +112,17 @@ def plan(
     workers: int = 1,
     device: str = "cpu",
 ) -> BakePlan:
-    """What `bake` with these arguments would cost; one vertex is baked to estimate the time. Raises as `bake` does."""
+    """What `bake` with these arguments would cost; one block is baked to estimate the time. Raises as `bake` does."""
+    refuse_foreign(transport, mesh)
     transport = prepared(transport, precision, device)
-    with one_torch_thread():
+    with limited_threads(transport, workers):
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         bake_block(job.task, 0, 1)
+        size = min(block_size(job.task), len(mesh.positions))
+        shared = 1 if isinstance(job.resolved.sampling, Walks) else max(1, workers)
         began = time.monotonic()
-        bake_block(job.task, 0, 1)
-        seconds = (time.monotonic() - began) * len(mesh.positions) / max(1, workers)
+        bake_block(job.task, 0, size)
+        seconds = (time.monotonic() - began) * len(mesh.positions) / (size * shared)
     sizes = plan_bake(
         len(mesh.positions), rings * sectors, sh.count(degree), job.resolved.samples, 2 if storage == "float16" else 4
     )
@@ -137,7 +142,7 @@ def _run(
     """Bakes block by block into the sink, keeps the error figures, and closes the asset, whole or in part."""
     vertices = len(job.mesh.positions)
     per_vertex = job.rings * job.sectors * job.resolved.samples
-    meter, rows, invalid = ErrorMeter(), list[tuple[float, float, float]](), list[int]()
+    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), Account()
     done = bent = 0
     blocks = bake_blocks(job.task, range(vertices), workers)
     try:
@@ -145,6 +150,7 @@ def _run(
             sink.write(block)
             done, bent = block.first_vertex + len(block.valid), bent + block.bent
             invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
+            account += block.account or Account()
             meter.add(block)
             row = (time.monotonic() - began, float(spent + done * per_vertex), meter.total)
             if not rows or done * ROWS // vertices > len(rows) or done == vertices:
@@ -167,6 +173,8 @@ def _run(
         "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
         "vertices_baked": done,
     }
+    if isinstance(job.resolved.sampling, Walks):
+        report["walks"] = account.as_json()
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), complete=done == vertices)
 
 

@@ -125,7 +125,9 @@ def split_sky(sky: Sky, connections: Connections) -> tuple[Sky | None, Sky]:
         return None, sky
     share = np.minimum(1.0, level / np.maximum(grey, level))
     rest = (sky.image * share[..., None]).astype(np.float32)
-    return replace(sky, image=sky.image - rest), replace(sky, image=rest)
+    bright = sky.image - rest
+    # A sky of one radiance exceeds its own mean by a rounding, and nothing of it is bright.
+    return (replace(sky, image=bright), replace(sky, image=rest)) if bright.any() else (None, sky)
 
 
 def _level(grey: Array, connections: Connections) -> float | None:

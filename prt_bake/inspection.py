@@ -62,7 +62,8 @@ def find_faults(path: str | Path) -> list[str]:
 
 
 def find_remarks(path: str | Path) -> list[str]:
-    """Return what is allowed but seldom meant in a sound file, as sentences: parts of a scene that stick out.
+    """Return what is worth knowing of a sound file, as sentences: parts of a scene that stick out, and what share of a
+    white furnace each rough boundary loses, since single scattering ends paths at a second microfacet.
 
     Raises:
         PrtbakeError: the file cannot be read as what its suffix says.
@@ -72,7 +73,27 @@ def find_remarks(path: str | Path) -> list[str]:
     from formats.scene import read_scene
     from prt_bake.nesting import sticking_out
 
-    return [f"{path}: {sentence}" for sentence in sticking_out(read_scene(path).parts)]
+    parts = read_scene(path).parts
+    return [f"{path}: {sentence}" for sentence in (*sticking_out(parts), *_losing(parts))]
+
+
+def _losing(parts: "tuple[Part, ...]") -> list[str]:
+    """A sentence for every rough boundary between two indices."""
+    sentences = []
+    for part in parts:
+        outside = 1.0 if part.parent < 0 else parts[part.parent].eta
+        alpha, eta = float(np.mean(part.roughness)), part.eta / outside
+        if part.diffuse is not None or alpha == 0.0 or eta == 1.0:
+            continue
+        from prt_bake.trainer.losses import furnace_loss
+
+        told = f"{part.name!r}: at roughness {alpha:.3g} and relative eta {eta:.4g} single scattering"
+        loss = f"{furnace_loss(alpha, eta):.1%} of a white furnace"
+        if part.energy_compensation:
+            sentences.append(f"{told} would lose {loss}; energy_compensation gives it back")
+        else:
+            sentences.append(f"{told} loses {loss}; energy_compensation = true gives it back")
+    return sentences
 
 
 def _describe_mesh(path: Path) -> dict[str, Any]:

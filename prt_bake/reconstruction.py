@@ -11,9 +11,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, njit, prange, set_num_threads
+from numba import get_num_threads, prange, set_num_threads
 from numpy.typing import NDArray
 
+from prt_bake.compilation import compiled
 from prt_bake.sphere import BinCoordinates
 
 _BYTES_AT_ONCE = 64 << 20
@@ -76,7 +77,7 @@ def _half_table() -> NDArray[np.float32]:
     return np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float32)
 
 
-@njit(cache=True)
+@compiled()
 def _add_bin(transfer: Any, table: Any, light: Any, weight: Any, radiance: Any) -> None:
     """Add weight · Σ_k transfer[k] light[k] of one bin; numba drops the branch that the type of `table` rules out."""
     last = transfer.shape[1] - 1
@@ -88,7 +89,7 @@ def _add_bin(transfer: Any, table: Any, light: Any, weight: Any, radiance: Any) 
         radiance[c] += weight * total
 
 
-@njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def _reconstruct(coefficients: Any, table: Any, rows: Any, at: Any, sectors: Any, light: Any, radiance: Any) -> None:
     ring_low, ring_high, ring_weight, sector_low, sector_high, sector_weight, pole_weight = at
     for n in prange(rows.shape[0]):

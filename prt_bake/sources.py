@@ -1,44 +1,13 @@
 """What can be baked: a network (`.pt`, `.safetensors`), a TorchScript function (`.pt`), or a scene (`.toml`)."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import Any
 
 from formats.errors import FormatError, QueryError
 from formats.mesh import Mesh
-from formats.scene import Scene, read_scene
+from formats.scene import read_scene
 from formats.whole import existing, sha256
-
-if TYPE_CHECKING:
-    from prt_bake.trainer.estimate import Estimate
-
-
-class PathTraced:
-    """A scene as a transport: its coefficients are estimated by random walks, without any network."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        self.metadata: dict[str, Any] = {
-            "scene": scene.path.name,
-            "scene_hash": scene.content_hash,
-            "up": scene.up,
-            "unit": scene.unit,
-            "eta": scene.eta,
-            "roughness": float(np.mean(scene.roughness)),
-        }
-
-    def estimate_coefficients(
-        self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seed: int
-    ) -> "Estimate":
-        """a_lm [N,K,3] at positions [N,3] on the scene's surface, seen along outgoing [N,3].
-
-        Raises QueryError where a position lies off the surface or a direction below the horizon.
-        """
-        from prt_bake.trainer.estimate import estimate_coefficients
-
-        return estimate_coefficients(self.scene, positions, outgoing, degree, paths, seed)
+from prt_bake.path_traced import PathTraced
 
 
 def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:

@@ -46,6 +46,24 @@ class Surface:
 
         return build_grid(self.mesh.positions, np.asarray(self.mesh.faces, np.int64), self.reach)
 
+    def in_reach(
+        self, positions: NDArray[np.float64], outgoing: NDArray[np.float64]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """The face of each query (−1: none is within reach), its barycentric (u, v) [N,2] and ωo·n of it [N]."""
+        from prt_bake.surface_grid import choose_faces
+
+        positions, outgoing = (np.ascontiguousarray(rows, np.float64) for rows in (positions, outgoing))
+        found: tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] = choose_faces(
+            self._grid, np.asarray(self.mesh.face_normals), positions, outgoing
+        )
+        return found
+
+    def distance(self, position: NDArray[np.float64]) -> float:
+        """How far one position [3] lies from the surface."""
+        from prt_bake.surface_grid import distance_to_mesh
+
+        return float(distance_to_mesh(self._grid, np.ascontiguousarray(position, np.float64)))
+
     def choose(
         self, positions: NDArray[np.float64], outgoing: NDArray[np.float64]
     ) -> tuple[Location, NDArray[np.float64]]:
@@ -53,19 +71,14 @@ class Surface:
 
         Raises QueryError where a position is farther from the surface than the reach, with the distance.
         """
-        from prt_bake.surface_grid import choose_faces, distance_to_mesh
-
-        positions = np.ascontiguousarray(positions, np.float64)
-        outgoing = np.ascontiguousarray(outgoing, np.float64)
-        faces, barycentric, cosines = choose_faces(self._grid, np.asarray(self.mesh.face_normals), positions, outgoing)
+        faces, barycentric, cosines = self.in_reach(positions, outgoing)
         lost = np.flatnonzero(faces < 0)
         if len(lost):
             first = int(lost[0])
-            away = distance_to_mesh(self._grid, positions[first])
             raise QueryError(
                 f"positions: {len(lost)} of {len(positions)} do not lie on the surface; the first is number {first}, "
-                f"{away:.3g} away, where at most {self.reach:.3g} (1e-4 of the object's diagonal) is allowed: "
-                "take positions from the object's own mesh"
+                f"{self.distance(positions[first]):.3g} away, where at most {self.reach:.3g} (1e-4 of the "
+                "object's diagonal) is allowed: take positions from the object's own mesh"
             )
         barycentric = _off_the_edges(barycentric)
         corners = self.mesh.positions[np.asarray(self.mesh.faces)[faces]]

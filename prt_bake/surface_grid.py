@@ -3,8 +3,10 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
+
+from prt_bake.compilation import compiled
 
 _FACES_A_CELL = 2.0
 _MOST_CELLS = 128
@@ -38,7 +40,7 @@ def build_grid(positions: NDArray[np.float64], faces: NDArray[np.int64], reach: 
     return FaceGrid(corners, low, side, shape, starts, members, reach)
 
 
-@njit(cache=True)
+@compiled()
 def _visit_cells(
     corners: Any, low: Any, side: Any, shape: Any, reach: Any, cursor: Any, members: Any, fill: Any
 ) -> None:
@@ -58,7 +60,7 @@ def _visit_cells(
                     cursor[cell] += 1
 
 
-@njit(cache=True)
+@compiled()
 def _closest(a: Any, b: Any, c: Any, p: Any) -> Any:
     """Squared distance from p to a triangle, and the (u, v) of its closest point (Ericson 2005, section 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a
@@ -87,7 +89,7 @@ def _closest(a: Any, b: Any, c: Any, p: Any) -> Any:
     return np.dot(away, away), u, v
 
 
-@njit(cache=True, parallel=True)
+@compiled(parallel=True)
 def choose_faces(grid: Any, face_normals: Any, positions: Any, outgoing: Any) -> Any:
     """For each query the face in reach that faces ωo most, the lowest on a tie: faces [N] (−1: none in reach), (u, v)
     [N,2], ωo·n [N].
@@ -117,7 +119,7 @@ def choose_faces(grid: Any, face_normals: Any, positions: Any, outgoing: Any) ->
     return faces, barycentric, cosines
 
 
-@njit(cache=True)
+@compiled()
 def distance_to_mesh(grid: Any, p: Any) -> Any:
     """The distance from one point to the mesh, every face tried."""
     best = np.inf

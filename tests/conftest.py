@@ -15,7 +15,7 @@ from prt_bake.cli.main import main
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before several processes share the tests, one compiles the kernels: two that save one at once mix them up."""
+    """Before several processes share the tests, one compiles the kernels, so that not each of them does."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         subprocess.run([sys.executable, Path(__file__).with_name("warm.py")], check=True)
 

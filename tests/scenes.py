@@ -37,6 +37,14 @@ def moved(mesh: Mesh, scale: float, offset: ArrayLike = 0.0) -> Mesh:
     return build_mesh(np.asarray(mesh.positions) * scale + np.asarray(offset), np.asarray(mesh.faces))
 
 
+def with_uv(mesh: Mesh) -> Mesh:
+    """The mesh with longitude and height as texture coordinates, a seam and all."""
+    v = np.asarray(mesh.positions)
+    turn = np.arctan2(v[:, 1], v[:, 0]) / (2.0 * np.pi) % 1.0
+    height = (v[:, 2] - v[:, 2].min()) / np.ptp(v[:, 2])
+    return Mesh(mesh.positions, mesh.faces, mesh.normals, uv=np.stack([turn, height], axis=1))
+
+
 def make_scene(folder: Path, mesh: Mesh, normals: str = "face", bounds: ArrayLike | None = None, **given: Any) -> Scene:
     """Write mesh, grids and TOML into `folder` and read the scene.
 

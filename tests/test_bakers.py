@@ -8,9 +8,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from bakers.baker import Sampling, Task, Walks, bake_block, bake_blocks, block_size
+from bakers.baker import Sampling, Task, bake_block, bake_blocks, block_size
 from bakers.error_estimate import choose_estimator, halves_variance, neighbour_variance
 from bakers.horizon import LOWEST_COSINE, bend_to_horizon, vertex_faces
+from bakers.path_traced import WALKS_AT_ONCE, Walks
 from bakers.plan import plan_bake, vertices_at_once
 from bakers.projection import DirectionPool, direction_pool, project, residual_variance
 from bakers.transport import as_radiance, way_in
@@ -271,7 +272,8 @@ def test_plan_counts_what_evaluate_alone_would_be_asked() -> None:
     assert plan.raw_bytes == 11_533 * 1024 * 9 * 3 * 2
     assert vertices_at_once(1024, 64) >= 1
     assert vertices_at_once(1 << 20, 1 << 14) == 1
-    assert block_size(task(Walker(), sampling=Walks(1, 5, int))) == 1
+    assert block_size(task(Walker(), sampling=Walks(1, WALKS_AT_ONCE // 64 // 3, int))) == 3
+    assert block_size(task(Walker(), sampling=Walks(1, 1 << 20, int))) == 1
 
 
 def test_loop_can_be_left_early() -> None:

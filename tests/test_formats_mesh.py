@@ -111,6 +111,18 @@ def test_seams_survive_merging_and_writing(tmp_path, suffix):
     np.testing.assert_array_equal(again.uv, mesh.uv)
 
 
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_texture_coordinates_that_only_corners_have_are_written(tmp_path, suffix):
+    corner_uv = np.arange(24.0).reshape(4, 3, 2) / 7
+    mesh = Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, corner_uv=corner_uv)
+    assert mesh.uv is None
+    assert not mesh.seamless
+    write_mesh(mesh, tmp_path / f"corners{suffix}")
+    again = read_mesh(tmp_path / f"corners{suffix}")
+    np.testing.assert_array_equal(again.faces, mesh.faces)
+    np.testing.assert_array_equal(again.corner_uv, corner_uv)
+
+
 def test_polygons_of_a_ply_take_their_texture_coordinates_along(tmp_path):
     corners = "\n".join(f"{x} {y} {z}" for x, y, z in CUBE_CORNERS)
     pairs = [(0, 0), (1, 0), (1, 0.5), (0, 0.5)]

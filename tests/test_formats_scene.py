@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from formats.errors import MeshError, SceneError, StorageError
+from formats.errors import MeshError, PrtbakeError, SceneError, StorageError
 from formats.mesh import build_mesh, flipped, signed_volume, write_mesh
 from formats.scene import read_scene
 
@@ -133,6 +133,14 @@ FAULTS = [
     ('"z"', '"x"', 'object.up: expected "y" or "z", found \'x\''),
     ("[1, 1, 2]", "[1, 1, -1]", "medium.bounds: the lowest corner must come first"),
     ("[1, 1, 2]", "[1, 1]", "medium.bounds: expected two corners"),
+    ("12.0", "1e308", "medium.sigma_t: an extinction of 1e+308 per scene unit makes the part .* mean free paths long"),
+    ("12.0", "1.1e9", "makes the part 1.1e+09 mean free paths long; expected at most 1e+09"),
+    (
+        "sigma_t = 12.0\nalbedo = [0.98, 0.90, 0.75]",
+        'material = "marble"\ndensity = 1e308',
+        "medium.density: an extinction of inf",
+    ),
+    ("[1, 1, 2]", "[1, 1, 1e300]", "medium.bounds: expected two corners"),
     ("= 12.0", "= = 12", "is not TOML"),
     ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply is not closed: 3 edges"),
     ('mesh = "ball.ply"', 'mesh = "torn.ply"', "object.mesh: .*torn.ply has 3 edges between faces wound against"),
@@ -173,6 +181,27 @@ def test_a_pickled_grid_is_refused_and_never_run(folder):
     np.save(folder / "bad.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(SceneError, match=r"bad\.npy"):
         scene(folder, "12.0", '"bad.npy"')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("ball.ply", "none.ply", r"object\.mesh: .*none\.ply: there is no such file"),
+        ("ball.ply", "grid.npy", r"object\.mesh: .*grid\.npy: is not a mesh this can read"),
+        ("12.0", '"none.npy"', r"medium\.sigma_t: .*none\.npy: there is no such file"),
+    ],
+)
+def test_a_fault_of_a_file_is_told_by_the_key_that_names_it(folder, old, new, sentence):
+    with pytest.raises(PrtbakeError, match=rf"scene\.toml: {sentence}"):
+        scene(folder, old, new)
+
+
+def test_a_grid_that_lies_beside_the_object_is_refused(folder):
+    (folder / "scene.toml").write_text(
+        SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", "[[1, 0, 0], [2, 1, 1]]")
+    )
+    with pytest.raises(SceneError, match=r"medium\.bounds: .* lies wholly beside the part's"):
+        read_scene(folder / "scene.toml")
 
 
 def test_a_grid_needs_its_box(folder):

@@ -151,10 +151,6 @@ FAULTS = [
         "inside.0.interface.roughnes: unknown key; did you mean 'roughness'?",
     ),
     (PLAIN + "[inside.medium]\nsigma_t = -1\nalbedo = 1\n", "inside.0.medium.sigma_t: expected one number"),
-    (
-        PLAIN + '[inside.medium]\nsigma_t = "a.npy"\nalbedo = 1\n',
-        "inside.0.medium.bounds: is missing; a grid needs its box",
-    ),
     (PLAIN.replace("seed.ply", "far.ply"), "inside.0.mesh: .*far.ply lies wholly outside 'object'"),
     (
         SEED.replace("0.5", '"colour.png"').replace('in = "liquid"', ""),

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sampling import assert_mean_is
+from sampling import assert_counts_follow, assert_mean_is
 
 from formats.errors import ImageError, LightError, QueryError
 from formats.image import write_image
@@ -51,6 +51,27 @@ def test_draws_from_a_sky_weigh_what_the_sky_looks_like(shape: tuple[int, int], 
             assert_mean_is(weights[:, channel] * value(directions), (energy[:, channel] * value(grid)).sum())
 
 
+@pytest.mark.parametrize(("shape", "up"), [((1, 1), "y"), ((4, 1), "y"), ((7, 6), "z")])
+def test_draws_from_a_sky_follow_their_density(shape: tuple[int, int], up: str) -> None:
+    """Over the picture: the bilinear look-up of mean radiance times the sine of the row's zenith angle."""
+    light = sky(*shape, up)
+    light.image[0, 0] = [1.0, 3.0, 0.5]
+    directions, _weights = BrightSky(light).draw(uniforms((10, np.arange(100_000)), 3))
+    u, v = environment.pixel_of(directions @ light.turn, up)
+    sines = np.sin(np.pi * (np.arange(shape[0]) + 0.5) / shape[0])
+    pixels = light.image.mean(axis=2, dtype=np.float64) * sines[:, None]
+    rows, columns, fine = 28, 24, 16
+    fine_v, fine_u = np.meshgrid(
+        (np.arange(rows * fine) + 0.5) / (rows * fine),
+        (np.arange(columns * fine) + 0.5) / (columns * fine),
+        indexing="ij",
+    )
+    density = environment.radiance_at(pixels[..., None], fine_u.ravel(), fine_v.ravel())
+    due = density.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
+    counts = np.histogram2d(v, u, bins=(rows, columns), range=[[0, 1], [0, 1]])[0]
+    assert_counts_follow(counts.ravel(), due.ravel() / due.sum())
+
+
 def test_weights_of_a_lone_pixel_hardly_vary() -> None:
     light = Sky(np.zeros((64, 128, 3), np.float32), "y", np.eye(3))
     light.image[20, 0] = 1e5
@@ -59,6 +80,16 @@ def test_weights_of_a_lone_pixel_hardly_vary() -> None:
     assert (light.radiance(directions) > 0).all()
     columns = environment.pixel_of(directions)[0] * 128
     assert ((columns < 1.5) | (columns > 127.5)).all()
+
+
+@pytest.mark.parametrize("radiance", [1.0, 0.1, 7e-5])
+def test_nothing_of_a_sky_of_one_radiance_is_bright(radiance: float) -> None:
+    """Its mean is off its radiance by a rounding, which must not pass for a bright part."""
+    for height in (1, 4, 5, 8, 33):
+        light = Sky(np.full((height, 2 * height, 3), radiance, np.float32), "y", np.eye(3))
+        bright, rest = split_sky(light, Connections(variance=0.8, cost=0.0))
+        assert bright is None
+        np.testing.assert_array_equal(rest.image, light.image)
 
 
 def test_a_split_sky_is_the_sky() -> None:
@@ -105,8 +136,11 @@ def test_a_disc_is_drawn_uniformly_to_its_edge(diameter: float) -> None:
     if diameter > 0:
         # The solid angle within a chord c is π c²: uniform where c² is.
         assert_mean_is((apart / chord) ** 2, 0.5)
-        assert in_disc(light, directions[apart < chord * (1 - 1e-9)]).all()
         across = np.cross(light.direction, [1.0, 0.0, 0.0])
+        turn = np.arctan2(directions @ np.cross(light.direction, across), directions @ across) / (2 * math.pi) % 1.0
+        counts = np.histogram2d((apart / chord) ** 2, turn, bins=16, range=[[0, 1], [0, 1]])[0]
+        assert_counts_follow(counts.ravel(), np.full(256, 1 / 256))
+        assert in_disc(light, directions[apart < chord * (1 - 1e-9)]).all()
         assert_mean_is(directions @ across / chord, 0.0)
     else:
         assert not in_disc(light, directions).any()

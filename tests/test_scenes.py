@@ -10,8 +10,7 @@ import pytest
 from formats.image import read_image, read_levels
 from formats.mesh import build_mesh, check_mesh, read_mesh, write_mesh
 from formats.scene import read_scene
-from prt_bake.inspection import find_remarks
-from prt_bake.nesting import winding
+from prt_bake.nesting import sticking_out, winding
 
 ROOT = Path(__file__).parent.parent
 SCENES = ROOT / "scenes"
@@ -42,7 +41,7 @@ def test_a_scene_is_sound_and_its_parts_nest(path):
     for part in scene.parts:
         assert check_mesh(part.mesh_path) == []
         assert not part.flipped
-    assert find_remarks(path) == []
+    assert not sticking_out(scene.parts)
 
 
 @pytest.mark.parametrize("path", sorted(STANFORD), ids=named)
@@ -54,7 +53,7 @@ def test_a_scene_of_a_scan_is_sound_once_the_scan_is_there(path, tmp_path):
     options = next(line for line in text.splitlines() if "scenes.prepare" in line).split(" --", 1)[1]
     made = run("prepare", ROOT / "prt_bake/shipped/spot.obj", tmp_path / scan, *f"--{options}".split())
     assert (made.returncode, made.stderr) == (0, "")
-    assert find_remarks(tmp_path / path.name) == []
+    assert not sticking_out(read_scene(tmp_path / path.name).parts)
 
 
 def test_the_grape_is_textured_and_holds_two_seeds():

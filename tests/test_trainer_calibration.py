@@ -7,7 +7,8 @@ standard deviation of 0.35 %: 93–97 % is nearly six of them. At least 4,032 of
 
 import numpy as np
 import pytest
-from scenes import lumpy, make_scene, queries, sphere, unit_directions
+from nested_scenes import nested_scene
+from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions, with_uv
 
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 
@@ -102,3 +103,36 @@ def test_a_value_that_no_path_has_touched_is_flagged(estimator, tmp_path):
     assert untouched.sum() >= LEAST_QUERIES
     assert not few.reliable[untouched].any()
     assert (thin.estimate(20_000, seed=2).mean[:, ..., 0] != 0.0).any()
+
+
+def test_dark_values_are_told_by_an_upper_bound(tmp_path):
+    """From behind a thick body hardly a path comes: with paths enough the bound is small, and holds what they miss."""
+    thick = Experiment(tmp_path, sphere(2), {"sigma_t": 15.0, "albedo": [0.97, 0.5, 0.1]}, "transport", behind=True)
+    few, many, truth = (thick.estimate(paths, seed) for paths, seed in ((1024, 1), (16384, 2), (65536, 3)))
+    rare = ~few.reliable
+    assert rare.sum() >= 10
+    assert many.reliable.mean() >= 0.9
+    # What fewer than three in 16,384 walks would bring, each as much as white paper, is in the bound.
+    unseen = 3 / (np.pi * 16384)
+    bounded = (BOUND * many.standard_error >= unseen) & (many.mean + BOUND * many.standard_error < 1e-3 / (4 * np.pi))
+    assert bounded[rare].any(axis=1).sum() >= 10
+    assert bounded[many.mean < 1e-12].all()
+    assert (np.abs(many.mean - truth.mean) <= BOUND * many.standard_error)[bounded].mean() >= 0.95
+
+
+def test_light_that_is_bent_inside_needs_more_paths(tmp_path):
+    """Only chance finds it through the boundary: four times as many, and a texture counts by its narrow places too."""
+    inner = {"mesh": moved(sphere(2), 0.4), "name": "ice", "interface": {"eta": 1.1}, "medium": MATCHED}
+    for name, inside, roughness, paths in (
+        ("plain", (), 0.25, 1024),
+        ("nested", (inner,), 0.25, 4096),
+        ("matched", (inner | {"interface": {"eta": 1.3}},), 0.25, 1024),
+        ("textured", (), np.array([[0.125, 0.25], [0.25, 0.25]]), 1792),
+    ):
+        (tmp_path / name).mkdir()
+        scene = nested_scene(tmp_path / name, with_uv(sphere(2)), MATCHED, inside, eta=1.3, roughness=roughness)
+        positions, outgoing, _ = queries(scene.mesh, 24, seed=11)
+        seen = [
+            estimate_transport(scene, positions, outgoing, outgoing, n, 1).reliable.any() for n in (paths - 1, paths)
+        ]
+        assert seen == [False, True], name

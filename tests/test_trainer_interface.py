@@ -1,6 +1,6 @@
 """The interface sends light as its density says, and its density obeys the laws of Fresnel, Snell and Helmholtz.
 
-About 35 tests of false-alarm rate `sampling.FALSE_ALARM` each.
+About 50 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
 
 import math
@@ -34,6 +34,8 @@ INTERFACES = [
     (0.25, 1 / 1.3, 0.5),
     (0.6, 1.3, 0.2),
     (0.6, 1 / 1.3, 0.7),
+    (1.0, 2.5, 0.6),
+    (1.0, 1 / 2.5, 0.4),
 ]
 
 
@@ -85,7 +87,12 @@ def microfacet_densities(alpha, i, m):
 @pytest.fixture(scope="module")
 def cells():
     """Cells by roughness: narrow lobes want small ones, and so does the edge beyond which nothing is refracted."""
-    return {0.05: SphereCells(1024, 512), 0.25: SphereCells(256, 512), 0.6: SphereCells(256, 512)}
+    return {
+        0.05: SphereCells(1024, 512),
+        0.25: SphereCells(256, 512),
+        0.6: SphereCells(256, 512),
+        1.0: SphereCells(96, 96),
+    }
 
 
 def seen_from(cosine):
@@ -125,6 +132,40 @@ def test_visible_microfacets_follow_their_density(alpha, cosine, cells):
     normals = microfacets(i, alpha, np.random.default_rng(2).random((SAMPLES, 2)))
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-14)
     assert_counts_follow(cells[alpha].count(normals), probabilities)
+
+
+def assert_visible_from(i, alpha, normals):
+    """Microfacets stretched by 1 / alpha are those of a hemisphere seen from the stretched `i` (Heitz 2018): density
+    2 (i·h)⁺ / π (1 + i_z), whatever alpha.
+    """
+    view, stretched = i * [alpha, alpha, 1.0], normals / [alpha, alpha, 1.0]
+    view, stretched = view / np.linalg.norm(view), stretched / np.linalg.norm(stretched, axis=1, keepdims=True)
+    grid = SphereCells(256, 256)
+    seen = np.maximum(0.0, grid.directions @ view) * (grid.directions[:, 2] > 0.0)
+    assert_counts_follow(grid.count(stretched), grid.integrate(2.0 * seen / (np.pi * (1.0 + view[2]))))
+
+
+@pytest.mark.parametrize("alpha", [1e-3, 0.01, 1.0])
+@pytest.mark.parametrize("cosine", [0.05, 0.5, 1.0])
+def test_visible_microfacets_of_any_roughness(alpha, cosine):
+    i = seen_from(cosine)
+    assert_visible_from(i, alpha, microfacets(i, alpha, np.random.default_rng(4).random((SAMPLES, 2))))
+
+
+@pytest.mark.parametrize(("alpha", "eta", "cosine"), [(0.01, 1.5, 0.8), (0.01, 2.5, 0.3), (0.01, 1 / 1.5, 0.9)])
+def test_narrow_interfaces_reflect_and_refract_at_visible_microfacets(alpha, eta, cosine):
+    """Half vectors of what is sent, of both kinds together, follow the microfacets; how often each is, Fresnel says."""
+    i = seen_from(cosine)
+    rows, _thinning = interface_events(ROUGH, alpha, eta, i, False, SAMPLES)
+    sent = rows[:, 3] > 0.0
+    # The tail of microfacets turns some below the surface.
+    assert sent.mean() > 0.999
+    o, reflected = rows[sent, :3], rows[sent, 2] > 0.0
+    half = np.where(reflected[:, None], i + o, -(i + eta * o))
+    half *= np.sign(half[:, 2:]) / np.linalg.norm(half, axis=1, keepdims=True)
+    assert_visible_from(i, alpha, half)
+    due = np.array([fresnel(c, eta) for c in half[:20_000] @ i])
+    assert_mean_is(reflected[:20_000] - due, 0.0)
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.25, 0.6])

@@ -12,7 +12,7 @@ import pytest
 from scenes import lumpy, moved, queries, slab, sphere, unit_directions
 from significance import assert_agree
 
-from formats.errors import QueryError, SceneError
+from formats.errors import QueryError
 from formats.mesh import Mesh, write_mesh
 from formats.scene import Scene, read_scene
 from prt_bake.surface import Surface
@@ -72,6 +72,10 @@ CASES = {
     "smooth glass behind a rough boundary": (
         ROUGH,
         {"mesh": small(0.5), "interface": {"eta": 1.6}, "medium": CLEAR},
+    ),
+    "compensated milk behind a compensated boundary": (
+        {"eta": 1.4, "roughness": 0.5, "energy_compensation": True},
+        {"mesh": small(0.5), "interface": {"eta": 1.2, "roughness": 0.6, "energy_compensation": True}, "medium": MILK},
     ),
     "milk by channel": (
         {"eta": 1.2, "roughness": 0.5},
@@ -240,10 +244,3 @@ def test_smooth_glass_in_index_matched_matter_is_refused_by_name(tmp_path):
     with pytest.raises(QueryError, match="'marble' is a smooth interface"):
         estimate_transport(scene, positions, outgoing, outgoing, 16)
     assert np.isfinite(estimate_coefficients(scene, positions, outgoing, 1, 64).mean).all()
-
-
-def test_compensation_is_refused_rather_than_ignored(tmp_path):
-    scene = nested(tmp_path, sphere(2), HAZE, {"eta": 1.3, "roughness": 0.4, "energy_compensation": True})
-    positions, outgoing, _ = queries(scene.mesh, 2, 1)
-    with pytest.raises(SceneError, match="'object' asks for energy_compensation"):
-        estimate_coefficients(scene, positions, outgoing, 1, 64)

@@ -1,6 +1,6 @@
-"""What the path tracer draws follows the density it says: streams and phase function.
+"""What the path tracer draws follows the density it says: streams, phase function and diffuse surfaces.
 
-About 45 tests of false-alarm rate `sampling.FALSE_ALARM` each.
+About 50 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
 
 import math
@@ -18,9 +18,10 @@ from prt_bake import sh
 from prt_bake.trainer.counter import begin_stream, uniform
 from prt_bake.trainer.kernels import harmonics
 from prt_bake.trainer.media import phase, phase_cosine
-from prt_bake.trainer.walk import COUNTS_SIZE, DIRECTION, MASK, PHASE, STATE_SIZE, scatter
+from prt_bake.trainer.walk import COUNTS_SIZE, DIRECTION, MASK, NORMAL, PHASE, STATE_SIZE, bounce, scatter
 
 Regions = namedtuple("Regions", "region_of_mask")
+Faces = namedtuple("Faces", "faces")
 
 
 @njit
@@ -49,6 +50,19 @@ def scattered(regions, medium, before, count):
         begin_stream(stream, 7, 2, n)
         state[DIRECTION : DIRECTION + 3] = before
         scatter(regions, medium, state, counts, stream)
+        drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[PHASE]
+    return drawn, densities
+
+
+@njit
+def bounced(boundary, normal, before, count):
+    """Directions [N,3] after one diffuse reflection each at face 0, and the density that the walk keeps [N]."""
+    drawn, densities = np.empty((count, 3)), np.empty(count)
+    state, counts, stream = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(2, np.uint64)
+    for n in range(count):
+        begin_stream(stream, 7, 3, n)
+        state[DIRECTION : DIRECTION + 3], state[NORMAL : NORMAL + 3] = before, normal
+        bounce(boundary, state, counts, stream)
         drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[PHASE]
     return drawn, densities
 
@@ -144,3 +158,23 @@ def test_scattered_directions_lie_about_the_old_one(g):
     edges = np.linspace(-1.0, 1.0, 17)
     below = 0.5 * (1 + edges) if g == 0 else (1 - g * g) / (2 * g) / np.sqrt(1 + g * g - 2 * g * edges)
     assert_counts_follow(ring_counts(drawn, before, cosines, edges), np.repeat(np.diff(below) / 12, 12))
+
+
+@pytest.mark.parametrize("from_behind", [False, True])
+def test_diffuse_surfaces_send_light_by_the_cosine_on_the_side_it_came_from(from_behind):
+    """About the interpolated normal, which is not the face's own; the density kept is that of the direction drawn."""
+    face = np.array([0.48, 0.6, 0.64])
+    normal = face + np.array([0.1, -0.05, 0.02])
+    normal /= np.linalg.norm(normal)
+    before = np.array([-0.6, -0.64, 0.48]) - 0.5 * face
+    before /= np.linalg.norm(before)
+    axis = normal
+    if from_behind:
+        before, axis = -before, -normal
+    drawn, densities = bounced(Faces(face[None].copy()), normal, before, SAMPLES)
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-14)
+    cosines = drawn @ axis
+    assert cosines.min() >= 0.0
+    np.testing.assert_allclose(densities, cosines / np.pi, rtol=1e-9, atol=1e-12)
+    edges = np.linspace(0.0, 1.0, 17)
+    assert_counts_follow(ring_counts(drawn, axis, cosines, edges), np.repeat(np.diff(edges**2) / 12, 12))

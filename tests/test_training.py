@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from sampling import SphereCells, assert_counts_follow
 
 from formats.errors import ModelError, QueryError, SceneError
 from formats.mesh import build_mesh, write_mesh
@@ -69,6 +70,15 @@ def test_queries_cover_the_surface_by_area(scene, queries):
     assert abs(chi_square - freedom) < 4.5 * np.sqrt(2 * freedom)  # false alarm 1e-5
 
 
+def test_queries_are_uniform_in_their_triangles(queries):
+    """Shape-preserving: with b₀ the first coordinate, (1 − b₀)² and b₂ / (1 − b₀) are uniform and independent."""
+    u, v = queries.location.barycentric.T
+    inside = (u > 2e-4) & (v > 2e-4) & (u + v < 1 - 2e-4)
+    u, v = u[inside], v[inside]
+    counts = np.histogram2d((u + v) ** 2, v / (u + v), bins=16, range=[[0, 1], [0, 1]])[0]
+    assert_counts_follow(counts.ravel(), np.full(256, 1 / 256))
+
+
 def test_a_tenth_of_the_queries_lies_on_vertices_and_edges(queries):
     full = np.concatenate(
         [1 - queries.location.barycentric.sum(axis=1, keepdims=True), queries.location.barycentric], axis=1
@@ -84,12 +94,24 @@ def test_views_fill_the_hemisphere_and_stay_above_the_horizon(scene, queries):
     cosine = np.sum(scene.mesh.face_normals[queries.location.faces] * queries.outgoing, axis=1)
     assert cosine.min() > 0
     assert abs(cosine.mean() - 0.5) < 0.02
+    u, v = queries.location.barycentric.T
+    inside = (u > 2e-4) & (v > 2e-4) & (u + v < 1 - 2e-4)
+    axis = scene.mesh.face_normals[queries.location.faces[inside]]
+    across = np.cross(axis, [0.3, 0.5, 0.8])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    views = queries.outgoing[inside]
+    turn = np.arctan2(np.sum(views * np.cross(axis, across), axis=1), np.sum(views * across, axis=1))
+    counts = np.histogram2d(cosine[inside], turn / (2 * np.pi) % 1.0, bins=16, range=[[0, 1], [0, 1]])[0]
+    assert_counts_follow(counts.ravel(), np.full(256, 1 / 256))
     assert np.allclose(np.linalg.norm(queries.outgoing, axis=1), 1)
 
 
 def test_each_direction_of_incidence_is_uniform(queries):
     d = queries.incident
     assert np.allclose(np.linalg.norm(d, axis=-1), 1)
+    cells = SphereCells(16, 16)
+    for k in range(d.shape[1]):
+        assert_counts_follow(cells.count(d[:, k]), np.full(256, 1 / 256))
     assert np.abs(d.mean(axis=0)).max() < 4.5 / np.sqrt(3 * len(d))
     second = np.einsum("ndi,ndj->dij", d, d) / len(d)
     assert np.abs(second - np.eye(3) / 3).max() < 4.5 * 0.3 / np.sqrt(len(d))

@@ -1,4 +1,4 @@
-"""Compile the path tracer's kernels once, before several test processes would each do so and write the same cache."""
+"""Compile the path tracer's kernels once, before several test processes would each do so."""
 
 import tempfile
 from pathlib import Path

@@ -1,8 +1,10 @@
 """`prtbake bake`: from a model or a scene, and a mesh, to an asset."""
 
 import json
+import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -26,7 +28,7 @@ def bake(
     error: Annotated[
         float | None,
         typer.Option(
-            min=0, max=1, help="Relative RMSE to reach: samples are doubled until a pilot does.", show_default=False
+            min=0, max=1, help="Relative RMSE to reach: a pilot tells how many samples that takes.", show_default=False
         ),
     ] = None,
     seed: Seed = 0,
@@ -37,7 +39,10 @@ def bake(
     storage: Annotated[
         Literal["float16", "float32"], typer.Option(help="Of the coefficients in the file.")
     ] = "float16",
-    workers: Annotated[int, typer.Option(min=1, max=1024, help="Threads.")] = 1,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, max=1024, help="Threads; 1, or every core for the walks of a scene.", show_default=False),
+    ] = None,
     convention: Annotated[
         str | None,
         typer.Option(help="How the 7 inputs of a TorchScript SOURCE are meant.", show_default=False),
@@ -60,6 +65,8 @@ def bake(
         raise PrtbakeError("bake --resume: is not supported yet; a bake starts anew")
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
+    if workers is None:
+        workers = (os.cpu_count() or 1) if source.suffix.lower() == ".toml" else 1
     sampling = (degree, rings, sectors, directions, samples)
     if dry_run:
         plan = baking.plan(
@@ -90,10 +97,25 @@ def bake(
     rmse = summary["estimated_relative_rmse"]
     print(
         f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
-        f"estimated relative RMSE of the projection {rmse['total']:.2%}, "
+        f"estimated relative RMSE of the {'walks' if 'walks' in summary else 'projection'} {rmse['total']:.2%}, "
         f"95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
     )
     if "model_error" in summary:
         print(f"the model's own error is not in these figures: {summary['model_error']:.2%} of the coefficients")
+    for remark in _remarks(summary):
+        print(remark)
     if not asset.complete:
         raise PrtbakeError(f"{written}: the bake was stopped; what is baked is a valid asset that says so")
+
+
+def _remarks(summary: dict[str, Any]) -> Iterator[str]:
+    """What is in no coefficient of a path-traced bake, and where its error figure cannot be trusted."""
+    walks = summary.get("walks", {"unscattered": 0.0, "lost": 0.0, "unreliable_bins": 0})
+    if walks["unscattered"] >= 0.001:
+        yield f"{walks['unscattered']:.1%} of the view goes straight through the object, and is in no coefficient"
+    if walks["lost"] > 0:
+        yield f"{walks['lost']:.2g} of the light was lost in walks that were cut"
+    if walks["unreliable_bins"]:
+        bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
+        share = walks["unreliable_bins"] / bins
+        yield f"{share:.1%} of the bins have too few walks for their error figure to be trusted; give more --samples"

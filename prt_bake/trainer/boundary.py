@@ -42,14 +42,14 @@ class Boundary(NamedTuple):
     planes: NDArray[np.float64]
     """[F,4]: each face's normal, and its plane's distance from the origin along it."""
     parts: NDArray[np.float64]
-    """[P,9]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, and the texture's first texel,
-    height (0: no texture) and width."""
-    etas: NDArray[np.float64]
-    """Absolute index of each region."""
+    """[P,11]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
+    height (0: no texture) and width, whether a rough interface is compensated, and the absolute index inside."""
     handles: NDArray[np.int64]
     """[P,2]: Embree's scene of each part alone, and its first face."""
     texels: NDArray[np.float32]
     """The textures of all parts, three channels, one after the other."""
+    losses: NDArray[np.float64]
+    """What compensated interfaces give back (`prt_bake.trainer.losses.loss_tables`); empty where there are none."""
     region_of_mask: NDArray[np.int64]
     clearance: NDArray[np.float32]
     """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
@@ -67,7 +67,8 @@ class Boundary(NamedTuple):
 
 
 CORNERS, CORNER_NORMALS, CORNER_UV, PART, OPEN, FACE_SIZE = 3, 12, 21, 27, 28, 29
-ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH, PART_SIZE = 0, 1, 4, 5, 6, 7, 8, 9
+ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH = 0, 1, 4, 5, 6, 7, 8
+COMPENSATED, INDEX, PART_SIZE = 9, 10, 11
 
 
 @walk_function(inline="always")
@@ -147,6 +148,12 @@ def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel:
 
 
 @walk_function(inline="always")
+def is_compensated(boundary: Any, face: Any) -> Any:
+    """Whether the interface at a face, where it is rough, gives back what single scattering loses."""
+    return boundary.losses.shape[0] > 0 and boundary.parts[part_of(boundary, face), COMPENSATED] != 0.0
+
+
+@walk_function(inline="always")
 def sees_sky(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray that leaves the face along d is known to meet nothing any more."""
     row = boundary.faces[face]
@@ -217,6 +224,11 @@ def crossing(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     return kind, eta
 
 
+@walk_function(inline="always")
+def _index(boundary: Any, region: Any) -> Any:
+    return 1.0 if region == 0 else boundary.parts[region - 1, INDEX]
+
+
 @called_function()
 def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
@@ -226,7 +238,7 @@ def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any
         return OPAQUE, 1.0
     if there > 0 and boundary.parts[there - 1, IS_DIFFUSE] != 0.0:
         return DIFFUSE, 1.0
-    eta = boundary.etas[there] / boundary.etas[here]
+    eta = _index(boundary, there) / _index(boundary, here)
     if abs(eta - 1.0) < SAME_INDEX:
         return MATCHED, 1.0
     return SMOOTH if boundary.parts[part_of(boundary, face), ALPHA] < SMOOTHEST else ROUGH, eta

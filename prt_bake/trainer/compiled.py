@@ -10,9 +10,9 @@ places stays a call, for the sake of the time that compiling takes.
 
 from functools import partial
 
-from numba import njit
+from prt_bake.compilation import compiled
 
-called_function = partial(njit, cache=True, _nrt=False)
+called_function = partial(compiled, _nrt=False)
 """Decorator, called with no argument or with numba's own; for functions that make no array."""
 walk_function = partial(called_function, forceinline=True)
 """The same for what is inlined wherever it is called."""

@@ -14,10 +14,12 @@ from prt_bake.trainer.boundary import (
     alpha_at,
     crossing,
     facing_normal,
+    is_compensated,
     meet,
     next_face,
     sees_sky,
 )
+from prt_bake.trainer.compensation import returned_density
 from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import MATCHED, microfacet_transport, rough_density
@@ -121,8 +123,8 @@ def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: A
 
 @called_function()
 def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any) -> Any:
-    """f |cos| of the rough interface from flight d to v (both along the eye path), and by what density `cross` draws
-    v.
+    """f |cos| of the rough interface from flight d to v (both along the eye path), and about by what density `cross`
+    draws v (the balance heuristic is unbiased with any).
     """
     g = boundary.faces[face]
     before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
@@ -136,11 +138,16 @@ def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d:
     iz = -(d[0] * nx + d[1] * ny + d[2] * nz)
     ox, oy = v[0] * sx + v[1] * sy + v[2] * sz, v[0] * tx + v[1] * ty + v[2] * tz
     value = rough_density(alpha, eta, ix, iy, iz, ox, oy, oz)
-    if value <= 0.0:
+    returned = 0.0
+    if is_compensated(boundary, face):
+        returned = returned_density(boundary.losses, alpha, eta, iz, oz)
+    if value + returned <= 0.0:
         return 0.0, 0.0
     density, reflectance = microfacet_transport(alpha, eta, ix, iy, iz, ox, oy, oz)
     if not entering:
         density *= reflectance if oz > 0.0 else 1.0 - reflectance
+    value += returned
+    density += returned
     return value, density
 
 

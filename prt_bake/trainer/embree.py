@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from prt_bake.compilation import compiled
 from prt_bake.trainer.compiled import called_function, walk_function
 
 _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
@@ -112,7 +113,7 @@ def _call_pointer(typingctx: Any, address: Any, first: Any, second: Any, third: 
     return signature, generate
 
 
-@njit(cache=True)
+@compiled()
 def new_ray() -> Any:
     """A ray record for `nearest_hit`, on a 16-byte boundary."""
     room = np.empty(RAY_FLOATS + 4, np.float32)

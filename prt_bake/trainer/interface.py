@@ -74,7 +74,8 @@ def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) 
 
 
 @walk_function(inline="always")
-def _refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
+def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
+    """Where a microfacet at `cosine` to i refracts light to; along the facet where it reflects all."""
     across = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
     along = cosine / eta - across
     return along * mx - ix / eta, along * my - iy / eta, along * mz - iz / eta
@@ -108,7 +109,7 @@ def sample_interface(
         if kind == ROUGH:
             weight = masking(oz, alpha)
         return ox, oy, oz, weight
-    ox, oy, oz = _refract(ix, iy, iz, mx, my, mz, cosine, eta)
+    ox, oy, oz = refract(ix, iy, iz, mx, my, mz, cosine, eta)
     if oz >= 0.0:
         return ox, oy, oz, 0.0
     if kind == ROUGH:
@@ -123,7 +124,7 @@ def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: A
     cosine = ix * mx + iy * my + iz * mz
     if cosine <= 0.0 or fresnel(cosine, eta) >= 1.0:
         return 0.0, 0.0, 1.0
-    return _refract(ix, iy, iz, mx, my, mz, cosine, eta)
+    return refract(ix, iy, iz, mx, my, mz, cosine, eta)
 
 
 @walk_function()

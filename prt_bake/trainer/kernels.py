@@ -5,8 +5,9 @@ count.
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from prt_bake.compilation import compiled
 from prt_bake.trainer.boundary import contained
 from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.connect import connect_straight, unscattered
@@ -152,7 +153,7 @@ def _take(boundary: Any, media: Any, state: Any, counts: Any, event: Any, stream
     return True
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@compiled(parallel=True, nogil=True)
 def sum_transport(
     boundary: Any, media: Any, queries: Any, chunks: Any, incident: Any, share: Any, aims: Any, seed: Any, sums: Any
 ) -> None:
@@ -219,7 +220,7 @@ def walk_out(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, strea
             return False
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@compiled(parallel=True, nogil=True)
 def sum_coefficients(boundary: Any, media: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any) -> None:
     """Power sums [chunks, 4, K·3 + 4] of throughput · Y_lm(exit), of the unscattered share and of what was lost."""
     keys, positions, outgoing, faces, barycentric = queries
@@ -250,7 +251,7 @@ def sum_coefficients(boundary: Any, media: Any, queries: Any, chunks: Any, degre
             _add_powers(value, sums[i])
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@compiled(parallel=True, nogil=True)
 def draw_exits(
     boundary: Any, media: Any, queries: Any, paths: Any, seed: Any, directions: Any, throughput: Any, scattered: Any
 ) -> None:

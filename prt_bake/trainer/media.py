@@ -8,9 +8,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from prt_bake.compilation import compiled
 from prt_bake.trainer.compiled import called_function, walk_function
 
 
@@ -107,7 +107,7 @@ def _multiply_gridded_albedo(media: Any, row: Any, p: Any, throughput: Any) -> N
             throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
 
 
-@njit(cache=True)
+@compiled()
 def is_uneven(media: Any) -> bool:
     """Whether the extinction of any region is a grid, along which transmittances are drawn."""
     return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())

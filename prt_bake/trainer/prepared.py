@@ -6,18 +6,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import SceneError
 from formats.scene import Part, Scene
 from prt_bake.surface import Location, Surface
 from prt_bake.trainer.aim import Aim, aim_for
 from prt_bake.trainer.boundary import (
     ALPHA,
+    COMPENSATED,
     CORNER_NORMALS,
     CORNER_UV,
     CORNERS,
     FACE_SIZE,
     FIRST_TEXEL,
     HEIGHT,
+    INDEX,
     INTERPOLATED,
     IS_DIFFUSE,
     OPEN,
@@ -32,6 +33,7 @@ from prt_bake.trainer.boundary import (
 from prt_bake.trainer.clearance import clearance_grid, near_faces, open_faces
 from prt_bake.trainer.embree import TriangleScene, intersect_address
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
+from prt_bake.trainer.losses import loss_tables, no_losses
 from prt_bake.trainer.media import MAJORANT
 from prt_bake.trainer.prepared_media import prepare_media
 
@@ -46,7 +48,6 @@ class PreparedScene:
 
     def __init__(self, scene: Scene) -> None:
         """Build from a scene record; costs the building of an Embree tree."""
-        _refuse_compensation(scene)
         low, high = scene.mesh.bounds
         self.center: Array = low + 0.5 * (high - low)
         self.scale = float((high - low).max())
@@ -76,7 +77,7 @@ class PreparedScene:
             intersect=intersect_address(),
             scene=self._tree.handle,
             **_tables(parts, self.positions, self.faces),
-            etas=np.array([1.0] + [float(part.eta) for part in parts]),
+            losses=_losses(parts),
             handles=np.stack([[tree.handle for tree in self._trees], _first_faces(parts)], axis=1).astype(np.int64),
             region_of_mask=_regions(parts),
             clearance=clearance_grid(self.positions, self.faces, thickness),
@@ -101,15 +102,6 @@ class PreparedScene:
         corners = self.positions[self.faces[location.faces]]
         placed = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         return keys, placed, np.ascontiguousarray(outgoing), location.faces, location.barycentric
-
-
-def _refuse_compensation(scene: Scene) -> None:
-    for part in scene.parts:
-        if part.energy_compensation:
-            raise SceneError(
-                f"{scene.path}: the interface of '{part.name}' asks for energy_compensation, which the walks do not "
-                "know yet; take it out"
-            )
 
 
 def interface_kind(scene: Scene) -> int:
@@ -142,6 +134,13 @@ def smooth_part(scene: Scene) -> Part | None:
     return None
 
 
+def has_dielectric_inside(scene: Scene) -> bool:
+    """Whether a part inside the object bends light: of another index than what it stands in."""
+    return any(
+        part.diffuse is None and _kind(part, scene.parts[part.parent].eta) != MATCHED for part in scene.parts[1:]
+    )
+
+
 def _mean_alpha(part: Part) -> float:
     return float(np.mean(part.roughness))
 
@@ -171,6 +170,7 @@ def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64])
         row = table[i]
         row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
         row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"
+        row[COMPENSATED], row[INDEX] = part.energy_compensation, part.eta
         image = _texture(part)
         if image is not None:
             row[FIRST_TEXEL], row[HEIGHT], row[WIDTH] = sum(map(len, texels)), *image.shape[:2]
@@ -191,6 +191,19 @@ def _texture(part: Part) -> NDArray[np.float32] | None:
     if image.ndim < 2:
         return None
     return np.ascontiguousarray(np.broadcast_to(image if image.ndim == 3 else image[..., None], (*image.shape[:2], 3)))
+
+
+def _losses(parts: tuple[Part, ...]) -> Array:
+    """Tables for every pair of indices that may meet at a compensated interface, from one side and from the other."""
+    rough = [part for part in parts if part.energy_compensation and part.diffuse is None]
+    rough = [part for part in rough if _mean_alpha(part) >= SMOOTHEST]
+    indices = sorted({1.0} | {float(part.eta) for part in parts})
+    pairs = [(a, b) for a in indices for b in indices if a < b and b / a - 1.0 >= SAME_INDEX]
+    if not rough or not pairs:
+        return no_losses()
+    least = min(float(np.min(part.roughness)) for part in rough)
+    largest = max(float(np.max(part.roughness)) for part in rough)
+    return loss_tables([eta for a, b in pairs for eta in (b / a, a / b)], (least, largest))
 
 
 def _regions(parts: tuple[Part, ...]) -> NDArray[np.int64]:

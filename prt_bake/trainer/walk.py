@@ -21,6 +21,7 @@ from prt_bake.trainer.boundary import (
     alpha_at,
     crossing,
     facing_normal,
+    is_compensated,
     mask_before,
     meet,
     met_from_behind,
@@ -31,6 +32,7 @@ from prt_bake.trainer.boundary import (
     reflectance_at,
     sees_sky,
 )
+from prt_bake.trainer.compensation import sample_compensated
 from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import MATCHED, ROUGH, sample_interface
@@ -269,7 +271,10 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     iy = -(d[0] * tx + d[1] * ty + d[2] * tz)
     iz = -(d[0] * nx + d[1] * ny + d[2] * nz)
     alpha = alpha_at(boundary, face, state[U], state[V])
-    ox, oy, oz, weight = sample_interface(kind, alpha, eta, ix, iy, iz, transmit_only, stream)
+    if kind == ROUGH and is_compensated(boundary, face):
+        ox, oy, oz, weight = sample_compensated(boundary.losses, alpha, eta, ix, iy, iz, transmit_only, stream)
+    else:
+        ox, oy, oz, weight = sample_interface(kind, alpha, eta, ix, iy, iz, transmit_only, stream)
     if weight <= 0.0:
         return False
     g = boundary.faces[face]

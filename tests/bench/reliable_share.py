@@ -1,0 +1,68 @@
+"""What share of queries is flagged unreliable in the scenes that are shipped, by the number of paths.
+
+    PYTHONPATH=tests python tests/bench/reliable_share.py [NAME …] [--paths 16384] [--most 65536] [--queries 30]
+
+Queries are random: x by area, ωo over the hemisphere above it, one ωi over the whole sphere, so that half of the light
+comes from behind. Paths grow fourfold from --paths to --most; `enough` is where at most one query in twenty is flagged.
+Scenes behind a smooth interface have no values of Ŝ and are left out. `error` is the median error bar over its value.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from scenes import queries, unit_directions
+from soundness import connects
+
+from formats.scene import Scene, read_scene
+from prt_bake.trainer.estimate import estimate_transport
+
+ROOT = Path(__file__).parents[2]
+ALLOWED = 0.05
+
+
+def shipped(names: list[str]) -> dict[str, Scene]:
+    """The scenes of the repository whose meshes are there, by name; all of them if none is named."""
+    paths = [*sorted((ROOT / "scenes").glob("*/*.toml")), ROOT / "prt_bake" / "shipped" / "spot.toml"]
+    found = {}
+    for path in paths:
+        if names and path.stem not in names:
+            continue
+        try:
+            found[path.stem] = read_scene(path)
+        except OSError as absent:
+            print(f"{path.stem:14}{absent}")
+    return found
+
+
+def measure(name: str, scene: Scene, count: int, least: int, most: int, seed: int) -> None:
+    """Print a row for every number of paths."""
+    positions, outgoing, _ = queries(scene.mesh, count, seed)
+    incident = unit_directions(count, seed + 66)
+    paths = least
+    while paths <= most:
+        seen = estimate_transport(scene, positions, outgoing, incident, paths, 1)
+        share = 1.0 - float(seen.reliable.mean())
+        error = float(np.median(seen.standard_error / np.maximum(seen.mean, 1e-300)))
+        enough = "enough" if share <= ALLOWED else ""
+        print(f"{name:14}{paths:9d}{100 * share:11.1f} %{error:9.3f}{seen.seconds:10.1f}  {enough}", flush=True)
+        paths *= 4
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--paths", type=int, default=16384)
+    parser.add_argument("--most", type=int, default=65536)
+    parser.add_argument("--queries", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=11)
+    arguments = parser.parse_args()
+    print(f"{'scene':14}{'paths':>9}{'unreliable':>13}{'error':>9}{'seconds':>10}")
+    for name, scene in shipped(arguments.names).items():
+        if connects(scene):
+            measure(name, scene, arguments.queries, arguments.paths, arguments.most, arguments.seed)
+
+
+if __name__ == "__main__":
+    main()
