@@ -8,9 +8,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from prt_bake.compilation import compiled
 from prt_bake.trainer.compiled import called_function, walk_function
 
 
@@ -18,7 +18,7 @@ class Media(NamedTuple):
     """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
 
     regions: NDArray[np.float64]
-    """[R,30], by the names below."""
+    """[R,37], by the names below."""
     extinction_cells: NDArray[np.float32]
     albedo_cells: NDArray[np.float32]
     blocks: NDArray[np.float64]
@@ -36,7 +36,11 @@ EXTINCTION_GRID, ALBEDO_GRID = 16, 21
 CHANNELS = 1
 BLOCKS = 26
 """First block, blocks along x, y, z."""
-REGION_SIZE = 30
+BLOCKS_LOW, BLOCKS_PER_LENGTH = 30, 33
+"""Where blocks begin, and how many come to a length, along x, y and z; the outermost ones go on without end."""
+STEEP = 36
+"""Blocks of a larger extinction than this are followed cell by cell."""
+REGION_SIZE = 37
 
 
 @walk_function(inline="always")
@@ -103,7 +107,7 @@ def _multiply_gridded_albedo(media: Any, row: Any, p: Any, throughput: Any) -> N
             throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
 
 
-@njit(cache=True)
+@compiled()
 def is_uneven(media: Any) -> bool:
     """Whether the extinction of any region is a grid, along which transmittances are drawn."""
     return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())

@@ -53,12 +53,16 @@ def _room_before_planes(boundary: Any, p: Any) -> Any:
 
 
 @walk_function()
+def _cell_axis(x: Any) -> Any:
+    """The cell of a place on one axis; the box's own sides belong to the outermost cells."""
+    return min(max(int((x + 0.5) * NEAR_CELLS), 0), NEAR_CELLS - 1)
+
+
+@walk_function()
 def _faces_near(boundary: Any, p: Any) -> Any:
     """First and last place in `near` of the faces close to p, equal where none are or too many."""
-    n = NEAR_CELLS
-    cell = (int((p[2] + 0.5) * n) * n + int((p[1] + 0.5) * n)) * n + int((p[0] + 0.5) * n)
-    if cell < 0 or cell >= n * n * n:
-        return 0, 0
+    x, y, z = _cell_axis(p[0]), _cell_axis(p[1]), _cell_axis(p[2])
+    cell = (z * NEAR_CELLS + y) * NEAR_CELLS + x
     first, last = boundary.near[cell], boundary.near[cell + 1]
     if last - first > _MOST_FACES:
         return 0, 0
@@ -76,7 +80,7 @@ def _known_ahead(p: Any, d: Any) -> Any:
     """How far p + t d stays where only the faces named for the cell of p can be."""
     far = np.inf
     for k in range(3):
-        low = (np.floor((p[k] + 0.5) * NEAR_CELLS) - REACH) / NEAR_CELLS - 0.5
+        low = (_cell_axis(p[k]) - REACH) / NEAR_CELLS - 0.5
         side = (1.0 + 2.0 * REACH) / NEAR_CELLS
         if d[k] > 0.0:
             far = min(far, (low + side - p[k]) / d[k])
@@ -100,8 +104,10 @@ def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
     begin = CLEARANCE if face >= 0 else 0.0
     far = _known_ahead(p, d)
     behind = True
+    # Planes are tried by distance, those at the same one in their order.
+    tried = last
     while True:
-        found, t = -1, far
+        found, chosen, t = -1, last, far
         for i in range(first, last):
             plane = boundary.planes[boundary.near[i]]
             height = _height(plane, p)
@@ -109,8 +115,9 @@ def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
             slope = d[0] * plane[0] + d[1] * plane[1] + d[2] * plane[2]
             # A division by zero gives a distance that is no candidate.
             there = -height / slope if slope != 0.0 else np.inf
-            if begin < there < t and boundary.near[i] != face:
-                found, t = boundary.near[i], there
+            later = there > begin or (there == begin and i > tried)
+            if later and there < t and boundary.near[i] != face:
+                found, chosen, t = boundary.near[i], i, there
         if found < 0:
             return -1, far, 0.0, 0.0, behind
         row = boundary.faces[found]
@@ -120,7 +127,7 @@ def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
             return found, t, u, v, d[0] * row[0] + d[1] * row[1] + d[2] * row[2] > 0.0
         if not least < -_MARGIN:
             return -1, 0.0, 0.0, 0.0, False
-        begin = t
+        begin, tried = t, chosen
 
 
 @walk_function()
