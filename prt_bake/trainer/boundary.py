@@ -43,8 +43,8 @@ class Boundary(NamedTuple):
     """[F,4]: each face's normal, and its plane's distance from the origin along it."""
     parts: NDArray[np.float64]
     """[P,13]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
-    height (0: no texture) and width, whether a rough interface is compensated, the absolute index inside, the address of
-    Embree's scene of the part alone (float64 holds it exactly), and the part's first face."""
+    height (0: no texture) and width, whether a rough interface is compensated, the absolute index inside, the address
+    of Embree's scene of the part alone (float64 holds it exactly), and the part's first face."""
     texels: NDArray[np.float32]
     """The textures of all parts, three channels, one after the other."""
     losses: NDArray[np.float64]
