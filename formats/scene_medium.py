@@ -88,14 +88,7 @@ def _box_of_grids(table: MediumTable, place: Place) -> NDArray[np.float64]:
     where = f"{place.path}: {place.key}.bounds"
     if table.bounds is None:
         raise SceneError(f"{where}: is missing; a grid needs its box, as in bounds = [[-1, -1, -1], [1, 1, 1]]")
-    box = np.array(table.bounds, np.float64)
-    low, high = place.bounds
-    if (box[0] >= high).any() or (box[1] <= low).any():
-        raise SceneError(
-            f"{where}: the grids' box {box.tolist()} lies wholly beside the part's, {place.bounds.tolist()}; expected "
-            "one that meets it: check the unit of length"
-        )
-    return box
+    return np.array(table.bounds, np.float64)
 
 
 def _refuse_opaque(medium: Medium, table: MediumTable, place: Place) -> None:

@@ -62,8 +62,9 @@ def find_faults(path: str | Path) -> list[str]:
 
 
 def find_remarks(path: str | Path) -> list[str]:
-    """Return what is worth knowing of a sound file, as sentences: parts of a scene that stick out, and what share of a
-    white furnace each rough boundary loses, since single scattering ends paths at a second microfacet.
+    """Return what is worth knowing of a sound file, as sentences: parts of a scene that stick out or that their grids
+    do not reach, and what share of a white furnace each rough boundary loses, since single scattering ends paths at a
+    second microfacet.
 
     Raises:
         PrtbakeError: the file cannot be read as what its suffix says.
@@ -74,7 +75,23 @@ def find_remarks(path: str | Path) -> list[str]:
     from prt_bake.nesting import sticking_out
 
     parts = read_scene(path).parts
-    return [f"{path}: {sentence}" for sentence in (*sticking_out(parts), *_losing(parts))]
+    return [f"{path}: {sentence}" for sentence in (*sticking_out(parts), *_beside(parts), *_losing(parts))]
+
+
+def _beside(parts: "tuple[Part, ...]") -> list[str]:
+    """A sentence for every part that its grids do not reach: most often the unit of length is wrong."""
+    sentences = []
+    for part in parts:
+        box = None if part.medium is None else part.medium.bounds
+        if box is None:
+            continue
+        common = np.maximum(box[0], part.mesh.bounds[0]), np.minimum(box[1], part.mesh.bounds[1])
+        if (common[0] >= common[1]).any():
+            sentences.append(
+                f"{part.name!r}: the grids' box {box.tolist()} lies wholly beside the part's, "
+                f"{part.mesh.bounds.tolist()}: the part is filled with what lies at the grids' rim"
+            )
+    return sentences
 
 
 def _losing(parts: "tuple[Part, ...]") -> list[str]:

@@ -6,6 +6,7 @@ import pytest
 from formats.errors import MeshError, PrtbakeError, SceneError, StorageError
 from formats.mesh import build_mesh, flipped, signed_volume, write_mesh
 from formats.scene import read_scene
+from prt_bake.inspection import find_remarks
 
 SCENE = """
 [object]
@@ -196,12 +197,12 @@ def test_a_fault_of_a_file_is_told_by_the_key_that_names_it(folder, old, new, se
         scene(folder, old, new)
 
 
-def test_a_grid_that_lies_beside_the_object_is_refused(folder):
+def test_a_grid_that_lies_beside_the_object_is_remarked_upon(folder):
     (folder / "scene.toml").write_text(
         SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", "[[1, 0, 0], [2, 1, 1]]")
     )
-    with pytest.raises(SceneError, match=r"medium\.bounds: .* lies wholly beside the part's"):
-        read_scene(folder / "scene.toml")
+    (remark,) = (remark for remark in find_remarks(folder / "scene.toml") if "loses" not in remark)
+    assert "'object': the grids' box [[1.0, 0.0, 0.0], [2.0, 1.0, 1.0]] lies wholly beside the part's" in remark
 
 
 def test_a_grid_needs_its_box(folder):

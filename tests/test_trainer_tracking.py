@@ -147,7 +147,9 @@ def test_blocks_hold_what_lies_in_them(shape):
     grid = np.where(np.random.default_rng(2).random(shape) < 0.02, 1000.0, 0.1)
     bounds, (nx, ny, nz) = blocks_of(grid, HIGH - LOW)
     points = np.random.default_rng(3).uniform(LOW, HIGH, (20_000, 3))
-    place = np.minimum((points - LOW) / (HIGH - LOW) * [nx, ny, nz], np.array([nx, ny, nz]) - 1).astype(int)
+    voxels = np.array(shape[::-1])
+    across = ((points - LOW) / (HIGH - LOW) * voxels - 0.5) / np.maximum(voxels - 1, 1)
+    place = np.clip(across * [nx, ny, nz], 0, np.array([nx, ny, nz]) - 1).astype(int)
     low, high = bounds[(place[:, 2] * ny + place[:, 1]) * nx + place[:, 0]].T
     values = look_up(grid, points)
     assert (values >= low - 1e-9).all()

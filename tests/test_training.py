@@ -1,7 +1,6 @@
 """The trainer: what it asks, what it hands over, that it learns, and that it can go on after a stop."""
 
 import dataclasses
-import os
 
 import numpy as np
 import pytest
@@ -214,17 +213,3 @@ def test_a_loss_that_is_not_finite_stops_the_run(scene):
     wild = dataclasses.replace(LEARNING, rate=1e20, warm_up=1e-9)
     with pytest.raises(QueryError, match="the loss of step"):
         train(scene, steps=50, settings=SMALL, stream=STREAM, learning=wild)
-
-
-def test_kernels_older_than_a_source_are_dropped_whoever_else_drops_them(tmp_path):
-    from prt_bake.trainer import _drop_stale_kernels
-
-    (tmp_path / "__pycache__").mkdir()
-    for name, age in (("walk.old.nbi", 1000), ("walk.old.1.nbc", 1000), ("walk.new.nbi", -1000), ("media.py", 0)):
-        path = tmp_path / ("__pycache__" if "nb" in name else "") / name
-        path.touch()
-        changed = path.stat().st_mtime - age
-        os.utime(path, (changed, changed))
-    (tmp_path / "__pycache__" / "gone.nbi").symlink_to(tmp_path / "nothing")
-    _drop_stale_kernels(tmp_path)
-    assert sorted(path.name for path in (tmp_path / "__pycache__").iterdir()) == ["gone.nbi", "walk.new.nbi"]

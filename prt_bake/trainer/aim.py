@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from prt_bake.trainer.boundary import facing_normal, normal_at, part_of
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import microfacet_transport, refract_at_microfacet
@@ -76,7 +76,7 @@ def _outermost_face(boundary: Any, p: Any, v: Any, skip: Any, ray: Any) -> Any:
         near = t * (1.0 + 2e-7) + 1e-9
 
 
-@walk_function()
+@called_function()
 def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v: Any, normal: Any) -> bool:
     """Write the outward normal of the boundary near where light from w reaches p; False where there is none.
 
@@ -109,7 +109,7 @@ def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v
     return found
 
 
-@walk_function()
+@called_function()
 def draw_aim(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v: Any, stream: Any) -> bool:
     """Draw the direction of flight v towards the boundary, by density `aim_density`; False: nothing in this draw."""
     if not has_normal or uniform(stream) >= _REFRACTED_SHARE:
@@ -127,7 +127,7 @@ def draw_aim(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v:
     return True
 
 
-@walk_function()
+@called_function()
 def aim_density(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v: Any) -> Any:
     """Density of `draw_aim` per solid angle of v, given the normal that `look_ahead` found from the same point."""
     lobe = lobe_density(v[0] * w[0] + v[1] * w[1] + v[2] * w[2], kappa)

@@ -11,12 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.clearance import NEAR_CELLS, REACH
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.embree import nearest_hit
 from prt_bake.trainer.interface import MATCHED, ROUGH, SMOOTH
 
-_MOST_PLANES = 24
 PASS, DIFFUSE, OPAQUE = -1, 3, 4
 """What a crossing may be beside the kinds of dielectrics: nothing, a diffuse surface met, one met from within."""
 SAME_INDEX = 1e-9
@@ -41,11 +39,12 @@ class Boundary(NamedTuple):
     faces: NDArray[np.float64]
     """[F,29]: normal (first), corners, normals and texture coordinates of the corners, part, and whether nothing lies
     in front of its plane. Those of part 0, the object itself, come first."""
+    planes: NDArray[np.float64]
+    """[F,4]: each face's normal, and its plane's distance from the origin along it."""
     parts: NDArray[np.float64]
-    """[P,11]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
-    height (0: no texture) and width, whether a rough interface is compensated, and the absolute index inside."""
-    handles: NDArray[np.int64]
-    """[P,2]: Embree's scene of each part alone, and its first face."""
+    """[P,13]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
+    height (0: no texture) and width, whether a rough interface is compensated, the absolute index inside, the address
+    of Embree's scene of the part alone (float64 holds it exactly), and the part's first face."""
     texels: NDArray[np.float32]
     """The textures of all parts, three channels, one after the other."""
     losses: NDArray[np.float64]
@@ -68,7 +67,7 @@ class Boundary(NamedTuple):
 
 CORNERS, CORNER_NORMALS, CORNER_UV, PART, OPEN, FACE_SIZE = 3, 12, 21, 27, 28, 29
 ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH = 0, 1, 4, 5, 6, 7, 8
-COMPENSATED, INDEX, PART_SIZE = 9, 10, 11
+COMPENSATED, INDEX, TREE, FIRST_FACE, PART_SIZE = 9, 10, 11, 12, 13
 
 
 @walk_function(inline="always")
@@ -77,7 +76,7 @@ def part_of(boundary: Any, face: Any) -> Any:
     return int(boundary.faces[face, PART])
 
 
-@walk_function()
+@called_function()
 def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
     """Write the interface's normal at (u, v) of a face: the face's own, or the interpolated one where it is asked
     for.
@@ -122,7 +121,7 @@ def _texel(boundary: Any, part: Any, s: Any, t: Any, channel: Any) -> Any:
     return upper * (1.0 - fy) + lower * fy
 
 
-@walk_function()
+@called_function()
 def _textured(boundary: Any, face: Any, u: Any, v: Any, channel: Any) -> Any:
     row = boundary.faces[face]
     s = (1.0 - u - v) * row[CORNER_UV] + u * row[CORNER_UV + 2] + v * row[CORNER_UV + 4]
@@ -139,7 +138,7 @@ def alpha_at(boundary: Any, face: Any, u: Any, v: Any) -> Any:
     return _textured(boundary, face, u, v, 0)
 
 
-@walk_function()
+@called_function()
 def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel: Any) -> Any:
     """What the diffuse `part` reflects where it is met at a face (of another part where both surfaces coincide)."""
     if boundary.parts[part, HEIGHT] == 0.0 or part_of(boundary, face) != part:
@@ -189,7 +188,7 @@ def meet(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) 
     return face, u, v, before, after
 
 
-@walk_function()
+@called_function()
 def _meet_together(
     boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, u: Any, v: Any, before: Any, after: Any
 ) -> Any:
@@ -200,11 +199,11 @@ def _meet_together(
     for part in range(len(boundary.parts)):
         if part == hit:
             continue
-        tree = boundary.handles[part, 0]
+        tree, first = int(boundary.parts[part, TREE]), int(boundary.parts[part, FIRST_FACE])
         found, _t = nearest_hit(boundary.intersect, tree, ray, start, d, 0.0, 2.0 * CLEARANCE, -1)
         if found < 0:
             continue
-        other, bit = boundary.handles[part, 1] + found, 1 << part
+        other, bit = first + found, 1 << part
         if met_from_behind(boundary, other, d):
             before, after = before | bit, after & ~bit
         else:
@@ -229,7 +228,7 @@ def _index(boundary: Any, region: Any) -> Any:
     return 1.0 if region == 0 else boundary.parts[region - 1, INDEX]
 
 
-@walk_function()
+@called_function()
 def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
     if here == there:
@@ -269,7 +268,7 @@ def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: 
     return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
 
 
-@walk_function()
+@called_function()
 def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
     """The first face along p + t d that is more than an index-matched boundary, where on it the ray arrives (u, v), its
     distance, and the masks before and behind it.
@@ -288,7 +287,7 @@ def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
         face, mask, at = found, after, t
 
 
-@walk_function()
+@called_function()
 def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
     """Mask of the parts other than the face's own that hold the point just inside `face` along `inward`.
 
@@ -299,40 +298,8 @@ def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
         if not boundary.nested or part == part_of(boundary, face):
             continue
         # What lies within the clearance lies on the face: the point just inside is beyond it.
-        found, _t = nearest_hit(boundary.intersect, boundary.handles[part, 0], ray, p, inward, CLEARANCE, np.inf, -1)
-        if found >= 0 and met_from_behind(boundary, boundary.handles[part, 1] + found, inward):
+        tree, first = int(boundary.parts[part, TREE]), int(boundary.parts[part, FIRST_FACE])
+        found, _t = nearest_hit(boundary.intersect, tree, ray, p, inward, CLEARANCE, np.inf, -1)
+        if found >= 0 and met_from_behind(boundary, first + found, inward):
             mask |= 1 << part
     return mask
-
-
-@walk_function(inline="always")
-def room_about(boundary: Any, p: Any) -> Any:
-    """A distance from p, inside the object, within which there is no face; 0 where nothing is known."""
-    n = boundary.clearance.shape[0]
-    if n == 0:
-        return 0.0
-    x, y, z = int((p[0] + 0.5) * n), int((p[1] + 0.5) * n), int((p[2] + 0.5) * n)
-    if x < 0 or y < 0 or z < 0 or x >= n or y >= n or z >= n:
-        return 0.0
-    room = np.float64(boundary.clearance[z, y, x])
-    if room > 0.0 or boundary.near.shape[0] == 0:
-        return room
-    return _room_before_planes(boundary, p)
-
-
-@walk_function()
-def _room_before_planes(boundary: Any, p: Any) -> Any:
-    """The same near the surface: the distance to the planes of the faces that come near."""
-    n = NEAR_CELLS
-    cell = (int((p[2] + 0.5) * n) * n + int((p[1] + 0.5) * n)) * n + int((p[0] + 0.5) * n)
-    first, last = boundary.near[cell], boundary.near[cell + 1]
-    if last == first or last - first > _MOST_PLANES:
-        return 0.0
-    room = REACH / n
-    for i in range(first, last):
-        row = boundary.faces[boundary.near[i]]
-        x, y, z = p[0] - row[CORNERS], p[1] - row[CORNERS + 1], p[2] - row[CORNERS + 2]
-        height = x * row[0] + y * row[1] + z * row[2]
-        # In front of a plane nothing is known of the side that the place is on.
-        room = min(room, max(0.0, -height))
-    return room

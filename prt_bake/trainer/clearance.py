@@ -18,7 +18,7 @@ _MOST_ENTRIES = 30_000_000
 _ON_PLANE = 1e-6
 _MOST_PAIRS = 100_000_000
 NEAR_CELLS = 64
-REACH = 0.5
+REACH = 1.0
 """In sides of a cell of NEAR_CELLS."""
 
 
@@ -45,9 +45,8 @@ def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> 
 def near_faces(positions: Array, faces: NDArray[np.int64], depth: float) -> NDArray[np.int32]:
     """Which faces come near each cell: n³ + 1 places, then the faces of one cell after those of another.
 
-    A face that a cell does not name is at least REACH of a cell's side away from all of it. Planes of the faces named
-    give a bound for places close to the surface, where the grid of clearances knows nothing. n is NEAR_CELLS, or the
-    table empty where the object is thin.
+    A face that a cell does not name stays out of the cell grown by REACH of its side on every side. n is NEAR_CELLS, or
+    the table empty where the object is thin.
     """
     n = NEAR_CELLS
     if depth < _THICK_NEAR:
@@ -69,7 +68,7 @@ def near_faces(positions: Array, faces: NDArray[np.int64], depth: float) -> NDAr
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     away = np.abs(np.einsum("ni,ni->n", centre - corners[face, 0], normals[face]))
-    near = away <= (0.5 * np.sqrt(3.0) + REACH) / n
+    near = away <= (0.5 + REACH) * np.sqrt(3.0) / n
     face, cell = face[near], cell[near]
     order = np.argsort(cell, kind="stable")
     starts = np.searchsorted(cell[order], np.arange(n**3 + 1)) + n**3 + 1

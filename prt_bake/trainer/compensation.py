@@ -19,13 +19,13 @@ rarer side inwards at alpha 0.3, 97 % at 0.6, 98 % at 1 (`tests/test_trainer_com
 import math
 from typing import Any
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import refract
 from prt_bake.trainer.losses import CELLS, CUMULATED, ETA, LOSS, MEAN, ROUGHNESS, kept_of, microfacet_seen
 
 
-@walk_function()
+@called_function()
 def _place(losses: Any, alpha: Any, eta: Any) -> Any:
     """Where in the table: the row of the relative index, the roughness below, and how far beyond it alpha lies."""
     row = 0
@@ -74,7 +74,7 @@ def _share_through(losses: Any, eta: Any, row: Any, node: Any, beyond: Any) -> A
     return min(1.0, eta * eta * _mean_loss(losses, row ^ 1, node, beyond) / here)
 
 
-@walk_function()
+@called_function()
 def returned_density(losses: Any, alpha: Any, eta: Any, iz: Any, oz: Any) -> Any:
     """f(i, o) |o·n| of the lobe that returns what single scattering loses, per solid angle of o; to be added to
     `rough_density`.
@@ -92,7 +92,7 @@ def returned_density(losses: Any, alpha: Any, eta: Any, iz: Any, oz: Any) -> Any
     return share * _loss(losses, row, node, beyond, iz) * lobe
 
 
-@walk_function()
+@called_function()
 def _draw_lobe(losses: Any, row: Any, node: Any, beyond: Any, stream: Any) -> Any:
     """A direction (x, y, z > 0) of density |z| L(z) / (π L̄)."""
     mean = _mean_loss(losses, row, node, beyond)
@@ -119,7 +119,7 @@ def _draw_lobe(losses: Any, row: Any, node: Any, beyond: Any, stream: Any) -> An
     return sine * math.cos(angle), sine * math.sin(angle), max(1e-9, math.sqrt(squared))
 
 
-@walk_function()
+@called_function()
 def sample_compensated(
     losses: Any, alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, transmit_only: Any, stream: Any
 ) -> Any:

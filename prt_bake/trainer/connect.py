@@ -17,14 +17,14 @@ from prt_bake.trainer.boundary import (
     is_compensated,
     meet,
     next_face,
-    room_about,
     sees_sky,
 )
 from prt_bake.trainer.compensation import returned_density
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import MATCHED, microfacet_transport, rough_density
 from prt_bake.trainer.media import MINORANT, PHASE_G, phase
+from prt_bake.trainer.nearby import meet_nearby
 from prt_bake.trainer.tracking import attenuate
 from prt_bake.trainer.walk import (
     AT,
@@ -35,6 +35,7 @@ from prt_bake.trainer.walk import (
     MASK,
     NORMAL,
     POSITION,
+    ROOM,
     SCATTERING,
     SURFACE,
     THROUGHPUT,
@@ -51,7 +52,7 @@ _ALWAYS_LOOKED = 2.0
 @walk_function(inline="always")
 def look_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
     """With what probability a scattering event looks at the light: that of getting out, where it lies deep inside."""
-    depth = media.regions[region_of(boundary, counts), MINORANT] * room_about(boundary, state[POSITION : POSITION + 3])
+    depth = media.regions[region_of(boundary, counts), MINORANT] * state[ROOM]
     return 1.0 if depth <= _ALWAYS_LOOKED else math.exp(_ALWAYS_LOOKED - depth)
 
 
@@ -63,17 +64,19 @@ def march(
     d: Any,
     face: Any,
     mask: Any,
+    near: Any,
     far: Any,
     at: Any,
     ray: Any,
     stream: Any,
     kept: Any,
 ) -> bool:
-    """Multiply kept [3] by the transmittance along p + t d up to `far`, through index-matched boundaries.
+    """Multiply kept [3] by the transmittance along p + t d from `near` to `far`, through index-matched boundaries.
 
-    False where anything else stands in the way. The ray starts on `face` (−1: on none) with the walker's `mask`.
+    False where anything else stands in the way. At `near` the ray lies on `face` (−1: on none), with the walker's
+    `mask` behind it.
     """
-    t = 0.0
+    t = near
     while True:
         if face >= 0 and sees_sky(boundary, face, d):
             return True
@@ -92,14 +95,14 @@ def march(
         face, mask, t = found, after, hit
 
 
-@walk_function()
+@called_function()
 def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any, kept: Any) -> None:
     """Write into kept [3] the share of a view into an index-matched object that crosses it without any event."""
     for c in range(3):
         kept[c] = 1.0
     p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
     at = state[AT : AT + 3]
-    if not march(boundary, media, p, d, counts[FACE], counts[MASK], np.inf, at, ray, stream, kept):
+    if not march(boundary, media, p, d, counts[FACE], counts[MASK], 0.0, np.inf, at, ray, stream, kept):
         for c in range(3):
             kept[c] = 0.0
 
@@ -118,7 +121,7 @@ def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: A
     return max(0.0, v[0] * nx + v[1] * ny + v[2] * nz) / math.pi
 
 
-@walk_function()
+@called_function()
 def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any) -> Any:
     """f |cos| of the rough interface from flight d to v (both along the eye path), and about by what density `cross`
     draws v (the balance heuristic is unbiased with any).
@@ -148,7 +151,7 @@ def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d:
     return value, density
 
 
-@walk_function()
+@called_function()
 def _sent_straight(boundary: Any, media: Any, state: Any, counts: Any, event: Any, w: Any) -> Any:
     """What the walk's event sends towards w, and the mask of the walker that flies there."""
     if event != SURFACE:
@@ -204,6 +207,43 @@ def connect_straight(
             continue
         for c in range(3):
             kept[c] = sent * count / (looked * chance)
-        if march(boundary, media, p, w, counts[FACE], mask, np.inf, state[AT : AT + 3], ray, stream, kept):
+        face, near = counts[FACE], 0.0
+        if event == SCATTERING:
+            face, near, mask = _leave_nearby(boundary, media, state, counts, w, stream, kept)
+            if near < 0.0:
+                continue
+        if march(boundary, media, p, w, face, mask, near, np.inf, state[AT : AT + 3], ray, stream, kept):
             for c in range(3):
                 value[i, c] += state[THROUGHPUT + c] * kept[c]
+
+
+@walk_function()
+def _leave_nearby(boundary: Any, media: Any, state: Any, counts: Any, w: Any, stream: Any, kept: Any) -> Any:
+    """Follow a connection from a scattering event along w as far as no ray is needed: (face reached or −1, distance,
+    mask there), with kept [3] multiplied by the transmittance up to a face that is reached.
+
+    What little gets through so far goes on by roulette; the distance is negative where it has ended.
+    """
+    p, mask = state[POSITION : POSITION + 3], counts[MASK]
+    face, t, _u, _v, inside = meet_nearby(boundary, p, w, -1)
+    region = region_of(boundary, counts)
+    depth = t * media.regions[region, MINORANT]
+    if face < 0 or not inside:
+        return (-1, 0.0, mask) if _survives(depth, stream, kept) else (-1, -1.0, mask)
+    if not sees_sky(boundary, face, w) and not _survives(depth, stream, kept):
+        return -1, -1.0, mask
+    attenuate(media, region, p, w, 0.0, t, state[AT : AT + 3], stream, kept)
+    return face, t, 0
+
+
+@walk_function()
+def _survives(depth: Any, stream: Any, kept: Any) -> bool:
+    """Roulette on a connection that passes at least so many mean free paths, weighted in kept [3]."""
+    if depth <= _ALWAYS_LOOKED:
+        return True
+    chance = math.exp(_ALWAYS_LOOKED - depth)
+    if uniform(stream) >= chance:
+        return False
+    for c in range(3):
+        kept[c] /= chance
+    return True

@@ -20,7 +20,7 @@ from prt_bake.trainer.boundary import (
     reach,
     sees_sky,
 )
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.connect import look_probability, march, sent_by, sent_through
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.embree import nearest_hit
@@ -59,7 +59,7 @@ def is_outermost(boundary: Any, before: Any, after: Any) -> Any:
     return boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0
 
 
-@walk_function()
+@called_function()
 def _received(
     boundary: Any,
     face: Any,
@@ -89,7 +89,7 @@ def _received(
     return through
 
 
-@walk_function()
+@called_function()
 def connect_at_surface(
     boundary: Any, state: Any, counts: Any, incident: Any, share: Any, aims: Any, ray: Any, room: Any, value: Any
 ) -> None:
@@ -121,7 +121,7 @@ def connect_at_surface(
             value[i, c] += state[THROUGHPUT + c] * weight
 
 
-@walk_function()
+@called_function()
 def connect_ahead(
     boundary: Any,
     media: Any,
@@ -184,7 +184,7 @@ def _density_sent(boundary: Any, state: Any, counts: Any, entering: Any) -> Any:
     return density
 
 
-@walk_function()
+@called_function()
 def _attenuate_to(
     boundary: Any,
     media: Any,
@@ -205,10 +205,10 @@ def _attenuate_to(
     if not boundary.nested:
         attenuate(media, boundary.region_of_mask[before], p, v, 0.0, t, at, stream, kept)
         return
-    march(boundary, media, p, v, counts[FACE], mask, t * (1.0 - 1e-6), at, ray, stream, kept)
+    march(boundary, media, p, v, counts[FACE], mask, 0.0, t * (1.0 - 1e-6), at, ray, stream, kept)
 
 
-@walk_function()
+@called_function()
 def connect_aimed(
     boundary: Any,
     media: Any,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -27,7 +27,7 @@ def mix(z: Any) -> Any:
     return z ^ (z >> _S31)
 
 
-@walk_function()
+@called_function()
 def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
     """Set `stream` (uint64 [2]: counter, step) to the beginning of the stream of (seed, query, path)."""
     key = mix(np.uint64(seed) + _GOLDEN)

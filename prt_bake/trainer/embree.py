@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from prt_bake.compilation import compiled
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 
 _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
 _UINT3, _FLOAT3 = 0x5003, 0x9003
@@ -139,7 +139,7 @@ def _intersect(
     return words[18] != _NO_HIT
 
 
-@walk_function()
+@called_function()
 def nearest_hit(address: Any, scene: Any, ray: Any, p: Any, d: Any, near: Any, far: Any, skip: Any) -> Any:
     """The nearest face that the ray p + t d meets with near < t < far, `skip` left out.
 

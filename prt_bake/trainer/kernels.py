@@ -9,18 +9,20 @@ from numba import prange
 
 from prt_bake.compilation import compiled
 from prt_bake.trainer.boundary import contained
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.connect import connect_straight, unscattered
 from prt_bake.trainer.connect_rough import ENTERING, connect_ahead, connect_aimed, connect_at_surface, is_outermost
 from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.embree import new_ray
 from prt_bake.trainer.interface import MATCHED, ROUGH
+from prt_bake.trainer.media import is_uneven
 from prt_bake.trainer.walk import (
     BEFORE,
     BEHIND,
     COUNTS_SIZE,
     DIRECTION,
     LOST,
+    ROOM,
     SCATTERED,
     SCATTERING,
     SKY,
@@ -30,6 +32,7 @@ from prt_bake.trainer.walk import (
     advance,
     begin,
     bounce,
+    clear_view,
     cross,
     enter,
     goes_on,
@@ -38,7 +41,7 @@ from prt_bake.trainer.walk import (
 )
 
 
-@walk_function()
+@called_function()
 def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
     """Real orthonormal harmonics of one direction into basis [K], as prt_bake.sh.evaluate (its tests compare them)."""
     diagonal = np.sqrt(0.25 / np.pi)
@@ -72,7 +75,7 @@ def _add_powers(value: Any, sums: Any) -> None:
             sums[3, j] += square * square
 
 
-@walk_function()
+@called_function()
 def _held_at(boundary: Any, position: Any, face: Any, inward: Any, ray: Any) -> Any:
     """Mask of the parts inside the object that hold a query's point too; `inward` is room for a direction."""
     if not boundary.nested:
@@ -82,7 +85,7 @@ def _held_at(boundary: Any, position: Any, face: Any, inward: Any, ray: Any) -> 
     return contained(boundary, position, inward, face, ray)
 
 
-@walk_function()
+@called_function()
 def _receive_rough(
     boundary: Any,
     media: Any,
@@ -171,6 +174,8 @@ def sum_transport(
         received = value[: directions * 3].reshape(directions, 3)
         towards = incident[n]
         held = _held_at(boundary, positions[n], faces[n], room[0:3], ray)
+        ahead = clear_view(boundary, positions[n], outgoing[n], faces[n], room[0:3], ray)
+        through = boundary.kind == MATCHED
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
@@ -183,8 +188,14 @@ def sum_transport(
                 )
             else:
                 alive = enter(boundary, state, counts, stream)
-                if boundary.kind == MATCHED:
+                state[ROOM] = ahead
+                if through:
+                    # Where it is the same for all paths, the first one tells for all.
+                    through = is_uneven(media)
                     unscattered(boundary, media, state, counts, ray, stream, value[-4:-1])
+                    if not through:
+                        for c in range(3):
+                            value[c - 4] *= chunks[i, 2]
             while alive:
                 event = advance(boundary, media, state, counts, ray, stream)
                 if event == SKY:

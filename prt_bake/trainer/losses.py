@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.compilation import compiled
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function
 from prt_bake.trainer.interface import fresnel, masking, refract, visible_microfacet
 
 CELLS = 48
@@ -85,7 +85,7 @@ def furnace_loss(alpha: float, eta: float) -> float:
     return float(1.0 - reflected - through * out / (out + max(0.0, lost_inside)))
 
 
-@walk_function()
+@called_function()
 def microfacet_seen(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: Any, u2: Any) -> Any:
     """A visible microfacet's normal, its cosine to i, and its reflectance."""
     mx, my, mz = visible_microfacet(ix, iy, iz, alpha, u1, u2)
@@ -93,7 +93,7 @@ def microfacet_seen(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: Any, u2
     return mx, my, mz, cosine, fresnel(cosine, eta)
 
 
-@walk_function()
+@called_function()
 def kept_of(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any) -> Any:
     """What single scattering keeps of the light that a microfacet reflects, and of what it lets through."""
     oz = 2.0 * cosine * mz - iz

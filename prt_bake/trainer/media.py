@@ -10,14 +10,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.compilation import compiled
+from prt_bake.trainer.compiled import called_function, walk_function
 
 
 class Media(NamedTuple):
     """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
 
     regions: NDArray[np.float64]
-    """[R,30], by the names below."""
+    """[R,37], by the names below."""
     extinction_cells: NDArray[np.float32]
     albedo_cells: NDArray[np.float32]
     blocks: NDArray[np.float64]
@@ -35,7 +36,11 @@ EXTINCTION_GRID, ALBEDO_GRID = 16, 21
 CHANNELS = 1
 BLOCKS = 26
 """First block, blocks along x, y, z."""
-REGION_SIZE = 30
+BLOCKS_LOW, BLOCKS_PER_LENGTH = 30, 33
+"""Where blocks begin, and how many come to a length, along x, y and z; the outermost ones go on without end."""
+STEEP = 36
+"""Blocks of a larger extinction than this are followed cell by cell."""
+REGION_SIZE = 37
 
 
 @walk_function(inline="always")
@@ -87,13 +92,25 @@ def multiply_albedo(media: Any, region: Any, p: Any, throughput: Any) -> None:
     if channels == 0.0:
         for c in range(3):
             throughput[c] *= row[ALBEDO + c]
-    elif channels == 1.0:
+    else:
+        _multiply_gridded_albedo(media, row, p, throughput)
+
+
+@called_function()
+def _multiply_gridded_albedo(media: Any, row: Any, p: Any, throughput: Any) -> None:
+    if row[ALBEDO_GRID + CHANNELS] == 1.0:
         albedo = _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, 0)
         for c in range(3):
             throughput[c] *= albedo
     else:
         for c in range(3):
             throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
+
+
+@compiled()
+def is_uneven(media: Any) -> bool:
+    """Whether the extinction of any region is a grid, along which transmittances are drawn."""
+    return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())
 
 
 @walk_function(inline="always")

@@ -16,6 +16,7 @@ from prt_bake.trainer.boundary import (
     CORNER_UV,
     CORNERS,
     FACE_SIZE,
+    FIRST_FACE,
     FIRST_TEXEL,
     HEIGHT,
     INDEX,
@@ -27,6 +28,7 @@ from prt_bake.trainer.boundary import (
     REFLECTANCE,
     SAME_INDEX,
     SMOOTHEST,
+    TREE,
     WIDTH,
     Boundary,
 )
@@ -76,9 +78,8 @@ class PreparedScene:
         return Boundary(
             intersect=intersect_address(),
             scene=self._tree.handle,
-            **_tables(parts, self.positions, self.faces),
+            **_tables(parts, [tree.handle for tree in self._trees], self.positions, self.faces),
             losses=_losses(parts),
-            handles=np.stack([[tree.handle for tree in self._trees], _first_faces(parts)], axis=1).astype(np.int64),
             region_of_mask=_regions(parts),
             clearance=clearance_grid(self.positions, self.faces, thickness),
             near=near_faces(self.positions, self.faces, thickness),
@@ -155,7 +156,7 @@ def _first_faces(parts: tuple[Part, ...]) -> NDArray[np.int64]:
     return np.cumsum([0] + [len(part.mesh.faces) for part in parts[:-1]]).astype(np.int64)
 
 
-def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64]) -> dict[str, Any]:
+def _tables(parts: tuple[Part, ...], trees: list[int], positions: Array, faces: NDArray[np.int64]) -> dict[str, Any]:
     """`faces`, `parts` and `texels` of the boundary."""
     rows, table, texels = np.zeros((len(faces), FACE_SIZE)), np.zeros((len(parts), PART_SIZE)), list[Any]()
     given = np.concatenate([part.mesh.face_normals for part in parts])
@@ -171,6 +172,7 @@ def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64])
         row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
         row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"
         row[COMPENSATED], row[INDEX] = part.energy_compensation, part.eta
+        row[TREE], row[FIRST_FACE] = trees[i], first
         image = _texture(part)
         if image is not None:
             row[FIRST_TEXEL], row[HEIGHT], row[WIDTH] = sum(map(len, texels)), *image.shape[:2]
@@ -179,6 +181,7 @@ def _tables(parts: tuple[Part, ...], positions: Array, faces: NDArray[np.int64])
                 own[:, CORNER_UV:PART] = part.mesh.corner_uv.reshape(-1, 6)
     return {
         "faces": rows,
+        "planes": np.column_stack([rows[:, :3], np.einsum("fi,fi->f", rows[:, :3], rows[:, CORNERS : CORNERS + 3])]),
         "parts": table,
         "texels": np.concatenate(texels) if texels else np.zeros(0, np.float32),
     }

@@ -4,11 +4,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Medium, Part
-from prt_bake.trainer.blocks import blocks_of
+from prt_bake.trainer.blocks import blocks_of, steep
 from prt_bake.trainer.media import (
     ALBEDO,
     ALBEDO_GRID,
     BLOCKS,
+    BLOCKS_LOW,
+    BLOCKS_PER_LENGTH,
     CHROMATIC,
     EXTINCTION_GRID,
     LOW,
@@ -18,6 +20,7 @@ from prt_bake.trainer.media import (
     PHASE_G,
     REGION_SIZE,
     SIGMA_T,
+    STEEP,
     Media,
 )
 
@@ -44,6 +47,11 @@ def prepare_media(parts: tuple[Part, ...], center: Array, scale: float) -> Media
             # What the kernels look up is rounded to float32, so the blocks count that.
             extinction = extinctions.add(row[EXTINCTION_GRID : EXTINCTION_GRID + 5], extinction)
             bounds, shape = blocks_of(extinction, side)
+            # Blocks reach from the centre of the first voxel to that of the last.
+            voxels = np.array(extinction.shape[2::-1])
+            row[BLOCKS_LOW : BLOCKS_LOW + 3] = corners[0] + 0.5 * side / voxels
+            row[BLOCKS_PER_LENGTH : BLOCKS_PER_LENGTH + 3] = shape / (side * np.maximum(1.0 - 1.0 / voxels, 1e-9))
+            row[STEEP] = steep(extinction.shape, side)
             row[BLOCKS : BLOCKS + 4] = sum(map(len, blocks)), *shape
             blocks.append(bounds)
         else:

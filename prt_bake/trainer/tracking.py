@@ -2,7 +2,8 @@
 
 Distances to a scattering event are drawn by delta tracking (Woodcock 1965), transmittances by ratio tracking (Novák et
 al. 2014), both against the largest extinction of each block of the grid that the ray goes through; of a block's least
-extinction the transmittance is exact. Where extinction differs between channels, events are drawn from the mean of the
+extinction the transmittance is exact. Where that would take too many tentative events, cells are followed one by one
+(`prt_bake.trainer.cells`). Where extinction differs between channels, events are drawn from the mean of the
 channels weighted by what each still carries, which is the balance heuristic over channels (Kutz et al. 2017, "Spectral
 and decomposition tracking"): the sum of the three is kept by every event but absorption, so that none of them explodes.
 """
@@ -12,17 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.cells import attenuate_in_cells, flight_in_cells
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.media import (
     BLOCKS,
+    BLOCKS_LOW,
+    BLOCKS_PER_LENGTH,
     CHANNELS,
     CHROMATIC,
     EXTINCTION_GRID,
-    LOW,
     MAJORANT,
-    PER_LENGTH,
     SIGMA_T,
+    STEEP,
     extinction,
 )
 
@@ -35,11 +38,11 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
     """The block on one axis at p + probe d, and where the ray leaves it; the outermost blocks have no end."""
     if count == 1:
         return 0, np.inf
-    i = int(min(max((p + probe * d - low) * per_length * count, 0.0), count - 1.0))
+    i = int(min(max((p + probe * d - low) * per_length, 0.0), count - 1.0))
     if d > 0.0 and i < count - 1:
-        return i, (low + (i + 1) / (count * per_length) - p) / d
+        return i, (low + (i + 1) / per_length - p) / d
     if d < 0.0 and i > 0:
-        return i, (low + i / (count * per_length) - p) / d
+        return i, (low + i / per_length - p) / d
     return i, np.inf
 
 
@@ -49,9 +52,10 @@ def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     row = media.regions[region]
     first, nx, ny, nz = int(row[BLOCKS]), int(row[BLOCKS + 1]), int(row[BLOCKS + 2]), int(row[BLOCKS + 3])
     probe = t + 1e-7
-    x, tx = _block_axis(p[0], d[0], probe, row[LOW], row[PER_LENGTH], nx)
-    y, ty = _block_axis(p[1], d[1], probe, row[LOW + 1], row[PER_LENGTH + 1], ny)
-    z, tz = _block_axis(p[2], d[2], probe, row[LOW + 2], row[PER_LENGTH + 2], nz)
+    low, per_length = row[BLOCKS_LOW : BLOCKS_LOW + 3], row[BLOCKS_PER_LENGTH : BLOCKS_PER_LENGTH + 3]
+    x, tx = _block_axis(p[0], d[0], probe, low[0], per_length[0], nx)
+    y, ty = _block_axis(p[1], d[1], probe, low[1], per_length[1], ny)
+    z, tz = _block_axis(p[2], d[2], probe, low[2], per_length[2], nz)
     return first + (z * ny + y) * nx + x, max(min(tx, min(ty, tz)), probe)
 
 
@@ -71,12 +75,19 @@ def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stre
     return flight
 
 
-@walk_function()
+@called_function()
 def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: Any, at: Any, stream: Any) -> Any:
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
         highest = media.blocks[block, 1]
+        if highest > media.regions[region, STEEP]:
+            # What is left of `depth` is exponential again, whatever happens here.
+            found = flight_in_cells(media, region, p, d, t, min(end, far), at, stream)
+            if found < np.inf:
+                return found
+            t = end
+            continue
         step = depth / highest if highest > 0.0 else np.inf
         if t + step >= end:
             depth -= (end - t) * highest
@@ -93,7 +104,7 @@ def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: An
     return np.inf
 
 
-@walk_function()
+@called_function()
 def flight_by_channel(media: Any, region: Any, p: Any, d: Any, far: Any, throughput: Any, at: Any, stream: Any) -> Any:
     """Distance to the next scattering event before `far`, else infinite, with the throughput [3] weighted for either.
 
@@ -140,7 +151,7 @@ def _collides(media: Any, region: Any, at: Any, highest: Any, throughput: Any, u
     return False
 
 
-@walk_function()
+@called_function()
 def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any) -> Any:
     total = throughput[0] + throughput[1] + throughput[2]
     if total <= 0.0:
@@ -182,7 +193,7 @@ def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: 
                 kept[c] *= math.exp(-row[SIGMA_T + c] * (far - near))
 
 
-@walk_function()
+@called_function()
 def _attenuate_in_grid(
     media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any
 ) -> None:
@@ -195,6 +206,12 @@ def _attenuate_in_grid(
         lowest, highest = media.blocks[block, 0], media.blocks[block, 1]
         end = min(end, far)
         rest = highest - lowest
+        if rest > media.regions[region, STEEP]:
+            attenuate_in_cells(media, region, channels, p, d, t, end, at, kept)
+            t = end
+            if not _worth_following(kept, certain, watched, stream):
+                return
+            continue
         step = depth / rest if rest > 0.0 else np.inf
         met = t + step < end
         reached = t + step if met else end

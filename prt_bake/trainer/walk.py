@@ -24,24 +24,26 @@ from prt_bake.trainer.boundary import (
     is_compensated,
     mask_before,
     meet,
+    met_from_behind,
     next_face,
     normal_at,
     part_of,
     place_on,
     reflectance_at,
-    room_about,
     sees_sky,
 )
 from prt_bake.trainer.compensation import sample_compensated
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import MATCHED, ROUGH, sample_interface
 from prt_bake.trainer.media import CHROMATIC, MAJORANT, PHASE_G, multiply_albedo, phase, phase_cosine
+from prt_bake.trainer.nearby import meet_nearby, room_about
 from prt_bake.trainer.tracking import flight_by_channel, free_flight
 
 SCATTERING, SURFACE, SKY, REFLECTING = 0, 1, 2, 3
 POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN, ORIGIN, ARRIVED = 0, 3, 6, 9, 12, 13, 16, 17, 18, 21
-U, V, LOOKED = 24, 25, 26
+U, V, LOOKED, ROOM = 24, 25, 26, 27
+"""In state[ROOM]: a distance within which the walk, from where it is, meets no face."""
 STATE_SIZE = 32
 FACE, MASK, EVENTS, SCATTERED, BEFORE, BEHIND, ORIGIN_FACE = 0, 1, 2, 3, 4, 5, 6
 COUNTS_SIZE = 8
@@ -78,7 +80,7 @@ def region_of(boundary: Any, counts: Any) -> Any:
     return boundary.region_of_mask[counts[MASK]]
 
 
-@walk_function()
+@called_function()
 def begin(
     boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, held: Any
 ) -> None:
@@ -90,10 +92,24 @@ def begin(
         state[POSITION + k] = position[k]
         state[DIRECTION + k] = -outgoing[k]
         state[THROUGHPUT + k] = 1.0
-    state[LOST], state[PHASE], state[U], state[V] = 0.0, 0.0, u, v
+    state[LOST], state[PHASE], state[U], state[V], state[ROOM] = 0.0, 0.0, u, v, 0.0
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
     counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, held, 0, 0
     counts[BEFORE], counts[BEHIND], counts[ORIGIN_FACE] = held, held | 1 << part_of(boundary, face), -1
+
+
+@called_function()
+def clear_view(boundary: Any, position: Any, outgoing: Any, face: Any, inward: Any, ray: Any) -> Any:
+    """How far all walks of a query that `enter` does not bend fly before they can meet a face; 0 where it does.
+
+    `inward` is room for a direction.
+    """
+    if boundary.kind != MATCHED:
+        return 0.0
+    for k in range(3):
+        inward[k] = -outgoing[k]
+    met, t = next_face(boundary, ray, position, inward, 0.0, np.inf, face)
+    return t if met >= 0 and met_from_behind(boundary, met, inward) else 0.0
 
 
 @walk_function()
@@ -154,6 +170,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         d = state[DIRECTION : DIRECTION + 3]
         for k in range(3):
             p[k] += flight * d[k]
+        state[ROOM] = room_about(boundary, p)
         counts[FACE] = -1
         counts[EVENTS] += 1
         counts[SCATTERED] += 1
@@ -176,8 +193,14 @@ def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: A
     d = state[DIRECTION : DIRECTION + 3]
     ball = _towards_ball(p, d, boundary.radius)
     flight = free_flight(media, region, p, d, ball, state[AT : AT + 3], stream)
-    if counts[FACE] < 0 and flight < room_about(boundary, p):
+    if flight < state[ROOM]:
         return flight, -1
+    face, t, u, v, inside = meet_nearby(boundary, p, d, counts[FACE])
+    if inside and flight < t:
+        return flight, -1
+    if inside and face >= 0:
+        ray[15], ray[16] = u, v
+        return t, face
     far = flight
     if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
         far = np.inf
@@ -189,7 +212,7 @@ def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: A
     return flight, -1
 
 
-@walk_function()
+@called_function()
 def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
     """The same where extinction differs between channels: what reaches a face is weighted too, so it is found first."""
     p = state[POSITION : POSITION + 3]
@@ -211,6 +234,7 @@ def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, b
     where nothing stands there. Returns the kind of interface, negative where the walk has passed.
     """
     place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
+    state[ROOM] = 0.0
     kind, _eta = crossing(boundary, face, before, after)
     counts[FACE] = face
     if kind == PASS or kind == MATCHED:
@@ -226,7 +250,7 @@ def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, b
     return kind
 
 
-@walk_function()
+@called_function()
 def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: Any) -> bool:
     """Take the dielectric's event at the face that the walk has reached; False where the walk ends there.
 
@@ -300,7 +324,7 @@ def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> 
     )
 
 
-@walk_function()
+@called_function()
 def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
     """Send the walk back from a diffuse surface by the cosine; density and place are kept as by `scatter`."""
     nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], state[DIRECTION : DIRECTION + 3])
