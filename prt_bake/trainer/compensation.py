@@ -19,7 +19,7 @@ rarer side inwards at alpha 0.3, 97 % at 0.6, 98 % at 1 (`tests/test_trainer_com
 import math
 from typing import Any
 
-from prt_bake.trainer.compiled import called_function, walk_function
+from prt_bake.trainer.compiled import called_function
 from prt_bake.trainer.counter import uniform
 from prt_bake.trainer.interface import refract
 from prt_bake.trainer.losses import CELLS, CUMULATED, ETA, LOSS, MEAN, ROUGHNESS, kept_of, microfacet_seen
@@ -41,7 +41,7 @@ def _place(losses: Any, alpha: Any, eta: Any) -> Any:
     return row, node, step - node
 
 
-@walk_function()
+@called_function()
 def _mean_loss(losses: Any, row: Any, node: Any, beyond: Any) -> Any:
     mean = losses[row, node, MEAN]
     if beyond > 0.0:
@@ -49,7 +49,7 @@ def _mean_loss(losses: Any, row: Any, node: Any, beyond: Any) -> Any:
     return mean
 
 
-@walk_function()
+@called_function()
 def _loss_at_node(table: Any, cosine: Any) -> Any:
     cell = min(int(CELLS * math.sqrt(cosine)), CELLS - 1)
     low, high = (cell / CELLS) ** 4, ((cell + 1) / CELLS) ** 4
@@ -57,7 +57,7 @@ def _loss_at_node(table: Any, cosine: Any) -> Any:
     return table[LOSS + cell] + share * (table[LOSS + cell + 1] - table[LOSS + cell])
 
 
-@walk_function()
+@called_function()
 def _loss(losses: Any, row: Any, node: Any, beyond: Any, cosine: Any) -> Any:
     loss = _loss_at_node(losses[row, node], cosine)
     if beyond > 0.0:
@@ -65,7 +65,7 @@ def _loss(losses: Any, row: Any, node: Any, beyond: Any, cosine: Any) -> Any:
     return loss
 
 
-@walk_function()
+@called_function()
 def _share_through(losses: Any, eta: Any, row: Any, node: Any, beyond: Any) -> Any:
     """Of what is lost on this side, what the other side receives."""
     here = _mean_loss(losses, row, node, beyond)

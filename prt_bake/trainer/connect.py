@@ -121,7 +121,7 @@ def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: A
     return max(0.0, v[0] * nx + v[1] * ny + v[2] * nz) / math.pi
 
 
-@called_function()
+@walk_function()
 def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any) -> Any:
     """f |cos| of the rough interface from flight d to v (both along the eye path), and about by what density `cross`
     draws v (the balance heuristic is unbiased with any).

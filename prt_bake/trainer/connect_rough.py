@@ -59,7 +59,7 @@ def is_outermost(boundary: Any, before: Any, after: Any) -> Any:
     return boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0
 
 
-@called_function()
+@walk_function()
 def _received(
     boundary: Any,
     face: Any,

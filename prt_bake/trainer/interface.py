@@ -12,7 +12,7 @@ Squared index ratios are left out: a path begins and ends outside the object, so
 import math
 from typing import Any
 
-from prt_bake.trainer.compiled import walk_function
+from prt_bake.trainer.compiled import called_function, walk_function
 from prt_bake.trainer.counter import uniform
 
 MATCHED, SMOOTH, ROUGH = 0, 1, 2
@@ -47,7 +47,7 @@ def microfacet_density(cosine: Any, alpha: Any) -> Any:
     return alpha * alpha / (math.pi * root * root)
 
 
-@walk_function()
+@called_function()
 def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) -> Any:
     """A microfacet normal seen from `i` (iz > 0), density G1(i) |i·m| D(m) / iz (Heitz 2018, by the disc)."""
     x, y, z = alpha * ix, alpha * iy, iz
@@ -81,7 +81,7 @@ def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, e
     return along * mx - ix / eta, along * my - iy / eta, along * mz - iz / eta
 
 
-@walk_function()
+@called_function()
 def sample_interface(
     kind: Any, alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, transmit_only: Any, stream: Any
 ) -> Any:
@@ -117,7 +117,7 @@ def sample_interface(
     return ox, oy, oz, weight
 
 
-@walk_function()
+@called_function()
 def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: Any, u2: Any) -> Any:
     """Draw a direction by refraction at a visible microfacet, density `microfacet_transport`; oz ≥ 0: none."""
     mx, my, mz = visible_microfacet(ix, iy, iz, alpha, u1, u2)
@@ -127,7 +127,7 @@ def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: A
     return refract(ix, iy, iz, mx, my, mz, cosine, eta)
 
 
-@walk_function()
+@called_function()
 def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
     """Density of o, per solid angle, when a visible microfacet drawn from i reflects (oz > 0) or refracts (oz < 0).
 
@@ -159,7 +159,7 @@ def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: An
     return visible * from_i * eta * eta * abs(to_o) / (root * root), reflectance
 
 
-@walk_function()
+@called_function()
 def rough_density(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
     """f(i, o) |o·n| of the rough interface, for reflection (oz > 0) or transmission (oz < 0), per solid angle of o.
 

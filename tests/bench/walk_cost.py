@@ -2,8 +2,10 @@
 
     PYTHONPATH=tests python tests/bench/walk_cost.py [--queries 5]
 
-Ŝ of a sphere of diameter 1 behind an index-matched boundary, lit from the side that is seen; `seconds` are those to 1 %
-of a value, `paths/s` those of one query, both geometric means over queries.
+Ŝ of a sphere of diameter 1 behind an index-matched boundary, lit from the side that is seen; `seconds` are those of CPU
+to 1 % of a value, `paths/s` those of one query, both geometric means over queries. `events` are the scatterings a path:
+where dense voxels scatter they grow with the contrast, which is transport and no tracker's doing; where they absorb
+(albedo 0) what is left of the time is the way through them.
 """
 
 import argparse
@@ -16,15 +18,21 @@ import numpy as np
 from efficiency import ours, paths_for, timed
 from scenes import make_scene, moved, queries, sphere, unit_directions
 
+from formats.scene import Scene
+from prt_bake.trainer.kernels import draw_exits
+from prt_bake.trainer.prepared import prepare
+
 THICKNESS = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
 CONTRAST = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
 DENSE_SHARE = 0.01
 ERROR = 0.01
 SECONDS = 0.1
+PATHS_COUNTED = 300
+GRIDS = (16, 64)
 
 
-def cost(count: int, **keys: Any) -> tuple[float, float]:
-    """Paths/s of one query, and seconds to a relative error of ERROR."""
+def cost(count: int, **keys: Any) -> tuple[float, float, float]:
+    """Paths/s of one query, seconds to a relative error of ERROR, and scatterings a path."""
     with tempfile.TemporaryDirectory() as folder:
         scene = make_scene(Path(folder), moved(sphere(4), 0.5), **keys)
     positions, outgoing, normals = queries(scene.mesh, count, 1)
@@ -35,26 +43,39 @@ def cost(count: int, **keys: Any) -> tuple[float, float]:
     runs = [timed(batches, paths, n) for n, batches in enumerate(queried)]
     seconds = np.array([run.seconds for run in runs])
     noise = np.array([run.variance[0] / run.mean[0] ** 2 for run in runs])
-    return float(np.exp(-np.log(seconds).mean())), float(np.exp(np.log(noise * seconds).mean())) / ERROR**2
+    rate, spent = float(np.exp(-np.log(seconds).mean())), float(np.exp(np.log(noise * seconds).mean())) / ERROR**2
+    return rate, spent, scatterings(scene, positions, outgoing)
 
 
-def uneven(contrast: float) -> np.ndarray:
-    """Extinction 5, and that times the contrast in one cell of a hundred."""
-    return np.where(np.random.default_rng(5).random((16, 16, 16)) < DENSE_SHARE, 5.0 * contrast, 5.0)
+def scatterings(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> float:
+    """Scatterings a path, from the walks that leave and those that end inside."""
+    prepared = prepare(scene)
+    shape = (len(positions), PATHS_COUNTED)
+    scattered = np.zeros(shape, np.int64)
+    placed = prepared.place(positions, outgoing, np.arange(len(positions), dtype=np.uint64))
+    directions, throughput = np.zeros((*shape, 3)), np.zeros((*shape, 3))
+    draw_exits(prepared.boundary, prepared.medium, placed, PATHS_COUNTED, 1, directions, throughput, scattered)
+    return float(scattered.mean())
+
+
+def uneven(size: int, contrast: float, dense_albedo: float) -> dict[str, np.ndarray]:
+    """Extinction 5 and albedo 0.99, but in one voxel of a hundred, which is denser by the contrast."""
+    dense = np.random.default_rng(5).random((size,) * 3) < DENSE_SHARE
+    return {"sigma_t": np.where(dense, 5.0 * contrast, 5.0), "albedo": np.where(dense, dense_albedo, 0.99)}
 
 
 def table(title: str, rows: dict[str, dict[str, Any]], count: int) -> None:
     """Print a row for each medium."""
-    print(f"\n{title:24}{'paths/s':>12}{'seconds to 1 %':>16}{'efficiency':>12}")
+    print(f"\n{title:24}{'paths/s':>12}{'seconds to 1 %':>16}{'efficiency':>12}{'events':>10}")
     first = None
     for name, keys in rows.items():
-        rate, seconds = cost(count, **keys)
+        rate, seconds, events = cost(count, **keys)
         first = first or seconds
-        print(f"{name:24}{rate:12,.0f}{seconds:16.3g}{first / seconds:12.3g}", flush=True)
+        print(f"{name:24}{rate:12,.0f}{seconds:16.3g}{first / seconds:12.3g}{events:10.3g}", flush=True)
 
 
 def main() -> None:
-    """Print the three tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--queries", type=int, default=5)
     count = parser.parse_args().queries
@@ -62,8 +83,10 @@ def main() -> None:
     for albedo in (1.0, 0.999):
         rows = {f"{sigma_t:g}": {"sigma_t": sigma_t, "albedo": albedo} for sigma_t in THICKNESS}
         table(f"thickness, albedo {albedo:g}", rows, count)
-    rows = {f"{contrast:g}": {"sigma_t": uneven(contrast), "albedo": 0.99} for contrast in CONTRAST}
-    table("contrast, albedo 0.99", rows, count)
+    for size in GRIDS:
+        for name, albedo in (("absorb", 0.0), ("scatter", 0.99)):
+            rows = {f"{contrast:g}": uneven(size, contrast, albedo) for contrast in CONTRAST}
+            table(f"contrast {size}³, {name}", rows, count)
 
 
 if __name__ == "__main__":
