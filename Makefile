@@ -34,6 +34,8 @@ bench: .venv/installed-dev
 	$(BIN)/python tests/bench/training.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/mitsuba_speed.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/walk_cost.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/extremes.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/reliable_share.py grape serpent head spot_1 --most 65536
 
 # What lies in prt_bake/shipped, made anew from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
 shipped: .venv/installed-evaluate
