@@ -44,7 +44,7 @@ def measure(name: str, scene: Scene, count: int, least: int, most: int, seed: in
         seen = estimate_transport(scene, positions, outgoing, incident, paths, 1)
         share = 1.0 - float(seen.reliable.mean())
         error = float(np.median(seen.standard_error / np.maximum(seen.mean, 1e-300)))
-        enough = "enough" if share <= ALLOWED else ""
+        enough = "enough" if share < ALLOWED + 1e-9 else ""
         print(f"{name:14}{paths:9d}{100 * share:11.1f} %{error:9.3f}{seen.seconds:10.1f}  {enough}", flush=True)
         paths *= 4
 
