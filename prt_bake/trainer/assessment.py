@@ -178,14 +178,18 @@ def _outline(prepared: PreparedScene) -> list[list[float]]:
     """Positions and normals of vertices all over the mesh, to draw it by."""
     mesh = prepared.surface.mesh
     step = max(1, -(-len(mesh.positions) // _OUTLINE))
-    return _short(np.column_stack([mesh.positions, mesh.normals])[::step])
+    rows: list[list[float]] = _short(np.column_stack([mesh.positions, mesh.normals])[::step])
+    return rows
 
 
 def _predicted_measured(asked: Asked) -> dict[str, Any]:
     """√(4π) a_00 of every view, mean over RGB, with the error of what was measured; and counts of values of Ŝ."""
     white, reference = np.sqrt(4.0 * np.pi), asked.view_reference.estimates
+    # Channels share their walks: their errors are taken to go together.
+    error = white * np.sqrt(reference.variance[:, :, 0]).mean(axis=2)
     told: dict[str, Any] = {
         "white_sky": {
+            "standard_error": float(np.sqrt(np.mean(error**2))),
             "columns": ["measured", "predicted"],
             "rows": _short(
                 white
@@ -233,7 +237,8 @@ def _worst(asked: Asked, truth: Tracer, walks: int, seed: int) -> dict[str, Any]
         first = Replicates(estimates.count, white * estimates.mean[:, :1], white**2 * estimates.squares[:, :1])
 
         def again(n: NDArray[Any], d: NDArray[Any], batch: int) -> Array:
-            return white * truth.coefficients(where[n], queries.outgoing[n], 4 * paths, seed + 7001 + batch)[:, 0]
+            found = truth.coefficients(where[n], queries.outgoing[n], 4 * paths, seed + 7001 + batch)
+            return np.asarray(white * found[:, 0])
 
         rows = breakdown.worst(white * asked.coefficient_answer[:, :1], first, again)
     for row in rows:
