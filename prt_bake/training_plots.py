@@ -12,7 +12,7 @@ from formats.errors import PrtbakeError
 _INK = "#010203"
 """What the page replaces by its own colour of text."""
 _NETWORK, _REFERENCE, _SHARE = "#3b82c4", "#d97a1e", "#8a8f98"
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.size": 10.0,
     "font.family": "sans-serif",

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from formats.errors import ModelError
 from prt_bake.cli.options import Seed
 from prt_bake.cli.progress import say
 
@@ -27,30 +26,13 @@ def training(
     """
     from formats.scene import read_scene
     from prt_bake.network import load_model
-    from prt_bake.trainer.assessment import ASSESSMENT_SEED, assess
-    from prt_bake.trainer.prepared import prepare
-    from prt_bake.training_page import report_paths, write_training_report
+    from prt_bake.training_report import report_training
 
     network, given = load_model(model), read_scene(scene)
-    hashed = network.metadata.get("scene_hash")
-    if hashed not in (None, given.content_hash):
-        raise ModelError(
-            f"{model}: was trained on another scene than {scene} (its mesh, medium or interface is not the same); "
-            "give the scene that it was trained on"
-        )
     say("path tracing fresh queries")
-    found = assess(
-        network,
-        given,
-        prepare(given),
-        queries=queries,
-        seed=ASSESSMENT_SEED + seed,
-        history=network.metadata.get("training", {}).get("validation_vs_time", []),
-        seconds=seconds,
-        vertices=vertices,
-    ).as_json()
-    json_path, page_path = report_paths(model)
-    write_training_report(found, json_path, page_path)
+    found, page_path = report_training(
+        network, given, model, seconds=seconds, queries=queries, vertices=vertices, seed=seed
+    )
     for row in found["criteria"]:
         asked = f" (at most {row['bound']:.0%}): {row['value']:.2%}" if "bound" in row else ""
         print(f"{row['verdict']:10} {row['name']}{asked}")
