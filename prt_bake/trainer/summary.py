@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from formats.scene import Scene
+from prt_bake.noise_free import Interval
 from prt_bake.trainer.interface import MATCHED
 from prt_bake.trainer.prepared import interface_kind
 
@@ -36,18 +37,10 @@ def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
         ),
     ]
     told = [
-        {"name": name, "bound": bound, **figure, "verdict": _verdict(figure, bound)} for name, bound, figure in rows
+        {"name": name, "bound": bound, **figure, "verdict": Interval(**figure).within(bound)}
+        for name, bound, figure in rows
     ]
     return [*told, _seam_verdict(found["seams"])]
-
-
-def _verdict(figure: dict[str, float], bound: float) -> str:
-    """Whether |truth| is at most `bound`."""
-    low, high = figure["low"], figure["high"]
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return "undecided"
-    least = 0.0 if low <= 0.0 <= high else min(abs(low), abs(high))
-    return "met" if max(abs(low), abs(high)) <= bound else "not met" if least > bound else "undecided"
 
 
 def _seam_verdict(found: dict[str, Any]) -> dict[str, Any]:
