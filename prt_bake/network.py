@@ -216,11 +216,12 @@ def _joined(layer: Any, parts: list[Tensor]) -> Tensor:
     columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
     shared = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] == 1]
     own = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] > 1]
-    sums = [
+    once, each = (
         torch.nn.functional.linear(*(torch.cat(group, dim=-1) for group in zip(*kind, strict=True)))
         for kind in (shared, own)
-    ]
-    return sums[0] + (sums[1] + layer.bias)
+    )
+    result: Tensor = once + (each + layer.bias)
+    return result
 
 
 def _float64(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:

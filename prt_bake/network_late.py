@@ -22,7 +22,7 @@ class LateLayers:
         """Takes the weights as they are, in `dtype`; `linear` (h, weight, bias, activation) does the products."""
         settings = network.settings
         self._trunk, self._activation, self._linear = settings.trunk, settings.activation, linear
-        self._skips = [settings.sources(layer) for layer in range(1, settings.layers + 1)]
+        self._skips = [list(settings.sources(layer)) for layer in range(1, settings.layers + 1)]
         layers: list[Any] = [*network.hidden, network.output]
         self._weights = [layer.weight.detach().to(dtype) for layer in layers]
         self._biases = [layer.bias.detach().to(dtype) for layer in layers]
@@ -51,7 +51,8 @@ class LateLayers:
         """What the layers before and their skips add to each later layer [layers, N, width], biases included; from the
         Fourier features [N, 2·features] of x and ωo.
         """
-        h, activations = features.to(self._zero.dtype), []
+        h = features.to(self._zero.dtype)
+        activations: list[Tensor] = []
         for number in range(1, self._trunk + 1):
             sources = self._skips[number - 1]
             h = torch.cat((h, *(activations[source - 1] for source in sources)), dim=1) if sources else h

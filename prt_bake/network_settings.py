@@ -130,9 +130,10 @@ PRESETS: dict[str, NetworkSettings] = {
     "paper": NetworkSettings(),
     "measured": NetworkSettings(
         feature_mean=0.0,
-        feature_spread=0.09,
-        position_spread=0.75,
+        feature_spread=0.2,
+        position_spread=1.2,
         skips=((1, 3),),
+        activation="silu",
         directions="cartesian",
         light_layers=2,
     ),

@@ -56,7 +56,7 @@ def test_turns_repeat_to_the_last_bit(scene):
 
 @pytest.mark.parametrize("step", [1, 7, 23])
 def test_a_killed_run_in_turns_ends_with_the_same_bits(scene, tmp_path, step):
-    # 1024 rows a step, 4096 a block, passed over twice: the kills lie in the first block, across one, and late.
+    # 128 rows a step, 500 a block, passed over twice: the kills lie in the first block, across one, and late.
     settings = {
         "synchronous": True,
         "learning": EAGER,
@@ -168,8 +168,8 @@ def test_lines_of_progress_say_who_waited_and_who_walked(scene):
         assert [row.walks for row in rows] == sorted(row.walks for row in rows)
         assert rows[-1].walks > 0
     assert beside[0].waited > 0.0  # the first fill
-    # In turns each row is learnt from once: 40 steps of 1024 rows, 4096 a block of 512 queries.
-    assert in_turn[-1].walks == 40 * 1024 // 4096 * 512
+    # In turns each row is learnt from once: 40 steps of 128 rows, 512 a block.
+    assert in_turn[-1].walks == 40 * 128
 
 
 def test_what_breaks_the_renderer_reaches_the_learner(scene):
@@ -213,7 +213,7 @@ def test_a_block_made_again_is_not_walked_twice(scene):
     walks = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), settings, seed=0)
     source = InTurn(walks, settings, threads=1, seed=0)
     source.draw(20, np.random.default_rng(0))
-    assert source.done()[:2] == Done(48, 32, 0.0)[:2]
+    assert source.done()[:2] == Done(72, 24, 0.0)[:2]
     again = InTurn(walks, settings, threads=1, seed=0, state=source.state())
     again.draw(4, np.random.default_rng(0))
-    assert again.done()[:2] == (48, 32)
+    assert again.done()[:2] == (72, 24)

@@ -11,7 +11,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.rows import ROW_SIZE, Batch, Done, RowWalks, StreamSettings, render
+from prt_bake.trainer.rows import Batch, Done, RowWalks, StreamSettings, render
 
 __all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
 
@@ -20,8 +20,9 @@ class RingBuffer:
     """Rows with the numbers of their queries; see `prt_bake.trainer.rows`."""
 
     def __init__(self, capacity: int) -> None:
-        """Room for `capacity` rows."""
-        self.rows = np.zeros((capacity, ROW_SIZE), np.float32)
+        """Room for `capacity` rows of any width, which the first ones decide."""
+        self._capacity = capacity
+        self.rows = np.zeros((0, 0), np.float32)
         self.numbers: NDArray[np.int64] = np.zeros(capacity, np.int64)
         self.filled = 0
         self._next = 0
@@ -29,8 +30,10 @@ class RingBuffer:
 
     def put(self, batch: Batch) -> None:
         """Append rows, over the oldest ones where there is no room."""
-        capacity = len(self.rows)
+        capacity = self._capacity
         with self._lock:
+            if not len(self.rows):
+                self.rows = np.zeros((capacity, batch.rows.shape[1]), np.float32)
             at = (self._next + np.arange(len(batch.rows))) % capacity
             self.rows[at], self.numbers[at] = batch
             self._next = int((self._next + len(batch.rows)) % capacity)
