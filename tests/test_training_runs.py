@@ -1,6 +1,7 @@
 """Runs that stop and go on, that can be repeated to the last bit, and what they say of themselves."""
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -89,15 +90,31 @@ def test_turns_need_steps(scene):
         learnt(scene, None, synchronous=True)
 
 
-@pytest.mark.parametrize(("learn", "walk"), [(0.25, (1, 3, 6, 12)), (0.5, (1, 2, 4, 8)), (0.0, (1, 3, 7, 15))])
-def test_cores_are_divided_and_never_exceeded(monkeypatch, learn, walk):
+@pytest.mark.parametrize(("share", "learn"), [(0.25, (1, 1, 2, 4)), (0.5, (1, 2, 4, 8)), (0.0, (1, 1, 1, 1))])
+def test_cores_are_divided_and_share_one(monkeypatch, share, learn):
     monkeypatch.setattr(cores, "_allowed", lambda threads: threads)
-    for count, walkers in zip((2, 4, 8, 16), walk, strict=True):
+    for count, learners in zip((2, 4, 8, 16), learn, strict=True):
         monkeypatch.setattr(cores, "available", lambda count=count: count)
-        assert cores.divided(learn, "cpu") == (walkers, count - walkers)
-        assert cores.divided(learn, "cuda") == (count, 1)
+        assert cores.divided(share, "cpu") == (count - learners + 1, learners)
+        assert cores.divided(share, "cuda") == (count, 1)
     monkeypatch.setattr(cores, "available", lambda: 1)
-    assert cores.divided(learn, "cpu") == (1, 1)
+    assert cores.divided(share, "cpu") == (1, 1)
+
+
+def test_a_renderer_that_is_ahead_rests(scene):
+    stream = dataclasses.replace(STREAM, queries_a_batch=64, capacity=512)
+    renderer = Renderer(ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, least=64)
+    renderer.start()
+    try:
+        while renderer.done().rows <= 256:
+            time.sleep(0.01)
+        time.sleep(0.1)
+        assert renderer.done().rows == 320  # half a buffer ahead, and the batch that went past it
+        renderer.draw(128, np.random.default_rng(0))
+        while renderer.done().rows < 448:
+            time.sleep(0.01)
+    finally:
+        renderer.stop()
 
 
 def test_an_unknown_device_is_refused(scene):
