@@ -116,9 +116,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
     scene = read_scene(asked.scene)
-    print(
-        f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'walks':>12}{'steps':>8}{'KiB':>6}   ({asked.minutes:g} minutes)"
-    )
+    head = f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'walks':>12}{'steps':>8}{'KiB':>6}"
+    print(f"{head}   ({asked.minutes:g} minutes)")
     rows = {}
     for name, variant in VARIANTS.items():
         if asked.only and not any(word in name for word in asked.only):
