@@ -15,7 +15,7 @@ from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.rows import CHANNELS, INCIDENT, ExitWalks, StreamSettings
 from prt_bake.trainer.validation import hold_out_coefficients, network_coefficients, noise_free_ratio
 
-BRIEF = dataclasses.replace(LEARNING, held_out_queries=32, held_out_walks=32)
+BRIEF = dataclasses.replace(LEARNING, batch=256, held_out_queries=16, held_out_walks=32)
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +38,9 @@ def test_exits_carry_the_coefficients(smooth):
 
 
 def test_a_smooth_scene_trains(smooth):
-    learning = dataclasses.replace(LEARNING, held_out_queries=128, held_out_walks=64, spread=2)
-    network = learnt(smooth, 150, synchronous=True, learning=learning)
-    fresh = hold_out_coefficients(smooth, 64, 2000, 5, 256)
+    learning = dataclasses.replace(LEARNING, batch=512, held_out_queries=64, held_out_walks=64, spread=2)
+    network = learnt(smooth, 200, synchronous=True, learning=learning)
+    fresh = hold_out_coefficients(smooth, 64, 1000, 5, 64)
     error = fresh.relative_rmse(network)
     one_for_all = noise_free_ratio(fresh.mean.mean(axis=0), fresh.mean, fresh.standard_error)
     assert error < 0.7 * one_for_all
@@ -94,8 +94,8 @@ def test_the_network_answers_in_the_scene_s_own_size(tmp_path, albedo):
     """Values of 1e-5 are learnt as values of 0.1 are: the loss begins near 1 and the error falls."""
     scene = make_scene(tmp_path, sphere(1), albedo=albedo, sigma_t=3.0)
     rows = []
-    learning = dataclasses.replace(BRIEF, held_out_queries=128, report_every=0.0)
-    learnt(scene, 150, synchronous=True, learning=learning, progress=rows.append)
+    learning = dataclasses.replace(BRIEF, held_out_queries=64, report_every=0.0)
+    learnt(scene, 100, synchronous=True, learning=learning, progress=rows.append)
     assert rows[-1].validation < 0.75 * rows[0].validation
 
 

@@ -117,7 +117,7 @@ class ValueWalks:
         mean, _ = render(
             self._prepared, self._source, queries, self._settings.walks, self._settings.connections, self._seed
         )
-        return batch_of(queries, queries.incident, mean, self._box)
+        return batch_of(queries.keys, queries.positions, queries.outgoing, queries.incident, mean, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
@@ -140,21 +140,28 @@ class ExitWalks:
         queries = self._source.draw(first, count)
         exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
         carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
-        return batch_of(queries, exits.directions, carried, self._box)
+        return batch_of(queries.keys, queries.positions, queries.outgoing, exits.directions, carried, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
         return _where(self._source, number)
 
 
-def batch_of(queries: Queries, incident: Array, channels: Array, box: Box) -> Batch:
-    """Rows of N queries with D directions [N,D,3] and channels [N,D,3] each."""
+def batch_of(
+    numbers: NDArray[Any],
+    positions: Array,
+    outgoing: NDArray[Any],
+    incident: NDArray[Any],
+    channels: NDArray[Any],
+    box: Box,
+) -> Batch:
+    """Rows of N queries: numbers [N], positions [N,3], outgoing [N,3], incident [N,D,3] and channels [N,D,3]."""
     rows = np.empty((*incident.shape[:2], ROW_SIZE), np.float32)
     rows[..., INCIDENT] = incident
-    rows[..., POSITION] = ((queries.positions - box.corner) / box.side)[:, None]
-    rows[..., OUTGOING] = queries.outgoing[:, None]
+    rows[..., POSITION] = ((positions - box.corner) / box.side)[:, None]
+    rows[..., OUTGOING] = outgoing[:, None]
     rows[..., CHANNELS] = channels
-    return Batch(rows.reshape(-1, ROW_SIZE), np.repeat(queries.keys.astype(np.int64), incident.shape[1]))
+    return Batch(rows.reshape(-1, ROW_SIZE), np.repeat(np.asarray(numbers).astype(np.int64), incident.shape[1]))
 
 
 def _where(source: QuerySource, number: int) -> str:
