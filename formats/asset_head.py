@@ -33,7 +33,7 @@ def write_head(file: Any, head: AssetHead) -> None:
     file.attrs.update(
         format=FORMAT,
         format_version=FORMAT_VERSION,
-        generator=f"prtbake {_version()}",
+        generator=f"prtbake {program_version()}",
         created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         up=head.up,
         handedness=head.handedness,
@@ -71,7 +71,8 @@ def _as(values: NDArray[Any], kind: str) -> NDArray[Any]:
     return np.ascontiguousarray(values, kind)
 
 
-def _version() -> str:
+def program_version() -> str:
+    """The version of the installed package, or "unknown"."""
     try:
         return importlib.metadata.version("prt-bake")
     except importlib.metadata.PackageNotFoundError:

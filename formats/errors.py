@@ -33,6 +33,10 @@ class ModelError(FormatError):
     """A network file that is damaged, hostile or of the wrong kind."""
 
 
+class SamplesError(FormatError):
+    """A file of samples that is truncated, of another version or scene, or at odds with itself."""
+
+
 class QueryError(PrtbakeError, ValueError):
     """Arguments out of their domain: points off the surface, directions below the horizon, wrong shapes."""
 

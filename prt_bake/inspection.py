@@ -1,4 +1,6 @@
-"""What a file holds and whether it is sound, whichever of the five kinds it is: mesh, sky, scene, model or asset."""
+"""What a file holds and whether it is sound, whichever of the six kinds it is: mesh, sky, scene, model, asset or
+samples.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +25,7 @@ SUFFIXES = {
 
 
 def kind_of(path: str | Path) -> str:
-    """Return "mesh", "sky", "scene", "model" or "asset", by the file's suffix.
+    """Return "mesh", "sky", "scene", "model", "asset" or "samples", by the file's suffix and, of HDF5, by what it says.
 
     Raises:
         StorageError: there is no such file.
@@ -32,9 +34,15 @@ def kind_of(path: str | Path) -> str:
     suffix = existing(path).suffix.lower()
     for kind, suffixes in SUFFIXES.items():
         if suffix in suffixes:
-            return kind
+            return "samples" if kind == "asset" and _is_samples(path) else kind
     known = ", ".join(suffix for suffixes in SUFFIXES.values() for suffix in suffixes)
     raise FormatError(f"{path}: cannot tell what this is by its suffix {suffix!r}; expected one of {known}")
+
+
+def _is_samples(path: str | Path) -> bool:
+    from formats.samples import is_samples
+
+    return is_samples(path)
 
 
 def describe(path: str | Path) -> dict[str, Any]:
@@ -52,7 +60,7 @@ def find_faults(path: str | Path) -> list[str]:
 
     Raises:
         StorageError: there is no such file.
-        FormatError: the suffix belongs to none of the five kinds.
+        FormatError: the suffix belongs to none of the kinds.
     """
     kind = kind_of(path)
     try:
@@ -246,6 +254,31 @@ def _describe_asset(path: Path) -> dict[str, Any]:
     }
 
 
+def _describe_samples(path: Path) -> dict[str, Any]:
+    from formats.samples import read_samples
+
+    samples = read_samples(path)
+    mean, error = (np.square(values, dtype=np.float64).sum() for values in (samples.mean, samples.standard_error))
+    return {
+        "queries": len(samples.keys),
+        "directions": samples.head.directions,
+        "walks a query": samples.head.walks,
+        "relative noise": float(np.sqrt(error / max(mean, 1e-300))),
+        "complete": samples.complete,
+        "scene": samples.head.scene,
+        "scene hash": samples.head.scene_hash,
+        "unit": samples.head.unit,
+        "seed": samples.head.seed,
+        **{f"settings: {name}": value for name, value in samples.head.settings.items()},
+    }
+
+
+def _samples_faults(path: Path) -> list[str]:
+    from formats.samples import check_samples
+
+    return check_samples(path)
+
+
 def _sky_faults(path: Path) -> list[str]:
     from formats.image import read_image
     from prt_bake.environment import check
@@ -286,6 +319,7 @@ _DESCRIBE: dict[str, Callable[[Path], dict[str, Any]]] = {
     "scene": _describe_scene,
     "model": _describe_model,
     "asset": _describe_asset,
+    "samples": _describe_samples,
 }
 _FIND_FAULTS: dict[str, Callable[[Path], list[str]]] = {
     "mesh": _mesh_faults,
@@ -293,4 +327,5 @@ _FIND_FAULTS: dict[str, Callable[[Path], list[str]]] = {
     "scene": _scene_faults,
     "model": _model_faults,
     "asset": _asset_faults,
+    "samples": _samples_faults,
 }

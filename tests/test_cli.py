@@ -19,7 +19,7 @@ def test_help_lists_every_command_and_loads_no_library_that_is_slow_to_load() ->
     ran = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "prt_bake.cli", "--help"], capture_output=True, text=True, check=True
     )
-    promised = {"demo", "train", "bake", "light", "shade", "render", "compare", "export", "info", "check"}
+    promised = {"demo", "train", "bake", "light", "shade", "render", "compare", "export", "info", "check", "sample"}
     assert promised <= set(ran.stdout.split())
     loaded = {line.rsplit("|", 1)[-1].strip() for line in ran.stderr.splitlines()}
     assert "typer" in loaded

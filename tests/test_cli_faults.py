@@ -209,8 +209,8 @@ def test_a_bake_killed_in_the_middle_leaves_the_older_asset(folder: Path, tmp_pa
     assert (tmp_path / "a.h5").read_bytes() == b"an older output"
 
 
-def test_train_refuses_a_smooth_scene_at_once(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+def test_sample_refuses_a_smooth_scene_at_once(prtbake: Run, folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "smooth.toml"
     _scene(SCENE.replace("eta = 1.0", "eta = 1.3\nroughness = 0.0"))(folder, path)
-    _assert_one_sentence(prtbake("train", path, "-o", tmp_path / "m.pt", "--steps", 1), path)
-    assert not (tmp_path / "m.pt").exists()
+    _assert_one_sentence(prtbake("sample", path, "-o", tmp_path / "s.h5", "--count", 1), path)
+    assert not (tmp_path / "s.h5").exists()

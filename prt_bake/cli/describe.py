@@ -10,10 +10,10 @@ from prt_bake.cli.options import AsJson
 
 
 def describe(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model or asset.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
     as_json: AsJson = False,
 ) -> None:
-    """Print what a mesh, sky, scene, model or asset holds."""
+    """Print what a mesh, sky, scene, model, asset or file of samples holds."""
     from prt_bake.inspection import describe as read_description
 
     description = read_description(file)

@@ -17,6 +17,7 @@ from prt_bake.cli.export import export
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
 from prt_bake.cli.report import report
+from prt_bake.cli.sample import sample
 from prt_bake.cli.shade import shade
 from prt_bake.cli.train import train
 
@@ -32,6 +33,7 @@ app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "train": train,
+    "sample": sample,
     "bake": bake,
     "light": light,
     "shade": shade,

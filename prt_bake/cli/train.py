@@ -1,12 +1,12 @@
 """`prtbake train`: from a scene to a model."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Device, Seed, output_option
+from prt_bake.cli.options import Seed, output_option
 from prt_bake.cli.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
@@ -24,30 +24,41 @@ def train(
         Literal["measured", "paper"],
         typer.Option(help="The network: as measured best, or as the paper has it."),
     ] = "measured",
+    samples: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SAMPLES.h5",
+            help="Learn from what `prtbake sample` wrote, not from walks.",
+            show_default=False,
+        ),
+    ] = None,
+    synchronous: Annotated[
+        bool,
+        typer.Option("--synchronous", help="Renderer and learner take turns: with --steps, the same bits every time."),
+    ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from MODEL.train.pt beside the output.")] = False,
     seed: Seed = 0,
-    device: Device = "cpu",
+    device: Annotated[
+        Literal["auto", "cpu", "cuda"], typer.Option(help="Where the network learns; auto: a graphics card if any.")
+    ] = "auto",
 ) -> None:
     """Path trace a scene and fit a network to it.
 
     Renderer and learner work side by side until the time is used up. Ctrl-C ends the training early and keeps what was
     learnt; --resume goes on from there.
     """
+    from dataclasses import replace
+
     from formats.scene import read_scene
     from prt_bake.network_settings import PRESETS
-    from prt_bake.sources import require_device
+    from prt_bake.trainer.cores import chosen_device
     from prt_bake.trainer.fit import train as fit
 
-    require_device(device)
-
+    learning_on = chosen_device(device)
     with reporting("train") as show, stopping() as stop:
 
         def follow(row: "TrainingRow") -> None:
-            show(
-                row.share,
-                f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
-                f"{row.queries_per_second:,.0f} queries/s, {row.walks_per_second:,.0f} walks/s",
-            )
+            show(row.share, _told(row))
             if stop():
                 raise KeyboardInterrupt
 
@@ -56,20 +67,49 @@ def train(
             minutes=minutes,
             steps=steps,
             seed=seed,
-            settings=PRESETS[preset],
-            device=device,
+            settings=replace(PRESETS[preset], seed=seed),
+            device=learning_on,
             output=output,
             resume=resume,
+            synchronous=synchronous,
+            samples=samples,
             progress=follow,
             say=say,
         )
         stopped = stop()
-    training = network.metadata["training"]
-    rmse = training["relative_rmse"]
-    print(
-        f"{output}: {training['steps']} steps, {training['walks']:,} walks in {training['seconds']:.0f} s; "
-        f"relative RMSE on fresh queries {rmse['transport']:.2%}, of coefficients {rmse['coefficients']:.2%} "
-        f"(the reference's noise, {rmse['transport_noise']:.2%} and {rmse['coefficients_noise']:.2%}, taken out)"
-    )
+    for sentence in _figures(network.metadata["training"]):
+        print(f"{output}: {sentence}")
     if stopped:
         raise PrtbakeError(f"{output}: the training was stopped; the model holds what was learnt, --resume goes on")
+
+
+def _told(row: "TrainingRow") -> str:
+    return (
+        f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
+        f"{row.queries_per_second:,.0f} queries/s ({row.reuse:.2g} times each, {row.waited:.0%} waiting), "
+        f"{row.walks_per_second:,.0f} walks/s ({row.walking:.0%} walking)"
+    )
+
+
+def _figures(training: dict[str, Any]) -> list[str]:
+    """What a training came to, in sentences."""
+    said = [f"{training['steps']} steps, {training['walks']:,} walks in {training['seconds']:.0f} s"]
+    if "test_relative_rmse" in training:
+        test, samples = training["test_relative_rmse"], training["samples"]
+        said.append(
+            f"relative RMSE on the {samples['test_queries']:,} queries of {samples['file']} kept for testing "
+            f"{test['transport']:.2%} (noise, {test['transport_noise']:.2%}, taken out)"
+        )
+    rmse = training["relative_rmse"]
+    names = (
+        {"coefficients": "of coefficients"}
+        if rmse["transport"] is None
+        else {
+            "transport": "of the transport function",
+            "coefficients": "of coefficients",
+        }
+    )
+    errors = ", ".join(f"{words} {rmse[name]:.2%}" for name, words in names.items())
+    noises = " and ".join(f"{rmse[name + '_noise']:.2%}" for name in names)
+    said.append(f"relative RMSE on fresh queries {errors} (the reference's noise, {noises}, taken out)")
+    return said

@@ -28,10 +28,14 @@ def divided(share: float, device: str) -> Cores:
     return Cores(_allowed(walkers), learners)
 
 
-def all_cores() -> Cores:
-    """Every core walks, or every core learns: for work in turns."""
+def undivided() -> Cores:
+    """Every core walks while nothing learns; half of them learn while nothing walks.
+
+    Threads that share a batch wait for one another: with one for each core they do little else as soon as anything
+    else runs.
+    """
     cores = available()
-    return Cores(_allowed(cores), cores)
+    return Cores(_allowed(cores), max(1, cores // 2))
 
 
 def _allowed(threads: int) -> int:

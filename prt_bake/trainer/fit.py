@@ -22,6 +22,7 @@ from prt_bake.trainer.cores import chosen_device
 from prt_bake.trainer.history import Meter, TrainingRow
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.material import Material, OnlineMaterial
+from prt_bake.trainer.offline import FileMaterial
 from prt_bake.trainer.resume import read_state, write_state
 from prt_bake.trainer.rows import RowSource, StreamSettings
 
@@ -41,6 +42,7 @@ def train(
     output: str | Path | None = None,
     resume: bool = False,
     synchronous: bool = False,
+    samples: str | Path | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
     stream: StreamSettings | None = None,
@@ -54,12 +56,13 @@ def train(
     a_lm on fresh queries, reference noise taken out) stand in `network.metadata["training"]`.
 
     Renderer and learner run side by side; with `synchronous` they take turns, and `steps`, `seed` and the settings
-    decide every bit of the weights, whatever the number of cores, resumed or not. With `output` the model is written
-    there once a minute and at the end, beside it what `resume` needs. A KeyboardInterrupt ends the training early and
-    keeps what was learnt.
+    decide every bit of the weights, whatever the number of cores, resumed or not. With `samples` (`record_samples`)
+    nothing is walked while learning: the file is learnt from again and again, but for what validates and tests. With
+    `output` the model is written there once a minute and at the end, beside it what `resume` needs. A KeyboardInterrupt
+    ends the training early and keeps what was learnt.
 
     Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and where the loss stops being
-    finite, naming the query.
+    finite, naming the query; SamplesError for a file that is damaged or of another scene.
     """
     if minutes <= 0 or (steps is not None and steps < 1):
         raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")
@@ -68,9 +71,15 @@ def train(
     if resume and output is None:
         raise QueryError("train: resume needs the output that it goes on from")
     tell = say or (lambda sentence: None)
-    tell("path tracing the queries that the training is measured by")
+    material: Material
+    if samples is not None:
+        tell(f"reading {samples}")
+        material = FileMaterial(scene, samples, seed, synchronous)
+    else:
+        tell("path tracing the queries that the training is measured by")
+        material = OnlineMaterial(scene, stream or StreamSettings(), seed, synchronous)
     run = _Run(
-        OnlineMaterial(scene, stream or StreamSettings(), seed, synchronous),
+        material,
         settings or replace(PRESETS["measured"], seed=seed),
         learning or LearningSettings(),
         chosen_device(device),
@@ -176,7 +185,8 @@ class _Run:
 
     def _report(self, meter: Meter, share: float, source: RowSource, progress: Progress | None) -> None:
         validation = self.reference.relative_rmse(self.learner.answer)
-        row = meter.row(self.seconds, self.learner.step, share, source.done(), validation)
+        learnt = self.learner.step * self.learning.batch
+        row = meter.row(self.seconds, self.learner.step, share, learnt, source.done(), validation)
         self.history.append(row)
         if progress is not None:
             progress(row)

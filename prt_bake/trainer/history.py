@@ -20,7 +20,8 @@ class TrainingRow:
         walks: walks since the beginning.
         waited: share of the time that the learner waited for rows, fetching them included.
         walking: share of the time that the renderer walked; the rest went into handing over, or into its turn's wait.
-        reuse: rows learnt from over rows rendered: above 1 rows are drawn again, below 1 some are never drawn.
+        reuse: since the beginning, rows learnt from over rows rendered: above 1 rows are drawn again, below 1 some are
+            never drawn. Of a file, passes over it.
     """
 
     seconds: float
@@ -66,10 +67,12 @@ class Meter:
         """Whether there is no step to tell of."""
         return self._steps == 0
 
-    def row(self, seconds: float, step: int, share: float, done: Done, validation: float) -> TrainingRow:
-        """The line; `seconds`, `step`, `share` say how far the run is, `done` what the source has done by now."""
+    def row(self, seconds: float, step: int, share: float, learnt: int, done: Done, validation: float) -> TrainingRow:
+        """The line; `seconds`, `step`, `share` say how far the run is, `learnt` from how many rows in all.
+
+        `done` is what the source has done by now.
+        """
         passed = max(self.seconds, 1e-9)
-        rendered = done.rows - self._done.rows
         return TrainingRow(
             seconds=seconds,
             step=step,
@@ -81,5 +84,5 @@ class Meter:
             walks=done.walks,
             waited=min(1.0, self._waited / passed),
             walking=min(1.0, (done.walking - self._done.walking) / passed),
-            reuse=self._rows / max(rendered, 1),
+            reuse=learnt / max(done.rows, 1),
         )

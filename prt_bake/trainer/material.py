@@ -1,11 +1,11 @@
-"""What a training run learns from and is measured by: walks of a scene, fresh or taken turns with."""
+"""What a training run learns from and is measured by; here walks of a scene, beside the learner or in turns with it."""
 
 from dataclasses import asdict
 from typing import Any, Protocol
 
 from formats.scene import Scene
 from prt_bake.network import NeuralBSSRDF
-from prt_bake.trainer.cores import all_cores, divided
+from prt_bake.trainer.cores import divided, undivided
 from prt_bake.trainer.in_turn import InTurn
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.prepared import PreparedScene, prepare
@@ -57,7 +57,7 @@ class OnlineMaterial:
         walks: RowWalks = row_walks(self.scene, self._prepared, self.box, self._stream, self._seed)
         walks.render(0, 1)
         if self._synchronous:
-            return InTurn(walks, self._stream, all_cores().walkers, self._seed, state)
+            return InTurn(walks, self._stream, undivided().walkers, self._seed, state)
         threads = divided(learning.core_share, device).walkers
         return Renderer(walks, self._stream, threads, _FIRST_FILL * learning.batch, state)
 

@@ -45,7 +45,7 @@ class Batch(NamedTuple):
 
 
 def rays_of(rows: Any) -> Any:
-    """The rays [Q,R,6] of rows, an array or a tensor."""
+    """The rays [Q,R,6] of rows, an array or a tensor: a view of them."""
     return rows[:, BEFORE_RAYS:].reshape(len(rows), -1, RAY_SIZE)
 
 
@@ -148,7 +148,7 @@ class ValueWalks:
         mean, _ = render(
             self._prepared, self._source, queries, self._settings.walks, self._settings.connections, self._seed
         )
-        return batch_of(queries, queries.incident, mean, self._box)
+        return batch_of(queries.keys, queries.positions, queries.outgoing, queries.incident, mean, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
@@ -171,7 +171,7 @@ class ExitWalks:
         queries = self._source.draw(first, count)
         exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
         carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
-        return batch_of(queries, exits.directions, carried, self._box)
+        return batch_of(queries.keys, queries.positions, queries.outgoing, exits.directions, carried, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
@@ -197,15 +197,24 @@ def sees_light_from_inside(scene: Scene) -> bool:
     return interface_kind(scene) == MATCHED and smooth_part(scene) is None
 
 
-def batch_of(queries: Queries, directions: Array, channels: Array, box: Box) -> Batch:
-    """Rows of N queries with rays along directions [N,R,3] that carry channels [N,R,3]."""
+def batch_of(
+    numbers: NDArray[Any],
+    positions: Array,
+    outgoing: NDArray[Any],
+    directions: NDArray[Any],
+    channels: NDArray[Any],
+    box: Box,
+) -> Batch:
+    """Rows of N queries, numbers [N], positions [N,3], outgoing [N,3], with rays along directions [N,R,3] that carry
+    channels [N,R,3].
+    """
     count, rays = directions.shape[:2]
     rows = np.empty((count, BEFORE_RAYS + RAY_SIZE * rays), np.float32)
-    rows[:, POSITION] = (queries.positions - box.corner) / box.side
-    rows[:, OUTGOING] = queries.outgoing
+    rows[:, POSITION] = (positions - box.corner) / box.side
+    rows[:, OUTGOING] = outgoing
     each = rays_of(rows)
     each[..., INCIDENT], each[..., CHANNELS] = directions, channels
-    return Batch(rows, queries.keys.astype(np.int64))
+    return Batch(rows, np.asarray(numbers).astype(np.int64))
 
 
 def _where(source: QuerySource, number: int) -> str:

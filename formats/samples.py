@@ -1,0 +1,218 @@
+"""Samples: queries to a scene's transport function and path-traced estimates of it, kept to learn from.
+
+HDF5. Attributes of the file: format "prtbake samples", format_version, generator, created, complete (0: stopped before
+all were there), scene, scene_hash, unit, seed, walks (a query), settings (JSON). Datasets:
+
+    queries/keys        [N] u8      what tells a query from all others, whatever the file
+    queries/positions   [N,3] f8    on the surface, in scene units
+    queries/outgoing    [N,3] f4    unit vectors to the eye
+    queries/incident    [N,D,3] f4  unit vectors to the light
+    estimates/mean              [N,D,3] f4  Ŝ [1/sr]; the D directions of a query share its walks
+    estimates/standard_error    [N,D,3] f4  one sigma of the mean
+"""
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import SamplesError
+from formats.whole import existing
+
+FORMAT = "prtbake samples"
+FORMAT_VERSION = "1.0"
+DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "queries/keys": ("<u8", ("N",)),
+    "queries/positions": ("<f8", ("N", "3")),
+    "queries/outgoing": ("<f4", ("N", "3")),
+    "queries/incident": ("<f4", ("N", "D", "3")),
+    "estimates/mean": ("<f4", ("N", "D", "3")),
+    "estimates/standard_error": ("<f4", ("N", "D", "3")),
+}
+_ATTRIBUTES = ("complete", "scene", "scene_hash", "unit", "seed", "walks", "settings")
+_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)  # what h5py raises on damaged files
+_UNIT_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class SamplesHead:
+    """What a file of samples says of all of them.
+
+    Attributes:
+        scene, scene_hash: name and content hash of the scene that was asked.
+        unit: of its lengths.
+        seed: of every random number.
+        walks: walks a query.
+        directions: D, directions of incidence a query.
+        settings: whatever else decided the estimates, JSON.
+    """
+
+    scene: str
+    scene_hash: str
+    unit: str
+    seed: int
+    walks: int
+    directions: int
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """N queries of D directions each with their estimates; arrays as in the file."""
+
+    head: SamplesHead
+    keys: NDArray[np.uint64]
+    positions: NDArray[np.float64]
+    outgoing: NDArray[np.float32]
+    incident: NDArray[np.float32]
+    mean: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    complete: bool
+
+
+def read_samples(path: str | os.PathLike[str]) -> Samples:
+    """Read all samples of a file, and check them.
+
+    Raises:
+        SamplesError: not HDF5, truncated, damaged, of another kind or version, datasets missing or of the wrong shape
+            or type, values that are not finite, directions that are not of unit length.
+        StorageError: the file is missing.
+    """
+    with _opened(path) as file:
+        try:
+            faults = list(_layout_faults(file))
+            samples = None if faults else _read(file)
+        except _DAMAGE as cause:
+            raise SamplesError(f"{path}: is damaged: {_first_line(cause)}; sample it again") from cause
+    if samples is not None:
+        faults = list(_value_faults(samples))
+    if samples is None or faults:
+        more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
+        raise SamplesError(f"{path}: {faults[0]}{more}")
+    return samples
+
+
+def check_samples(path: str | os.PathLike[str]) -> list[str]:
+    """Return every fault of a file of samples as sentences; an empty list means that it is sound.
+
+    Raises:
+        StorageError: the file is missing.
+    """
+    try:
+        file = _opened(path)
+    except SamplesError as fault:
+        return [str(fault)]
+    with file:
+        try:
+            faults = list(_layout_faults(file))
+            faults = faults or list(_value_faults(_read(file)))
+        except _DAMAGE as cause:
+            faults = [f"is damaged: {_first_line(cause)}"]
+    return [f"{path}: {fault}" for fault in faults]
+
+
+def is_samples(path: str | os.PathLike[str]) -> bool:
+    """Whether a file says of itself that it holds samples."""
+    try:
+        with h5py.File(path, "r") as file:
+            return bool(file.attrs.get("format") == FORMAT)
+    except _DAMAGE:
+        return False
+
+
+def _opened(path: str | os.PathLike[str]) -> Any:
+    with open(existing(path), "rb") as file:
+        signature = file.read(8)
+    if not signature:
+        raise SamplesError(f"{path}: is empty")
+    if signature != b"\x89HDF\r\n\x1a\n":
+        raise SamplesError(f"{path}: holds no samples: expected an HDF5 file, found one that begins with {signature!r}")
+    try:
+        return h5py.File(path, "r")
+    except _DAMAGE as cause:
+        what = "is truncated" if "truncated" in str(cause) else "is damaged or truncated"
+        raise SamplesError(f"{path}: {what}: {_first_line(cause)}; copy or sample it again") from cause
+
+
+def _layout_faults(file: Any) -> Iterator[str]:
+    """Yield a sentence for every attribute or dataset that is missing or not as it must be."""
+    if file.attrs.get("format") != FORMAT:
+        found = file.attrs.get("format", "missing")
+        yield f"is HDF5 but holds no samples: expected the attribute format = '{FORMAT}', found {found!r}"
+        return
+    version = str(file.attrs.get("format_version", "missing"))
+    if version.split(".")[0] != "1":
+        yield f"has format_version {version}; this program reads 1.x, use one that is as new as the file"
+        return
+    for name in _ATTRIBUTES:
+        if name not in file.attrs:
+            yield f"the attribute {name} is missing"
+        elif name in ("complete", "seed", "walks") and np.asarray(file.attrs[name]).dtype.kind not in "iu":
+            yield f"the attribute {name} is {file.attrs[name]!r}, which is no count"
+    if "settings" in file.attrs and not _is_object(file.attrs["settings"]):
+        yield "the attribute settings is no JSON object"
+    lengths: dict[str, int] = {}
+    for name, (kind, axes) in DATASETS.items():
+        dataset = file.get(name)
+        if not isinstance(dataset, h5py.Dataset):
+            yield f"/{name} is missing"
+            continue
+        if dataset.dtype != np.dtype(kind):
+            yield f"/{name} has type {dataset.dtype}; expected {np.dtype(kind)}"
+        found = list(dataset.shape or ())
+        expected = [int(axis) if axis.isdigit() else lengths.get(axis, n) for axis, n in zip(axes, found, strict=False)]
+        if len(found) != len(axes) or found != expected:
+            told = ", ".join(axis if axis.isdigit() else f"{axis} = {lengths.get(axis, 'any')}" for axis in axes)
+            yield f"/{name} has shape {found}; expected [{told}]"
+            continue
+        lengths.update({axis: n for axis, n in zip(axes, found, strict=True) if not axis.isdigit()})
+    if lengths.get("N") == 0 or lengths.get("D") == 0:
+        yield "holds no query"
+
+
+def _read(file: Any) -> Samples:
+    arrays = {name.partition("/")[2]: file[name][...] for name in DATASETS}
+    attributes = file.attrs
+    head = SamplesHead(
+        scene=str(attributes["scene"]),
+        scene_hash=str(attributes["scene_hash"]),
+        unit=str(attributes["unit"]),
+        seed=int(attributes["seed"]),
+        walks=int(attributes["walks"]),
+        directions=arrays["incident"].shape[1],
+        settings=json.loads(attributes["settings"]),
+    )
+    return Samples(head, **arrays, complete=bool(attributes["complete"]))
+
+
+def _value_faults(samples: Samples) -> Iterator[str]:
+    for name in ("positions", "mean", "standard_error"):
+        values = getattr(samples, name).reshape(len(samples.keys), -1)
+        yield from _marked(name, ~np.isfinite(values).all(axis=1), "not finite")
+    for name in ("outgoing", "incident"):
+        length = np.linalg.norm(getattr(samples, name).astype(np.float64), axis=-1).reshape(len(samples.keys), -1)
+        yield from _marked(name, ~(np.abs(length - 1.0) < _UNIT_TOLERANCE).all(axis=1), "not of length 1")
+    negative = np.asarray((samples.standard_error < 0).any(axis=(1, 2)))
+    yield from _marked("standard_error", negative, "negative")
+
+
+def _marked(name: str, wrong: NDArray[np.bool_], what: str) -> Iterator[str]:
+    if wrong.any():
+        yield f"{name}: {wrong.sum()} of {len(wrong)} queries are {what}, the first is query {wrong.argmax()}"
+
+
+def _is_object(text: Any) -> bool:
+    try:
+        return isinstance(json.loads(text), dict)
+    except (ValueError, TypeError):
+        return False
+
+
+def _first_line(cause: BaseException) -> str:
+    lines = str(cause).splitlines()
+    return lines[0] if lines else type(cause).__name__

@@ -1,0 +1,42 @@
+"""`prtbake sample`: path-traced queries in a file, to learn from later or elsewhere."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from formats.errors import PrtbakeError
+from prt_bake.cli.options import Seed, output_option
+from prt_bake.cli.progress import reporting, stopping
+
+
+def sample(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to ask.")],
+    output: Annotated[Path, output_option("SAMPLES.h5", ".h5", ".hdf5")],
+    count: Annotated[int, typer.Option(min=1, help="Queries.")],
+    walks: Annotated[int, typer.Option(min=2, help="Walks a query; its directions share them.")] = 8,
+    directions: Annotated[int, typer.Option(min=1, help="Directions of incidence a query.")] = 8,
+    seed: Seed = 0,
+) -> None:
+    """Path trace queries of the trainer's kind and keep them with their noise.
+
+    `prtbake train SCENE.toml --samples SAMPLES.h5` learns from them. Ctrl-C keeps what is done so far; another --seed
+    asks other queries.
+    """
+    from formats.scene import read_scene
+    from prt_bake.trainer.record import record_samples
+
+    with reporting("sample") as show, stopping() as stop:
+        done = record_samples(
+            read_scene(scene),
+            output,
+            count,
+            walks=walks,
+            directions=directions,
+            seed=seed,
+            progress=lambda done, total: show(done / total, f"{done:,} of {total:,} queries"),
+            stop=stop,
+        )
+    print(f"{output}: {done:,} queries of {directions} directions, {done * walks:,} walks")
+    if done < count:
+        raise PrtbakeError(f"{output}: the sampling was stopped; the file holds {done:,} of {count:,} queries")
