@@ -104,11 +104,11 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
     axes = figure.add_subplot()
     axes.loglog(seconds, error, marker="o", label="estimated from a few vertices")
     axes.loglog([baked[0]], [baked[2]], marker="*", markersize=12, linestyle="", label="this bake")
-    for *place, count in zip(seconds, error, evaluations, strict=True):
+    for time, level, count in zip(seconds, error, evaluations, strict=True):
         # Below the curve, which falls: the bake lies beside it at the height of its point.
         axes.annotate(
             f"{float(f'{count / 1e6:.3g}'):g} M",
-            place,
+            (time, level),
             xytext=(-4, -9),
             textcoords="offset points",
             horizontalalignment="right",
