@@ -95,6 +95,7 @@ def fit_importance(
         constant = best_constant(chosen, taught)
         module.start_at(constant)
         done = descend(module, taught, steps or STEPS, seed, clock)
+        module.round_as_stored()
         module.metadata["fit"] = {
             "seed": seed,
             "queries": len(taught),

@@ -5,7 +5,6 @@ face. The directions of incidence are a grid of 32 rings by 64 sectors, equal in
 turns serve a block of queries, so that the network's fused kernel finds its tables again.
 """
 
-import math
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import ModelError
 from formats.mesh import Mesh
-from prt_bake.directions import rotations
+from prt_bake.directions import on_sphere, rotations
 from prt_bake.randomness import uniforms
 
 RINGS, SECTORS = 32, 64
@@ -99,19 +98,15 @@ def draw_queries(mesh: Mesh, block: int, seed: int) -> tuple[Array, Array, Array
     along = (1.0 - u[:, 2:3]) * corners[:, 1] + u[:, 2:3] * corners[:, 2]
     positions = (1.0 - root) * corners[:, 0] + root * along
     normals = np.asarray(mesh.face_normals, np.float64)[faces]
-    height, phi = 1.0 - 2.0 * u[:, 3], 2.0 * math.pi * u[:, 4]
-    radius = np.sqrt((1.0 - height) * (1.0 + height))
-    towards = np.stack([radius * np.cos(phi), radius * np.sin(phi), height], axis=1)
+    towards = on_sphere(u[:, 3], u[:, 4])
     cosine = np.sum(towards * normals, axis=1, keepdims=True)
     return positions, np.where(cosine < 0.0, towards - 2.0 * cosine * normals, towards), normals
 
 
 def bin_centres() -> Array:
     """The centres [2048,3] of 32 rings by 64 sectors of equal solid angle about z."""
-    height = np.repeat(1.0 - 2.0 * (np.arange(RINGS) + 0.5) / RINGS, SECTORS)
-    phi = np.tile(2.0 * math.pi * (np.arange(SECTORS) + 0.5) / SECTORS, RINGS)
-    radius = np.sqrt((1.0 - height) * (1.0 + height))
-    return np.stack([radius * np.cos(phi), radius * np.sin(phi), height], axis=1)
+    ring, sector = np.divmod(np.arange(DIRECTIONS), SECTORS)
+    return on_sphere((ring + 0.5) / RINGS, (sector + 0.5) / SECTORS)
 
 
 def _block(transport: BlockTransport, mesh: Mesh, block: int, seed: int) -> Targets:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 from formats.errors import QueryError
+from prt_bake.directions import on_sphere
 from prt_bake.sphere import tangent_frame
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ def draw(sigma: ArrayLike, shape: float, numbers: ArrayLike, normals: ArrayLike,
     u = np.asarray(numbers, dtype=np.float64)
     axes = np.asarray(normals, dtype=np.float64)
     directions = _about(axes, _radius(np.asarray(sigma, dtype=np.float64), shape, u[:, 1]), u[:, 2])
-    return np.where((u[:, 0] < share)[:, None], _uniform(u[:, 1], u[:, 2]), directions)
+    return np.where((u[:, 0] < share)[:, None], on_sphere(u[:, 1], u[:, 2]), directions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +176,6 @@ def _about(axes: Array, radius: Array, turn: Array) -> Array:
     towards = np.cos(radius)[:, None] * axes
     towards += (sine * np.cos(phi))[:, None] * across + (sine * np.sin(phi))[:, None] * other
     return np.asarray(towards / np.linalg.norm(towards, axis=1, keepdims=True))
-
-
-def _uniform(height: Array, turn: Array) -> Array:
-    radius, phi = 2.0 * np.sqrt(height * (1.0 - height)), 2.0 * math.pi * turn
-    return np.stack([radius * np.cos(phi), radius * np.sin(phi), 1.0 - 2.0 * height], axis=-1)
 
 
 def _require(sigma: Any, shape: float, share: float) -> None:

@@ -8,7 +8,9 @@ import typer
 from formats.errors import FormatError
 
 
-def check(file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model or asset.")]) -> None:
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, importance module or asset.")],
+) -> None:
     """Print every fault of a file.
 
     One line each; the exit code is 1 if there is any. Remarks (what is allowed, but seldom meant) leave it 0.

@@ -10,7 +10,7 @@ from prt_bake.cli.options import AsJson
 
 
 def describe(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model or asset.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, importance module or asset.")],
     as_json: AsJson = False,
 ) -> None:
     """Print what a mesh, sky, scene, model or asset holds."""
