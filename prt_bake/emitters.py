@@ -1,7 +1,8 @@
 """Lights that directions are drawn from: the discs of directional lights, and skies or their bright parts.
 
-For walks a sky is split in two pictures that sum to it, looked up in the same way: `rest`, clipped at a level, which walks find
-by leaving, and what is above it, which is drawn from in proportion to its energy. The split is therefore exact.
+For walks a sky is split in two pictures that sum to it, looked up in the same way: `rest`, clipped at a level, which
+walks find by leaving, and what is above it, which is drawn from in proportion to its energy. The split is therefore
+exact.
 """
 
 import math

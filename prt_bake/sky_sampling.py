@@ -1,4 +1,4 @@
-"""Drawing from a lat-long picture and looking it up, compiled: the density over the picture is bilinear, as the light is.
+"""Drawing from a lat-long picture and looking it up, compiled. The density over the picture is bilinear, as the light is.
 
 With weights W [H,W] of pixels the density over places (u, v) is proportional to the bilinear look-up of W (columns wrap
 around, above the first row's centres and below the last row's it stays level). Over v alone it is linear between the
@@ -84,7 +84,7 @@ def look_up(sky: Any, directions: Any, radiance: Any, density: Any) -> None:
         sine = math.hypot(x, y)
         row = min(max(math.atan2(sine, z) / math.pi * height - 0.5, 0.0), height - 1.0)
         column = (math.atan2(y, x) / (2.0 * math.pi) + 0.5) * width - 0.5
-        top, left = int(math.floor(row)), int(math.floor(column))
+        top, left = math.floor(row), math.floor(column)
         bottom, down, across = min(top + 1, height - 1), row - top, column - left
         left, right = left % width, (left + 1) % width
         corners = (1.0 - down) * (1.0 - across), (1.0 - down) * across, down * (1.0 - across), down * across

@@ -92,7 +92,9 @@ def test_the_density_of_a_sky_is_that_of_its_draws(shape: tuple[int, int], up: s
 
 def test_a_sampler_draws_from_all_that_has_a_size() -> None:
     """Two skies and two discs, one wide, one narrow; a light without size is left out."""
-    lights = Lighting((sky(8, 16), sky(5, 4, "z", seed=2)), (sun(diameter=60.0), sun((0.0, -0.6, 0.8)), sun(diameter=9.0)))
+    lights = Lighting(
+        (sky(8, 16), sky(5, 4, "z", seed=2)), (sun(diameter=60.0), sun((0.0, -0.6, 0.8)), sun(diameter=9.0))
+    )
     sampler = LightSampler(lights)
     directions = sampler.draw(uniforms((12, np.arange(100_000)), 3)[None])
     assert directions.shape == (1, 100_000, 3)
