@@ -13,7 +13,7 @@ from shapes import ring
 
 from formats.errors import QueryError
 from formats.lights import DirectionalLight
-from formats.mesh import Mesh
+from formats.mesh import Mesh, build_mesh
 from prt_bake import environment, reflection
 from prt_bake.camera import Visibility
 from prt_bake.emitters import BrightSky, Disc
@@ -271,15 +271,27 @@ def test_normals_that_face_away_give_way_to_the_face(ball: Mesh) -> None:
     np.testing.assert_array_equal(away, reflect(reflector, (faces, barycentric, normals, outgoing), 0.3))
 
 
-def test_interpolated_normals_send_nothing_through_the_face(ball: Mesh) -> None:
-    """A mirror whose normal leans towards a grazing eye sends the eye's ray under the face: black."""
-    faces, barycentric, normals, outgoing = at(ball, 0.1, 2000)
-    leaning = normals - 0.4 * outgoing
+def test_interpolated_normals_send_nothing_through_the_face() -> None:
+    """A mirror whose normal leans away from a grazing eye sends the eye's ray under the face: black, even where
+    nothing else is in its way.
+    """
+    sheet = build_mesh(np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.0], [0.1, 1.0, 0.3]]), np.array([[0, 1, 2]]))
+    faces, barycentric, normals, outgoing = at(sheet, 0.1, 2000)
+    leaning = normals - np.linspace(0.0, 0.12, 2000)[:, None] * outgoing
     leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
     seen = (leaning * outgoing).sum(axis=1) > 1e-9
     under = (mirrored(outgoing, leaning) * normals).sum(axis=1) <= 0.0
-    radiance = reflect(Reflector(ball, Lighting((WHITE,)), 1.4), (faces, barycentric, leaning, outgoing), 0.0)
+    assert 0.1 < (seen & under).mean() < 0.9
+    radiance = reflect(Reflector(sheet, Lighting((WHITE,)), 1.4), (faces, barycentric, leaning, outgoing), 0.0)
     np.testing.assert_array_equal(radiance[:, 0] == 0.0, seen & under)
+
+
+def test_an_eye_below_the_face_sees_nothing_reflected(ball: Mesh) -> None:
+    faces, barycentric, normals, outgoing = at(ball, 0.3, 2000)
+    for alpha in (0.0, 0.3):
+        assert not reflect(
+            Reflector(ball, Lighting((WHITE,)), 1.4), (faces, barycentric, normals, -outgoing), alpha
+        ).any()
 
 
 def test_samples_depend_on_their_keys_and_the_seed_alone(ball: Mesh, blotchy: Sky) -> None:
