@@ -70,4 +70,4 @@ def _sequence() -> NDArray[np.uint32]:
     turned = np.zeros_like(points)
     for bit in range(32):
         turned |= ((points >> np.uint32(bit)) & np.uint32(1)) << np.uint32(31 - bit)
-    return turned
+    return np.asarray(turned)
