@@ -3,8 +3,8 @@
     python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1]
 
 The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand. An importance
-module is fitted first where the model has none beside it. A row gives, for each way, standard error over mean radiance on
-the object at the CPU time that the first took; samples a pixel a second on one thread; then the mixture that was chosen.
+module is fitted first where the model has none beside it. A row gives, for each way, standard error over mean radiance
+on the object at the CPU time that the first took; samples a pixel a second on one thread; then the mixture chosen.
 """
 
 import argparse
