@@ -28,7 +28,7 @@ _PILOT_COST = 0.03
 """Of the picture's evaluations."""
 _PILOT_PIXELS = (32, 1024)
 _CLEARLY = 0.8
-"""A mixture must promise this much of the noise (a variance) of the purest ones: the least of many estimates flatters."""
+"""A mixture must promise at most this much of the purest ones' noise: the least of many estimates flatters."""
 _USUAL_SPP = 256
 _LIGHT_COST, _LOBE_COST = 1.15, 1.3
 """A direction's, in evaluations of the network."""

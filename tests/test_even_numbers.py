@@ -13,11 +13,11 @@ def numbers() -> np.ndarray:
 
 
 def test_sixteen_of_them_fill_every_box_of_a_sixteenth_once(numbers: np.ndarray) -> None:
-    for first, second in ((0, 1), (0, 2), (1, 2)):
-        for rows in (1, 2, 4, 8, 16):
-            box = (numbers[..., first] * rows).astype(int) * (16 // rows) + (numbers[..., second] * 16 / rows).astype(
-                int
-            )
+    """Of the first two dimensions every shape of box, of the others the square one."""
+    for first, second, shapes in ((0, 1, (1, 2, 4, 8, 16)), (0, 2, (4,)), (1, 2, (4,))):
+        for rows in shapes:
+            x, y = numbers[..., first] * rows, numbers[..., second] * (16 // rows)
+            box = x.astype(int) * (16 // rows) + y.astype(int)
             np.testing.assert_array_equal(np.sort(box, axis=1), np.broadcast_to(np.arange(16), box.shape))
 
 

@@ -60,7 +60,7 @@ def test_every_way_gives_the_integral_of_the_network(truth: np.ndarray, way: str
     picture = render(sampling=way, spp=512)
     assert_pictures(picture, truth)
     assert picture.relative_noise < 0.05
-    assert picture.walks == picture.passes * sum(picture.sampling["light"] + picture.sampling["lobe"]) * 36
+    assert picture.walks == picture.passes * sum(picture.sampling["light"] + picture.sampling["lobe"]) * 16
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -75,8 +75,8 @@ def test_a_sun_without_size_is_exact(way: str) -> None:
     b = Slope.slope
     channels = np.array([1.0, 2.0, 0.5]) * np.array([3.0, 2.0, 1.0])
     expected = channels * ((1 + b @ [-0.36, 0.48, 0.8]) + (1 + b @ [0.0, 0.6, -0.8]))
-    np.testing.assert_allclose(picture.image, np.broadcast_to(expected, (6, 6, 3)), rtol=1e-6)
-    assert picture.walks == 2 * 36 * 4 * picture.passes  # one evaluation a point and sun
+    np.testing.assert_allclose(picture.image, np.broadcast_to(expected, (4, 4, 3)), rtol=1e-6)
+    assert picture.walks == 2 * 16 * 4 * picture.passes  # one evaluation a point and sun
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -99,7 +99,7 @@ def test_discs_and_skies_add_up(way: str) -> None:
     narrow = 1 + Slope.slope @ lights[0].direction * (1 + math.cos(math.radians(0.25))) / 2
     expected = expected + (narrow + 1 + Slope.slope @ lights[1].direction * mean_cosine) * np.array([3.0, 2.0, 1.0])
     expected = expected * np.array([1.0, 2.0, 0.5])
-    mean, error = picture.image.mean(axis=(0, 1)), np.sqrt((picture.standard_error**2).sum(axis=(0, 1))) / 36
+    mean, error = picture.image.mean(axis=(0, 1)), np.sqrt((picture.standard_error**2).sum(axis=(0, 1))) / 16
     assert (np.abs(mean - expected) < 4.5 * error + 2e-5 * expected).all()
     assert error.max() < 0.02 * expected.max()
 
@@ -156,14 +156,14 @@ def test_under_back_light_lobes_have_no_fireflies() -> None:
 @pytest.mark.parametrize("way", WAYS)
 def test_error_bars_hold_the_truth(way: str) -> None:
     """1.96 sigma of 16 passes hold it in 93.1 % by Student's t; less where samples are skewed. The band: 4 sigma of
-    12 · 36 · (2 independent of the 3 channels) pixels, widened by 2 %.
+    12 · 16 · (2 independent of the 3 channels) pixels, widened by 2 %.
     """
-    exact = quadrature(NETWORK, as_lighting(SKY, "y", 0.0), close_up(), 5000)
+    exact = quadrature(NETWORK, as_lighting(SKY, "y", 0.0), close_up())
     held = [
         np.abs(picture.image - exact) <= 1.96 * picture.standard_error
         for picture in (render(spp=64, seed=seed, sampling=way) for seed in range(12))
     ]
-    assert 0.875 < np.mean(held) < 0.985
+    assert 0.86 < np.mean(held) < 0.99
 
 
 def test_a_picture_depends_on_its_seed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,7 +209,7 @@ def test_even_numbers_halve_the_noise() -> None:
 
 
 def test_what_makes_no_picture_is_refused() -> None:
-    with pytest.raises(QueryError, match="prtbake importance MODEL.pt MESH"):
+    with pytest.raises(QueryError, match=r"prtbake importance MODEL\.pt MESH"):
         render(sampling="lobe", importance=None)
     with pytest.raises(QueryError, match="outside the box that the model was trained in"):
         render(network=NeuralBox())
