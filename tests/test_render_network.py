@@ -59,7 +59,7 @@ def test_pairs_are_what_the_network_answers(form: dict) -> None:
 def test_every_way_gives_the_integral_of_the_network(truth: np.ndarray, way: str) -> None:
     picture = render(sampling=way, spp=512)
     assert_pictures(picture, truth)
-    assert picture.relative_noise < 0.05
+    assert picture.relative_noise < {"light": 0.02, "lobe": 0.15, "mis": 0.03}[way]
     assert picture.walks == picture.passes * sum(picture.sampling["light"] + picture.sampling["lobe"]) * 16
 
 
