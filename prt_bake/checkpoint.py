@@ -46,7 +46,7 @@ def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
 
 
 def refuse_unsound(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
-    """Raises ModelError unless `tensors` are those named in `shapes`, of these shapes, in floats that are all finite."""
+    """Raises ModelError unless `tensors` are those named in `shapes`, of these shapes, in finite floats."""
     for name in sorted(shapes.keys() | tensors.keys()):
         if name not in tensors or name not in shapes:
             state = "missing" if name in shapes else "not part of this network"

@@ -1,11 +1,12 @@
 """The importance module: from (x, ωo) to the lobe that directions of incidence are drawn from.
 
-Fourier features of its own → 512, 128, 32 ReLU → for each lobe the logarithm of σ, and where the settings say so a tilt
-of its axis away from the normal and a weight. It belongs to one model file: it lies beside NAME.pt as NAME.importance.pt
-and holds that file's hash.
+Fourier features of its own → 512, 128, 32 ReLU → for each lobe the logarithm of σ, and where the settings say so a
+tilt of its axis away from the normal and a weight. It belongs to one model file: it lies beside NAME.pt as
+NAME.importance.pt and holds that file's hash.
 """
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -73,14 +74,22 @@ class ImportanceModule(nn.Module):
         self.register_buffer("frequencies", self.settings.feature_mean + deviation)
         self.register_buffer("box_min", corner, persistent=False)
         sizes = (2 * self.settings.features, *self.settings.widths)
-        self.hidden = nn.ModuleList(nn.Linear(n, m) for n, m in zip(sizes[:-1], sizes[1:], strict=True))
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for n, m in pairwise(sizes))
         self.output = nn.Linear(sizes[-1], self.settings.outputs)
         self._initialise(generator)
 
-    def _initialise(self, generator: torch.Generator) -> None:
+    def start_at(self, sigma: float) -> None:
+        """Makes σ the same for every query of a module that has learnt nothing yet (of several lobes, their middle)."""
         low, high = np.log(SIGMA_RANGE)
-        part = (np.log(FIRST_SIGMA) - low) / (high - low)
+        part = np.clip((np.log(sigma) - low) / (high - low), 0.01, 0.99)
         lobes = self.settings.lobes
+        with torch.no_grad():
+            self.output.bias[:lobes] = float(np.log(part / (1.0 - part)))
+            if lobes > 1:
+                # Equal lobes would get equal gradients for ever.
+                self.output.bias[:lobes] += torch.linspace(-1.0, 1.0, lobes, device=self.output.bias.device)
+
+    def _initialise(self, generator: torch.Generator) -> None:
         with torch.no_grad():
             for layer in self.hidden:
                 assert isinstance(layer, nn.Linear)
@@ -88,11 +97,10 @@ class ImportanceModule(nn.Module):
                 layer.bias.zero_()
             self.output.weight.zero_()
             self.output.bias.zero_()
-            self.output.bias[:lobes] = float(np.log(part / (1.0 - part)))
-            if lobes > 1:
-                # Equal lobes would get equal gradients for ever.
-                self.output.bias[:lobes] += torch.linspace(-1.0, 1.0, lobes)
-                self.output.bias[lobes:] += 0.1 * torch.randn(self.settings.outputs - lobes, generator=generator)
+            if self.settings.lobes > 1:
+                others = self.output.bias[self.settings.lobes :]
+                others += 0.1 * torch.randn(len(others), generator=generator)
+        self.start_at(FIRST_SIGMA)
 
     def forward(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """σ [N,L] in radians, tilts [N,L,3] (added to the unit normal) and weights [N,L]; differentiable."""
@@ -102,10 +110,9 @@ class ImportanceModule(nn.Module):
         h, lobes = self.output(h), self.settings.lobes
         low, high = np.log(SIGMA_RANGE)
         sigma = torch.exp(low + (high - low) * torch.sigmoid(h[:, :lobes]))
+        tilts = h.new_zeros((len(h), lobes, 3))
         if self.settings.tilted:
             tilts = h[:, lobes : 4 * lobes].reshape(-1, lobes, 3)
-        else:
-            tilts = h.new_zeros((len(h), lobes, 3))
         weights = torch.softmax(h[:, -lobes:], dim=1) if lobes > 1 else torch.ones_like(sigma)
         return sigma, tilts, weights
 

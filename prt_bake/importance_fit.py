@@ -16,7 +16,6 @@ import torch
 from formats.mesh import Mesh
 from prt_bake.importance import ImportanceModule, ImportanceSettings
 from prt_bake.importance_loss import (
-    Fitness,
     TargetTensors,
     assess,
     assess_constant,
@@ -24,21 +23,42 @@ from prt_bake.importance_loss import (
     divergence,
     uniform_fitness,
 )
-from prt_bake.importance_targets import DIRECTIONS, QUERIES_PER_BLOCK, gather_targets
+from prt_bake.importance_targets import DIRECTIONS, QUERIES_PER_BLOCK, BlockTransport, gather_targets
 
 STEPS = 1500
 BLOCKS = 16
 """Of 256 queries, to learn from."""
 VALIDATION_BLOCKS = 1
-QUERIES_PER_STEP = 128
-STRIDE = 4
-"""Every fourth direction of a query in a step, another quarter in each."""
-LEARNING_RATE = 2e-3
+QUERIES_PER_STEP = 256
+STRIDE = 8
+"""Every eighth direction of a query in a step, other ones in each."""
+LEARNING_RATE = 4e-3
 GATHERING_SHARE = 0.5
 """Of the time: gathering stops there, with what it has."""
 
 Progress = Callable[[float, str], None]
-"""progress(share done in [0, 1], a few words); may raise KeyboardInterrupt to end the fit with what is learnt."""
+"""progress(share done in [0, 1], a few words); a KeyboardInterrupt from it ends the fit with what is learnt."""
+
+
+def _silent(share: float, words: str) -> None:
+    pass
+
+
+class Clock:
+    """How much of the time is used up, and whom to tell."""
+
+    def __init__(self, seconds: float = math.inf, progress: Progress = _silent) -> None:
+        self.began, self.seconds, self.progress = time.monotonic(), seconds, progress
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the beginning."""
+        return time.monotonic() - self.began
+
+    @property
+    def used(self) -> float:
+        """The share of the time that is up."""
+        return self.elapsed / self.seconds if self.seconds > 0.0 else 1.0
 
 
 def fit_importance(
@@ -61,17 +81,20 @@ def fit_importance(
     `.metadata["fit"]`: divergence and variance (`prt_bake.importance_loss.Fitness`) of uniform directions, of the best
     single σ for the object and of the module. Raises ModelError if the network is black or not finite on the mesh.
     """
-    clock = _Clock(math.inf if steps else seconds, progress or (lambda share, words: None))
+    clock = Clock(math.inf if steps else seconds, progress or _silent)
     transport = network.prepared(device=device) if hasattr(network, "prepared") else network
     inner = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        held, taught = _gather(transport, mesh, blocks, seed, threads or os.cpu_count() or 1, clock, device)
+        held, taught = gather(
+            transport, mesh, blocks, seed, threads=threads or os.cpu_count() or 1, clock=clock, device=device
+        )
         low, high = np.asarray(mesh.bounds, np.float64)
         chosen = settings or ImportanceSettings(seed=seed)
         module = ImportanceModule(chosen, low, float((high - low).max())).to(device)
-        done = _descend(module, taught, steps or STEPS, seed, clock)
-        constant, best = _best_constant(chosen, held)
+        constant = best_constant(chosen, taught)
+        module.start_at(constant)
+        done = descend(module, taught, steps or STEPS, seed, clock)
         module.metadata["fit"] = {
             "seed": seed,
             "queries": len(taught),
@@ -79,7 +102,7 @@ def fit_importance(
             "seconds": round(clock.elapsed, 1),
             "uniform": asdict(uniform_fitness(held)),
             "constant sigma": constant,
-            "constant": asdict(best),
+            "constant": asdict(assess_constant(constant, chosen.shape, chosen.uniform_share, held)),
             "module": asdict(assess(module, held)),
         }
     finally:
@@ -87,29 +110,22 @@ def fit_importance(
     return module.cpu().eval()
 
 
-class _Clock:
-    """How much of the time is used up."""
-
-    def __init__(self, seconds: float, progress: Progress) -> None:
-        self.began, self.seconds, self.progress = time.monotonic(), seconds, progress
-
-    @property
-    def elapsed(self) -> float:
-        return time.monotonic() - self.began
-
-    @property
-    def used(self) -> float:
-        return self.elapsed / self.seconds if self.seconds > 0.0 else 1.0
-
-
-def _gather(
-    transport: Any, mesh: Mesh, blocks: int, seed: int, threads: int, clock: _Clock, device: str
+def gather(
+    transport: BlockTransport,
+    mesh: Mesh,
+    blocks: int,
+    seed: int,
+    *,
+    threads: int = 1,
+    clock: Clock | None = None,
+    device: str = "cpu",
 ) -> tuple[TargetTensors, TargetTensors]:
-    """Targets held back, and targets to learn from."""
+    """Targets held back (a block), and targets to learn from: `blocks` of 256 queries, fewer if half the time is up."""
+    timer = clock or Clock()
 
     def follow(done: int) -> bool:
-        clock.progress(0.3 * done / (blocks + 1), f"{done * QUERIES_PER_BLOCK:,} queries of {DIRECTIONS} directions")
-        return clock.used < GATHERING_SHARE
+        timer.progress(0.3 * done / (blocks + 1), f"{done * QUERIES_PER_BLOCK:,} queries of {DIRECTIONS} directions")
+        return timer.used < GATHERING_SHARE
 
     held = gather_targets(transport, mesh, range(VALIDATION_BLOCKS), seed)
     numbers = range(VALIDATION_BLOCKS, VALIDATION_BLOCKS + blocks)
@@ -117,8 +133,9 @@ def _gather(
     return TargetTensors.of(held, device), TargetTensors.of(taught, device)
 
 
-def _descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed: int, clock: _Clock) -> int:
-    """Lowers the divergence; returns how many steps were taken."""
+def descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed: int, clock: Clock | None = None) -> int:
+    """Lowers the divergence by at most `steps` steps, or until the clock's time is up; returns how many were taken."""
+    clock = clock or Clock()
     random = np.random.default_rng([seed, 0x1B2])
     optimiser = torch.optim.Adam(module.parameters(), lr=LEARNING_RATE)
     began = min(clock.used, 1.0)
@@ -144,11 +161,11 @@ def _descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed:
     return step
 
 
-def _best_constant(settings: ImportanceSettings, targets: TargetTensors) -> tuple[float, Fitness]:
-    """The σ of one lobe about the normal that suits the whole object best, and how well."""
-    found = {
-        float(sigma): assess_constant(float(sigma), settings.shape, settings.uniform_share, targets)
+def best_constant(settings: ImportanceSettings, targets: TargetTensors) -> float:
+    """The σ of one lobe about the normal that suits the whole object best, by the first block of its targets."""
+    few = targets.first(QUERIES_PER_BLOCK)
+    fits = {
+        float(sigma): assess_constant(float(sigma), settings.shape, settings.uniform_share, few).divergence
         for sigma in np.geomspace(0.1, 4.0, 24).round(3)
     }
-    best = min(found, key=lambda sigma: found[sigma].divergence)
-    return best, found[best]
+    return min(fits, key=lambda sigma: fits[sigma])

@@ -43,6 +43,11 @@ class TargetTensors:
             }
         )
 
+    def first(self, count: int) -> "TargetTensors":
+        """The first `count` queries alone."""
+        rows = {name: tensor if name == "directions" else tensor[:count] for name, tensor in vars(self).items()}
+        return TargetTensors(**rows)
+
     def __len__(self) -> int:
         return len(self.turn)
 
@@ -62,7 +67,8 @@ def density(module: ImportanceModule, targets: TargetTensors, rows: Tensor, bins
     cosines = targets.directions[targets.turn[rows], bins] @ axes.transpose(1, 2)
     settings = module.settings
     lobes = (weights[:, None, :] * wrapped(sigma[:, None, :], settings.shape, cosines)).sum(dim=2)
-    return (1.0 - settings.uniform_share) * lobes + settings.uniform_share / (4.0 * math.pi)
+    together: Tensor = (1.0 - settings.uniform_share) * lobes + settings.uniform_share / (4.0 * math.pi)
+    return together
 
 
 def wrapped(sigma: Tensor, shape: float, cosines: Tensor) -> Tensor:
@@ -95,7 +101,7 @@ def assess(module: ImportanceModule, targets: TargetTensors) -> Fitness:
     """Divergence and variance, means over all targets."""
     sums = torch.zeros(2, dtype=torch.float64)
     with torch.inference_mode():
-        for rows in torch.arange(len(targets), device=targets.turn.device).split(ROWS_AT_ONCE):
+        for rows in torch.split(torch.arange(len(targets), device=targets.turn.device), ROWS_AT_ONCE):
             share, pdf = targets.share[rows], density(module, targets, rows)
             sums += torch.stack([divergence(share, pdf).sum(), variance(share, pdf).sum()]).double().cpu()
     return Fitness(*(sums / len(targets)).tolist())
@@ -105,7 +111,7 @@ def assess_constant(sigma: float, shape: float, share: float, targets: TargetTen
     """The same of one lobe about the normal, with one σ for the whole object."""
     sums = torch.zeros(2, dtype=torch.float64)
     with torch.inference_mode():
-        for rows in torch.arange(len(targets), device=targets.turn.device).split(ROWS_AT_ONCE):
+        for rows in torch.split(torch.arange(len(targets), device=targets.turn.device), ROWS_AT_ONCE):
             cosines = (targets.directions[targets.turn[rows]] @ targets.normals[rows, :, None])[..., 0]
             width = torch.full_like(cosines[:, :1], sigma)
             pdf = (1.0 - share) * wrapped(width, shape, cosines) + share / (4.0 * math.pi)

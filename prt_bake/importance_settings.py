@@ -25,7 +25,7 @@ class ImportanceSettings:
     """Mean of the frequencies, in cycles per unit of input."""
     feature_spread: float = 0.09
     """Standard deviation of the frequencies that act on the outgoing direction."""
-    position_spread: float = 0.75
+    position_spread: float = 1.0
     """Standard deviation of the frequencies that act on the position."""
     widths: tuple[int, ...] = (512, 128, 32)
     directions: Literal["spherical", "cartesian"] = "cartesian"

@@ -1,8 +1,8 @@
 """What an importance module is fitted to: a network's values on 32×64 directions of equal solid angle, query by query.
 
 Positions are uniform over the mesh's surface, outgoing directions uniform over the hemisphere about the normal of the
-face. The directions of incidence are a grid of 32 rings by 64 sectors, equal in (cosθ, φ), turned at random: eight turns
-serve a block of queries, so that the network's fused kernel finds its tables again.
+face. The directions of incidence are a grid of 32 rings by 64 sectors, equal in (cosθ, φ), turned at random: eight
+turns serve a block of queries, so that the network's fused kernel finds its tables again.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What a file holds and whether it is sound, whichever of the five kinds it is: mesh, sky, scene, model or asset."""
+"""What a file holds and whether it is sound: mesh, sky, scene, model, importance module or asset."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,13 +23,15 @@ SUFFIXES = {
 
 
 def kind_of(path: str | Path) -> str:
-    """Return "mesh", "sky", "scene", "model" or "asset", by the file's suffix.
+    """Return "mesh", "sky", "scene", "model", "importance" or "asset", by the file's name.
 
     Raises:
         StorageError: there is no such file.
         FormatError: no kind has this suffix.
     """
     suffix = existing(path).suffix.lower()
+    if suffix in SUFFIXES["model"] and Path(path).stem.endswith(".importance"):
+        return "importance"
     for kind, suffixes in SUFFIXES.items():
         if suffix in suffixes:
             return kind
@@ -52,7 +54,7 @@ def find_faults(path: str | Path) -> list[str]:
 
     Raises:
         StorageError: there is no such file.
-        FormatError: the suffix belongs to none of the five kinds.
+        FormatError: the suffix belongs to none of the kinds.
     """
     kind = kind_of(path)
     try:
@@ -226,6 +228,18 @@ def _describe_model(path: Path) -> dict[str, Any]:
     }
 
 
+def _describe_importance(path: Path) -> dict[str, Any]:
+    from prt_bake.importance import read_importance
+
+    module, owner = read_importance(path)
+    return {
+        "of model": owner,
+        "weights": sum(parameter.numel() for parameter in module.parameters()),
+        **{f"settings: {name}": value for name, value in module.settings.as_json().items()},
+        **module.metadata,
+    }
+
+
 def _describe_asset(path: Path) -> dict[str, Any]:
     from formats.asset import read_asset
 
@@ -268,6 +282,14 @@ def _model_faults(path: Path) -> list[str]:
     return []
 
 
+def _importance_faults(path: Path) -> list[str]:
+    from prt_bake.importance import load_importance, read_importance
+
+    read_importance(path)
+    load_importance(path.with_name(path.stem.removesuffix(".importance") + path.suffix))
+    return []
+
+
 def _mesh_faults(path: Path) -> list[str]:
     from formats.mesh import check_mesh
 
@@ -285,6 +307,7 @@ _DESCRIBE: dict[str, Callable[[Path], dict[str, Any]]] = {
     "sky": _describe_sky,
     "scene": _describe_scene,
     "model": _describe_model,
+    "importance": _describe_importance,
     "asset": _describe_asset,
 }
 _FIND_FAULTS: dict[str, Callable[[Path], list[str]]] = {
@@ -292,5 +315,6 @@ _FIND_FAULTS: dict[str, Callable[[Path], list[str]]] = {
     "sky": _sky_faults,
     "scene": _scene_faults,
     "model": _model_faults,
+    "importance": _importance_faults,
     "asset": _asset_faults,
 }

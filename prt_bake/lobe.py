@@ -11,6 +11,7 @@ wraps r = θ, 2π − θ, 2π + θ, … of g(r) r / sin θ. At the antipode, and
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -119,9 +120,9 @@ def _wrapped(sigma: ArrayLike, shape: float, cosine: ArrayLike) -> Array:
     c = np.clip(np.asarray(cosine, dtype=np.float64), -1.0, 1.0)
     width = np.asarray(sigma, dtype=np.float64) * width_per_sigma(shape)
     width, c = np.broadcast_arrays(width, c)
-    theta = np.arccos(c)
-    sine = np.maximum(np.sqrt((1.0 - c) * (1.0 + c)), _POLE)
-    total = _falling(theta / width, shape) * np.where(theta > 0.0, theta / sine, 1.0)
+    theta = np.asarray(np.arccos(c))
+    sine = np.asarray(np.maximum(np.sqrt((1.0 - c) * (1.0 + c)), _POLE))
+    total = np.asarray(_falling(theta / width, shape) * np.where(theta > 0.0, theta / sine, 1.0))
     farthest = width * reach(shape)
     turn = 2.0 * math.pi
     while (wrapped := farthest > turn - theta).any():
@@ -146,10 +147,24 @@ def _falling(relative: Array, shape: float) -> Array:
 
 def _radius(sigma: Array, shape: float, numbers: Array) -> Array:
     """The angle with cumulated share `numbers`, before it is wrapped."""
-    u = np.minimum(numbers, _LARGEST_NUMBER)
-    if shape == 2.0:  # Box and Muller
-        return np.asarray(sigma * np.sqrt(-2.0 * np.log1p(-u)))
-    return np.asarray(sigma * width_per_sigma(shape) * special.gammaincinv(2.0 / shape, u) ** (1.0 / shape))
+    # Box and Muller's radius, in units of √2 σ; what other shapes make of it is smooth in it.
+    gaussian = np.sqrt(-np.log1p(-np.minimum(numbers, _LARGEST_NUMBER)))
+    relative = gaussian if shape == 2.0 else np.interp(gaussian, *_stretch(shape))
+    return np.asarray(sigma * width_per_sigma(shape) * relative)
+
+
+@lru_cache
+def _stretch(shape: float) -> tuple[Array, Array]:
+    """Angles of the Gaussian and of `shape`, in units of α, with the same cumulated share.
+
+    The inverse of the regularised incomplete gamma function at steps of 2·10⁻⁴; linear between them it is off by less
+    than 4·10⁻⁸ σ.
+    """
+    gaussian = np.linspace(0.0, math.sqrt(-math.log(1.0 - _LARGEST_NUMBER)), 1 << 15)
+    share = -np.expm1(-(gaussian**2))
+    lower = special.gammaincinv(2.0 / shape, np.minimum(share, 0.5))
+    upper = special.gammainccinv(2.0 / shape, np.maximum(np.exp(-(gaussian**2)), 2.0**-54))
+    return gaussian, np.where(share < 0.5, lower, upper) ** (1.0 / shape)
 
 
 def _about(axes: Array, radius: Array, turn: Array) -> Array:

@@ -14,6 +14,7 @@ from prt_bake.cli.compare import compare
 from prt_bake.cli.demo import demo
 from prt_bake.cli.describe import describe
 from prt_bake.cli.export import export
+from prt_bake.cli.importance import importance
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
 from prt_bake.cli.report import report
@@ -32,6 +33,7 @@ app = typer.Typer(
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "train": train,
+    "importance": importance,
     "bake": bake,
     "light": light,
     "shade": shade,
