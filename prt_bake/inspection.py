@@ -270,9 +270,12 @@ def _sky_faults(path: Path) -> list[str]:
 
 def _scene_faults(path: Path) -> list[str]:
     from formats.scene import read_scene
+    from formats.scene_file import find_table_faults
 
-    read_scene(path)
-    return []
+    faults = find_table_faults(path)
+    if not faults:
+        read_scene(path)
+    return faults
 
 
 def _model_faults(path: Path) -> list[str]:
