@@ -37,7 +37,7 @@ def pair_transport(network: Any, precision: str = "float32", device: str = "cpu"
     from prt_bake.network import NeuralBSSRDF
 
     if isinstance(network, NeuralBSSRDF):
-        return _Plain(network) if getattr(network.settings, "trunk", 0) else PairNetwork(network, precision, device)
+        return PairNetwork(network, precision, device)
     if not hasattr(network, "evaluate"):
         raise QueryError(f"{type(network).__name__}: has no evaluate(incident[N,D,3], positions[N,3], outgoing[N,3])")
     if precision != "float32" or device != "cpu":
@@ -82,7 +82,7 @@ class PairNetwork(FusedNetwork):
         first: Any = self.network.hidden[0]
         self._weights[0] = first.weight.detach().to(self._dtype).contiguous()
         self._mean = settings.feature_mean
-        self._across = 3 if settings.directions == "cartesian" else 2
+        self._across = 0 if settings.trunk else settings.across  # inputs that a direction of incidence enters by
         deviation = np.zeros((3, settings.features), np.float32)
         deviation[: self._across] = (frequencies[:, : self._across].T - self._mean).numpy()
         self._deviation = deviation
@@ -99,8 +99,12 @@ class PairNetwork(FusedNetwork):
         with torch.inference_mode():
             for first in range(0, count, tile):
                 chosen = slice(first, min(first + tile, count))
-                rows = self._feature_rows(incident[chosen], positions[chosen], outgoing[chosen], tile)
-                radiance = self._layers(rows.to(self._dtype)).float() * self.network.output_scale
+                query = incident[chosen], positions[chosen], outgoing[chosen], tile
+                if self._late is None:
+                    radiance = self._layers(self._feature_rows(*query).to(self._dtype))
+                else:
+                    radiance = self._late.radiance(self._late_rows(*query))
+                radiance = radiance.float() * self.network.output_scale
                 answer[chosen] = radiance.view(tile, directions, 3)[: len(answer[chosen])].cpu().numpy()
         return answer
 
@@ -120,6 +124,21 @@ class PairNetwork(FusedNetwork):
         rows[count * directions :] = 0.0
         fourier_rows(cycles, along, common.numpy().astype(np.float32), self._deviation, rows.numpy())
         return rows
+
+    def _late_rows(self, incident: Array, positions: Array, outgoing: Array, tile: int) -> Tensor:
+        """What views and directions add to each later layer [layers, tile·S, width]; others are of zeros."""
+        assert self._late is not None
+        at, count = self._device, len(positions)
+        view = torch.zeros((tile, self._view_frequencies.shape[0]), dtype=torch.float64)
+        eye = self.network._scale(torch.as_tensor(outgoing).to(at)).cpu()
+        view[:count] = torch.cat((self._relative(positions), eye), dim=-1)
+        cycles = (view.to(at) @ torch.from_numpy(self._view_frequencies).to(at)) % 1.0
+        phase = (2.0 * torch.pi) * cycles.float()
+        bins = self._late.bins(torch.cat((phase.cos(), phase.sin()), dim=-1))
+        towards = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
+        towards[:count] = torch.as_tensor(incident)
+        light = self._late.light_table(self.network.light_features(towards.to(at)))
+        return (light + bins[:, :, None]).flatten(1, 2)
 
     def _rows_there(self, light: Tensor, view: Tensor, common: Tensor, tile: int) -> Tensor:
         """As `_feature_rows`, on the device."""

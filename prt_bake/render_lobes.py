@@ -57,7 +57,7 @@ class PixelLobes:
         rows = self._row[pixels]
         known, others = np.flatnonzero(rows >= 0), np.flatnonzero(rows < 0)
         parts = [] if self._lobes is None or not len(known) else [_taken(self._lobes, rows[known])]
-        if len(others):
+        if len(others) or not parts:
             parts.append(self._module.lobe(positions[others], outgoing[others], normals[others]))
         if len(parts) == 1:
             return parts[0]

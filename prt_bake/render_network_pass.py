@@ -73,13 +73,13 @@ class NetworkTracer:
         for count in sorted(set(self.mixture.directions)):
             points = [point for point in range(self.points) if self.mixture.directions[point] == count]
             chosen = [np.flatnonzero(point_of == point) for point in points]
+            rows = np.concatenate(chosen)
+            if not len(rows):
+                continue
             drawn = [
                 self._drawn(point, positions[rows], outgoing[rows], normals[rows], keys[rows], seed)
                 for point, rows in zip(points, chosen, strict=True)
             ]
-            rows = np.concatenate(chosen)
-            if not len(rows):
-                continue
             towards, irradiance = self._to_narrow(keys[rows], seed)
             spread = [part.directions for part in drawn if part is not None]
             directions = np.concatenate([np.concatenate(spread), towards], axis=1) if spread else towards

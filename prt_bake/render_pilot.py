@@ -55,8 +55,10 @@ def candidates(directions: int) -> list[Mixture]:
     """
     whole = POINTS * directions
     least = max(1, int(np.ceil(_LEAST_SHARE * whole / (1.0 - _LEAST_SHARE))))
-    half = max(1, whole // 2)
-    counts = [(whole, least), (whole, max(whole // 4, least)), (half, half), (max(whole // 4, POINTS), whole)]
+    half = whole // 2
+    counts = [(whole, least), (whole, max(whole // 4, least)), (max(whole // 4, POINTS), whole)]
+    if directions > 1:
+        counts.insert(2, (half, half))
     return [Mixture(_spread(light), _spread(lobe)) for light, lobe in counts]
 
 

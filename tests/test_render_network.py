@@ -37,7 +37,14 @@ def truth() -> np.ndarray:
     return quadrature(NETWORK, as_lighting(SKY, "y", 0.0), close_up())
 
 
-@pytest.mark.parametrize("form", [{}, {"directions": "spherical", "feature_mean": 18.0, "activation": "silu"}])
+FORMS = [
+    {},
+    {"directions": "spherical", "feature_mean": 18.0, "activation": "silu"},
+    {"light_layers": 2, "light_features": 8},
+]
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_pairs_are_what_the_network_answers(form: dict) -> None:
     rng = np.random.default_rng(1)
     incident, outgoing = rng.normal(size=(300, 9, 3)), rng.normal(size=(300, 3))
@@ -59,7 +66,7 @@ def test_pairs_are_what_the_network_answers(form: dict) -> None:
 def test_every_way_gives_the_integral_of_the_network(truth: np.ndarray, way: str) -> None:
     picture = render(sampling=way, spp=512)
     assert_pictures(picture, truth)
-    assert picture.relative_noise < {"light": 0.02, "lobe": 0.15, "mis": 0.03}[way]
+    assert picture.relative_noise < {"light": 0.05, "lobe": 0.15, "mis": 0.05}[way]
     assert picture.walks == picture.passes * sum(picture.sampling["light"] + picture.sampling["lobe"]) * 16
 
 
@@ -193,14 +200,15 @@ def test_stopped_and_resumed_is_the_picture_of_one_run(tmp_path: Path, way: str)
     longer = render(sampling=way, spp=1024, checkpoint=path, resume=True)
     assert longer.sampling["light"] == whole.sampling["light"]
     render(sampling=way, checkpoint=path, minutes=0.0)
-    with pytest.raises(FormatError, match="belongs to another picture: network"):
+    with pytest.raises(FormatError, match="belongs to another picture: the network is another"):
         render(sampling=way, network=small_network(seed=3), checkpoint=path, resume=True)
 
 
 def test_even_numbers_halve_the_noise() -> None:
     """Against independent ones: the sky's own variance under the sampler, over the number of directions."""
-    picture = render(sampling="light", spp=256, network=Slope())
-    directions = LightSampler(as_lighting(SKY, "y", 0.0))
+    grey = np.repeat(SKY[..., :1], 3, axis=2)  # where channels differ, what is drawn for their mean suits none
+    picture = render(grey, sampling="light", spp=256, network=Slope())
+    directions = LightSampler(as_lighting(grey, "y", 0.0))
     drawn = directions.draw(np.random.default_rng(2).random((100_000, 3)))
     radiance, density = directions.look_up(drawn)
     values = radiance[:, 0] / density * (1 + drawn @ Slope.slope)
