@@ -16,6 +16,7 @@ from prt_bake.cli.describe import describe
 from prt_bake.cli.export import export
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
+from prt_bake.cli.report import report
 from prt_bake.cli.shade import shade
 from prt_bake.cli.train import train
 
@@ -42,6 +43,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 for name, command in COMMANDS.items():
     app.command(name, no_args_is_help=name != "demo")(command)
+app.add_typer(report)
 
 INTERRUPTED = 130  # what typer makes of a KeyboardInterrupt that no command has caught
 

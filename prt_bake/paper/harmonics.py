@@ -26,7 +26,7 @@ def refined(mesh: Mesh, subdivisions: int) -> Mesh:
 
     positions, faces = np.asarray(mesh.positions), np.asarray(mesh.faces)
     for _ in range(subdivisions):
-        positions, faces = subdivide(positions, faces)
+        positions, faces = subdivide(positions, faces)  # type: ignore[no-untyped-call]
     return build_mesh(positions, faces) if subdivisions else mesh
 
 

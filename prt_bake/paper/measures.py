@@ -62,8 +62,8 @@ def measure(image: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_], sto
 def noise_figures(reference: Reference, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
     """What the reference's own noise does to each figure: a picture exact but for such noise would have them.
 
-    mse: of the standard errors. flip, ssim, ssim_quarter: means of what the reference and itself with its noise added and
-    taken away make (`prt_bake.paper.reference` says which noise).
+    mse: of the standard errors. flip, ssim, ssim_quarter: means of what the reference and itself with its noise added
+    and taken away make (`prt_bake.paper.reference` says which noise).
     """
     image = reference.image.astype(np.float64)
     sides = [measure(image + sign * reference.noise, image, mask, stops) for sign in (1.0, -1.0)]

@@ -1,7 +1,7 @@
 """The network's picture without noise: every texel of the sky is counted, gathered into cells about a lattice.
 
-It tells what of a picture's error is the network's, and what is noise. Light within a cell is moved to its middle, by up to 4
-degrees with 2048 of them, which Ŝ, that is smooth over such angles, does not notice.
+It tells what of a picture's error is the network's, and what is noise. Light within a cell is moved to its middle, by
+up to 3 degrees with 2048 of them, which Ŝ, that is smooth over such angles, does not notice.
 """
 
 import numpy as np

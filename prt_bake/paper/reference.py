@@ -1,9 +1,9 @@
 """A path-traced reference that grows: many pictures of few walks, summed in two halves, kept after each of them.
 
 The two halves tell what the reference's own noise does to any figure. With A and B their means over n_A and n_B passes,
-the reference is R = (n_A A + n_B B) / N, and e = (A − B) √(n_A n_B) / N has the variance of R's error and is uncorrelated with
-it: to compare R + e with R is to compare with R a picture that is exact but for noise as strong as R's own, of its real
-distribution, bright specks included.
+the reference is R = (n_A A + n_B B) / N, and e = (A − B) √(n_A n_B) / N has the variance of R's error and is
+uncorrelated with it: to compare R + e with R is to compare with R a picture that is exact but for noise as strong as
+R's own, of its real distribution, bright specks included.
 """
 
 import hashlib
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.image import Layers, read_layers, write_image
+from formats.image import read_layers, write_image
 from formats.scene import Scene
 from formats.whole import replacing
 from prt_bake.camera import Camera
@@ -39,7 +39,7 @@ _CHUNK_STREAM = 0x5EED
 
 @dataclass
 class Halves:
-    """Sums over the passes of two halves: radiance [2,H,W,3], squared errors [H,W,3], coverage [H,W], and their cost."""
+    """Sums over the passes of two halves: radiance [2,H,W,3], squared errors [H,W,3], coverage [H,W]; their cost."""
 
     radiance: Array
     variance: Array
@@ -189,9 +189,9 @@ def _exr(halves: Halves) -> Callable[[Path], Facts]:
 
 
 def _read_reference(artefact: Artefact) -> Reference:
-    found: Layers = read_layers(artefact.path)
-    layers = (found.layers[name] for name in ("error", "noise", "coverage"))
-    return Reference(found.image, *layers, artefact)
+    found = read_layers(artefact.path)
+    error, noise, coverage = (found.layers[name] for name in ("error", "noise", "coverage"))
+    return Reference(found.image, error, noise, coverage, artefact)
 
 
 def _write(path: Path, halves: Halves, identity: str) -> None:

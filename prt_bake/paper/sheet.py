@@ -39,8 +39,8 @@ class Row:
 def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None:
     """Write the sheet as PNG: `columns` name the tiles of each row; a tile that is None stays empty.
 
-    FLIP is shown in magma, black 0, white 1, at the size of the pictures. Raises PrtbakeError where the extra `evaluate`
-    is not installed.
+    FLIP is shown in magma, black 0, white 1, at the size of the pictures. Raises PrtbakeError where the extra
+    `evaluate` is not installed.
     """
     width = _LEFT + len(columns) * (CELL + _GAP)
     height = _HEAD + len(rows) * (2 * CELL + _LABEL + _GAP)

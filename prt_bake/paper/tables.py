@@ -18,14 +18,18 @@ from prt_bake.paper.results import (
 )
 from prt_bake.paper.scenes import LEAST_SHARE, SCENES, PaperRow
 
-_LAW = """Pictures of {size}², light from under the surface alone: nothing reflected, black behind the object, none of the light that
-crosses it without scattering. Figures are means over the pixels that the object covers wholly. The exposure gives the
-reference's object a median luminance of 0.18; MSE is of linear radiance after that exposure, SSIM and FLIP (67 pixels a degree)
-of the sRGB curve cut to [0,1]. The line of the path tracer holds what its own noise does to each figure: a picture that is exact
-but for noise as strong as the reference's would have them (half the difference between two halves of the reference's passes is
-added to the reference and taken away). In *all in*, reflection and sky are in both pictures, from other random numbers in each.
-Seconds are of rendering alone, on {cores} CPU cores here, on a GPU in the paper. MB: the model; with *lobe* and *mis* the
-importance module too; of SH the asset. The paper has one line for Net; it stands beside each of ours."""
+_LAW = """Pictures of {size}², light from under the surface alone: nothing reflected, black behind the object, none of
+the light that crosses it without scattering. Figures are means over the pixels that the object covers wholly. The exposure
+gives the reference's object a median luminance of 0.18; MSE is of linear radiance after that exposure, SSIM and FLIP
+(67 pixels a degree) of the sRGB curve cut to [0,1].
+
+The line of the path tracer holds what its own noise does to each figure: a picture that is exact but for noise as
+strong as the reference's would have them. (Half the difference between the two halves of the reference's passes has the
+variance of its error; it is added to the reference and taken away.)
+
+In *all in*, reflection and sky are in both pictures, from other random numbers in each. Seconds are of rendering alone,
+on {cores} CPU cores here, on a GPU in the paper. MB: the model; with *lobe* and *mis* the importance module too; of SH
+the asset. The paper has one line for Net; it stands beside each of ours."""
 
 _COLUMNS = ("Scene", "Model", "SPP", "s", "MB", "MSE", "SSIM", "FLIP", "all in: MSE", "SSIM", "FLIP")
 _PAPER_COLUMNS = ("paper: SPP", "s", "MB", "MSE", "SSIM", "FLIP")
@@ -56,7 +60,9 @@ def first_table(results: Iterable[Result]) -> str:
         figures = [f"noise {_small(noise['mse'])}", f"noise {noise['ssim']:.4f}", f"noise {noise['flip']:.4f}"]
         cost = [str(reference["spp"]), _seconds(reference["seconds"]), ""]
         rows.append([title, "Path tracing", *cost, *figures, "", "", "", *_paper(scene.path_tracing)])
-        rows += [["", TITLES[line.method], *_line(line), *_paper(paper_row(scene, line.method))] for line in result.lines]
+        rows += [
+            ["", TITLES[line.method], *_line(line), *_paper(paper_row(scene, line.method))] for line in result.lines
+        ]
     return _table((*_COLUMNS, *_PAPER_COLUMNS), rows)
 
 
