@@ -59,14 +59,16 @@ def measure(image: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_], sto
     return _figures(compare(image, reference, mask, stops))
 
 
-def noise_figures(reference: Reference, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
+def noise_figures(reference: Reference, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
     """What the reference's own noise does to each figure: a picture exact but for such noise would have them.
 
-    mse: of the standard errors. flip, ssim, ssim_quarter: means of what the reference and itself with its noise added
-    and taken away make (`prt_bake.paper.reference` says which noise).
+    mse: of the standard errors. flip, ssim, ssim_quarter: means of what `smooth` and itself with the reference's noise
+    added and taken away make (`prt_bake.paper.reference` says which noise). `smooth` [H,W,3] is a picture without noise
+    that stands for the exact one, which nobody has; the reference itself would not do: its own noise passes for
+    structure, and SSIM forgives more of it.
     """
-    image = reference.image.astype(np.float64)
-    sides = [measure(image + sign * reference.noise, image, mask, stops) for sign in (1.0, -1.0)]
+    base = np.asarray(smooth, np.float64)
+    sides = [measure(base + sign * reference.noise, base, mask, stops) for sign in (1.0, -1.0)]
     squared = (reference.standard_error[mask].astype(np.float64) * 2.0**stops) ** 2
     names = ("ssim", "ssim_quarter", "flip")
     return {"mse": float(squared.mean()), **{name: sum(getattr(side, name) for side in sides) / 2 for name in names}}

@@ -2,8 +2,8 @@
 
 The two halves tell what the reference's own noise does to any figure. With A and B their means over n_A and n_B passes,
 the reference is R = (n_A A + n_B B) / N, and e = (A − B) √(n_A n_B) / N has the variance of R's error and is
-uncorrelated with it: to compare R + e with R is to compare with R a picture that is exact but for noise as strong as
-R's own, of its real distribution, bright specks included.
+uncorrelated with it: a smooth picture P and P + e differ by noise as strong as R's own, of its real distribution,
+bright specks included, without any picture being traced twice.
 """
 
 import hashlib
@@ -24,7 +24,6 @@ from prt_bake.camera import Camera
 from prt_bake.lighting import Lighting
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 from prt_bake.randomness import hashed
-from prt_bake.render_pass import POINTS
 from prt_bake.rendering import Rendering, render_scene
 
 Array = NDArray[np.float64]
@@ -34,6 +33,8 @@ Trace = Callable[[int, int, Path], Rendering]
 _METHOD = 1
 """Raised whenever the same settings give other numbers: what was traced before is then traced anew."""
 _WALKS_AT_ONCE = 16
+_LEAST_WALKS = 4
+"""With fewer a picture has no error of its own."""
 _CHUNK_STREAM = 0x5EED
 
 
@@ -46,6 +47,7 @@ class Halves:
     coverage: Array
     passes: list[int] = field(default_factory=lambda: [0, 0])
     pictures: int = 0
+    spp: int = 0
     walks: int = 0
     seconds: float = 0.0
 
@@ -62,13 +64,9 @@ class Halves:
         self.coverage += picture.passes * picture.coverage.astype(np.float64)
         self.passes[half] += picture.passes
         self.pictures += 1
+        self.spp += picture.spp
         self.walks += picture.walks
         self.seconds += picture.seconds
-
-    @property
-    def spp(self) -> int:
-        """Walks a pixel."""
-        return sum(self.passes) * POINTS
 
     @property
     def image(self) -> Array:
@@ -167,7 +165,7 @@ def _enough(halves: Halves, spp: int | None, minutes: float | None) -> bool:
 
 def _walks(halves: Halves, spp: int | None) -> int:
     """Walks a pixel of the next picture: few where few are asked for, so that both halves have some."""
-    return _WALKS_AT_ONCE if spp is None else max(2 * POINTS, min(_WALKS_AT_ONCE, spp // 2))
+    return _WALKS_AT_ONCE if spp is None else max(_LEAST_WALKS, min(_WALKS_AT_ONCE, spp // 2))
 
 
 def _goal(spp: int | None, minutes: float | None) -> str:
@@ -195,7 +193,7 @@ def _read_reference(artefact: Artefact) -> Reference:
 
 
 def _write(path: Path, halves: Halves, identity: str) -> None:
-    numbers = {name: getattr(halves, name) for name in ("passes", "pictures", "walks", "seconds")}
+    numbers = {name: getattr(halves, name) for name in ("passes", "pictures", "spp", "walks", "seconds")}
     with replacing(path) as part, open(part, "wb") as file:
         np.savez(
             file,

@@ -197,7 +197,7 @@ class SceneReport:
             )
             figures[method] = {"alone": alone.as_json(), "whole": together.as_json()}
         write_maps(path, maps)
-        noise = measures.noise_figures(truth, mask, alone_stops)
+        noise = measures.noise_figures(truth, read_image(pictures["sh"].path), mask, alone_stops)
         return {"stops": alone_stops, "whole_stops": whole_stops, "noise": noise, "figures": figures}
 
     def _cost(self, method: str, picture: Artefact) -> Facts:
