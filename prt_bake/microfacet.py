@@ -65,14 +65,15 @@ def reflection_density(towards: Array, facets: Array, alpha: Array) -> Array:
     # alpha² cos² + sin²: the sine, which may be as small as alpha, is not taken from the cosine.
     root = alpha * alpha + (1.0 - alpha * alpha) * (facets[:, 0] ** 2 + facets[:, 1] ** 2)
     distribution = alpha * alpha / (np.pi * root * root)
-    return np.where(facets[:, 2] > 0.0, 0.25 * distribution * _masking_per_cosine(towards[:, 2], alpha), 0.0)
+    density = 0.25 * distribution * _masking_per_cosine(towards[:, 2], alpha)
+    return np.where(facets[:, 2] > 0.0, density, 0.0)
 
 
 def half_vectors(towards: Array, reflected: Array) -> Array:
     """Facets [N,3] that reflect `towards` [N,3] into `reflected` [N,3]; [0, 0, 0] where these are opposite."""
     half = towards + reflected
     length = np.linalg.norm(half, axis=1, keepdims=True)
-    return np.divide(half, length, out=np.zeros_like(half), where=length > 1e-12)
+    return np.asarray(np.divide(half, length, out=np.zeros_like(half), where=length > 1e-12))
 
 
 def _masking_per_cosine(cosine: Array, alpha: Array) -> Array:

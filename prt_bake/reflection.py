@@ -38,12 +38,12 @@ _FACET_STREAM, _LIGHT_STREAM = 0xA0, 0xA1
 
 
 class _Points(NamedTuple):
-    """Points of the surface with an eye each; `facing` is the face's normal and `normals` the interface's, both on the
-    eye's side, and `towards` the direction to the eye in the frame of normals and tangents.
+    """Points of the surface with an eye above their faces each: which of those asked for, the faces' normals, the
+    interface's normals, and the direction to the eye `towards` in the frame of those and `tangents`.
     """
 
     rows: NDArray[np.int64]
-    facing: Array
+    outwards: Array
     normals: Array
     tangents: Array
     towards: Array
@@ -90,34 +90,32 @@ class Reflector:
 
         faces [N] and barycentric (u, v) [N,2] say where, normals [N,3] are those of the interface (where one faces away
         from `outgoing` the face's own is taken, as walks do), alpha [N] is its GGX roughness. Samples depend on the
-        keys [N] and the seed alone. Directional lights without size are exact, and a mirror does not show them.
+        keys [N] and the seed alone. Directional lights without size are exact, and a mirror does not show them. An eye
+        below its face sees nothing reflected.
         """
         total = np.zeros((len(faces), 3))
         if self._matched or not len(faces) or not self._lights:
             return total
-        points = self._points(faces, normals, outgoing, alpha)
-        arrivals = [self._by_facets(points, uniforms((_FACET_STREAM, seed, keys), 2))]
-        rough = np.flatnonzero(points.alpha >= SMOOTHEST)
-        if len(rough):
-            chosen = _Points._make(part[rough] for part in points)
+        points = self._points(faces, normals, outgoing, np.asarray(alpha, np.float64))
+        arrivals = [self._by_facets(points, uniforms((_FACET_STREAM, seed, keys[points.rows]), 2))]
+        rough = points.alpha >= SMOOTHEST
+        if rough.any():
+            points = _Points._make(part[rough] for part in points)
             for i, light in enumerate(self._lights):
-                numbers = uniforms((_LIGHT_STREAM, seed, i, keys[rough]), 3)
-                arrivals.append(self._by_light(chosen, light, numbers))
+                arrivals.append(self._by_light(points, light, uniforms((_LIGHT_STREAM, seed, i, keys[points.rows]), 3)))
         for arriving in arrivals:
-            free = self._reaches(faces, barycentric, points.facing, arriving)
+            free = self._reaches(faces, barycentric, arriving)
             total[arriving.rows[free]] += arriving.radiance[free]
         return total
 
     def _points(self, faces: NDArray[np.int64], normals: Array, outgoing: Array, alpha: Array) -> _Points:
-        outwards = self._mesh.face_normals[faces]
-        side = np.where(_dot(outwards, outgoing) < 0.0, -1.0, 1.0)[:, None]
-        facing = side * outwards
-        turned = side * normals
-        turned = np.where(_dot(turned, outgoing)[:, None] <= _LEAST_COSINE, facing, turned)
-        tangents = tangent_frame(turned)
-        towards = to_local(outgoing, turned, tangents)
+        above = np.flatnonzero(_dot(self._mesh.face_normals[faces], outgoing) > 0.0)
+        outwards, outgoing, normals = self._mesh.face_normals[faces[above]], outgoing[above], normals[above]
+        normals = np.where(_dot(normals, outgoing)[:, None] > _LEAST_COSINE, normals, outwards)
+        tangents = tangent_frame(normals)
+        towards = to_local(outgoing, normals, tangents)
         towards[:, 2] = np.maximum(towards[:, 2], _LEAST_COSINE)
-        return _Points(np.arange(len(faces)), facing, turned, tangents, towards, np.asarray(alpha, np.float64))
+        return _Points(above, outwards, normals, tangents, towards, alpha[above])
 
     def _by_facets(self, points: _Points, numbers: Array) -> _Arrivals:
         """What a visible facet of each point reflects, drawn by numbers [N,2]."""
@@ -154,31 +152,18 @@ class Reflector:
 
         Nothing comes from below the interface, nor from below the face.
         """
-        above = (local[:, 2] > 0.0) & (_dot(directions, points.facing) > 0.0)
+        above = (local[:, 2] > 0.0) & (_dot(directions, points.outwards) > 0.0)
         cosine = np.clip(_dot(points.towards, facets), 0.0, 1.0)
         seen = np.where(points.alpha >= SMOOTHEST, masking(local[:, 2], points.alpha), 1.0)
         return np.where(above, fresnel(cosine, self._eta) * seen, 0.0)
 
-    def _reaches(
-        self, faces: NDArray[np.int64], barycentric: Array, facing: Array, arriving: _Arrivals
-    ) -> NDArray[np.int64]:
+    def _reaches(self, faces: NDArray[np.int64], barycentric: Array, arriving: _Arrivals) -> NDArray[np.int64]:
         """Which of the arrivals carry light and pass the object."""
-        free = np.flatnonzero(arriving.radiance.any(axis=1))
-        rows, rays = arriving.rows[free], arriving.directions[free]
+        lit = np.flatnonzero(arriving.radiance.any(axis=1))
+        rows = arriving.rows[lit]
         own = faces[rows]
-        starts = self._places(own, barycentric[rows]) + _CLEARANCE * self._mesh.diagonal * facing[rows]
-        open_until = np.zeros(len(free), np.bool_)
-        waiting = np.arange(len(free))
-        while len(waiting):
-            hits = self._visibility.first_hits(starts[waiting], rays[waiting])
-            open_until[waiting[hits.faces < 0]] = True
-            # A plane face cannot be met again: such a hit is rounding, and the ray goes on behind it.
-            again = np.flatnonzero(hits.faces == own[waiting])
-            met = self._places(hits.faces[again], hits.barycentric[again])
-            waiting = waiting[again]
-            flown = np.maximum(0.0, _dot(met - starts[waiting], rays[waiting])) + _CLEARANCE * self._mesh.diagonal
-            starts[waiting] += flown[:, None] * rays[waiting]
-        return free[open_until]
+        starts = self._places(own, barycentric[rows]) + _CLEARANCE * self._mesh.diagonal * self._mesh.face_normals[own]
+        return lit[self._visibility.first_hits(starts, arriving.directions[lit]).faces < 0]
 
     def _places(self, faces: NDArray[np.int64], barycentric: Array) -> Array:
         corners = self._mesh.positions[self._mesh.faces[faces]]
