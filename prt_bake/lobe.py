@@ -61,9 +61,7 @@ def density(sigma: ArrayLike, shape: float, cosine: ArrayLike, share: float = UN
     return np.asarray((1.0 - share) * _wrapped(sigma, shape, cosine) + share / (4.0 * math.pi))
 
 
-def draw(
-    sigma: ArrayLike, shape: float, numbers: ArrayLike, normals: ArrayLike, share: float = UNIFORM_SHARE
-) -> Array:
+def draw(sigma: ArrayLike, shape: float, numbers: ArrayLike, normals: ArrayLike, share: float = UNIFORM_SHARE) -> Array:
     """Unit directions [N,3] about the axes `normals` [N,3], with the density that `density` gives.
 
     `numbers` [N,3] are uniform in [0, 1): the first chooses between lobe and uniform share, the others angle and turn.

@@ -1,4 +1,4 @@
-"""The trained networks of the scenes: those of the repository, or trained where there is none."""
+"""The networks and importance modules of the scenes: those of the repository, or made where there are none."""
 
 import json
 import shutil
@@ -6,8 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from formats.mesh import Mesh
 from formats.scene import Scene
 from formats.whole import replacing, sha256
+from prt_bake.importance import importance_path, load_importance, save_importance
 from prt_bake.network import NetworkSettings, NeuralBSSRDF, load_model
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 
@@ -78,11 +80,37 @@ def trained(
     return artefacts.made(file, inputs, build)
 
 
+def scene_importance(
+    artefacts: Artefacts, model: Artefact, given: Path, mesh: Mesh, seconds: float, device: str, progress: Progress
+) -> Artefact:
+    """The importance module beside `model`: copied from beside `given` where it is there and of that model, else
+    fitted.
+    """
+    file = str(importance_path(model.path).relative_to(artefacts.folder))
+    if importance_path(given).is_file() and given.is_file() and sha256(given) == model.sha256:
+        inputs = {"model": model.sha256, "given": sha256(importance_path(given))}
+        return artefacts.made(file, inputs, lambda path: _importance_copied(given, model, path))
+    fitted: Facts = {"model": model.sha256, "mesh": mesh.content_hash, "seconds": seconds}
+
+    def build(path: Path) -> Facts:
+        from prt_bake.importance_fit import fit_importance
+
+        module = fit_importance(load_model(model.path), mesh, seconds=seconds, device=device, progress=progress)
+        artefacts.check()
+        save_importance(module, model.path)
+        return {"megabytes": path.stat().st_size / 1e6, "fit": module.metadata["fit"]}
+
+    return artefacts.made(file, fitted, build)
+
+
+def _importance_copied(given: Path, model: Artefact, path: Path) -> Facts:
+    shutil.copyfile(importance_path(given), path)
+    module = load_importance(model.path)
+    return {"megabytes": path.stat().st_size / 1e6, "fit": module.metadata.get("fit", {})}
+
+
 def _copied(given: Path, path: Path, network: NeuralBSSRDF) -> Facts:
     shutil.copyfile(given, path)
-    importance = given.with_suffix(".importance.pt")
-    if importance.is_file():
-        shutil.copyfile(importance, path.with_suffix(".importance.pt"))
     return _facts(network, path)
 
 

@@ -20,6 +20,7 @@ from prt_bake.paper.scene_report import Progress, SceneReport
 from prt_bake.paper.scenes import SKIES, PaperScene, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sheet import Row, Tile, write_sheet
+from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import markdown
 from prt_bake.report import as_text
 
@@ -45,11 +46,13 @@ class PaperReport:
         self._quick = quick
         self.artefacts = Artefacts(out, say, stop)
         self.results: list[Result] = []
+        self._sigma: list[SigmaPicture] = []
 
     def run(self, scenes: Sequence[PaperScene], skies: dict[str, Path], tell: Tell) -> None:
         """Every scene under every sky; `tell` is called after each, when the tables hold it. Raises Stopped."""
         for paper in scenes:
             scene = SceneReport(paper, self._folder, self.settings, self.artefacts, self._progress)
+            self._sigma.append(scene.sigma())
             for name, path in skies.items():
                 result = scene.under(name, path)
                 self.results.append(result)
@@ -68,13 +71,14 @@ class PaperReport:
         return found
 
     def write(self) -> None:
-        """Write tables.md, tables.json, sheet.png, everything.png and training.png from the results so far."""
+        """Write tables.md, tables.json, the sheets, sigma.png and training.png from the results so far."""
         folder, settings = self.artefacts.folder, self._settings_json()
         _write_text(folder / "tables.md", markdown(self.results, settings))
         _write_text(folder / "tables.json", as_text(records.as_json(self.results, settings)) + "\n")
         columns = ("reference", *(TITLES[method] for method in METHODS))
         write_sheet(folder / "sheet.png", columns, [self._row(result, whole=False) for result in self.results])
         write_sheet(folder / "everything.png", columns, [self._row(result, whole=True) for result in self.results])
+        write_sigma(folder / "sigma.png", self._sigma)
         curves = {result.scene: result.model.get("validation_vs_time", []) for result in self.results}
         plot_training({name: rows for name, rows in curves.items() if rows}, folder / "training.png")
 

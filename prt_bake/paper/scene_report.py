@@ -17,12 +17,13 @@ from prt_bake.lighting import Lighting, Sky
 from prt_bake.paper import measures
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
 from prt_bake.paper.harmonics import DEGREE, bake_asset, harmonics_picture
-from prt_bake.paper.models import scene_model
+from prt_bake.paper.models import scene_importance, scene_model
 from prt_bake.paper.network_pictures import network_picture
 from prt_bake.paper.reference import Reference, reference, trace_scene
 from prt_bake.paper.results import METHODS, SAMPLINGS, Line, Result
 from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
+from prt_bake.paper.sigma import SigmaPicture, sigma_picture
 from prt_bake.paper.surface import surface_picture
 
 Progress = Callable[[str, float, str], None]
@@ -61,11 +62,30 @@ class SceneReport:
             self.artefacts,
             name,
             self.scene,
-            self.folder / "models" / f"{name}.pt",
+            self._given,
             settings.train_minutes,
             settings.device,
             lambda share, words: self._progress(f"{name}: training", share, words),
         )
+
+    @cached_property
+    def importance(self) -> Artefact:
+        """The importance module of the network, beside it."""
+        name, settings = self.paper.name, self.settings
+        return scene_importance(
+            self.artefacts,
+            self.model,
+            self._given,
+            self.scene.mesh,
+            settings.importance_seconds,
+            settings.device,
+            lambda share, words: self._progress(f"{name}: fitting the importance module", share, words),
+        )
+
+    @property
+    def _given(self) -> Path:
+        """Where the repository keeps the scene's network."""
+        return self.folder / "models" / f"{self.paper.name}.pt"
 
     @cached_property
     def asset(self) -> Artefact:
@@ -82,6 +102,10 @@ class SceneReport:
         truth = self._reference(sky_name, lighting)
         pictures = dict(self._pictures(sky_name, lighting))
         return self._measured(sky_name, truth, pictures, self._surfaces(sky_name, lighting))
+
+    def sigma(self) -> SigmaPicture:
+        """What the importance module says of the points seen."""
+        return sigma_picture(self.paper.title, self.importance.path.with_name("model.pt"), self.scene.mesh, self.view)
 
     def _lighting(self, path: Path) -> Lighting:
         up = self.scene.up
@@ -104,6 +128,8 @@ class SceneReport:
         for sampling in SAMPLINGS:
             file = f"{name}/{sky}/net_{sampling}.exr"
             inputs = {**common, "spp": settings.spp, "sampling": sampling, "seed": settings.seed}
+            if sampling != "light":
+                inputs["importance"] = self.importance.sha256
             yield sampling, self.artefacts.made(file, inputs, self._network_picture(lighting, sampling, file))
         inputs = {**common, "asset": self.asset.sha256}
         arguments = self.asset, lighting.skies[0], self.view
@@ -205,10 +231,9 @@ class SceneReport:
         facts = picture.facts
         if method == "sh":
             return {"spp": 1, "seconds": facts["seconds"], "megabytes": self.asset.path.stat().st_size / 1e6}
-        megabytes = self.model.path.stat().st_size / 1e6
-        importance = self.model.path.with_suffix(".importance.pt")
-        if method != "light" and importance.is_file():
-            megabytes += importance.stat().st_size / 1e6
+        megabytes = self.model.facts["megabytes"]
+        if method != "light":
+            megabytes += self.importance.facts["megabytes"]
         return {"spp": facts["spp"], "seconds": facts["seconds"], "megabytes": megabytes}
 
     def _follow(self, what: str) -> Callable[[float], None]:

@@ -15,7 +15,7 @@ from prt_bake.comparison import displayed
 CELL = 192
 """Width and height of a picture on the sheet, in pixels."""
 _GAP, _LABEL, _LEFT, _HEAD = 6, 18, 26, 24
-_PAPER, _INK = (24, 24, 24), (235, 235, 235)
+PAPER, INK = (24, 24, 24), (235, 235, 235)
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None
     """
     width = _LEFT + len(columns) * (CELL + _GAP)
     height = _HEAD + len(rows) * (2 * CELL + _LABEL + _GAP)
-    sheet = Image.new("RGB", (width, height), _PAPER)
+    sheet = Image.new("RGB", (width, height), PAPER)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
     for j, name in enumerate(columns):
-        draw.text((_LEFT + j * (CELL + _GAP), 5), name, _INK, font)
+        draw.text((_LEFT + j * (CELL + _GAP), 5), name, INK, font)
     for i, row in enumerate(rows):
         top = _HEAD + i * (2 * CELL + _LABEL + _GAP)
         sheet.paste(_upright(row.title, 2 * CELL, font), (3, top + _LABEL))
@@ -55,10 +55,10 @@ def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None
             if tile is None:
                 continue
             left = _LEFT + j * (CELL + _GAP)
-            draw.text((left, top + 1), tile.words, _INK, font)
-            sheet.paste(_fitted(shown(tile.image, row.stops)), (left, top + _LABEL))
+            draw.text((left, top + 1), tile.words, INK, font)
+            sheet.paste(fitted(shown(tile.image, row.stops)), (left, top + _LABEL))
             if tile.flip_map is not None:
-                sheet.paste(_fitted(coloured(tile.flip_map)), (left, top + _LABEL + CELL))
+                sheet.paste(fitted(coloured(tile.flip_map)), (left, top + _LABEL + CELL))
     with replacing(path) as part:
         sheet.save(part, format="PNG", optimize=True)
 
@@ -79,7 +79,7 @@ def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "ma
     return np.rint(255.0 * colours[..., :3]).astype(np.uint8)
 
 
-def _fitted(pixels: NDArray[np.uint8]) -> Image.Image:
+def fitted(pixels: NDArray[np.uint8]) -> Image.Image:
     """In the size of a cell: means of pixels where there are more, whole squares where there are fewer."""
     picture = Image.fromarray(pixels)
     larger = pixels.shape[0] > CELL
@@ -88,7 +88,7 @@ def _fitted(pixels: NDArray[np.uint8]) -> Image.Image:
 
 def _upright(words: str, length: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> Image.Image:
     """A line of text that reads upwards."""
-    strip = Image.new("RGB", (length, _LABEL), _PAPER)
+    strip = Image.new("RGB", (length, _LABEL), PAPER)
     drawn = ImageDraw.Draw(strip)
-    drawn.text(((length - drawn.textlength(words, font)) / 2.0, 1), words, _INK, font)
+    drawn.text(((length - drawn.textlength(words, font)) / 2.0, 1), words, INK, font)
     return strip.transpose(Image.Transpose.ROTATE_90)

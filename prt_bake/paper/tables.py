@@ -20,8 +20,8 @@ from prt_bake.paper.scenes import LEAST_SHARE, SCENES, PaperRow
 
 _LAW = """Pictures of {size}², light from under the surface alone: nothing reflected, black behind the object, none of
 the light that crosses it without scattering. Figures are means over the pixels that the object covers wholly. The
-exposure gives the reference's object a median luminance of 0.18; MSE is of linear radiance after that exposure, SSIM and
-FLIP (67 pixels a degree) of the sRGB curve cut to [0,1].
+exposure gives the reference's object a median luminance of 0.18; MSE is of linear radiance after that exposure, SSIM
+and FLIP (67 pixels a degree) of the sRGB curve cut to [0,1].
 
 The line of the path tracer holds what its own noise does to each figure: a picture that is exact but for noise as
 strong as the reference's would have them. (Half the difference between the two halves of the reference's passes has
