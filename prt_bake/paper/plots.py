@@ -21,7 +21,7 @@ def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -
     """
     figure, axes = _figure()
     for name, rows in curves.items():
-        seconds, _walks, error = np.array(rows, np.float64).T
+        seconds, _walks, error = np.array(rows, np.float64).reshape(-1, 3).T
         chosen = (seconds > 0.0) & (error > 0.0)
         seconds, error = seconds[chosen], error[chosen]
         if not len(seconds):

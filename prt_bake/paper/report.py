@@ -80,7 +80,7 @@ class PaperReport:
         write_sheet(folder / "everything.png", columns, [self._row(result, whole=True) for result in self.results])
         write_sigma(folder / "sigma.png", self._sigma)
         curves = {result.scene: result.model.get("validation_vs_time", []) for result in self.results}
-        plot_training({name: rows for name, rows in curves.items() if rows}, folder / "training.png")
+        plot_training(curves, folder / "training.png")
 
     @property
     def files(self) -> tuple[Path, ...]:
