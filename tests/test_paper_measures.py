@@ -65,3 +65,18 @@ def test_what_cannot_be_measured_is_refused() -> None:
     with pytest.raises(QueryError, match="no light"):
         measures.exposure(np.zeros((4, 4, 3)), np.ones((4, 4), np.bool_))
     assert measures.framing(COVERAGE) == {"object_share": COVERAGE.mean(), "object_pixels": 2304}
+
+
+def test_flip_without_noise_is_nearer_to_the_truth_and_not_below_it() -> None:
+    smooth = np.full((64, 64, 3), 0.2)
+    ramp = np.linspace(0.0, 0.06, 64)[:, None, None]
+    mask = measures.object_mask(COVERAGE)
+    truth = measures.measure(smooth + ramp, smooth, mask, 0.0).flip
+    drawn = 0.03 * GENERATOR.normal(size=(2, 64, 64, 3)).astype(np.float32)
+    noisy = Reference((smooth + drawn[0]).astype(np.float32), drawn[0], drawn[1], COVERAGE, Artefact("", "", {}))
+    seen = measures.measure(smooth + ramp, noisy.image, mask, 0.0).flip
+    estimate = measures.flip_without_noise(smooth + ramp, noisy, mask, 0.0, seen)
+    assert 0.9 * truth < estimate < truth + 0.5 * (seen - truth)
+    still = Reference(smooth.astype(np.float32), 0 * drawn[0], 0 * drawn[0], COVERAGE, Artefact("", "", {}))
+    exact = measures.measure(smooth + ramp, still.image, mask, 0.0).flip
+    assert measures.flip_without_noise(smooth + ramp, still, mask, 0.0, exact) == pytest.approx(exact)

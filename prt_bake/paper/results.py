@@ -4,8 +4,9 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from prt_bake.paper.scenes import SCENES, PaperRow, PaperScene
+from prt_bake.render_mixture import Sampling
 
-SAMPLINGS = ("light", "lobe", "mis")
+SAMPLINGS: tuple[Sampling, ...] = ("light", "lobe", "mis")
 METHODS = (*SAMPLINGS, "sh")
 JUDGED = "mis"
 """The sampling of Net that is held against the paper's figure and the bar."""
@@ -24,8 +25,9 @@ class Line:
 
     Attributes:
         spp: samples a pixel. seconds: of rendering alone. megabytes: what must be kept to render it.
-        alone: mse, ssim, ssim_quarter, flip of the light from under the surface alone.
-        whole: the same with reflection and background in both pictures; None where that was not made.
+        alone: mse, ssim, ssim_quarter, flip, flip_without_noise (an estimate: against a reference without noise) of the
+            light from under the surface alone.
+        whole: the first four with reflection and background in both pictures; None where that was not made.
     """
 
     method: str
@@ -94,14 +96,16 @@ def paper_json(scene: PaperScene) -> dict[str, Any]:
     }
 
 
-def mean_flip(results: list[Result], sky: str, method: str, part: str = "alone") -> tuple[float, int]:
+def mean_flip(
+    results: list[Result], sky: str, method: str, part: str = "alone", figure: str = "flip"
+) -> tuple[float, int]:
     """Mean FLIP of a method over the scenes that have it under a sky, and how many they are (nan for none)."""
     values = []
     for result in results:
         line = result.line(method) if result.sky == sky else None
         figures = None if line is None else getattr(line, part)
         if figures is not None:
-            values.append(figures["flip"])
+            values.append(figures[figure])
     return (sum(values) / len(values) if values else float("nan")), len(values)
 
 
@@ -112,6 +116,7 @@ def as_json(results: list[Result], settings: dict[str, Any]) -> dict[str, Any]:
         sky: {
             method: {
                 "flip": mean_flip(results, sky, method)[0],
+                "flip_without_noise": mean_flip(results, sky, method, figure="flip_without_noise")[0],
                 "flip_everything_in": mean_flip(results, sky, method, "whole")[0],
                 "scenes": mean_flip(results, sky, method)[1],
             }

@@ -25,6 +25,7 @@ from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
 from prt_bake.paper.surface import surface_picture
+from prt_bake.render_mixture import Sampling
 
 Progress = Callable[[str, float, str], None]
 """progress(what, share done, a few words)."""
@@ -138,7 +139,7 @@ class SceneReport:
             self.artefacts.made(f"{name}/{sky}/sh.exr", inputs, lambda path: harmonics_picture(path, *arguments)),
         )
 
-    def _network_picture(self, lighting: Lighting, sampling: str, file: str) -> Callable[[Path], Facts]:
+    def _network_picture(self, lighting: Lighting, sampling: Sampling, file: str) -> Callable[[Path], Facts]:
         def render(path: Path) -> Facts:
             return network_picture(
                 path,
@@ -149,6 +150,7 @@ class SceneReport:
                 self.settings.spp,
                 sampling,
                 _PICTURE_SEED + self.settings.seed,
+                self.settings.device,
                 self.artefacts.stop,
                 self._follow(file),
             )
@@ -221,7 +223,11 @@ class SceneReport:
                 alone.flip_map.astype(np.float16),
                 together.flip_map.astype(np.float16),
             )
-            figures[method] = {"alone": alone.as_json(), "whole": together.as_json()}
+            noiseless = measures.flip_without_noise(image, truth, mask, alone_stops, alone.flip)
+            figures[method] = {
+                "alone": {**alone.as_json(), "flip_without_noise": noiseless},
+                "whole": together.as_json(),
+            }
         write_maps(path, maps)
         noise = measures.noise_figures(truth, read_image(pictures["sh"].path), mask, alone_stops)
         return {"stops": alone_stops, "whole_stops": whole_stops, "noise": noise, "figures": figures}

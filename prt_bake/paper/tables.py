@@ -25,13 +25,15 @@ and FLIP (67 pixels a degree) of the sRGB curve cut to [0,1].
 
 The line of the path tracer holds what its own noise does to each figure: a picture that is exact but for noise as
 strong as the reference's would have them. (Half the difference between the two halves of the reference's passes has
-the variance of its error; it is added to the picture by SH, which has no noise, and the two are compared.)
+the variance of its error; it is added to the picture by SH, which has no noise, and the two are compared.) *noise out*
+is an estimate of FLIP against a reference without noise: the same half difference added to the reference doubles its
+variance, and FLIP² is drawn on in a straight line to none. Where noise is most of it, that is too high.
 
 In *all in*, reflection and sky are in both pictures, from other random numbers in each. Seconds are of rendering alone,
 on {cores} CPU cores here, on a GPU in the paper. MB: the model; with *lobe* and *mis* the importance module too; of SH
 the asset. The paper has one line for Net; it stands beside each of ours."""
 
-_COLUMNS = ("Scene", "Model", "SPP", "s", "MB", "MSE", "SSIM", "FLIP", "all in: MSE", "SSIM", "FLIP")
+_COLUMNS = ("Scene", "Model", "SPP", "s", "MB", "MSE", "SSIM", "FLIP", "noise out", "all in: MSE", "SSIM", "FLIP")
 _PAPER_COLUMNS = ("paper: SPP", "s", "MB", "MSE", "SSIM", "FLIP")
 
 
@@ -59,7 +61,7 @@ def first_table(results: Iterable[Result]) -> str:
         reference, noise = result.reference, result.noise
         figures = [f"noise {_small(noise['mse'])}", f"noise {noise['ssim']:.4f}", f"noise {noise['flip']:.4f}"]
         cost = [str(reference["spp"]), _seconds(reference["seconds"]), ""]
-        rows.append([title, "Path tracing", *cost, *figures, "", "", "", *_paper(scene.path_tracing)])
+        rows.append([title, "Path tracing", *cost, *figures, *[""] * 4, *_paper(scene.path_tracing)])
         rows += [
             ["", TITLES[line.method], *_line(line), *_paper(paper_row(scene, line.method))] for line in result.lines
         ]
@@ -96,10 +98,13 @@ def means_table(results: list[Result], skies: Sequence[str]) -> str:
             kind = "sh" if method == "sh" else "net"
             bar = f"≤ {BARS[kind]:.2f}" if method in (JUDGED, "sh") else ""
             reached = ("yes" if mean <= BARS[kind] else "no") if bar and count == len(SCENES) else ""
+            noiseless = mean_flip(results, sky, method, figure="flip_without_noise")[0]
             all_in = f"{whole:.4f}" if with_all else ""
             scenes = f"{count} of {len(SCENES)}"
-            rows.append([sky, TITLES[method], scenes, f"{mean:.4f}", bar, reached, all_in, f"{PAPER_MEANS[kind]:.3f}"])
-    return _table(("Sky", "Model", "Scenes", "mean FLIP", "bar", "reached", "all in", "paper"), rows)
+            row = [sky, TITLES[method], scenes, f"{mean:.4f}", bar, reached]
+            row += [f"{noiseless:.4f}", all_in, f"{PAPER_MEANS[kind]:.3f}"]
+            rows.append(row)
+    return _table(("Sky", "Model", "Scenes", "mean FLIP", "bar", "reached", "noise out", "all in", "paper"), rows)
 
 
 _METRICS = {"mse": "MSE", "ssim": "SSIM", "ssim_quarter": "SSIM, quarter size", "flip": "FLIP"}
@@ -139,7 +144,8 @@ def _trained(model: dict[str, Any]) -> str:
 
 def _line(line: Line) -> list[str]:
     cost = [str(line.spp), _seconds(line.seconds), f"{line.megabytes:.2f}"]
-    return cost + _figures(line.alone) + (_figures(line.whole) if line.whole else [""] * 3)
+    noiseless = f"{line.alone['flip_without_noise']:.4f}"
+    return [*cost, *_figures(line.alone), noiseless] + (_figures(line.whole) if line.whole else [""] * 3)
 
 
 def _figures(figures: dict[str, float]) -> list[str]:
