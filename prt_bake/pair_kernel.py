@@ -47,3 +47,19 @@ def fourier_rows(view: Any, along: Any, common: Any, deviation: Any, rows: Any) 
                 t = r * r
                 cosines[f] = _C0 + t * (_C1 + t * (_C2 + t * (_C3 + t * (_C4 + t * (_C5 + t * _C6)))))
                 sines[f] = r * (_S0 + t * (_S1 + t * (_S2 + t * (_S3 + t * (_S4 + t * (_S5 + t * _S6))))))
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def cycles_rows(inputs: Any, frequencies: Any, cycles: Any) -> None:
+    """Set cycles [N,F], float32 in [0, 1), to inputs [N,K] times frequencies [K,F], both float64, modulo 1."""
+    features = frequencies.shape[1]
+    sums = np.empty(features)
+    for n in range(inputs.shape[0]):
+        row = cycles[n]
+        sums[:] = 0.0
+        for k in range(inputs.shape[1]):
+            factor, along = inputs[n, k], frequencies[k]
+            for f in range(features):
+                sums[f] += factor * along[f]
+        for f in range(features):
+            row[f] = sums[f] - np.floor(sums[f])

@@ -1,6 +1,5 @@
 """What a network tells of an object in a picture: from every point seen, directions of incidence and Ŝ towards each."""
 
-import math
 from typing import Protocol
 
 import numpy as np
@@ -9,8 +8,9 @@ from numpy.typing import NDArray
 from formats.mesh import Mesh
 from prt_bake.emitters import Disc, LightSampler
 from prt_bake.lighting import Lighting
+from prt_bake.network_pairs import PairTransport
 from prt_bake.randomness import uniforms
-from prt_bake.render_mixture import Counts, LobeMaker, draw
+from prt_bake.render_mixture import Drawn, Lobe, Mixture, draw
 
 Array = NDArray[np.float64]
 
@@ -19,67 +19,102 @@ NARROW = 10.0
 _DISC_STREAM = 0xA6
 
 
-class PairTransport(Protocol):
-    """Answers Ŝ for points with directions of their own."""
+class PointLobes(Protocol):
+    """Knows what directions to draw at points of pixels."""
 
-    def evaluate_pairs(self, incident: Array, positions: Array, outgoing: Array) -> NDArray[np.floating]:
-        """Ŝ [N,S,3] in 1/sr: incident [N,S,3], positions [N,3], outgoing [N,3]."""
+    def at(self, pixels: NDArray[np.int64], positions: Array, outgoing: Array, normals: Array) -> Lobe:
+        """The lobes of N points: positions [N,3] seen along outgoing [N,3], face normals [N,3], in pixels [N]."""
 
 
 class NetworkTracer:
     """A network under a lighting: an `ObjectTracer`.
 
     Directional lights up to NARROW across get a direction of their own at each point: without size they are exact, and
-    no lobe would meet them. The rest of the light is drawn from as `counts` says.
+    no lobe would meet them. The rest of the light is drawn as `mixture` says.
     """
 
     def __init__(
-        self, transport: PairTransport, mesh: Mesh, lighting: Lighting, counts: Counts, lobes: LobeMaker | None
+        self, transport: PairTransport, mesh: Mesh, lighting: Lighting, mixture: Mixture, lobes: PointLobes | None
     ) -> None:
-        """`lobes` is asked where `counts` draws from lobes."""
-        self.counts, self.points, self.samples = counts, counts.points, counts.samples
-        self.cost = 2 * math.ceil(counts.samples / counts.points)
+        """`lobes` is asked where `mixture` draws from lobes."""
+        self.mix(mixture)
         self._transport, self._mesh, self._lobes = transport, mesh, lobes
         wide = tuple(sun for sun in lighting.suns if sun.angular_diameter > NARROW)
         self._narrow = [Disc(sun) for sun in lighting.suns if sun.angular_diameter <= NARROW]
-        spread = bool(wide) or any(sky.image.any() for sky in lighting.skies)
-        self._sampler = LightSampler(Lighting(lighting.skies, wide)) if spread else None
+        self.spread = bool(wide) or any(sky.image.any() for sky in lighting.skies)
+        self._sampler = LightSampler(Lighting(lighting.skies, wide)) if self.spread else None
+
+    def mix(self, mixture: Mixture) -> None:
+        """Draw as another mixture of as many points says."""
+        self.mixture, self.points, self.samples = mixture, mixture.points, mixture.samples
+        self.cost = 2 * max(mixture.directions)
 
     def radiance(
         self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
     ) -> tuple[Array, int]:
         """As `ObjectTracer.radiance`; samples are evaluations of the network."""
-        total, evaluations = np.zeros((len(faces), 3)), 0
+        total, evaluations = self.radiance_by(faces, barycentric, outgoing, keys, seed, (self.mixture,))
+        return total[0], evaluations
+
+    def radiance_by(
+        self,
+        faces: NDArray[np.int64],
+        barycentric: Array,
+        outgoing: Array,
+        keys: NDArray[np.uint64],
+        seed: int,
+        mixtures: tuple[Mixture, ...],
+    ) -> tuple[Array, int]:
+        """As `radiance`, by several mixtures [M,N,3] that are parts of this tracer's own: the same directions serve all."""
+        total, evaluations = np.zeros((len(mixtures), len(faces), 3)), 0
         positions, normals = self._places(faces, barycentric), self._mesh.face_normals[faces]
-        for point in range(self.points):
-            chosen = np.flatnonzero(keys % np.uint64(self.points) == point)
-            if not len(chosen):
+        point_of = (keys % np.uint64(self.points)).astype(np.int64)
+        # Points with as many directions are evaluated together: the network likes large batches.
+        for count in sorted(set(self.mixture.directions)):
+            points = [point for point in range(self.points) if self.mixture.directions[point] == count]
+            chosen = [np.flatnonzero(point_of == point) for point in points]
+            drawn = [
+                self._drawn(point, positions[rows], outgoing[rows], normals[rows], keys[rows], seed)
+                for point, rows in zip(points, chosen, strict=True)
+            ]
+            rows = np.concatenate(chosen)
+            if not len(rows):
                 continue
-            where = positions[chosen], outgoing[chosen]
-            directions, weights = self._incident(point, *where, normals[chosen], keys[chosen], seed)
-            answers = self._transport.evaluate_pairs(directions, *where)
-            total[chosen] = np.einsum("nsc,nsc->nc", np.asarray(answers, np.float64), weights)
+            towards, irradiance = self._to_narrow(keys[rows], seed)
+            spread = [part.directions for part in drawn if part is not None]
+            directions = np.concatenate([np.concatenate(spread), towards], axis=1) if spread else towards
+            answers = self._transport.evaluate_pairs(directions, positions[rows], outgoing[rows])
             evaluations += answers.shape[0] * answers.shape[1]
+            answers = np.asarray(answers, np.float64)
+            narrow = answers.shape[1] - towards.shape[1]
+            total[:, rows] = np.einsum("nsc,nsc->nc", answers[:, narrow:], irradiance)
+            for i, mixture in enumerate(mixtures if spread else ()):
+                weights = [
+                    part.weights(mixture.light[point], mixture.lobe[point], mixture.trust)
+                    for point, part in zip(points, drawn, strict=True)
+                    if part is not None
+                ]
+                total[i, rows] += np.einsum("nsc,nsc->nc", answers[:, :narrow], np.concatenate(weights))
         return total, evaluations
 
-    def _incident(
+    def _drawn(
         self, point: int, positions: Array, outgoing: Array, normals: Array, keys: NDArray[np.uint64], seed: int
-    ) -> tuple[Array, Array]:
-        """Directions [N,S,3] and radiance over density [N,S,3]."""
-        directions, weights = [np.empty((len(keys), 0, 3))], [np.empty((len(keys), 0, 3))]
-        if self._sampler is not None:
-            lobe = None
-            if self.counts.lobe[point]:
-                assert self._lobes is not None
-                lobe = self._lobes.lobe(positions, outgoing, normals)
-            drawn = draw(self._sampler, lobe, self.counts, point, keys, seed)
-            directions.append(drawn.directions)
-            weights.append(drawn.weights)
+    ) -> Drawn | None:
+        """Directions to the light that is spread; None where there is none."""
+        if self._sampler is None:
+            return None
+        lobe = None
+        if self.mixture.lobe[point] and self._lobes is not None:
+            pixels = (keys // np.uint64(self.points)).astype(np.int64)
+            lobe = self._lobes.at(pixels, positions, outgoing, normals)
+        return draw(self._sampler, lobe, self.mixture, point, keys, seed)
+
+    def _to_narrow(self, keys: NDArray[np.uint64], seed: int) -> tuple[Array, Array]:
+        """Directions to the narrow lights [N,L,3] and the irradiance [N,L,3] of each."""
+        towards, irradiance = np.empty((2, len(keys), len(self._narrow), 3))
         for i, disc in enumerate(self._narrow):
-            towards, irradiance = disc.draw(uniforms((_DISC_STREAM, seed, i, keys), 2))
-            directions.append(towards[:, None])
-            weights.append(irradiance[:, None])
-        return np.concatenate(directions, axis=1), np.concatenate(weights, axis=1)
+            towards[:, i], irradiance[:, i] = disc.draw(uniforms((_DISC_STREAM, seed, i, keys), 2))
+        return towards, irradiance
 
     def _places(self, faces: NDArray[np.int64], barycentric: Array) -> Array:
         corners = self._mesh.positions[self._mesh.faces[faces]]

@@ -6,13 +6,14 @@ rows are traced together, on threads, or on what was traced before.
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.mesh import Mesh
-from prt_bake.camera import Camera, Visibility, pixel_directions
+from prt_bake.camera import Camera, Hits, Visibility, pixel_directions
 from prt_bake.lighting import Lighting
 from prt_bake.randomness import hashed, uniforms
 
@@ -43,17 +44,48 @@ class ObjectTracer(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class PixelPoints:
+    """Points of N pixels: rays [N·points,3] from the eye, what they meet first, and the keys [N·points] of the points.
+
+    met: which of them show the object.
+    """
+
+    rays: Array
+    hits: Hits
+    keys: NDArray[np.uint64]
+    met: NDArray[np.int64]
+    points: int
+
+    def on_object(self) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.uint64]]:
+        """Faces, (u, v), directions to the eye and keys of the points that show the object."""
+        return self.hits.faces[self.met], self.hits.barycentric[self.met], -self.rays[self.met], self.keys[self.met]
+
+    def pixel_means(self, radiance: Array) -> Array:
+        """Means over points [...,N,3] of radiance [...,M,3] of those on the object; the others are black."""
+        seen = np.zeros((*radiance.shape[:-2], len(self.rays), 3))
+        seen[..., self.met, :] = radiance
+        return np.asarray(seen.reshape(*radiance.shape[:-2], -1, self.points, 3).mean(axis=-2))
+
+
 class PassTracer:
     """An object under a lighting as a camera sees it, ready to be traced pass by pass."""
 
     def __init__(
-        self, mesh: Mesh, lighting: Lighting, camera: Camera, background: bool, tracer: ObjectTracer, workers: int = 1
+        self,
+        mesh: Mesh,
+        lighting: Lighting,
+        camera: Camera,
+        background: bool,
+        tracer: ObjectTracer,
+        workers: int = 1,
+        visibility: Visibility | None = None,
     ) -> None:
-        """Build the camera's tree; blocks of rows are shared out to `workers` threads."""
+        """Build the camera's tree, unless it is given; blocks of rows are shared out to `workers` threads."""
         self.samples = tracer.samples
         self._lighting, self._camera, self._background = lighting, camera, background
         self._tracer, self._workers = tracer, workers
-        self._visibility = Visibility(mesh)
+        self._visibility = visibility or Visibility(mesh)
 
     def trace(self, seed: int, follow: Callable[[float], None]) -> Iterator[tuple[slice, Array, Array, int]]:
         """Rows of a pass, one batch after another: (rows, radiance [R,W,3], coverage [R,W], samples).
@@ -73,40 +105,38 @@ class PassTracer:
                 yield rows, *done
                 follow(rows.stop / height)
 
-    def covered(self, count: int, seed: int) -> NDArray[np.int64]:
-        """At most `count` pixels, drawn at random from those whose middle shows the object, in order."""
+    def covered(self) -> NDArray[np.int64]:
+        """The pixels whose middle shows the object."""
         pixels = np.arange(self._camera.width * self._camera.height)
         rays = pixel_directions(self._camera, pixels, np.full((len(pixels), 1, 2), 0.5))[:, 0]
-        inside = np.flatnonzero(self._visibility.first_hits(self._camera.eye, rays).faces >= 0)
-        order = np.argsort(hashed(PIXEL_STREAM, seed, inside), kind="stable")
-        return np.sort(inside[order[:count]])
+        return np.flatnonzero(self._visibility.first_hits(self._camera.eye, rays).faces >= 0)
 
-    def object_radiance(self, pixels: NDArray[np.int64], seed: int) -> Array:
-        """What one pass sees of the object in some pixels [N,3], beside it nothing."""
-        seen, _hit, _samples = self._trace_pixels(pixels, seed)
-        return np.asarray(seen.mean(axis=1))
-
-    def _trace_rows(self, rows: slice, seed: int) -> tuple[Array, Array, int]:
-        width = self._camera.width
-        pixels = np.arange(rows.start * width, rows.stop * width)
-        seen, hit, samples = self._trace_pixels(pixels, seed, self._background)
-        return seen.mean(axis=1).reshape(-1, width, 3), hit.mean(axis=1).reshape(-1, width), samples
-
-    def _trace_pixels(
-        self, pixels: NDArray[np.int64], seed: int, background: bool = False
-    ) -> tuple[Array, NDArray[np.bool_], int]:
-        """Radiance [N,points,3], which points show the object [N,points], samples."""
+    def points(self, pixels: NDArray[np.int64], seed: int) -> PixelPoints:
+        """The points of `pixels` [N] in the pass of this seed."""
         points = self._tracer.points
         rays = pixel_directions(self._camera, pixels, _offsets(pixels, points, seed)).reshape(-1, 3)
         keys = (pixels[:, None] * points + np.arange(points)).ravel().astype(np.uint64)
         hits = self._visibility.first_hits(self._camera.eye, rays)
-        met, missed = np.flatnonzero(hits.faces >= 0), np.flatnonzero(hits.faces < 0)
-        seen = np.zeros((len(rays), 3))
-        if background:
-            seen[missed] = self._lighting.radiance(rays[missed])
-        where = hits.faces[met], hits.barycentric[met], -rays[met], keys[met]
-        seen[met], samples = self._tracer.radiance(*where, seed)
-        return seen.reshape(-1, points, 3), (hits.faces >= 0).reshape(-1, points), samples
+        return PixelPoints(rays, hits, keys, np.flatnonzero(hits.faces >= 0), points)
+
+    def _trace_rows(self, rows: slice, seed: int) -> tuple[Array, Array, int]:
+        width = self._camera.width
+        points = self.points(np.arange(rows.start * width, rows.stop * width), seed)
+        radiance, samples = self._tracer.radiance(*points.on_object(), seed)
+        seen = points.pixel_means(radiance)
+        missed = np.flatnonzero(points.hits.faces < 0)
+        if self._background and len(missed):
+            behind = np.zeros(points.rays.shape)
+            behind[missed] = self._lighting.radiance(points.rays[missed])
+            seen += behind.reshape(-1, points.points, 3).mean(axis=1)
+        coverage = (points.hits.faces >= 0).reshape(-1, width, points.points).mean(axis=2)
+        return seen.reshape(-1, width, 3), coverage, samples
+
+
+def some_of(pixels: NDArray[np.int64], count: int, seed: int) -> NDArray[np.int64]:
+    """At most `count` of `pixels`, drawn at random, in order."""
+    order = np.argsort(hashed(PIXEL_STREAM, seed, pixels), kind="stable")
+    return np.sort(pixels[order[:count]])
 
 
 def pass_seed(seed: int, number: int) -> int:
