@@ -46,7 +46,7 @@ class ReportSettings:
         return replace(
             self,
             size=min(self.size, 96),
-            spp=min(self.spp, 32),
+            spp=min(self.spp, 64),
             reference_spp=64 if self.reference_minutes is None else None,
             train_minutes=min(self.train_minutes, 0.5),
             importance_seconds=min(self.importance_seconds, 10.0),
