@@ -26,16 +26,15 @@ def even_numbers(members: NDArray[np.int64], keys: tuple[ArrayLike, ...]) -> Arr
     """Members [S] of the sequence, scrambled by each combination of integer keys [N]: numbers [N,S,3] in [0, 1)."""
     seeds = words(keys, 3)
     numbers = np.empty((len(seeds), len(members), 3))
-    _scramble(_sequence()[members], seeds, numbers)
+    _scramble(_sequence()[members], np.asarray(members, np.uint64), seeds, numbers)
     return numbers
 
 
 @compiled(nogil=True, error_model="numpy")
-def _scramble(reversed_points: Any, seeds: Any, numbers: Any) -> None:
+def _scramble(reversed_points: Any, members: Any, seeds: Any, numbers: Any) -> None:
     for n in range(seeds.shape[0]):
         for k in range(3):
             seed = np.uint32(seeds[n, k] >> np.uint64(32))
-            rest = seeds[n, k]
             for s in range(reversed_points.shape[0]):
                 # numba widens products of 32 bits to 64.
                 x = reversed_points[s, k]
@@ -45,7 +44,8 @@ def _scramble(reversed_points: Any, seeds: Any, numbers: Any) -> None:
                 x = np.uint32(x ^ np.uint32(x * _SECOND))
                 x = np.uint32(x ^ np.uint32(x * _THIRD))
                 # What lies below 32 bits is a plain random number.
-                rest = (rest ^ (rest >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9) + np.uint64(0x9E3779B97F4A7C15)
+                rest = (seeds[n, k] + members[s]) * np.uint64(0xBF58476D1CE4E5B9)
+                rest = (rest ^ (rest >> np.uint64(29))) * np.uint64(0x94D049BB133111EB)
                 fine = np.float64(rest >> np.uint64(43)) * 2.0**-21
                 numbers[n, s, k] = (np.float64(_reversed(x)) + fine) * 2.0**-32
 
@@ -70,4 +70,4 @@ def _sequence() -> NDArray[np.uint32]:
     turned = np.zeros_like(points)
     for bit in range(32):
         turned |= ((points >> np.uint32(bit)) & np.uint32(1)) << np.uint32(31 - bit)
-    return turned
+    return np.asarray(turned)

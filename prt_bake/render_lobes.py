@@ -1,7 +1,7 @@
 """The lobes of a picture's points: an importance module asked once a pixel, where its middle shows the object.
 
-Any density serves, as long as it is the one that is drawn from; within a pixel the lobe hardly changes, and asking for it
-costs as much as three evaluations of the network. Points of the other pixels, on the object's edge, are asked for
+Any density serves, as long as it is the one that is drawn from; within a pixel the lobe hardly changes, and asking for
+it costs as much as three evaluations of the network. Points of the other pixels, on the object's edge, are asked for
 each on its own.
 """
 

@@ -18,6 +18,7 @@ from prt_bake.render_state import Sums, read_checkpoint, relative_noise, write_c
 
 Array = NDArray[np.float64]
 
+SHOWS_REFLECTION = ", light reflected at the surface"
 _LEAST_PASSES = 2
 _PASSES_TO_TRUST = 8
 """Before so many passes their spread says too little for a picture to be called done."""
@@ -54,6 +55,13 @@ class Rendering:
     history: Array
     shows: str = ""
     sampling: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def negative(self) -> float:
+        """How much of the object's radiance is negative: the sum of what is below 0 over that of what is above."""
+        seen = self.image[self.coverage > 0.0].astype(np.float64)
+        above = float(np.maximum(seen, 0.0).sum())
+        return float(-np.minimum(seen, 0.0).sum()) / above if above > 0.0 else 0.0
 
     @property
     def speed(self) -> float:
@@ -107,7 +115,9 @@ class Watching:
     every: float = 10.0
 
 
-def picture_identity(lighting: Lighting, camera: Camera, seed: int, background: bool, **further: Any) -> dict[str, Any]:
+def picture_identity(
+    lighting: Lighting, camera: Camera, seed: int, background: bool, reflection: bool, **further: Any
+) -> dict[str, Any]:
     """What decides the numbers of every pass: the view, the light, the seed, and what else is given."""
     view = [camera.eye.tolist(), camera.target.tolist(), camera.up.tolist(), camera.fov]
     return {
@@ -116,6 +126,7 @@ def picture_identity(lighting: Lighting, camera: Camera, seed: int, background: 
         "camera": view,
         "seed": seed,
         "background": background,
+        "reflection": reflection,
         **further,
     }
 

@@ -2,8 +2,8 @@
 
 Both together are weighted by the balance heuristic (Veach and Guibas 1995) with the light's share times a `trust`: of n
 directions from the light and m from the lobe each counts radiance · (trust, or 1 if from the lobe) / (trust n p_light +
-m p_lobe). That is unbiased for any trust; 1 is best for independent numbers. Evenly placed ones make the smooth part of the
-integrand, which one of the two ways may have to itself, far less noisy than that.
+m p_lobe). That is unbiased for any trust; 1 is best for independent numbers. Evenly placed ones make the smooth part of
+the integrand, which one of the two ways may have to itself, far less noisy than that.
 """
 
 from dataclasses import dataclass
@@ -79,7 +79,7 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Drawn:
-    """Directions of incidence [N,S,3] of N points, the first `from_light` of them from the light, the others from the lobe.
+    """Directions of incidence [N,S,3] of N points, the first `from_light` from the light, the others from the lobe.
 
     radiance [N,S,3] that comes from there; light, lobe [N,S]: with which density each way draws them (None: not asked).
     """
@@ -91,7 +91,9 @@ class Drawn:
     from_light: int
 
     def weights(self, n: int, m: int, trust: float) -> Array:
-        """What Ŝ is multiplied by in the sum over directions [N,S,3], of which the first n and m of each way count."""
+        """What Ŝ is multiplied by in the sum over directions [N,S,3], of which the first n and m of each way
+        count.
+        """
         turn = np.arange(self.light.shape[1])
         from_light = turn < self.from_light
         factor = np.where(from_light, trust * (turn < n), 1.0 * (turn - self.from_light < m))

@@ -20,11 +20,12 @@ from prt_bake.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.network_pairs import content_hash, pair_transport
 from prt_bake.render_lobes import LobeMaker, PixelLobes
-from prt_bake.render_loop import Ending, Rendering, Watching, accumulate, picture_identity
+from prt_bake.render_loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
 from prt_bake.render_mixture import Mixture, Sampling
 from prt_bake.render_network_pass import NetworkTracer
 from prt_bake.render_pass import PassTracer
 from prt_bake.render_pilot import choose_mixture, directions_a_point, plain_mixture
+from prt_bake.render_reflection import SurfaceReflection
 from prt_bake.render_state import begun_with
 
 SHOWS = "subsurface light of the network, unscattered light left out"
@@ -45,6 +46,7 @@ def render_network(
     up: str | None = None,
     rotate: float = 0.0,
     background: bool = True,
+    reflection: bool = False,
     precision: str = "float32",
     device: str = "cpu",
     workers: int = 1,
@@ -68,14 +70,16 @@ def render_network(
             comes through), or "mis", both, mixed as a short pilot finds best. By default "mis" where there is an
             `importance` module, else "light".
         importance: an `ImportanceModule` of the network.
+        reflection: adds the light that the surface itself reflects, for the eta and the mean roughness that the
+            network's metadata say.
         precision: "float32" or "bfloat16", of the network's matrix work; device: "cpu" or "cuda".
         workers: threads; no number depends on them.
         seed, background, rotate, error, minutes, checkpoint, resume, stop, progress, preview, every: as in
             `prt_bake.render_scene`.
 
     Returns:
-        The picture, with its standard error; `sampling` says how it was sampled, `walks` counts evaluations. Directional
-        lights without size are exact, narrow ones have a direction of their own at each point.
+        The picture, with its standard error; `sampling` says how it was sampled, `walks` counts evaluations.
+        Directional lights without size are exact, narrow ones have a direction of their own at each point.
 
     Raises:
         QueryError: as `prt_bake.render_scene`; a mesh outside the network's box; "lobe" or "mis" without an importance
@@ -95,7 +99,8 @@ def render_network(
         lobes = None if by == "light" or importance is None else PixelLobes(importance, mesh, camera, visibility)
         directions = directions_a_point(spp)
         tracer = NetworkTracer(transport, mesh, lighting, plain_mixture(directions, by), lobes)
-        passes = PassTracer(mesh, lighting, camera, background, tracer, workers, visibility)
+        surface = _surface(mesh, lighting, metadata, visibility) if reflection else None
+        passes = PassTracer(mesh, lighting, camera, background, tracer, workers, visibility, surface)
         known = begun_with(checkpoint) if resume and checkpoint is not None else {}
         if "mixture" in known:
             tracer.mix(Mixture.from_json(known["mixture"]))
@@ -106,6 +111,7 @@ def render_network(
             camera,
             seed,
             background,
+            reflection,
             method=f"network {_METHOD}",
             mesh=mesh.content_hash,
             network=content_hash(network),
@@ -117,7 +123,15 @@ def render_network(
         spent = time.perf_counter() - begun
         picture = accumulate(passes, camera, seed, ending, identity, checkpoint, resume, watching, spent)
     how = {"by": by, **tracer.mixture.as_json(), "seconds before the first pass": spent, "precision": precision}
-    return replace(picture, shows=SHOWS, sampling=how)
+    return replace(picture, shows=SHOWS + (SHOWS_REFLECTION if reflection else ""), sampling=how)
+
+
+def _surface(mesh: Mesh, lighting: Lighting, metadata: dict[str, Any], visibility: Visibility) -> SurfaceReflection:
+    if "eta" not in metadata or "roughness" not in metadata:
+        raise QueryError("reflection: the model's metadata does not say eta and roughness; render without reflection")
+    return SurfaceReflection(
+        mesh, lighting, metadata["eta"], metadata["roughness"], metadata.get("normals") == "vertex", visibility
+    )
 
 
 def _way(sampling: Sampling | None, importance: LobeMaker | None) -> Sampling:

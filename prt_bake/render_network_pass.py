@@ -65,7 +65,7 @@ class NetworkTracer:
         seed: int,
         mixtures: tuple[Mixture, ...],
     ) -> tuple[Array, int]:
-        """As `radiance`, by several mixtures [M,N,3] that are parts of this tracer's own: the same directions serve all."""
+        """As `radiance`, by several mixtures [M,N,3], parts of this tracer's own: the same directions serve all."""
         total, evaluations = np.zeros((len(mixtures), len(faces), 3)), 0
         positions, normals = self._places(faces, barycentric), self._mesh.face_normals[faces]
         point_of = (keys % np.uint64(self.points)).astype(np.int64)

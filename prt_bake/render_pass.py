@@ -16,6 +16,7 @@ from formats.mesh import Mesh
 from prt_bake.camera import Camera, Hits, Visibility, pixel_directions
 from prt_bake.lighting import Lighting
 from prt_bake.randomness import hashed, uniforms
+from prt_bake.render_reflection import SurfaceReflection
 
 Array = NDArray[np.float64]
 
@@ -80,12 +81,17 @@ class PassTracer:
         tracer: ObjectTracer,
         workers: int = 1,
         visibility: Visibility | None = None,
+        reflection: SurfaceReflection | None = None,
     ) -> None:
-        """Build the camera's tree, unless it is given; blocks of rows are shared out to `workers` threads."""
+        """Build the camera's tree, unless it is given; blocks of rows are shared out to `workers` threads.
+
+        `reflection` is added to what the object's `tracer` tells.
+        """
         self.samples = tracer.samples
         self._lighting, self._camera, self._background = lighting, camera, background
         self._tracer, self._workers = tracer, workers
         self._visibility = visibility or Visibility(mesh)
+        self._reflection = reflection
 
     def trace(self, seed: int, follow: Callable[[float], None]) -> Iterator[tuple[slice, Array, Array, int]]:
         """Rows of a pass, one batch after another: (rows, radiance [R,W,3], coverage [R,W], samples).
@@ -123,6 +129,8 @@ class PassTracer:
         width = self._camera.width
         points = self.points(np.arange(rows.start * width, rows.stop * width), seed)
         radiance, samples = self._tracer.radiance(*points.on_object(), seed)
+        if self._reflection is not None:
+            radiance = radiance + self._reflection.radiance(*points.on_object(), seed)
         seen = points.pixel_means(radiance)
         missed = np.flatnonzero(points.hits.faces < 0)
         if self._background and len(missed):

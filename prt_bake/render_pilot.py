@@ -23,12 +23,13 @@ _PASSES = 8
 _LEAST_SHARE = 0.05
 _TRUSTS = (0.125, 1.0, 8.0, 64.0)
 _PILOT_SEED = 0x51107
-_PILOT_PASSES = 2
+_PILOT_PASSES = 4
 _PILOT_COST = 0.03
 """Of the picture's evaluations."""
-_PILOT_PIXELS = (64, 2048)
+_PILOT_PIXELS = (32, 1024)
+_CLEARLY = 0.8
+"""A mixture must promise at most this much of the purest ones' noise: the least of many estimates flatters."""
 _USUAL_SPP = 256
-_WAYS = ("light", "lobe")
 _LIGHT_COST, _LOBE_COST = 1.15, 1.3
 """A direction's, in evaluations of the network."""
 
@@ -49,8 +50,8 @@ def plain_mixture(directions: int, sampling: str) -> Mixture:
 def candidates(directions: int) -> list[Mixture]:
     """Mixtures with at least 5 % of each, from nearly all of the light to nearly all of the lobe.
 
-    Where it can be, the larger number is the same in all of them: evenly placed numbers lie best in powers of two, and a
-    few of them taken away cost more than those few. Each point gets a direction from the light: no lobe meets a sun.
+    The larger number is the same in all but one: evenly placed numbers lie best in powers of two, and a few of them
+    taken away cost more than those few. Each point gets a direction from the light: no lobe meets a sun.
     """
     whole = POINTS * directions
     least = max(1, int(np.ceil(_LEAST_SHARE * whole / (1.0 - _LEAST_SHARE))))
@@ -70,7 +71,7 @@ def choose_mixture(passes: PassTracer, tracer: NetworkTracer, directions: int, s
     All candidates are parts of one set of directions, which is evaluated once. `tracer` is left with that set.
     """
     choices = candidates(directions)
-    tracer.mix(Mixture(*(tuple(np.max([getattr(c, way) for c in choices], axis=0).tolist()) for way in _WAYS)))
+    tracer.mix(Mixture(_most([choice.light for choice in choices]), _most([choice.lobe for choice in choices])))
     covered = passes.covered()
     budget = _PILOT_COST * len(covered) * (spp or _USUAL_SPP) / (_PILOT_PASSES * tracer.samples)
     pixels = some_of(covered, int(np.clip(budget, *_PILOT_PIXELS)), seed)
@@ -78,7 +79,14 @@ def choose_mixture(passes: PassTracer, tracer: NetworkTracer, directions: int, s
         return choices[0]
     trusted = [replace(choice, trust=trust) for choice in choices for trust in _TRUSTS]
     costs = [_LIGHT_COST * sum(choice.light) + _LOBE_COST * sum(choice.lobe) for choice in trusted]
-    return trusted[int(np.argmin(_variances(passes, tracer, pixels, seed, tuple(trusted)) * costs))]
+    noise = _variances(passes, tracer, pixels, seed, tuple(trusted)) * costs
+    purest = [len(_TRUSTS) - 1, len(trusted) - len(_TRUSTS)]
+    pure, best = min(purest, key=lambda i: noise[i]), int(np.argmin(noise))
+    return trusted[best] if noise[best] < _CLEARLY * noise[pure] else trusted[pure]
+
+
+def _most(counts: list[tuple[int, ...]]) -> tuple[int, ...]:
+    return tuple(max(of_point) for of_point in zip(*counts, strict=True))
 
 
 def _variances(

@@ -5,21 +5,24 @@ without scattering is in the picture too. Light reflected at the surface itself 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from numpy.typing import ArrayLike
 
 from formats.errors import QueryError
 from formats.scene import Scene
-from prt_bake.camera import Camera, refuse_eye_in_object
+from prt_bake.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
-from prt_bake.render_loop import Ending, Rendering, Watching, accumulate, picture_identity
+from prt_bake.render_loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
 from prt_bake.render_pass import PassTracer
+from prt_bake.render_reflection import SurfaceReflection
 from prt_bake.render_walks import WalkTracer
 from prt_bake.trainer.prepared import smooth_part
 
 __all__ = ["Rendering", "render_scene"]
 
+SHOWS = "subsurface light, unscattered light"
 _METHOD = 2
 """Raised whenever a pass sees other numbers than it did: what was begun before cannot be resumed then."""
 
@@ -34,6 +37,7 @@ def render_scene(
     up: str | None = None,
     rotate: float = 0.0,
     background: bool = True,
+    reflection: bool = False,
     error: float | None = None,
     minutes: float | None = None,
     checkpoint: Path | None = None,
@@ -50,9 +54,10 @@ def render_scene(
     true. After the same number of passes the numbers are the same whatever ended them, and depend on the seed alone.
 
     `up` overrides the scene's up axis for the sky, `rotate` turns the light (degrees, counter-clockwise seen from
-    above). The sums are kept in the file `checkpoint` now and then and when the work ends early; with `resume` they are
-    taken from there; when the work is complete the file is removed. `preview` is shown the picture so far after about
-    every `every` seconds.
+    above). With `reflection` the light that the surface itself reflects is added, which no bake and no network holds
+    (`prt_bake.reflection`). The sums are kept in the file `checkpoint` now and then and when the work ends early; with
+    `resume` they are taken from there; when the work is complete the file is removed. `preview` is shown the picture so
+    far about every `every` seconds.
 
     Raises QueryError below 2 walks a pixel, which have no error, for an eye inside the object, and for a directional
     light without size behind a smooth interface; FormatError where `resume` finds no state or another picture's.
@@ -61,19 +66,24 @@ def render_scene(
     refuse_eye_in_object(scene.mesh, camera.eye)
     lighting = as_lighting(light, up or scene.up, rotate)
     _refuse_unseen(scene, lighting)
-    tracer = PassTracer(scene.mesh, lighting, camera, background, WalkTracer(scene, lighting))
-    return accumulate(
-        tracer,
+    visibility, surface = Visibility(scene.mesh), None
+    if reflection:
+        surface = SurfaceReflection(
+            scene.mesh, lighting, scene.eta, scene.roughness, scene.normals == "vertex", visibility
+        )
+    walks = WalkTracer(scene, lighting)
+    tracer = PassTracer(scene.mesh, lighting, camera, background, walks, visibility=visibility, reflection=surface)
+    identity = picture_identity(
+        lighting,
         camera,
         seed,
-        ending,
-        picture_identity(
-            lighting, camera, seed, background, **{"method": _METHOD, "scene": scene.content_hash, "points a pass": 2}
-        ),
-        checkpoint,
-        resume,
-        Watching(progress, preview, every),
+        background,
+        reflection,
+        **{"method": _METHOD, "scene": scene.content_hash, "points a pass": walks.points},
     )
+    watching = Watching(progress, preview, every)
+    picture = accumulate(tracer, camera, seed, ending, identity, checkpoint, resume, watching)
+    return replace(picture, shows=SHOWS + (SHOWS_REFLECTION if reflection else ""))
 
 
 def _refuse_unseen(scene: Scene, lighting: Lighting) -> None:

@@ -4,44 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-import torch
-import trimesh
 from sampling import SphereCells, assert_counts_follow
+from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 
-from formats.errors import ModelError, QueryError, SceneError
-from formats.mesh import build_mesh, write_mesh
-from formats.scene import read_scene
-from prt_bake.network import NetworkSettings, load_model
-from prt_bake.trainer.fit import LearningSettings, train
+from formats.errors import QueryError
+from prt_bake.network import load_model
+from prt_bake.trainer.fit import train
 from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.queries import EDGE_SHARE, QuerySource
-from prt_bake.trainer.resume import state_path
-from prt_bake.trainer.stream import RingBuffer, StreamSettings
+from prt_bake.trainer.rows import Batch
+from prt_bake.trainer.stream import RingBuffer
 from prt_bake.trainer.validation import hold_out, noise_free_ratio
-
-SCENE = """
-[object]
-mesh = "ball.ply"
-[interface]
-eta = {eta}
-roughness = {roughness}
-[medium]
-sigma_t = 4.0
-albedo = [0.9, 0.7, 0.5]
-"""
-SMALL = NetworkSettings(
-    features=32, feature_mean=0.0, feature_spread=0.15, width=32, layers=3, skips=((1, 3),), directions="cartesian"
-)
-STREAM = StreamSettings(queries_a_batch=512, capacity=1 << 15)
-LEARNING = LearningSettings(batch=1024, rate=1e-2, bfloat16=False, held_out_queries=128, held_out_walks=64)
-
-
-def make_scene(folder, eta=1.0, roughness=0.0):
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    stretched = np.asarray(ball.vertices) * [1.0, 0.5, 2.0]
-    write_mesh(build_mesh(stretched, np.asarray(ball.faces)), folder / "ball.ply")
-    (folder / "scene.toml").write_text(SCENE.format(eta=eta, roughness=roughness))
-    return read_scene(folder / "scene.toml")
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +25,6 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope="module")
 def queries(scene):
     return QuerySource(prepare(scene), 6, seed=3).draw(0, 20_000)
-
-
-def learnt(scene, steps, **more):
-    return train(scene, steps=steps, settings=SMALL, stream=STREAM, learning=LEARNING, seed=1, **more)
 
 
 def test_queries_cover_the_surface_by_area(scene, queries):
@@ -127,11 +96,13 @@ def test_a_query_depends_on_seed_and_number_alone(scene):
 def test_the_ring_keeps_the_newest():
     ring = RingBuffer(10)
     for first in (0, 6, 12):
-        ring.put(np.repeat(np.arange(first, first + 6, dtype=np.float32)[:, None], 12, axis=1))
+        numbers = np.arange(first, first + 6)
+        ring.put(Batch(np.repeat(numbers[:, None], 12, axis=1).astype(np.float32), numbers))
     assert ring.filled == 10
     assert sorted(ring.rows[:, 0]) == list(range(8, 18))
     drawn = ring.draw(1000, np.random.default_rng(0))
-    assert set(drawn[:, 0]) == set(range(8, 18))
+    assert set(drawn.rows[:, 0]) == set(range(8, 18))
+    np.testing.assert_array_equal(drawn.rows[:, 0], drawn.numbers)
 
 
 def test_the_reference_noise_is_taken_out():
@@ -161,18 +132,6 @@ def test_training_learns(scene, tmp_path):
     )
 
 
-def test_a_run_goes_on_where_it_stopped(scene, tmp_path):
-    output = tmp_path / "m.pt"
-    learnt(scene, 60, output=output)
-    state = torch.load(state_path(output), weights_only=True)
-    longer = learnt(scene, 100, output=output, resume=True)
-    training = longer.metadata["training"]
-    assert state["step"] == 60
-    assert training["steps"] == 100
-    assert training["walks"] > state["walks"]
-    assert training["seconds"] > state["seconds"]
-
-
 def test_ctrl_c_keeps_what_was_learnt(scene, tmp_path):
     def interrupt(row):
         raise KeyboardInterrupt
@@ -188,25 +147,6 @@ def test_ctrl_c_keeps_what_was_learnt(scene, tmp_path):
     )
     assert network.metadata["training"]["steps"] > 0
     assert load_model(tmp_path / "m.pt").metadata["training"]["seconds"] < 30
-
-
-def test_resuming_needs_a_sound_state_of_the_same_scene(scene, tmp_path):
-    output = tmp_path / "m.pt"
-    with pytest.raises(ModelError, match=r"m\.train\.pt: not found"):
-        learnt(scene, 10, output=output, resume=True)
-    state_path(output).write_bytes(b"not a state")
-    with pytest.raises(ModelError, match="not a readable training state"):
-        learnt(scene, 10, output=output, resume=True)
-    torch.save({"scene": "another"}, state_path(output))
-    with pytest.raises(ModelError, match="belongs to another scene"):
-        learnt(scene, 10, output=output, resume=True)
-    with pytest.raises(QueryError, match="resume needs the output"):
-        learnt(scene, 10, resume=True)
-
-
-def test_a_smooth_interface_is_refused_with_the_reason(tmp_path):
-    with pytest.raises(SceneError, match="smooth interface is not supported"):
-        learnt(make_scene(tmp_path, eta=1.4), 10)
 
 
 def test_a_loss_that_is_not_finite_stops_the_run(scene):

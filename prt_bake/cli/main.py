@@ -45,6 +45,8 @@ for name, command in COMMANDS.items():
     app.command(name, no_args_is_help=name != "demo")(command)
 app.add_typer(report, name="report")
 
+app.add_typer(report, name="report")
+
 INTERRUPTED = 130  # what typer makes of a KeyboardInterrupt that no command has caught
 
 

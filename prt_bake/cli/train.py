@@ -46,7 +46,7 @@ def train(
             show(
                 row.share,
                 f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
-                f"{row.values_per_second:,.0f} samples/s, {row.walks_per_second:,.0f} walks/s",
+                f"{row.queries_per_second:,.0f} queries/s, {row.walks_per_second:,.0f} walks/s",
             )
             if stop():
                 raise KeyboardInterrupt

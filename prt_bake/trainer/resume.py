@@ -7,6 +7,8 @@ from typing import Any
 from formats.errors import ModelError
 from formats.whole import replacing
 
+_VERSION = 2
+
 
 def state_path(output: str | Path) -> Path:
     """Where the state of the run that writes `output` lies."""
@@ -15,17 +17,21 @@ def state_path(output: str | Path) -> Path:
 
 
 def write_state(output: str | Path, state: dict[str, Any]) -> None:
-    """Write the state, whole or not at all."""
+    """Write the state, whole or not at all; it holds `scene`, and in `begun` all that a run keeps to its end."""
     import torch
 
     content = io.BytesIO()
-    torch.save(state, content)
+    torch.save({"version": _VERSION, **state}, content)
     with replacing(state_path(output)) as part:
         part.write_bytes(content.getvalue())
 
 
-def read_state(output: str | Path, scene_hash: str) -> dict[str, Any]:
-    """Read the state; raises ModelError where there is none, where it is damaged or where it is of another scene."""
+def read_state(output: str | Path, scene_hash: str, begun: dict[str, Any]) -> dict[str, Any]:
+    """Read the state of a run that was begun with the same scene and with `begun`.
+
+    Raises ModelError where there is none, where it is damaged, and where it is of another scene or begun otherwise,
+    saying in what.
+    """
     import torch
 
     path = state_path(output)
@@ -33,7 +39,7 @@ def read_state(output: str | Path, scene_hash: str) -> dict[str, Any]:
         raise ModelError(f"{path}: not found; there is nothing to resume, train without --resume")
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        found = state["scene"]
+        found, version = state["scene"], state.get("version")
     except Exception as fault:
         raise ModelError(
             f"{path}: not a readable training state ({type(fault).__name__}); train without --resume"
@@ -42,4 +48,12 @@ def read_state(output: str | Path, scene_hash: str) -> dict[str, Any]:
         raise ModelError(
             f"{path}: belongs to another scene (the mesh, medium or interface changed); train without --resume"
         )
+    if version != _VERSION:
+        raise ModelError(f"{path}: is of version {version!r}, expected {_VERSION}; train without --resume")
+    for name, value in begun.items():
+        if state["begun"].get(name) != value:
+            raise ModelError(
+                f"{path}: was begun with {name} {state['begun'].get(name)!r}, asked for is {value!r}; "
+                "ask for the same, or train without --resume"
+            )
     return state

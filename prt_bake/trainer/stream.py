@@ -1,102 +1,101 @@
-"""The renderer beside the learner: a thread that walks all the time and a bounded buffer that hands its values over.
+"""The renderer beside the learner: a thread that walks all the time and a bounded buffer that hands its rows over.
 
-The buffer is a ring. The renderer overwrites the oldest values, the learner draws at random from what is there:
-neither waits for the other, but for the first fill.
+The buffer is a ring. The renderer overwrites the oldest rows, the learner draws at random from what is there: neither
+waits for the other, but for the first fill. How often rows are drawn anew, or overwritten before they were drawn, is
+what `Done.rows` against the rows drawn says.
 """
 
 import threading
 import time
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.prepared import PreparedScene
-from prt_bake.trainer.queries import Queries, QuerySource
+from prt_bake.trainer.rows import Batch, Done, RowWalks, StreamSettings, render
 
-
-@dataclass(frozen=True)
-class StreamSettings:
-    """How the renderer asks; chosen by measured error after equal time (`make bench`)."""
-
-    queries_a_batch: int = 4096
-    directions: int = 8
-    walks: int = 1
-    connections: int = 4
-    capacity: int = 1 << 20
-    """Values that the buffer holds."""
+__all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
 
 
 class RingBuffer:
-    """Values Ŝ [M,3] with their queries, float32: incident [M,3], positions [M,3] relative to the box, outgoing
-    [M,3].
-    """
+    """Rows with the numbers of their queries; see `prt_bake.trainer.rows`."""
 
     def __init__(self, capacity: int) -> None:
-        """Room for `capacity` values."""
-        self.rows = np.zeros((capacity, 12), np.float32)
+        """Room for `capacity` rows of any width, which the first ones decide."""
+        self._capacity = capacity
+        self.rows = np.zeros((0, 0), np.float32)
+        self.numbers: NDArray[np.int64] = np.zeros(capacity, np.int64)
         self.filled = 0
         self._next = 0
         self._lock = threading.Lock()
 
-    def put(self, rows: NDArray[np.float32]) -> None:
-        """Append rows [M,12], over the oldest ones where there is no room."""
-        capacity = len(self.rows)
+    def put(self, batch: Batch) -> None:
+        """Append rows, over the oldest ones where there is no room."""
+        capacity = self._capacity
         with self._lock:
-            at = (self._next + np.arange(len(rows))) % capacity
-            self.rows[at] = rows
-            self._next = int((self._next + len(rows)) % capacity)
-            self.filled = min(capacity, self.filled + len(rows))
+            if not len(self.rows):
+                self.rows = np.zeros((capacity, batch.rows.shape[1]), np.float32)
+            at = (self._next + np.arange(len(batch.rows))) % capacity
+            self.rows[at], self.numbers[at] = batch
+            self._next = int((self._next + len(batch.rows)) % capacity)
+            self.filled = min(capacity, self.filled + len(batch.rows))
 
-    def draw(self, count: int, generator: np.random.Generator) -> NDArray[np.float32]:
-        """Rows [count,12] at random, with replacement."""
+    def draw(self, count: int, generator: np.random.Generator) -> Batch:
+        """`count` rows at random, with replacement."""
         with self._lock:
-            return self.rows[generator.integers(0, self.filled, count)]
+            at = generator.integers(0, self.filled, count)
+            return Batch(self.rows[at], self.numbers[at])
 
 
 class Renderer:
-    """Walks in a thread of its own until told to stop; `buffer` holds what it found, `walks` how much it did."""
+    """Walks in a thread of its own until told to stop."""
 
     def __init__(
-        self,
-        prepared: PreparedScene,
-        box_min: NDArray[np.float64],
-        box_side: float,
-        settings: StreamSettings,
-        seed: int,
-        first: int,
-        threads: int,
+        self, walks: RowWalks, settings: StreamSettings, threads: int, least: int, state: dict[str, int] | None = None
     ) -> None:
-        """Begin at query number `first`; `threads` cores are taken for the walks."""
+        """`threads` cores are taken for the walks; `start` waits for `least` rows; `state` is another's, to go on."""
+        begun = state or {"next_query": 0, "walks": 0, "rows": 0}
+        self.exits = walks.exits
         self.buffer = RingBuffer(settings.capacity)
-        self.settings = settings
-        self.next_query = first
-        self.walks = 0
-        self.values = 0
-        self.fault: BaseException | None = None
-        self._prepared, self._seed, self._threads = prepared, seed, threads
-        self._box_min, self._box_side = box_min, box_side
-        self._source = QuerySource(prepared, settings.directions, seed)
+        self._walks, self._settings, self._threads = walks, settings, threads
+        self._least = min(least, settings.capacity)
+        self._next_query, self._walked, self._rows = begun["next_query"], begun["walks"], begun["rows"]
+        self._walking = 0.0
+        self._fault: BaseException | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="prtbake-renderer", daemon=True)
 
-    def start(self, least: int) -> None:
-        """Start walking and return when the buffer holds `least` values; raises what broke the thread."""
+    def start(self) -> None:
+        """Start walking and return when the buffer holds enough to draw from; raises what broke the thread."""
         self._thread.start()
-        while self.buffer.filled < least and self._thread.is_alive():
-            time.sleep(0.01)
-        self.check()
-
-    def check(self) -> None:
-        """Raise what broke the renderer, if anything did."""
-        if self.fault is not None:
-            raise self.fault
+        while self.buffer.filled < self._least and self._thread.is_alive():
+            time.sleep(0.005)
+        self._check()
 
     def stop(self) -> None:
         """Finish the batch under way and end the thread."""
         self._stop.set()
         self._thread.join()
+
+    def draw(self, count: int, generator: np.random.Generator) -> Batch:
+        """`count` rows at random; raises what broke the thread."""
+        self._check()
+        return self.buffer.draw(count, generator)
+
+    def where(self, number: int) -> str:
+        """Words that name a query by its number."""
+        return self._walks.where(number)
+
+    def done(self) -> Done:
+        """What the thread has done so far."""
+        return Done(self._walked, self._rows, self._walking)
+
+    def state(self) -> dict[str, int]:
+        """What it takes to go on from here, with queries that were not asked yet."""
+        return {"next_query": self._next_query, "walks": self._walked, "rows": self._rows}
+
+    def _check(self) -> None:
+        if self._fault is not None:
+            raise self._fault
 
     def _run(self) -> None:
         import numba
@@ -106,51 +105,13 @@ class Renderer:
             while not self._stop.is_set():
                 self._one_batch()
         except BaseException as fault:
-            self.fault = fault
+            self._fault = fault
 
     def _one_batch(self) -> None:
-        settings = self.settings
-        queries = self._source.draw(self.next_query, settings.queries_a_batch)
-        mean = render(self._prepared, self._source, queries, settings.walks, settings.connections, self._seed)[0]
-        self.buffer.put(self._rows(queries, mean))
-        self.next_query += settings.queries_a_batch
-        self.walks += settings.queries_a_batch * settings.walks
-        self.values += mean.shape[0] * mean.shape[1]
-
-    def _rows(self, queries: Queries, mean: NDArray[np.float64]) -> NDArray[np.float32]:
-        shape = mean.shape
-        rows = np.empty((*shape[:2], 12), np.float32)
-        rows[..., 0:3] = queries.incident
-        rows[..., 3:6] = ((queries.positions - self._box_min) / self._box_side)[:, None]
-        rows[..., 6:9] = queries.outgoing[:, None]
-        rows[..., 9:12] = mean
-        return rows.reshape(-1, 12)
-
-
-def render(
-    prepared: PreparedScene, source: QuerySource, queries: Queries, walks: int, connections: int, seed: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Ŝ [N,D,3] of queries and its standard error (NaN for a single walk)."""
-    from prt_bake.trainer.kernels import sum_transport
-
-    count, directions = queries.incident.shape[:2]
-    chunks = np.stack([np.arange(count), np.zeros(count, int), np.full(count, walks)], axis=1)
-    sums = np.zeros((count, 4, directions * 3 + 4))
-    placed: tuple[Any, ...] = source.for_kernel(queries)
-    sum_transport(
-        prepared.boundary,
-        prepared.medium,
-        placed,
-        chunks,
-        queries.incident,
-        connections,
-        prepared.aims,
-        seed,
-        sums,
-    )
-    mean = sums[:, 0, :-4] / walks
-    with np.errstate(invalid="ignore", divide="ignore"):
-        error = (
-            np.sqrt(np.maximum(sums[:, 1, :-4] / walks - mean**2, 0.0) / (walks - 1)) if walks > 1 else mean * np.nan
-        )
-    return mean.reshape(count, directions, 3), error.reshape(count, directions, 3)
+        begun = time.perf_counter()
+        batch = self._walks.render(self._next_query, self._settings.queries_a_batch)
+        self._walking += time.perf_counter() - begun
+        self.buffer.put(batch)
+        self._next_query += self._settings.queries_a_batch
+        self._walked += self._settings.queries_a_batch * self._walks.walks_a_query
+        self._rows += len(batch.rows)

@@ -1,0 +1,206 @@
+"""The learner: a network, its optimiser and the running average of its weights; one step from a batch of rows."""
+
+import copy
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from formats.errors import QueryError
+from prt_bake.directions import rotations
+from prt_bake.network import NeuralBSSRDF
+from prt_bake.sphere import fibonacci
+from prt_bake.trainer.objective import Loss, of_exits, of_values
+from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
+
+Schedule = Literal["cosine", "constant", "exponential"]
+
+
+@dataclass(frozen=True)
+class LearningSettings:
+    """How the learner learns; chosen by measured error after equal time (`make bench`).
+
+    Raises QueryError where a number is out of its range.
+    """
+
+    batch: int = 512
+    """Queries a step."""
+    rate: float = 4e-3
+    schedule: Schedule = "cosine"
+    """How the rate falls over the run: along a cosine to zero, not at all, or exponentially to `last_rate` of it."""
+    last_rate: float = 0.01
+    warm_up: float = 0.02
+    """Share of the run over which the rate rises."""
+    loss: Loss = "l2"
+    floor: float = 0.01
+    """Of the relative loss: what keeps it finite in the dark, in squares of the output scale."""
+    average: bool = True
+    """Whether the model is the running average of the weights rather than the last weights."""
+    average_length: float = 0.03
+    """How far the average looks back on average, as a share of the steps so far; 0.5 is all of them alike."""
+    spread: int = 8
+    """Directions all over the sphere, a lattice turned at random, that a query of exits is asked for besides."""
+    core_share: float = 0.25
+    """Share of the cores that learns (at least one does); the others walk."""
+    checkpoint_every: float = 60.0
+    """Seconds between checkpoints."""
+    report_every: float = 2.0
+    bfloat16: bool = True
+    """Matrix work in bfloat16, weights in float32, where the processor has it."""
+    held_out_queries: int = 512
+    held_out_walks: int = 256
+
+    def __post_init__(self) -> None:
+        sound = {
+            "batch": self.batch >= 1,
+            "rate": self.rate > 0.0,
+            "schedule": self.schedule in ("cosine", "constant", "exponential"),
+            "last_rate": 0.0 < self.last_rate <= 1.0,
+            "warm_up": 0.0 <= self.warm_up <= 1.0,
+            "loss": self.loss in ("l2", "relative"),
+            "floor": self.floor > 0.0,
+            "average_length": 0.0 < self.average_length <= 0.5,
+            "spread": self.spread >= 1,
+            "core_share": 0.0 <= self.core_share < 1.0,
+            "held_out_queries": self.held_out_queries >= 1,
+            "held_out_walks": self.held_out_walks >= 2,
+        }
+        for name, fits in sound.items():
+            if not fits:
+                raise QueryError(f"learning settings: {name} cannot be {getattr(self, name)!r}")
+
+
+def rate_at(settings: LearningSettings, share: float) -> float:
+    """The learning rate after `share` of the run."""
+    share = min(1.0, share)
+    rise = min(1.0, (share + 1e-4) / max(settings.warm_up, 1e-4))
+    if settings.schedule == "constant":
+        fall = 1.0
+    elif settings.schedule == "exponential":
+        fall = settings.last_rate**share
+    else:
+        fall = 0.5 * (1.0 + math.cos(math.pi * share))
+    return settings.rate * rise * fall
+
+
+class Learner:
+    """A network on its way: `network` has the last weights, `answer` those that the model is made of."""
+
+    def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
+        """Learn on the device that the network is on."""
+        self.network, self.settings = network, settings
+        self.answer = copy.deepcopy(network) if settings.average else network
+        self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.rate, betas=(0.9, 0.99))
+        self.step = 0
+        self._device = network.frequencies.device
+        self._lattice = fibonacci(settings.spread).astype(np.float32)
+        self._bfloat16 = settings.bfloat16 and _has_bfloat16(self._device)
+
+    def learn(self, source: RowSource, batch: Batch, share: float, generator: np.random.Generator) -> float:
+        """One step from rows that `source` gave, after `share` of the run; returns the loss.
+
+        Raises QueryError where the loss is not finite, with the query that caused it; no weight is touched then.
+        """
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate_at(self.settings, share)
+        rows = torch.from_numpy(batch.rows).to(self._device)
+        each = self._from_exits(rows, generator) if source.exits else self._from_values(rows)
+        loss = each.mean()
+        value = float(loss.detach())
+        if not math.isfinite(value):
+            raise QueryError(self._fault(source, batch, each.detach().cpu().numpy(), value))
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.optimizer.step()
+        self.step += 1
+        if self.settings.average:
+            self._average()
+        return value
+
+    def state(self) -> dict[str, Any]:
+        """What `restore` needs: weights, their average, the optimiser's moments, the step."""
+        return {
+            "network": self.network.state_dict(),
+            "average": self.answer.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "step": self.step,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take up where `state` was taken."""
+        self.network.load_state_dict(state["network"])
+        self.answer.load_state_dict(state["average"] if self.settings.average else state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step = int(state["step"])
+
+    def _from_values(self, rows: Tensor) -> Tensor:
+        rays = rays_of(rows)
+        answers = self._answers(rays[..., INCIDENT], rows)
+        values = rays[..., CHANNELS] / self.network.output_scale
+        return of_values(answers, values, self.settings.loss, self.settings.floor)
+
+    def _from_exits(self, rows: Tensor, generator: np.random.Generator) -> Tensor:
+        rays = rays_of(rows)
+        everywhere = torch.from_numpy(self._turned_lattice(len(rows), generator)).to(self._device)
+        answers = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows)
+        throughput = rays[..., CHANNELS] / self.network.output_scale
+        walks = rays.shape[1]
+        return of_exits(answers[:, :walks], throughput, answers[:, walks:], self.settings.loss, self.settings.floor)
+
+    def _turned_lattice(self, count: int, generator: np.random.Generator) -> NDArray[np.float32]:
+        """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
+        turns = rotations(generator.random((count, 3))).astype(np.float32)
+        return np.asarray(np.einsum("nij,dj->ndi", turns, self._lattice, optimize=True))
+
+    def _answers(self, incident: Tensor, rows: Tensor) -> Tensor:
+        """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32."""
+        network = self.network
+        positions = network.box_min + network.box_side * rows[:, POSITION].double()
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
+            answer = network.radiance(incident, positions, rows[:, OUTGOING])
+        return answer.float() / network.output_scale
+
+    def _average(self) -> None:
+        """Move the average towards the weights, so that it weighs step s of t by about (s/t)^γ."""
+        steepness = 1.0 / self.settings.average_length - 2.0
+        share = 1.0 - (1.0 - 1.0 / self.step) ** (steepness + 1.0)
+        with torch.no_grad():
+            for mean, weights in zip(self.answer.parameters(), self.network.parameters(), strict=True):
+                mean.lerp_(weights, share)
+
+    def _fault(self, source: RowSource, batch: Batch, each: NDArray[np.float32], value: float) -> str:
+        broken = np.flatnonzero(~np.isfinite(each))
+        at = int(broken[0]) if len(broken) else int(np.argmax(np.abs(each)))
+        row = batch.rows[at].astype(np.float64)
+        rays = batch.rays[at].astype(np.float64)
+        unsound = ~np.isfinite(rays[:, CHANNELS]).all(axis=1)
+        ray = rays[np.argmax(unsound) if unsound.any() else np.argmax(np.abs(rays[:, CHANNELS]).max(axis=1))]
+        network = self.network
+        position = network.box_min.cpu().numpy() + network.box_side * row[POSITION]
+        what = "throughput" if source.exits else "value"
+        if unsound.any():
+            cause = f"its {what} is not finite: look at the scene there"
+        elif len(broken) == len(each):
+            cause = f"so is that of every other query: lower the rate ({self.settings.rate:g})"
+        else:
+            cause = f"its {what} is too far from the others: look at the scene there, or lower the rate"
+        return (
+            f"train: the loss of step {self.step} is {value}, by {source.where(int(batch.numbers[at]))}: "
+            f"position {_told(position)}, outgoing {_told(row[OUTGOING])}, incident {_told(ray[INCIDENT])}, "
+            f"{what} {_told(ray[CHANNELS])}; {cause}"
+        )
+
+
+def _has_bfloat16(device: torch.device) -> bool:
+    if device.type != "cpu":
+        return bool(torch.cuda.is_bf16_supported())
+    able = torch.cpu.get_capabilities()
+    return any(bool(able.get(name)) for name in ("avx512_bf16", "amx_bf16", "bf16"))
+
+
+def _told(vector: NDArray[np.float64]) -> str:
+    return "(" + ", ".join(f"{x:.6g}" for x in vector) + ")"

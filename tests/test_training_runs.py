@@ -1,0 +1,219 @@
+"""Runs that stop and go on, that can be repeated to the last bit, and what they say of themselves."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
+
+from formats.errors import ModelError, QueryError
+from prt_bake.trainer import cores
+from prt_bake.trainer.in_turn import InTurn, Shuffled
+from prt_bake.trainer.prepared import prepare
+from prt_bake.trainer.resume import state_path
+from prt_bake.trainer.rows import Batch, Box, Done, StreamSettings, ValueWalks
+from prt_bake.trainer.stream import Renderer
+
+EAGER = dataclasses.replace(LEARNING, report_every=0.0, checkpoint_every=0.0, held_out_queries=16, held_out_walks=16)
+
+
+class Killed(Exception):
+    """What a killed run never sees."""
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return make_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(scope="module")
+def rough_scene(tmp_path_factory):
+    return make_scene(tmp_path_factory.mktemp("rough"), eta=1.3, roughness=0.5)
+
+
+def weights(network):
+    return {name: tensor.numpy().tobytes() for name, tensor in network.state_dict().items()}
+
+
+def killed_after(scene, step, output, **more):
+    """A run whose process ends after `step`, a checkpoint after each step before it."""
+
+    def die(row):
+        if row.step >= step:
+            raise Killed
+
+    with pytest.raises(Killed):
+        learnt(scene, 24, output=output, progress=die, **more)
+
+
+def test_turns_repeat_to_the_last_bit(scene):
+    settings = {"synchronous": True, "learning": EAGER}
+    first, second = learnt(scene, 24, **settings), learnt(scene, 24, **settings)
+    assert weights(first) == weights(second)
+    assert weights(first) != weights(learnt(scene, 24, seed=2, **settings))
+
+
+@pytest.mark.parametrize("step", [1, 7, 23])
+def test_a_killed_run_in_turns_ends_with_the_same_bits(scene, tmp_path, step):
+    # 128 rows a step, 500 a block, passed over twice: the kills lie in the first block, across one, and late.
+    settings = {
+        "synchronous": True,
+        "learning": EAGER,
+        "stream": dataclasses.replace(STREAM, queries_a_batch=500, reuse=2),
+    }
+    killed_after(scene, step, tmp_path / "m.pt", **settings)
+    lost = step - torch.load(state_path(tmp_path / "m.pt"), weights_only=True)["learner"]["step"] if step > 1 else 0
+    assert 0 <= lost <= 1
+    if step == 1:
+        with pytest.raises(ModelError, match="nothing to resume"):
+            learnt(scene, 24, output=tmp_path / "m.pt", resume=True, **settings)
+        return
+    resumed = learnt(scene, 24, output=tmp_path / "m.pt", resume=True, **settings)
+    whole = learnt(scene, 24, **settings)
+    assert weights(resumed) == weights(whole)
+    for name in ("steps", "walks"):
+        assert resumed.metadata["training"][name] == whole.metadata["training"][name]
+
+
+def test_turns_do_not_depend_on_the_number_of_cores(rough_scene, monkeypatch):
+    found = []
+    for count in (1, 2):
+        monkeypatch.setattr(cores, "available", lambda count=count: count)
+        found.append(weights(learnt(rough_scene, 12, synchronous=True, learning=EAGER)))
+    assert found[0] == found[1]
+
+
+def test_turns_need_steps(scene):
+    with pytest.raises(QueryError, match="synchronous needs steps"):
+        learnt(scene, None, synchronous=True)
+
+
+@pytest.mark.parametrize(("learn", "walk"), [(0.25, (1, 3, 6, 12)), (0.5, (1, 2, 4, 8)), (0.0, (1, 3, 7, 15))])
+def test_cores_are_divided_and_never_exceeded(monkeypatch, learn, walk):
+    monkeypatch.setattr(cores, "_allowed", lambda threads: threads)
+    for count, walkers in zip((2, 4, 8, 16), walk, strict=True):
+        monkeypatch.setattr(cores, "available", lambda count=count: count)
+        assert cores.divided(learn, "cpu") == (walkers, count - walkers)
+        assert cores.divided(learn, "cuda") == (count, 1)
+    monkeypatch.setattr(cores, "available", lambda: 1)
+    assert cores.divided(learn, "cpu") == (1, 1)
+
+
+def test_an_unknown_device_is_refused(scene):
+    assert cores.chosen_device("cpu") == "cpu"
+    assert cores.chosen_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
+    with pytest.raises(QueryError, match="'tpu' is not there"):
+        learnt(scene, 1, device="tpu")
+
+
+def test_a_run_beside_its_renderer_goes_on_where_it_stopped(scene, tmp_path):
+    output = tmp_path / "m.pt"
+    learnt(scene, 60, output=output)
+    state = torch.load(state_path(output), weights_only=True)
+    longer = learnt(scene, 100, output=output, resume=True)
+    training = longer.metadata["training"]
+    assert state["learner"]["step"] == 60
+    assert training["steps"] == 100
+    assert training["walks"] > state["source"]["walks"]
+    assert training["seconds"] > state["seconds"]
+    after = torch.load(state_path(output), weights_only=True)
+    assert after["source"]["next_query"] > state["source"]["next_query"]
+    assert after["generator"] != state["generator"]
+    moments = [state["learner"]["optimizer"]["state"][0]["step"], after["learner"]["optimizer"]["state"][0]["step"]]
+    assert moments == [60, 100]
+    assert len(after["history"]) > len(state["history"])
+
+
+def test_a_killed_run_beside_its_renderer_loses_a_checkpoint_at_most(scene, tmp_path):
+    output = tmp_path / "m.pt"
+    killed_after(scene, 9, output, learning=EAGER)
+    assert torch.load(state_path(output), weights_only=True)["learner"]["step"] == 8
+    assert learnt(scene, 24, output=output, resume=True).metadata["training"]["steps"] == 24
+
+
+def test_resuming_needs_a_sound_state_of_the_same_run(scene, tmp_path):
+    output = tmp_path / "m.pt"
+    with pytest.raises(ModelError, match=r"m\.train\.pt: not found"):
+        learnt(scene, 10, output=output, resume=True)
+    state_path(output).write_bytes(b"not a state")
+    with pytest.raises(ModelError, match="not a readable training state"):
+        learnt(scene, 10, output=output, resume=True)
+    torch.save({"scene": "another"}, state_path(output))
+    with pytest.raises(ModelError, match="belongs to another scene"):
+        learnt(scene, 10, output=output, resume=True)
+    torch.save({"scene": scene.content_hash}, state_path(output))
+    with pytest.raises(ModelError, match="is of version None"):
+        learnt(scene, 10, output=output, resume=True)
+    with pytest.raises(QueryError, match="resume needs the output"):
+        learnt(scene, 10, resume=True)
+    learnt(scene, 2, output=output, learning=EAGER)
+    with pytest.raises(ModelError, match="begun with seed 1, asked for is 2"):
+        learnt(scene, 10, output=output, resume=True, seed=2)
+    with pytest.raises(ModelError, match="begun with network width 32, asked for is 16"):
+        learnt(scene, 10, output=output, resume=True, settings=dataclasses.replace(SMALL, width=16))
+    with pytest.raises(ModelError, match="begun with synchronous False"):
+        learnt(scene, 10, output=output, resume=True, synchronous=True)
+
+
+def test_lines_of_progress_say_who_waited_and_who_walked(scene):
+    beside, in_turn = [], []
+    lively = dataclasses.replace(EAGER, report_every=0.02)
+    learnt(scene, 40, progress=beside.append, learning=lively)
+    learnt(scene, 40, progress=in_turn.append, learning=lively, synchronous=True)
+    for rows in (beside, in_turn):
+        assert rows[-1].step == 40
+        assert rows[-1].share == 1.0
+        assert all(0.0 <= row.waited <= 1.0 and 0.0 <= row.walking <= 1.0 for row in rows)
+        assert [row.walks for row in rows] == sorted(row.walks for row in rows)
+        assert rows[-1].walks > 0
+    assert beside[0].waited > 0.0  # the first fill
+    # In turns each row is learnt from once: 40 steps of 128 rows, 512 a block.
+    assert in_turn[-1].walks == 40 * 128
+
+
+def test_what_breaks_the_renderer_reaches_the_learner(scene):
+    walks = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), STREAM, seed=0)
+
+    def broken(first, count):
+        raise MemoryError("no room to walk")
+
+    walks.render = broken
+    renderer = Renderer(walks, STREAM, threads=1, least=10)
+    with pytest.raises(MemoryError, match="no room to walk"):
+        renderer.start()
+    with pytest.raises(MemoryError, match="no room to walk"):
+        renderer.draw(1, np.random.default_rng(0))
+    renderer.stop()
+
+
+def numbered(block):
+    numbers = np.arange(10) + 10 * block
+    return Batch(np.repeat(numbers[:, None], 12, axis=1).astype(np.float32), numbers)
+
+
+def test_blocks_are_passed_over_as_often_as_asked_and_shuffled_anew():
+    rows = Shuffled(numbered, rows=10, passes=3, seed=1)
+    drawn = np.concatenate([rows.draw(7).numbers for _ in range(10)])[:60].reshape(6, 10)
+    np.testing.assert_array_equal(np.sort(drawn, axis=1), np.repeat([np.arange(10), np.arange(10, 20)], 3, axis=0))
+    assert len({tuple(turn % 10) for turn in drawn}) == 6
+    forever = Shuffled(numbered, rows=10, passes=None, seed=1)
+    assert forever.draw(95).numbers.max() == 9
+
+
+def test_blocks_go_on_from_any_row():
+    whole = Shuffled(numbered, rows=10, passes=2, seed=1).draw(50)
+    rest = Shuffled(numbered, rows=10, passes=2, seed=1, drawn=33).draw(17)
+    np.testing.assert_array_equal(whole.numbers[33:], rest.numbers)
+    np.testing.assert_array_equal(whole.rows[33:], rest.rows)
+
+
+def test_a_block_made_again_is_not_walked_twice(scene):
+    settings = StreamSettings(queries_a_batch=8, directions=2, walks=3)
+    walks = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), settings, seed=0)
+    source = InTurn(walks, settings, threads=1, seed=0)
+    source.draw(20, np.random.default_rng(0))
+    assert source.done()[:2] == Done(72, 24, 0.0)[:2]
+    again = InTurn(walks, settings, threads=1, seed=0, state=source.state())
+    again.draw(4, np.random.default_rng(0))
+    assert again.done()[:2] == (72, 24)
