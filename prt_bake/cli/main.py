@@ -43,7 +43,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 for name, command in COMMANDS.items():
     app.command(name, no_args_is_help=name != "demo")(command)
-app.add_typer(report, name="report")
 
 app.add_typer(report, name="report")
 
