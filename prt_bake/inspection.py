@@ -25,8 +25,8 @@ SUFFIXES = {
 
 
 def kind_of(path: str | Path) -> str:
-    """Return "mesh", "sky", "scene", "model", "importance", "asset" or "samples", by the file's name and, of HDF5, by what
-    it says.
+    """Return "mesh", "sky", "scene", "model", "importance", "asset" or "samples", by the file's name and, of HDF5,
+    by what it says.
 
     Raises:
         StorageError: there is no such file.

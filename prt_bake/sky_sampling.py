@@ -3,8 +3,8 @@
 The density over the picture is bilinear, as the light is: with weights W [H,W] of pixels it is proportional, over
 places (u, v), to the bilinear look-up of W (columns wrap around, above the first row's centres and below the last row's
 it stays level). Over v alone it is linear between the centres of rows, along a row linear between the centres of
-columns: both are inverted exactly, v first, so that two uniform numbers become one place, and numbers that lie evenly in
-the square become places that lie evenly in the light.
+columns: both are inverted exactly, v first, so that two uniform numbers become one place, and numbers that lie evenly
+in the square become places that lie evenly in the light.
 """
 
 import math
