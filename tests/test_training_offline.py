@@ -174,5 +174,7 @@ def test_the_commands_work_together(prtbake: Run, tmp_path):
     assert prtbake("check", tmp_path / "s.h5").code == 0
     trained = prtbake("train", "scene.toml", "--samples", tmp_path / "s.h5", "-o", tmp_path / "m.pt", "--steps", 3)
     assert trained.code == 0, trained.err
+    for name in ("m.pt", "m.train.pt", "m.importance.pt", "m.report.json", "m.report.html"):
+        assert (tmp_path / name).is_file(), name
     assert "kept for testing" in trained.out
     assert "of coefficients" in trained.out
