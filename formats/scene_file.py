@@ -5,12 +5,16 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
 from formats.errors import PrtbakeError, SceneError
 from formats.scene_schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
 from formats.whole import existing
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 _EXPECTED = {
     "object": "a table [object]",
@@ -54,33 +58,61 @@ def parse_scene(path: Path) -> SceneFile:
         SceneError: no TOML, an unknown or missing key, a value of the wrong type or out of range.
         StorageError: the file is missing.
     """
+    tables = _read_tables(path)
+    try:
+        return SceneFile.model_validate(tables)
+    except ValidationError as cause:
+        raise SceneError(f"{path}: {_sentences(cause, tables)[0]}") from cause
+
+
+def find_table_faults(path: Path) -> list[str]:
+    """Every fault of the keys and ranges of a scene file, a sentence for each key; raises as `parse_scene` where there
+    are no tables at all.
+    """
+    tables = _read_tables(path)
+    try:
+        SceneFile.model_validate(tables)
+    except ValidationError as cause:
+        return [f"{path}: {sentence}" for sentence in _sentences(cause, tables)]
+    return []
+
+
+def _read_tables(path: Path) -> dict[str, Any]:
     try:
         tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
     except UnicodeDecodeError as cause:
         raise SceneError(f"{path}: is not a scene file: it is not text") from cause
     except tomllib.TOMLDecodeError as cause:
         raise SceneError(f"{path}: is not TOML: {cause}") from cause
-    try:
-        return SceneFile.model_validate(tables)
-    except ValidationError as cause:
-        raise SceneError(f"{path}: {_sentence(cause, tables)}") from cause
+    if "object" not in tables and ("directional" in tables or "sky" in tables):
+        raise SceneError(f"{path}: is a lights file, which render takes as --light; expected a scene, with [object]")
+    return tables
 
 
-def _sentence(fault: ValidationError, tables: Mapping[str, object]) -> str:
-    """Tell the first fault by its key; unknown keys come first, since a misspelt key also makes another one missing."""
+def _sentences(fault: ValidationError, tables: Mapping[str, object]) -> list[str]:
+    """Tell the faults, each key's first; unknown keys come first, since a misspelt key also makes another one
+    missing.
+    """
     errors = sorted(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
-    path, found = _located(errors[0]["loc"], tables)
-    kind, name = errors[0]["type"], str(path[-1])
+    told: dict[str, str] = {}
+    for error in errors:
+        path, found = _located(error["loc"], tables)
+        told.setdefault(".".join(str(part) for part in path), _sentence(error, path, found))
+    return list(told.values())
+
+
+def _sentence(error: "ErrorDetails", path: list[int | str], found: object) -> str:
+    kind, name = error["type"], str(path[-1])
     key = ".".join(str(part) for part in path)
     if kind == "extra_forbidden":
         known = _known_keys(path)
         close = difflib.get_close_matches(name, known, n=1)
         advice = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
         return f"{key}: unknown key; {advice}"
-    if kind == "missing" and len(path) == len(errors[0]["loc"]):
+    if kind == "missing" and len(path) == len(error["loc"]):
         return f"{key}: is missing; expected {expected(key)}"
     if kind == "value_error":
-        return f"{key}: {errors[0]['msg'].removeprefix('Value error, ')}"
+        return f"{key}: {error['msg'].removeprefix('Value error, ')}"
     return f"{key}: expected {expected(key)}, found {found!r}"
 
 

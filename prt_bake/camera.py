@@ -93,14 +93,24 @@ def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
 
     offsets [S,2], or [R,W,S,2] of each pixel's own, say where in a pixel, in [0,1)²: x to the right, y down.
     """
+    return _through(camera, np.arange(camera.height)[rows, None, None], np.arange(camera.width)[:, None], offsets)
+
+
+def pixel_directions(camera: Camera, pixels: NDArray[np.int64], offsets: Array) -> Array:
+    """Unit directions [N,S,3] of rays through `pixels` [N], numbered row by row; offsets [N,S,2] as in `directions`."""
+    rows, columns = np.divmod(pixels, camera.width)
+    return _through(camera, rows[:, None], columns[:, None], offsets)
+
+
+def _through(camera: Camera, rows: NDArray[np.int64], columns: NDArray[np.int64], offsets: Array) -> Array:
     forward = camera.target - camera.eye
     forward = forward / np.linalg.norm(forward)
     right, above = _across(forward, camera.up)
     half = np.tan(np.radians(camera.fov) / 2.0)
-    y = 1.0 - 2.0 * (np.arange(camera.height)[rows, None, None] + offsets[..., 1]) / camera.height
-    x = (2.0 * (np.arange(camera.width)[:, None] + offsets[..., 0]) / camera.width - 1.0) * camera.width / camera.height
+    y = 1.0 - 2.0 * (rows + offsets[..., 1]) / camera.height
+    x = (2.0 * (columns + offsets[..., 0]) / camera.width - 1.0) * camera.width / camera.height
     rays = forward + half * (x[..., None] * right + y[..., None] * above)
-    return np.asarray(rays / np.sqrt(np.einsum("rwsi,rwsi->rws", rays, rays))[..., None])
+    return np.asarray(rays / np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None])
 
 
 class Visibility:

@@ -45,6 +45,22 @@ def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
     return _read_safetensors(path) if suffix == ".safetensors" else _read_pt(path)
 
 
+def refuse_unsound(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
+    """Raises ModelError unless `tensors` are those named in `shapes`, of these shapes, in finite floats."""
+    for name in sorted(shapes.keys() | tensors.keys()):
+        if name not in tensors or name not in shapes:
+            state = "missing" if name in shapes else "not part of this network"
+            raise ModelError(f"{path}: tensor {name} is {state}")
+        found = tuple(tensors[name].shape)
+        if found != shapes[name]:
+            raise ModelError(f"{path}: tensor {name} has shape {found}, expected {shapes[name]}")
+        if not tensors[name].is_floating_point():
+            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected float32")
+        bad = int((~tensors[name].isfinite()).sum())
+        if bad:
+            raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite")
+
+
 def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
     try:
         with warnings.catch_warnings():

@@ -22,7 +22,7 @@ def uniform(count: int, seed: int) -> NDArray[np.float64]:
     """`count` independent unit directions [D, 3], uniform over the sphere. Raises QueryError if `count` is below 1."""
     _require_some(count)
     numbers = uniforms((UNIFORM_STREAM, seed, np.arange(count)), 2)
-    return _on_sphere(numbers[:, 0], numbers[:, 1])
+    return on_sphere(numbers[:, 0], numbers[:, 1])
 
 
 def sobol(count: int, seed: int) -> NDArray[np.float64]:
@@ -37,7 +37,7 @@ def sobol(count: int, seed: int) -> NDArray[np.float64]:
     if count > 2**SOBOL_BITS:
         raise QueryError(f"Sobol directions: expected at most 2**{SOBOL_BITS}, found {count}")
     first, second = (_scrambled(points, seed, dimension) for dimension, points in enumerate(_sobol_points(count)))
-    return _on_sphere(first, second)
+    return on_sphere(first, second)
 
 
 def fibonacci(count: int) -> NDArray[np.float64]:
@@ -49,7 +49,7 @@ def fibonacci(count: int) -> NDArray[np.float64]:
     _require_some(count)
     index = np.arange(count)
     golden_ratio = (1 + math.sqrt(5)) / 2
-    return _on_sphere((index + 0.5) / count, (index / golden_ratio) % 1)
+    return on_sphere((index + 0.5) / count, (index / golden_ratio) % 1)
 
 
 def random_rotations(count: int, seed: int) -> NDArray[np.float64]:
@@ -75,8 +75,8 @@ def rotations(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _on_sphere(height: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Area-preserving map of the unit square: z = 1 − 2·height, φ = 2π·turn."""
+def on_sphere(height: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit directions [..., 3] by the area-preserving map of the unit square: z = 1 − 2·height, φ = 2π·turn."""
     radius = 2 * np.sqrt(height * (1 - height))
     phi = 2 * math.pi * turn
     return np.stack([radius * np.cos(phi), radius * np.sin(phi), 1 - 2 * height], axis=-1)

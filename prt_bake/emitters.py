@@ -1,7 +1,8 @@
-"""Lights that walks are connected to: the discs of directional lights, and the bright part of a sky.
+"""Lights that directions are drawn from: the discs of directional lights, and skies or their bright parts.
 
-A sky is split in two pictures that sum to it, looked up in the same way: `rest`, clipped at a level, which walks find
-by leaving, and what is above it, which is drawn from in proportion to its energy. The split is therefore exact.
+For walks a sky is split in two pictures that sum to it, looked up in the same way: `rest`, clipped at a level, which
+walks find by leaving, and what is above it, which is drawn from in proportion to its energy. The split is therefore
+exact.
 """
 
 import math
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 
 from formats.lights import DirectionalLight
 from prt_bake import environment
-from prt_bake.lighting import Lighting, Sky, solid_angle
+from prt_bake.lighting import Lighting, Sky, in_disc, solid_angle
+from prt_bake.sky_sampling import draw_directions, look_up, sky_table
 from prt_bake.trainer.lit import Connections
 
 Array = NDArray[np.float64]
@@ -38,6 +40,10 @@ class Disc:
 
     def draw(self, numbers: Array) -> tuple[Array, Array]:
         """As `Emitter.draw`; the irradiance is the weight of every direction."""
+        return self.directions(numbers), np.broadcast_to(self.sun.irradiance, (len(numbers), 3))
+
+    def directions(self, numbers: Array) -> Array:
+        """Directions [N,3] from uniform numbers [N,2 or more]."""
         # 1 − cosine, which keeps its digits on the smallest disc.
         fall = numbers[:, 0] * solid_angle(self.sun) / (2.0 * math.pi)
         angle = 2.0 * math.pi * numbers[:, 1]
@@ -46,46 +52,97 @@ class Disc:
         towards = (1.0 - fall)[:, None] * self.sun.direction
         towards = towards + (sine * np.cos(angle))[:, None] * across + (sine * np.sin(angle))[:, None] * other
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
-        return towards, np.broadcast_to(self.sun.irradiance, towards.shape)
+        return np.asarray(towards)
+
+    @property
+    def power(self) -> float:
+        """Irradiance, mean over channels."""
+        return float(np.mean(self.sun.irradiance))
+
+    def look_up(self, directions: Array) -> tuple[Array, Array]:
+        """Radiance [N,3] from `directions` [N,3], and the density [N] per solid angle with which they are drawn."""
+        density = in_disc(self.sun, directions) / solid_angle(self.sun)
+        return density[:, None] * self.sun.irradiance, density
 
 
 class BrightSky:
-    """The bright part of a sky, drawn from in proportion to its energy.
+    """A sky, or the bright part of one, drawn from in proportion to its energy (`sky_sampling`).
 
-    With pixel weights W (mean over channels times the sine of the row's zenith angle) the density over the picture's
-    places (u, v) is the bilinear look-up of W over its sum: a pixel is chosen by its weight, a place about it by the
-    tent with which the look-up spreads it. Radiance over density is then smooth, whatever the picture.
+    Radiance over density is smooth, whatever the picture.
     """
 
     def __init__(self, sky: Sky) -> None:
         """Draw from all of `sky`, which must not be black."""
-        height, width = sky.image.shape[:2]
-        sines = np.sin(np.pi * (np.arange(height) + 0.5) / height)
-        self._sky = sky
-        self._weights = sky.image.mean(axis=2, dtype=np.float64) * sines[:, None]
-        self._sums = np.cumsum(self._weights.ravel())
-        self._per_place = height * width / self._sums[-1]
+        self._table = sky_table(sky.image, sky.turn @ environment.FROM_POLAR[sky.up])
+
+    @property
+    def power(self) -> float:
+        """Radiance integrated over the sphere, mean over channels."""
+        return float(self._table.down[-1]) * 2.0 * math.pi**2 / self._table.weights.size
 
     def draw(self, numbers: Array) -> tuple[Array, Array]:
-        """As `Emitter.draw`."""
-        u, v = self._places(numbers)
-        density = environment.radiance_at(self._weights[..., None], u, v) * self._per_place
-        measure = 2.0 * math.pi**2 * np.sin(math.pi * v)[:, None]
-        light = environment.radiance_at(self._sky.image, u, v) * measure
+        """As `Emitter.draw`; the first two numbers are used."""
+        directions = self.directions(numbers)
+        light, density = self.look_up(directions)
         # At the very rim of a tent both may have been rounded to 0.
-        weight = np.divide(light, density, out=np.zeros_like(light), where=density > 0.0)
-        return environment.direction_of(u, v, self._sky.up) @ self._sky.turn.T, weight
+        return directions, np.divide(light, density[:, None], out=np.zeros_like(light), where=density[:, None] > 0.0)
 
-    def _places(self, numbers: Array) -> tuple[Array, Array]:
-        height, width = self._weights.shape
-        chosen = np.searchsorted(self._sums, numbers[:, 0] * self._sums[-1], side="right")
-        row, column = np.divmod(np.minimum(chosen, height * width - 1), width)
-        beside = _tent(numbers[:, 1])
-        below = _tent(numbers[:, 2])
-        # Beyond the first and the last centres the look-up stays level: half a pixel, as much as the tent's lost half.
-        level = ((row == 0) & (below < 0.0)) | ((row == height - 1) & (below > 0.0))
-        below = np.where(level, numbers[:, 2] - 0.5, below)
-        return ((column + 0.5 + beside) / width) % 1.0, (row + 0.5 + below) / height
+    def directions(self, numbers: Array) -> Array:
+        """Directions [N,3] from uniform numbers [N,2 or more]."""
+        directions = np.empty((len(numbers), 3))
+        draw_directions(self._table, numbers, directions)
+        return directions
+
+    def look_up(self, directions: Array) -> tuple[Array, Array]:
+        """Radiance [N,3] from `directions` [N,3], and the density [N] per solid angle with which they are drawn."""
+        radiance, density = np.zeros(directions.shape), np.empty(len(directions))
+        look_up(self._table, directions, radiance, density)
+        return radiance, density
+
+
+class LightSampler:
+    """All of a lighting that has a size, drawn from in proportion to its energy, with the density of every direction.
+
+    Each sky and each disc gets the share of its irradiance (mean over channels) among all. Directional lights without
+    size are not in it. Where nothing has a size or shines, directions are uniform over the sphere.
+    """
+
+    def __init__(self, lighting: Lighting) -> None:
+        """Make the tables of its skies."""
+        discs = [Disc(sun) for sun in lighting.suns if sun.angular_diameter > 0.0]
+        emitters: list[BrightSky | Disc] = [*(BrightSky(sky) for sky in lighting.skies if sky.image.any()), *discs]
+        powers = np.array([emitter.power for emitter in emitters])
+        self._emitters = [emitter for emitter, power in zip(emitters, powers, strict=True) if power > 0.0]
+        self._shares = powers[powers > 0.0] / max(powers.sum(), np.finfo(float).tiny)
+
+    def draw(self, numbers: Array) -> Array:
+        """Directions [...,3] from uniform numbers [...,3]: the third chooses the light, the others the place in it."""
+        rows = np.ascontiguousarray(numbers, np.float64).reshape(-1, 3)
+        if not self._emitters:
+            return _on_sphere(rows).reshape(numbers.shape)
+        if len(self._emitters) == 1:
+            return self._emitters[0].directions(rows).reshape(numbers.shape)
+        chosen = np.searchsorted(np.cumsum(self._shares)[:-1], rows[:, 2], side="right")
+        directions = np.empty(rows.shape)
+        for i, emitter in enumerate(self._emitters):
+            directions[chosen == i] = emitter.directions(rows[chosen == i])
+        return directions.reshape(numbers.shape)
+
+    def density(self, directions: Array) -> Array:
+        """The density [...] per solid angle with which `directions` [...,3] are drawn."""
+        return self.look_up(directions)[1]
+
+    def look_up(self, directions: Array) -> tuple[Array, Array]:
+        """Radiance [...,3] that comes from `directions` [...,3], and the density [...] with which they are drawn."""
+        rows = np.ascontiguousarray(directions, np.float64).reshape(-1, 3)
+        radiance, density = np.zeros(rows.shape), np.zeros(len(rows))
+        for emitter, share in zip(self._emitters, self._shares, strict=True):
+            light, drawn = emitter.look_up(rows)
+            radiance += light
+            density += share * drawn
+        if not self._emitters:
+            density[:] = 0.25 / math.pi
+        return radiance.reshape(directions.shape), density.reshape(directions.shape[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +210,10 @@ def _level(grey: Array, connections: Connections) -> float | None:
     return float(levels[best]) if (1.0 + connections.cost) * variances[best] < whole else None
 
 
-def _tent(numbers: Array) -> Array:
-    """From uniform numbers, offsets in (−1, 1) whose density falls linearly from 1 at 0."""
-    low = numbers < 0.5
-    root = np.sqrt(2.0 * np.where(low, numbers, 1.0 - numbers))
-    return np.where(low, root - 1.0, 1.0 - root)
+def _on_sphere(numbers: Array) -> Array:
+    height, turn = 1.0 - 2.0 * numbers[:, 0], 2.0 * math.pi * numbers[:, 1]
+    radius = np.sqrt(np.maximum(0.0, 1.0 - height * height))
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
 
 
 def _frame(direction: Array) -> tuple[Array, Array]:

@@ -1,5 +1,5 @@
-"""What a file holds and whether it is sound, whichever of the six kinds it is: mesh, sky, scene, model, asset or
-samples.
+"""What a file holds and whether it is sound, whichever of the kinds it is: mesh, sky, scene, model, importance module,
+asset or samples.
 """
 
 from collections.abc import Callable
@@ -25,13 +25,16 @@ SUFFIXES = {
 
 
 def kind_of(path: str | Path) -> str:
-    """Return "mesh", "sky", "scene", "model", "asset" or "samples", by the file's suffix and, of HDF5, by what it says.
+    """Return "mesh", "sky", "scene", "model", "importance", "asset" or "samples", by the file's name and, of HDF5,
+    by what it says.
 
     Raises:
         StorageError: there is no such file.
         FormatError: no kind has this suffix.
     """
     suffix = existing(path).suffix.lower()
+    if suffix in SUFFIXES["model"] and Path(path).stem.endswith(".importance"):
+        return "importance"
     for kind, suffixes in SUFFIXES.items():
         if suffix in suffixes:
             return "samples" if kind == "asset" and _is_samples(path) else kind
@@ -234,6 +237,18 @@ def _describe_model(path: Path) -> dict[str, Any]:
     }
 
 
+def _describe_importance(path: Path) -> dict[str, Any]:
+    from prt_bake.importance import read_importance
+
+    module, owner = read_importance(path)
+    return {
+        "of model": owner,
+        "weights": sum(parameter.numel() for parameter in module.parameters()),
+        **{f"settings: {name}": value for name, value in module.settings.as_json().items()},
+        **module.metadata,
+    }
+
+
 def _describe_asset(path: Path) -> dict[str, Any]:
     from formats.asset import read_asset
 
@@ -289,15 +304,26 @@ def _sky_faults(path: Path) -> list[str]:
 
 def _scene_faults(path: Path) -> list[str]:
     from formats.scene import read_scene
+    from formats.scene_file import find_table_faults
 
-    read_scene(path)
-    return []
+    faults = find_table_faults(path)
+    if not faults:
+        read_scene(path)
+    return faults
 
 
 def _model_faults(path: Path) -> list[str]:
     from prt_bake.network import load_model
 
     load_model(path)
+    return []
+
+
+def _importance_faults(path: Path) -> list[str]:
+    from prt_bake.importance import load_importance, read_importance
+
+    read_importance(path)
+    load_importance(path.with_name(path.stem.removesuffix(".importance") + path.suffix))
     return []
 
 
@@ -318,6 +344,7 @@ _DESCRIBE: dict[str, Callable[[Path], dict[str, Any]]] = {
     "sky": _describe_sky,
     "scene": _describe_scene,
     "model": _describe_model,
+    "importance": _describe_importance,
     "asset": _describe_asset,
     "samples": _describe_samples,
 }
@@ -326,6 +353,7 @@ _FIND_FAULTS: dict[str, Callable[[Path], list[str]]] = {
     "sky": _sky_faults,
     "scene": _scene_faults,
     "model": _model_faults,
+    "importance": _importance_faults,
     "asset": _asset_faults,
     "samples": _samples_faults,
 }

@@ -1,8 +1,9 @@
 """The neural BSSRDF: a small network fitted to the transport function Ŝ(ωi; x, ωo) [1/sr] of one object.
 
-Input (ωi, x, ωo), in this order, each scaled as the settings say; positions become (x − box_min) / box_side in float64
-before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated skips →
-linear layer to RGB, times `output_scale`.
+Input u = (ωi, x, ωo), in this order, each scaled as the settings say; positions become (x − box_min) / box_side in
+float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated
+skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
+of ωi are appended to the inputs of the last hidden layers: what comes before them is run once for all directions.
 """
 
 import json
@@ -30,6 +31,7 @@ class NeuralBSSRDF(nn.Module):
     """Ŝ as a network; a transport for `prt.bake`, a module for the trainer."""
 
     frequencies: Tensor
+    light_frequencies: Tensor
     box_min: Tensor
 
     def __init__(
@@ -64,16 +66,22 @@ class NeuralBSSRDF(nn.Module):
                 f"found {corner.tolist()}, {self.box_side}, {self.output_scale}"
             )
         generator = torch.Generator().manual_seed(self.settings.seed)
-        deviation = torch.randn(self.settings.features, self.settings.inputs, generator=generator)
-        across = (self.settings.inputs - 3) // 2
-        deviation[:, across : across + 3] *= self.settings.position_spread
-        deviation[:, :across] *= self.settings.feature_spread
-        deviation[:, across + 3 :] *= self.settings.feature_spread
-        self.register_buffer("frequencies", self.settings.feature_mean + deviation)
+        self._draw_frequencies(generator)
         self.register_buffer("box_min", corner, persistent=False)
         self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
         self.output = nn.Linear(self.settings.width, 3)
         self._initialise(generator)
+
+    def _draw_frequencies(self, generator: torch.Generator) -> None:
+        settings = self.settings
+        spread = [settings.position_spread] * 3 + [settings.feature_spread] * settings.across
+        if not settings.trunk:
+            spread = [settings.feature_spread] * settings.across + spread
+        deviation = torch.randn(settings.features, len(spread), generator=generator) * torch.tensor(spread)
+        self.register_buffer("frequencies", settings.feature_mean + deviation)
+        if settings.trunk:
+            light = torch.randn(settings.light_features, settings.across, generator=generator)
+            self.register_buffer("light_frequencies", settings.light_spread * light)
 
     def _initialise(self, generator: torch.Generator) -> None:
         for layer in (*self.hidden, self.output):
@@ -89,19 +97,42 @@ class NeuralBSSRDF(nn.Module):
         Differentiable in the weights. Positions may be float64 and are made relative to the box before rounding.
         Runs in the dtype of the weights from the features on (autocast works).
         """
+        return self.radiance(incident[:, None], positions, outgoing)[:, 0]
+
+    def radiance(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """Ŝ [N,D,3] in 1/sr, as `forward`, for D directions of incidence a query: incident [N,D,3]."""
+        kind = self.output.weight.dtype
+        if self.settings.trunk:
+            h = self.fourier_features(self.inputs(None, positions, outgoing))[:, None]
+            light = self.light_features(incident).to(kind)
+        else:
+            wide = incident.shape
+            h = self.fourier_features(
+                self.inputs(incident, positions[:, None].expand(wide), outgoing[:, None].expand(wide))
+            )
+        h = h.to(kind)
         activations: list[Tensor] = []
-        h = self.fourier_features(self.inputs(incident, positions, outgoing)).to(self.output.weight.dtype)
         for number, layer in enumerate(self.hidden, start=1):
-            sources = [activations[source - 1] for source in self.settings.sources(number)]
-            h = layer(torch.cat((h, *sources), dim=-1) if sources else h)
+            parts = [h, *(activations[source - 1] for source in self.settings.sources(number))]
+            if 0 < self.settings.trunk < number:
+                parts.append(light)
+            h = _joined(layer, parts)
             h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
             activations.append(h)
         result: Tensor = self.output(h) * self.output_scale
         return result
 
-    def inputs(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
-        """The scaled inputs u [N, 7 or 9] in float64: incident direction, position, outgoing direction."""
-        return torch.cat((self._scale(incident), self._relative(positions), self._scale(outgoing)), dim=-1)
+    def light_features(self, incident: Tensor) -> Tensor:
+        """The Fourier features [..., 2·light_features] of directions that enter late, in float32."""
+        phase = (2.0 * torch.pi) * (self._scale(incident).float() @ self.light_frequencies.T)
+        return torch.cat((phase.cos(), phase.sin()), dim=-1)
+
+    def inputs(self, incident: Tensor | None, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """The scaled inputs u [N, 7 or 9] in float64: incident direction (unless it enters late), position, outgoing
+        direction.
+        """
+        parts = [] if incident is None else [self._scale(incident)]
+        return torch.cat((*parts, self._relative(positions), self._scale(outgoing)), dim=-1)
 
     def fourier_features(self, u: Tensor) -> Tensor:
         """[cos 2πGu, sin 2πGu] [N, 2·features] in float32, exact to a few 10⁻⁶ whatever the mean of G.
@@ -129,11 +160,17 @@ class NeuralBSSRDF(nn.Module):
     def cycles(self, part: str, vectors: ArrayLike) -> Tensor:
         """One input's share of Gu, in cycles reduced to [0, 1), float32 [..., features].
 
-        part: "incident", "positions" or "outgoing"; the shares add up to Gu modulo 1.
+        part: "incident" (only where it enters with the others), "positions" or "outgoing"; the shares add up to Gu
+        modulo 1.
         """
         values = _float64(vectors, self.frequencies.device)
-        width = 2 if self.settings.directions == "spherical" else 3
-        columns = {"incident": (0, width), "positions": (width, width + 3), "outgoing": (width + 3, 2 * width + 3)}
+        across = self.settings.across
+        before = 0 if self.settings.trunk else across
+        columns = {
+            "incident": (0, before),
+            "positions": (before, before + 3),
+            "outgoing": (before + 3, before + 3 + across),
+        }
         first, last = columns[part]
         u = self._relative(values) if part == "positions" else self._scale(values)
         return ((u @ self.frequencies[:, first:last].double().T) % 1.0).float()
@@ -141,7 +178,7 @@ class NeuralBSSRDF(nn.Module):
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
         """Ŝ [N,D,3] in 1/sr, float32: incident [D,3] shared by all queries or [N,D,3], positions [N,3], outgoing [N,3].
 
-        The plain path, row by row through `forward`; the reference for `evaluate_block`.
+        The plain path, through `radiance`; the reference for `evaluate_block`.
         """
         at = self.frequencies.device
         x, eye, light = (_float64(vectors, at) for vectors in (positions, outgoing, incident))
@@ -149,13 +186,14 @@ class NeuralBSSRDF(nn.Module):
         light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
         directions = light.shape[1]
         answer = np.empty((count, directions, 3), dtype=np.float32)
-        rows = answer.reshape(-1, 3)
+        across = min(directions, ROWS_AT_ONCE)
+        queries = max(1, ROWS_AT_ONCE // max(1, across))
         with torch.inference_mode():
-            for first in range(0, count * directions, ROWS_AT_ONCE):
-                row = torch.arange(first, min(first + ROWS_AT_ONCE, count * directions), device=at)
-                query = row // directions
-                radiance = self(light[query, row % directions], x[query], eye[query])
-                rows[first : first + ROWS_AT_ONCE] = radiance.float().cpu().numpy()
+            for n in range(0, count, queries):
+                some = slice(n, n + queries)
+                for d in range(0, directions, across):
+                    radiance = self.radiance(light[some, d : d + across], x[some], eye[some])
+                    answer[some, d : d + across] = radiance.float().cpu().numpy()
         return answer
 
     def prepared(self, precision: str = "float32", device: str = "cpu") -> FusedNetwork:
@@ -169,6 +207,21 @@ class NeuralBSSRDF(nn.Module):
         return self.prepared(device=str(self.frequencies.device)).evaluate_block(
             incident, rotation, positions, outgoing
         )
+
+
+def _joined(layer: Any, parts: list[Tensor]) -> Tensor:
+    """The layer's answer to the concatenation of `parts`, [N,1,·] and [N,D,·]; what is shared by the D is done once."""
+    if len({part.shape[1] for part in parts}) == 1:
+        return torch.as_tensor(layer(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]))
+    columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
+    shared = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] == 1]
+    own = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] > 1]
+    once, each = (
+        torch.nn.functional.linear(*(torch.cat(group, dim=-1) for group in zip(*kind, strict=True)))
+        for kind in (shared, own)
+    )
+    result: Tensor = once + (each + layer.bias)
+    return result
 
 
 def _float64(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:

@@ -3,7 +3,7 @@
 The phases of x, ωo and ωi add, so exp(i·phase) is a product of three precomputed tables: one row per (rotation,
 direction), one per vertex, one per bin. What remains per evaluation is one complex product per frequency and the
 matrix work. Rows are taken in tiles of one fixed size that stay in cache; a result therefore does not depend on how
-the vertices are cut into blocks.
+the vertices are cut into blocks. Networks that see ωi late need far less: `prt_bake.network_late`.
 
 On CPUs oneDNN's fused linear + activation is called directly: float32 `F.linear` goes to MKL, which on AMD processors
 stays at half of what the vector units can do (107 against 231 GFLOP/s on one Zen 5 core).
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
+from prt_bake.network_late import LateLayers
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -52,8 +53,9 @@ class FusedNetwork:
         layers: list[Any] = [*self.network.hidden, self.network.output]
         self._weights = [layer.weight.detach().to(self._dtype).contiguous() for layer in layers]
         self._biases = [layer.bias.detach().to(self._dtype) for layer in layers]
-        self._weights[0] = _interleave(self._weights[0], settings.features)
         self._linear: Linear = _onednn_linear if _onednn_answers(self._weights[-1]) else _plain_linear
+        self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
+        self._weights[0] = _interleave(self._weights[0], settings.features)
         self._lock = Lock()
         self._table: tuple[ArrayLike, Tensor] | None = None
 
@@ -82,9 +84,36 @@ class FusedNetwork:
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
             view = self._view_exponentials(positions, outgoing)
             for first, last in pairwise(bounds):
-                table = self._light_exponentials(incident, light[:, first:last], whole=last - first == directions)
-                self._fill(answer[:, first:last], table, chosen, view)
+                table = self._light_table(incident, light[:, first:last], whole=last - first == directions)
+                if self._late is None:
+                    self._fill(answer[:, first:last], table, chosen, view)
+                else:
+                    self._fill_late(self._late, answer[:, first:last], table, chosen, view)
         return answer.reshape(vertices, bins, directions, 3)
+
+    def _fill_late(
+        self, late: LateLayers, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor
+    ) -> None:
+        """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers."""
+        layers, _rotations, directions, width = table.shape
+        tile = max(1, self._rows // directions)
+        added = torch.empty((layers, tile, directions, width), dtype=self._dtype, device=self._device)
+        bins_at_once = max(tile, self._rows)
+        for begin in range(0, len(chosen), bins_at_once):
+            # Whole tiles of bins, whatever their number: the result must not depend on how bins are cut.
+            some = view[begin : begin + bins_at_once]
+            rows = torch.ones((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
+            rows[: len(some)] = some
+            of_bins = late.bins(torch.cat((rows.real, rows.imag), dim=1))
+            for first in range(0, len(some), tile):
+                bins = min(tile, len(some) - first)
+                for layer in range(layers):
+                    part = added[layer, :bins]
+                    torch.index_select(table[layer], 0, chosen[begin + first : begin + first + bins], out=part)
+                    part.add_(of_bins[layer, first : first + bins, None, :])
+                radiance = late.radiance(added.view(layers, tile * directions, width))
+                radiance = radiance.view(tile, directions, 3)[:bins].float() * self.network.output_scale
+                answer[begin + first : begin + first + bins] = radiance.cpu().numpy()
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
@@ -117,14 +146,22 @@ class FusedNetwork:
         along = self.network.cycles("outgoing", outgoing)
         return _exponential(at_x[:, None, :] + along).reshape(-1, along.shape[-1])
 
-    def _light_exponentials(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> Tensor:
-        """exp(i·phase) of incident directions [R,D,features]; a whole table is remembered by the array it came from."""
+    def _light_table(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> Tensor:
+        """What is known of incident directions [R,D] beforehand: exp(i·phase), or what they add to late layers; a whole
+        table is remembered by the array it came from.
+        """
         if not whole:
-            return _exponential(self.network.cycles("incident", light))
+            return self._of_light(light)
         with self._lock:
             if self._table is None or self._table[0] is not key:
-                self._table = (key, _exponential(self.network.cycles("incident", light)))
+                self._table = (key, self._of_light(light))
             return self._table[1]
+
+    def _of_light(self, light: NDArray[Any]) -> Tensor:
+        if self._late is None:
+            return _exponential(self.network.cycles("incident", light))
+        directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
+        return self._late.light_table(self.network.light_features(directions))
 
 
 def _exponential(cycles: Tensor) -> Tensor:

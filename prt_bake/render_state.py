@@ -103,6 +103,15 @@ def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any]) -> None:
         np.savez(file, head=head, **{name: getattr(sums, name) for name in _ARRAYS})
 
 
+def begun_with(path: Path) -> dict[str, Any]:
+    """What the picture of a checkpoint was begun with; empty where `read_checkpoint` will say why it cannot be read."""
+    try:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            return dict(json.loads(str(file["head"]))["identity"])
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return {}
+
+
 def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
     """The sums of an earlier run.
 

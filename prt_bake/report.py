@@ -104,10 +104,20 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
     axes = figure.add_subplot()
     axes.loglog(seconds, error, marker="o", label="estimated from a few vertices")
     axes.loglog([baked[0]], [baked[2]], marker="*", markersize=12, linestyle="", label="this bake")
-    for row in zip(seconds, error, evaluations, strict=True):
-        axes.annotate(f"{row[2]:.2g}", row[:2], xytext=(4, 6), textcoords="offset points", fontsize=8)
+    for time, level, count in zip(seconds, error, evaluations, strict=True):
+        # Below the curve, which falls: the bake lies beside it at the height of its point.
+        axes.annotate(
+            f"{float(f'{count / 1e6:.3g}'):g} M",
+            (time, level),
+            xytext=(-4, -9),
+            textcoords="offset points",
+            horizontalalignment="right",
+            verticalalignment="top",
+            fontsize=8,
+        )
+    axes.margins(0.15)
     axes.set(xlabel="seconds", ylabel="estimated relative RMSE of the coefficients")
-    axes.set_title("network evaluations at each point")
+    axes.set_title("network evaluations at each point, in millions (M)")
     axes.legend()
     axes.grid(alpha=0.3, which="both")
     with replacing(path) as part:

@@ -6,7 +6,7 @@ from rough_slab import fresnel
 from formats.scene import Scene
 from prt_bake.surface import Surface
 from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
-from prt_bake.trainer.exits import walk_exits
+from prt_bake.trainer.lit import walk_out
 from prt_bake.trainer.prepared import smooth_part
 
 ROOT = np.sqrt(4.0 * np.pi)
@@ -81,8 +81,8 @@ def into_cap(
     error = 1.3 * means.std(axis=0, ddof=1) / np.sqrt(lots)
     location = Surface(scene.mesh).locate(position[None], outgoing[None])
     keys = np.zeros(1, np.uint64)
-    where, throughput = walk_exits(scene, location.faces, location.barycentric, outgoing[None], keys, exits, 5)
-    into = throughput[0] * (where[0] @ axis > np.cos(np.radians(degrees)))[:, None]
+    walked = walk_out(scene, location.faces, location.barycentric, outgoing[None], keys, exits, 5)
+    into = walked.throughput[0] * (walked.directions[0] @ axis > np.cos(np.radians(degrees)))[:, None]
     return means.mean(axis=0), error, into.mean(axis=0), into.std(axis=0) / np.sqrt(exits)
 
 

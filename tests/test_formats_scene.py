@@ -6,7 +6,7 @@ import pytest
 from formats.errors import MeshError, PrtbakeError, SceneError, StorageError
 from formats.mesh import build_mesh, flipped, signed_volume, write_mesh
 from formats.scene import read_scene
-from prt_bake.inspection import find_remarks
+from prt_bake.inspection import find_faults, find_remarks
 
 SCENE = """
 [object]
@@ -159,6 +159,26 @@ def test_every_fault_names_its_key(folder, old, new, sentence):
     assert "\n" not in told
     for part in sentence.split(".*"):
         assert part in told
+
+
+def test_a_check_names_the_faults_of_all_keys(folder):
+    text = SCENE.replace("0.25", "7").replace("12.0", "[-1, 2]").replace("unit =", "unti =").replace("0.3", '"x"')
+    (folder / "scene.toml").write_text(text)
+    told = [
+        fault.removeprefix(f"{folder / 'scene.toml'}: ").split(":")[0] for fault in find_faults(folder / "scene.toml")
+    ]
+    assert told == ["object.unti", "interface.roughness", "medium.sigma_t", "medium.phase_g"]
+    (folder / "scene.toml").write_text(SCENE.replace("ball.ply", "none.ply"))
+    (missing,) = find_faults(folder / "scene.toml")
+    assert "none.ply: there is no such file" in missing
+    (folder / "scene.toml").write_text(SCENE)
+    assert find_faults(folder / "scene.toml") == []
+
+
+def test_a_lights_file_is_told_from_a_scene(folder):
+    (folder / "sun.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\n")
+    with pytest.raises(SceneError, match=r"sun\.toml: is a lights file, which render takes as --light"):
+        read_scene(folder / "sun.toml")
 
 
 def test_grids_out_of_range_are_told_with_count_and_place(folder):

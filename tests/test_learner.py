@@ -11,9 +11,9 @@ from small_training import LEARNING, SMALL
 from formats.errors import QueryError
 from prt_bake import sphere
 from prt_bake.network import NeuralBSSRDF
-from prt_bake.trainer.learner import Learner, LearningSettings, rate_at, uniform_directions
+from prt_bake.trainer.learner import Learner, LearningSettings, rate_at
 from prt_bake.trainer.objective import of_exits, of_values
-from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch
+from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, rays_of
 
 SPHERE = 4.0 * np.pi
 ALBEDO = np.array([0.9, 0.5, 0.1])
@@ -38,6 +38,12 @@ def answered(directions):
 def transport(directions):
     """Ŝ [M,3]: a cosine lobe about z that holds ALBEDO of the light."""
     return ALBEDO * (1.0 + 0.8 * directions[..., 2:]) / SPHERE
+
+
+def uniform_directions(count, generator):
+    """Directions [count,3], uniform over the sphere."""
+    d = generator.normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def exits(count, generator):
@@ -74,7 +80,8 @@ def weight(directions, loss, floor):
 def test_the_loss_of_exits_is_the_squared_distance_less_a_constant(loss):
     floor, count = 0.01, 200_000
     generator = np.random.default_rng(5)
-    out, anywhere = exits(count, generator), uniform_directions(2 * count, generator).reshape(count, 2, 3)
+    out = exits(3 * count, generator).reshape(count, 3, 3)
+    anywhere = uniform_directions(2 * count, generator).reshape(count, 2, 3)
     carried = np.broadcast_to(ALBEDO, out.shape)
     each = of_exits(*(torch.from_numpy(a) for a in (answered(out), carried.copy(), answered(anywhere))), loss, floor)
     at = nodes()
@@ -89,18 +96,21 @@ def test_the_loss_of_exits_is_the_squared_distance_less_a_constant(loss):
 @pytest.mark.parametrize("loss", ["l2", "relative"])
 def test_the_loss_of_values_is_the_squared_distance(loss):
     at = nodes()
-    each = of_values(torch.from_numpy(answered(at)), torch.from_numpy(transport(at)), loss, 0.01).numpy()
+    answer, truth = (torch.from_numpy(f(at).reshape(-1, 8, 3)) for f in (answered, transport))
+    each = of_values(answer, truth, loss, 0.01).numpy()
     expected = weight(at, loss, 0.01) * ((answered(at) - transport(at)) ** 2).mean(axis=1)
-    np.testing.assert_allclose(each, expected, rtol=1e-12)
+    np.testing.assert_allclose(each, expected.reshape(-1, 8).mean(axis=1), rtol=1e-12)
 
 
 def test_directions_for_the_first_term_are_uniform():
-    d = uniform_directions(100_000, np.random.default_rng(1)).astype(np.float64)
-    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1.0, atol=1e-6)
+    learner = Learner(network_with(), dataclasses.replace(LEARNING, spread=5))
+    lattices = learner._turned_lattice(100_000, np.random.default_rng(1)).astype(np.float64)
+    np.testing.assert_allclose(np.linalg.norm(lattices, axis=2), 1.0, atol=1e-6)
     basis = sphere.fibonacci(64)
-    assert np.abs(d.mean(axis=0)).max() < 4.5 / np.sqrt(3 * len(d))
-    share = np.mean(d @ basis.T > 0.9, axis=0)
-    assert np.abs(share - 0.05).max() < 5 * np.sqrt(0.05 / len(d))  # false alarm 4e-5 over 64 caps
+    for d in np.moveaxis(lattices, 1, 0):  # each on its own: together they are spread evenly
+        assert np.abs(d.mean(axis=0)).max() < 4.5 / np.sqrt(3 * len(d))
+        share = np.mean(d @ basis.T > 0.9, axis=0)
+        assert np.abs(share - 0.05).max() < 5 * np.sqrt(0.05 / len(d))  # false alarm 2e-4 over 320 caps
 
 
 def network_with(**more):
@@ -109,9 +119,11 @@ def network_with(**more):
 
 def rows_of(channels, count=64, seed=0):
     generator = np.random.default_rng(seed)
-    rows = np.empty((count, 12), np.float32)
-    rows[:, INCIDENT], rows[:, OUTGOING] = uniform_directions(count, generator), uniform_directions(count, generator)
-    rows[:, POSITION], rows[:, CHANNELS] = generator.random((count, 3)), channels
+    rows = np.empty((count, 18), np.float32)
+    rows[:, POSITION], rows[:, OUTGOING] = generator.random((count, 3)), uniform_directions(count, generator)
+    rays = rays_of(rows)
+    rays[..., INCIDENT] = uniform_directions(2 * count, generator).reshape(count, 2, 3)
+    rays[..., CHANNELS] = channels
     return Batch(rows, np.arange(100, 100 + count))
 
 
@@ -177,17 +189,16 @@ def test_a_loss_that_is_not_finite_names_its_query_and_touches_no_weight(exits, 
     network = network_with(output_scale=0.5 if value < np.inf else 1.0)
     learner = Learner(network, LEARNING)
     batch = rows_of(np.ones(3, np.float32))
-    batch.rows[17, CHANNELS] = value
-    if exits and value == 1e38:
-        batch.rows[17, CHANNELS] = 3e38
+    ray = batch.rays[17, 1]
+    ray[CHANNELS] = 3e38 if exits and value == 1e38 else value
     before = [parameter.detach().clone() for parameter in network.parameters()]
     with pytest.raises(QueryError) as fault:
         learner.learn(Rows(batch, exits), batch, 0.5, np.random.default_rng(0))
     said = str(fault.value)
     assert "query 117 on face 7" in said
     assert "position (" in said
-    for part in (OUTGOING, INCIDENT):
-        assert f"{batch.rows[17, part][0]:.6g}" in said
+    for part in (batch.rows[17, OUTGOING], ray[INCIDENT]):
+        assert f"{part[0]:.6g}" in said
     assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))
 
 

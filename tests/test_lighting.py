@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sampling import assert_counts_follow, assert_mean_is
+from sampling import SphereCells, assert_counts_follow, assert_mean_is
 
 from formats.errors import ImageError, LightError, QueryError
 from formats.image import write_image
 from formats.lights import DirectionalLight
 from prt_bake import environment
-from prt_bake.emitters import BrightSky, Disc, plan_light, split_sky
+from prt_bake.emitters import BrightSky, Disc, LightSampler, plan_light, split_sky
 from prt_bake.lighting import Lighting, Sky, in_disc, radiance, read_lighting, solid_angle
 from prt_bake.randomness import uniforms
 from prt_bake.trainer.lit import Connections
@@ -70,6 +70,68 @@ def test_draws_from_a_sky_follow_their_density(shape: tuple[int, int], up: str) 
     due = density.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
     counts = np.histogram2d(v, u, bins=(rows, columns), range=[[0, 1], [0, 1]])[0]
     assert_counts_follow(counts.ravel(), due.ravel() / due.sum())
+
+
+@pytest.mark.parametrize(("shape", "up"), [((1, 1), "y"), ((4, 1), "y"), ((5, 9), "z")])
+def test_the_density_of_a_sky_is_that_of_its_draws(shape: tuple[int, int], up: str) -> None:
+    """It integrates to 1, draws fall as it says, and the light over it is the weight of a draw."""
+    light = BrightSky(sky(*shape, up))
+    grid, energy = places(sky(*shape, up))
+    radiance, density = light.look_up(grid)
+    measure = np.repeat(2 * math.pi**2 * np.sin(math.pi * (np.arange(300) + 0.5) / 300), 600) / len(grid)
+    np.testing.assert_allclose(radiance * measure[:, None], energy, rtol=1e-6, atol=1e-12)
+    probabilities = (density * measure).reshape(12, 25, 24, 25).sum(axis=(1, 3))
+    assert probabilities.sum() == pytest.approx(1.0, abs=1e-4)
+    directions, weights = light.draw(uniforms((11, np.arange(100_000)), 3))
+    u, v = environment.pixel_of(directions @ sky(*shape, up).turn, up)
+    counts = np.histogram2d(v, u, bins=(12, 24), range=[[0, 1], [0, 1]])[0]
+    assert_counts_follow(counts.ravel(), probabilities.ravel() / probabilities.sum())
+    drawn = light.look_up(directions)
+    np.testing.assert_allclose(weights * drawn[1][:, None], drawn[0], rtol=1e-9, atol=1e-12)
+
+
+def test_a_sampler_draws_from_all_that_has_a_size() -> None:
+    """Two skies and two discs, one wide, one narrow; a light without size is left out."""
+    lights = Lighting(
+        (sky(8, 16), sky(5, 4, "z", seed=2)), (sun(diameter=60.0), sun((0.0, -0.6, 0.8)), sun(diameter=9.0))
+    )
+    sampler = LightSampler(lights)
+    directions = sampler.draw(uniforms((12, np.arange(100_000)), 3)[None])
+    assert directions.shape == (1, 100_000, 3)
+    radiance, density = sampler.look_up(directions)
+    np.testing.assert_allclose(radiance[0], lights.radiance(directions[0]), rtol=1e-6)
+    np.testing.assert_array_equal(sampler.density(directions), density)
+    for value in (lambda d: 1.0 + d[:, 0], lambda d: d[:, 1] * d[:, 2]):
+        whole = sum((energy * value(grid)[:, None]).sum(axis=0) for grid, energy in map(places, lights.skies))
+        for one in (lights.suns[0], lights.suns[2]):
+            on_disc, weight = Disc(one).draw(uniforms((13, np.arange(400_000)), 3))
+            whole = whole + (weight * value(on_disc)[:, None]).mean(axis=0)
+        seen = radiance[0] / density[0][:, None] * value(directions[0])[:, None]
+        for channel in range(3):
+            assert_mean_is(seen[:, channel], whole[channel])
+    grid, _energy = places(lights.skies[0])
+    measure = np.repeat(2 * math.pi**2 * np.sin(math.pi * (np.arange(300) + 0.5) / 300), 600) / len(grid)
+    assert (sampler.density(grid) * measure).sum() == pytest.approx(1.0, abs=5e-3)  # edges of discs cross the grid
+
+
+def test_where_nothing_shines_draws_are_uniform() -> None:
+    dark = Sky(np.zeros((2, 3, 3), np.float32), "y", np.eye(3))
+    sampler = LightSampler(Lighting((dark,), (sun(),)))
+    directions = sampler.draw(uniforms((14, np.arange(50_000)), 3))
+    np.testing.assert_array_equal(sampler.density(directions), 0.25 / math.pi)
+    cells = SphereCells(8, 16)
+    assert_counts_follow(cells.count(directions), np.full(128, 1 / 128))
+
+
+def test_a_sun_of_a_hundred_thousand_in_a_sky_weighs_evenly() -> None:
+    light = sky(64, 128)
+    light.image[20, 40] = 1e5
+    sampler = LightSampler(Lighting((light,)))
+    directions = sampler.draw(uniforms((15, np.arange(50_000)), 3))
+    radiance, density = sampler.look_up(directions)
+    weights = radiance.mean(axis=1) / density
+    assert weights.std() < 0.05 * weights.mean()
+    assert weights.max() < 3 * weights.mean()
 
 
 def test_weights_of_a_lone_pixel_hardly_vary() -> None:

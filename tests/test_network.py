@@ -95,10 +95,12 @@ def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precisi
     np.testing.assert_allclose(block.reshape(plain.shape), plain, atol=tolerance * np.abs(plain).max())
 
 
+@pytest.mark.parametrize("late", [0, 1, 2, 3])
 @pytest.mark.parametrize("activation", ["relu", "silu"])
-def test_fused_block_knows_every_setting(activation: str) -> None:
+def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
     """Odd widths, other skips and another activation; more directions than one tile or table holds."""
-    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, ((1, 3), (1, 4), (2, 4)), activation, "cartesian")  # type: ignore[arg-type]
+    skips = ((1, 3), (1, 4), (2, 4))
+    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, activation, "cartesian", light_layers=late)  # type: ignore[arg-type]
     network = NeuralBSSRDF(settings)
     rng = np.random.default_rng(5)
     incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)

@@ -17,8 +17,8 @@ from formats.mesh import Mesh, write_mesh
 from formats.scene import Scene, read_scene
 from prt_bake.surface import Surface
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-from prt_bake.trainer.exits import walk_exits
 from prt_bake.trainer.interface import fresnel
+from prt_bake.trainer.lit import walk_out
 
 HAZE = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3}
 MILK = {"sigma_t": 9.0, "albedo": [0.99, 0.8, 0.5]}
@@ -171,10 +171,8 @@ def test_a_stack_of_plates_transmits_by_the_relative_indices(tmp_path):
     cosine = 0.8
     outgoing = np.array([[0.6, 0.0, cosine]])
     location = scene_location(scene, np.array([[0.01, 0.02, 0.5]]), outgoing)
-    exits, throughput = walk_exits(
-        scene, location.faces, location.barycentric, outgoing, np.zeros(1, np.uint64), 200_000, 3
-    )
-    through = np.where(exits[0] @ -outgoing[0] > 1.0 - 1e-6, throughput[0, :, 0], 0.0)
+    exits = walk_out(scene, location.faces, location.barycentric, outgoing, np.zeros(1, np.uint64), 200_000, 3)
+    through = np.where(exits.directions[0] @ -outgoing[0] > 1.0 - 1e-6, exits.throughput[0, :, 0], 0.0)
     reflectances = []
     for before, after in zip([1.0, *etas[:-1]], etas, strict=True):
         inner = np.sqrt(1.0 - (1.0 - cosine**2) / before**2)

@@ -24,8 +24,8 @@ from formats.scene import Scene
 from prt_bake.trainer.boundary import next_face
 from prt_bake.trainer.counter import begin_stream
 from prt_bake.trainer.embree import new_ray
-from prt_bake.trainer.exits import walk_exits
 from prt_bake.trainer.kernels import _take
+from prt_bake.trainer.lit import walk_out
 from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.walk import (
     BEGUN,
@@ -108,12 +108,12 @@ def sent(scene: Scene, light: np.ndarray, eye: np.ndarray, seed: int) -> tuple[n
     queries = (keys, np.einsum("nk,nkc->nc", weights, corners), outgoing, faces, barycentric)
     solid_angle = 2.0 * np.pi * (1.0 - np.cos(np.radians(DEGREES)))
     weight = solid_angle * areas.sum() * cosine[kept] * visible(prepared.boundary, queries[1], faces, outgoing)
-    entering, throughput = (rows[:, 0] for rows in walk_exits(scene, faces, barycentric, outgoing, keys, 1, seed))
+    entering = walk_out(scene, faces, barycentric, outgoing, keys, 1, seed)
     reflected, more = np.zeros((len(keys), 3)), np.zeros((len(keys), 3))
     reflected_first(prepared.boundary, prepared.medium, queries, seed + 1000, reflected, more)
     within = np.cos(np.radians(DEGREES))
     totals = np.zeros((2, SAMPLES, 3))
-    totals[0, kept] = (weight * (entering @ light > within))[:, None] * throughput
+    totals[0, kept] = (weight * (entering.directions[:, 0] @ light > within))[:, None] * entering.throughput[:, 0]
     totals[1, kept] = (weight * (reflected @ light > within))[:, None] * more
     return totals[0], totals[1]
 

@@ -102,7 +102,7 @@ def test_a_network_learns_from_a_file(scene, file, tmp_path):
     assert error < 0.8 * constant
     assert training["test_relative_rmse"]["transport"] == pytest.approx(error, rel=0.35)
     assert training["test_relative_rmse"]["transport_noise"] > 0.1
-    assert rows[-1].reuse == pytest.approx(400 * 1024 / (6 * counts["learning"]))
+    assert rows[-1].reuse == pytest.approx(400 * 128 / counts["learning"])
     assert rows[-1].walks_per_second == 0.0
 
 

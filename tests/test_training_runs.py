@@ -1,6 +1,7 @@
 """Runs that stop and go on, that can be repeated to the last bit, and what they say of themselves."""
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def test_turns_repeat_to_the_last_bit(scene):
 
 @pytest.mark.parametrize("step", [1, 7, 23])
 def test_a_killed_run_in_turns_ends_with_the_same_bits(scene, tmp_path, step):
-    # 1024 rows a step, 4096 a block, passed over twice: the kills lie in the first block, across one, and late.
+    # 128 rows a step, 500 a block, passed over twice: the kills lie in the first block, across one, and late.
     settings = {
         "synchronous": True,
         "learning": EAGER,
@@ -89,15 +90,31 @@ def test_turns_need_steps(scene):
         learnt(scene, None, synchronous=True)
 
 
-@pytest.mark.parametrize(("learn", "walk"), [(0.25, (1, 3, 6, 12)), (0.5, (1, 2, 4, 8)), (0.0, (1, 3, 7, 15))])
-def test_cores_are_divided_and_never_exceeded(monkeypatch, learn, walk):
+@pytest.mark.parametrize(("share", "learn"), [(0.25, (1, 1, 2, 4)), (0.5, (1, 2, 4, 8)), (0.0, (1, 1, 1, 1))])
+def test_cores_are_divided_and_share_one(monkeypatch, share, learn):
     monkeypatch.setattr(cores, "_allowed", lambda threads: threads)
-    for count, walkers in zip((2, 4, 8, 16), walk, strict=True):
+    for count, learners in zip((2, 4, 8, 16), learn, strict=True):
         monkeypatch.setattr(cores, "available", lambda count=count: count)
-        assert cores.divided(learn, "cpu") == (walkers, count - walkers)
-        assert cores.divided(learn, "cuda") == (count, 1)
+        assert cores.divided(share, "cpu") == (count - learners + 1, learners)
+        assert cores.divided(share, "cuda") == (count, 1)
     monkeypatch.setattr(cores, "available", lambda: 1)
-    assert cores.divided(learn, "cpu") == (1, 1)
+    assert cores.divided(share, "cpu") == (1, 1)
+
+
+def test_a_renderer_that_is_ahead_rests(scene):
+    stream = dataclasses.replace(STREAM, queries_a_batch=64, capacity=512)
+    renderer = Renderer(ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, least=64)
+    renderer.start()
+    try:
+        while renderer.done().rows <= 256:
+            time.sleep(0.01)
+        time.sleep(0.1)
+        assert renderer.done().rows == 320  # half a buffer ahead, and the batch that went past it
+        renderer.draw(128, np.random.default_rng(0))
+        while renderer.done().rows < 448:
+            time.sleep(0.01)
+    finally:
+        renderer.stop()
 
 
 def test_an_unknown_device_is_refused(scene):
@@ -168,8 +185,8 @@ def test_lines_of_progress_say_who_waited_and_who_walked(scene):
         assert [row.walks for row in rows] == sorted(row.walks for row in rows)
         assert rows[-1].walks > 0
     assert beside[0].waited > 0.0  # the first fill
-    # In turns each row is learnt from once: 40 steps of 1024 rows, 4096 a block of 512 queries.
-    assert in_turn[-1].walks == 40 * 1024 // 4096 * 512
+    # In turns each row is learnt from once: 40 steps of 128 rows, 512 a block.
+    assert in_turn[-1].walks == 40 * 128
 
 
 def test_what_breaks_the_renderer_reaches_the_learner(scene):
@@ -213,7 +230,7 @@ def test_a_block_made_again_is_not_walked_twice(scene):
     walks = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), settings, seed=0)
     source = InTurn(walks, settings, threads=1, seed=0)
     source.draw(20, np.random.default_rng(0))
-    assert source.done()[:2] == Done(48, 32, 0.0)[:2]
+    assert source.done()[:2] == Done(72, 24, 0.0)[:2]
     again = InTurn(walks, settings, threads=1, seed=0, state=source.state())
     again.draw(4, np.random.default_rng(0))
-    assert again.done()[:2] == (48, 32)
+    assert again.done()[:2] == (72, 24)

@@ -8,7 +8,7 @@ from scenes import make_scene, queries, sphere, unit_directions
 
 from prt_bake.surface import Surface
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-from prt_bake.trainer.exits import walk_exits
+from prt_bake.trainer.lit import walk_out
 
 
 def main() -> None:
@@ -19,7 +19,7 @@ def main() -> None:
     estimate_transport(scene, positions, outgoing, unit_directions(2, 3), 2)
     estimate_coefficients(scene, positions, outgoing, 1, 2)
     location = Surface(scene.mesh).locate(positions, outgoing)
-    walk_exits(scene, location.faces, location.barycentric, outgoing, np.arange(2, dtype=np.uint64), 2, 1)
+    walk_out(scene, location.faces, location.barycentric, outgoing, np.arange(2, dtype=np.uint64), 2, 1)
 
 
 if __name__ == "__main__":

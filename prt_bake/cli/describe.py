@@ -10,7 +10,7 @@ from prt_bake.cli.options import AsJson
 
 
 def describe(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Any file of ours, or a mesh or sky.")],
     as_json: AsJson = False,
 ) -> None:
     """Print what a mesh, sky, scene, model, asset or file of samples holds."""

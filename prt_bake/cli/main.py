@@ -14,8 +14,10 @@ from prt_bake.cli.compare import compare
 from prt_bake.cli.demo import demo
 from prt_bake.cli.describe import describe
 from prt_bake.cli.export import export
+from prt_bake.cli.importance import importance
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
+from prt_bake.cli.report import report
 from prt_bake.cli.sample import sample
 from prt_bake.cli.shade import shade
 from prt_bake.cli.train import train
@@ -33,6 +35,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "train": train,
     "sample": sample,
+    "importance": importance,
     "bake": bake,
     "light": light,
     "shade": shade,
@@ -44,6 +47,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
 }
 for name, command in COMMANDS.items():
     app.command(name, no_args_is_help=name != "demo")(command)
+
+app.add_typer(report, name="report")
 
 INTERRUPTED = 130  # what typer makes of a KeyboardInterrupt that no command has caught
 

@@ -1,13 +1,15 @@
 """`prtbake render`: a picture by Monte Carlo, without any bake."""
 
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.options import (
     IMAGE_SUFFIXES,
+    Device,
     Exposure,
     Eye,
     Mend,
@@ -17,21 +19,26 @@ from prt_bake.cli.options import (
     Seed,
     Size,
     Up,
+    optional_output,
     output_option,
 )
 from prt_bake.cli.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
-    from formats.scene import Scene
-    from prt_bake.rendering import Rendering
+    from prt_bake.render_loop import Rendering
 
-_USUAL_SPP = 64
+_USUAL_SPP = {"scene": 64, "network": 256}
 
 
 def render(
     context: typer.Context,
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="scene.toml (path traced).")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="What the camera is set up for, as in `prtbake shade`.")],
+    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (a network) or scene.toml (path traced).")],
+    mesh: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MESH", help="The model's own object; for a scene, what the camera is set up for, as in shade."
+        ),
+    ],
     light: Annotated[
         list[str],
         typer.Option(
@@ -44,9 +51,28 @@ def render(
     spp: Annotated[
         int | None,
         typer.Option(
-            min=2, help=f"Walks a pixel; {_USUAL_SPP} where neither --minutes nor --error is given.", show_default=False
+            min=2,
+            help=f"Walks a pixel ({_USUAL_SPP['scene']}), or directions of a network ({_USUAL_SPP['network']}), where "
+            "neither --minutes nor --error is given.",
+            show_default=False,
         ),
     ] = None,
+    sampling: Annotated[
+        Literal["light", "lobe", "mis"] | None,
+        typer.Option(
+            help="How directions of light are drawn for a network: where the light is bright, where the model's "
+            "importance module says that much comes through, or both (the default where there is such a module, else "
+            "light), mixed as a short pilot finds best.",
+            show_default=False,
+        ),
+    ] = None,
+    reflection: Annotated[
+        bool,
+        typer.Option(
+            "--reflection/--no-reflection",
+            help="Add the light that the surface itself reflects, which assets do not hold.",
+        ),
+    ] = False,
     minutes: Annotated[float | None, typer.Option(min=0, max=1e6, help="Stop on time.", show_default=False)] = None,
     error: Annotated[
         float | None,
@@ -58,6 +84,11 @@ def render(
         ),
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from IMAGE.render.npz beside the output.")] = False,
+    preview: Annotated[
+        Path | None,
+        optional_output("--preview", "IMAGE", "Write the picture so far here now and then.", *IMAGE_SUFFIXES),
+    ] = None,
+    every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between two previews.")] = 10.0,
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
     up: Up = None,
@@ -65,87 +96,170 @@ def render(
     exposure: Exposure = 0.0,
     mend: Mend = False,
     seed: Seed = 0,
+    device: Device = "cpu",
+    precision: Annotated[Literal["float32", "bfloat16"], typer.Option(help="Of a network's matrix work.")] = "float32",
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Threads for a network; every core.", show_default=False)
+    ] = None,
     report: ReportFile = None,
 ) -> None:
-    """Render a scene directly: the reference for baked pictures.
+    """Render a network or a scene directly; a scene's picture is the reference for all others.
 
-    Like them it shows the light from under the surface, with the sky behind the object. An .exr also holds the standard
-    error of every pixel (error.R, error.G, error.B) and the object's coverage (coverage.Y). Ctrl-C ends the work early:
-    the picture so far is written, and --resume goes on from it.
+    Like baked pictures it shows the light from under the surface, with the sky behind the object. What crosses an
+    index-matched or smooth object without scattering is in pictures of scenes alone: no network knows it. What the
+    surface reflects is added by --reflection. An .exr says what it holds (prtbake.shows), and has the standard error of
+    every pixel (error.R, error.G, error.B) and the object's coverage (coverage.Y). Radiance of a network may be
+    negative here and there; it is kept, so that errors are honest. Ctrl-C ends the work early: the picture so far is
+    written, and --resume goes on from it.
     """
     from formats.mesh import read_mesh
-    from formats.scene import read_scene
     from prt_bake import camera
     from prt_bake.lighting import read_lighting
     from prt_bake.render_state import checkpoint_path
-    from prt_bake.rendering import render_scene
-    from prt_bake.report import rendering_report, write_report
 
-    if source.suffix.lower() != ".toml":
-        raise PrtbakeError(f"{source}: rendering a network directly is not supported yet; give its scene (.toml)")
-    scene = read_scene(source)
-    lighting = read_lighting(light, up or scene.up, rotate, mend=mend, say=say)
-    view = camera.fit(read_mesh(mesh), *size, eye=eye, up=up or scene.up)
+    is_scene = source.suffix.lower() == ".toml"
+    if is_scene:
+        _refuse_network_options(sampling, device, precision)
+    surface = read_mesh(mesh)
+    opened = _open(source, surface, device)
+    sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
+    lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say)
+    view = camera.fit(surface, *size, eye=eye, up=sky_up)
     if spp is None and minutes is None and error is None:
-        spp = _USUAL_SPP
+        spp = _USUAL_SPP["scene" if is_scene else "network"]
+    texts = {"prtbake.seed": str(seed), **_identity_texts(opened, is_scene)}
     with reporting("render") as show, stopping() as stop:
-        picture = render_scene(
-            scene,
-            lighting,
-            view,
-            spp,
-            seed,
-            up=up,
-            error=error,
-            minutes=minutes,
-            checkpoint=checkpoint_path(output),
-            resume=resume,
-            stop=stop,
-            progress=lambda share: show(share, _aim(spp, minutes, error)),
-        )
+        options: dict[str, Any] = {
+            "up": up,
+            "reflection": reflection,
+            "error": error,
+            "minutes": minutes,
+            "checkpoint": checkpoint_path(output),
+            "resume": resume,
+            "stop": stop,
+            "progress": lambda share: show(share, _aim(spp, minutes, error, is_scene)),
+            "every": every,
+        }
+        if preview is not None:
+            options["preview"] = lambda so_far: _write(preview, so_far, texts, exposure)
+        if is_scene:
+            from prt_bake.rendering import render_scene
+
+            picture = render_scene(opened, lighting, view, spp, seed, **options)
+        else:
+            from prt_bake.render_network import render_network
+
+            importance = _importance(source, sampling, device)
+            options |= {"sampling": sampling, "importance": importance, "precision": precision, "device": device}
+            options["workers"] = workers or (1 if device == "cuda" else os.cpu_count() or 1)
+            picture = render_network(opened, surface, lighting, view, spp, seed, **options)
         stopped = stop() and not picture.complete
-    _write(output, picture, scene, seed, exposure)
+    _write(output, picture, texts, exposure)
+    if picture.negative > 0.001:
+        say(f"{output}: {picture.negative:.1%} of the object's radiance is below 0, as the network answers there")
     if report is not None:
-        cost = {name: getattr(picture, name) for name in ("spp", "passes", "walks", "seconds", "complete")}
-        parts = picture.image, picture.standard_error, picture.coverage, picture.history
-        write_report({"command": context.obj, "seed": seed, **cost, **rendering_report(view, *parts)}, report)
-    print(
-        f"{output}: {picture.walks:,} walks in {picture.seconds:.1f} s, "
-        f"standard error {picture.relative_noise:.2%} of the object's radiance"
-    )
+        _report(report, context.obj, seed, picture, view)
+    print(_closing(output, picture, is_scene))
     if stopped:
         raise PrtbakeError(
-            f"{output}: the rendering was stopped after {picture.spp} walks a pixel; the picture is valid and says how "
-            "noisy it is, --resume goes on"
+            f"{output}: the rendering was stopped after {picture.spp} {_unit(is_scene)} a pixel; the picture is valid "
+            "and says how noisy it is, --resume goes on"
         )
     if not picture.complete:
-        say(f"{output}: the time was up after {picture.spp} walks a pixel; --resume goes on")
+        say(f"{output}: the time was up after {picture.spp} {_unit(is_scene)} a pixel; --resume goes on")
 
 
-def _aim(spp: int | None, minutes: float | None, error: float | None) -> str:
+def _refuse_network_options(sampling: str | None, device: str, precision: str) -> None:
+    """Wrong usage: a scene is path traced in one way."""
+    for name, given in (
+        ("--sampling", sampling is not None),
+        ("--device", device != "cpu"),
+        ("--precision", precision != "float32"),
+    ):
+        if given:
+            raise typer.BadParameter(f"{name} is for networks; a scene (.toml) is path traced, leave it out")
+
+
+def _open(source: Path, surface: Any, device: str) -> Any:
+    from formats.scene import read_scene
+    from prt_bake.sources import open_source
+
+    return read_scene(source) if source.suffix.lower() == ".toml" else open_source(source, surface, device)
+
+
+def _importance(source: Path, sampling: str | None, device: str) -> Any:
+    """The model's importance module; None where it is not wanted, or not asked for and not there."""
+    from prt_bake.importance import importance_path, load_importance
+
+    if sampling == "light" or (sampling is None and not importance_path(source).is_file()):
+        return None
+    return load_importance(source, device)
+
+
+def _unit(is_scene: bool) -> str:
+    return "walks" if is_scene else "samples"
+
+
+def _aim(spp: int | None, minutes: float | None, error: float | None, is_scene: bool) -> str:
     aims = [
-        f"{spp} walks a pixel" if spp is not None else "",
+        f"{spp} {_unit(is_scene)} a pixel" if spp is not None else "",
         f"{minutes:g} minutes" if minutes is not None else "",
         f"noise {error:.2%}" if error is not None else "",
     ]
     return " or ".join(aim for aim in aims if aim)
 
 
-def _write(output: Path, picture: "Rendering", scene: "Scene", seed: int, exposure: float) -> None:
+def _closing(output: Path, picture: "Rendering", is_scene: bool) -> str:
+    how = ""
+    if not is_scene:
+        drawn = picture.sampling
+        lobe = sum(drawn["lobe"]) / (sum(drawn["light"]) + sum(drawn["lobe"]))
+        how = f", sampled by {drawn['by']}" + (f" ({lobe:.0%} from lobes)" if drawn["by"] == "mis" else "")
+    return (
+        f"{output}: {picture.walks:,} {'walks' if is_scene else 'evaluations'} in {picture.seconds:.1f} s, "
+        f"{picture.speed:.3g} {_unit(is_scene)} a pixel a second{how}, "
+        f"standard error {picture.relative_noise:.2%} of the object's radiance"
+    )
+
+
+def _report(path: Path, command: str, seed: int, picture: "Rendering", view: Any) -> None:
+    from prt_bake.report import rendering_report, write_report
+
+    names = ("spp", "passes", "walks", "seconds", "complete", "shows", "sampling")
+    cost = {name: getattr(picture, name) for name in names}
+    parts = picture.image, picture.standard_error, picture.coverage, picture.history
+    numbers = {"samples_a_pixel_a_second": picture.speed, "negative": picture.negative}
+    write_report({"command": command, "seed": seed, **cost, **numbers, **rendering_report(view, *parts)}, path)
+
+
+def _identity_texts(opened: Any, is_scene: bool) -> dict[str, str]:
+    if is_scene:
+        return {"prtbake.scene": opened.content_hash}
+    from prt_bake.network_pairs import content_hash
+
+    return {"prtbake.model": content_hash(opened)}
+
+
+def _write(output: Path, picture: "Rendering", texts: dict[str, str], exposure: float) -> None:
+    import numpy as np
+
     from formats.image import write_image
 
+    # The format of .hdr knows no negative radiance, which a network may have.
+    image = np.maximum(picture.image, 0.0) if output.suffix.lower() == ".hdr" else picture.image
     write_image(
         output,
-        picture.image,
+        image,
         exposure=exposure,
         layers={"error": picture.standard_error, "coverage": picture.coverage},
         attributes={
+            **texts,
             "prtbake.spp": str(picture.spp),
             "prtbake.passes": str(picture.passes),
             "prtbake.walks": str(picture.walks),
-            "prtbake.seed": str(seed),
             "prtbake.seconds": f"{picture.seconds:.3f}",
-            "prtbake.scene": scene.content_hash,
+            "prtbake.shows": picture.shows,
+            **({"prtbake.sampling": str(picture.sampling["by"])} if picture.sampling else {}),
             "prtbake.complete": "yes" if picture.complete else "no",
         },
     )

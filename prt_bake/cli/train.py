@@ -86,7 +86,7 @@ def train(
 def _told(row: "TrainingRow") -> str:
     return (
         f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
-        f"{row.values_per_second:,.0f} samples/s ({row.reuse:.2g} times each, {row.waited:.0%} waiting), "
+        f"{row.queries_per_second:,.0f} queries/s ({row.reuse:.2g} times each, {row.waited:.0%} waiting), "
         f"{row.walks_per_second:,.0f} walks/s ({row.walking:.0%} walking)"
     )
 

@@ -19,13 +19,13 @@ def available() -> int:
 
 
 def divided(share: float, device: str) -> Cores:
-    """The cores divided: about `share` of them learn, at least one where they do it at all; the others walk.
-
-    One core is shared by both. A graphics card that learns is fed by one thread, which hardly works: all cores walk.
+    """Threads of both: about `share` of the cores learn, at least one. The others walk, and one more: walkers rest when
+    they are ahead, and otherwise walks are what is wanting. A graphics card that learns leaves all cores to them.
     """
     cores = available()
     learners = 1 if device != "cpu" else max(1, min(cores - 1, round(cores * share)))
-    return Cores(_allowed(cores if device != "cpu" else max(1, cores - learners)), learners)
+    walkers = cores if device != "cpu" else min(cores, cores - learners + 1)
+    return Cores(_allowed(walkers), learners)
 
 
 def undivided() -> Cores:

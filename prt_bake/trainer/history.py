@@ -13,9 +13,9 @@ class TrainingRow:
     Attributes:
         seconds, step: how far the run has come, resumed or not.
         share: the same, from 0 to 1.
-        loss: mean over the steps (less a constant behind a smooth interface, where it is negative).
-        validation: relative RMSE on held-out queries, of Ŝ, or of a_lm behind a smooth interface.
-        values_per_second: rows learnt from.
+        loss: mean over the steps (less a constant behind an interface, where it is negative).
+        validation: relative RMSE on held-out queries, of Ŝ, or of a_lm behind an interface.
+        queries_per_second: rows learnt from.
         walks_per_second: walks that the renderer walked.
         walks: walks since the beginning.
         waited: share of the time that the learner waited for rows, fetching them included.
@@ -29,7 +29,7 @@ class TrainingRow:
     share: float
     loss: float
     validation: float
-    values_per_second: float
+    queries_per_second: float
     walks_per_second: float
     walks: int = 0
     waited: float = 0.0
@@ -79,7 +79,7 @@ class Meter:
             share=share,
             loss=self._loss / max(self._steps, 1),
             validation=validation,
-            values_per_second=self._rows / passed,
+            queries_per_second=self._rows / passed,
             walks_per_second=(done.walks - self._done.walks) / passed,
             walks=done.walks,
             waited=min(1.0, self._waited / passed),

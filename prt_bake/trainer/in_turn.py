@@ -60,8 +60,9 @@ class InTurn:
         self._walks, self._settings, self._threads = walks, settings, threads
         self._walking = 0.0
         self._blocks = 0 if state is None else state["blocks"]
-        rows = settings.queries_a_batch * walks.rows_a_query
-        self._shuffled = Shuffled(self._render, rows, settings.reuse, seed, 0 if state is None else state["drawn"])
+        self._shuffled = Shuffled(
+            self._render, settings.queries_a_batch, settings.reuse, seed, 0 if state is None else state["drawn"]
+        )
 
     def start(self) -> None:
         """Nothing to wait for."""
@@ -80,7 +81,7 @@ class InTurn:
     def done(self) -> Done:
         """What the walks have come to; a block that had to be made again counts once."""
         queries = self._blocks * self._settings.queries_a_batch
-        return Done(queries * self._walks.walks_a_query, queries * self._walks.rows_a_query, self._walking)
+        return Done(queries * self._walks.walks_a_query, queries, self._walking)
 
     def state(self) -> dict[str, int]:
         """What it takes to go on from here."""

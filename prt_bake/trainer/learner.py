@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
+from prt_bake.directions import rotations
 from prt_bake.network import NeuralBSSRDF
+from prt_bake.sphere import fibonacci
 from prt_bake.trainer.objective import Loss, of_exits, of_values
-from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource
+from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
 
 Schedule = Literal["cosine", "constant", "exponential"]
 
@@ -25,8 +27,9 @@ class LearningSettings:
     Raises QueryError where a number is out of its range.
     """
 
-    batch: int = 4096
-    rate: float = 2e-3
+    batch: int = 512
+    """Queries a step."""
+    rate: float = 4e-3
     schedule: Schedule = "cosine"
     """How the rate falls over the run: along a cosine to zero, not at all, or exponentially to `last_rate` of it."""
     last_rate: float = 0.01
@@ -39,8 +42,8 @@ class LearningSettings:
     """Whether the model is the running average of the weights rather than the last weights."""
     average_length: float = 0.03
     """How far the average looks back on average, as a share of the steps so far; 0.5 is all of them alike."""
-    spread: int = 1
-    """Directions drawn uniformly for each exit of a walk, behind smooth interfaces."""
+    spread: int = 8
+    """Directions all over the sphere, a lattice turned at random, that a query of exits is asked for besides."""
     core_share: float = 0.25
     """Share of the cores that learns (at least one does); the others walk."""
     checkpoint_every: float = 60.0
@@ -94,6 +97,7 @@ class Learner:
         self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.rate, betas=(0.9, 0.99))
         self.step = 0
         self._device = network.frequencies.device
+        self._lattice = fibonacci(settings.spread).astype(np.float32)
         self._bfloat16 = settings.bfloat16 and _has_bfloat16(self._device)
 
     def learn(self, source: RowSource, batch: Batch, share: float, generator: np.random.Generator) -> float:
@@ -134,26 +138,30 @@ class Learner:
         self.step = int(state["step"])
 
     def _from_values(self, rows: Tensor) -> Tensor:
-        answer = self._answers(rows[:, INCIDENT], rows)
-        value = rows[:, CHANNELS] / self.network.output_scale
-        return of_values(answer, value, self.settings.loss, self.settings.floor)
+        rays = rays_of(rows)
+        answers = self._answers(rays[..., INCIDENT], rows)
+        values = rays[..., CHANNELS] / self.network.output_scale
+        return of_values(answers, values, self.settings.loss, self.settings.floor)
 
     def _from_exits(self, rows: Tensor, generator: np.random.Generator) -> Tensor:
-        count, spread = len(rows), self.settings.spread
-        anywhere = torch.from_numpy(uniform_directions(count * spread, generator)).to(self._device)
-        answers = self._answers(
-            torch.cat((rows[:, INCIDENT], anywhere)), torch.cat((rows, rows.repeat_interleave(spread, dim=0)))
-        )
-        throughput = rows[:, CHANNELS] / self.network.output_scale
-        everywhere = answers[count:].reshape(count, spread, 3)
-        return of_exits(answers[:count], throughput, everywhere, self.settings.loss, self.settings.floor)
+        rays = rays_of(rows)
+        everywhere = torch.from_numpy(self._turned_lattice(len(rows), generator)).to(self._device)
+        answers = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows)
+        throughput = rays[..., CHANNELS] / self.network.output_scale
+        walks = rays.shape[1]
+        return of_exits(answers[:, :walks], throughput, answers[:, walks:], self.settings.loss, self.settings.floor)
+
+    def _turned_lattice(self, count: int, generator: np.random.Generator) -> NDArray[np.float32]:
+        """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
+        turns = rotations(generator.random((count, 3))).astype(np.float32)
+        return np.asarray(np.einsum("nij,dj->ndi", turns, self._lattice, optimize=True))
 
     def _answers(self, incident: Tensor, rows: Tensor) -> Tensor:
-        """The network's answers [M,3] over its output scale, in float32."""
+        """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32."""
         network = self.network
         positions = network.box_min + network.box_side * rows[:, POSITION].double()
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
-            answer: Tensor = network(incident, positions, rows[:, OUTGOING])
+            answer = network.radiance(incident, positions, rows[:, OUTGOING])
         return answer.float() / network.output_scale
 
     def _average(self) -> None:
@@ -168,10 +176,13 @@ class Learner:
         broken = np.flatnonzero(~np.isfinite(each))
         at = int(broken[0]) if len(broken) else int(np.argmax(np.abs(each)))
         row = batch.rows[at].astype(np.float64)
+        rays = batch.rays[at].astype(np.float64)
+        unsound = ~np.isfinite(rays[:, CHANNELS]).all(axis=1)
+        ray = rays[np.argmax(unsound) if unsound.any() else np.argmax(np.abs(rays[:, CHANNELS]).max(axis=1))]
         network = self.network
         position = network.box_min.cpu().numpy() + network.box_side * row[POSITION]
         what = "throughput" if source.exits else "value"
-        if not np.isfinite(row[CHANNELS]).all():
+        if unsound.any():
             cause = f"its {what} is not finite: look at the scene there"
         elif len(broken) == len(each):
             cause = f"so is that of every other query: lower the rate ({self.settings.rate:g})"
@@ -179,17 +190,9 @@ class Learner:
             cause = f"its {what} is too far from the others: look at the scene there, or lower the rate"
         return (
             f"train: the loss of step {self.step} is {value}, by {source.where(int(batch.numbers[at]))}: "
-            f"position {_told(position)}, outgoing {_told(row[OUTGOING])}, incident {_told(row[INCIDENT])}, "
-            f"{what} {_told(row[CHANNELS])}; {cause}"
+            f"position {_told(position)}, outgoing {_told(row[OUTGOING])}, incident {_told(ray[INCIDENT])}, "
+            f"{what} {_told(ray[CHANNELS])}; {cause}"
         )
-
-
-def uniform_directions(count: int, generator: np.random.Generator) -> NDArray[np.float32]:
-    """Directions [count,3], uniform over the sphere."""
-    u, v = generator.random((2, count))
-    z, turn = 1.0 - 2.0 * u, 2.0 * np.pi * v
-    r = np.sqrt(np.maximum(0.0, 1.0 - z * z))
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1).astype(np.float32)
 
 
 def _has_bfloat16(device: torch.device) -> bool:

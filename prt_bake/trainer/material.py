@@ -8,8 +8,8 @@ from prt_bake.network import NeuralBSSRDF
 from prt_bake.trainer.cores import divided, undivided
 from prt_bake.trainer.in_turn import InTurn
 from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
-from prt_bake.trainer.rows import Box, ExitWalks, RowSource, RowWalks, StreamSettings, ValueWalks
+from prt_bake.trainer.prepared import PreparedScene, prepare
+from prt_bake.trainer.rows import Box, RowSource, RowWalks, StreamSettings, row_walks
 from prt_bake.trainer.stream import Renderer
 from prt_bake.trainer.validation import Reference, final_figures, reference_for
 
@@ -54,9 +54,7 @@ class OnlineMaterial:
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
         """A renderer, its kernel compiled."""
-        smooth = smooth_part(self.scene) is not None
-        kind = ExitWalks if smooth else ValueWalks
-        walks: RowWalks = kind(self._prepared, self.box, self._stream, self._seed)
+        walks: RowWalks = row_walks(self.scene, self._prepared, self.box, self._stream, self._seed)
         walks.render(0, 1)
         if self._synchronous:
             return InTurn(walks, self._stream, undivided().walkers, self._seed, state)

@@ -1,4 +1,4 @@
-"""What the learner minimises, for rows of values and for rows of exits.
+"""What the learner minimises, for rays that are values and for rays that are exits.
 
 Both measure the squared distance between the network f and Ŝ, over all queries and directions, in units of the
 network's output scale. From values it is the mean of (f − Ŝ)². From exits it is, up to the constant ∫ Ŝ²,
@@ -21,18 +21,19 @@ _SPHERE = 4.0 * math.pi
 
 
 def of_values(answer: Tensor, value: Tensor, loss: Loss, floor: float) -> Tensor:
-    """Each row's loss [M]: answers [M,3] and values [M,3], both over the output scale."""
-    return torch.mean((answer - value) ** 2, dim=-1) * _weight(answer, loss, floor)
+    """Each query's loss [Q]: answers [Q,D,3] and values [Q,D,3], both over the output scale."""
+    return torch.mean(torch.mean((answer - value) ** 2, dim=-1) * _weight(answer, loss, floor), dim=-1)
 
 
 def of_exits(answer: Tensor, throughput: Tensor, spread: Tensor, loss: Loss, floor: float) -> Tensor:
-    """Each row's loss [M], whose expectation is the distance less a constant.
+    """Each query's loss [Q], whose expectation is the distance less a constant.
 
-    answer [M,3] in the directions of the exits, throughput [M,3], and spread [M,S,3], answers of the same queries in S
+    answer [Q,P,3] in the directions of the exits of P walks, throughput [Q,P,3], and spread [Q,S,3], answers in S
     directions drawn uniformly; all over the output scale.
     """
     squares = torch.mean(torch.mean(spread**2, dim=-1) * _weight(spread, loss, floor), dim=-1)
-    return squares - (2.0 / _SPHERE) * torch.mean(throughput * answer, dim=-1) * _weight(answer, loss, floor)
+    carried = torch.mean(torch.mean(throughput * answer, dim=-1) * _weight(answer, loss, floor), dim=-1)
+    return squares - (2.0 / _SPHERE) * carried
 
 
 def _weight(answer: Tensor, loss: Loss, floor: float) -> Tensor:

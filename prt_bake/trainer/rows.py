@@ -1,33 +1,52 @@
 """What the learner learns from: rows of numbers that walks have filled in.
 
-A row is a direction of incidence, a position relative to the box, a direction to the eye and three channels. Of a
-scene with point values the channels are Ŝ towards the direction. Behind a smooth interface no such values exist; there
-the direction is one in which a walk left, and the channels are the throughput that it carried out (0 for a walk that
+A row is a query: its position relative to the box, its direction to the eye, and then its rays, each a direction and
+three channels. Either the directions are of incidence and the channels are Ŝ towards them. Or the rays are walks: the
+directions are those in which they left, and the channels are the throughput that they carried out (0 for a walk that
 was absorbed or that met nothing, since that light is not in Ŝ).
+
+Behind a smooth interface there are only exits. Behind a rough one there are both, and exits say more: a connection
+through the interface costs as much as ten walks, and at equal time the coefficients that follow from exits have less
+than half of the variance (`tests/bench/noise_of_a_walk.py`). Where nothing is bent, connections say ten times as much.
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.errors import QueryError
+from formats.scene import Scene
 from prt_bake.surface import Location
+from prt_bake.trainer.interface import MATCHED
 from prt_bake.trainer.lit import Exits
-from prt_bake.trainer.prepared import PreparedScene
+from prt_bake.trainer.prepared import PreparedScene, interface_kind, smooth_part
 from prt_bake.trainer.queries import Queries, QuerySource
 
 Array = NDArray[np.float64]
 
-INCIDENT, POSITION, OUTGOING, CHANNELS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-ROW_SIZE = 12
+POSITION, OUTGOING = slice(0, 3), slice(3, 6)
+BEFORE_RAYS, RAY_SIZE = 6, 6
+INCIDENT, CHANNELS = slice(0, 3), slice(3, 6)
+"""Of a ray."""
 
 
 class Batch(NamedTuple):
-    """Rows [M,12] float32, and the numbers [M] int64 of the queries that they belong to."""
+    """Rows [Q, 6 + 6 R] float32 of Q queries with R rays each, and the numbers [Q] int64 of the queries."""
 
     rows: NDArray[np.float32]
     numbers: NDArray[np.int64]
+
+    @property
+    def rays(self) -> NDArray[np.float32]:
+        """[Q,R,6]: directions and channels."""
+        return np.asarray(rays_of(self.rows))
+
+
+def rays_of(rows: Any) -> Any:
+    """The rays [Q,R,6] of rows, an array or a tensor: a view of them."""
+    return rows[:, BEFORE_RAYS:].reshape(len(rows), -1, RAY_SIZE)
 
 
 @dataclass(frozen=True)
@@ -35,15 +54,28 @@ class StreamSettings:
     """How the renderer asks; chosen by measured error after equal time (`make bench`)."""
 
     queries_a_batch: int = 4096
+    rays: Literal["auto", "values", "exits"] = "auto"
+    """What rays are. auto: values where the object's boundary bends no light, else exits."""
     directions: int = 8
-    """Directions of incidence a query; behind a smooth interface there are none to choose."""
-    walks: int = 1
-    """Walks a query; behind a smooth interface each is a row of its own."""
-    connections: int = 4
-    capacity: int = 1 << 20
+    """Directions of incidence a query, where rays are values."""
+    connections: int = 8
+    """How many of them each event of a walk looks at."""
+    walks: int = 2
+    """Walks that each value is the mean of."""
+    exits: int = 4
+    """Walks a query, each a ray, where rays are exits."""
+    capacity: int = 1 << 17
     """Rows that the buffer holds."""
     reuse: int = 1
     """How often each row is learnt from where renderer and learner take turns."""
+
+    def __post_init__(self) -> None:
+        least = {"queries_a_batch": 1, "directions": 1, "connections": 1, "walks": 1, "exits": 1, "capacity": 1}
+        for name, bound in {**least, "reuse": 1}.items():
+            if getattr(self, name) < bound:
+                raise QueryError(f"stream settings: {name} must be at least {bound}, found {getattr(self, name)}")
+        if self.rays not in ("auto", "values", "exits"):
+            raise QueryError(f"stream settings: rays must be auto, values or exits, found {self.rays!r}")
 
 
 class Box(NamedTuple):
@@ -57,7 +89,7 @@ class RowSource(Protocol):
     """Whatever hands rows to the learner: a renderer beside it, one that takes turns with it, or a file."""
 
     exits: bool
-    """Whether rows are exits of walks rather than values."""
+    """Whether rays are exits of walks rather than values."""
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
         """`count` rows; raises what broke the source."""
@@ -90,29 +122,28 @@ class RowWalks(Protocol):
     """Path traces numbered queries to rows."""
 
     exits: bool
-    rows_a_query: int
     walks_a_query: int
 
     def render(self, first: int, count: int) -> Batch:
-        """The rows of queries number first … first + count − 1, query by query."""
+        """The rows of queries number first … first + count − 1."""
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
 
 
 class ValueWalks:
-    """Rows of Ŝ: each query with D directions that share its walks."""
+    """Rows whose rays are values: D directions of incidence that share the query's walks."""
 
     exits = False
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
-        self.rows_a_query, self.walks_a_query = settings.directions, settings.walks
+        self.walks_a_query = settings.walks
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
         self._source = QuerySource(prepared, settings.directions, seed)
 
     def render(self, first: int, count: int) -> Batch:
-        """The rows [count · D, 12] of `count` queries."""
+        """Rows of D rays."""
         queries = self._source.draw(first, count)
         mean, _ = render(
             self._prepared, self._source, queries, self._settings.walks, self._settings.connections, self._seed
@@ -125,18 +156,18 @@ class ValueWalks:
 
 
 class ExitWalks:
-    """Rows of exits: each query with the ends of its walks."""
+    """Rows whose rays are exits: the ends of the query's walks."""
 
     exits = True
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
-        self.rows_a_query = self.walks_a_query = settings.walks
+        self.walks_a_query = settings.exits
         self._prepared, self._box, self._seed = prepared, box, seed
         self._source = QuerySource(prepared, 1, seed)
 
     def render(self, first: int, count: int) -> Batch:
-        """The rows [count · walks, 12] of `count` queries."""
+        """Rows of a ray a walk."""
         queries = self._source.draw(first, count)
         exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
         carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
@@ -147,21 +178,43 @@ class ExitWalks:
         return _where(self._source, number)
 
 
+def row_walks(
+    scene: Scene, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int
+) -> ValueWalks | ExitWalks:
+    """The walks whose rays `settings` ask for; raises QueryError for values behind a smooth interface."""
+    smooth = smooth_part(scene)
+    if settings.rays == "values" and smooth is not None:
+        raise QueryError(
+            f"{scene.path}: the boundary of '{smooth.name}' is smooth, and behind it Ŝ has no values at given "
+            "directions; let rays be exits"
+        )
+    values = settings.rays == "values" or (settings.rays == "auto" and sees_light_from_inside(scene))
+    return (ValueWalks if values else ExitWalks)(prepared, box, settings, seed)
+
+
+def sees_light_from_inside(scene: Scene) -> bool:
+    """Whether events inside the object see the light unbent."""
+    return interface_kind(scene) == MATCHED and smooth_part(scene) is None
+
+
 def batch_of(
     numbers: NDArray[Any],
     positions: Array,
     outgoing: NDArray[Any],
-    incident: NDArray[Any],
+    directions: NDArray[Any],
     channels: NDArray[Any],
     box: Box,
 ) -> Batch:
-    """Rows of N queries: numbers [N], positions [N,3], outgoing [N,3], incident [N,D,3] and channels [N,D,3]."""
-    rows = np.empty((*incident.shape[:2], ROW_SIZE), np.float32)
-    rows[..., INCIDENT] = incident
-    rows[..., POSITION] = ((positions - box.corner) / box.side)[:, None]
-    rows[..., OUTGOING] = outgoing[:, None]
-    rows[..., CHANNELS] = channels
-    return Batch(rows.reshape(-1, ROW_SIZE), np.repeat(np.asarray(numbers).astype(np.int64), incident.shape[1]))
+    """Rows of N queries, numbers [N], positions [N,3], outgoing [N,3], with rays along directions [N,R,3] that carry
+    channels [N,R,3].
+    """
+    count, rays = directions.shape[:2]
+    rows = np.empty((count, BEFORE_RAYS + RAY_SIZE * rays), np.float32)
+    rows[:, POSITION] = (positions - box.corner) / box.side
+    rows[:, OUTGOING] = outgoing
+    each = rays_of(rows)
+    each[..., INCIDENT], each[..., CHANNELS] = directions, channels
+    return Batch(rows, np.asarray(numbers).astype(np.int64))
 
 
 def _where(source: QuerySource, number: int) -> str:

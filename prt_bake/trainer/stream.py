@@ -1,8 +1,9 @@
 """The renderer beside the learner: a thread that walks all the time and a bounded buffer that hands its rows over.
 
-The buffer is a ring. The renderer overwrites the oldest rows, the learner draws at random from what is there: neither
-waits for the other, but for the first fill. How often rows are drawn anew, or overwritten before they were drawn, is
-what `Done.rows` against the rows drawn says.
+The buffer is a ring. The renderer overwrites the oldest rows, the learner draws at random from what is there and never
+waits, but for the first fill. The renderer may use every core, beside the learner. It rests only while it is a buffer's
+half ahead of the learner: rows that are overwritten before they are drawn would be walked in vain, on cores that could
+learn. How often rows are drawn anew is what `Done.rows` against the rows drawn says.
 """
 
 import threading
@@ -11,17 +12,22 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.rows import ROW_SIZE, Batch, Done, RowWalks, StreamSettings, render
+from prt_bake.trainer.rows import Batch, Done, RowWalks, StreamSettings, render
 
 __all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
+
+
+_REST = 0.002
+"""Seconds between two looks at how far ahead the renderer is."""
 
 
 class RingBuffer:
     """Rows with the numbers of their queries; see `prt_bake.trainer.rows`."""
 
     def __init__(self, capacity: int) -> None:
-        """Room for `capacity` rows."""
-        self.rows = np.zeros((capacity, ROW_SIZE), np.float32)
+        """Room for `capacity` rows of any width, which the first ones decide."""
+        self._capacity = capacity
+        self.rows = np.zeros((0, 0), np.float32)
         self.numbers: NDArray[np.int64] = np.zeros(capacity, np.int64)
         self.filled = 0
         self._next = 0
@@ -29,8 +35,10 @@ class RingBuffer:
 
     def put(self, batch: Batch) -> None:
         """Append rows, over the oldest ones where there is no room."""
-        capacity = len(self.rows)
+        capacity = self._capacity
         with self._lock:
+            if not len(self.rows):
+                self.rows = np.zeros((capacity, batch.rows.shape[1]), np.float32)
             at = (self._next + np.arange(len(batch.rows))) % capacity
             self.rows[at], self.numbers[at] = batch
             self._next = int((self._next + len(batch.rows)) % capacity)
@@ -57,6 +65,7 @@ class Renderer:
         self._least = min(least, settings.capacity)
         self._next_query, self._walked, self._rows = begun["next_query"], begun["walks"], begun["rows"]
         self._walking = 0.0
+        self._drawn = self._rows
         self._fault: BaseException | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="prtbake-renderer", daemon=True)
@@ -76,6 +85,7 @@ class Renderer:
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
         """`count` rows at random; raises what broke the thread."""
         self._check()
+        self._drawn += count
         return self.buffer.draw(count, generator)
 
     def where(self, number: int) -> str:
@@ -100,7 +110,10 @@ class Renderer:
         numba.set_num_threads(self._threads)
         try:
             while not self._stop.is_set():
-                self._one_batch()
+                if self._rows - self._drawn > max(self._settings.capacity // 2, self._least):
+                    time.sleep(_REST)
+                else:
+                    self._one_batch()
         except BaseException as fault:
             self._fault = fault
 

@@ -1,47 +1,136 @@
-"""What a training step buys: presets, walks and directions a query, at equal steps on the shipped scene.
+"""Which network and which training: the default against its variants, each trained for the same time.
 
-    python tests/bench/training.py [--steps 1500]
+    python tests/bench/training.py [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
 
-Prints the relative RMSE of Ŝ on held-out queries (reference noise taken out), the walks and the seconds of each.
+Prints the relative RMSE of Ŝ and of a_lm on fresh queries (reference noise taken out), the walks, the steps, and the
+model's size on disk. `--only` keeps the variants whose names hold one of the words. The paper's network is among them.
 """
 
 import argparse
-from dataclasses import replace
+import json
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
-import numpy as np
-
-from formats.scene import read_scene
+from formats.scene import Scene, read_scene
 from prt_bake.demonstration import SHIPPED
-from prt_bake.network import PRESETS, NetworkSettings
-from prt_bake.trainer.fit import LearningSettings, train
-from prt_bake.trainer.stream import StreamSettings
+from prt_bake.network import PRESETS, NetworkSettings, save_model
+from prt_bake.trainer.fit import train
+from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.rows import StreamSettings
 
-MEASURED = PRESETS["measured"]
-VARIANTS: dict[str, tuple[NetworkSettings, StreamSettings]] = {
-    "measured preset": (MEASURED, StreamSettings()),
-    "paper preset": (PRESETS["paper"], StreamSettings()),
-    "spread 0.25 for all inputs": (replace(MEASURED, feature_spread=0.25, position_spread=0.25), StreamSettings()),
-    "4 walks a query": (MEASURED, StreamSettings(walks=4, queries_a_batch=1024)),
-    "16 directions, 4 connections": (MEASURED, StreamSettings(directions=16, connections=4)),
+OURS = PRESETS["measured"]
+ASKING = StreamSettings()
+LEARNING = LearningSettings(held_out_queries=1024)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What differs from the default."""
+
+    network: NetworkSettings = OURS
+    stream: StreamSettings = ASKING
+    learning: LearningSettings = LEARNING
+
+
+def network(**differing: Any) -> Variant:
+    return Variant(network=replace(OURS, **differing))
+
+
+def stream(**differing: Any) -> Variant:
+    return Variant(stream=replace(ASKING, **differing))
+
+
+def learning(**differing: Any) -> Variant:
+    return Variant(learning=replace(LEARNING, **differing))
+
+
+def deep(layers: int, skipping: bool) -> Variant:
+    """Hidden layers in all, two of them after ωi has entered; every second one is joined to the one before last."""
+    skips = tuple((layer - 2, layer) for layer in range(3, layers - 1, 2)) if skipping else ()
+    return network(layers=layers, skips=skips)
+
+
+VARIANTS: dict[str, Variant] = {
+    "default": Variant(),
+    "default, another seed": network(seed=1),
+    "paper preset": Variant(network=PRESETS["paper"]),
+    "light enters first": network(light_layers=0, skips=((1, 3), (2, 4))),
+    "light enters first, narrow spread": network(light_layers=0, skips=((1, 3), (2, 4)), feature_spread=0.09),
+    "light enters at the last layer": network(light_layers=1),
+    "light enters at layer 3": network(light_layers=3),
+    "directions spherical": network(directions="spherical"),
+    "mean of G 18": network(feature_mean=18.0),
+    "spread of G 0.25": network(position_spread=0.25, feature_spread=0.25),
+    "spread of G 0.6 (positions)": network(position_spread=0.6),
+    "spread of G 2.4 (positions)": network(position_spread=2.4),
+    "spread of G 0.1 (directions)": network(feature_spread=0.1),
+    "spread of G 0.4 (directions)": network(feature_spread=0.4),
+    "activation relu": network(activation="relu"),
+    **{f"depth {layers}": deep(layers, True) for layers in (4, 6, 7)},
+    **{f"depth {layers} without skips": deep(layers, False) for layers in (3, 4, 5, 6, 7)},
+    "loss relative": learning(loss="relative"),
+    "rate 0.001": learning(rate=1e-3),
+    "rate 0.002": learning(rate=2e-3),
+    "rate 0.008": learning(rate=8e-3),
+    "rate constant": learning(schedule="constant"),
+    "rate exponential": learning(schedule="exponential"),
+    "no average": learning(average=False),
+    "float32": learning(bfloat16=False),
+    "batch 256": learning(batch=256),
+    "batch 1024": learning(batch=1024),
+    "values": stream(rays="values", walks=1, connections=4),
+    "exits": stream(rays="exits"),
+    "2 exits a query": stream(exits=2),
+    "8 exits a query": stream(exits=8),
+    "4 directions besides the exits": learning(spread=4),
+    "1 walk a value": stream(walks=1),
+    "4 walks a value": stream(walks=4),
 }
+
+
+def trained(scene: Scene, variant: Variant, minutes: float) -> dict[str, Any]:
+    """The figures of one training."""
+    found = train(
+        scene,
+        minutes=minutes,
+        settings=variant.network,
+        stream=variant.stream,
+        learning=variant.learning,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.pt"
+        save_model(found, path)
+        size = path.stat().st_size / 1024
+    training = found.metadata["training"]
+    return {**training["relative_rmse"], "walks": training["walks"], "steps": training["steps"], "kib": size}
 
 
 def main() -> None:
     """Train every variant and print a line for each."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--steps", type=int, default=1500)
-    steps = parser.parse_args().steps
-    scene = read_scene(SHIPPED / "spot.toml")
-    print(f"{'variant':32} {'error of S':>10} {'of a_lm':>8} {'walks':>10} {'seconds':>8}   ({steps} steps)")
-    for name, (settings, stream) in VARIANTS.items():
-        learning = LearningSettings(held_out_queries=256)
-        training = train(scene, steps=steps, settings=settings, stream=stream, learning=learning).metadata["training"]
-        error = training["relative_rmse"]
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene", nargs="?", default=SHIPPED / "spot.toml")
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--only", nargs="*", default=[])
+    parser.add_argument("--out", type=Path)
+    asked = parser.parse_args()
+    scene = read_scene(asked.scene)
+    head = f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'walks':>12}{'steps':>8}{'KiB':>6}"
+    print(f"{head}   ({asked.minutes:g} minutes)")
+    rows = {}
+    for name, variant in VARIANTS.items():
+        if asked.only and not any(word in name for word in asked.only):
+            continue
+        row = rows[name] = trained(scene, variant, asked.minutes)
+        transport = "" if row["transport"] is None else f"{row['transport']:.4f}"
         print(
-            f"{name:32} {error['transport']:10.4f} {error['coefficients']:8.4f} "
-            f"{training['walks']:10,} {np.round(training['seconds'], 1):8}",
+            f"{name:36}{transport:>11}{row['coefficients']:9.4f}{row['walks']:12,}{row['steps']:8,}{row['kib']:6.0f}",
             flush=True,
         )
+        if asked.out is not None:
+            asked.out.parent.mkdir(parents=True, exist_ok=True)
+            asked.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,15 @@
+"""`prtbake report`: what was measured, as a report of its own."""
+
+import typer
+
+from prt_bake.cli.report_paper import paper
+from prt_bake.cli.report_training import training
+
+report = typer.Typer(
+    help="Measure a model, or all that the paper measures, and write down how good it is.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+report.command("training", no_args_is_help=True)(training)
+report.command("paper")(paper)

@@ -1,0 +1,1 @@
+"""The paper's tables, made anew on scenes of our own: `prtbake report paper`."""

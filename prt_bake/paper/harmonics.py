@@ -1,0 +1,74 @@
+"""SH at degree 2: a scene's network baked to an asset, and the asset's picture."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from formats.asset import read_asset
+from formats.image import write_image
+from formats.mesh import Mesh, build_mesh
+from prt_bake.baking import bake
+from prt_bake.camera import Camera
+from prt_bake.lighting import Sky
+from prt_bake.network import load_model
+from prt_bake.paper.artefacts import Artefact, Facts, Stopped
+from prt_bake.paper.scenes import BakeSettings
+from prt_bake.shading import render_picture
+
+DEGREE = 2
+_RAYS_A_PIXEL_SIDE = 4
+
+
+def refined(mesh: Mesh, subdivisions: int) -> Mesh:
+    """The mesh with each face cut into four, `subdivisions` times: the same surface, its vertices nearer together."""
+    from trimesh.remesh import subdivide
+
+    positions, faces = np.asarray(mesh.positions), np.asarray(mesh.faces)
+    for _ in range(subdivisions):
+        positions, faces = subdivide(positions, faces)  # type: ignore[no-untyped-call]
+    return build_mesh(positions, faces) if subdivisions else mesh
+
+
+def bake_asset(
+    path: Path,
+    model: Artefact,
+    mesh: Mesh,
+    settings: BakeSettings,
+    stop: Callable[[], bool],
+    progress: Callable[[float], None],
+) -> Facts:
+    """Bake a model at degree 2 into the file `path`; seconds, vertices and the projection's estimated error.
+
+    Raises Stopped where it was stopped on the way.
+    """
+    asset = bake(
+        load_model(model.path),
+        refined(mesh, settings.subdivisions),
+        DEGREE,
+        settings.rings,
+        settings.sectors,
+        samples=settings.samples,
+        out=path,
+        progress=lambda done, total, row: progress(done / total),
+        stop=stop,
+        provenance={"command": "prtbake report paper", "source": model.path.name, "source_sha256": model.sha256},
+    )
+    if not asset.complete:
+        raise Stopped(f"{path}: the bake was stopped; the same command bakes it anew")
+    report = asset.provenance
+    return {
+        "seconds": report["seconds"],
+        "vertices": len(asset.mesh.positions),
+        "bins": settings.rings * settings.sectors,
+        "projection_error": report["estimated_relative_rmse"]["total"],
+    }
+
+
+def harmonics_picture(path: Path, asset: Artefact, sky: Sky, view: Camera) -> Facts:
+    """The asset under a sky, as an .exr of the light from under the surface alone; seconds of shading."""
+    picture = render_picture(
+        read_asset(asset.path), sky.image, view, up=sky.up, samples=_RAYS_A_PIXEL_SIDE, background=False
+    )
+    write_image(path, picture.image, layers={"coverage": picture.coverage})
+    return {"seconds": picture.seconds, "clamped": picture.clamped, "vertices_shaded": picture.shaded}

@@ -1,0 +1,67 @@
+"""The paper's ablation: MSE by number of hidden layers, with skips and without, relative to 7 layers with skips."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from formats.scene import Scene
+from prt_bake.network import PRESETS, NetworkSettings
+from prt_bake.paper.artefacts import Artefacts
+from prt_bake.paper.models import trained
+
+LAYERS = (3, 4, 5, 6, 7)
+_STANDARD = "7"
+
+
+def network_settings(layers: int, skips: bool) -> NetworkSettings:
+    """Our usual network with so many hidden layers; skips lead past one layer, and none into the last.
+
+    With 5 layers they are the paper's, from 1 to 3 and from 2 to 4; 3 layers have the one from 1 to 3.
+    """
+    last = max(3, layers - 1)
+    pairs = tuple((source, source + 2) for source in range(1, last - 1)) if skips else ()
+    return replace(PRESETS["measured"], layers=layers, skips=pairs)
+
+
+def variants() -> dict[str, NetworkSettings]:
+    """The networks by their names in the plot: "5", and "5*" without skips."""
+    return {
+        f"{layers}{'' if skips else '*'}": network_settings(layers, skips)
+        for layers in LAYERS
+        for skips in (True, False)
+    }
+
+
+def ablation(
+    artefacts: Artefacts,
+    name: str,
+    scene: Scene,
+    minutes: float,
+    device: str,
+    progress: Callable[[str, float, str], None],
+) -> dict[str, float]:
+    """Squared relative RMSE of Ŝ on the same fresh queries by network, over that of 7 layers with skips.
+
+    Each is trained for `minutes` and kept, so that a stopped ablation goes on. Raises Stopped.
+    """
+    errors: dict[str, float] = {}
+    for network, settings in variants().items():
+        file = f"{name}/layers/{network.replace('*', '_without_skips')}.pt"
+        label = f"{name}: {network} layers"
+
+        def follow(share: float, words: str, label: str = label) -> None:
+            progress(label, share, words)
+
+        model = trained(artefacts, file, scene, minutes, device, follow, settings)
+        errors[network] = _mse(model.facts)
+    return relative(errors)
+
+
+def relative(errors: dict[str, float]) -> dict[str, float]:
+    """Errors over that of 7 layers with skips; nan where that is 0."""
+    standard = errors[_STANDARD]
+    return {network: error / standard if standard > 0.0 else float("nan") for network, error in errors.items()}
+
+
+def _mse(facts: dict[str, Any]) -> float:
+    return float(facts["relative_rmse"]["transport"]) ** 2

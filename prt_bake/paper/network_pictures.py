@@ -1,0 +1,55 @@
+"""Net: the network rendered by Monte Carlo; all that is asked of the renderer is asked here."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from formats.image import write_image
+from formats.mesh import Mesh
+from prt_bake.camera import Camera
+from prt_bake.importance import load_importance
+from prt_bake.lighting import Lighting
+from prt_bake.network import load_model
+from prt_bake.paper.artefacts import Artefact, Facts, Stopped
+from prt_bake.render_mixture import Sampling
+
+
+def network_picture(
+    path: Path,
+    model: Artefact,
+    mesh: Mesh,
+    lighting: Lighting,
+    view: Camera,
+    spp: int,
+    sampling: Sampling,
+    seed: int,
+    device: str,
+    stop: Callable[[], bool],
+    progress: Callable[[float], None],
+) -> Facts:
+    """A picture of the light from under the surface alone as an .exr; samples a pixel, seconds, and its own noise.
+
+    For "lobe" and "mis" the importance module must lie beside the model. Raises Stopped where it was stopped.
+    """
+    from prt_bake.render_network import render_network
+
+    picture = render_network(
+        load_model(model.path, device),
+        mesh,
+        lighting,
+        view,
+        spp,
+        seed,
+        sampling=sampling,
+        importance=None if sampling == "light" else load_importance(model.path, device),
+        background=False,
+        device=device,
+        workers=os.cpu_count() or 1,
+        stop=stop,
+        progress=progress,
+    )
+    if not picture.complete:
+        raise Stopped(f"{path}: stopped after {picture.spp} samples a pixel; the same command renders it anew")
+    write_image(path, picture.image, layers={"error": picture.standard_error, "coverage": picture.coverage})
+    facts = {"spp": picture.spp, "seconds": picture.seconds, "sampling": picture.sampling}
+    return {**facts, "relative_noise": picture.relative_noise}

@@ -1,0 +1,72 @@
+"""Plots of the report: how the error fell while the networks were trained, and what layers and skips are worth."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from formats.errors import PrtbakeError
+from formats.whole import replacing
+
+_AHEAD = 8.0
+"""How far beyond its end a training's curve is drawn on, as a factor on its time."""
+
+
+def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -> None:
+    """Relative RMSE of Ŝ on held-out queries against seconds of training, a curve a scene, on logarithmic axes.
+
+    curves: by scene, rows (seconds, walks, validation error). Dashed: the power law through the second half of a
+    training, drawn on to eight times its time; a rate that falls to zero at the end makes it look better than it is.
+    """
+    figure, axes = _figure()
+    for name, rows in curves.items():
+        seconds, _walks, error = np.array(rows, np.float64).reshape(-1, 3).T
+        chosen = (seconds > 0.0) & (error > 0.0)
+        seconds, error = seconds[chosen], error[chosen]
+        if not len(seconds):
+            continue
+        (line,) = axes.loglog(seconds, error, label=name)
+        half = seconds >= seconds[-1] / 2.0
+        if half.sum() >= 3:
+            slope, level = np.polyfit(np.log(seconds[half]), np.log(error[half]), 1)
+            ahead = np.geomspace(seconds[-1], _AHEAD * seconds[-1], 16)
+            axes.loglog(ahead, np.exp(level + slope * np.log(ahead)), "--", color=line.get_color(), alpha=0.5)
+    axes.set(xlabel="seconds of training", ylabel="relative RMSE of Ŝ, held-out queries")
+    axes.grid(alpha=0.3, which="both")
+    if curves:
+        axes.legend()
+    _save(figure, path)
+
+
+def plot_layers(relative_mse: Mapping[str, Mapping[str, float]], path: Path) -> None:
+    """MSE by number of layers over that of 7 layers with skips, a group of bars a network, a bar a scene.
+
+    relative_mse: by scene, by network ("5", and "5*" without skips).
+    """
+    figure, axes = _figure()
+    names = list(dict.fromkeys(network for row in relative_mse.values() for network in row))
+    width = 0.8 / max(1, len(relative_mse))
+    for i, (scene, row) in enumerate(relative_mse.items()):
+        places = [names.index(network) + (i - (len(relative_mse) - 1) / 2.0) * width for network in row]
+        axes.bar(places, list(row.values()), width, label=scene)
+    axes.axhline(1.0, color="black", linewidth=0.8)
+    axes.set_xticks(range(len(names)), names)
+    axes.set(xlabel="hidden layers (* without skips)", ylabel="MSE of Ŝ over that of 7 layers with skips")
+    axes.legend()
+    _save(figure, path)
+
+
+def _figure() -> tuple[Any, Any]:
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
+
+    figure = Figure(figsize=(7.0, 4.5), layout="constrained")
+    return figure, figure.add_subplot()
+
+
+def _save(figure: Any, path: Path) -> None:
+    with replacing(path) as part:
+        figure.savefig(part, dpi=150, format="png")

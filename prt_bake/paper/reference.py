@@ -1,0 +1,216 @@
+"""A path-traced reference that grows: many pictures of few walks, summed in two halves, kept after each of them.
+
+The two halves tell what the reference's own noise does to any figure. With A and B their means over n_A and n_B passes,
+the reference is R = (n_A A + n_B B) / N, and e = (A − B) √(n_A n_B) / N has the variance of R's error and is
+uncorrelated with it: a smooth picture P and P + e differ by noise as strong as R's own, of its real distribution,
+bright specks included, without any picture being traced twice.
+"""
+
+import hashlib
+import json
+import math
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.image import read_layers, write_image
+from formats.scene import Scene
+from formats.whole import replacing
+from prt_bake.camera import Camera
+from prt_bake.lighting import Lighting
+from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
+from prt_bake.randomness import hashed
+from prt_bake.rendering import Rendering, render_scene
+
+Array = NDArray[np.float64]
+Trace = Callable[[int, int, Path], Rendering]
+"""trace(walks a pixel, seed, checkpoint): an independent picture; incomplete where it was stopped."""
+
+_METHOD = 1
+"""Raised whenever the same settings give other numbers: what was traced before is then traced anew."""
+_WALKS_AT_ONCE = 16
+_LEAST_WALKS = 4
+"""With fewer a picture has no error of its own."""
+_CHUNK_STREAM = 0x5EED
+
+
+@dataclass
+class Halves:
+    """Sums over the passes of two halves: radiance [2,H,W,3], squared errors [H,W,3], coverage [H,W]; their cost."""
+
+    radiance: Array
+    variance: Array
+    coverage: Array
+    passes: list[int] = field(default_factory=lambda: [0, 0])
+    pictures: int = 0
+    spp: int = 0
+    walks: int = 0
+    seconds: float = 0.0
+
+    @classmethod
+    def empty(cls, size: int) -> "Halves":
+        """Nothing traced yet."""
+        return cls(np.zeros((2, size, size, 3)), np.zeros((size, size, 3)), np.zeros((size, size)))
+
+    def add(self, picture: Rendering) -> None:
+        """Add a picture to the half that has fewer passes."""
+        half = int(self.passes[1] < self.passes[0])
+        self.radiance[half] += picture.passes * picture.image.astype(np.float64)
+        self.variance += (picture.passes * picture.standard_error.astype(np.float64)) ** 2
+        self.coverage += picture.passes * picture.coverage.astype(np.float64)
+        self.passes[half] += picture.passes
+        self.pictures += 1
+        self.spp += picture.spp
+        self.walks += picture.walks
+        self.seconds += picture.seconds
+
+    @property
+    def image(self) -> Array:
+        """The reference R [H,W,3]."""
+        return np.asarray(self.radiance.sum(axis=0) / sum(self.passes))
+
+    @property
+    def standard_error(self) -> Array:
+        """One sigma of R [H,W,3], from the spread of passes."""
+        return np.sqrt(self.variance) / sum(self.passes)
+
+    @property
+    def noise(self) -> Array:
+        """The e of the module's text [H,W,3], which has the variance of R's error."""
+        first, second = self.passes
+        difference = self.radiance[0] / first - self.radiance[1] / second
+        return np.asarray(difference * math.sqrt(first * second) / (first + second))
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A finished reference: image, standard_error and noise [H,W,3], coverage [H,W], what it cost, and its file."""
+
+    image: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    noise: NDArray[np.float32]
+    coverage: NDArray[np.float32]
+    artefact: Artefact
+
+
+def reference(
+    artefacts: Artefacts,
+    name: str,
+    inputs: Facts,
+    size: int,
+    trace: Trace,
+    spp: int | None,
+    minutes: float | None,
+) -> Reference:
+    """The reference in the file `name` (.exr), traced on until it has `spp` walks a pixel or took `minutes`.
+
+    `inputs` are all that decides what is traced, neither spp nor minutes among them: more walks go on from what is
+    there, and a deeper reference than asked for is taken as it is. Raises Stopped with all whole pictures kept.
+    """
+    inputs = {**inputs, "method": _METHOD}
+    identity = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+    path = artefacts.folder / name
+    sums_path = path.with_suffix(".sums.npz")
+    halves = _read(sums_path, identity) or Halves.empty(size)
+    if not _enough(halves, spp, minutes):
+        artefacts.check()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        artefacts.say(f"{name}: {_goal(spp, minutes)}, {halves.spp} walks a pixel are there")
+    while not _enough(halves, spp, minutes):
+        seed = int(hashed(_CHUNK_STREAM, inputs["seed"], halves.pictures) >> np.uint64(1))
+        checkpoint = path.with_name(f"{path.stem}.{identity[:8]}.{halves.pictures}.render.npz")
+        picture = trace(_walks(halves, spp), seed, checkpoint)
+        if not picture.complete:
+            raise Stopped(f"{name}: stopped after {halves.spp} walks a pixel; the same command goes on from there")
+        halves.add(picture)
+        _write(sums_path, halves, identity)
+        artefacts.say(f"{name}: {halves.spp} walks a pixel in {halves.seconds:.0f} s")
+    made = artefacts.made(name, {**inputs, "pictures": halves.pictures, "walks": halves.walks}, _exr(halves))
+    return _read_reference(made)
+
+
+def trace_scene(
+    scene: Scene, lighting: Lighting, view: Camera, stop: Callable[[], bool], progress: Callable[[float], None]
+) -> Trace:
+    """Path trace the light from under the surface alone: nothing reflected, no sky behind the object, and none of the
+    light that crosses it without scattering.
+    """
+
+    def trace(spp: int, seed: int, checkpoint: Path) -> Rendering:
+        return render_scene(
+            scene,
+            lighting,
+            view,
+            spp,
+            seed,
+            background=False,
+            checkpoint=checkpoint,
+            resume=checkpoint.is_file(),
+            stop=stop,
+            progress=progress,
+        )
+
+    return trace
+
+
+def _enough(halves: Halves, spp: int | None, minutes: float | None) -> bool:
+    if min(halves.passes) == 0:
+        return False
+    return (spp is None or halves.spp >= spp) and (minutes is None or halves.seconds >= 60.0 * minutes)
+
+
+def _walks(halves: Halves, spp: int | None) -> int:
+    """Walks a pixel of the next picture: few where few are asked for, so that both halves have some."""
+    return _WALKS_AT_ONCE if spp is None else max(_LEAST_WALKS, min(_WALKS_AT_ONCE, spp // 2))
+
+
+def _goal(spp: int | None, minutes: float | None) -> str:
+    goals = [f"{spp} walks a pixel" if spp is not None else "", f"{minutes:g} minutes" if minutes is not None else ""]
+    return "path tracing " + " and ".join(goal for goal in goals if goal)
+
+
+def _exr(halves: Halves) -> Callable[[Path], Facts]:
+    def write(path: Path) -> Facts:
+        layers = {
+            "error": halves.standard_error,
+            "noise": halves.noise,
+            "coverage": halves.coverage / sum(halves.passes),
+        }
+        write_image(path, halves.image, layers=layers, attributes={"prtbake.spp": str(halves.spp)})
+        return {"spp": halves.spp, "walks": halves.walks, "seconds": halves.seconds}
+
+    return write
+
+
+def _read_reference(artefact: Artefact) -> Reference:
+    found = read_layers(artefact.path)
+    error, noise, coverage = (found.layers[name] for name in ("error", "noise", "coverage"))
+    return Reference(found.image, error, noise, coverage, artefact)
+
+
+def _write(path: Path, halves: Halves, identity: str) -> None:
+    numbers = {name: getattr(halves, name) for name in ("passes", "pictures", "spp", "walks", "seconds")}
+    with replacing(path) as part, open(part, "wb") as file:
+        np.savez(
+            file,
+            head=np.array(json.dumps({"identity": identity, "numbers": numbers})),
+            radiance=halves.radiance,
+            variance=halves.variance,
+            coverage=halves.coverage,
+        )
+
+
+def _read(path: Path, identity: str) -> Halves | None:
+    """What was traced before of the same picture; None where there is nothing, or nothing that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            head = json.loads(str(file["head"]))
+            if head["identity"] != identity:
+                return None
+            return Halves(file["radiance"], file["variance"], file["coverage"], **head["numbers"])
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return None

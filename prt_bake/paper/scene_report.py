@@ -1,0 +1,257 @@
+"""One scene of the report, step by step: model, asset, then under each sky reference, pictures and figures."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.image import read_image, write_image
+from formats.whole import replacing
+from prt_bake.camera import Camera
+from prt_bake.environment import read_environment, rotation
+from prt_bake.lighting import Lighting, Sky
+from prt_bake.paper import measures
+from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
+from prt_bake.paper.harmonics import DEGREE, bake_asset, harmonics_picture
+from prt_bake.paper.models import scene_importance, scene_model
+from prt_bake.paper.network_pictures import network_picture
+from prt_bake.paper.reference import Reference, reference, trace_scene
+from prt_bake.paper.results import METHODS, SAMPLINGS, Line, Result
+from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
+from prt_bake.paper.settings import ReportSettings
+from prt_bake.paper.sigma import SigmaPicture, sigma_picture
+from prt_bake.paper.surface import surface_picture
+from prt_bake.render_mixture import Sampling
+
+Progress = Callable[[str, float, str], None]
+"""progress(what, share done, a few words)."""
+
+_METHOD = 1
+"""Raised whenever the same inputs give other pictures or figures: all but references and models are then made anew."""
+_PICTURE_SEED = 0x7AB1E5
+"""Of what is compared with references, whose numbers are drawn from seeds of their own."""
+SURFACE_SPP, SURFACE_REFERENCE_SPP = 64, 256
+"""Samples a pixel of reflection and background, in pictures and in what they are compared with."""
+
+
+class SceneReport:
+    """What a report makes of one scene."""
+
+    def __init__(
+        self,
+        paper: PaperScene,
+        folder: Path,
+        settings: ReportSettings,
+        artefacts: Artefacts,
+        progress: Progress,
+    ) -> None:
+        """Read the scene, which lies under `folder`, and set up its camera."""
+        self.paper, self.folder, self.settings = paper, folder, settings
+        self.artefacts, self._progress = artefacts, progress
+        self.scene = open_scene(paper, folder)
+        self.view = framed(self.scene.mesh, settings.size, self.scene.up)
+
+    @cached_property
+    def model(self) -> Artefact:
+        """The scene's network."""
+        name, settings = self.paper.name, self.settings
+        return scene_model(
+            self.artefacts,
+            name,
+            self.scene,
+            self._given,
+            settings.train_minutes,
+            settings.device,
+            lambda share, words: self._progress(f"{name}: training", share, words),
+        )
+
+    @cached_property
+    def importance(self) -> Artefact:
+        """The importance module of the network, beside it."""
+        name, settings = self.paper.name, self.settings
+        return scene_importance(
+            self.artefacts,
+            self.model,
+            self._given,
+            self.scene.mesh,
+            settings.importance_seconds,
+            settings.device,
+            lambda share, words: self._progress(f"{name}: fitting the importance module", share, words),
+        )
+
+    @property
+    def _given(self) -> Path:
+        """Where the repository keeps the scene's network."""
+        return self.folder / "models" / f"{self.paper.name}.pt"
+
+    @cached_property
+    def asset(self) -> Artefact:
+        """The network baked at degree 2."""
+        settings = self.settings.bake(self.paper.bake)
+        model, name = self.model, f"{self.paper.name}/asset.h5"
+        inputs = {"method": _METHOD, "model": model.sha256, "degree": DEGREE, **asdict(settings)}
+        arguments = model, self.scene.mesh, settings, self.artefacts.stop, self._follow(f"{self.paper.name}: baking")
+        return self.artefacts.made(name, inputs, lambda path: bake_asset(path, *arguments))
+
+    def under(self, sky_name: str, sky_path: Path) -> Result:
+        """The scene under one sky; raises Stopped with all whole steps kept."""
+        lighting = self._lighting(sky_path)
+        truth = self._reference(sky_name, lighting)
+        pictures = dict(self._pictures(sky_name, lighting))
+        return self._measured(sky_name, truth, pictures, self._surfaces(sky_name, lighting))
+
+    def sigma(self) -> SigmaPicture:
+        """What the importance module says of the points seen."""
+        return sigma_picture(self.paper.title, self.importance.path.with_name("model.pt"), self.scene.mesh, self.view)
+
+    def _lighting(self, path: Path) -> Lighting:
+        up = self.scene.up
+        return Lighting((Sky(read_environment(path), up, rotation(0.0, up)),))
+
+    def _view_inputs(self, lighting: Lighting) -> Facts:
+        return {"light": lighting.content_hash(), "camera": camera_json(self.view)}
+
+    def _reference(self, sky: str, lighting: Lighting) -> Reference:
+        name, settings = f"{self.paper.name}/{sky}/reference.exr", self.settings
+        inputs = {"scene": self.scene.content_hash, "seed": settings.seed, **self._view_inputs(lighting)}
+        trace = trace_scene(self.scene, lighting, self.view, self.artefacts.stop, self._follow(f"{name}: path tracing"))
+        goal = settings.reference_spp, settings.reference_minutes
+        return reference(self.artefacts, name, inputs, settings.size, trace, *goal)
+
+    def _pictures(self, sky: str, lighting: Lighting) -> Iterator[tuple[str, Artefact]]:
+        """The pictures by method, of light from under the surface alone."""
+        name, settings = self.paper.name, self.settings
+        common = {"method": _METHOD, "model": self.model.sha256, **self._view_inputs(lighting)}
+        for sampling in SAMPLINGS:
+            file = f"{name}/{sky}/net_{sampling}.exr"
+            inputs = {**common, "spp": settings.spp, "sampling": sampling, "seed": settings.seed}
+            if sampling != "light":
+                inputs["importance"] = self.importance.sha256
+            yield sampling, self.artefacts.made(file, inputs, self._network_picture(lighting, sampling, file))
+        inputs = {**common, "asset": self.asset.sha256}
+        arguments = self.asset, lighting.skies[0], self.view
+        yield (
+            "sh",
+            self.artefacts.made(f"{name}/{sky}/sh.exr", inputs, lambda path: harmonics_picture(path, *arguments)),
+        )
+
+    def _network_picture(self, lighting: Lighting, sampling: Sampling, file: str) -> Callable[[Path], Facts]:
+        def render(path: Path) -> Facts:
+            return network_picture(
+                path,
+                self.model,
+                self.scene.mesh,
+                lighting,
+                self.view,
+                self.settings.spp,
+                sampling,
+                _PICTURE_SEED + self.settings.seed,
+                self.settings.device,
+                self.artefacts.stop,
+                self._follow(file),
+            )
+
+        return render
+
+    def _surfaces(self, sky: str, lighting: Lighting) -> tuple[Artefact, Artefact]:
+        """Reflection and background: for the pictures, and from other numbers for the reference."""
+        inputs = {"method": _METHOD, "scene": self.scene.content_hash, **self._view_inputs(lighting)}
+        most = self.settings.spp
+
+        def layer(name: str, spp: int, seed: int) -> Artefact:
+            def render(path: Path) -> None:
+                write_image(path, surface_picture(self.scene, lighting, self.view, spp, seed, self.artefacts.stop))
+
+            file = f"{self.paper.name}/{sky}/{name}.exr"
+            return self.artefacts.made(file, {**inputs, "spp": spp, "seed": seed}, render)
+
+        return (
+            layer("surface", min(most, SURFACE_SPP), _PICTURE_SEED + self.settings.seed),
+            layer("surface_reference", min(most, SURFACE_REFERENCE_SPP), self.settings.seed),
+        )
+
+    def _measured(
+        self, sky: str, truth: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
+    ) -> Result:
+        """The figures of every picture; the maps of FLIP are kept beside them."""
+        inputs = {
+            "method": _METHOD,
+            "reference": truth.artefact.sha256,
+            "pictures": {method: picture.sha256 for method, picture in pictures.items()},
+            "surfaces": [surface.sha256 for surface in surfaces],
+        }
+        kept = self.artefacts.made(
+            f"{self.paper.name}/{sky}/flip.npz", inputs, lambda path: self._measure(path, truth, pictures, surfaces)
+        )
+        facts = dict(kept.facts)
+        lines = tuple(
+            Line(method, **self._cost(method, pictures[method]), **facts["figures"][method]) for method in METHODS
+        )
+        return Result(
+            self.paper.name,
+            sky,
+            Path(self.scene.path).name,
+            is_stand_in(self.paper, self.scene),
+            measures.framing(truth.coverage),
+            facts["stops"],
+            truth.artefact.facts,
+            facts["noise"],
+            lines,
+            self.model.facts,
+            self.asset.facts,
+        )
+
+    def _measure(
+        self, path: Path, truth: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
+    ) -> Facts:
+        mask = measures.object_mask(truth.coverage)
+        alone_stops = measures.exposure(truth.image, mask)
+        ours, theirs = (read_image(surface.path) for surface in surfaces)
+        whole = truth.image + theirs
+        whole_stops = measures.exposure(whole, mask)
+        maps: dict[str, NDArray[np.float16]] = {}
+        figures: dict[str, Any] = {}
+        for method, picture in pictures.items():
+            image = read_image(picture.path)
+            alone = measures.measure(image, truth.image, mask, alone_stops)
+            together = measures.measure(image + ours, whole, mask, whole_stops)
+            maps[method], maps[f"{method}_whole"] = (
+                alone.flip_map.astype(np.float16),
+                together.flip_map.astype(np.float16),
+            )
+            noiseless = measures.flip_without_noise(image, truth, mask, alone_stops, alone.flip)
+            figures[method] = {
+                "alone": {**alone.as_json(), "flip_without_noise": noiseless},
+                "whole": together.as_json(),
+            }
+        write_maps(path, maps)
+        noise = measures.noise_figures(truth, read_image(pictures["sh"].path), mask, alone_stops)
+        return {"stops": alone_stops, "whole_stops": whole_stops, "noise": noise, "figures": figures}
+
+    def _cost(self, method: str, picture: Artefact) -> Facts:
+        """Samples a pixel, seconds, and megabytes of what must be kept to render the picture."""
+        facts = picture.facts
+        if method == "sh":
+            return {"spp": 1, "seconds": facts["seconds"], "megabytes": self.asset.path.stat().st_size / 1e6}
+        megabytes = self.model.facts["megabytes"]
+        if method != "light":
+            megabytes += self.importance.facts["megabytes"]
+        return {"spp": facts["spp"], "seconds": facts["seconds"], "megabytes": megabytes}
+
+    def _follow(self, what: str) -> Callable[[float], None]:
+        return lambda share: self._progress(what, share, "")
+
+
+def camera_json(view: Camera) -> list[Any]:
+    """All that decides a view, as plain values."""
+    return [view.eye.tolist(), view.target.tolist(), view.up.tolist(), view.fov, view.width, view.height]
+
+
+def write_maps(path: Path, maps: dict[str, NDArray[np.float16]]) -> None:
+    """Write maps by name as .npz, whole or not at all."""
+    with replacing(path) as part, open(part, "wb") as file:
+        np.savez_compressed(file, **maps)  # type: ignore[arg-type]

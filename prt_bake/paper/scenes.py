@@ -1,0 +1,197 @@
+"""The five scenes of the paper's tables, what the paper reports of each, and how each is framed and baked here."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from formats.errors import QueryError, SceneError
+from formats.mesh import Mesh
+from formats.scene import Scene, read_scene
+from prt_bake import camera
+from prt_bake.camera import Camera, Visibility, directions
+
+LEAST_SHARE = 0.4
+"""Of the picture, at least, the object fills."""
+_AIMED_SHARE = 0.42
+_FRAMING_PIXELS = 128
+_NARROWEST = 0.5
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """A line of the paper's first table; seconds on a GPU, pictures of a size that the paper does not say."""
+
+    spp: int
+    seconds: float
+    megabytes: float | None = None
+    mse: float | None = None
+    ssim: float | None = None
+    flip: float | None = None
+
+
+@dataclass(frozen=True)
+class PaperSky:
+    """A column of the paper's second table for Net: pictures of 1920², SSIM at full and quarter size."""
+
+    mse: float
+    ssim: float
+    ssim_quarter: float
+    flip: float
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """How a scene is baked for SH at degree 2.
+
+    subdivisions: of each face into four, before the bake, so that what lies between vertices shows. rings, sectors:
+    view bins. samples: incident directions a bin.
+    """
+
+    subdivisions: int
+    rings: int = 8
+    sectors: int = 16
+    samples: int = 64
+
+
+@dataclass(frozen=True)
+class PaperScene:
+    """A scene of the paper: its files under `scenes/`, the first whose mesh is there being taken."""
+
+    name: str
+    title: str
+    files: tuple[str, ...]
+    bake: BakeSettings
+    path_tracing: PaperRow
+    net: PaperRow
+    harmonics: PaperRow
+    net_by_sky: dict[str, PaperSky] | None = None
+
+
+SCENES = (
+    PaperScene(
+        "grape",
+        "Grape",
+        ("grape/grape.toml",),
+        BakeSettings(subdivisions=1),
+        PaperRow(10000, 1846.44),
+        PaperRow(256, 2.038, 1.31, 1.6e-4, 0.975, 0.051),
+        PaperRow(1, 3.2e-4, 21.1, 2.8e-3, 0.983, 0.082),
+        {
+            "outdoor": PaperSky(9.28e-5, 0.949, 0.998, 0.0174),
+            "indoor": PaperSky(3.11e-4, 0.870, 0.994, 0.0301),
+        },
+    ),
+    PaperScene(
+        "dragon",
+        "Dragon",
+        ("dragon/dragon.toml", "dragon/serpent.toml"),
+        BakeSettings(subdivisions=1),
+        PaperRow(10000, 2412.56),
+        PaperRow(256, 1.813, 1.31, 1.4e-5, 0.990, 0.009),
+        PaperRow(1, 1.2e-3, 779.6, 6.2e-4, 0.971, 0.045),
+    ),
+    PaperScene(
+        "paperweight",
+        "Paperweight",
+        ("paperweight/bunny.toml", "paperweight/cow.toml"),
+        BakeSettings(subdivisions=2),
+        PaperRow(10000, 2503.83),
+        PaperRow(256, 3.950, 3.77, 1.1e-3, 0.987, 0.079),
+        PaperRow(1, 3.6e-4, 46.1, 3.4e-3, 0.953, 0.115),
+        {
+            "outdoor": PaperSky(6.91e-4, 0.757, 0.974, 0.0279),
+            "indoor": PaperSky(1.15e-3, 0.754, 0.971, 0.0491),
+        },
+    ),
+    PaperScene(
+        "drink",
+        "Drink with ice",
+        ("drink/drink.toml",),
+        BakeSettings(subdivisions=2),
+        PaperRow(10000, 1496.24),
+        PaperRow(256, 3.231, 1.31, 3.0e-4, 0.870, 0.043),
+        PaperRow(1, 2.8e-4, 19.2, 1.4e-3, 0.969, 0.070),
+    ),
+    PaperScene(
+        "lucy",
+        "Lucy",
+        ("lucy/lucy.toml", "lucy/figure.toml"),
+        BakeSettings(subdivisions=1),
+        PaperRow(10000, 1198.36),
+        PaperRow(256, 2.189, 0.65, 4.7e-4, 0.986, 0.035),
+        PaperRow(1, 3.7e-4, 64.2, 1.1e-3, 0.984, 0.382),
+    ),
+)
+NAMES = tuple(scene.name for scene in SCENES)
+SKIES = {"outdoor": "skies/outdoor.hdr", "indoor": "skies/indoor.hdr"}
+"""Under `scenes/`; `scenes/skies/LICENSES.md` says whose they are."""
+
+
+def chosen(names: list[str]) -> tuple[PaperScene, ...]:
+    """The scenes of these names in the paper's order, all of them where none is named; raises QueryError for others."""
+    unknown = [name for name in names if name not in NAMES]
+    if unknown:
+        raise QueryError(f"--scene: {unknown[0]!r} is no scene of the paper; known are {', '.join(NAMES)}")
+    return tuple(scene for scene in SCENES if not names or scene.name in names)
+
+
+def open_scene(paper: PaperScene, folder: Path) -> Scene:
+    """Read the scene from its files under `folder`, the original's where its mesh is there, else the stand-in's.
+
+    Raises SceneError where the last of them is not there either, or does not fit.
+    """
+    if not (folder / paper.files[-1]).is_file():
+        raise SceneError(
+            f"{folder / paper.files[-1]}: not found; the paper's scenes lie in the folder scenes of the repository: "
+            "run the command from its root, or name the folder by --scenes"
+        )
+    for name in paper.files[:-1]:
+        if _has_meshes(folder / name):
+            return read_scene(folder / name)
+    return read_scene(folder / paper.files[-1])
+
+
+def is_stand_in(paper: PaperScene, scene: Scene) -> bool:
+    """Whether the scene is the stand-in for one whose mesh may not lie in the repository."""
+    return len(paper.files) > 1 and Path(scene.path).name == Path(paper.files[-1]).name
+
+
+def framed(mesh: Mesh, size: int, up: str) -> Camera:
+    """A camera of size × size pixels that sees the whole object, or nearer where it would fill less than 40 %.
+
+    The eye stays where `camera.fit` puts it; the field of view is narrowed about the middle of the object until it
+    fills 42 % of the picture.
+    """
+    whole = camera.fit(mesh, size, size, up=up)
+    visibility = Visibility(mesh)
+    if filled(visibility, whole) >= _AIMED_SHARE:
+        return whole
+    narrow, wide = _NARROWEST, whole.fov
+    while wide - narrow > 1e-3 * wide:
+        middle = 0.5 * (narrow + wide)
+        if filled(visibility, _with_fov(whole, middle, size)) >= _AIMED_SHARE:
+            narrow = middle
+        else:
+            wide = middle
+    return _with_fov(whole, narrow, size)
+
+
+def filled(visibility: Visibility, view: Camera) -> float:
+    """The share of the picture that the object fills, from 128 × 128 rays."""
+    small = _with_fov(view, view.fov, _FRAMING_PIXELS)
+    rays = directions(small, slice(0, _FRAMING_PIXELS), np.array([[0.5, 0.5]])).reshape(-1, 3)
+    return float((visibility.first_hits(small.eye, rays).faces >= 0).mean())
+
+
+def _with_fov(view: Camera, fov: float, size: int) -> Camera:
+    return Camera(view.eye, view.target, view.up, fov, size, size)
+
+
+def _has_meshes(path: Path) -> bool:
+    """Whether the files that a scene file names are there; it is told by the scan alone, which is never committed."""
+    if not path.is_file():
+        return False
+    words = path.read_text(encoding="utf-8").replace('"', " ").split()
+    scans = {word for word in words if word.startswith("stanford_") and word.endswith(".ply")}
+    return all((path.parent / scan).is_file() for scan in scans)

@@ -1,0 +1,94 @@
+"""A sheet of pictures: a row a scene and sky, each picture with its map of FLIP below it, figures beside the names."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from formats.errors import PrtbakeError
+from formats.whole import replacing
+from prt_bake.comparison import displayed
+
+CELL = 192
+"""Width and height of a picture on the sheet, in pixels."""
+_GAP, _LABEL, _LEFT, _HEAD = 6, 18, 26, 24
+PAPER, INK = (24, 24, 24), (235, 235, 235)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A picture [H,W,3] in linear radiance, its map of FLIP [H,W] (or none), and a few words."""
+
+    image: NDArray[np.floating]
+    flip_map: NDArray[np.floating] | None
+    words: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """Pictures of one scene under one sky, all lifted by `stops`."""
+
+    title: str
+    stops: float
+    tiles: tuple[Tile | None, ...]
+
+
+def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None:
+    """Write the sheet as PNG: `columns` name the tiles of each row; a tile that is None stays empty.
+
+    FLIP is shown in magma, black 0, white 1, at the size of the pictures. Raises PrtbakeError where the extra
+    `evaluate` is not installed.
+    """
+    width = _LEFT + len(columns) * (CELL + _GAP)
+    height = _HEAD + len(rows) * (2 * CELL + _LABEL + _GAP)
+    sheet = Image.new("RGB", (width, height), PAPER)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
+    for j, name in enumerate(columns):
+        draw.text((_LEFT + j * (CELL + _GAP), 5), name, INK, font)
+    for i, row in enumerate(rows):
+        top = _HEAD + i * (2 * CELL + _LABEL + _GAP)
+        sheet.paste(_upright(row.title, 2 * CELL, font), (3, top + _LABEL))
+        for j, tile in enumerate(row.tiles):
+            if tile is None:
+                continue
+            left = _LEFT + j * (CELL + _GAP)
+            draw.text((left, top + 1), tile.words, INK, font)
+            sheet.paste(fitted(shown(tile.image, row.stops)), (left, top + _LABEL))
+            if tile.flip_map is not None:
+                sheet.paste(fitted(coloured(tile.flip_map)), (left, top + _LABEL + CELL))
+    with replacing(path) as part:
+        sheet.save(part, format="PNG", optimize=True)
+
+
+def shown(image: NDArray[np.floating], stops: float) -> NDArray[np.uint8]:
+    """A picture [H,W,3] of linear radiance, lifted by `stops`, in 8 bits of sRGB."""
+    return np.rint(255.0 * displayed(np.asarray(image, np.float64) * 2.0**stops)).astype(np.uint8)
+
+
+def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "magma") -> NDArray[np.uint8]:
+    """Values [H,W] from 0 to `largest` in a colour map of matplotlib, [H,W,3]."""
+    try:
+        from matplotlib import colormaps
+    except ImportError:
+        raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
+
+    colours = colormaps[name](np.clip(np.asarray(values, np.float64) / largest, 0.0, 1.0))
+    return np.rint(255.0 * colours[..., :3]).astype(np.uint8)
+
+
+def fitted(pixels: NDArray[np.uint8]) -> Image.Image:
+    """In the size of a cell: means of pixels where there are more, whole squares where there are fewer."""
+    picture = Image.fromarray(pixels)
+    larger = pixels.shape[0] > CELL
+    return picture.resize((CELL, CELL), Image.Resampling.BOX if larger else Image.Resampling.NEAREST)
+
+
+def _upright(words: str, length: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> Image.Image:
+    """A line of text that reads upwards."""
+    strip = Image.new("RGB", (length, _LABEL), PAPER)
+    drawn = ImageDraw.Draw(strip)
+    drawn.text(((length - drawn.textlength(words, font)) / 2.0, 1), words, INK, font)
+    return strip.transpose(Image.Transpose.ROTATE_90)

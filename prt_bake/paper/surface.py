@@ -1,0 +1,71 @@
+"""What is seen besides the light from under the surface: what the surface reflects, and the sky behind the object."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.scene import Scene
+from prt_bake.camera import Camera, Visibility, directions
+from prt_bake.lighting import Lighting
+from prt_bake.paper.artefacts import Stopped
+from prt_bake.randomness import hashed, uniforms
+from prt_bake.reflection import Reflector
+from prt_bake.surface_finish import interface_alpha, interface_normals
+
+Array = NDArray[np.float64]
+
+_PIXEL_STREAM, _REFLECTION_STREAM = 0xB0, 0xB1
+_RAYS_AT_ONCE = 1 << 17
+
+
+def surface_picture(
+    scene: Scene, lighting: Lighting, view: Camera, spp: int, seed: int, stop: Callable[[], bool] = lambda: False
+) -> NDArray[np.float32]:
+    """A picture [H,W,3] of what the object's surface reflects and of the sky behind it, `spp` samples a pixel.
+
+    Added to a picture of the light from under the surface it gives the picture with everything in. Raises Stopped.
+    """
+    visibility = Visibility(scene.mesh)
+    reflector = Reflector(scene.mesh, lighting, scene.eta, visibility)
+    image = np.zeros((view.height, view.width, 3))
+    step = max(1, _RAYS_AT_ONCE // view.width)
+    for number in range(spp):
+        if stop():
+            raise Stopped("the reflected light was stopped; the same command renders it anew")
+        sample = int(hashed(_PIXEL_STREAM, seed, number) >> np.uint64(1))
+        for first in range(0, view.height, step):
+            rows = slice(first, min(first + step, view.height))
+            image[rows] += _rows(scene, lighting, view, visibility, reflector, rows, sample)
+    return (image / spp).astype(np.float32)
+
+
+def _rows(
+    scene: Scene,
+    lighting: Lighting,
+    view: Camera,
+    visibility: Visibility,
+    reflector: Reflector,
+    rows: slice,
+    seed: int,
+) -> Array:
+    """One sample of each pixel of some rows [R,W,3]."""
+    pixels = np.arange(rows.start * view.width, rows.stop * view.width)
+    places = uniforms((_PIXEL_STREAM, seed, pixels.astype(np.uint64)), 2).reshape(-1, view.width, 1, 2)
+    rays = directions(view, rows, places).reshape(-1, 3)
+    hits = visibility.first_hits(view.eye, rays)
+    met = np.flatnonzero(hits.faces >= 0)
+    missed = np.flatnonzero(hits.faces < 0)
+    faces, barycentric = hits.faces[met], hits.barycentric[met]
+    seen = np.zeros((len(rays), 3))
+    seen[missed] = lighting.radiance(rays[missed])
+    seen[met] = reflector.reflected(
+        faces,
+        barycentric,
+        interface_normals(scene.mesh, faces, barycentric, scene.parts[0].normals),
+        -rays[met],
+        interface_alpha(scene.mesh, faces, barycentric, scene.roughness),
+        pixels[met].astype(np.uint64),
+        int(hashed(_REFLECTION_STREAM, seed) >> np.uint64(1)),
+    )
+    return seen.reshape(-1, view.width, 3)

@@ -1,0 +1,69 @@
+"""What walks tell of a scene in a picture: the reference, one walk from every point that is seen."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.scene import Scene
+from prt_bake.emitters import plan_light
+from prt_bake.lighting import Lighting, radiance
+from prt_bake.randomness import hashed, uniforms
+from prt_bake.trainer.lit import connections, sees_straight_through, walk_lit, walk_out
+
+Array = NDArray[np.float64]
+
+_LIGHT_STREAM, _LIT_STREAM, _EXIT_STREAM = 0x9D, 0x9E, 0x9F
+
+
+class WalkTracer:
+    """A scene under a lighting, path traced: an `ObjectTracer`."""
+
+    points = 2
+    """Passes are independent, so that more passes of fewer points tell the error better."""
+    samples = 2
+    cost = 1
+
+    def __init__(self, scene: Scene, lighting: Lighting) -> None:
+        """Split the light into what is connected to and what walks must find."""
+        self._scene, self._lighting = scene, lighting
+        self._plan = plan_light(lighting, connections(scene))
+        self._straight = sees_straight_through(scene)
+
+    def radiance(
+        self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
+    ) -> tuple[Array, int]:
+        """As `ObjectTracer.radiance`; samples are walks."""
+        total, walks = np.zeros((len(faces), 3)), 0
+        if len(faces) and self._plan.emitters:
+            total += self._connected(faces, barycentric, outgoing, keys, seed)
+            walks += len(faces)
+        leaving = np.arange(len(faces)) if self._plan.skies or self._plan.suns else self._lit_straight(outgoing)
+        if len(leaving):
+            where = faces[leaving], barycentric[leaving], outgoing[leaving], keys[leaving]
+            exits = walk_out(self._scene, *where, 1, _kernel_seed(seed, _EXIT_STREAM))
+            towards, unscattered = exits.directions[:, 0], exits.unscattered[:, 0]
+            light = radiance(self._plan.skies, self._plan.suns, towards)
+            light[unscattered] = self._lighting.radiance(towards[unscattered])
+            total[leaving] += exits.throughput[:, 0] * light
+            walks += len(leaving)
+        return total, walks
+
+    def _connected(
+        self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
+    ) -> Array:
+        """What walks receive from the emitters, one direction of each a walk."""
+        incident, weights = np.zeros((2, len(faces), len(self._plan.emitters), 3))
+        for i, emitter in enumerate(self._plan.emitters):
+            incident[:, i], weights[:, i] = emitter.draw(uniforms((_LIGHT_STREAM, seed, i, keys), 3))
+        lit_seed = _kernel_seed(seed, _LIT_STREAM)
+        received, _square = walk_lit(self._scene, faces, barycentric, outgoing, keys, incident, 1, lit_seed)
+        return np.asarray((received * weights).sum(axis=1))
+
+    def _lit_straight(self, outgoing: Array) -> NDArray[np.int64]:
+        """Which views meet light straight through the object, where nothing else is left for walks to find."""
+        if not self._straight:
+            return np.zeros(0, np.int64)
+        return np.flatnonzero(self._lighting.radiance(-outgoing).any(axis=1))
+
+
+def _kernel_seed(seed: int, stream: int) -> int:
+    return int(hashed(stream, seed) >> np.uint64(1))

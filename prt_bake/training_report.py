@@ -1,0 +1,50 @@
+"""`report_training`: measure a trained model and write the report beside it."""
+
+from pathlib import Path
+from typing import Any
+
+from formats.errors import ModelError
+from formats.scene import Scene
+from prt_bake.trainer.asked import VERTICES
+from prt_bake.trainer.assessment import ASSESSMENT_SEED, assess
+from prt_bake.trainer.prepared import prepare
+from prt_bake.training_page import report_paths, write_training_report
+
+QUERIES, SECONDS = 1024, 40.0
+
+
+def report_training(
+    network: Any,
+    scene: Scene,
+    model: str | Path,
+    *,
+    seconds: float = SECONDS,
+    queries: int = QUERIES,
+    vertices: int = VERTICES,
+    seed: int = 0,
+) -> tuple[dict[str, Any], Path]:
+    """Assess `network` on its scene and write MODEL.report.json and MODEL.report.html beside `model`.
+
+    Returns the figures and where the page lies. `network.metadata["training"]["validation_vs_time"]` gives the history,
+    rows of (seconds, walks, validation error). Raises ModelError where the model says that it was trained on another
+    scene, StorageError if a file cannot be written, PrtbakeError (the JSON is written by then) without matplotlib.
+    """
+    hashed = network.metadata.get("scene_hash")
+    if hashed not in (None, scene.content_hash):
+        raise ModelError(
+            f"{model}: was trained on another scene than {scene.path} (its mesh, medium or interface is not the same); "
+            "give the scene that it was trained on"
+        )
+    found = assess(
+        network,
+        scene,
+        prepare(scene),
+        queries=queries,
+        seed=ASSESSMENT_SEED + seed,
+        history=network.metadata.get("training", {}).get("validation_vs_time", []),
+        seconds=seconds,
+        vertices=vertices,
+    ).as_json()
+    json_path, page_path = report_paths(model)
+    write_training_report(found, json_path, page_path)
+    return found, page_path

@@ -1,0 +1,100 @@
+"""Noise of a network's pictures at equal time, sampled by light, lobe and both, the pilot included.
+
+    python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1]
+
+The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand. An importance
+module is fitted first where the model has none beside it. A row gives, for each way, standard error over mean radiance
+on the object at the CPU time that the first took; samples a pixel a second on one thread; then the mixture chosen.
+"""
+
+import argparse
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from formats.lights import parse_sun
+from formats.mesh import read_mesh
+from prt_bake import camera
+from prt_bake.environment import read_environment
+from prt_bake.importance import importance_path, load_importance, save_importance
+from prt_bake.importance_fit import fit_importance
+from prt_bake.lighting import Lighting, as_lighting
+from prt_bake.network import load_model
+from prt_bake.render_network import render_network
+
+SHIPPED = Path(__file__).resolve().parents[2] / "prt_bake" / "shipped"
+WAYS = ("light", "lobe", "mis")
+
+
+def skies() -> dict[str, Lighting]:
+    outdoor = read_environment(SHIPPED / "sky.hdr")
+    sunny = outdoor.copy()
+    sunny[20:22, 60:62] = 1e5
+    grey = np.ones((64, 128, 3), np.float32)
+    lamp = grey.copy()
+    lamp[20:24, 40:44] = 150.0
+    dark_lamp = 0.02 * grey
+    dark_lamp[30:34, 90:96] = 30.0
+    behind = grey.copy()
+    behind[:, 50:110] = 20.0
+    images = {
+        "shipped sky": outdoor,
+        "with a sun of 1e5": sunny,
+        "grey": grey,
+        "grey with a lamp": lamp,
+        "dark with a lamp": dark_lamp,
+        "bright behind": behind,
+    }
+    return {name: as_lighting(image, "y", 0.0) for name, image in images.items()} | {
+        "one sun": Lighting((), (parse_sun("sun:0.5,0.6,-0.6:3,3,3"),))
+    }
+
+
+def module_of(folder: Path, minutes: float) -> object:
+    """The model's importance module, fitted here where there is none."""
+    if importance_path(SHIPPED / "spot.pt").is_file():
+        return load_importance(SHIPPED / "spot.pt")
+    model = Path(shutil.copy(SHIPPED / "spot.pt", folder))
+    mesh = read_mesh(SHIPPED / "spot.obj")
+    save_importance(fit_importance(load_model(model), mesh, seconds=60 * minutes, threads=1), model)
+    return load_importance(model)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--size", type=int, default=96)
+    parser.add_argument("--spp", type=int, default=256)
+    parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--model", type=Path, help="another copy of the model, with its importance module beside it")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    mesh = read_mesh(SHIPPED / "spot.obj")
+    network = load_model(given.model or SHIPPED / "spot.pt")
+    view = camera.fit(mesh, given.size, given.size)
+    with tempfile.TemporaryDirectory() as folder:
+        module = load_importance(given.model) if given.model else module_of(Path(folder), given.minutes)
+    render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # what is compiled is compiled
+    print(f"{'light':20}{'by light':>10}{'by lobe':>10}{'by both':>10}{'of better':>11}  rate, mixture")
+    for name, light in skies().items():
+        noise, clock, rate, mixture = {}, 0.0, "", ""
+        for way in WAYS:
+            began = time.process_time()
+            picture = render_network(
+                network, mesh, light, view, given.spp, 1, sampling=way, importance=module, background=False
+            )
+            seconds = time.process_time() - began
+            clock = clock or seconds
+            noise[way] = picture.relative_noise * np.sqrt(seconds / clock)
+            rate += f" {picture.spp / seconds:.3g}"
+            mixture = f"{picture.sampling['light']} {picture.sampling['lobe']} trust {picture.sampling['trust']:g}"
+        ratio = noise["mis"] / max(1e-12, min(noise["light"], noise["lobe"]))
+        figures = "".join(f"{noise[way]:10.2%}" for way in WAYS)
+        print(f"{name:20}{figures}{ratio:11.2f} {rate}  {mixture}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

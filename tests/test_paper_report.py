@@ -1,0 +1,190 @@
+"""The report from end to end on a few pixels, resumed and told; models given, trained and gone on with."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import Run
+from PIL import Image
+
+from formats.image import read_image, read_layers
+from formats.mesh import read_mesh
+from formats.scene import read_scene
+from prt_bake.demonstration import SHIPPED
+from prt_bake.importance import ImportanceModule, save_importance
+from prt_bake.importance_settings import ImportanceSettings
+from prt_bake.network import load_model, save_model
+from prt_bake.paper.artefacts import Artefacts, Stopped
+from prt_bake.paper.layers import ablation
+from prt_bake.paper.models import scene_model
+from prt_bake.paper.report import PaperReport
+from prt_bake.paper.results import METHODS, Result
+from prt_bake.paper.scenes import SCENES, BakeSettings
+from prt_bake.paper.settings import ReportSettings
+
+SKY = Path(__file__).parent.parent / "scenes/skies/outdoor.hdr"
+SETTINGS = ReportSettings(size=32, spp=64, reference_spp=16)
+LUCY = replace(SCENES[-1], files=("spot.toml",), bake=BakeSettings(0, 1, 4, 16))
+"""The shipped object under the name of one of the five."""
+GOAL = "path tracing 16 walks a pixel"
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scenes")
+    for name in ("spot.toml", "spot.obj", "sigma_t.npy", "albedo.npy"):
+        shutil.copy(SHIPPED / name, folder / name)
+    (folder / "models").mkdir()
+    model = folder / "models/lucy.pt"
+    shutil.copy(SHIPPED / "spot.pt", model)
+    low, high = read_mesh(SHIPPED / "spot.obj").bounds
+    save_importance(ImportanceModule(ImportanceSettings(), low, float((high - low).max())), model)
+    return folder
+
+
+def run(out: Path, scenes: Path, said: list[str], **options: Any) -> list[Result]:
+    told: list[Result] = []
+    work = PaperReport(out, scenes, SETTINGS, say=said.append, **options)
+    work.run([LUCY], {"outdoor": SKY}, told.append)
+    return told
+
+
+def test_a_report_from_end_to_end_is_made_once(tmp_path: Path, scenes: Path) -> None:
+    said: list[str] = []
+    (first,) = run(tmp_path, scenes, said)
+    assert sum("to be made" in sentence for sentence in said) == 11
+    assert [line.method for line in first.lines] == list(METHODS)
+    assert all(0.0 < line.alone["flip"] < 0.5 and line.whole for line in first.lines)
+    assert first.line("light").megabytes < first.line("lobe").megabytes
+    assert first.framing["object_share"] > 0.4
+    page = (tmp_path / "tables.md").read_text()
+    assert f"{first.line('mis').alone['flip']:.4f}" in page
+    read = json.loads((tmp_path / "tables.json").read_text())
+    assert read["results"][0]["lines"][0]["alone"]["flip"] == first.lines[0].alone["flip"]
+    for name in ("sheet", "everything", "sigma", "training"):
+        assert np.asarray(Image.open(tmp_path / f"{name}.png")).std() > 5.0
+
+    truth = read_layers(tmp_path / "lucy/outdoor/reference.exr")
+    off = np.s_[:4, :4]  # a corner, far from the object
+    assert not truth.layers["coverage"][off].any()
+    for image in (truth.image, read_image(tmp_path / "lucy/outdoor/sh.exr")):
+        assert not image[off].any()
+    surface = read_image(tmp_path / "lucy/outdoor/surface.exr")
+    assert (surface[off] > 0.0).all()
+
+    said.clear()
+    (again,) = run(tmp_path, scenes, said)
+    assert said == []
+    assert again == first
+    (tmp_path / "lucy/outdoor/sh.exr").unlink()
+    run(tmp_path, scenes, said)
+    assert said == ["lucy/outdoor/sh.exr: to be made"]
+
+
+def test_a_report_that_is_stopped_keeps_what_is_whole(tmp_path: Path, scenes: Path) -> None:
+    said: list[str] = []
+    with pytest.raises(Stopped, match="goes on"):
+        run(tmp_path, scenes, said, stop=lambda: len(said) >= 3)
+    assert (tmp_path / "lucy/model.importance.pt.made.json").is_file()
+    assert not (tmp_path / "tables.md").exists()
+    kept = len(said)
+    with pytest.raises(Stopped):
+        run(tmp_path, scenes, said, stop=lambda: len(said) > kept)
+    assert said[kept:] == [f"lucy/outdoor/reference.exr: {GOAL}, 0 walks a pixel are there"]
+
+
+class FakeTraining:
+    """Stands for the trainer: writes a model and notes how it was asked."""
+
+    def __init__(self, error: float = 0.1) -> None:
+        self.asked: list[dict[str, Any]] = []
+        self.error = error
+
+    def __call__(self, scene: Any, **asked: Any) -> Any:
+        self.asked.append(asked)
+        network = load_model(SHIPPED / "spot.pt")
+        network.metadata["scene_hash"] = scene.content_hash
+        layers = asked["settings"].layers if asked["settings"] else 5
+        network.metadata["training"] = {"relative_rmse": {"transport": self.error / layers}, "seconds": 1.0}
+        save_model(network, asked["output"])
+        asked["output"].with_suffix(".train.pt").write_bytes(b"state")
+        asked["progress"](SimpleNamespace(share=1.0, validation=0.5, walks_per_second=1.0))
+        return network
+
+
+@pytest.fixture
+def training(monkeypatch: pytest.MonkeyPatch) -> FakeTraining:
+    fake = FakeTraining()
+    monkeypatch.setattr("prt_bake.trainer.fit.train", fake)
+    return fake
+
+
+def quiet(*words: object) -> None:
+    pass
+
+
+def test_a_model_of_another_scene_is_not_taken(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    said: list[str] = []
+    artefacts = Artefacts(tmp_path, said.append)
+    (tmp_path / "other.toml").write_text((scenes / "spot.toml").read_text().replace("eta = 1.3", "eta = 1.4"))
+    for name in ("spot.obj", "sigma_t.npy", "albedo.npy"):
+        shutil.copy(scenes / name, tmp_path / name)
+    other, given = read_scene(tmp_path / "other.toml"), scenes / "models/lucy.pt"
+    scene_model(artefacts, "lucy", read_scene(scenes / "spot.toml"), given, 1.0, "cpu", quiet)
+    assert not training.asked
+    model = scene_model(artefacts, "other", other, given, 1.0, "cpu", quiet)
+    assert len(training.asked) == 1
+    assert "was trained on another scene" in said[1]
+    assert load_model(model.path).metadata["scene_hash"] == other.content_hash
+    assert sorted(path.name for path in model.path.parent.iterdir()) == ["model.pt", "model.pt.made.json"]
+
+
+def test_a_training_that_was_stopped_goes_on(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    scene, missing = read_scene(scenes / "spot.toml"), tmp_path / "none.pt"
+    asked_to_stop = [False]
+    artefacts = Artefacts(tmp_path, quiet, lambda: asked_to_stop[0] and bool(training.asked))
+
+    def stopped(minutes: float) -> None:
+        asked_to_stop[0] = True
+        training.asked.clear()
+        with pytest.raises((Stopped, KeyboardInterrupt)):
+            scene_model(artefacts, "lucy", scene, missing, minutes, "cpu", quiet)
+        asked_to_stop[0] = False
+
+    stopped(1.0)
+    stopped(1.0)
+    assert [asked["resume"] for asked in training.asked] == [True]
+    stopped(2.0)
+    assert [asked["resume"] for asked in training.asked] == [False]
+    scene_model(artefacts, "lucy", scene, missing, 2.0, "cpu", quiet)
+    assert [asked["resume"] for asked in training.asked] == [False, True]
+    scene_model(artefacts, "lucy", scene, missing, 2.0, "cpu", quiet)
+    assert len(training.asked) == 2
+
+
+def test_layers_are_compared_with_seven_and_kept(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    scene, artefacts = read_scene(scenes / "spot.toml"), Artefacts(tmp_path, quiet)
+    found = ablation(artefacts, "lucy", scene, 1.0, "cpu", quiet)
+    assert found["7"] == 1.0
+    assert found["5*"] == found["5"] == pytest.approx((7 / 5) ** 2)
+    assert ablation(artefacts, "lucy", scene, 1.0, "cpu", quiet) == found
+    assert len(training.asked) == 10
+    assert (tmp_path / "lucy/layers/5_without_skips.pt").is_file()
+
+
+def test_the_command_refuses_what_is_not_there(prtbake: Run) -> None:
+    for arguments, sentence in (
+        (["--scene", "teapot"], "'teapot' is no scene of the paper"),
+        (["--sky", "nowhere.hdr"], "nowhere.hdr: there is no such sky"),
+        (["--scenes", "nowhere"], "nowhere/skies/outdoor.hdr: there is no such sky"),
+    ):
+        outcome = prtbake("report", "paper", *arguments)
+        assert outcome.code == 1
+        assert sentence in outcome.err
+        assert outcome.err.count("\n") == 1
+    assert prtbake("report", "paper", "--size", "none").code == 2
