@@ -1,7 +1,8 @@
 """Samples: queries to a scene's transport function and path-traced estimates of it, kept to learn from.
 
-HDF5. Attributes of the file: format "prtbake samples", format_version, generator, created, complete (0: stopped before
-all were there), scene, scene_hash, unit, seed, walks (a query), settings (JSON). Datasets:
+HDF5, with a checksum on everything in it. Attributes of the file: format "prtbake samples", format_version, generator,
+created, complete (0: stopped before all were there), seed, walks (a query), and source, which is JSON: scene,
+scene_hash, unit, settings. Datasets:
 
     queries/keys        [N] u8      what tells a query from all others, whatever the file
     queries/positions   [N,3] f8    on the surface, in scene units
@@ -34,7 +35,8 @@ DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "estimates/mean": ("<f4", ("N", "D", "3")),
     "estimates/standard_error": ("<f4", ("N", "D", "3")),
 }
-_ATTRIBUTES = ("complete", "scene", "scene_hash", "unit", "seed", "walks", "settings")
+_COUNTS = ("complete", "seed", "walks")
+_SOURCE = ("scene", "scene_hash", "unit", "settings")
 _DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)  # what h5py raises on damaged files
 _UNIT_TOLERANCE = 1e-4
 
@@ -120,7 +122,7 @@ def is_samples(path: str | os.PathLike[str]) -> bool:
     """Whether a file says of itself that it holds samples."""
     try:
         with h5py.File(path, "r") as file:
-            return bool(file.attrs.get("format") == FORMAT)
+            return _text(file, "format") == FORMAT
     except _DAMAGE:
         return False
 
@@ -141,21 +143,22 @@ def _opened(path: str | os.PathLike[str]) -> Any:
 
 def _layout_faults(file: Any) -> Iterator[str]:
     """Yield a sentence for every attribute or dataset that is missing or not as it must be."""
-    if file.attrs.get("format") != FORMAT:
-        found = file.attrs.get("format", "missing")
-        yield f"is HDF5 but holds no samples: expected the attribute format = '{FORMAT}', found {found!r}"
+    if _text(file, "format") != FORMAT:
+        said = _text(file, "format")
+        yield f"is HDF5 but holds no samples: expected the attribute format = '{FORMAT}', found '{said}'"
         return
-    version = str(file.attrs.get("format_version", "missing"))
+    version = _text(file, "format_version")
     if version.split(".")[0] != "1":
         yield f"has format_version {version}; this program reads 1.x, use one that is as new as the file"
         return
-    for name in _ATTRIBUTES:
-        if name not in file.attrs:
-            yield f"the attribute {name} is missing"
-        elif name in ("complete", "seed", "walks") and np.asarray(file.attrs[name]).dtype.kind not in "iu":
-            yield f"the attribute {name} is {file.attrs[name]!r}, which is no count"
-    if "settings" in file.attrs and not _is_object(file.attrs["settings"]):
-        yield "the attribute settings is no JSON object"
+    for name in _COUNTS:
+        value = np.asarray(file.attrs.get(name, "missing"))
+        if value.shape != () or value.dtype.kind not in "iu":
+            yield f"the attribute {name} is {value}, which is no count"
+    source = _object(_text(file, "source"))
+    for name in _SOURCE:
+        if not isinstance(source.get(name), dict if name == "settings" else str):
+            yield f"the attribute source says nothing of {name}"
     lengths: dict[str, int] = {}
     for name, (kind, axes) in DATASETS.items():
         dataset = file.get(name)
@@ -177,17 +180,14 @@ def _layout_faults(file: Any) -> Iterator[str]:
 
 def _read(file: Any) -> Samples:
     arrays = {name.partition("/")[2]: file[name][...] for name in DATASETS}
-    attributes = file.attrs
+    source = _object(_text(file, "source"))
     head = SamplesHead(
-        scene=str(attributes["scene"]),
-        scene_hash=str(attributes["scene_hash"]),
-        unit=str(attributes["unit"]),
-        seed=int(attributes["seed"]),
-        walks=int(attributes["walks"]),
+        **{name: source[name] for name in _SOURCE},
+        seed=int(file.attrs["seed"]),
+        walks=int(file.attrs["walks"]),
         directions=arrays["incident"].shape[1],
-        settings=json.loads(attributes["settings"]),
     )
-    return Samples(head, **arrays, complete=bool(attributes["complete"]))
+    return Samples(head, **arrays, complete=bool(file.attrs["complete"]))
 
 
 def _value_faults(samples: Samples) -> Iterator[str]:
@@ -206,11 +206,18 @@ def _marked(name: str, wrong: NDArray[np.bool_], what: str) -> Iterator[str]:
         yield f"{name}: {wrong.sum()} of {len(wrong)} queries are {what}, the first is query {wrong.argmax()}"
 
 
-def _is_object(text: Any) -> bool:
+def _text(file: Any, name: str) -> str:
+    """A text attribute; text of a fixed length, since HDF5 keeps other text in a heap without a checksum."""
+    found = file.attrs.get(name, "missing")
+    return found.decode("utf-8", "replace") if isinstance(found, bytes) else str(found)
+
+
+def _object(text: str) -> dict[str, Any]:
     try:
-        return isinstance(json.loads(text), dict)
-    except (ValueError, TypeError):
-        return False
+        found = json.loads(text)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def _first_line(cause: BaseException) -> str:

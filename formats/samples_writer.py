@@ -39,7 +39,7 @@ class SamplesWriter:
         try:
             with self._guarded():
                 self._sink = Sink(part)
-                self._file = h5py.File(self._sink, "w")
+                self._file = h5py.File(self._sink, "w", libver="v110")  # with checksums of its own
                 _write_head(self._file, head)
                 self._check()
         except BaseException as cause:
@@ -132,19 +132,16 @@ class SamplesWriter:
 
 
 def _write_head(file: Any, head: SamplesHead) -> None:
-    file.attrs.update(
-        format=FORMAT,
-        format_version=FORMAT_VERSION,
-        generator=f"prtbake {program_version()}",
-        created=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        complete=np.uint8(0),
-        scene=head.scene,
-        scene_hash=head.scene_hash,
-        unit=head.unit,
-        seed=np.uint64(head.seed),
-        walks=np.uint64(head.walks),
-        settings=json.dumps(head.settings, allow_nan=False),
-    )
+    source = {"scene": head.scene, "scene_hash": head.scene_hash, "unit": head.unit, "settings": head.settings}
+    texts = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "generator": f"prtbake {program_version()}",
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "source": json.dumps(source, allow_nan=False),
+    }
+    file.attrs.update({name: np.bytes_(text.encode()) for name, text in texts.items()})
+    file.attrs.update(complete=np.uint8(0), seed=np.uint64(head.seed), walks=np.uint64(head.walks))
     for name, (kind, axes) in DATASETS.items():
         rest = tuple(int(axis) if axis.isdigit() else head.directions for axis in axes[1:])
         rows = max(1, _CHUNK_BYTES // (int(np.prod(rest)) * np.dtype(kind).itemsize))

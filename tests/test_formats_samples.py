@@ -93,7 +93,7 @@ def test_a_file_cut_anywhere_is_refused(tmp_path):
 @settings(max_examples=30, deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 def test_a_flipped_bit_is_refused_or_harmless(tmp_path_factory, place, bit):
-    """Values are never other than they were: each chunk has its checksum."""
+    """Values are never other than they were: everything has its checksum."""
     folder = tmp_path_factory.mktemp("s")
     write(folder / "a.h5", [block(60, 2)], directions=2)
     content = bytearray((folder / "a.h5").read_bytes())
@@ -132,9 +132,11 @@ def changed(file, name, place, value):
 
 CHANGES = {
     "has format_version 2.0": lambda file: file.attrs.__setitem__("format_version", "2.0"),
-    "the attribute scene_hash is missing": lambda file: file.attrs.__delitem__("scene_hash"),
-    "the attribute walks is 'many', which is no count": lambda file: file.attrs.__setitem__("walks", "many"),
-    "settings is no JSON object": lambda file: file.attrs.__setitem__("settings", "[1"),
+    "the attribute source says nothing of scene": lambda file: file.attrs.__delitem__("source"),
+    "the attribute source says nothing of scene_hash": lambda file: file.attrs.__setitem__("source", '{"scene": "a"}'),
+    "the attribute seed is missing, which is no count": lambda file: file.attrs.__delitem__("seed"),
+    "the attribute walks is many, which is no count": lambda file: file.attrs.__setitem__("walks", "many"),
+    "source says nothing of scene\\b": lambda file: file.attrs.__setitem__("source", "[1"),
     "/estimates/mean is missing": lambda file: file.__delitem__("estimates/mean"),
     "/queries/positions has type float32": lambda file: put(file, "queries/positions", np.zeros((5, 3), "f4")),
     r"/estimates/mean has shape \[5, 2, 3\]; expected \[N = 5, D = 3, 3\]": lambda file: put(
