@@ -1,10 +1,10 @@
-"""Training behind a smooth interface (from walks' exits) against slightly rough ones (from values).
+"""Training behind a smooth interface against slightly rough ones.
 
     python tests/bench/smooth_training.py [--steps 1000] [--scene SCENE.toml] [--eta 1.4]
 
 The shipped scene with its interface exchanged, equal steps in turns. Prints the relative RMSE of a_lm on fresh queries
-(the reference's noise taken out), the walks, and CPU seconds. A step learns from 4096 rows:
-4096 exits, or the values of 512 walks in 8 directions each; `walks 8` gives the values as many walks as the exits have.
+(the reference's noise taken out), the walks, and CPU seconds. A step learns from 512 queries: of 4 exits each, or of
+values in 8 directions each, from one walk or from 4.
 """
 
 import argparse
@@ -21,13 +21,14 @@ from prt_bake.trainer.fit import LearningSettings, train
 from prt_bake.trainer.rows import StreamSettings
 
 VARIANTS: dict[str, tuple[float, StreamSettings, LearningSettings]] = {
-    "smooth, exits, 1 direction each": (0.0, StreamSettings(), LearningSettings()),
-    "smooth, exits, 2 directions each": (0.0, StreamSettings(), LearningSettings(spread=2)),
-    "smooth, each exit learnt from twice": (0.0, StreamSettings(reuse=2), LearningSettings()),
-    "alpha 0.05, values": (0.05, StreamSettings(), LearningSettings()),
-    "alpha 0.05, values, walks 8": (0.05, StreamSettings(walks=8, queries_a_batch=512), LearningSettings()),
-    "alpha 0.2, values": (0.2, StreamSettings(), LearningSettings()),
-    "alpha 0.2, values, walks 8": (0.2, StreamSettings(walks=8, queries_a_batch=512), LearningSettings()),
+    "smooth, exits": (0.0, StreamSettings(), LearningSettings()),
+    "smooth, exits, 2 directions besides": (0.0, StreamSettings(), LearningSettings(spread=2)),
+    "smooth, each query learnt from twice": (0.0, StreamSettings(reuse=2), LearningSettings()),
+    "alpha 0.05, exits": (0.05, StreamSettings(), LearningSettings()),
+    "alpha 0.05, values": (0.05, StreamSettings(rays="values", walks=1), LearningSettings()),
+    "alpha 0.05, values of 4 walks": (0.05, StreamSettings(rays="values", walks=4), LearningSettings()),
+    "alpha 0.2, exits": (0.2, StreamSettings(), LearningSettings()),
+    "alpha 0.2, values": (0.2, StreamSettings(rays="values", walks=1), LearningSettings()),
 }
 
 

@@ -1,0 +1,83 @@
+"""What a walk says about the coefficients, and what it costs: exits against connections to directions of incidence.
+
+    python tests/bench/noise_of_a_walk.py [SCENE.toml ...] [--queries 300]
+
+Of each way of asking: CPU microseconds a walk, the relative variance v of the degree-2 coefficients that follow from one
+walk (for connections to D directions only the walk's own noise, not that of the directions), and their product, what a
+given error takes. The training asks the way whose product is least (`prt_bake.trainer.rows`).
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from formats.scene import read_scene
+from prt_bake import sh
+from prt_bake.demonstration import SHIPPED
+from prt_bake.trainer.estimate import estimate_coefficients
+from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
+from prt_bake.trainer.queries import Queries, QuerySource
+from prt_bake.trainer.rows import render, render_exits
+
+WAYS = [(1, 1), (2, 2), (4, 2), (4, 4), (8, 1), (8, 2), (8, 4), (8, 8), (16, 8)]
+WALKS, ROUNDS, EACH = 192, 8, 4
+
+
+def exits(prepared: PreparedScene, count: int, size: float) -> tuple[float, float]:
+    """CPU seconds a walk, and v, of exits; `size` is Σ|a|²."""
+    source = QuerySource(prepared, 1, 1)
+    queries = source.draw(0, count)
+    render_exits(prepared, source, queries, 2, 2)
+    begun = time.process_time()
+    found = render_exits(prepared, source, queries, WALKS, 3)
+    seconds = (time.process_time() - begun) / (count * WALKS)
+    carried = np.where(found.unscattered[..., None], 0.0, found.throughput)
+    basis = sh.evaluate(found.directions.reshape(-1, 3), 2).reshape(count, WALKS, 9)
+    mean = np.einsum("npk,npc->nkc", basis, carried) / WALKS
+    square = np.einsum("npk,npc->nkc", basis**2, carried**2) / WALKS
+    return seconds, float(np.sum(square - mean**2) * WALKS / (WALKS - 1) / size)
+
+
+def connections(prepared: PreparedScene, count: int, size: float, directions: int, looked: int) -> tuple[float, float]:
+    """The same of connections to `looked` of D directions at each event."""
+    source = QuerySource(prepared, directions, 1)
+    queries: Queries = source.draw(0, count)
+    basis = sh.evaluate(queries.incident.reshape(-1, 3), 2).reshape(count, directions, 9)
+    mean, _ = render(prepared, source, queries, WALKS, looked, 2)
+    seconds, square = 0.0, 0.0
+    for number in range(ROUNDS):
+        begun = time.process_time()
+        some, _ = render(prepared, source, queries, EACH, looked, 10 + number)
+        seconds += time.process_time() - begun
+        noise = 4.0 * np.pi / directions * np.einsum("ndc,ndk->nkc", some - mean, basis)
+        square += EACH * float(np.sum(noise**2))
+    # The mean that is subtracted has noise of its own.
+    return seconds / (ROUNDS * EACH * count), square / (ROUNDS * (1.0 + EACH / WALKS)) / size
+
+
+def main() -> None:
+    """Print a table for each scene."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", nargs="*", type=Path, default=[SHIPPED / "spot.toml"])
+    parser.add_argument("--queries", type=int, default=300)
+    asked = parser.parse_args()
+    for path in asked.scenes:
+        scene = read_scene(path)
+        prepared = prepare(scene)
+        queries = QuerySource(prepared, 1, 1).draw(0, asked.queries)
+        truth = estimate_coefficients(scene, queries.location.positions, queries.outgoing, 2, 2048, 5)
+        size = float(np.sum(truth.mean**2) - np.sum(truth.standard_error**2))
+        print(f"{path}\n{'rays':28}{'us a walk':>10}{'v':>8}{'us · v':>9}")
+        rows = [("exits", exits(prepared, asked.queries, size))]
+        if smooth_part(scene) is None:
+            rows += [
+                (f"{d} directions, {c} looked at", connections(prepared, asked.queries, size, d, c)) for d, c in WAYS
+            ]
+        for name, (seconds, v) in rows:
+            print(f"{name:28}{1e6 * seconds:10.1f}{v:8.2f}{1e6 * seconds * v:9.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
