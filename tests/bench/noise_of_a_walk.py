@@ -2,9 +2,9 @@
 
     python tests/bench/noise_of_a_walk.py [SCENE.toml ...] [--queries 300]
 
-Of each way of asking: CPU microseconds a walk, the relative variance v of the degree-2 coefficients that follow from one
-walk (for connections to D directions only the walk's own noise, not that of the directions), and their product, what a
-given error takes. The training asks the way whose product is least (`prt_bake.trainer.rows`).
+Of each way of asking: CPU microseconds a walk, the relative variance v of the degree-2 coefficients that follow from
+one walk (for connections to D directions only the walk's own noise, not that of the directions), and their product,
+what a given error takes. The training asks the way whose product is least (`prt_bake.trainer.rows`).
 """
 
 import argparse
