@@ -97,8 +97,9 @@ def limited_threads(transport: Any, workers: int) -> Iterator[None]:
         if way_in(transport) == "coefficients":
             import numba
 
+            settings: Any = numba.config
             before.callback(numba.set_num_threads, numba.get_num_threads())
-            numba.set_num_threads(max(1, min(workers, numba.config.NUMBA_NUM_THREADS)))  # type: ignore[attr-defined]
+            numba.set_num_threads(max(1, min(workers, settings.NUMBA_NUM_THREADS)))
         if (torch := sys.modules.get("torch")) is not None:
             before.callback(torch.set_num_threads, torch.get_num_threads())
             torch.set_num_threads(1)

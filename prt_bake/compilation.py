@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 from numba.core import config
@@ -33,6 +33,10 @@ ROOT = Path(__file__).resolve().parent.parent
 """Where the three packages lie."""
 STATES_KEPT = 4
 """How many digests of a module keep their folders: those written last."""
+# numba's own functions, which carry no types.
+_rebuild: Callable[..., Any] = CompileResult._rebuild
+_as_bytes: Callable[[Any], bytes] = dumps
+_directories: Callable[..., Any] = AppDirs
 _OURS = r"(?:formats|bakers|prt_bake)"
 _IMPORT = re.compile(rf"^(?:import ({_OURS}[\w.]*)|from ({_OURS}[\w.]*) import (\([^)]*\)|[^#\n]*))", re.MULTILINE)
 
@@ -47,7 +51,7 @@ def compiled(**options: Any) -> Callable[[Kernel], Kernel]:
     def compile_on_first_call(function: Kernel) -> Kernel:
         dispatcher: Any = numba.njit(**options)(function)
         dispatcher._cache = KernelCache(function)
-        return dispatcher  # type: ignore[no-any-return]
+        return cast(Kernel, dispatcher)
 
     return compile_on_first_call
 
@@ -75,7 +79,7 @@ class KernelCache(_Cache):
         # A file that is missing or damaged is compiled again.
         with suppress(OSError, EOFError, pickle.UnpicklingError):
             kept = pickle.loads(self._path(sig, target_context.codegen()).read_bytes())
-            return CompileResult._rebuild(target_context, *kept)  # type: ignore[no-untyped-call]
+            return _rebuild(target_context, *kept)
         return None
 
     def save_overload(self, sig: Any, cres: Any) -> None:
@@ -88,7 +92,7 @@ class KernelCache(_Cache):
             if not path.parent.is_dir():
                 path.parent.mkdir(parents=True, exist_ok=True)
                 _drop_old_states(path.parent)
-            part.write_bytes(dumps(cres._reduce()))  # type: ignore[no-untyped-call]
+            part.write_bytes(_as_bytes(cres._reduce()))
             part.replace(path)
         except OSError:
             with suppress(OSError):
@@ -179,8 +183,7 @@ def _writable_base() -> Path | None:
     settings: Any = config
     chosen = settings.CACHE_DIR
     bases = [Path(chosen) / "prtbake"] if chosen else []
-    users: Any = AppDirs("prtbake", appauthor=False)  # type: ignore[no-untyped-call]
-    bases += [ROOT / "prt_bake" / "__pycache__", Path(users.user_cache_dir)]
+    bases += [ROOT / "prt_bake" / "__pycache__", Path(_directories("prtbake", appauthor=False).user_cache_dir)]
     for base in bases:
         with suppress(OSError, RuntimeError):
             folder = base / f"kernels-{platform.machine()}"

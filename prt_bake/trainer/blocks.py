@@ -50,7 +50,8 @@ def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
 def _shape(cells: tuple[int, ...], side: Array, count: int) -> tuple[int, int, int]:
     """Blocks along z, y, x: `count` along the longest side, no more than there are cells between centres."""
     wanted = np.ceil(count * side[::-1] / side.max()).astype(int)
-    return tuple(int(max(1, min(n - 1, w))) for n, w in zip(cells, wanted, strict=True))  # type: ignore[return-value]
+    nz, ny, nx = (int(max(1, min(n - 1, w))) for n, w in zip(cells, wanted, strict=True))
+    return nz, ny, nx
 
 
 def _reduced(grid: Array, shape: tuple[int, int, int], take: np.ufunc) -> Array:
