@@ -36,7 +36,7 @@ def sigma_picture(title: str, model_path: Path, mesh: Mesh, view: Camera) -> Sig
 
 
 def write_sigma(path: Path, pictures: Sequence[SigmaPicture]) -> None:
-    """Write the pictures side by side as PNG, in viridis from the least to the largest σ of all, with the scale below."""
+    """Write the pictures side by side as PNG, in viridis from the least to the largest σ, with the scale below."""
     least = min(float(np.nanmin(picture.degrees)) for picture in pictures)
     largest = max(float(np.nanmax(picture.degrees)) for picture in pictures)
     spread = max(largest - least, 1e-3)
