@@ -36,22 +36,24 @@ def sigma_picture(title: str, model_path: Path, mesh: Mesh, view: Camera) -> Sig
 
 
 def write_sigma(path: Path, pictures: Sequence[SigmaPicture]) -> None:
-    """Write the pictures side by side as PNG, in viridis from 0 to the largest σ of all, with the scale below."""
+    """Write the pictures side by side as PNG, in viridis from the least to the largest σ, with the scale below."""
+    least = min(float(np.nanmin(picture.degrees)) for picture in pictures)
     largest = max(float(np.nanmax(picture.degrees)) for picture in pictures)
+    spread = max(largest - least, 1e-3)
     width = len(pictures) * (CELL + _GAP) + _GAP
     sheet = Image.new("RGB", (width, 2 * _LABEL + CELL + _SCALE + 2 * _GAP), PAPER)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(13)
     for i, picture in enumerate(pictures):
         left = _GAP + i * (CELL + _GAP)
         draw.text((left, 1), picture.title, INK, font)
-        colours = coloured(np.nan_to_num(picture.degrees), largest, "viridis")
+        colours = coloured(np.nan_to_num(picture.degrees - least), spread, "viridis")
         colours[np.isnan(picture.degrees)] = PAPER
         sheet.paste(fitted(colours), (left, _LABEL))
     ramp = np.tile(np.linspace(0.0, 1.0, width - 2 * _GAP), (_SCALE, 1))
     top = _LABEL + CELL + _GAP
     sheet.paste(Image.fromarray(coloured(ramp, 1.0, "viridis")), (_GAP, top))
-    draw.text((_GAP, top + _SCALE), "σ 0°", INK, font)
-    words = f"{largest:.0f}°"
+    draw.text((_GAP, top + _SCALE), f"sigma {least:.1f}°", INK, font)
+    words = f"{largest:.1f}°"
     draw.text((width - _GAP - draw.textlength(words, font), top + _SCALE), words, INK, font)
     with replacing(path) as part:
         sheet.save(part, format="PNG", optimize=True)
