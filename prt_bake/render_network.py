@@ -96,15 +96,16 @@ def render_network(
     begun = time.perf_counter()
     with limited_threads(transport, 1):
         visibility = Visibility(mesh)
-        lobes = None if by == "light" or importance is None else PixelLobes(importance, mesh, camera, visibility)
         directions = directions_a_point(spp)
-        tracer = NetworkTracer(transport, mesh, lighting, plain_mixture(directions, by), lobes)
+        tracer = NetworkTracer(transport, mesh, lighting, plain_mixture(directions, by), None)
+        if by != "light" and importance is not None and tracer.spread:
+            tracer.lobes = PixelLobes(importance, mesh, camera, visibility)
         surface = _surface(mesh, lighting, metadata, visibility) if reflection else None
         passes = PassTracer(mesh, lighting, camera, background, tracer, workers, visibility, surface)
         known = begun_with(checkpoint) if resume and checkpoint is not None else {}
         if "mixture" in known:
             tracer.mix(Mixture.from_json(known["mixture"]))
-        elif lobes is not None and by == "mis":
+        elif by == "mis" and tracer.spread:
             tracer.mix(choose_mixture(passes, tracer, directions, spp, seed))
         identity = picture_identity(
             lighting,

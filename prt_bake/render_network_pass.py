@@ -38,7 +38,7 @@ class NetworkTracer:
     ) -> None:
         """`lobes` is asked where `mixture` draws from lobes."""
         self.mix(mixture)
-        self._transport, self._mesh, self._lobes = transport, mesh, lobes
+        self._transport, self._mesh, self.lobes = transport, mesh, lobes
         wide = tuple(sun for sun in lighting.suns if sun.angular_diameter > NARROW)
         self._narrow = [Disc(sun) for sun in lighting.suns if sun.angular_diameter <= NARROW]
         self.spread = bool(wide) or any(sky.image.any() for sky in lighting.skies)
@@ -47,7 +47,7 @@ class NetworkTracer:
     def mix(self, mixture: Mixture) -> None:
         """Draw as another mixture of as many points says."""
         self.mixture, self.points, self.samples = mixture, mixture.points, mixture.samples
-        self.cost = 2 * max(mixture.directions)
+        self.cost = max(1, max(mixture.directions) // 2)
 
     def radiance(
         self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
@@ -104,9 +104,9 @@ class NetworkTracer:
         if self._sampler is None:
             return None
         lobe = None
-        if self.mixture.lobe[point] and self._lobes is not None:
+        if self.mixture.lobe[point] and self.lobes is not None:
             pixels = (keys // np.uint64(self.points)).astype(np.int64)
-            lobe = self._lobes.at(pixels, positions, outgoing, normals)
+            lobe = self.lobes.at(pixels, positions, outgoing, normals)
         return draw(self._sampler, lobe, self.mixture, point, keys, seed)
 
     def _to_narrow(self, keys: NDArray[np.uint64], seed: int) -> tuple[Array, Array]:

@@ -27,7 +27,7 @@ _PILOT_PASSES = 4
 _PILOT_COST = 0.03
 """Of the picture's evaluations."""
 _PILOT_PIXELS = (32, 1024)
-_CLEARLY = 0.8
+_CLEARLY = 0.9
 """A mixture must promise at most this much of the purest ones' noise: the least of many estimates flatters."""
 _USUAL_SPP = 256
 _LIGHT_COST, _LOBE_COST = 1.15, 1.3
@@ -42,9 +42,9 @@ def directions_a_point(spp: int | None) -> int:
 
 
 def plain_mixture(directions: int, sampling: str) -> Mixture:
-    """All from the light, or all from the lobe."""
+    """All from the lobe where it is asked for alone, else all from the light."""
     every, none = (directions,) * POINTS, (0,) * POINTS
-    return Mixture(every, none) if sampling == "light" else Mixture(none, every)
+    return Mixture(none, every) if sampling == "lobe" else Mixture(every, none)
 
 
 def candidates(directions: int) -> list[Mixture]:
@@ -77,7 +77,7 @@ def choose_mixture(passes: PassTracer, tracer: NetworkTracer, directions: int, s
     covered = passes.covered()
     budget = _PILOT_COST * len(covered) * (spp or _USUAL_SPP) / (_PILOT_PASSES * tracer.samples)
     pixels = some_of(covered, int(np.clip(budget, *_PILOT_PIXELS)), seed)
-    if not len(pixels) or not tracer.spread:
+    if not len(pixels):
         return choices[0]
     trusted = [replace(choice, trust=trust) for choice in choices for trust in _TRUSTS]
     costs = [_LIGHT_COST * sum(choice.light) + _LOBE_COST * sum(choice.lobe) for choice in trusted]

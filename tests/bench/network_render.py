@@ -1,6 +1,6 @@
 """Noise of a network's pictures at equal time, sampled by light, lobe and both, the pilot included.
 
-    python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1]
+    python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1] [--only LIGHT ...]
 
 The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand. An importance
 module is fitted first where the model has none beside it. A row gives, for each way, standard error over mean radiance
@@ -70,6 +70,7 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=256)
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--model", type=Path, help="another copy of the model, with its importance module beside it")
+    parser.add_argument("--only", nargs="*", help="some of the lights")
     given = parser.parse_args()
     torch.set_num_threads(1)
     mesh = read_mesh(SHIPPED / "spot.obj")
@@ -80,6 +81,8 @@ def main() -> None:
     render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # what is compiled is compiled
     print(f"{'light':20}{'by light':>10}{'by lobe':>10}{'by both':>10}{'of better':>11}  rate, mixture")
     for name, light in skies().items():
+        if given.only and name not in given.only:
+            continue
         noise, clock, rate, mixture = {}, 0.0, "", ""
         for way in WAYS:
             began = time.process_time()
