@@ -1,5 +1,6 @@
 """What the tests of the commands share: a folder of small sound files, and a way to run a command there."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ from prt_bake.cli.main import main
 
 def pytest_configure(config: pytest.Config) -> None:
     """Before several processes share the tests, one compiles the kernels, so that not each of them does."""
+    # Shells start what runs in the background with Ctrl-C ignored, and some tests send themselves one.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
         subprocess.run([sys.executable, Path(__file__).with_name("warm.py")], check=True)
 

@@ -10,6 +10,7 @@ from small_training import LEARNING, learnt, make_scene
 from formats.errors import QueryError, SamplesError
 from formats.samples import SamplesHead, read_samples
 from formats.samples_writer import SamplesWriter
+from prt_bake.cli import after_training
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.offline import sides_of
 from prt_bake.trainer.prepared import prepare
@@ -172,9 +173,20 @@ def test_the_commands_work_together(prtbake: Run, tmp_path):
     told = prtbake("info", tmp_path / "s.h5")
     assert "\nwalks a query          2\n" in told.out
     assert prtbake("check", tmp_path / "s.h5").code == 0
-    trained = prtbake("train", "scene.toml", "--samples", tmp_path / "s.h5", "-o", tmp_path / "m.pt", "--steps", 3)
+    alone = ("--no-report", "--no-importance")
+    trained = prtbake(
+        "train", "scene.toml", "--samples", tmp_path / "s.h5", "-o", tmp_path / "m.pt", "--steps", 3, *alone
+    )
     assert trained.code == 0, trained.err
-    for name in ("m.pt", "m.train.pt", "m.importance.pt", "m.report.json", "m.report.html"):
-        assert (tmp_path / name).is_file(), name
+    assert {path.name for path in tmp_path.iterdir()} == {"s.h5", "m.pt", "m.train.pt"}
     assert "kept for testing" in trained.out
     assert "of coefficients" in trained.out
+
+
+def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path, monkeypatch):
+    monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
+    trained = prtbake("train", "scene.toml", "--synchronous", "-o", tmp_path / "m.pt", "--steps", 3)
+    assert trained.code == 0, trained.err
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written == {"m.pt", "m.train.pt", "m.importance.pt", "m.report.json", "m.report.html"}
+    assert "KL divergence" in trained.out

@@ -1,64 +1,77 @@
-"""What `prtbake train` writes beside a model: the importance module, and the report that says how good the model is."""
+"""What follows a training by itself: the report and the importance module. The model is whole without either."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.progress import reporting, say
+from prt_bake.cli.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
     from formats.scene import Scene
+    from prt_bake.network import NeuralBSSRDF
 
-SHARE = 0.1
-"""Of the training's time, at most, for either."""
-MOST_IMPORTANCE, MOST_REPORT = 60.0, 40.0
-_LEAST = 2.0
-
-
-def budget(trained: float, most: float) -> float:
-    """Seconds for one of them, after `trained` seconds of training."""
-    return max(_LEAST, min(most, SHARE * trained))
+_SHARE_OF_THE_TRAINING = 0.1
+_LEAST_SECONDS = 2.0
+_MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 
 
-def write_importance(network: Any, scene: "Scene", output: Path, seed: int, device: str) -> None:
-    """Fit the importance module of a network and write it beside the model."""
+def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
+    """Write MODEL.report.json and MODEL.report.html, and print the verdicts; what goes wrong is only told."""
+    from prt_bake.training_report import report_training
+
+    say("path tracing fresh queries for the report")
+    try:
+        found, page = report_training(network, scene, model, seconds=_seconds(network, "report"), seed=seed)
+    except PrtbakeError as fault:
+        say(f"no report: {fault}; 'prtbake report training {model} {scene.path}' tries again")
+        return
+    except KeyboardInterrupt:
+        say(f"no report; 'prtbake report training {model} {scene.path}' makes it up")
+        return
+    for row in found["criteria"]:
+        bound = f" (at most {row['bound']:.0%}): {row['value']:.2%}" if "bound" in row else ""
+        print(f"{row['verdict']:10} {row['name']}{bound}")
+    print(f"{page}: {found['summary'][0]}")
+
+
+def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
+    """Fit and write MODEL.importance.pt; what goes wrong is only told. Ctrl-C keeps what is fitted by then."""
     from dataclasses import replace
 
     from prt_bake.importance import IMPORTANCE_PRESETS, importance_path, save_importance
     from prt_bake.importance_fit import fit_importance
 
-    seconds = budget(network.metadata["training"]["seconds"], MOST_IMPORTANCE)
-    try:
-        with reporting("importance") as show:
+    with reporting("importance") as show, stopping() as stop:
+
+        def follow(share: float, words: str) -> None:
+            show(share, words)
+            if stop():
+                raise KeyboardInterrupt
+
+        try:
             module = fit_importance(
-                network,
+                network.cpu(),
                 scene.mesh,
-                seconds=seconds,
+                seconds=_seconds(network, "importance"),
                 seed=seed,
                 settings=replace(IMPORTANCE_PRESETS["measured"], seed=seed),
-                device=device,
-                progress=show,
+                progress=follow,
             )
-    except PrtbakeError as fault:  # a black object has nothing to draw directions by, and a model all the same
-        say(f"no importance module: {fault}")
-        return
-    save_importance(module, output)
+            save_importance(module, model)
+        except PrtbakeError as fault:
+            say(f"no importance module: {fault}")
+            return
+        except KeyboardInterrupt:
+            say(f"no importance module; 'prtbake importance {model} {scene.mesh_path}' makes it up")
+            return
     fit = module.metadata["fit"]
     print(
-        f"{importance_path(output)}: variance of a sample under a uniform sky {fit['module']['variance']:.3f} "
-        f"(uniform directions {fit['uniform']['variance']:.3f})"
+        f"{importance_path(model)}: KL divergence {fit['module']['divergence']:.3f} "
+        f"(uniform {fit['uniform']['divergence']:.3f}), variance of a sample under a uniform sky "
+        f"{fit['module']['variance']:.3f} (uniform {fit['uniform']['variance']:.3f})"
     )
 
 
-def write_report(network: Any, scene: "Scene", output: Path, seed: int) -> None:
-    """Measure a network against the path tracer and write the report beside the model."""
-    from prt_bake.training_report import report_training
-
-    say("path tracing fresh queries for the report")
-    seconds = budget(network.metadata["training"]["seconds"], MOST_REPORT)
-    try:
-        found, page = report_training(network, scene, output, seconds=seconds, seed=seed)
-    except PrtbakeError as fault:  # without matplotlib there is the JSON alone
-        say(str(fault))
-        return
-    print(f"{page}: {found['summary'][0]}")
+def _seconds(network: "NeuralBSSRDF", what: str) -> float:
+    trained = float(network.metadata["training"]["seconds"])
+    return min(_MOST_SECONDS[what], max(_LEAST_SECONDS, _SHARE_OF_THE_TRAINING * trained))

@@ -37,32 +37,32 @@ def train(
         typer.Option("--synchronous", help="Renderer and learner take turns: with --steps, the same bits every time."),
     ] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on from MODEL.train.pt beside the output.")] = False,
+    with_report: Annotated[
+        bool, typer.Option("--report/--no-report", help="Measure the model afterwards: MODEL.report.json and .html.")
+    ] = True,
+    with_importance: Annotated[
+        bool, typer.Option("--importance/--no-importance", help="Fit its importance module afterwards.")
+    ] = True,
     seed: Seed = 0,
     device: Annotated[
         Literal["auto", "cpu", "cuda"], typer.Option(help="Where the network learns; auto: a graphics card if any.")
     ] = "auto",
-    importance: Annotated[
-        bool, typer.Option(help="Afterwards fit MODEL.importance.pt, which the network renderer draws directions by.")
-    ] = True,
-    report: Annotated[
-        bool, typer.Option(help="Afterwards measure the model: MODEL.report.json and MODEL.report.html.")
-    ] = True,
 ) -> None:
     """Path trace a scene and fit a network to it.
 
     Renderer and learner work side by side until the time is used up. Ctrl-C ends the training early and keeps what was
-    learnt; --resume goes on from there. Importance module and report take a tenth of the time each, at most 60 and 40
-    seconds.
+    learnt; --resume goes on from there. A report on the model and its importance module (what the network renderer
+    draws its directions from) follow, each within a tenth of the time.
     """
     from dataclasses import replace
 
     from formats.scene import read_scene
-    from prt_bake.cli.after_training import write_importance, write_report
+    from prt_bake.cli import after_training
     from prt_bake.network_settings import PRESETS
     from prt_bake.trainer.cores import chosen_device
     from prt_bake.trainer.fit import train as fit
 
-    learning_on, given = chosen_device(device), read_scene(scene)
+    learning_on, read = chosen_device(device), read_scene(scene)
     with reporting("train") as show, stopping() as stop:
 
         def follow(row: "TrainingRow") -> None:
@@ -71,7 +71,7 @@ def train(
                 raise KeyboardInterrupt
 
         network = fit(
-            given,
+            read,
             minutes=minutes,
             steps=steps,
             seed=seed,
@@ -89,10 +89,10 @@ def train(
         print(f"{output}: {sentence}")
     if stopped:
         raise PrtbakeError(f"{output}: the training was stopped; the model holds what was learnt, --resume goes on")
-    if importance:
-        write_importance(network, given, output, seed, learning_on)
-    if report:
-        write_report(network, given, output, seed)
+    if with_report:
+        after_training.report(network, read, output, seed)
+    if with_importance:
+        after_training.importance(network, read, output, seed)
 
 
 def _told(row: "TrainingRow") -> str:

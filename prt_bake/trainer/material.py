@@ -44,7 +44,8 @@ class OnlineMaterial:
     def __init__(self, scene: Scene, stream: StreamSettings, seed: int, synchronous: bool) -> None:
         """With `synchronous` renderer and learner take turns."""
         self.scene, self.box = scene, box_of(scene)
-        self.begun = {"synchronous": synchronous, "samples": ""}
+        asked = {f"stream {name}": value for name, value in asdict(stream).items()} if synchronous else {}
+        self.begun = {"synchronous": synchronous, "samples": "", **asked}
         self._stream, self._seed, self._synchronous = stream, seed, synchronous
         self._prepared: PreparedScene = prepare(scene)
 
