@@ -7,7 +7,8 @@ from formats.scene import Scene
 from prt_bake.emitters import plan_light
 from prt_bake.lighting import Lighting, radiance
 from prt_bake.randomness import hashed, uniforms
-from prt_bake.trainer.lit import connections, sees_straight_through, walk_lit, walk_out
+from prt_bake.trainer.lit import connections, walk_lit, walk_out
+from prt_bake.trainer.prepared import is_unbent
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,7 @@ class WalkTracer:
         """Split the light into what is connected to and what walks must find."""
         self._scene, self._lighting = scene, lighting
         self._plan = plan_light(lighting, connections(scene))
-        self._straight = sees_straight_through(scene)
+        self._straight = is_unbent(scene)
 
     def radiance(
         self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int

@@ -54,11 +54,6 @@ def connections(scene: Scene) -> Connections | None:
     return Connections(variance=0.6 + 0.03 / alpha**1.7, cost=4.0)
 
 
-def sees_straight_through(scene: Scene) -> bool:
-    """Whether unscattered light comes along the view itself, unbent, and in no other way."""
-    return interface_kind(scene) == MATCHED and smooth_part(scene) is None
-
-
 def walk_lit(
     scene: Scene,
     faces: NDArray[np.int64],

@@ -135,6 +135,13 @@ def smooth_part(scene: Scene) -> Part | None:
     return None
 
 
+def is_unbent(scene: Scene) -> bool:
+    """Whether light leaves the object unbent from wherever it scatters: unscattered light comes along the view itself,
+    and connections need no interface.
+    """
+    return interface_kind(scene) == MATCHED and smooth_part(scene) is None
+
+
 def has_dielectric_inside(scene: Scene) -> bool:
     """Whether a part inside the object bends light: of another index than what it stands in."""
     return any(

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.surface import Location
-from prt_bake.trainer.interface import MATCHED
 from prt_bake.trainer.lit import Exits
-from prt_bake.trainer.prepared import PreparedScene, interface_kind, smooth_part
+from prt_bake.trainer.prepared import PreparedScene, is_unbent, smooth_part
 from prt_bake.trainer.queries import Queries, QuerySource
 
 Array = NDArray[np.float64]
@@ -188,13 +187,8 @@ def row_walks(
             f"{scene.path}: the boundary of '{smooth.name}' is smooth, and behind it Ŝ has no values at given "
             "directions; let rays be exits"
         )
-    values = settings.rays == "values" or (settings.rays == "auto" and sees_light_from_inside(scene))
+    values = settings.rays == "values" or (settings.rays == "auto" and is_unbent(scene))
     return (ValueWalks if values else ExitWalks)(prepared, box, settings, seed)
-
-
-def sees_light_from_inside(scene: Scene) -> bool:
-    """Whether events inside the object see the light unbent."""
-    return interface_kind(scene) == MATCHED and smooth_part(scene) is None
 
 
 def batch_of(

@@ -14,9 +14,9 @@ from formats.scene import Scene
 from prt_bake import sh
 from prt_bake.sphere import fibonacci
 from prt_bake.trainer.estimate import estimate_coefficients
-from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
+from prt_bake.trainer.prepared import PreparedScene, is_unbent, prepare, smooth_part
 from prt_bake.trainer.queries import Queries, QuerySource
-from prt_bake.trainer.rows import render, sees_light_from_inside
+from prt_bake.trainer.rows import render
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ def hold_out_coefficients(scene: Scene, count: int, walks: int, seed: int, direc
 
 def reference_for(scene: Scene, prepared: PreparedScene, queries: int, walks: int) -> Reference:
     """What a training of the scene is watched by: values, or coefficients where those are had for a tenth."""
-    if sees_light_from_inside(scene):
+    if is_unbent(scene):
         return hold_out(prepared, queries, 8, walks, VALIDATION_SEED)
     return hold_out_coefficients(scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _DIRECTIONS_ON_THE_WAY)
 
