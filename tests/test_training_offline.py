@@ -1,6 +1,7 @@
 """Samples on file: what is recorded, which side each query is on, and that a network learns from them."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from small_training import LEARNING, learnt, make_scene
 from formats.errors import QueryError, SamplesError
 from formats.samples import SamplesHead, read_samples
 from formats.samples_writer import SamplesWriter
+from prt_bake import training_report
 from prt_bake.cli import after_training
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.offline import sides_of
@@ -185,6 +187,8 @@ def test_the_commands_work_together(prtbake: Run, tmp_path):
 
 def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path, monkeypatch):
     monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
+    brief = functools.partial(training_report.report_training, queries=64, vertices=16)
+    monkeypatch.setattr(training_report, "report_training", brief)
     trained = prtbake("train", "scene.toml", "--synchronous", "-o", tmp_path / "m.pt", "--steps", 3)
     assert trained.code == 0, trained.err
     written = {path.name for path in tmp_path.iterdir()}
