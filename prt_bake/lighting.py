@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.lights import DirectionalLight, parse_sun, read_lights
+from formats.scene_file import named_by
 from prt_bake import environment
 
 Array = NDArray[np.float64]
@@ -101,7 +102,8 @@ def read_lighting(
                 if isinstance(one, DirectionalLight):
                     suns.append(one)
                 else:
-                    add_sky(one.path, one.rotate, one.exposure)
+                    with named_by(Path(light), "sky.file"):
+                        add_sky(one.path, one.rotate, one.exposure)
         else:
             add_sky(Path(light), 0.0, 0.0)
     return Lighting(tuple(skies), tuple(suns)).turned(rotate, up)

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.lights import DirectionalLight
-from prt_bake import environment
 from prt_bake.emitters import BrightSky, Disc
 from prt_bake.lighting import Lighting, Sky, in_disc, solid_angle
 
@@ -28,27 +27,19 @@ class SkySource:
     """A sky, drawn from in proportion to its energy; it must not be black."""
 
     def __init__(self, sky: Sky) -> None:
-        """Keep the sky and the weights of its pixels."""
-        height = len(sky.image)
-        sines = np.sin(np.pi * (np.arange(height) + 0.5) / height)
-        self._sky, self._bright = sky, BrightSky(sky)
-        weights = sky.image.mean(axis=2, dtype=np.float64) * sines[:, None]
-        self._weights = (weights / weights.mean())[..., None]
+        """Make the sky's tables."""
+        self._sky = BrightSky(sky)
 
     def draw(self, numbers: Array) -> tuple[Array, Array, Array]:
         """As `LightSource.draw`."""
-        directions, weight = self._bright.draw(numbers)
-        return directions, weight, self._density(directions)
+        directions = self._sky.directions(numbers)
+        radiance, density = self._sky.look_up(directions)
+        weight = np.divide(radiance, density[:, None], out=np.zeros_like(radiance), where=density[:, None] > 0.0)
+        return directions, weight, density
 
     def seen(self, directions: Array) -> tuple[Array, Array]:
         """As `LightSource.seen`."""
-        return self._sky.radiance(directions), self._density(directions)
-
-    def _density(self, directions: Array) -> Array:
-        u, v = environment.pixel_of(directions @ self._sky.turn, self._sky.up)
-        places = environment.radiance_at(self._weights, u, v)[:, 0]
-        # At a pole, where the picture's rows shrink to a point, the density per solid angle has no bound.
-        return places / (2.0 * math.pi**2 * np.maximum(np.sin(math.pi * v), 1e-12))
+        return self._sky.look_up(directions)
 
 
 class SunSource:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sampling import SphereCells, assert_counts_follow, assert_mean_is
 
-from formats.errors import ImageError, LightError, QueryError
+from formats.errors import ImageError, LightError, QueryError, StorageError
 from formats.image import write_image
 from formats.lights import DirectionalLight
 from prt_bake import environment
@@ -257,5 +257,8 @@ def test_what_is_no_light_is_refused(tmp_path: Path) -> None:
         read_lighting(["sun:0,0,0"])
     write_image(tmp_path / "sky.exr", np.full((4, 8, 3), 1e30, np.float32))
     (tmp_path / "a.toml").write_text('[[sky]]\nfile = "sky.exr"\nexposure = 60\n')
-    with pytest.raises(ImageError, match=r"sky\.exr"):
+    with pytest.raises(ImageError, match=r"a\.toml: sky\.file: .*sky\.exr"):
         read_lighting([tmp_path / "a.toml"])
+    (tmp_path / "b.toml").write_text('[[sky]]\nfile = "none.hdr"\n')
+    with pytest.raises(StorageError, match=r"b\.toml: sky\.file: .*none\.hdr: there is no such file"):
+        read_lighting([tmp_path / "b.toml"])
