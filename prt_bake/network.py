@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from formats.errors import ModelError
-from prt_bake.checkpoint import read_checkpoint, write_checkpoint
+from prt_bake.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
 from prt_bake.network_kernel import FusedNetwork
 from prt_bake.network_settings import PRESETS, NetworkSettings
 
@@ -247,7 +247,7 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
         "metadata": network.metadata,
     }
     tensors = {name: tensor.detach().float().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    _refuse_unsound(tensors, tensors, path)
+    refuse_unsound(tensors, _shapes(tensors), path)
     write_checkpoint(path, json.dumps(head), tensors)
 
 
@@ -276,21 +276,10 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None
     except (KeyError, TypeError, ValueError, AttributeError) as fault:
         raise ModelError(f"{path}: the model's description is not readable ({fault!r}); write it anew") from None
-    _refuse_unsound(tensors, network.state_dict(), path)
+    refuse_unsound(tensors, _shapes(network.state_dict()), path)
     network.load_state_dict(tensors)
     return network.to(device).eval()
 
 
-def _refuse_unsound(tensors: dict[str, Tensor], expected: dict[str, Tensor], path: str | Path) -> None:
-    for name in sorted(expected.keys() | tensors.keys()):
-        if name not in tensors or name not in expected:
-            state = "missing" if name in expected else "not part of this network"
-            raise ModelError(f"{path}: tensor {name} is {state}")
-        found, wanted = tuple(tensors[name].shape), tuple(expected[name].shape)
-        if found != wanted:
-            raise ModelError(f"{path}: tensor {name} has shape {found}, expected {wanted}")
-        if not tensors[name].is_floating_point():
-            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected float32")
-        bad = int((~tensors[name].isfinite()).sum())
-        if bad:
-            raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite")
+def _shapes(tensors: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:
+    return {name: tuple(tensor.shape) for name, tensor in tensors.items()}

@@ -223,4 +223,5 @@ def _metadata(scene: Scene) -> dict[str, Any]:
         "unit": scene.unit,
         "eta": float(scene.eta),
         "roughness": float(np.mean(scene.roughness)),
+        "normals": scene.normals,
     }
