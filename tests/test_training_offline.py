@@ -13,6 +13,7 @@ from formats.samples import SamplesHead, read_samples
 from formats.samples_writer import SamplesWriter
 from prt_bake import training_report
 from prt_bake.cli import after_training
+from prt_bake.trainer import fit
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.offline import sides_of
 from prt_bake.trainer.prepared import prepare
@@ -169,6 +170,16 @@ def test_files_that_do_not_fit_are_refused(scene, file, tmp_path):
         learnt(scene, 1, samples=tmp_path / "moved.h5")
 
 
+@pytest.fixture
+def briefly(monkeypatch):
+    """Training, report and importance module with little of everything."""
+    monkeypatch.setattr(fit, "LearningSettings", lambda: BRIEF)
+    monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
+    brief = functools.partial(training_report.report_training, queries=64, vertices=16)
+    monkeypatch.setattr(training_report, "report_training", brief)
+
+
+@pytest.mark.usefixtures("briefly")
 def test_the_commands_work_together(prtbake: Run, tmp_path):
     sampled = prtbake("sample", "scene.toml", "--count", 600, "-o", tmp_path / "s.h5", "--walks", 2, "--directions", 3)
     assert (sampled.code, sampled.out) == (0, f"{tmp_path}/s.h5: 600 queries of 3 directions, 1,200 walks\n")
@@ -185,10 +196,8 @@ def test_the_commands_work_together(prtbake: Run, tmp_path):
     assert "of coefficients" in trained.out
 
 
-def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path, monkeypatch):
-    monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
-    brief = functools.partial(training_report.report_training, queries=64, vertices=16)
-    monkeypatch.setattr(training_report, "report_training", brief)
+@pytest.mark.usefixtures("briefly")
+def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path):
     trained = prtbake("train", "scene.toml", "--synchronous", "-o", tmp_path / "m.pt", "--steps", 3)
     assert trained.code == 0, trained.err
     written = {path.name for path in tmp_path.iterdir()}
