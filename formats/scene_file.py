@@ -83,7 +83,8 @@ def _read_tables(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as cause:
         raise SceneError(f"{path}: is not a scene file: it is not text") from cause
     except tomllib.TOMLDecodeError as cause:
-        raise SceneError(f"{path}: is not TOML: {cause}") from cause
+        asked = "" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
+        raise SceneError(f"{path}: is not TOML: {cause}{asked}") from cause
     if "object" not in tables and ("directional" in tables or "sky" in tables):
         raise SceneError(f"{path}: is a lights file, which render takes as --light; expected a scene, with [object]")
     return tables

@@ -14,13 +14,15 @@ from formats.errors import QueryError
 from prt_bake.camera import Camera
 from prt_bake.lighting import Lighting
 from prt_bake.render_pass import pass_seed
-from prt_bake.render_state import Sums, read_checkpoint, relative_noise, write_checkpoint
+from prt_bake.render_state import Sums, is_black, read_checkpoint, relative_noise, write_checkpoint
 
 Array = NDArray[np.float64]
 
 SHOWS_REFLECTION = ", light reflected at the surface"
 _LEAST_PASSES = 2
 _PASSES_TO_TRUST = 8
+_PASSES_TO_STAY_BLACK = 256
+"""An object on which no light was met is without noise. So many passes are asked for before it is taken to be black."""
 """Before so many passes their spread says too little for a picture to be called done."""
 _CHECKPOINT_SECONDS = 10.0
 _CHECKPOINT_SHARE = 0.05
@@ -62,6 +64,11 @@ class Rendering:
         seen = self.image[self.coverage > 0.0].astype(np.float64)
         above = float(np.maximum(seen, 0.0).sum())
         return float(-np.minimum(seen, 0.0).sum()) / above if above > 0.0 else 0.0
+
+    @property
+    def black(self) -> bool:
+        """Whether the object is seen, and no light at all on it."""
+        return is_black(self.image, self.coverage)
 
     @property
     def speed(self) -> float:
@@ -214,8 +221,9 @@ class _Goal:
     def reached(self, sums: Sums) -> bool:
         if sums.passes >= self._passes:
             return True
-        trusted = sums.passes >= _PASSES_TO_TRUST
-        return self._error is not None and trusted and sums.relative_noise() <= self._error
+        if self._error is None or sums.passes < _PASSES_TO_TRUST:
+            return False
+        return sums.relative_noise() <= self._error and (not sums.is_black() or sums.passes >= _PASSES_TO_STAY_BLACK)
 
     def share(self, sums: Sums, share_of_pass: float) -> float:
         """How much is done [0, 1], as far as it can be told."""

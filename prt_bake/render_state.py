@@ -68,6 +68,10 @@ class Sums:
         """As the function of that name."""
         return relative_noise(self.mean(), self.standard_error(), self.covered())
 
+    def is_black(self) -> bool:
+        """As the function of that name."""
+        return is_black(self.mean(), self.covered())
+
     def note(self) -> None:
         """Add a row to the history, unless it is there."""
         if not self.history or self.history[-1][1] != self.walks:
@@ -82,11 +86,23 @@ def relative_noise(
     On the object are the pixels that it covers wholly (coverage [H,W]), or in part where there are none; 0 where
     nothing is seen of it, or nothing but black.
     """
-    inside = coverage >= 1.0 if (coverage >= 1.0).any() else coverage > 0.0
+    inside = object_pixels(coverage)
     noise, radiance = (np.asarray(part[inside], np.float64) for part in (standard_error, image))
     if not radiance.size or not radiance.any():
         return 0.0
     return float(np.sqrt(np.mean(noise**2)) / np.mean(radiance))
+
+
+def is_black(image: NDArray[np.floating], coverage: NDArray[np.floating]) -> bool:
+    """Whether the object is seen, and no light at all on it."""
+    inside = object_pixels(coverage)
+    return bool(inside.any()) and not image[inside].any()
+
+
+def object_pixels(coverage: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """The pixels [H,W] that are on the object: those that it covers wholly, or in part where there are none."""
+    whole = coverage >= 1.0
+    return np.asarray(whole if whole.any() else coverage > 0.0)
 
 
 def checkpoint_path(output: str | Path) -> Path:

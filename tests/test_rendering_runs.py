@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import Run
-from pictures import front, make_scene, uneven_sky
+from pictures import WHITE, front, make_scene, uneven_sky
 
 from formats.errors import FormatError
 from formats.image import read_image, read_layers
+from formats.lights import DirectionalLight
 from formats.scene import Scene, read_scene
+from prt_bake.lighting import Lighting
 from prt_bake.render_state import checkpoint_path, read_checkpoint
 from prt_bake.rendering import Rendering, render_scene
 
@@ -110,6 +112,17 @@ def test_time_and_noise_end_the_work(scene: Scene, tmp_path: Path) -> None:
     assert good.relative_noise == pytest.approx(noise / good.image[inside].mean(), rel=1e-6)
     assert good.history[-1, 2] == pytest.approx(good.relative_noise, rel=1e-5)
     assert render(scene, spp=None, error=1.0).passes == 8
+
+
+def test_an_object_that_no_light_was_met_on_is_not_without_noise(tmp_path: Path) -> None:
+    """Of a narrow sun behind a smooth interface most passes see nothing; of a black object none ever does."""
+    smooth = make_scene(tmp_path, eta=1.4)
+    narrow = Lighting(suns=(DirectionalLight(np.array([0.0, 0.0, 1.0]), np.ones(3), 12.0),))
+    found = render_scene(smooth, narrow, front(size=2), spp=None, error=0.9, seed=1, background=False)
+    assert found.passes > 8
+    assert not found.black
+    black = render_scene(make_scene(tmp_path, "0.0"), WHITE, front(size=2), spp=None, error=0.5, background=False)
+    assert (black.passes, black.black, black.complete) == (256, True, True)
 
 
 DIFFERENT = {

@@ -1,6 +1,7 @@
 """Options that several commands share, and how their text is read."""
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -11,11 +12,15 @@ from formats.errors import FormatError, StorageError
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
 
 
-class Size(NamedTuple):
-    """Width and height of a picture in pixels."""
+@dataclass(frozen=True)
+class Size:
+    """Width and height of a picture in pixels, told as they are given: 640x480."""
 
     width: int
     height: int
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}"
 
 
 class Point(NamedTuple):

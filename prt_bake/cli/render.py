@@ -124,7 +124,7 @@ def render(
     opened = _open(source, surface, device)
     sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say)
-    view = camera.fit(surface, *size, eye=eye, up=sky_up)
+    view = camera.fit(surface, size.width, size.height, eye=eye, up=sky_up)
     if spp is None and minutes is None and error is None:
         spp = _USUAL_SPP["scene" if is_scene else "network"]
     texts = {"prtbake.seed": str(seed), **_identity_texts(opened, is_scene)}
@@ -157,6 +157,8 @@ def render(
     _write(output, picture, texts, exposure)
     if picture.negative > 0.001:
         say(f"{output}: {picture.negative:.1%} of the object's radiance is below 0, as the network answers there")
+    if picture.black:
+        say(f"{output}: no light was met on the object; if there is any, it takes more {_unit(is_scene)}")
     if report is not None:
         _report(report, context.obj, seed, picture, view)
     print(_closing(output, picture, is_scene))

@@ -43,7 +43,7 @@ def shade(
     from prt_bake.shading import render_picture
 
     baked, sky = read_asset(asset), read_environment(light, mend, say)
-    view = camera.fit(baked.mesh, *size, eye=eye, up=up or baked.up)
+    view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=up or baked.up)
     picture = render_picture(baked, sky, view, up=up, rotate=rotate, samples=samples)
     write_image(output, picture.image, exposure=exposure)
     if not baked.complete:

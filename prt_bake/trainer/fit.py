@@ -23,7 +23,7 @@ from prt_bake.trainer.history import Meter, TrainingRow
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.material import Material, OnlineMaterial
 from prt_bake.trainer.offline import FileMaterial
-from prt_bake.trainer.resume import read_state, write_state
+from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.rows import RowSource, StreamSettings
 
 __all__ = ["LearningSettings", "TrainingRow", "train"]
@@ -68,8 +68,10 @@ def train(
         raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")
     if synchronous and steps is None:
         raise QueryError("train: synchronous needs steps: what fits into minutes is never the same twice")
-    if resume and output is None:
-        raise QueryError("train: resume needs the output that it goes on from")
+    if resume:
+        if output is None:
+            raise QueryError("train: resume needs the output that it goes on from")
+        require_state(output)
     tell = say or (lambda sentence: None)
     material: Material
     if samples is not None:

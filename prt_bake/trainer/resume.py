@@ -16,6 +16,14 @@ def state_path(output: str | Path) -> Path:
     return output.with_name(output.stem + ".train.pt")
 
 
+def require_state(output: str | Path) -> Path:
+    """Where that state lies; raises ModelError where there is none."""
+    path = state_path(output)
+    if not path.is_file():
+        raise ModelError(f"{path}: not found; there is nothing to resume, train without --resume")
+    return path
+
+
 def write_state(output: str | Path, state: dict[str, Any]) -> None:
     """Write the state, whole or not at all; it holds `scene`, and in `begun` all that a run keeps to its end."""
     import torch
@@ -34,9 +42,7 @@ def read_state(output: str | Path, scene_hash: str, begun: dict[str, Any]) -> di
     """
     import torch
 
-    path = state_path(output)
-    if not path.is_file():
-        raise ModelError(f"{path}: not found; there is nothing to resume, train without --resume")
+    path = require_state(output)
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         found, version = state["scene"], state.get("version")
