@@ -96,9 +96,10 @@ def test_turns_are_resumed_with_the_settings_that_they_began_with(scene, tmp_pat
 
 def test_turns_do_not_depend_on_the_number_of_cores(rough_scene, monkeypatch):
     found = []
-    for count in (1, 2):
+    learning = dataclasses.replace(EAGER, core_share=0.5)
+    for count in (1, 4):
         monkeypatch.setattr(cores, "available", lambda count=count: count)
-        found.append(weights(learnt(rough_scene, 12, synchronous=True, learning=EAGER)))
+        found.append(weights(learnt(rough_scene, 12, synchronous=True, learning=learning)))
     assert found[0] == found[1]
 
 
