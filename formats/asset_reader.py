@@ -6,17 +6,15 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset_layout import layout_faults
 from formats.asset_record import Asset
 from formats.errors import AssetError
+from formats.hdf5_file import DAMAGE, first_line, open_hdf5
 from formats.mesh import Mesh
-from formats.whole import existing
 
-_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)  # what h5py raises on damaged files
 _BLOCK_BYTES = 2**26
 _UNIT_TOLERANCE = 1e-3  # half floats of other writers pass, wrong lengths do not
 
@@ -41,11 +39,11 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
             more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
             raise AssetError(f"{path}: {faults[0]}{more}")
         asset = _asset(file, load)
-    except _DAMAGE as cause:
+    except DAMAGE as cause:
         file.close()
         if isinstance(cause, AssetError):
             raise
-        raise AssetError(f"{path}: is damaged: {_first_line(cause)}; bake it again") from cause
+        raise AssetError(f"{path}: is damaged: {first_line(cause)}; bake it again") from cause
     if load:
         file.close()
     return asset
@@ -67,23 +65,13 @@ def check_asset(path: str | os.PathLike[str]) -> list[str]:
             faults.extend(_faults(file))
             if not faults:
                 faults.extend(_coefficient_faults(file["transfer"]))
-        except _DAMAGE as cause:
-            faults.append(f"is damaged: {_first_line(cause)}")
+        except DAMAGE as cause:
+            faults.append(f"is damaged: {first_line(cause)}")
     return [f"{path}: {fault}" for fault in faults]
 
 
 def _opened(path: str | os.PathLike[str]) -> Any:
-    with open(existing(path), "rb") as file:
-        signature = file.read(8)
-    if not signature:
-        raise AssetError(f"{path}: is empty")
-    if signature != b"\x89HDF\r\n\x1a\n":
-        raise AssetError(f"{path}: is no asset: expected an HDF5 file, found something that begins with {signature!r}")
-    try:
-        return h5py.File(path, "r")
-    except _DAMAGE as cause:
-        what = "is truncated" if "truncated" in str(cause) else "is damaged or truncated"
-        raise AssetError(f"{path}: {what}: {_first_line(cause)}; copy or bake it again") from cause
+    return open_hdf5(path, AssetError, "is no asset", "bake it")
 
 
 def _faults(file: Any) -> Iterator[str]:
@@ -196,8 +184,3 @@ def _loaded(path: str, transfer: Any, valid: NDArray[np.bool_]) -> NDArray[np.fl
             raise AssetError(f"{path}: {fault}")
         coefficients[rows] = block
     return coefficients
-
-
-def _first_line(cause: BaseException) -> str:
-    lines = str(cause).splitlines()
-    return lines[0] if lines else type(cause).__name__

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SamplesError
-from formats.whole import existing
+from formats.hdf5_file import DAMAGE, first_line, open_hdf5
 
 FORMAT = "prtbake samples"
 FORMAT_VERSION = "1.0"
@@ -37,7 +37,6 @@ DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 _COUNTS = ("complete", "seed", "walks")
 _SOURCE = ("scene", "scene_hash", "unit", "settings")
-_DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)  # what h5py raises on damaged files
 _UNIT_TOLERANCE = 1e-4
 
 
@@ -89,8 +88,8 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
         try:
             faults = list(_layout_faults(file))
             samples = None if faults else _read(file)
-        except _DAMAGE as cause:
-            raise SamplesError(f"{path}: is damaged: {_first_line(cause)}; sample it again") from cause
+        except DAMAGE as cause:
+            raise SamplesError(f"{path}: is damaged: {first_line(cause)}; sample it again") from cause
     if samples is not None:
         faults = list(_value_faults(samples))
     if samples is None or faults:
@@ -113,8 +112,8 @@ def check_samples(path: str | os.PathLike[str]) -> list[str]:
         try:
             faults = list(_layout_faults(file))
             faults = faults or list(_value_faults(_read(file)))
-        except _DAMAGE as cause:
-            faults = [f"is damaged: {_first_line(cause)}"]
+        except DAMAGE as cause:
+            faults = [f"is damaged: {first_line(cause)}"]
     return [f"{path}: {fault}" for fault in faults]
 
 
@@ -123,22 +122,12 @@ def is_samples(path: str | os.PathLike[str]) -> bool:
     try:
         with h5py.File(path, "r") as file:
             return _text(file, "format") == FORMAT
-    except _DAMAGE:
+    except DAMAGE:
         return False
 
 
 def _opened(path: str | os.PathLike[str]) -> Any:
-    with open(existing(path), "rb") as file:
-        signature = file.read(8)
-    if not signature:
-        raise SamplesError(f"{path}: is empty")
-    if signature != b"\x89HDF\r\n\x1a\n":
-        raise SamplesError(f"{path}: holds no samples: expected an HDF5 file, found one that begins with {signature!r}")
-    try:
-        return h5py.File(path, "r")
-    except _DAMAGE as cause:
-        what = "is truncated" if "truncated" in str(cause) else "is damaged or truncated"
-        raise SamplesError(f"{path}: {what}: {_first_line(cause)}; copy or sample it again") from cause
+    return open_hdf5(path, SamplesError, "holds no samples", "sample it")
 
 
 def _layout_faults(file: Any) -> Iterator[str]:
@@ -218,8 +207,3 @@ def _object(text: str) -> dict[str, Any]:
     except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
-
-
-def _first_line(cause: BaseException) -> str:
-    lines = str(cause).splitlines()
-    return lines[0] if lines else type(cause).__name__

@@ -153,7 +153,7 @@ def descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed: 
             part = part / part.sum(dim=1, keepdim=True).clamp_min(1e-30)
             loss = divergence(part, density(module, targets, rows, bins)).mean()
             optimiser.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            torch.autograd.backward(loss)
             optimiser.step()
             shown = float(loss.detach()) if step == 1 else 0.95 * shown + 0.05 * float(loss.detach())
             clock.progress(0.3 + 0.7 * share, f"step {step}, KL divergence {shown:.4f}")

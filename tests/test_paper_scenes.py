@@ -12,9 +12,7 @@ from formats.image import read_image
 from formats.mesh import read_mesh
 from prt_bake import camera, environment
 from prt_bake.camera import Visibility
-from prt_bake.lighting import as_lighting
 from prt_bake.paper.harmonics import refined
-from prt_bake.paper.quadrature import gathered
 from prt_bake.paper.report import sky_files
 from prt_bake.paper.scenes import LEAST_SHARE, NAMES, SCENES, SKIES, chosen, filled, framed, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
@@ -96,19 +94,6 @@ def test_a_refined_mesh_is_the_same_surface() -> None:
     assert fine.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=1e-12)
     np.testing.assert_allclose(fine.bounds, mesh.bounds)
     assert refined(mesh, 0) is mesh
-
-
-@pytest.mark.parametrize("up", ["y", "z"])
-def test_cells_gather_all_of_the_skys_light_where_it_comes_from(up: str) -> None:
-    sky = np.zeros((64, 128, 3), np.float32)
-    sky[10, 90] = [3.0, 2.0, 1.0]
-    towards, irradiance = gathered(as_lighting(sky, up, 30.0), 512)
-    texel = environment.direction_of(90.5 / 128, 10.5 / 64, up) @ environment.rotation(30.0, up).T
-    solid_angle = (np.cos(np.pi * 10 / 64) - np.cos(np.pi * 11 / 64)) * 2.0 * np.pi / 128
-    lit = irradiance.any(axis=1)
-    assert lit.sum() == 1
-    np.testing.assert_allclose(irradiance[lit][0], np.array([3.0, 2.0, 1.0]) * solid_angle)
-    assert np.degrees(np.arccos((towards[lit] @ texel).item())) < 8.0
 
 
 def test_a_shrunken_sky_keeps_its_energy() -> None:

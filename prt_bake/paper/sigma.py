@@ -10,9 +10,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from formats.mesh import Mesh
 from formats.whole import replacing
-from prt_bake.camera import Camera
+from prt_bake.camera import Camera, Visibility, directions
 from prt_bake.importance import load_importance
-from prt_bake.paper.quadrature import seen_points
 from prt_bake.paper.sheet import CELL, INK, PAPER, coloured, fitted
 
 _SCALE, _LABEL, _GAP = 14, 18, 6
@@ -28,11 +27,23 @@ class SigmaPicture:
 
 def sigma_picture(title: str, model_path: Path, mesh: Mesh, view: Camera) -> SigmaPicture:
     """Ask the importance module beside a model; of several lobes the mean is taken."""
-    pixels, positions, outgoing = seen_points(mesh, view, 1)
+    pixels, positions, outgoing = _seen_points(mesh, view)
     sigma = np.degrees(load_importance(model_path).sigma(positions, outgoing)).reshape(len(pixels), -1).mean(axis=1)
     degrees = np.full(view.height * view.width, np.nan)
     degrees[pixels] = sigma
     return SigmaPicture(title, degrees.reshape(view.height, view.width))
+
+
+def _seen_points(mesh: Mesh, view: Camera) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels [N], row · width + column, positions [N,3] and directions to the eye [N,3] of what the rays through the
+    middle of each pixel meet.
+    """
+    rays = directions(view, slice(0, view.height), np.array([[0.5, 0.5]])).reshape(-1, 3)
+    hits = Visibility(mesh).first_hits(view.eye, rays)
+    met = np.flatnonzero(hits.faces >= 0)
+    u, v = hits.barycentric[met].T
+    shares = np.stack([1.0 - u - v, u, v], axis=1)
+    return met, np.einsum("nk,nki->ni", shares, mesh.positions[mesh.faces[hits.faces[met]]]), -rays[met]
 
 
 def write_sigma(path: Path, pictures: Sequence[SigmaPicture]) -> None:

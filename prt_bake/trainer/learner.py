@@ -114,7 +114,7 @@ class Learner:
         if not math.isfinite(value):
             raise QueryError(self._fault(source, batch, each.detach().cpu().numpy(), value))
         self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(loss)
         self.optimizer.step()
         self.step += 1
         if self.settings.average:
