@@ -118,7 +118,7 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
     axes.margins(0.15)
     axes.set(xlabel="seconds", ylabel="estimated relative RMSE of the coefficients")
     axes.set_title("network evaluations at each point, in millions (M)")
-    axes.legend()
+    figure.legend(loc="outside lower center", ncols=2)
     axes.grid(alpha=0.3, which="both")
     with replacing(path) as part:
         figure.savefig(part, dpi=150, format="png")

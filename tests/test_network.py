@@ -21,9 +21,19 @@ def unit(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
+def trained(network: NeuralBSSRDF) -> NeuralBSSRDF:
+    """The network with biases, which a fresh one has not: what forgets them shows."""
+    generator = torch.Generator().manual_seed(11)
+    with torch.no_grad():
+        for name, weights in network.named_parameters():
+            if name.endswith("bias"):
+                weights.normal_(0.0, 0.3, generator=generator)
+    return network
+
+
 @pytest.fixture(params=["paper", "measured"])
 def network(request: pytest.FixtureRequest) -> NeuralBSSRDF:
-    return NeuralBSSRDF(PRESETS[request.param], box_min=(-1.0, -2.0, 0.5), box_side=3.0, output_scale=0.7)
+    return trained(NeuralBSSRDF(PRESETS[request.param], box_min=(-1.0, -2.0, 0.5), box_side=3.0, output_scale=0.7))
 
 
 def test_default_network_has_the_papers_number_of_weights() -> None:
@@ -65,7 +75,7 @@ def test_features_are_those_of_the_definition_even_far_from_the_origin() -> None
 
 def test_forward_is_the_architecture_of_the_paper() -> None:
     """Five hidden layers, layer 1 joined to layer 3's input and layer 2 to layer 4's, written out by hand."""
-    network = NeuralBSSRDF(NetworkSettings(**SMALL), output_scale=2.0)
+    network = trained(NeuralBSSRDF(NetworkSettings(**SMALL), output_scale=2.0))
     rng = np.random.default_rng(3)
     query = [torch.as_tensor(array) for array in (unit(rng, 7), rng.uniform(0, 1, (7, 3)), unit(rng, 7))]
     w = {name: weights.detach().double().numpy() for name, weights in network.named_parameters()}
@@ -80,6 +90,35 @@ def test_forward_is_the_architecture_of_the_paper() -> None:
     h4 = layer(4, np.concatenate([h3, h2], axis=1))
     expected = 2.0 * (layer(5, h4) @ w["output.weight"].T + w["output.bias"])
     np.testing.assert_allclose(network(*query).detach().numpy(), expected, atol=1e-5)
+
+
+def test_forward_lets_the_light_in_late() -> None:
+    """Two of four layers see ωi, written out by hand; layer 1 is joined to layer 3's input and layer 2 to layer 4's."""
+    settings = NetworkSettings(
+        6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", light_layers=2, light_features=5, light_spread=0.4
+    )
+    network = trained(NeuralBSSRDF(settings, output_scale=2.0))
+    rng = np.random.default_rng(8)
+    wi, x, wo = unit(rng, 7, 3), rng.uniform(0, 1, (7, 3)), unit(rng, 7)
+    w = {name: weights.detach().double().numpy() for name, weights in network.named_parameters()}
+
+    def features(vectors: NDArray[np.float64], frequencies: torch.Tensor) -> NDArray[np.float64]:
+        phase = 2 * np.pi * vectors @ frequencies.double().numpy().T
+        return np.concatenate([np.cos(phase), np.sin(phase)], axis=-1)
+
+    def layer(number: int, *parts: NDArray[np.float64]) -> NDArray[np.float64]:
+        h = np.concatenate(parts, axis=-1) @ w[f"hidden.{number - 1}.weight"].T + w[f"hidden.{number - 1}.bias"]
+        return h / (1.0 + np.exp(-h))
+
+    light = features(wi, network.light_frequencies)
+    h1 = layer(1, np.repeat(features(np.concatenate([x, wo], axis=1), network.frequencies)[:, None], 3, axis=1))
+    h2 = layer(2, h1)
+    h3 = layer(3, h2, h1, light)
+    h4 = layer(4, h3, h2, light)
+    expected = 2.0 * (h4 @ w["output.weight"].T + w["output.bias"])
+    query = [torch.as_tensor(array) for array in (wi, x, wo)]
+    np.testing.assert_allclose(network.radiance(*query).detach().numpy(), expected, atol=1e-5)
+    np.testing.assert_allclose(network.evaluate(wi, x, wo), expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-5), ("bfloat16", 3e-2)])
@@ -101,7 +140,7 @@ def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
     """Odd widths, other skips and another activation; more directions than one tile or table holds."""
     skips = ((1, 3), (1, 4), (2, 4))
     settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, activation, "cartesian", light_layers=late)  # type: ignore[arg-type]
-    network = NeuralBSSRDF(settings)
+    network = trained(NeuralBSSRDF(settings))
     rng = np.random.default_rng(5)
     incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)
     rotation = np.array([[19, 0, 7]])

@@ -11,9 +11,10 @@ from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 from formats.errors import ModelError, QueryError
 from prt_bake.trainer import cores
 from prt_bake.trainer.in_turn import InTurn, Shuffled
+from prt_bake.trainer.material import box_of
 from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.resume import state_path
-from prt_bake.trainer.rows import Batch, Box, Done, StreamSettings, ValueWalks
+from prt_bake.trainer.rows import Batch, Box, Done, StreamSettings, ValueWalks, row_walks
 from prt_bake.trainer.stream import Renderer
 
 EAGER = dataclasses.replace(LEARNING, report_every=0.0, checkpoint_every=0.0, held_out_queries=16, held_out_walks=16)
@@ -117,6 +118,16 @@ def test_cores_are_divided_and_share_one(monkeypatch, share, learn):
         assert cores.divided(share, "cuda") == (count, 1)
     monkeypatch.setattr(cores, "available", lambda: 1)
     assert cores.divided(share, "cpu") == (1, 1)
+
+
+def test_rays_are_values_where_light_leaves_unbent_and_exits_elsewhere(scene, rough_scene, tmp_path):
+    smooth = make_scene(tmp_path, eta=1.4)
+    for some, exits in ((scene, False), (rough_scene, True), (smooth, True)):
+        assert row_walks(some, prepare(some), box_of(some), STREAM, 0).exits is exits
+    asked = dataclasses.replace(STREAM, rays="values")
+    assert not row_walks(rough_scene, prepare(rough_scene), box_of(rough_scene), asked, 0).exits
+    with pytest.raises(QueryError, match="is smooth, and behind it Ŝ has no values"):
+        row_walks(smooth, prepare(smooth), box_of(smooth), asked, 0)
 
 
 def test_a_renderer_that_is_ahead_rests(scene):
