@@ -16,7 +16,7 @@ from prt_bake.bake_job import Job, limited_threads, prepared, resolve
 from prt_bake.bake_sampling import MOST_SAMPLES
 from prt_bake.randomness import hashed
 
-PILOT_VERTICES = 8
+PILOT_VERTICES = 32
 PILOT_LIMIT = 1 << 14
 LADDER = (18, 32, 64, 128, 256)
 SEEN = 0.3
