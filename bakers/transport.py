@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
+from formats.mesh import Mesh
 
 WayIn = Literal["coefficients", "block", "evaluate"]
 
@@ -82,6 +83,11 @@ def way_in(transport: object) -> WayIn:
         f"{type(transport).__name__} cannot be baked: expected a method evaluate(incident, positions, outgoing), "
         f"evaluate_block or estimate_coefficients"
     )
+
+
+def on_mesh(transport: Any, mesh: Mesh) -> Any:
+    """The transport told its object's mesh by its method `on`, if it has one."""
+    return transport.on(mesh) if hasattr(transport, "on") else transport
 
 
 def as_radiance(answer: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from bakers.transport import on_mesh
 from formats.mesh import Mesh
 from prt_bake.importance import ImportanceModule, ImportanceSettings
 from prt_bake.importance_loss import (
@@ -82,7 +83,8 @@ def fit_importance(
     single σ for the object and of the module. Raises ModelError if the network is black or not finite on the mesh.
     """
     clock = Clock(math.inf if steps else seconds, progress or _silent)
-    transport = network.prepared(device=device) if hasattr(network, "prepared") else network
+    bound = on_mesh(network, mesh)
+    transport = bound.prepared(device=device) if hasattr(bound, "prepared") else bound
     inner = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

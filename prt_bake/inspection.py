@@ -232,9 +232,17 @@ def _describe_model(path: Path) -> dict[str, Any]:
         "weights": sum(parameter.numel() for parameter in network.parameters()),
         "box minimum": network.box_min.tolist(),
         "box side": network.box_side,
+        **_describe_interior(network.view),
         **{f"settings: {name}": value for name, value in network.settings.as_json().items()},
         **network.metadata,
     }
+
+
+def _describe_interior(view: Any) -> dict[str, Any]:
+    if view is None:
+        return {}
+    told = view.interior.as_json()
+    return {f"interior: {name}": told[name] for name in ("places", "spacing", "attenuation", "eta")}
 
 
 def _describe_importance(path: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ of ωi are appended to the inputs of the last hidden layers: what comes before t
 """
 
 import json
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,20 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from formats.errors import ModelError
+from formats.mesh import Mesh
 from prt_bake.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
+from prt_bake.interior import Interior
 from prt_bake.network_kernel import FusedNetwork
 from prt_bake.network_settings import PRESETS, NetworkSettings
+from prt_bake.surface import Surface
+from prt_bake.view_features import ViewFeatures
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
 
 FORMAT = "prtbake model"
 FORMAT_VERSION = 1
+INTERIOR = "interior"
+"""The tensor of a checkpoint that holds the interior's grid."""
 ROWS_AT_ONCE = 8192
 
 
@@ -41,12 +48,14 @@ class NeuralBSSRDF(nn.Module):
         box_side: float = 1.0,
         output_scale: float = 1.0,
         metadata: dict[str, Any] | None = None,
+        interior: Interior | None = None,
     ) -> None:
         """A freshly initialised network.
 
         box_min [3] and box_side (longest side) are the object's bounding box in scene units; output_scale [1/sr] is
         what the last layer's output is multiplied by; metadata is plain JSON and travels with the checkpoint. Weights
-        follow He et al. 2015 and, with G, depend on settings.seed alone. Raises ModelError if the box is not finite.
+        follow He et al. 2015 and, with G, depend on settings.seed alone. `interior` is for networks that look along the
+        ray of view (settings.ray_samples). Raises ModelError if the box is not finite, or an interior is missing.
         """
         super().__init__()
         self.settings = settings or NetworkSettings()
@@ -71,6 +80,14 @@ class NeuralBSSRDF(nn.Module):
         self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
         self.output = nn.Linear(self.settings.width, 3)
         self._initialise(generator)
+        if (interior is None) != (self.settings.ray_samples == 0):
+            raise ModelError(
+                f"network: an interior belongs to networks with ray_samples, and to them alone; "
+                f"found {'none' if interior is None else 'one'} for {self.settings.ray_samples}"
+            )
+        self.surface: Surface | None = None
+        """The object's own mesh, where it is known: see `on`."""
+        self.view = None if interior is None else ViewFeatures(self.settings, self.frequencies, interior)
 
     def _draw_frequencies(self, generator: torch.Generator) -> None:
         settings = self.settings
@@ -103,7 +120,7 @@ class NeuralBSSRDF(nn.Module):
         """Ŝ [N,D,3] in 1/sr, as `forward`, for D directions of incidence a query: incident [N,D,3]."""
         kind = self.output.weight.dtype
         if self.settings.trunk:
-            h = self.fourier_features(self.inputs(None, positions, outgoing))[:, None]
+            h = self.view_features(positions, outgoing)[:, None]
             light = self.light_features(incident).to(kind)
         else:
             wide = incident.shape
@@ -122,10 +139,37 @@ class NeuralBSSRDF(nn.Module):
         result: Tensor = self.output(h) * self.output_scale
         return result
 
+    def view_features(self, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """What the first layer of a network that sees ωi late is told of views [N, settings.view_inputs], float32."""
+        if self.view is None:
+            return self.fourier_features(self.inputs(None, positions, outgoing))
+        features: Tensor = self.view(self._relative(positions), outgoing, self._normals(positions, outgoing))
+        return features
+
+    def on(self, mesh: Mesh) -> "NeuralBSSRDF":
+        """The same network, weights shared, that takes the normals which it is told from its object's mesh.
+
+        Without a mesh it has those of a coarse grid, which round edges off; on it a position on an edge belongs to the
+        face that faces ωo most (`prt_bake.surface`). Networks that are told no normals are given back as they are.
+        """
+        if not self.settings.tells_normal or (self.surface is not None and self.surface.mesh is mesh):
+            return self
+        bound = copy(self)
+        bound.surface = Surface(mesh)
+        return bound
+
+    def _normals(self, positions: Tensor, outgoing: Tensor) -> Tensor | None:
+        if self.surface is None:
+            return None
+        kind: Any = self.metadata.get("normals", "face")
+        x, eye = (tensor.detach().double().cpu().numpy() for tensor in (positions, outgoing))
+        return torch.from_numpy(self.surface.normals(x, eye, kind)).to(positions.device)
+
     def light_features(self, incident: Tensor) -> Tensor:
         """The Fourier features [..., 2·light_features] of directions that enter late, in float32."""
-        phase = (2.0 * torch.pi) * (self._scale(incident).float() @ self.light_frequencies.T)
-        return torch.cat((phase.cos(), phase.sin()), dim=-1)
+        with torch.autocast(incident.device.type, enabled=False):
+            phase = (2.0 * torch.pi) * (self._scale(incident).float() @ self.light_frequencies.T)
+            return torch.cat((phase.cos(), phase.sin()), dim=-1)
 
     def inputs(self, incident: Tensor | None, positions: Tensor, outgoing: Tensor) -> Tensor:
         """The scaled inputs u [N, 7 or 9] in float64: incident direction (unless it enters late), position, outgoing
@@ -143,8 +187,10 @@ class NeuralBSSRDF(nn.Module):
         mean = self.settings.feature_mean
         common = (u.sum(dim=-1, keepdim=True) * mean) % 1.0
         deviation = (self.frequencies.double() - mean).float()
-        phase = (2.0 * torch.pi) * (common.float() + u.float() @ deviation.T)
-        return torch.cat((phase.cos(), phase.sin()), dim=-1)
+        # Half precision is for weights: phases of several cycles would lose a tenth of a radian to it.
+        with torch.autocast(u.device.type, enabled=False):
+            phase = (2.0 * torch.pi) * (common.float() + u.float() @ deviation.T)
+            return torch.cat((phase.cos(), phase.sin()), dim=-1)
 
     def _scale(self, directions: Tensor) -> Tensor:
         d = directions.double()
@@ -246,8 +292,12 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
         "output_scale": network.output_scale,
         "metadata": network.metadata,
     }
+    if network.view is not None:
+        head["interior"] = network.view.interior.as_json()
     tensors = {name: tensor.detach().float().cpu().contiguous() for name, tensor in network.state_dict().items()}
     refuse_unsound(tensors, _shapes(tensors), path)
+    if network.view is not None:
+        tensors[INTERIOR] = network.view.interior.packed()
     write_checkpoint(path, json.dumps(head), tensors)
 
 
@@ -265,12 +315,14 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
                 f"{path}: expected {FORMAT!r} version {FORMAT_VERSION}, "
                 f"found {head['format']!r} version {head['format_version']!r}"
             )
+        packed = tensors.pop(INTERIOR, None)
         network = NeuralBSSRDF(
             NetworkSettings.from_json(head["settings"]),
             head["box_min"],
             head["box_side"],
             head["output_scale"],
             head["metadata"],
+            None if packed is None else Interior.unpacked(head["interior"], packed),
         )
     except ModelError as fault:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None

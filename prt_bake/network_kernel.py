@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}
+VIEWS_AT_ONCE = 256
+"""Views whose features are computed at once: they stay in cache."""
 TABLE_ROWS = 1 << 14
 """Most (rotation, direction) rows whose exponentials are held at once: 32 MiB with 256 frequencies."""
 
@@ -55,7 +57,8 @@ class FusedNetwork:
         self._biases = [layer.bias.detach().to(self._dtype) for layer in layers]
         self._linear: Linear = _onednn_linear if _onednn_answers(self._weights[-1]) else _plain_linear
         self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
-        self._weights[0] = _interleave(self._weights[0], settings.features)
+        if self._late is None:
+            self._weights[0] = _interleave(self._weights[0], settings.features)
         self._lock = Lock()
         self._table: tuple[ArrayLike, Tensor] | None = None
 
@@ -82,7 +85,7 @@ class FusedNetwork:
         bounds = [*range(0, directions, step), directions]
         with torch.inference_mode():
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
-            view = self._view_exponentials(positions, outgoing)
+            view = self._views(positions, outgoing)
             for first, last in pairwise(bounds):
                 table = self._light_table(incident, light[:, first:last], whole=last - first == directions)
                 if self._late is None:
@@ -102,9 +105,9 @@ class FusedNetwork:
         for begin in range(0, len(chosen), bins_at_once):
             # Whole tiles of bins, whatever their number: the result must not depend on how bins are cut.
             some = view[begin : begin + bins_at_once]
-            rows = torch.ones((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
+            rows = torch.zeros((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
             rows[: len(some)] = some
-            of_bins = late.bins(torch.cat((rows.real, rows.imag), dim=1))
+            of_bins = late.bins(rows)
             for first in range(0, len(some), tile):
                 bins = min(tile, len(some) - first)
                 for layer in range(layers):
@@ -139,6 +142,30 @@ class FusedNetwork:
             h = self._linear(h, weight, bias, self._activation)
             activations.append(h)
         return self._linear(h, self._weights[-1], self._biases[-1], "none")
+
+    def _views(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
+        """What is known of each bin beforehand, [N·B, ·]: exp(i·phase) where directions enter with it, else the
+        features that the first layer sees.
+        """
+        if self._late is None:
+            return self._view_exponentials(positions, outgoing)
+        if self.network.view is None:
+            exponentials = self._view_exponentials(positions, outgoing)
+            return torch.cat((exponentials.real, exponentials.imag), dim=1)
+        eye = torch.from_numpy(np.array(outgoing, np.float64))
+        x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
+        return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
+
+    def view_rows(self, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """`NeuralBSSRDF.view_features` in lots of one size, so that no row depends on those beside it."""
+        count = len(positions)
+        features = torch.empty((count, self.network.settings.view_inputs), device=self._device)
+        for first in range(0, count, VIEWS_AT_ONCE):
+            some = slice(first, min(first + VIEWS_AT_ONCE, count))
+            x, eye = torch.zeros((2, VIEWS_AT_ONCE, 3), dtype=torch.float64, device=self._device)
+            x[: some.stop - first], eye[: some.stop - first] = positions[some], outgoing[some]
+            features[some] = self.network.view_features(x, eye)[: some.stop - first]
+        return features
 
     def _view_exponentials(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
         """exp(i·phase) of position and outgoing direction together [N·B, features]."""

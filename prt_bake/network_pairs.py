@@ -53,6 +53,8 @@ def content_hash(network: Any) -> str:
     digest = hashlib.sha256(type(network).__name__.encode())
     if isinstance(network, torch.nn.Module):
         numbers = [getattr(network, name, None) for name in ("box_side", "output_scale")]
+        view = getattr(network, "view", None)
+        numbers.append(None if view is None else view.interior.content_hash)
         digest.update(json.dumps([numbers, np.asarray(getattr(network, "box_min", [])).tolist()]).encode())
         for name, tensor in sorted(network.state_dict().items()):
             digest.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
@@ -129,12 +131,9 @@ class PairNetwork(FusedNetwork):
         """What views and directions add to each later layer [layers, tile·S, width]; others are of zeros."""
         assert self._late is not None
         at, count = self._device, len(positions)
-        view = torch.zeros((tile, self._view_frequencies.shape[0]), dtype=torch.float64)
-        eye = self.network._scale(torch.as_tensor(outgoing).to(at)).cpu()
-        view[:count] = torch.cat((self._relative(positions), eye), dim=-1)
-        cycles = (view.to(at) @ torch.from_numpy(self._view_frequencies).to(at)) % 1.0
-        phase = (2.0 * torch.pi) * cycles.float()
-        bins = self._late.bins(torch.cat((phase.cos(), phase.sin()), dim=-1))
+        views = torch.zeros((tile, self.network.settings.view_inputs), device=at)
+        views[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
+        bins = self._late.bins(views)
         towards = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
         towards[:count] = torch.as_tensor(incident)
         light = self._late.light_table(self.network.light_features(towards.to(at)))

@@ -26,6 +26,15 @@ _HALF = np.float32(0.5)
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def turned(cycles: Any) -> Any:
+    """Cosine and sine of float32 cycles."""
+    r = cycles - np.floor(cycles + _HALF)
+    t = r * r
+    cosine = _C0 + t * (_C1 + t * (_C2 + t * (_C3 + t * (_C4 + t * (_C5 + t * _C6)))))
+    return cosine, r * (_S0 + t * (_S1 + t * (_S2 + t * (_S3 + t * (_S4 + t * (_S5 + t * _S6))))))
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def fourier_rows(view: Any, along: Any, common: Any, deviation: Any, rows: Any) -> None:
     """Fill rows [N·S, 2F] with [cosines, sines] of view n and its direction s, in row n·S + s.
 
@@ -43,10 +52,7 @@ def fourier_rows(view: Any, along: Any, common: Any, deviation: Any, rows: Any) 
             sines = rows[n * directions + s, features:]
             for f in range(features):
                 cycles = at[f] + shared + x * g[f] + y * h[f] + z * k[f]
-                r = cycles - np.floor(cycles + _HALF)
-                t = r * r
-                cosines[f] = _C0 + t * (_C1 + t * (_C2 + t * (_C3 + t * (_C4 + t * (_C5 + t * _C6)))))
-                sines[f] = r * (_S0 + t * (_S1 + t * (_S2 + t * (_S3 + t * (_S4 + t * (_S5 + t * _S6))))))
+                cosines[f], sines[f] = turned(cycles)
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})

@@ -13,6 +13,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from bakers.transport import on_mesh
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.bake_job import limited_threads, refuse_foreign
@@ -92,7 +93,7 @@ def render_network(
     refuse_eye_in_object(mesh, camera.eye)
     metadata = dict(getattr(network, "metadata", None) or {})
     lighting = as_lighting(light, up or metadata.get("up", "y"), rotate)
-    transport = pair_transport(network, precision, device)
+    transport = pair_transport(on_mesh(network, mesh), precision, device)
     begun = time.perf_counter()
     with limited_threads(transport, 1):
         visibility = Visibility(mesh)

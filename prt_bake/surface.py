@@ -7,7 +7,7 @@ towards the middle of the chosen face: the value there is the limit from inside 
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,31 @@ class Surface:
         from prt_bake.surface_grid import build_grid
 
         return build_grid(self.mesh.positions, np.asarray(self.mesh.faces, np.int64), self.reach)
+
+    @cached_property
+    def _corner_normals(self) -> dict[str, NDArray[np.float64]]:
+        """[F,3,3]: each face's own normal at its three corners, or those of its vertices."""
+        faces = np.asarray(self.mesh.faces)
+        flat = np.repeat(np.asarray(self.mesh.face_normals)[:, None], 3, axis=1)
+        return {"face": np.ascontiguousarray(flat), "vertex": np.ascontiguousarray(self.mesh.normals[faces])}
+
+    def normals(
+        self, positions: NDArray[np.float64], outgoing: NDArray[np.float64], kind: Literal["face", "vertex"] = "face"
+    ) -> NDArray[np.float64]:
+        """Unit normals [N,3] where queries lie, of the face or interpolated between its vertices; zero where no face is
+        within reach.
+        """
+        from prt_bake.surface_grid import normals_of_chosen
+
+        positions, outgoing = (np.ascontiguousarray(rows, np.float64) for rows in (positions, outgoing))
+        normals = np.empty_like(positions)
+        of_faces = np.asarray(self.mesh.face_normals)
+        normals_of_chosen(self._grid, of_faces, self._corner_normals[kind], positions, outgoing, normals)
+        return normals
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "Surface":
+        """Itself: nothing in it ever changes."""
+        return self
 
     def in_reach(
         self, positions: NDArray[np.float64], outgoing: NDArray[np.float64]

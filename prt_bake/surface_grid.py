@@ -89,6 +89,26 @@ def _closest(a: Any, b: Any, c: Any, p: Any) -> Any:
     return np.dot(away, away), u, v
 
 
+@compiled(nogil=True)
+def _chosen(grid: Any, face_normals: Any, p: Any, eye: Any) -> Any:
+    """The face in reach of p that faces `eye` most, the lowest on a tie (−1: none), its (u, v), and the cosine."""
+    face, best_u, best_v, most = -1, 0.0, 0.0, -2.0
+    cell = 0
+    for k in range(2, -1, -1):
+        i = int(np.floor((p[k] - grid.low[k]) / grid.side))
+        if not 0 <= i < grid.shape[k]:
+            return face, best_u, best_v, most
+        cell = cell * grid.shape[k] + i
+    for m in range(grid.starts[cell], grid.starts[cell + 1]):
+        f = grid.members[m]
+        cosine = np.dot(eye, face_normals[f])
+        if cosine > most:
+            squared, u, v = _closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)
+            if np.sqrt(squared) <= grid.reach:
+                face, best_u, best_v, most = f, u, v, cosine
+    return face, best_u, best_v, most
+
+
 @compiled(parallel=True)
 def choose_faces(grid: Any, face_normals: Any, positions: Any, outgoing: Any) -> Any:
     """For each query the face in reach that faces ωo most, the lowest on a tie: faces [N] (−1: none in reach), (u, v)
@@ -99,24 +119,26 @@ def choose_faces(grid: Any, face_normals: Any, positions: Any, outgoing: Any) ->
     barycentric = np.zeros((count, 2))
     cosines = np.full(count, -2.0)
     for n in prange(count):
-        p = positions[n]
-        cell = 0
-        inside = True
-        for k in range(2, -1, -1):
-            i = int(np.floor((p[k] - grid.low[k]) / grid.side))
-            inside = inside and 0 <= i < grid.shape[k]
-            cell = cell * grid.shape[k] + i
-        if not inside:
-            continue
-        for m in range(grid.starts[cell], grid.starts[cell + 1]):
-            f = grid.members[m]
-            squared, u, v = _closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)
-            cosine = np.dot(outgoing[n], face_normals[f])
-            if np.sqrt(squared) <= grid.reach and cosine > cosines[n]:
-                cosines[n] = cosine
-                faces[n] = f
-                barycentric[n, 0], barycentric[n, 1] = u, v
+        face, u, v, cosine = _chosen(grid, face_normals, positions[n], outgoing[n])
+        faces[n], cosines[n] = face, cosine
+        barycentric[n, 0], barycentric[n, 1] = u, v
     return faces, barycentric, cosines
+
+
+@compiled(nogil=True)
+def normals_of_chosen(
+    grid: Any, face_normals: Any, corner_normals: Any, positions: Any, outgoing: Any, normals: Any
+) -> None:
+    """Set normals [N,3] to those of the faces that `choose_faces` would choose, corner_normals [F,3,3] interpolated;
+    zero where there is none. In one thread, so that it may run beside others.
+    """
+    for n in range(positions.shape[0]):
+        face, u, v, _cosine = _chosen(grid, face_normals, positions[n], outgoing[n])
+        normals[n] = 0.0
+        if face >= 0:
+            corners = corner_normals[face]
+            normal = (1.0 - u - v) * corners[0] + u * corners[1] + v * corners[2]
+            normals[n] = normal / max(np.sqrt(np.dot(normal, normal)), 1e-12)
 
 
 @compiled()

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from bakers.transport import on_mesh
 from formats.errors import ModelError
 from formats.scene import Scene
 from prt_bake.trainer.asked import VERTICES
@@ -36,7 +37,7 @@ def report_training(
             "give the scene that it was trained on"
         )
     found = assess(
-        network,
+        on_mesh(network, scene.mesh),
         scene,
         prepare(scene),
         queries=queries,

@@ -4,10 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+import scenes
 from sampling import SphereCells, assert_counts_follow
+from scenes import lumpy
 from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 
 from formats.errors import QueryError
+from formats.mesh import build_mesh
 from prt_bake.network import load_model
 from prt_bake.trainer.fit import train
 from prt_bake.trainer.prepared import prepare
@@ -153,3 +156,18 @@ def test_a_loss_that_is_not_finite_stops_the_run(scene):
     wild = dataclasses.replace(LEARNING, rate=1e20, warm_up=1e-9)
     with pytest.raises(QueryError, match="the loss of step"):
         train(scene, steps=50, settings=SMALL, stream=STREAM, learning=wild)
+
+
+def test_a_share_of_the_queries_has_every_face_alike(tmp_path):
+    """Faces of very different area: each has about what the share and its area let expect."""
+    mesh = lumpy(1)
+    scene = scenes.make_scene(tmp_path, build_mesh(mesh.positions * [1.0, 0.1, 2.0], mesh.faces))
+    location = QuerySource(prepare(scene), 1, 5, face_share=0.3).draw(0, 40_000).location
+    full = np.concatenate([1.0 - location.barycentric.sum(axis=1, keepdims=True), location.barycentric], axis=1)
+    # Queries on edges are taken to whichever face sees them most.
+    faces = location.faces[full.min(axis=1) > 2e-4]
+    found = np.bincount(faces, minlength=len(scene.mesh.faces))
+    area = scene.mesh.face_areas / scene.mesh.face_areas.sum()
+    expected = len(faces) * (0.3 / len(area) + 0.7 * area)
+    assert np.abs(found / expected - 1.0).max() < 0.25
+    assert np.abs(found / (len(faces) * area) - 1.0).max() > 1.0, "by area alone the smallest faces would be missed"

@@ -20,9 +20,11 @@ from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.cores import chosen_device
 from prt_bake.trainer.history import Meter, TrainingRow
+from prt_bake.trainer.interior import interior_of
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.material import Material, OnlineMaterial
 from prt_bake.trainer.offline import FileMaterial
+from prt_bake.trainer.prepared import is_unbent
 from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.rows import RowSource, StreamSettings
 
@@ -82,7 +84,7 @@ def train(
         material = OnlineMaterial(scene, stream or StreamSettings(), seed, synchronous)
     run = _Run(
         material,
-        settings or replace(PRESETS["measured"], seed=seed),
+        _without_normal(settings or replace(PRESETS["measured"], seed=seed), scene),
         learning or LearningSettings(),
         chosen_device(device),
         seed,
@@ -106,9 +108,12 @@ class _Run:
         network_begun = {f"network {name}": value for name, value in settings.as_json().items()}
         self.begun = {**network_begun, "seed": seed, **material.begun}
         self.reference = material.reference(learning)
+        box = material.box
+        interior = interior_of(self.scene, box) if settings.ray_samples else None
         network = NeuralBSSRDF(
-            settings, material.box.corner, material.box.side, self.reference.scale() or 1.0, _metadata(self.scene)
+            settings, box.corner, box.side, self.reference.scale() or 1.0, _metadata(self.scene), interior
         ).to(device)
+        network = network.on(self.scene.mesh)
         self.learner = Learner(network, learning)
         self.generator = np.random.default_rng(seed)
         self.seconds = 0.0
@@ -215,6 +220,11 @@ class _Run:
         if output is not None:
             self.save(output)
         return network
+
+
+def _without_normal(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
+    """The settings as they are, but that no normal is told where light leaves unbent: it would say nothing."""
+    return replace(settings, tells_normal=False) if is_unbent(scene) else settings
 
 
 def _metadata(scene: Scene) -> dict[str, Any]:

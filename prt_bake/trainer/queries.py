@@ -1,7 +1,8 @@
 """What the trainer asks: points all over the surface, every direction of view, every direction of incidence.
 
-Positions are uniform over the area; a tenth lies on vertices and edges, seen from the hemisphere about the vertex
-normal and taken to a face by the rule of `prt_bake.surface`, since a bake asks there. Views are uniform over the
+Positions are uniform over the area, or, of a share of the queries, over the faces: meshes have small faces where there
+is detail, and a bake asks at every vertex alike. A tenth lies on vertices and edges, seen from the hemisphere about the
+vertex normal and taken to a face by the rule of `prt_bake.surface`, since a bake asks there. Views are uniform over the
 hemisphere, directions of incidence a small lattice turned at random for each query (uniform each, and spread over the
 sphere together).
 """
@@ -42,11 +43,12 @@ class Queries:
 class QuerySource:
     """Draws numbered queries from a scene: the n-th depends on the seed and n alone."""
 
-    def __init__(self, prepared: PreparedScene, directions: int, seed: int) -> None:
-        """`directions` of incidence a query."""
+    def __init__(self, prepared: PreparedScene, directions: int, seed: int, face_share: float = 0.0) -> None:
+        """`directions` of incidence a query; `face_share` of the queries has every face alike, large or small."""
         self.prepared = prepared
         self.lattice = fibonacci(directions)
         self.seed = seed
+        self._face_share = face_share
 
     @property
     def _mesh(self) -> Mesh:
@@ -62,7 +64,7 @@ class QuerySource:
         keys = np.arange(first, first + count, dtype=np.uint64)
         u = uniforms((_QUERY_STREAM, self.seed, keys.astype(np.int64)), _NUMBERS)
         mesh = self._mesh
-        faces = np.minimum(np.searchsorted(self._area_to_here, u[:, 0], side="right"), len(mesh.faces) - 1)
+        faces = self._faces(u[:, 0])
         barycentric = _in_triangle(u[:, 1], u[:, 2])
         normals = np.array(mesh.face_normals)[faces]
         positions = _interpolate(mesh.positions, mesh.faces, faces, barycentric)
@@ -78,6 +80,14 @@ class QuerySource:
             location.faces[on_edge], location.barycentric[on_edge] = found.faces, found.barycentric
         incident = np.einsum("nij,dj->ndi", rotations(u[:, 6:9]), self.lattice)
         return Queries(keys, positions, outgoing, np.ascontiguousarray(incident), location)
+
+    def _faces(self, u: Array) -> NDArray[np.int64]:
+        """A face for each uniform number."""
+        last, share = len(self._mesh.faces) - 1, self._face_share
+        by_area = np.searchsorted(self._area_to_here, (u - share) / (1.0 - share) if share < 1.0 else u, side="right")
+        if share == 0.0:
+            return np.minimum(by_area, last)
+        return np.minimum(np.where(u < share, (u / share * (last + 1)).astype(np.int64), by_area), last)
 
     def for_kernel(self, queries: Queries) -> tuple[Any, ...]:
         """The same queries as the kernels take them."""

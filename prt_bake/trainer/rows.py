@@ -63,6 +63,8 @@ class StreamSettings:
     """Walks that each value is the mean of."""
     exits: int = 4
     """Walks a query, each a ray, where rays are exits."""
+    face_share: float = 0.5
+    """Share of the queries that has every face alike, large or small; of the others an area has as many as another."""
     capacity: int = 1 << 17
     """Rows that the buffer holds."""
     reuse: int = 1
@@ -73,6 +75,8 @@ class StreamSettings:
         for name, bound in {**least, "reuse": 1}.items():
             if getattr(self, name) < bound:
                 raise QueryError(f"stream settings: {name} must be at least {bound}, found {getattr(self, name)}")
+        if not 0.0 <= self.face_share <= 1.0:
+            raise QueryError(f"stream settings: face_share must be 0 to 1, found {self.face_share}")
         if self.rays not in ("auto", "values", "exits"):
             raise QueryError(f"stream settings: rays must be auto, values or exits, found {self.rays!r}")
 
@@ -139,7 +143,7 @@ class ValueWalks:
         """Queries and walks depend on the seed and the query's number alone."""
         self.walks_a_query = settings.walks
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
-        self._source = QuerySource(prepared, settings.directions, seed)
+        self._source = QuerySource(prepared, settings.directions, seed, settings.face_share)
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of D rays."""
@@ -163,7 +167,7 @@ class ExitWalks:
         """Queries and walks depend on the seed and the query's number alone."""
         self.walks_a_query = settings.exits
         self._prepared, self._box, self._seed = prepared, box, seed
-        self._source = QuerySource(prepared, 1, seed)
+        self._source = QuerySource(prepared, 1, seed, settings.face_share)
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of a ray a walk."""

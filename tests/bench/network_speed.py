@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from prt_bake import sphere
+from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network import PRESETS, NeuralBSSRDF
 from prt_bake.network_kernel import PRECISIONS, FusedNetwork
 
@@ -38,6 +39,14 @@ def peak(fused: FusedNetwork, precision: str) -> float:
     return 20 * 2 * len(rows) * weight.numel() / seconds
 
 
+def ball(places: int) -> Interior:
+    """The inside of a ball that fills the box, with an interface."""
+    spacing = 1.1 / (places - 1)
+    x, y, z = np.meshgrid(*[np.linspace(-0.55, 0.55, places)] * 3, indexing="ij")
+    levels = np.clip((0.5 - np.sqrt(x * x + y * y + z * z)) / (REACH * spacing), -1.0, 1.0)
+    return Interior(np.rint(LEVELS * levels[None]).astype(np.int8), (-0.05, -0.05, -0.05), spacing, (5.0,), 1.3)
+
+
 def main() -> None:
     torch.set_num_threads(1)
     incident = sphere.uniform(COPIES * DIRECTIONS, 1).reshape(COPIES, DIRECTIONS, 3)
@@ -47,7 +56,7 @@ def main() -> None:
     evaluations = VERTICES * BINS * DIRECTIONS
     print(f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'GFLOP/s':>9}{'peak':>7}{'share':>7}")
     for preset, settings in PRESETS.items():
-        network = NeuralBSSRDF(settings)
+        network = NeuralBSSRDF(settings, interior=ball(64) if settings.ray_samples else None)
         work = 2 * sum(outputs * inputs for outputs, inputs in settings.layer_shapes)
         for precision in PRECISIONS:
             fused = network.prepared(precision)

@@ -21,6 +21,8 @@ from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.rows import StreamSettings
 
 OURS = PRESETS["measured"]
+PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False)
+"""With features of the position itself, and nothing told of the inside."""
 ASKING = StreamSettings()
 LEARNING = LearningSettings(held_out_queries=1024)
 
@@ -36,6 +38,10 @@ class Variant:
 
 def network(**differing: Any) -> Variant:
     return Variant(network=replace(OURS, **differing))
+
+
+def plain(**differing: Any) -> Variant:
+    return Variant(network=replace(PLAIN, **differing))
 
 
 def stream(**differing: Any) -> Variant:
@@ -56,12 +62,16 @@ VARIANTS: dict[str, Variant] = {
     "default": Variant(),
     "default, another seed": network(seed=1),
     "paper preset": Variant(network=PRESETS["paper"]),
-    "light enters first": network(light_layers=0, skips=((1, 3), (2, 4))),
-    "light enters first, narrow spread": network(light_layers=0, skips=((1, 3), (2, 4)), feature_spread=0.09),
+    "no ray": plain(),
+    "no normal": network(tells_normal=False),
+    "6 samples of the ray": network(ray_samples=6),
+    "24 samples of the ray": network(ray_samples=24),
+    "no ray, light enters first": plain(light_layers=0, skips=((1, 3), (2, 4))),
+    "no ray, light enters first, narrow spread": plain(light_layers=0, skips=((1, 3), (2, 4)), feature_spread=0.09),
     "light enters at the last layer": network(light_layers=1),
     "light enters at layer 3": network(light_layers=3),
-    "directions spherical": network(directions="spherical"),
-    "mean of G 18": network(feature_mean=18.0),
+    "no ray, directions spherical": plain(directions="spherical"),
+    "no ray, mean of G 18": plain(feature_mean=18.0),
     "spread of G 0.25": network(position_spread=0.25, feature_spread=0.25),
     "spread of G 0.6 (positions)": network(position_spread=0.6),
     "spread of G 2.4 (positions)": network(position_spread=2.4),
@@ -82,6 +92,7 @@ VARIANTS: dict[str, Variant] = {
     "batch 1024": learning(batch=1024),
     "values": stream(rays="values", walks=1, connections=4),
     "exits": stream(rays="exits"),
+    "queries by area alone": stream(face_share=0.0),
     "2 exits a query": stream(exits=2),
     "8 exits a query": stream(exits=8),
     "4 directions besides the exits": learning(spread=4),

@@ -1,0 +1,110 @@
+"""Where a scene's object is and what lies in it, as its network keeps it: grids that fit the bytes they may take."""
+
+import math
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from formats.scene import Medium, Part, Scene
+from prt_bake.interior import LEVELS, REACH, Interior
+from prt_bake.trainer.rows import Box
+
+Array = NDArray[np.float64]
+Corner = tuple[float, float, float]
+
+MOST_BYTES = 49_152
+"""Of the grids as a model keeps them; with its weights a model stays below 660 KiB."""
+MOST_BODIES = 4
+"""The object and the largest of what lies inside."""
+_PLACES = 96**3
+_MOST_ACROSS = 320
+_MARGIN = 1.02
+_SAMPLES_PER_SPACING = 3.0
+"""How close together points on faces lie from which distances are measured."""
+_MOST_SAMPLES = 4_000_000
+_SURROUND = 2
+"""Places around the box, each way."""
+_OPAQUE = 1e3
+"""Attenuation of what lets no light in: none comes from behind a thousandth of the box."""
+
+
+def interior_of(scene: Scene, box: Box) -> Interior:
+    """The interior of a scene: the finest grids of 96³ places a body at most that take MOST_BYTES."""
+    bodies = _bodies(scene.parts)
+    meshes = [
+        trimesh.Trimesh((part.mesh.positions - box.corner) / box.side, part.mesh.faces, process=True) for part in bodies
+    ]
+    attenuation = tuple(_attenuation(part, box.side) for part in bodies)
+    low, high = np.asarray(meshes[0].bounds, np.float64)
+    spacing = _spacing(high - low)
+    while True:
+        shape = _places(high - low, spacing)
+        corner = 0.5 * (low + high) - 0.5 * (shape - 1) * spacing
+        levels = np.stack([_levels(mesh, shape, corner, spacing) for mesh in meshes])
+        whole = float(corner[0]), float(corner[1]), float(corner[2])
+        interior = Interior(levels, whole, spacing, attenuation, float(scene.eta))
+        taken = len(interior.packed())
+        if taken <= MOST_BYTES:
+            return interior
+        # What takes bytes is the surface: four times as much at half the spacing.
+        spacing *= _MARGIN * math.sqrt(taken / MOST_BYTES)
+
+
+def _bodies(parts: tuple[Part, ...]) -> list[Part]:
+    """The outermost part and the largest inside, each after what it lies in."""
+    volumes = [abs(trimesh.Trimesh(part.mesh.positions, part.mesh.faces, process=False).volume) for part in parts]
+    inside = sorted(range(1, len(parts)), key=lambda index: -volumes[index])[: MOST_BODIES - 1]
+    inside.sort(key=lambda index: (_nesting(parts, index), index))
+    return [parts[0], *(parts[index] for index in inside)]
+
+
+def _nesting(parts: tuple[Part, ...], index: int) -> int:
+    """How many parts a part lies in."""
+    return 0 if parts[index].parent < 0 else 1 + _nesting(parts, parts[index].parent)
+
+
+def _attenuation(part: Part, side: float) -> float:
+    """Mean σt (1 − albedo·max(g, 0)) per box side: light that is scattered ahead is not lost to a ray of view."""
+    if part.medium is None:
+        return _OPAQUE if part.diffuse is not None else 0.0
+    medium: Medium = part.medium
+    ahead = float(np.mean(medium.albedo)) * max(medium.phase_g, 0.0)
+    return float(np.mean(medium.sigma_t)) * (1.0 - ahead) * side
+
+
+def _spacing(extent: Array) -> float:
+    """The finest with which the box takes no more than _PLACES, found by halving."""
+    low, high = 1.0 / _MOST_ACROSS, 1.0
+    for _ in range(40):
+        middle = math.sqrt(low * high)
+        if np.prod(_places(extent, middle), dtype=np.float64) > _PLACES:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
+def _places(extent: Array, spacing: float) -> NDArray[np.int64]:
+    return np.asarray(np.ceil(extent / spacing) + 1 + 2 * _SURROUND, np.int64)
+
+
+def _levels(mesh: trimesh.Trimesh, shape: NDArray[np.int64], corner: Array, spacing: float) -> NDArray[np.int8]:
+    """The grid [X,Y,Z] of one body."""
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    points = corner + spacing * grid
+    reach = REACH * spacing
+    tree = cKDTree(_on_faces(mesh, spacing), balanced_tree=False, compact_nodes=False)
+    distance, _nearest = tree.query(points, distance_upper_bound=reach, workers=-1)
+    distance = np.minimum(distance, reach)
+    signed = np.where(mesh.contains(points), distance, -distance)
+    return np.asarray(np.rint(signed * (LEVELS / reach)).reshape(shape), np.int8)
+
+
+def _on_faces(mesh: trimesh.Trimesh, spacing: float) -> Array:
+    """Points all over the surface, evenly by area; the same every time."""
+    apart = spacing / _SAMPLES_PER_SPACING
+    count = int(min(_MOST_SAMPLES, max(1000.0, 4.0 * mesh.area / apart**2)))
+    points, _faces = trimesh.sample.sample_surface(mesh, count, seed=0)
+    return np.concatenate([np.asarray(points, np.float64), mesh.vertices])

@@ -1,0 +1,180 @@
+"""What the trunk of a network is told of a view: Fourier features averaged along the ray of view, and where it runs.
+
+Light leaves towards ωo from wherever the ray of view was scattered inside, so what a query answers is the mean of
+something smooth over the points p(s) of that ray, weighed by how likely the light comes from there:
+
+    [cos, sin] of 2πG(p, ωo), averaged with the weights exp(−τ(s)) dτ, τ the optical depth along the ray.
+
+Where the object is thin, or the ray leaves it and enters it again, the weights say so; features of x alone would have
+to learn it point by point. The average is an integrated encoding (Barron et al. 2021, Mip-NeRF) with the medium's own
+weights: over places that are equally likely, however thick or thin the medium. At an interface the ray is bent by the
+normal; the normal and the cosine are told, too, and where the places lie.
+"""
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from prt_bake.interior import LEVELS, REACH, Interior
+from prt_bake.network_settings import COSINE_BUMPS, NetworkSettings
+
+_MEAN_FREE_PATHS = 4.0
+"""How far along the ray light is looked for, where the box is not smaller."""
+_FARTHEST = 1.75
+"""The diagonal of a cube, and a little."""
+_INTERVALS = 64
+_WARP = 3.0
+"""How many times, in powers of e, the last interval is as long as the first: near the surface more depends on them."""
+_WEIGHT = 3.0
+"""Of normal and cosine among the other features, each of which has the mean square ½."""
+_BUMP_WIDTH = 0.15
+_LEAST_COSINE = 0.02
+"""Of the outgoing direction where it is bent: grids tell normals roughly, and directions behind them have none."""
+
+_LEAST_SLOPE = 0.05
+"""Of the grid across two spacings, where 2/REACH is that of a distance: rounding alone has no direction."""
+
+
+class ViewFeatures(nn.Module):
+    """Features of positions and outgoing directions; on a CPU by `prt_bake.view_kernel`, unless `tensors_alone`."""
+
+    frequencies: Tensor
+    levels: Tensor
+    corner: Tensor
+    edges: Tensor
+
+    def __init__(self, settings: NetworkSettings, frequencies: Tensor, interior: Interior) -> None:
+        """frequencies [F,6] of (x, ωo), the network's own."""
+        super().__init__()
+        self.tensors_alone = False
+        self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
+        for name, tensor in (
+            ("frequencies", frequencies.detach().float()),
+            ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
+            ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
+            ("edges", _edges(interior)),
+        ):
+            self.register_buffer(name, tensor, persistent=False)
+
+    def forward(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> Tensor:
+        """Features [N, settings.view_inputs] in float32: positions [N,3] in the box's sides from its corner, unit
+        vectors outgoing [N,3]. Where normals [N,3] are zero, or not given, the grid's are taken.
+        """
+        with torch.no_grad(), torch.autocast(positions.device.type, enabled=False):
+            x, eye = positions.float().contiguous(), outgoing.float().contiguous()
+            parts, back = [], eye
+            if self._normals:
+                normal = self._normal(x) if normals is None else self._known_or_found(normals.float(), x)
+                cosine = (normal * eye).sum(-1, keepdim=True)
+                back = _bent(eye, normal, cosine.clamp(min=_LEAST_COSINE), self.interior.eta)
+                parts += [_WEIGHT * normal, _WEIGHT * _bumps(cosine)]
+            places, opacity = self._places(self._depths(x, back))
+            told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None]), dim=1)
+            return torch.cat([self._averaged(x, eye, back, places, opacity), *parts, told], dim=-1)
+
+    def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
+        unknown = ~normals.any(dim=1)
+        if bool(unknown.any()):
+            normals = normals.clone()
+            normals[unknown] = self._normal(x[unknown])
+        return normals
+
+    def _normal(self, x: Tensor) -> Tensor:
+        """Normals [N,3] at positions, pointing out; unit vectors but where the distances hardly vary."""
+        spacing = self.interior.spacing
+        apart = torch.tensor([spacing, -spacing], device=x.device)
+        sides = [self._inside(0, x, axis.expand_as(x).contiguous(), apart) for axis in torch.eye(3, device=x.device)]
+        slope = torch.stack([side[:, 0] - side[:, 1] for side in sides], dim=-1)
+        return nn.functional.normalize(slope, dim=-1, eps=_LEAST_SLOPE)
+
+    def _depths(self, x: Tensor, back: Tensor) -> Tensor:
+        """Optical depths [N,M] of the intervals between edges along x − s·back; a place belongs to the last body that
+        it lies in.
+        """
+        middles = 0.5 * (self.edges[1:] + self.edges[:-1])
+        attenuation = torch.zeros((len(x), len(middles)), device=x.device)
+        for body, value in enumerate(self.interior.attenuation):
+            within = (self._inside(body, x, back, middles) * REACH + 0.5).clamp_(0.0, 1.0)
+            attenuation.lerp_(torch.full_like(within, value), within)
+        return attenuation * (self.edges[1:] - self.edges[:-1])
+
+    def _inside(self, body: int, x: Tensor, back: Tensor, along: Tensor) -> Tensor:
+        """Signed distances [N,K] to a body's boundary at x − along·back, over REACH spacings, in −1 … 1."""
+        grid = self.levels[body]
+        if self.tensors_alone or x.device.type != "cpu":
+            last = torch.tensor(grid.shape, device=grid.device, dtype=torch.float32) - 1.0
+            points = x[:, None] - along[:, None] * back[:, None]
+            at = (points - self.corner) * (2.0 / self.interior.spacing) / last - 1.0
+            # The sampler counts its axes from the last one.
+            found = nn.functional.grid_sample(
+                grid[None, None], at.flip(-1)[None, :, :, None], padding_mode="border", align_corners=True
+            )
+            return found[0, 0, :, :, 0]
+        from prt_bake.view_kernel import distance_rows
+
+        distances = torch.empty((len(x), len(along)))
+        per_length = np.float32(1.0 / self.interior.spacing)
+        told = [tensor.numpy() for tensor in (x - self.corner, back, along, distances)]
+        distance_rows(grid.numpy(), per_length, told[0], told[1], told[2], told[3])
+        return distances
+
+    def _places(self, depths: Tensor) -> tuple[Tensor, Tensor]:
+        """Where light comes from along rays [N,K], all places equally likely, and the opacities [N] of the rays; zero
+        where nothing is met.
+        """
+        if not self.tensors_alone and depths.device.type == "cpu":
+            from prt_bake.view_kernel import place_rows
+
+            places, opacity = torch.empty((len(depths), self._samples)), torch.empty(len(depths))
+            place_rows(depths.numpy(), self.edges.numpy(), places.numpy(), opacity.numpy())
+            return places, opacity
+        reached = torch.cumsum(depths.double(), dim=1)
+        reached = torch.cat((torch.zeros_like(reached[:, :1]), reached), dim=1)
+        opacity = -torch.expm1(-reached[:, -1:])
+        share = (torch.arange(self._samples, device=depths.device) + 0.5) / self._samples
+        wanted = -torch.log1p(-share * opacity)
+        after = torch.searchsorted(reached, wanted).clamp(1, depths.shape[1])
+        low, high = reached.gather(1, after - 1), reached.gather(1, after)
+        along = ((wanted - low) / (high - low).clamp(min=1e-30)).clamp(0.0, 1.0)
+        places = torch.lerp(self.edges[after - 1].double(), self.edges[after].double(), along)
+        return torch.where(opacity > 0.0, places, 0.0).float(), opacity[:, 0].float()
+
+    def _averaged(self, x: Tensor, eye: Tensor, back: Tensor, places: Tensor, opacity: Tensor) -> Tensor:
+        """[cosines, sines] [N,2F] of the phases at places along x − s·back, averaged, times the opacity."""
+        if not self.tensors_alone and x.device.type == "cpu":
+            from prt_bake.view_kernel import mean_rows
+
+            rows = torch.empty((len(x), 2 * len(self.frequencies)))
+            told = [tensor.numpy() for tensor in (x, back, eye, places, opacity)]
+            cycles = self.frequencies.T.contiguous().numpy()
+            mean_rows(told[0], told[1], told[2], told[3], told[4], cycles, rows.numpy())
+            return rows
+        toward_x, toward_eye = torch.split(2.0 * torch.pi * self.frequencies, 3, dim=1)
+        phase = (x @ toward_x.T + eye @ toward_eye.T)[:, None] - places[..., None] * (back @ toward_x.T)[:, None]
+        return torch.cat((phase.cos().mean(dim=1), phase.sin().mean(dim=1)), dim=-1) * opacity[:, None]
+
+
+def _edges(interior: Interior) -> Tensor:
+    """Between which the optical depth along a ray is summed up [M+1]: closer together near the surface, but evenly
+    where light may come from bodies deep inside.
+    """
+    share = torch.linspace(0.0, 1.0, _INTERVALS + 1, dtype=torch.float64)
+    if len(interior.attenuation) > 1:
+        return (_FARTHEST * share).float()
+    reach = min(_MEAN_FREE_PATHS / max(interior.attenuation[0], 1e-9), _FARTHEST)
+    return (reach * torch.expm1(_WARP * share) / math.expm1(_WARP)).float()
+
+
+def _bumps(cosine: Tensor) -> Tensor:
+    """Gaussians of the cosine's root [N,COSINE_BUMPS], close together where transmission falls fast."""
+    centres = torch.linspace(0.0, 1.0, COSINE_BUMPS, device=cosine.device)
+    return torch.exp(-(((cosine.clamp(0.0, 1.0).sqrt() - centres) / _BUMP_WIDTH) ** 2))
+
+
+def _bent(eye: Tensor, normal: Tensor, cosine: Tensor, eta: float) -> Tensor:
+    """Where light that leaves towards `eye` comes along inside [N,3], by Snell's law; unit vectors."""
+    ratio = 1.0 / eta
+    inner = (1.0 - ratio**2 * (1.0 - cosine**2)).clamp(min=0.0).sqrt()
+    return nn.functional.normalize(ratio * eye + (inner - ratio * cosine) * normal, dim=-1)

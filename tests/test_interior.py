@@ -1,0 +1,335 @@
+"""Laws of the interior that a network keeps: distances, bytes, files; and of the features along rays of view."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scenes import make_scene, moved
+from shapes import ball
+
+from formats.errors import ModelError
+from formats.mesh import build_mesh, write_mesh
+from formats.scene import read_scene
+from prt_bake.baking import bake
+from prt_bake.interior import LEVELS, REACH, Interior
+from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
+from prt_bake.surface import Surface
+from prt_bake.trainer.interior import MOST_BYTES, interior_of
+from prt_bake.trainer.material import box_of
+from prt_bake.view_features import ViewFeatures
+
+LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4)
+RNG = np.random.default_rng(3)
+
+
+def full(attenuation: float = 3.0, eta: float = 1.0) -> Interior:
+    """Inside everywhere."""
+    return Interior(np.full((1, 2, 2, 2), LEVELS, np.int8), (-4.0, -4.0, -4.0), 8.0, (attenuation,), eta)
+
+
+def half_space(attenuation: float = 3.0, eta: float = 1.0, spacing: float = 0.02) -> Interior:
+    """Inside below z = ½."""
+    z = -0.5 + spacing * np.arange(round(2.0 / spacing) + 1)
+    column = np.clip(np.rint((0.5 - z) * LEVELS / (REACH * spacing)), -LEVELS, LEVELS).astype(np.int8)
+    levels = np.broadcast_to(column, (1, 101, 101, len(z)))
+    return Interior(levels, (-0.5, -0.5, -0.5), spacing, (attenuation,), eta)
+
+
+def features(interior: Interior, chosen: NetworkSettings = LOOKING) -> ViewFeatures:
+    return ViewFeatures(chosen, torch.from_numpy(np.random.default_rng(5).normal(size=(chosen.features, 6))), interior)
+
+
+def unit(count: int) -> torch.Tensor:
+    vectors = RNG.normal(size=(count, 3))
+    return torch.from_numpy(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def exact_mean(view: ViewFeatures, x: np.ndarray, eye: np.ndarray, back: np.ndarray, far: float) -> np.ndarray:
+    """∫₀^far a·exp(−a s) exp(2πi G(x − s·back, ωo)) ds in closed form [N,F]."""
+    g = view.frequencies.double().numpy()
+    a = view.interior.attenuation[0]
+    begun = np.exp(2j * np.pi * (x @ g[:, :3].T + eye @ g[:, 3:].T))
+    rate = a + 2j * np.pi * (back @ g[:, :3].T)
+    return begun * a / rate * (1.0 - np.exp(-rate * far))
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_levels_are_the_distances_to_a_sphere(tmp_path: Path, scale: float) -> None:
+    scene = make_scene(tmp_path, ball(5, scale), sigma_t=2.0)
+    interior = interior_of(scene, box_of(scene))
+    places = np.stack(np.meshgrid(*map(np.arange, interior.levels.shape[1:]), indexing="ij"), axis=-1)
+    at = np.array(interior.corner) + interior.spacing * places
+    exact = np.clip((0.5 - np.linalg.norm(at - 0.5, axis=-1)) / (REACH * interior.spacing), -1.0, 1.0)
+    # Half a level, and how far apart the points on faces are that distances are measured from.
+    np.testing.assert_allclose(interior.levels[0] / LEVELS, exact, atol=0.5 / LEVELS + 0.06)
+    assert interior.levels.size <= 1.2 * 96**3
+
+
+def test_interior_does_not_depend_on_units_and_place(tmp_path: Path) -> None:
+    here = make_scene(tmp_path, ball(3), sigma_t=2.0)
+    there = make_scene(tmp_path, moved(ball(3), 250.0, 1000.0), sigma_t=2.0)
+    ours, theirs = (interior_of(scene, box_of(scene)) for scene in (here, there))
+    assert ours.levels.shape == theirs.levels.shape
+    assert np.abs(ours.levels.astype(int) - theirs.levels).max() <= 1
+    assert theirs.attenuation[0] == pytest.approx(250.0 * ours.attenuation[0])
+
+
+def test_a_rugged_object_gets_a_coarser_grid_and_no_more_bytes(tmp_path: Path) -> None:
+    smooth = ball(6)
+    spikes = 1.0 + 0.2 * np.random.default_rng(1).random((len(smooth.positions), 1))
+    scene = make_scene(tmp_path, build_mesh(smooth.positions * spikes, smooth.faces), sigma_t=2.0)
+    interior = interior_of(scene, box_of(scene))
+    assert len(interior.packed()) <= MOST_BYTES
+    network = NeuralBSSRDF(PRESETS["measured"], *box_of(scene), interior=interior)
+    assert network.view is not None
+    assert network.view.interior is interior
+
+
+@settings(max_examples=40, deadline=None)
+@given(arrays.arrays(np.int8, st.tuples(st.just(2), *[st.integers(2, 9)] * 3), elements=st.integers(-LEVELS, LEVELS)))
+def test_what_is_packed_comes_back(levels: np.ndarray) -> None:
+    interior = Interior(levels, (0.1, -0.2, 0.3), 0.25, (1e4, 0.0), 1.5)
+    again = Interior.unpacked(json.loads(json.dumps(interior.as_json())), interior.packed())
+    np.testing.assert_array_equal(again.levels, interior.levels)
+    assert again.as_json() == interior.as_json()
+    assert again.content_hash == interior.content_hash
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"places": [2, 2, 2]}, "places"),
+        ({"places": [1, 4000, 4000, 4000]}, "places"),
+        ({"places": [1, 2, 2, 3]}, "holds 8 places, expected 12"),
+        ({"spacing": 0.0}, "spacing"),
+        ({"corner": [0.0, float("nan"), 0.0]}, "finite"),
+        ({"attenuation": [-1.0]}, "attenuation"),
+    ],
+)
+def test_an_interior_that_cannot_be_is_refused(change: dict[str, object], sentence: str) -> None:
+    interior = full()
+    with pytest.raises(ModelError, match=sentence):
+        Interior.unpacked(interior.as_json() | change, interior.packed())
+
+
+def test_a_damaged_grid_is_refused_by_name(tmp_path: Path) -> None:
+    network = NeuralBSSRDF(LOOKING, interior=half_space())
+    path = tmp_path / "model.pt"
+    save_model(network, path)
+    content = torch.load(path, weights_only=True)
+    content["tensors"]["interior"] = content["tensors"]["interior"][:20]
+    torch.save(content, path)
+    with pytest.raises(ModelError, match=r"model\.pt: interior: its grid"):
+        load_model(path)
+    del content["tensors"]["interior"]
+    torch.save(content, path)
+    with pytest.raises(ModelError, match=r"model\.pt: network: an interior belongs"):
+        load_model(path)
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
+def test_a_network_that_looks_along_rays_comes_back(tmp_path: Path, suffix: str) -> None:
+    network = NeuralBSSRDF(LOOKING, (-1.0, 0.0, 2.0), 3.0, 0.2, interior=half_space(eta=1.3))
+    save_model(network, tmp_path / f"model{suffix}")
+    again = load_model(tmp_path / f"model{suffix}")
+    query = unit(6).numpy()[None].repeat(4, 0), RNG.uniform(-1, 3, (4, 3)), unit(4).numpy()
+    np.testing.assert_array_equal(again.evaluate(*query), network.evaluate(*query))
+
+
+@pytest.mark.parametrize("attenuation", [0.02, 3.0, 40.0])
+def test_the_mean_along_the_ray_is_the_integral(attenuation: float) -> None:
+    view = features(full(attenuation), replace(LOOKING, ray_samples=400, tells_normal=False))
+    x, eye = torch.from_numpy(RNG.random((30, 3))), unit(30)
+    expected = exact_mean(view, x.numpy(), eye.numpy(), eye.numpy(), min(4.0 / attenuation, 1.75))
+    found = view(x, eye).numpy()
+    np.testing.assert_allclose(found[:, :20] + 1j * found[:, 20:40], expected, atol=2e-3)
+
+
+def test_what_lies_outside_adds_nothing() -> None:
+    """A ray that leaves a half space upwards is averaged over what is below; one that never is inside gives zero."""
+    view = features(half_space(6.0, spacing=0.01), replace(LOOKING, ray_samples=300, tells_normal=False))
+    x = torch.tensor([[0.5, 0.5, 0.8], [0.5, 0.5, 0.8]], dtype=torch.float64)
+    eye = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
+    found = view(x, eye).numpy()
+    at_boundary = np.array([[0.5, 0.5, 0.5]])
+    far = 4.0 / 6.0 - 0.3
+    expected = exact_mean(view, at_boundary, eye[:1].numpy(), eye[:1].numpy(), far)
+    np.testing.assert_allclose(found[0, :20] + 1j * found[0, 20:40], expected[0], atol=0.03)
+    np.testing.assert_allclose(found[1], 0.0, atol=1e-6)
+
+
+def test_rays_are_bent_by_snells_law() -> None:
+    """A frequency of x alone tells where the ray runs: along the refracted direction, sin θ / η off the normal."""
+    eta = 1.4
+    chosen = replace(LOOKING, ray_samples=300, tells_normal=True)
+    view = features(half_space(8.0, eta), chosen)
+    angle = np.linspace(0.0, 1.5, 9)
+    eye = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], axis=1)
+    inner = np.stack([np.sin(angle) / eta, np.zeros(9), np.sqrt(1.0 - (np.sin(angle) / eta) ** 2)], axis=1)
+    x = np.full((9, 3), 0.5) - [0.0, 0.0, 0.02]
+    expected = exact_mean(view, x, eye, inner, 0.5)
+    found = view(torch.from_numpy(x), torch.from_numpy(eye)).numpy()
+    np.testing.assert_allclose(found[:, :20] + 1j * found[:, 20:40], expected, atol=0.02)
+    np.testing.assert_allclose(found[:, 40:43] / 3.0, np.broadcast_to([0.0, 0.0, 1.0], (9, 3)), atol=1e-5)
+    assert (np.abs(np.diff(found[:, 43:51], axis=0)).max(axis=1) > 0.1).all(), "every angle has a feature of its own"
+
+
+def test_places_are_where_light_comes_from() -> None:
+    """All equally likely: the k-th lies where (k + ½)/K of the light is from nearer by; none where nothing is met."""
+    view = features(half_space(5.0), replace(LOOKING, tells_normal=False))
+    x = torch.tensor([[0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [0.5, 0.5, 0.9]])
+    eye = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    told = view(x, eye)[:, 40:].numpy()
+    reach = 4.0 / 5.0
+    for row, gap in ((0, 0.0), (2, 0.4)):
+        opacity = 1.0 - np.exp(-5.0 * (reach - gap))
+        wanted = (np.arange(12) + 0.5) / 12 * opacity
+        np.testing.assert_allclose(told[row, :12] * reach / 2.0, gap - np.log(1.0 - wanted) / 5.0, atol=0.01)
+        assert told[row, 12] == pytest.approx(opacity, abs=0.01)
+    assert told[1, 12] < 0.05, "no more than the boundary itself, which the grid makes thick"
+
+
+def test_a_ray_ends_in_what_lies_inside() -> None:
+    """Clear glass with an opaque block in it: all light along a ray comes from the block's face, or none does."""
+    levels = np.full((2, 51, 51, 51), -LEVELS, np.int8)
+    levels[0] = LEVELS
+    levels[1, 15:36, 15:36, 15:36] = LEVELS  # the boundary lies half way to the next place: 0.29 … 0.71
+    view = features(Interior(levels, (0.0, 0.0, 0.0), 0.02, (0.0, 1e3), 1.0), replace(LOOKING, tells_normal=False))
+    x = torch.tensor([[0.5, 0.5, 0.0], [0.1, 0.5, 0.0]])
+    eye = torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0]])
+    told = view(x, eye)[:, 40:].numpy()
+    np.testing.assert_allclose(told[0, :12] * 1.75 / 2.0, 0.29, atol=0.02)
+    assert told[0, 12] == pytest.approx(1.0, abs=1e-3)
+    np.testing.assert_array_equal(told[1], 0.0)
+
+
+def test_parts_inside_are_bodies_of_their_own(tmp_path: Path) -> None:
+    """The block in the block in the ball, each after what it lies in; where light does not enter, nothing comes out."""
+    write_mesh(ball(3), tmp_path / "ball.ply")
+    for name, side in (("outer", 1.0), ("inner", 0.5)):
+        box = trimesh.creation.box(extents=(side,) * 3)
+        write_mesh(build_mesh(np.asarray(box.vertices), np.asarray(box.faces)), tmp_path / f"{name}.ply")
+    (tmp_path / "scene.toml").write_text(
+        """
+[object]
+mesh = "ball.ply"
+[interface]
+eta = 1.5
+[medium]
+sigma_t = 0
+albedo = 1
+[[inside]]
+name = "inner"
+mesh = "inner.ply"
+in = "outer"
+surface = "diffuse"
+reflectance = 0.5
+[[inside]]
+name = "outer"
+mesh = "outer.ply"
+[inside.interface]
+eta = 1.5
+[inside.medium]
+sigma_t = 3.0
+albedo = 0.8
+phase_g = 0.5
+"""
+    )
+    scene = read_scene(tmp_path / "scene.toml")
+    interior = interior_of(scene, box_of(scene))
+    assert interior.attenuation == pytest.approx((0.0, 2.0 * 3.0 * (1.0 - 0.8 * 0.5), 1e3))
+    middle = tuple(n // 2 for n in interior.levels.shape[1:])
+    assert (interior.levels[(slice(None), *middle)] == LEVELS).all()
+    volumes = (interior.levels > 0).sum(axis=(1, 2, 3)) * (2.0 * interior.spacing) ** 3
+    np.testing.assert_allclose(volumes, [4.0 / 3.0 * np.pi, 1.0, 0.125], rtol=0.12)
+    assert len(interior.packed()) <= MOST_BYTES
+
+
+@pytest.mark.parametrize("eta", [0.7, 1.0, 1.5])
+def test_tensors_and_kernel_agree(eta: float) -> None:
+    view = features(half_space(5.0, eta))
+    # The boundary is at ½: near it, inside and out, there is a normal.
+    x, eye = torch.from_numpy(RNG.uniform(0, 1, (200, 3)) * [1.0, 1.0, 0.06] + [0.0, 0.0, 0.47]), unit(200)
+    kernel = view(x, eye)
+    view.tensors_alone = True
+    np.testing.assert_allclose(kernel.numpy(), view(x, eye).numpy(), atol=1e-4)
+
+
+def test_half_precision_leaves_the_phases_alone() -> None:
+    """Under autocast products of matrices are rounded to eight bits; features must not be."""
+    looking = features(half_space())
+    plain = NeuralBSSRDF(replace(LOOKING, ray_samples=0, tells_normal=False))
+    looking.tensors_alone = True
+    x, eye = torch.from_numpy(RNG.random((50, 3))), unit(50)
+    for told in (looking, plain.view_features, lambda x, eye: plain.light_features(eye)):
+        exact = told(x, eye)
+        with torch.autocast("cpu", torch.bfloat16):
+            rounded = told(x, eye)
+        np.testing.assert_array_equal(rounded.numpy(), exact.numpy())
+
+
+@pytest.mark.parametrize("attenuation", [0.0, 1e-12, 1e5])
+@pytest.mark.parametrize("eta", [0.5, 1.0, 2.5])
+def test_extreme_views_have_finite_features(attenuation: float, eta: float) -> None:
+    """Far outside, along the boundary, where no normal is, through nothing and through what nothing leaves."""
+    for interior in (half_space(attenuation, eta), full(attenuation, eta)):
+        view = features(interior)
+        x = torch.tensor([[0.5, 0.5, 0.5], [1e6, 0.0, 0.0], [-50.0, 2.0, 9.0], [0.0, 0.0, 0.0]])
+        eye = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+        for alone in (False, True):
+            view.tensors_alone = alone
+            found = view(x, eye)
+            assert bool(found.isfinite().all())
+            assert float(found[:, :40].abs().max()) <= 1.0 + 1e-5
+
+
+def test_settings_without_a_ray_tell_nothing_of_it() -> None:
+    with pytest.raises(ModelError, match="no ray to bend"):
+        NetworkSettings(tells_normal=True)
+    with pytest.raises(ModelError, match="ray_samples needs light_layers"):
+        NetworkSettings(ray_samples=3)
+    with pytest.raises(ModelError, match="interior belongs"):
+        NeuralBSSRDF(LOOKING)
+    with pytest.raises(ModelError, match="interior belongs"):
+        NeuralBSSRDF(interior=full())
+
+
+@pytest.mark.parametrize("kind", ["face", "vertex"])
+def test_on_its_mesh_a_network_knows_the_face_and_its_normal(kind: str) -> None:
+    """Within a face and on vertices: the face that faces ωo most, as the path tracer has it; off the mesh, the grid."""
+    mesh = ball(2)
+    network = NeuralBSSRDF(replace(LOOKING), (-1.0,) * 3, 2.0, metadata={"normals": kind}, interior=half_space(eta=1.3))
+    inside = mesh.positions[mesh.faces].mean(axis=1)[:40]
+    rows = np.concatenate([inside, mesh.positions[:30], [[0.2, 0.1, 0.0]]])
+    eye = rows / np.linalg.norm(rows, axis=1, keepdims=True) + 0.3 * unit(len(rows)).numpy()
+    eye /= np.linalg.norm(eye, axis=1, keepdims=True)
+    location, _cosines = Surface(mesh).choose(rows[:-1], eye[:-1])
+    expected = mesh.face_normals[location.faces]
+    if kind == "vertex":
+        u, v = location.barycentric.T[..., None]
+        corners = mesh.normals[mesh.faces[location.faces]]
+        expected = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+        expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    bound = network.on(mesh)
+    told, plain = (one.view_features(torch.from_numpy(rows), torch.from_numpy(eye)).numpy() for one in (bound, network))
+    np.testing.assert_allclose(told[:-1, 40:43] / 3.0, expected, atol=2e-3)
+    np.testing.assert_array_equal(told[-1], plain[-1])
+    assert network.surface is None
+    assert bound.hidden is network.hidden
+
+
+def test_a_bake_and_a_picture_take_the_mesh_they_are_given() -> None:
+    mesh = ball(1)
+    network = NeuralBSSRDF(LOOKING, (-1.0,) * 3, 2.0, 0.1, {"eta": 1.3}, half_space(eta=1.3))
+    asset = bake(network, mesh, rings=2, sectors=4, samples=16)
+    bound = bake(network.on(mesh), mesh, rings=2, sectors=4, samples=16)
+    np.testing.assert_array_equal(asset.coefficients, bound.coefficients)
+    blind = bake(network.prepared(), mesh, rings=2, sectors=4, samples=16)
+    assert not np.array_equal(asset.coefficients, blind.coefficients)
