@@ -27,12 +27,17 @@ _FARTHEST = 1.75
 _INTERVALS = 64
 _WARP = 3.0
 """How many times, in powers of e, the last interval is as long as the first: near the surface more depends on them."""
+_OWN_SHARE = 0.25
+"""Of the frequencies behind an interface, whose features are of x itself: what it reflects back inside takes other ways
+than the ray of view."""
+_USUAL_LENGTH = 0.4
+"""Of a ray inside an object: in a thin medium opacities are told as multiples of what they are then."""
+_LEAST_OPACITY = 1e-3
 _WEIGHT = 3.0
 """Of normal and cosine among the other features, each of which has the mean square ½."""
 _BUMP_WIDTH = 0.15
 _LEAST_COSINE = 0.02
 """Of the outgoing direction where it is bent: grids tell normals roughly, and directions behind them have none."""
-
 _LEAST_SLOPE = 0.05
 """Of the grid across two spacings, where 2/REACH is that of a distance: rounding alone has no direction."""
 
@@ -50,6 +55,8 @@ class ViewFeatures(nn.Module):
         super().__init__()
         self.tensors_alone = False
         self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
+        self._own = round(_OWN_SHARE * settings.features) if settings.tells_normal else 0
+        self._gain = 1.0 / max(-math.expm1(-_USUAL_LENGTH * max(interior.attenuation)), _LEAST_OPACITY)
         for name, tensor in (
             ("frequencies", frequencies.detach().float()),
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
@@ -71,8 +78,8 @@ class ViewFeatures(nn.Module):
                 back = _bent(eye, normal, cosine.clamp(min=_LEAST_COSINE), self.interior.eta)
                 parts += [_WEIGHT * normal, _WEIGHT * _bumps(cosine)]
             places, opacity = self._places(self._depths(x, back))
-            told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None]), dim=1)
-            return torch.cat([self._averaged(x, eye, back, places, opacity), *parts, told], dim=-1)
+            told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None] * self._gain), dim=1)
+            return torch.cat([self._averaged(x, eye, back, places, self._gain * opacity), *parts, told], dim=-1)
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)
@@ -141,19 +148,29 @@ class ViewFeatures(nn.Module):
         places = torch.lerp(self.edges[after - 1].double(), self.edges[after].double(), along)
         return torch.where(opacity > 0.0, places, 0.0).float(), opacity[:, 0].float()
 
-    def _averaged(self, x: Tensor, eye: Tensor, back: Tensor, places: Tensor, opacity: Tensor) -> Tensor:
-        """[cosines, sines] [N,2F] of the phases at places along x − s·back, averaged, times the opacity."""
+    def _averaged(self, x: Tensor, eye: Tensor, back: Tensor, places: Tensor, weight: Tensor) -> Tensor:
+        """[cosines, sines] [N,2F] of the phases: of the first frequencies at x itself, of the others averaged over the
+        places along x − s·back, times the weight.
+        """
+        own = self._own
         if not self.tensors_alone and x.device.type == "cpu":
             from prt_bake.view_kernel import mean_rows
 
             rows = torch.empty((len(x), 2 * len(self.frequencies)))
-            told = [tensor.numpy() for tensor in (x, back, eye, places, opacity)]
+            told = [tensor.numpy() for tensor in (x, back, eye, places, weight)]
             cycles = self.frequencies.T.contiguous().numpy()
-            mean_rows(told[0], told[1], told[2], told[3], told[4], cycles, rows.numpy())
+            mean_rows(told[0], told[1], told[2], told[3], told[4], cycles, own, rows.numpy())
             return rows
         toward_x, toward_eye = torch.split(2.0 * torch.pi * self.frequencies, 3, dim=1)
-        phase = (x @ toward_x.T + eye @ toward_eye.T)[:, None] - places[..., None] * (back @ toward_x.T)[:, None]
-        return torch.cat((phase.cos().mean(dim=1), phase.sin().mean(dim=1)), dim=-1) * opacity[:, None]
+        here = x @ toward_x.T + eye @ toward_eye.T
+        along = here[:, None, own:] - places[..., None] * (back @ toward_x[own:].T)[:, None]
+        return torch.cat(
+            [
+                torch.cat((part(here[:, :own]), part(along).mean(dim=1) * weight[:, None]), dim=-1)
+                for part in (torch.cos, torch.sin)
+            ],
+            dim=-1,
+        )
 
 
 def _edges(interior: Interior) -> Tensor:

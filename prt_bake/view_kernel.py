@@ -71,28 +71,37 @@ def place_rows(depths: Any, edges: Any, places: Any, opacities: Any) -> None:
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def mean_rows(starts: Any, backs: Any, eyes: Any, places: Any, opacities: Any, frequencies: Any, rows: Any) -> None:
-    """Fill the first 2F columns of rows with [cosines, sines] averaged over places along rays, times the opacity.
+def mean_rows(
+    starts: Any, backs: Any, eyes: Any, places: Any, weights: Any, frequencies: Any, own: Any, rows: Any
+) -> None:
+    """Fill the first 2F columns of rows with [cosines, sines]: of the first `own` frequencies at x itself, of the
+    others averaged over places along rays, times their weight.
 
-    starts, backs, eyes [N,3] float32: x, the ray's direction (it runs along −back) and ωo; places [N,K] and opacities
-    [N] float32; frequencies [6,F] float32, of x and of ωo, in cycles.
+    starts, backs, eyes [N,3] float32: x, the ray's direction (it runs along −back) and ωo; places [N,K] and weights [N]
+    float32; frequencies [6,F] float32, of x and of ωo, in cycles.
     """
-    features = frequencies.shape[1]
+    features, averaged = frequencies.shape[1], frequencies.shape[1] - own
     count = places.shape[1]
-    a, b, c = frequencies[0], frequencies[1], frequencies[2]
-    d, e, f = frequencies[3], frequencies[4], frequencies[5]
+    a, b, c = frequencies[0, own:], frequencies[1, own:], frequencies[2, own:]
+    cosine_sums, sine_sums = np.empty(averaged, np.float32), np.empty(averaged, np.float32)
+    begun = np.empty(features, np.float32)
     for n in range(len(starts)):
         u, v, w = eyes[n, 0], eyes[n, 1], eyes[n, 2]
-        cosines, sines = rows[n, :features], rows[n, features : 2 * features]
-        cosines[:] = _ZERO
-        sines[:] = _ZERO
-        weight = opacities[n] / np.float32(count)
-        if weight == _ZERO:
-            continue
-        for k in range(count):
-            s = places[n, k]
-            x, y, z = starts[n, 0] - s * backs[n, 0], starts[n, 1] - s * backs[n, 1], starts[n, 2] - s * backs[n, 2]
-            for i in range(features):
-                cosine, sine = turned(x * a[i] + y * b[i] + z * c[i] + u * d[i] + v * e[i] + w * f[i])
-                cosines[i] += weight * cosine
-                sines[i] += weight * sine
+        x, y, z = starts[n, 0], starts[n, 1], starts[n, 2]
+        for i in range(features):
+            begun[i] = x * frequencies[0, i] + y * frequencies[1, i] + z * frequencies[2, i]
+            begun[i] += u * frequencies[3, i] + v * frequencies[4, i] + w * frequencies[5, i]
+        for i in range(own):
+            rows[n, i], rows[n, features + i] = turned(begun[i])
+        cosine_sums[:] = _ZERO
+        sine_sums[:] = _ZERO
+        weight = weights[n] / np.float32(count)
+        here = begun[own:]
+        for k in range(count if weight > _ZERO else 0):
+            x, y, z = -places[n, k] * backs[n, 0], -places[n, k] * backs[n, 1], -places[n, k] * backs[n, 2]
+            for i in range(averaged):
+                cosine, sine = turned(here[i] + x * a[i] + y * b[i] + z * c[i])
+                cosine_sums[i] += cosine
+                sine_sums[i] += sine
+        for i in range(averaged):
+            rows[n, own + i], rows[n, features + own + i] = weight * cosine_sums[i], weight * sine_sums[i]

@@ -52,12 +52,19 @@ def unit(count: int) -> torch.Tensor:
 
 
 def exact_mean(view: ViewFeatures, x: np.ndarray, eye: np.ndarray, back: np.ndarray, far: float) -> np.ndarray:
-    """∫₀^far a·exp(−a s) exp(2πi G(x − s·back, ωo)) ds in closed form [N,F]."""
+    """∫₀^far a·exp(−a s) exp(2πi G(x − s·back, ωo)) ds in closed form [N,F], over what a ray of 0.4 has without G."""
     g = view.frequencies.double().numpy()
     a = view.interior.attenuation[0]
     begun = np.exp(2j * np.pi * (x @ g[:, :3].T + eye @ g[:, 3:].T))
     rate = a + 2j * np.pi * (back @ g[:, :3].T)
-    return begun * a / rate * (1.0 - np.exp(-rate * far))
+    return begun * a / rate * (1.0 - np.exp(-rate * far)) / (1.0 - np.exp(-0.4 * a))
+
+
+def told_mean(view: ViewFeatures, x: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """The features [N,F] of an answer as complex numbers."""
+    found = view(torch.from_numpy(x), torch.from_numpy(eye)).numpy()
+    count = len(view.frequencies)
+    return np.asarray(found[:, :count] + 1j * found[:, count : 2 * count])
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
@@ -145,24 +152,24 @@ def test_a_network_that_looks_along_rays_comes_back(tmp_path: Path, suffix: str)
 
 @pytest.mark.parametrize("attenuation", [0.02, 3.0, 40.0])
 def test_the_mean_along_the_ray_is_the_integral(attenuation: float) -> None:
-    view = features(full(attenuation), replace(LOOKING, ray_samples=400, tells_normal=False))
-    x, eye = torch.from_numpy(RNG.random((30, 3))), unit(30)
-    expected = exact_mean(view, x.numpy(), eye.numpy(), eye.numpy(), min(4.0 / attenuation, 1.75))
-    found = view(x, eye).numpy()
-    np.testing.assert_allclose(found[:, :20] + 1j * found[:, 20:40], expected, atol=2e-3)
+    """And behind an interface a quarter of the features is of the position itself."""
+    view = features(full(attenuation), replace(LOOKING, ray_samples=400))
+    x, eye = RNG.random((30, 3)), unit(30).numpy()
+    expected = exact_mean(view, x, eye, eye, min(4.0 / attenuation, 1.75))
+    g = view.frequencies.double().numpy()
+    expected[:, :5] = np.exp(2j * np.pi * (x @ g[:5, :3].T + eye @ g[:5, 3:].T))
+    np.testing.assert_allclose(told_mean(view, x, eye), expected, atol=4e-3)
 
 
 def test_what_lies_outside_adds_nothing() -> None:
     """A ray that leaves a half space upwards is averaged over what is below; one that never is inside gives zero."""
     view = features(half_space(6.0, spacing=0.01), replace(LOOKING, ray_samples=300, tells_normal=False))
-    x = torch.tensor([[0.5, 0.5, 0.8], [0.5, 0.5, 0.8]], dtype=torch.float64)
-    eye = torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
-    found = view(x, eye).numpy()
-    at_boundary = np.array([[0.5, 0.5, 0.5]])
-    far = 4.0 / 6.0 - 0.3
-    expected = exact_mean(view, at_boundary, eye[:1].numpy(), eye[:1].numpy(), far)
-    np.testing.assert_allclose(found[0, :20] + 1j * found[0, 20:40], expected[0], atol=0.03)
-    np.testing.assert_allclose(found[1], 0.0, atol=1e-6)
+    x = np.array([[0.5, 0.5, 0.8], [0.5, 0.5, 0.8]])
+    eye = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    expected = exact_mean(view, np.array([[0.5, 0.5, 0.5]]), eye[:1], eye[:1], 4.0 / 6.0 - 0.3)
+    found = told_mean(view, x, eye)
+    np.testing.assert_allclose(found[0], expected[0], atol=0.03)
+    np.testing.assert_array_equal(found[1], 0.0)
 
 
 def test_rays_are_bent_by_snells_law() -> None:
@@ -175,8 +182,8 @@ def test_rays_are_bent_by_snells_law() -> None:
     inner = np.stack([np.sin(angle) / eta, np.zeros(9), np.sqrt(1.0 - (np.sin(angle) / eta) ** 2)], axis=1)
     x = np.full((9, 3), 0.5) - [0.0, 0.0, 0.02]
     expected = exact_mean(view, x, eye, inner, 0.5)
+    np.testing.assert_allclose(told_mean(view, x, eye)[:, 5:], expected[:, 5:], atol=0.02)
     found = view(torch.from_numpy(x), torch.from_numpy(eye)).numpy()
-    np.testing.assert_allclose(found[:, :20] + 1j * found[:, 20:40], expected, atol=0.02)
     np.testing.assert_allclose(found[:, 40:43] / 3.0, np.broadcast_to([0.0, 0.0, 1.0], (9, 3)), atol=1e-5)
     assert (np.abs(np.diff(found[:, 43:51], axis=0)).max(axis=1) > 0.1).all(), "every angle has a feature of its own"
 
@@ -192,7 +199,7 @@ def test_places_are_where_light_comes_from() -> None:
         opacity = 1.0 - np.exp(-5.0 * (reach - gap))
         wanted = (np.arange(12) + 0.5) / 12 * opacity
         np.testing.assert_allclose(told[row, :12] * reach / 2.0, gap - np.log(1.0 - wanted) / 5.0, atol=0.01)
-        assert told[row, 12] == pytest.approx(opacity, abs=0.01)
+        assert told[row, 12] * (1.0 - np.exp(-2.0)) == pytest.approx(opacity, abs=0.01)
     assert told[1, 12] < 0.05, "no more than the boundary itself, which the grid makes thick"
 
 
@@ -287,7 +294,7 @@ def test_extreme_views_have_finite_features(attenuation: float, eta: float) -> N
             view.tensors_alone = alone
             found = view(x, eye)
             assert bool(found.isfinite().all())
-            assert float(found[:, :40].abs().max()) <= 1.0 + 1e-5
+            assert float(found.abs().max()) <= 1e3
 
 
 def test_settings_without_a_ray_tell_nothing_of_it() -> None:

@@ -31,7 +31,7 @@ def run(module, *arguments):
 
 def test_the_seven_scenes_of_the_paper_are_there():
     folders = {path.parent.name for path in COMPLETE}
-    assert folders == {"grape", "dragon", "paperweight", "drink", "lucy", "head", "translucency"}
+    assert folders == {"grape", "dragon", "paperweight", "drink", "lucy", "head", "translucency", "matched"}
     assert set(FILES) > STANFORD
     assert len([path for path in COMPLETE if path.parent.name == "translucency"]) == 6
 
