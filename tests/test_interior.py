@@ -217,6 +217,22 @@ def test_a_ray_ends_in_what_lies_inside() -> None:
     np.testing.assert_array_equal(told[1], 0.0)
 
 
+def test_a_hollow_inside_attenuates_nothing() -> None:
+    """A clear block in a dense medium: behind it the optical depth has not grown."""
+    levels = np.full((2, 51, 51, 51), -LEVELS, np.int8)
+    levels[0] = LEVELS
+    levels[1, :, :, 15:36] = LEVELS
+    interior = Interior(levels, (0.0, 0.0, 0.0), 0.02, (3.0, 0.0), 1.0)
+    told = features(interior, replace(LOOKING, tells_normal=False))(
+        torch.tensor([[0.5, 0.5, 0.0]]), torch.tensor([[0.0, 0.0, -1.0]])
+    )
+    opacity = float(told[0, 52]) * (1.0 - np.exp(-0.4 * 3.0))
+    # Beyond the grid its border goes on: 1.75 of the ray less the block's 0.42.
+    assert opacity == pytest.approx(1.0 - np.exp(-3.0 * (1.75 - 0.42)), abs=2e-3)
+    places = told[0, 40:52].numpy() * 1.75 / 2.0
+    assert not ((places > 0.31) & (places < 0.69)).any()
+
+
 def test_parts_inside_are_bodies_of_their_own(tmp_path: Path) -> None:
     """The block in the block in the ball, each after what it lies in; where light does not enter, nothing comes out."""
     write_mesh(ball(3), tmp_path / "ball.ply")
@@ -317,7 +333,10 @@ def test_on_its_mesh_a_network_knows_the_face_and_its_normal(kind: str) -> None:
     rows = np.concatenate([inside, mesh.positions[:30], [[0.2, 0.1, 0.0]]])
     eye = rows / np.linalg.norm(rows, axis=1, keepdims=True) + 0.3 * unit(len(rows)).numpy()
     eye /= np.linalg.norm(eye, axis=1, keepdims=True)
-    location, _cosines = Surface(mesh).choose(rows[:-1], eye[:-1])
+    location, cosines = Surface(mesh).choose(rows[:-1], eye[:-1])
+    touching = [(mesh.faces == vertex).any(axis=1) for vertex in range(30)]
+    facing = [(mesh.face_normals[faces] @ toward).max() for faces, toward in zip(touching, eye[40:70], strict=True)]
+    np.testing.assert_allclose(cosines[40:], facing, atol=1e-12)
     expected = mesh.face_normals[location.faces]
     if kind == "vertex":
         u, v = location.barycentric.T[..., None]
