@@ -3,13 +3,14 @@
 Input u = (ωi, x, ωo), in this order, each scaled as the settings say; positions become (x − box_min) / box_side in
 float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated
 skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
-of ωi are appended to the inputs of the last hidden layers: what comes before them is run once for all directions.
+of ωi are appended to the inputs of the last hidden layers: what comes before them is run once for all directions. With
+`ray_samples` the features of (x, ωo) are averaged along the ray of view (`prt_bake.view_features`).
 """
 
 import json
 from copy import copy
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -161,7 +162,7 @@ class NeuralBSSRDF(nn.Module):
     def _normals(self, positions: Tensor, outgoing: Tensor) -> Tensor | None:
         if self.surface is None:
             return None
-        kind: Any = self.metadata.get("normals", "face")
+        kind: Literal["face", "vertex"] = "vertex" if self.metadata.get("normals") == "vertex" else "face"
         x, eye = (tensor.detach().double().cpu().numpy() for tensor in (positions, outgoing))
         return torch.from_numpy(self.surface.normals(x, eye, kind)).to(positions.device)
 
@@ -280,7 +281,7 @@ def _float64(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:
 def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
     """Writes the network as `.pt` or `.safetensors`: weights in float32, everything else as JSON.
 
-    The default network takes 640–660 KiB. Raises ModelError on another suffix or on weights that are not finite,
+    Both presets take 660 KiB at most. Raises ModelError on another suffix or on weights that are not finite,
     StorageError if the file cannot be written; an older file then stays as it was.
     """
     head = {
