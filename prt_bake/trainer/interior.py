@@ -53,16 +53,10 @@ def interior_of(scene: Scene, box: Box) -> Interior:
 
 
 def _bodies(parts: tuple[Part, ...]) -> list[Part]:
-    """The outermost part and the largest inside, each after what it lies in."""
+    """The outermost part and the largest inside, by volume: what lies in another comes after it."""
     volumes = [abs(trimesh.Trimesh(part.mesh.positions, part.mesh.faces, process=False).volume) for part in parts]
     inside = sorted(range(1, len(parts)), key=lambda index: -volumes[index])[: MOST_BODIES - 1]
-    inside.sort(key=lambda index: (_nesting(parts, index), index))
     return [parts[0], *(parts[index] for index in inside)]
-
-
-def _nesting(parts: tuple[Part, ...], index: int) -> int:
-    """How many parts a part lies in."""
-    return 0 if parts[index].parent < 0 else 1 + _nesting(parts, parts[index].parent)
 
 
 def _attenuation(part: Part, side: float) -> float:
