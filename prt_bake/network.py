@@ -3,8 +3,8 @@
 Input u = (ωi, x, ωo), in this order, each scaled as the settings say; positions become (x − box_min) / box_side in
 float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated
 skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
-of ωi are appended to the inputs of the last hidden layers: what comes before them is run once for all directions. With
-`ray_samples` the features of (x, ωo) are averaged along the ray of view (`prt_bake.view_features`).
+of ωi, and powers of ωi·ωo, are appended to the inputs of the last hidden layers: what comes before is run once for all
+directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view (`prt_bake.view_features`).
 """
 
 import json
@@ -122,7 +122,10 @@ class NeuralBSSRDF(nn.Module):
         kind = self.output.weight.dtype
         if self.settings.trunk:
             h = self.view_features(positions, outgoing)[:, None]
-            light = self.light_features(incident).to(kind)
+            light = self.light_features(incident)
+            if self.settings.angle_powers:
+                light = torch.cat((light, self.angle_powers(incident, outgoing)), dim=-1)
+            light = light.to(kind)
         else:
             wide = incident.shape
             h = self.fourier_features(
@@ -171,6 +174,12 @@ class NeuralBSSRDF(nn.Module):
         with torch.autocast(incident.device.type, enabled=False):
             phase = (2.0 * torch.pi) * (self._scale(incident).float() @ self.light_frequencies.T)
             return torch.cat((phase.cos(), phase.sin()), dim=-1)
+
+    def angle_powers(self, incident: Tensor, outgoing: Tensor) -> Tensor:
+        """(ωi·ωo)ⁿ [N,D,angle_powers] in float32, n from 1: incident [N,D,3], outgoing [N,3]."""
+        with torch.autocast(incident.device.type, enabled=False):
+            cosine = (incident.float() @ outgoing.float()[..., None])[..., 0]
+        return torch.stack([cosine**power for power in range(1, self.settings.angle_powers + 1)], dim=-1)
 
     def inputs(self, incident: Tensor | None, positions: Tensor, outgoing: Tensor) -> Tensor:
         """The scaled inputs u [N, 7 or 9] in float64: incident direction (unless it enters late), position, outgoing

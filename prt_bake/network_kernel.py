@@ -86,37 +86,57 @@ class FusedNetwork:
         with torch.inference_mode():
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
             view = self._views(positions, outgoing)
+            eye = _float32(np.reshape(outgoing, (-1, 3)), self._device)
             for first, last in pairwise(bounds):
-                table = self._light_table(incident, light[:, first:last], whole=last - first == directions)
+                towards = light[:, first:last]
+                table = self._light_table(incident, towards, whole=last - first == directions)
                 if self._late is None:
                     self._fill(answer[:, first:last], table, chosen, view)
                 else:
-                    self._fill_late(self._late, answer[:, first:last], table, chosen, view)
+                    angles = _float32(towards, self._device), eye
+                    self._fill_late(self._late, answer[:, first:last], table, chosen, view, angles)
         return answer.reshape(vertices, bins, directions, 3)
 
     def _fill_late(
-        self, late: LateLayers, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor
+        self,
+        late: LateLayers,
+        answer: NDArray[np.float32],
+        table: Tensor,
+        chosen: Tensor,
+        view: Tensor,
+        between: tuple[Tensor, Tensor],
     ) -> None:
-        """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers."""
+        """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers, and those
+        directions [rotations, D, 3] and the outgoing ones [N·B, 3] themselves.
+        """
         layers, _rotations, directions, width = table.shape
         tile = max(1, self._rows // directions)
-        added = torch.empty((layers, tile, directions, width), dtype=self._dtype, device=self._device)
-        bins_at_once = max(tile, self._rows)
+        added = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
+        powers = torch.zeros((tile, directions, 1 + self.network.settings.angle_powers), device=self._device)
+        bins_at_once = tile * max(1, self._rows // tile)
         for begin in range(0, len(chosen), bins_at_once):
             # Whole tiles of bins, whatever their number: the result must not depend on how bins are cut.
             some = view[begin : begin + bins_at_once]
-            rows = torch.zeros((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
-            rows[: len(some)] = some
-            of_bins = late.bins(rows)
+            seen = torch.zeros((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
+            seen[: len(some)] = some
+            of_bins = late.bins(seen)
             for first in range(0, len(some), tile):
                 bins = min(tile, len(some) - first)
+                which = slice(begin + first, begin + first + bins)
                 for layer in range(layers):
-                    part = added[layer, :bins]
-                    torch.index_select(table[layer], 0, chosen[begin + first : begin + first + bins], out=part)
-                    part.add_(of_bins[layer, first : first + bins, None, :])
-                radiance = late.radiance(added.view(layers, tile * directions, width))
+                    torch.index_select(table[layer], 0, chosen[which], out=added[layer, :bins])
+                powers[:bins] = self._powers(between[0][chosen[which]], between[1][which])
+                rows = late.add_views(added, of_bins[:, first : first + tile], powers)
+                radiance = late.radiance(rows)
                 radiance = radiance.view(tile, directions, 3)[:bins].float() * self.network.output_scale
                 answer[begin + first : begin + first + bins] = radiance.cpu().numpy()
+
+    def _powers(self, incident: Tensor, outgoing: Tensor) -> Tensor:
+        """Powers of ωi·ωo from 0 [N, D, 1 + angle_powers]: incident [N, D, 3], outgoing [N, 3]."""
+        ones = torch.ones((*incident.shape[:2], 1), device=incident.device)
+        if not self.network.settings.angle_powers:
+            return ones
+        return torch.cat((ones, self.network.angle_powers(incident, outgoing)), dim=-1)
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
@@ -189,6 +209,10 @@ class FusedNetwork:
             return _exponential(self.network.cycles("incident", light))
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
         return self._late.light_table(self.network.light_features(directions))
+
+
+def _float32(directions: Any, device: torch.device) -> Tensor:
+    return torch.from_numpy(np.array(directions, np.float32)).to(device)
 
 
 def _exponential(cycles: Tensor) -> Tensor:

@@ -26,9 +26,10 @@ class LateLayers:
         layers: list[Any] = [*network.hidden, network.output]
         self._weights = [layer.weight.detach().to(dtype) for layer in layers]
         self._biases = [layer.bias.detach().to(dtype) for layer in layers]
-        self._light = [
-            weight[:, -2 * settings.light_features :].contiguous() for weight in self._weights[self._trunk : -1]
-        ]
+        told = [weight[:, -settings.light_inputs :] for weight in self._weights[self._trunk : -1]]
+        features = 2 * settings.light_features
+        self._light = [weight[:, :features].contiguous() for weight in told]
+        self._angle = [weight[:, features:].T.contiguous() for weight in told]
         self._zero = torch.zeros_like(self._biases[0])
         self._split = [self._columns(number) for number in range(self._trunk + 1, settings.layers + 1)]
 
@@ -48,8 +49,10 @@ class LateLayers:
         return torch.stack([torch.nn.functional.linear(rows, weight) for weight in self._light])
 
     def bins(self, features: Tensor) -> Tensor:
-        """What the layers before and their skips add to each later layer [layers, N, width], biases included; from the
-        Fourier features [N, 2·features] of x and ωo.
+        """What a view adds to each later layer, by powers of ωi·ωo from 0 [layers, N, 1 + angle_powers, width].
+
+        First what the layers before and their skips say, biases included, then what each power does; from the features
+        that the first layer sees [N, view_inputs].
         """
         h = features.to(self._zero.dtype)
         activations: list[Tensor] = []
@@ -67,7 +70,17 @@ class LateLayers:
                 added.append(self._linear(rows, shared, bias, "none"))
             else:
                 added.append(bias.expand(len(features), -1))
-        return torch.stack(added)
+        powers = [weight.expand(len(features), -1, -1) for weight in self._angle]
+        return torch.stack([torch.cat((once[:, None], more), 1) for once, more in zip(added, powers, strict=True)])
+
+    def add_views(self, added: Tensor, bins: Tensor, powers: Tensor) -> Tensor:
+        """`added` [layers, N, D, width], of directions, with what views add to it: `bins` [layers, N, 1 + angle_powers,
+        width] of them, powers [N, D, 1 + angle_powers] of ωi·ωo from 0. Overwrites it; gives [layers, N·D, width].
+        """
+        rows = powers.to(self._zero.dtype)
+        for layer, part in enumerate(added):
+            part.baddbmm_(rows, bins[layer])
+        return added.flatten(1, 2)
 
     def radiance(self, added: Tensor) -> Tensor:
         """RGB [rows, 3] from what bins and directions add to each later layer [layers, rows, width]; overwrites it."""

@@ -137,7 +137,9 @@ class PairNetwork(FusedNetwork):
         towards = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
         towards[:count] = torch.as_tensor(incident)
         light = self._late.light_table(self.network.light_features(towards.to(at)))
-        return (light + bins[:, :, None]).flatten(1, 2)
+        eye = torch.zeros((tile, 3))
+        eye[:count] = torch.as_tensor(outgoing)
+        return self._late.add_views(light, bins, self._powers(towards.to(at), eye.to(at)))
 
     def _rows_there(self, light: Tensor, view: Tensor, common: Tensor, tile: int) -> Tensor:
         """As `_feature_rows`, on the device."""

@@ -45,6 +45,8 @@ class NetworkSettings:
     """Fourier frequencies of ωi where it enters late."""
     light_spread: float = 0.25
     """Standard deviation of those frequencies, of mean 0."""
+    angle_powers: int = 0
+    """Powers of ωi·ωo, from the first, told to the layers that see ωi late: light scattered once depends on them."""
     ray_samples: int = 0
     """Places along the ray of view over which the features of x are averaged (`prt_bake.view_features`). 0: features of
     x itself. Needs ωi to enter late, Cartesian directions, a mean of 0, and an `Interior`."""
@@ -59,6 +61,11 @@ class NetworkSettings:
             raise ModelError(
                 f"network settings: light_layers must be at least 0 and below layers ({self.layers}), "
                 f"found {self.light_layers}"
+            )
+        if self.angle_powers < 0 or (self.angle_powers and not self.trunk):
+            raise ModelError(
+                "network settings: angle_powers must not be negative, and without light_layers nothing takes them; "
+                f"found {self.angle_powers}"
             )
         if self.activation not in ("relu", "silu"):
             raise ModelError(f"network settings: activation must be relu or silu, found {self.activation!r}")
@@ -92,6 +99,11 @@ class NetworkSettings:
         return self.layers - self.light_layers if self.light_layers else 0
 
     @property
+    def light_inputs(self) -> int:
+        """Numbers that a layer is told of ωi where it enters late, powers of ωi·ωo last."""
+        return 2 * self.light_features + self.angle_powers
+
+    @property
     def told_besides(self) -> int:
         """Numbers that the first layer is told of the ray of view besides the Fourier features."""
         places = self.ray_samples + 1 if self.ray_samples else 0
@@ -112,7 +124,7 @@ class NetworkSettings:
         hidden = []
         for layer in range(1, self.layers + 1):
             straight = self.view_inputs if layer == 1 else self.width
-            light = 2 * self.light_features if 0 < self.trunk < layer else 0
+            light = self.light_inputs if 0 < self.trunk < layer else 0
             hidden.append((self.width, straight + self.width * len(self.sources(layer)) + light))
         return (*hidden, (3, self.width))
 
@@ -165,6 +177,7 @@ PRESETS: dict[str, NetworkSettings] = {
         activation="silu",
         directions="cartesian",
         light_layers=2,
+        angle_powers=2,
         ray_samples=12,
         tells_normal=True,
     ),

@@ -102,10 +102,9 @@ def test_forward_is_the_architecture_of_the_paper() -> None:
 
 
 def test_forward_lets_the_light_in_late() -> None:
-    """Two of four layers see ωi, written out by hand; layer 1 is joined to layer 3's input and layer 2 to layer 4's."""
-    settings = NetworkSettings(
-        6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", light_layers=2, light_features=5, light_spread=0.4
-    )
+    """Two of four layers see ωi and powers of ωi·ωo, written out by hand; skips lead from 1 to 3 and from 2 to 4."""
+    late = {"light_layers": 2, "light_features": 5, "light_spread": 0.4, "angle_powers": 3}
+    settings = NetworkSettings(6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", **late)  # type: ignore[arg-type]
     network = trained(NeuralBSSRDF(settings, output_scale=2.0))
     rng = np.random.default_rng(8)
     wi, x, wo = unit(rng, 7, 3), rng.uniform(0, 1, (7, 3)), unit(rng, 7)
@@ -119,7 +118,8 @@ def test_forward_lets_the_light_in_late() -> None:
         h = np.concatenate(parts, axis=-1) @ w[f"hidden.{number - 1}.weight"].T + w[f"hidden.{number - 1}.bias"]
         return h / (1.0 + np.exp(-h))
 
-    light = features(wi, network.light_frequencies)
+    cosine = np.einsum("ndk,nk->nd", wi, wo)[..., None]
+    light = np.concatenate([features(wi, network.light_frequencies), cosine, cosine**2, cosine**3], axis=-1)
     h1 = layer(1, np.repeat(features(np.concatenate([x, wo], axis=1), network.frequencies)[:, None], 3, axis=1))
     h2 = layer(2, h1)
     h3 = layer(3, h2, h1, light)
@@ -148,7 +148,8 @@ def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precisi
 def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
     """Odd widths, other skips and another activation; more directions than one tile or table holds."""
     skips = ((1, 3), (1, 4), (2, 4))
-    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, activation, "cartesian", light_layers=late)  # type: ignore[arg-type]
+    told = {"light_layers": late, "angle_powers": max(0, late - 1)}
+    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, activation, "cartesian", **told)  # type: ignore[arg-type]
     network = trained(NeuralBSSRDF(settings))
     rng = np.random.default_rng(5)
     incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)
@@ -158,11 +159,27 @@ def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
     np.testing.assert_allclose(block[0], plain, atol=2e-5 * np.abs(plain).max())
 
 
-def test_block_does_not_depend_on_how_it_is_cut(network: NeuralBSSRDF) -> None:
+def test_powers_of_the_angle_need_layers_that_take_them() -> None:
+    with pytest.raises(ModelError, match="angle_powers must not be negative, and without light_layers"):
+        NetworkSettings(angle_powers=2)
+    with pytest.raises(ModelError, match="found -1"):
+        NetworkSettings(light_layers=1, angle_powers=-1)
+
+
+LATE = NetworkSettings(features=9, directions="cartesian", light_layers=2, angle_powers=2)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("settings", [None, LATE], ids=["at once", "late"])
+def test_block_does_not_depend_on_how_it_is_cut(
+    network: NeuralBSSRDF, settings: NetworkSettings | None, precision: str
+) -> None:
+    """44 bins of 46 directions fill a tile; 2,100 are more than views are taken at once."""
+    network = network if settings is None else trained(NeuralBSSRDF(settings))
     rng = np.random.default_rng(6)
-    incident, rotation = unit(rng, 8, 64), rng.integers(0, 8, (3, 50))
-    positions, outgoing = rng.uniform(0, 1, (3, 3)), unit(rng, 3, 50)
-    fused = network.prepared()
+    incident, rotation = unit(rng, 8, 46), rng.integers(0, 8, (3, 700))
+    positions, outgoing = rng.uniform(0, 1, (3, 3)), unit(rng, 3, 700)
+    fused = network.prepared(precision)
     whole = fused.evaluate_block(incident, rotation, positions, outgoing)
     part = fused.evaluate_block(incident, rotation[1:2, 3:], positions[1:2], outgoing[1:2, 3:])
     np.testing.assert_array_equal(part, whole[1:2, 3:])

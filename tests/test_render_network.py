@@ -41,6 +41,7 @@ FORMS = [
     {},
     {"directions": "spherical", "feature_mean": 18.0, "activation": "silu"},
     {"light_layers": 2, "light_features": 8},
+    {"light_layers": 2, "light_features": 8, "angle_powers": 2},
 ]
 
 

@@ -64,6 +64,8 @@ VARIANTS: dict[str, Variant] = {
     "paper preset": Variant(network=PRESETS["paper"]),
     "no ray": plain(),
     "no normal": network(tells_normal=False),
+    "no angle": network(angle_powers=0),
+    "4 powers of the angle": network(angle_powers=4),
     "6 samples of the ray": network(ray_samples=6),
     "24 samples of the ray": network(ray_samples=24),
     "no ray, light enters first": plain(light_layers=0, skips=((1, 3), (2, 4))),
