@@ -31,6 +31,7 @@ lint: .venv/installed-dev
 bench: .venv/installed-dev
 	$(BIN)/python tests/bench/bake_error.py --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --out bench
 	$(BIN)/python tests/bench/network_speed.py
+	$(BIN)/python tests/bench/detail_in_light.py
 	$(BIN)/python tests/bench/training.py --out bench/training.json
 	$(BIN)/python tests/bench/smooth_training.py
 	$(BIN)/python tests/bench/noise_of_a_walk.py
