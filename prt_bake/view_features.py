@@ -8,7 +8,8 @@ something smooth over the points p(s) of that ray, weighed by how likely the lig
 Where the object is thin, or the ray leaves it and enters it again, the weights say so; features of x alone would have
 to learn it point by point. The average is an integrated encoding (Barron et al. 2021, Mip-NeRF) with the medium's own
 weights: over places that are equally likely, however thick or thin the medium. At an interface the ray is bent by the
-normal; the normal and the cosine are told, too, and where the places lie.
+normal, and turns at the boundary where it is totally reflected (`prt_bake.view_ray`); the normal and the cosine are
+told, too, and where the places lie.
 """
 
 import math
@@ -19,12 +20,14 @@ from torch import Tensor, nn
 
 from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network_settings import COSINE_BUMPS, NetworkSettings
+from prt_bake.view_ray import Ray, folded, normals
 
 _MEAN_FREE_PATHS = 4.0
 """How far along the ray light is looked for, where the box is not smaller."""
 _FARTHEST = 1.75
 """The diagonal of a cube, and a little."""
-_INTERVALS = 64
+_FARTHEST_TURNED = 3.0
+_INTERVALS, _INTERVALS_TURNED = 64, 128
 _WARP = 3.0
 """How many times, in powers of e, the last interval is as long as the first: near the surface more depends on them."""
 _OWN_SHARE = 0.25
@@ -38,8 +41,6 @@ _WEIGHT = 3.0
 _BUMP_WIDTH = 0.15
 _LEAST_COSINE = 0.02
 """Of the outgoing direction where it is bent: grids tell normals roughly, and directions behind them have none."""
-_LEAST_SLOPE = 0.05
-"""Of the grid across two spacings, where 2/REACH is that of a distance: rounding alone has no direction."""
 
 
 class ViewFeatures(nn.Module):
@@ -55,13 +56,14 @@ class ViewFeatures(nn.Module):
         super().__init__()
         self.tensors_alone = False
         self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
+        self._turns = settings.ray_turns if settings.tells_normal else 0
         self._own = round(_OWN_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_USUAL_LENGTH * max(interior.attenuation)), _LEAST_OPACITY)
         for name, tensor in (
             ("frequencies", frequencies.detach().float()),
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
-            ("edges", _edges(interior)),
+            ("edges", _edges(interior, self._turns > 0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
 
@@ -77,9 +79,10 @@ class ViewFeatures(nn.Module):
                 cosine = (normal * eye).sum(-1, keepdim=True)
                 back = _bent(eye, normal, cosine.clamp(min=_LEAST_COSINE), self.interior.eta)
                 parts += [_WEIGHT * normal, _WEIGHT * _bumps(cosine)]
-            places, opacity = self._places(self._depths(x, back))
+            ray = self._ray(x, back)
+            places, opacity = self._places(self._depths(ray))
             told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None] * self._gain), dim=1)
-            return torch.cat([self._averaged(x, eye, back, places, self._gain * opacity), *parts, told], dim=-1)
+            return torch.cat([self._averaged(x, eye, ray.points(places), self._gain * opacity), *parts, told], dim=-1)
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)
@@ -89,30 +92,43 @@ class ViewFeatures(nn.Module):
         return normals
 
     def _normal(self, x: Tensor) -> Tensor:
-        """Normals [N,3] at positions, pointing out; unit vectors but where the distances hardly vary."""
-        spacing = self.interior.spacing
-        apart = torch.tensor([spacing, -spacing], device=x.device)
-        sides = [self._inside(0, x, axis.expand_as(x).contiguous(), apart) for axis in torch.eye(3, device=x.device)]
-        slope = torch.stack([side[:, 0] - side[:, 1] for side in sides], dim=-1)
-        return nn.functional.normalize(slope, dim=-1, eps=_LEAST_SLOPE)
+        """Normals [N,3] at positions by the object's grid."""
+        return normals(lambda points: self._inside(0, points), self.interior.spacing, x)
 
-    def _depths(self, x: Tensor, back: Tensor) -> Tensor:
-        """Optical depths [N,M] of the intervals between edges along x − s·back; a place belongs to the last body that
-        it lies in.
+    def _ray(self, x: Tensor, back: Tensor) -> Ray:
+        """The rays of view from x [N,3] along −back [N,3]."""
+        if not self._turns:
+            return Ray.straight(x, back)
+        spacing, eta, longest = self.interior.spacing, self.interior.eta, float(self.edges[-1])
+        if self.tensors_alone or x.device.type != "cpu":
+            return folded(lambda points: self._inside(0, points), spacing, eta, self._turns, longest, x, back)
+        from prt_bake.view_kernel import folded_rows
+
+        pieces = len(x), self._turns + 1
+        starts, towards, begins = torch.empty((*pieces, 3)), torch.empty((*pieces, 3)), torch.empty(pieces)
+        numbers = [np.float32(number) for number in (spacing, eta, longest)]
+        told = [tensor.numpy() for tensor in (x - self.corner, -back, starts, towards, begins)]
+        folded_rows(
+            self.levels[0].numpy(), numbers[0], numbers[1], numbers[2], told[0], told[1], told[2], told[3], told[4]
+        )
+        return Ray(starts + self.corner, towards, begins)
+
+    def _depths(self, ray: Ray) -> Tensor:
+        """Optical depths [N,M] of the intervals between edges along rays; a place belongs to the last body that it lies
+        in.
         """
-        middles = 0.5 * (self.edges[1:] + self.edges[:-1])
-        attenuation = torch.zeros((len(x), len(middles)), device=x.device)
+        points = ray.points(0.5 * (self.edges[1:] + self.edges[:-1]))
+        attenuation = torch.zeros(points.shape[:2], device=points.device)
         for body, value in enumerate(self.interior.attenuation):
-            within = (self._inside(body, x, back, middles) * REACH + 0.5).clamp_(0.0, 1.0)
+            within = (self._inside(body, points) * REACH + 0.5).clamp_(0.0, 1.0)
             attenuation.lerp_(torch.full_like(within, value), within)
         return attenuation * (self.edges[1:] - self.edges[:-1])
 
-    def _inside(self, body: int, x: Tensor, back: Tensor, along: Tensor) -> Tensor:
-        """Signed distances [N,K] to a body's boundary at x − along·back, over REACH spacings, in −1 … 1."""
+    def _inside(self, body: int, points: Tensor) -> Tensor:
+        """Signed distances [N,K] to a body's boundary at points [N,K,3], over REACH spacings, in −1 … 1."""
         grid = self.levels[body]
-        if self.tensors_alone or x.device.type != "cpu":
+        if self.tensors_alone or points.device.type != "cpu":
             last = torch.tensor(grid.shape, device=grid.device, dtype=torch.float32) - 1.0
-            points = x[:, None] - along[:, None] * back[:, None]
             at = (points - self.corner) * (2.0 / self.interior.spacing) / last - 1.0
             # The sampler counts its axes from the last one.
             found = nn.functional.grid_sample(
@@ -121,10 +137,9 @@ class ViewFeatures(nn.Module):
             return found[0, 0, :, :, 0]
         from prt_bake.view_kernel import distance_rows
 
-        distances = torch.empty((len(x), len(along)))
+        distances = torch.empty(points.shape[:2])
         per_length = np.float32(1.0 / self.interior.spacing)
-        told = [tensor.numpy() for tensor in (x - self.corner, back, along, distances)]
-        distance_rows(grid.numpy(), per_length, told[0], told[1], told[2], told[3])
+        distance_rows(grid.numpy(), per_length, (points - self.corner).numpy(), distances.numpy())
         return distances
 
     def _places(self, depths: Tensor) -> tuple[Tensor, Tensor]:
@@ -148,39 +163,40 @@ class ViewFeatures(nn.Module):
         places = torch.lerp(self.edges[after - 1].double(), self.edges[after].double(), along)
         return torch.where(opacity > 0.0, places, 0.0).float(), opacity[:, 0].float()
 
-    def _averaged(self, x: Tensor, eye: Tensor, back: Tensor, places: Tensor, weight: Tensor) -> Tensor:
-        """[cosines, sines] [N,2F] of the phases: of the first frequencies at x itself, of the others averaged over the
-        places along x − s·back, times the weight.
+    def _averaged(self, x: Tensor, eye: Tensor, places: Tensor, weight: Tensor) -> Tensor:
+        """[cosines, sines] [N,2F] of the phases: of the first frequencies at x itself, of the others averaged over
+        places [N,K,3], times the weight.
         """
         own = self._own
         if not self.tensors_alone and x.device.type == "cpu":
             from prt_bake.view_kernel import mean_rows
 
             rows = torch.empty((len(x), 2 * len(self.frequencies)))
-            told = [tensor.numpy() for tensor in (x, back, eye, places, weight)]
+            told = [tensor.numpy() for tensor in (x, places.contiguous(), eye, weight)]
             cycles = self.frequencies.T.contiguous().numpy()
-            mean_rows(told[0], told[1], told[2], told[3], told[4], cycles, own, rows.numpy())
+            mean_rows(told[0], told[1], told[2], told[3], cycles, own, rows.numpy())
             return rows
         toward_x, toward_eye = torch.split(2.0 * torch.pi * self.frequencies, 3, dim=1)
-        here = x @ toward_x.T + eye @ toward_eye.T
-        along = here[:, None, own:] - places[..., None] * (back @ toward_x[own:].T)[:, None]
+        of_eye = eye @ toward_eye.T
+        here, there = x @ toward_x[:own].T + of_eye[:, :own], places @ toward_x[own:].T + of_eye[:, None, own:]
         return torch.cat(
             [
-                torch.cat((part(here[:, :own]), part(along).mean(dim=1) * weight[:, None]), dim=-1)
+                torch.cat((part(here), part(there).mean(dim=1) * weight[:, None]), dim=-1)
                 for part in (torch.cos, torch.sin)
             ],
             dim=-1,
         )
 
 
-def _edges(interior: Interior) -> Tensor:
+def _edges(interior: Interior, turned: bool) -> Tensor:
     """Between which the optical depth along a ray is summed up [M+1]: closer together near the surface, but evenly
     where light may come from bodies deep inside.
     """
-    share = torch.linspace(0.0, 1.0, _INTERVALS + 1, dtype=torch.float64)
+    farthest = _FARTHEST_TURNED if turned else _FARTHEST
+    share = torch.linspace(0.0, 1.0, (_INTERVALS_TURNED if turned else _INTERVALS) + 1, dtype=torch.float64)
     if len(interior.attenuation) > 1:
-        return (_FARTHEST * share).float()
-    reach = min(_MEAN_FREE_PATHS / max(interior.attenuation[0], 1e-9), _FARTHEST)
+        return (farthest * share).float()
+    reach = min(_MEAN_FREE_PATHS / max(interior.attenuation[0], 1e-9), farthest)
     return (reach * torch.expm1(_WARP * share) / math.expm1(_WARP)).float()
 
 

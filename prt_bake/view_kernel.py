@@ -5,8 +5,12 @@ from typing import Any
 import numpy as np
 
 from prt_bake.compilation import compiled
+from prt_bake.interior import REACH
 from prt_bake.pair_kernel import turned
+from prt_bake.view_ray import ENTERED, LEAST_SLOPE, LEAST_STEP, STEP
 
+_STEP, _LEAST_STEP, _ENTERED, _REACH = (np.float32(number) for number in (STEP, LEAST_STEP, ENTERED, REACH))
+_LEAST_SLOPE = np.float32(LEAST_SLOPE)
 _ONE = np.float32(1.0)
 _ZERO = np.float32(0.0)
 
@@ -29,18 +33,61 @@ def distance_at(levels: Any, per_length: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def distance_rows(levels: Any, per_length: Any, points: Any, backs: Any, along: Any, distances: Any) -> None:
-    """Set distances [N,K] to the grid's values at points[n] − along[k]·backs[n], points from the grid's corner."""
-    for n in range(len(points)):
-        for k in range(len(along)):
-            s = along[k]
-            distances[n, k] = distance_at(
-                levels,
-                per_length,
-                points[n, 0] - s * backs[n, 0],
-                points[n, 1] - s * backs[n, 1],
-                points[n, 2] - s * backs[n, 2],
-            )
+def distance_rows(levels: Any, per_length: Any, points: Any, distances: Any) -> None:
+    """Set distances [N,K] to the grid's values at points [N,K,3] from the grid's corner."""
+    for n in range(points.shape[0]):
+        for k in range(points.shape[1]):
+            distances[n, k] = distance_at(levels, per_length, points[n, k, 0], points[n, k, 1], points[n, k, 2])
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
+    """The grid's normal at a point from its corner, pointing out, as `prt_bake.view_ray.normals` has it."""
+    per_length = _ONE / spacing
+    u = distance_at(levels, per_length, x - spacing, y, z) - distance_at(levels, per_length, x + spacing, y, z)
+    v = distance_at(levels, per_length, x, y - spacing, z) - distance_at(levels, per_length, x, y + spacing, z)
+    w = distance_at(levels, per_length, x, y, z - spacing) - distance_at(levels, per_length, x, y, z + spacing)
+    slope = max(np.sqrt(u * u + v * v + w * w), _LEAST_SLOPE)
+    return u / slope, v / slope, w / slope
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def folded_rows(
+    levels: Any, spacing: Any, eta: Any, longest: Any, points: Any, along: Any, starts: Any, towards: Any, begins: Any
+) -> None:
+    """Set starts [N,P,3], towards [N,P,3] and begins [N,P] to the pieces of rays from points [N,3] along unit vectors
+    [N,3] that turn where they are totally reflected: `prt_bake.view_ray.folded`. Points are from the grid's corner.
+    """
+    per_length = _ONE / spacing
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        u, v, w = along[n, 0], along[n, 1], along[n, 2]
+        starts[n], towards[n] = points[n], along[n]
+        begins[n] = np.float32(np.inf)
+        begins[n, 0] = _ZERO
+        piece, entered = 0, False
+        begun, length, inside = _ZERO, _ZERO, _ZERO
+        while length < longest:
+            step = spacing * max(_STEP * inside, _LEAST_STEP)
+            s = length + step - begun
+            then = _REACH * distance_at(levels, per_length, x + s * u, y + s * v, z + s * w)
+            if not (entered and then <= _ZERO):
+                length, inside = length + step, then
+                entered = entered or then > _ENTERED
+                continue
+            length += inside / max(inside - then, np.float32(1e-6)) * step
+            s = length - begun
+            x, y, z = x + s * u, y + s * v, z + s * w
+            a, b, c = normal_at(levels, spacing, x, y, z)
+            cosine = u * a + v * b + w * c
+            if piece + 1 == begins.shape[1] or cosine <= _ZERO or eta * eta * (_ONE - cosine * cosine) <= _ONE:
+                break
+            piece += 1
+            u, v, w = u - 2 * cosine * a, v - 2 * cosine * b, w - 2 * cosine * c
+            starts[n, piece, 0], starts[n, piece, 1], starts[n, piece, 2] = x, y, z
+            towards[n, piece, 0], towards[n, piece, 1], towards[n, piece, 2] = u, v, w
+            begins[n, piece] = begun = length
+            inside, entered = _ZERO, False
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -71,34 +118,32 @@ def place_rows(depths: Any, edges: Any, places: Any, opacities: Any) -> None:
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def mean_rows(
-    starts: Any, backs: Any, eyes: Any, places: Any, weights: Any, frequencies: Any, own: Any, rows: Any
-) -> None:
+def mean_rows(positions: Any, places: Any, eyes: Any, weights: Any, frequencies: Any, own: Any, rows: Any) -> None:
     """Fill the first 2F columns of rows with [cosines, sines]: of the first `own` frequencies at x itself, of the
     others averaged over places along rays, times their weight.
 
-    starts, backs, eyes [N,3] float32: x, the ray's direction (it runs along −back) and ωo; places [N,K] and weights [N]
-    float32; frequencies [6,F] float32, of x and of ωo, in cycles.
+    positions, eyes [N,3] float32: x and ωo; places [N,K,3] and weights [N] float32; frequencies [6,F] float32, of x and
+    of ωo, in cycles.
     """
     features, averaged = frequencies.shape[1], frequencies.shape[1] - own
     count = places.shape[1]
     a, b, c = frequencies[0, own:], frequencies[1, own:], frequencies[2, own:]
     cosine_sums, sine_sums = np.empty(averaged, np.float32), np.empty(averaged, np.float32)
     begun = np.empty(features, np.float32)
-    for n in range(len(starts)):
+    for n in range(len(positions)):
         u, v, w = eyes[n, 0], eyes[n, 1], eyes[n, 2]
-        x, y, z = starts[n, 0], starts[n, 1], starts[n, 2]
+        x, y, z = positions[n, 0], positions[n, 1], positions[n, 2]
         for i in range(features):
-            begun[i] = x * frequencies[0, i] + y * frequencies[1, i] + z * frequencies[2, i]
-            begun[i] += u * frequencies[3, i] + v * frequencies[4, i] + w * frequencies[5, i]
+            begun[i] = u * frequencies[3, i] + v * frequencies[4, i] + w * frequencies[5, i]
         for i in range(own):
-            rows[n, i], rows[n, features + i] = turned(begun[i])
+            cycles = begun[i] + x * frequencies[0, i] + y * frequencies[1, i] + z * frequencies[2, i]
+            rows[n, i], rows[n, features + i] = turned(cycles)
         cosine_sums[:] = _ZERO
         sine_sums[:] = _ZERO
         weight = weights[n] / np.float32(count)
         here = begun[own:]
         for k in range(count if weight > _ZERO else 0):
-            x, y, z = -places[n, k] * backs[n, 0], -places[n, k] * backs[n, 1], -places[n, k] * backs[n, 2]
+            x, y, z = places[n, k, 0], places[n, k, 1], places[n, k, 2]
             for i in range(averaged):
                 cosine, sine = turned(here[i] + x * a[i] + y * b[i] + z * c[i])
                 cosine_sums[i] += cosine

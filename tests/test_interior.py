@@ -28,7 +28,7 @@ from prt_bake.trainer.interior import MOST_BYTES, interior_of
 from prt_bake.trainer.material import box_of
 from prt_bake.view_features import ViewFeatures
 
-LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4)
+LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0)
 RNG = np.random.default_rng(3)
 
 

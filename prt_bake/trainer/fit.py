@@ -20,9 +20,9 @@ from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.cores import chosen_device
 from prt_bake.trainer.history import Meter, TrainingRow
-from prt_bake.trainer.interior import interior_of
+from prt_bake.trainer.interior import interior_of, is_clear
 from prt_bake.trainer.learner import Learner, LearningSettings
-from prt_bake.trainer.material import Material, OnlineMaterial
+from prt_bake.trainer.material import Material, OnlineMaterial, box_of
 from prt_bake.trainer.offline import FileMaterial
 from prt_bake.trainer.prepared import is_unbent
 from prt_bake.trainer.resume import read_state, require_state, write_state
@@ -84,7 +84,7 @@ def train(
         material = OnlineMaterial(scene, stream or StreamSettings(), seed, synchronous)
     run = _Run(
         material,
-        _without_normal(settings or replace(PRESETS["measured"], seed=seed), scene),
+        _as_the_scene_needs(settings or replace(PRESETS["measured"], seed=seed), scene),
         learning or LearningSettings(),
         chosen_device(device),
         seed,
@@ -222,9 +222,13 @@ class _Run:
         return network
 
 
-def _without_normal(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
-    """The settings as they are, but that no normal is told where light leaves unbent: it would say nothing."""
-    return replace(settings, tells_normal=False) if is_unbent(scene) else settings
+def _as_the_scene_needs(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
+    """The settings as they are, but that no normal is told where light leaves unbent, and that rays do not turn where
+    they hardly reach the other side: it would say nothing.
+    """
+    if is_unbent(scene):
+        return replace(settings, tells_normal=False, ray_turns=0)
+    return settings if is_clear(scene, box_of(scene)) else replace(settings, ray_turns=0)
 
 
 def _metadata(scene: Scene) -> dict[str, Any]:

@@ -26,6 +26,8 @@ _SAMPLES_PER_SPACING = 3.0
 _MOST_SAMPLES = 4_000_000
 _SURROUND = 2
 """Places around the box, each way."""
+_CLEAR = 4.0
+"""Optical depths of a box side behind which a fiftieth of the light is left."""
 _OPAQUE = 1e3
 """Attenuation of what lets no light in: none comes from behind a thousandth of the box."""
 
@@ -50,6 +52,11 @@ def interior_of(scene: Scene, box: Box) -> Interior:
             return interior
         # What takes bytes is the surface: four times as much at half the spacing.
         spacing *= _MARGIN * math.sqrt(taken / MOST_BYTES)
+
+
+def is_clear(scene: Scene, box: Box) -> bool:
+    """Whether a ray of view often crosses the object's outermost medium to the other side."""
+    return _attenuation(scene.parts[0], box.side) < _CLEAR
 
 
 def _bodies(parts: tuple[Part, ...]) -> list[Part]:
