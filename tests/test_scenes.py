@@ -79,11 +79,11 @@ def test_the_drink_nests_three_deep():
 
 
 def test_the_paperweight_s_inner_boundary_is_index_matched():
-    for name in ("cow", "cow_smooth"):
+    for name in ("cow", "cow_rough"):
         cube, cow = read_scene(SCENES / f"paperweight/{name}.toml").parts
         assert cow.eta == cube.eta == 1.5
         assert cow.medium.sigma_t.shape[3] == 3
-        assert (cube.roughness == 0) == (name == "cow_smooth")
+        assert (cube.roughness == 0) == (name == "cow")
 
 
 def test_the_series_doubles_its_extinction():

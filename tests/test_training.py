@@ -103,9 +103,21 @@ def test_the_ring_keeps_the_newest():
         ring.put(Batch(np.repeat(numbers[:, None], 12, axis=1).astype(np.float32), numbers))
     assert ring.filled == 10
     assert sorted(ring.rows[:, 0]) == list(range(8, 18))
-    drawn = ring.draw(1000, np.random.default_rng(0))
+    drawn = ring.draw(1000)
     assert set(drawn.rows[:, 0]) == set(range(8, 18))
     np.testing.assert_array_equal(drawn.rows[:, 0], drawn.numbers)
+
+
+def test_rows_of_the_ring_are_drawn_equally_often():
+    """A reader that goes round 2.5 times as fast as the writer meets every row two or three times."""
+    ring, drawn = RingBuffer(40), np.zeros(0, int)
+    for first in range(0, 4000, 8):
+        numbers = np.arange(first, first + 8)
+        ring.put(Batch(np.repeat(numbers[:, None], 12, axis=1).astype(np.float32), numbers))
+        drawn = np.concatenate([drawn, ring.draw(13).numbers, ring.draw(7).numbers])
+    times = np.bincount(drawn, minlength=4000)[100:-100]
+    assert (np.min(times), np.max(times)) == (2, 3)
+    assert np.mean(times) == pytest.approx(2.5, abs=0.02)
 
 
 def test_the_reference_noise_is_taken_out():

@@ -1,6 +1,7 @@
 """Runs that stop and go on, that can be repeated to the last bit, and what they say of themselves."""
 
 import dataclasses
+import threading
 import time
 
 import numpy as np
@@ -146,6 +147,33 @@ def test_a_renderer_that_is_ahead_rests(scene):
         renderer.stop()
 
 
+def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
+    walks, begun = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), STREAM, seed=0), threading.Event()
+    render = walks.render
+
+    def slow(first, count):
+        if first:
+            begun.wait()
+        return render(first, count)
+
+    walks.render = slow
+    stream = dataclasses.replace(STREAM, queries_a_batch=64, capacity=512)
+    renderer = Renderer(walks, stream, 1, least=64, reuse=1.5)
+    renderer.start()
+    try:
+        generator = np.random.default_rng(0)
+        assert len(renderer.draw(96, generator).rows) == 96
+        later = threading.Timer(0.2, begun.set)
+        later.start()
+        asked = time.perf_counter()
+        renderer.draw(1, generator)
+        assert time.perf_counter() - asked > 0.15
+        assert renderer.done().rows > 64
+    finally:
+        begun.set()
+        renderer.stop()
+
+
 def test_an_unknown_device_is_refused(scene):
     assert cores.chosen_device("cpu") == "cpu"
     assert cores.chosen_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
@@ -165,7 +193,6 @@ def test_a_run_beside_its_renderer_goes_on_where_it_stopped(scene, tmp_path):
     assert training["seconds"] > state["seconds"]
     after = torch.load(state_path(output), weights_only=True)
     assert after["source"]["next_query"] > state["source"]["next_query"]
-    assert after["generator"] != state["generator"]
     moments = [state["learner"]["optimizer"]["state"][0]["step"], after["learner"]["optimizer"]["state"][0]["step"]]
     assert moments == [60, 100]
     assert len(after["history"]) > len(state["history"])

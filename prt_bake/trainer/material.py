@@ -1,5 +1,6 @@
 """What a training run learns from and is measured by; here walks of a scene, beside the learner or in turns with it."""
 
+import math
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -60,7 +61,8 @@ class OnlineMaterial:
         if self._synchronous:
             return InTurn(walks, self._stream, undivided().walkers, self._seed, state)
         threads = divided(learning.core_share, device).walkers
-        return Renderer(walks, self._stream, threads, _FIRST_FILL * learning.batch, state)
+        reuse = self._stream.reuse if device == "cpu" else math.inf
+        return Renderer(walks, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
 
     def learning_threads(self, learning: LearningSettings, device: str) -> int:
         """One where every bit counts: sums depend on how they are shared out."""

@@ -68,7 +68,8 @@ class StreamSettings:
     capacity: int = 1 << 17
     """Rows that the buffer holds."""
     reuse: int = 1
-    """How often each row is learnt from where renderer and learner take turns."""
+    """How often each row is learnt from, at most: a learner that shares the renderer's cores waits for new ones, a
+    graphics card does not. Where both take turns, exactly so often."""
 
     def __post_init__(self) -> None:
         least = {"queries_a_batch": 1, "directions": 1, "connections": 1, "walks": 1, "exits": 1, "capacity": 1}

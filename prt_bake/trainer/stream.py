@@ -1,11 +1,14 @@
 """The renderer beside the learner: a thread that walks all the time and a bounded buffer that hands its rows over.
 
-The buffer is a ring. The renderer overwrites the oldest rows, the learner draws at random from what is there and never
-waits, but for the first fill. The renderer may use every core, beside the learner. It rests only while it is a buffer's
-half ahead of the learner: rows that are overwritten before they are drawn would be walked in vain, on cores that could
-learn. How often rows are drawn anew is what `Done.rows` against the rows drawn says.
+The buffer is a ring. The renderer overwrites the oldest rows, the learner goes round and round through what is there:
+queries are drawn at random already, and rows drawn at random once more would be learnt from unequally often, which
+doubles the noise of walks where each is drawn once on average. The renderer may use every core, beside the learner. It
+rests only while it is a buffer's half ahead of the learner: rows that are overwritten before they are drawn would be
+walked in vain, on cores that could learn. And where both share the cores, the learner waits rather than learn from rows
+more than `reuse` times: new walks say more.
 """
 
+import math
 import threading
 import time
 
@@ -17,8 +20,8 @@ from prt_bake.trainer.rows import Batch, Done, RowWalks, StreamSettings, render
 __all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
 
 
-_REST = 0.002
-"""Seconds between two looks at how far ahead the renderer is."""
+_REST, _GLANCE = 0.002, 0.0005
+"""Seconds between two looks of the renderer at how far ahead it is, and of the learner at what is there."""
 
 
 class RingBuffer:
@@ -30,7 +33,7 @@ class RingBuffer:
         self.rows = np.zeros((0, 0), np.float32)
         self.numbers: NDArray[np.int64] = np.zeros(capacity, np.int64)
         self.filled = 0
-        self._next = 0
+        self._next = self._read = 0
         self._lock = threading.Lock()
 
     def put(self, batch: Batch) -> None:
@@ -44,10 +47,11 @@ class RingBuffer:
             self._next = int((self._next + len(batch.rows)) % capacity)
             self.filled = min(capacity, self.filled + len(batch.rows))
 
-    def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """`count` rows at random, with replacement."""
+    def draw(self, count: int) -> Batch:
+        """The next `count` rows, from the first again after the last."""
         with self._lock:
-            at = generator.integers(0, self.filled, count)
+            at = (self._read + np.arange(count)) % self.filled
+            self._read = int((self._read + count) % self.filled)
             return Batch(self.rows[at], self.numbers[at])
 
 
@@ -55,14 +59,22 @@ class Renderer:
     """Walks in a thread of its own until told to stop."""
 
     def __init__(
-        self, walks: RowWalks, settings: StreamSettings, threads: int, least: int, state: dict[str, int] | None = None
+        self,
+        walks: RowWalks,
+        settings: StreamSettings,
+        threads: int,
+        least: int,
+        state: dict[str, int] | None = None,
+        reuse: float = math.inf,
     ) -> None:
-        """`threads` cores are taken for the walks; `start` waits for `least` rows; `state` is another's, to go on."""
+        """`threads` cores are taken for the walks; `start` waits for `least` rows, `draw` until rows need not be drawn
+        more than `reuse` times on average; `state` is another's, to go on.
+        """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self.exits = walks.exits
         self.buffer = RingBuffer(settings.capacity)
         self._walks, self._settings, self._threads = walks, settings, threads
-        self._least = min(least, settings.capacity)
+        self._least, self._reuse = min(least, settings.capacity), reuse
         self._next_query, self._walked, self._rows = begun["next_query"], begun["walks"], begun["rows"]
         self._walking = 0.0
         self._drawn = self._rows
@@ -83,10 +95,13 @@ class Renderer:
         self._thread.join()
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """`count` rows at random; raises what broke the thread."""
+        """The next `count` rows, the generator left alone; raises what broke the thread."""
+        self._check()
+        while self._drawn + count > self._reuse * self._rows and self._thread.is_alive():
+            time.sleep(_GLANCE)
         self._check()
         self._drawn += count
-        return self.buffer.draw(count, generator)
+        return self.buffer.draw(count)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
