@@ -12,7 +12,7 @@ from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 from formats.errors import ModelError, QueryError
 from prt_bake.trainer import cores
 from prt_bake.trainer.in_turn import InTurn, Shuffled
-from prt_bake.trainer.material import box_of
+from prt_bake.trainer.material import OnlineMaterial, box_of
 from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.resume import state_path
 from prt_bake.trainer.rows import Batch, Box, Done, StreamSettings, ValueWalks, row_walks
@@ -172,6 +172,12 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
     finally:
         begun.set()
         renderer.stop()
+
+
+def test_only_a_learner_on_the_walkers_cores_waits_for_them(scene):
+    material = OnlineMaterial(scene, dataclasses.replace(STREAM, reuse=2), 0, False)
+    assert material.source(LEARNING, "cpu", None).reuse == 2
+    assert material.source(LEARNING, "cuda", None).reuse == np.inf
 
 
 def test_an_unknown_device_is_refused(scene):

@@ -74,7 +74,7 @@ class Renderer:
         self.exits = walks.exits
         self.buffer = RingBuffer(settings.capacity)
         self._walks, self._settings, self._threads = walks, settings, threads
-        self._least, self._reuse = min(least, settings.capacity), reuse
+        self._least, self.reuse = min(least, settings.capacity), reuse
         self._next_query, self._walked, self._rows = begun["next_query"], begun["walks"], begun["rows"]
         self._walking = 0.0
         self._drawn = self._rows
@@ -97,7 +97,7 @@ class Renderer:
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
         """The next `count` rows, the generator left alone; raises what broke the thread."""
         self._check()
-        while self._drawn + count > self._reuse * self._rows and self._thread.is_alive():
+        while self._drawn + count > self.reuse * self._rows and self._thread.is_alive():
             time.sleep(_GLANCE)
         self._check()
         self._drawn += count
