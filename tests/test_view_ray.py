@@ -83,6 +83,15 @@ def test_a_ray_that_leaves_runs_straight_on(tensors: bool) -> None:
         np.testing.assert_allclose(there, starts[:, None] + np.array([[0.4], [2.0]]) * along[:, None], atol=1e-5)
 
 
+@pytest.mark.parametrize("tensors", [False, True])
+def test_a_ray_that_begins_outside_the_grids_boundary_enters_first(tensors: bool) -> None:
+    """Grids are coarse: a point on the surface may lie most of a spacing outside of what they hold."""
+    x, towards = trapped(60)
+    x[:, 2] += 0.8 * SPACING
+    ray = rays(looking(cube(), tensors=tensors), x, towards)
+    assert float((ray.begins[:, 2] < 3.0).float().mean()) > 0.9
+
+
 def test_lengths_are_those_of_the_path() -> None:
     x, towards = trapped(60)
     ray = rays(looking(cube()), x, towards)
