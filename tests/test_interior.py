@@ -388,26 +388,6 @@ def test_training_tells_normals_where_light_is_bent_alone(tmp_path: Path, eta: f
     np.testing.assert_array_equal(again.evaluate(*query), network.evaluate(*query))
 
 
-@pytest.mark.parametrize(
-    ("eta", "sigma_t", "phase_g", "turns"),
-    [(1.0, 0.5, 0.0, 0), (1.4, 0.5, 0.0, 4), (1.4, 1.9, 0.0, 4), (1.4, 2.1, 0.0, 0), (1.4, 3.0, 0.5, 4)],
-)
-def test_rays_turn_in_clear_objects_that_bend_light_alone(
-    tmp_path: Path, eta: float, sigma_t: float, phase_g: float, turns: int
-) -> None:
-    """A ball of diameter 2 and albedo 0.9: clear up to an optical depth of 4, what is scattered ahead left out."""
-    scene = make_scene(tmp_path, ball(3), eta=eta, sigma_t=sigma_t, phase_g=phase_g, albedo=0.9)
-    network = train(
-        scene,
-        steps=1,
-        synchronous=True,
-        settings=replace(LOOKING, ray_turns=4),
-        stream=small_training.STREAM,
-        learning=small_training.LEARNING,
-    )
-    assert network.settings.ray_turns == turns
-
-
 def test_another_interior_is_another_network() -> None:
     """Else a picture begun with one network would be gone on with by another."""
     one, other = (NeuralBSSRDF(LOOKING, interior=half_space(attenuation)) for attenuation in (3.0, 4.0))

@@ -3,6 +3,7 @@
 import json
 import pickle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -103,8 +104,8 @@ def test_forward_is_the_architecture_of_the_paper() -> None:
 
 def test_forward_lets_the_light_in_late() -> None:
     """Two of four layers see ωi and powers of ωi·ωo, written out by hand; skips lead from 1 to 3 and from 2 to 4."""
-    late = {"light_layers": 2, "light_features": 5, "light_spread": 0.4, "angle_powers": 3}
-    settings = NetworkSettings(6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", **late)  # type: ignore[arg-type]
+    late: dict[str, Any] = {"light_layers": 2, "light_features": 5, "light_spread": 0.4, "angle_powers": 3}
+    settings = NetworkSettings(6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", **late)
     network = trained(NeuralBSSRDF(settings, output_scale=2.0))
     rng = np.random.default_rng(8)
     wi, x, wo = unit(rng, 7, 3), rng.uniform(0, 1, (7, 3)), unit(rng, 7)
@@ -148,8 +149,8 @@ def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precisi
 def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
     """Odd widths, other skips and another activation; more directions than one tile or table holds."""
     skips = ((1, 3), (1, 4), (2, 4))
-    told = {"light_layers": late, "angle_powers": max(0, late - 1)}
-    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, activation, "cartesian", **told)  # type: ignore[arg-type]
+    told: dict[str, Any] = {"activation": activation, "light_layers": late, "angle_powers": max(0, late - 1)}
+    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, directions="cartesian", **told)
     network = trained(NeuralBSSRDF(settings))
     rng = np.random.default_rng(5)
     incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)

@@ -174,6 +174,19 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
         renderer.stop()
 
 
+def test_a_buffer_smaller_than_a_batch_stops_nobody(scene):
+    stream = dataclasses.replace(STREAM, queries_a_batch=8, capacity=16, reuse=1)
+    renderer = Renderer(ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, 16, reuse=1)
+    renderer.start()
+    drawing = threading.Thread(target=lambda: [renderer.draw(200, np.random.default_rng(0)) for _ in range(3)])
+    drawing.start()
+    drawing.join(20.0)
+    waits = drawing.is_alive()
+    renderer.stop()
+    assert not waits
+    assert renderer.done().rows >= 400
+
+
 def test_only_a_learner_on_the_walkers_cores_waits_for_them(scene):
     material = OnlineMaterial(scene, dataclasses.replace(STREAM, reuse=2), 0, False)
     assert material.source(LEARNING, "cpu", None).reuse == 2

@@ -1,15 +1,20 @@
 """Laws of the rays of view that are followed through total reflections."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import small_training
 import torch
 from numpy.typing import NDArray
+from scenes import make_scene
+from shapes import ball
 
 from formats.errors import ModelError
 from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network import PRESETS, NetworkSettings
+from prt_bake.trainer.fit import train
 from prt_bake.view_features import ViewFeatures
 from prt_bake.view_ray import Ray, folded, normals
 
@@ -151,3 +156,23 @@ def test_rays_without_a_boundary_end(value: float) -> None:
 def test_turns_are_counted_from_none() -> None:
     with pytest.raises(ModelError, match="ray_samples and ray_turns must not be negative"):
         replace(TURNING, ray_turns=-1)
+
+
+@pytest.mark.parametrize(
+    ("eta", "sigma_t", "phase_g", "turns"),
+    [(1.0, 0.5, 0.0, 0), (1.4, 0.5, 0.0, 4), (1.4, 1.9, 0.0, 4), (1.4, 2.1, 0.0, 0), (1.4, 3.0, 0.5, 4)],
+)
+def test_rays_turn_in_clear_objects_that_bend_light_alone(
+    tmp_path: Path, eta: float, sigma_t: float, phase_g: float, turns: int
+) -> None:
+    """A ball of diameter 2 and albedo 0.9: clear up to an optical depth of 4, what is scattered ahead left out."""
+    scene = make_scene(tmp_path, ball(3), eta=eta, sigma_t=sigma_t, phase_g=phase_g, albedo=0.9)
+    network = train(
+        scene,
+        steps=1,
+        synchronous=True,
+        settings=TURNING,
+        stream=small_training.STREAM,
+        learning=small_training.LEARNING,
+    )
+    assert network.settings.ray_turns == turns

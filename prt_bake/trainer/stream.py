@@ -67,8 +67,8 @@ class Renderer:
         state: dict[str, int] | None = None,
         reuse: float = math.inf,
     ) -> None:
-        """`threads` cores are taken for the walks; `start` waits for `least` rows, `draw` until rows need not be drawn
-        more than `reuse` times on average; `state` is another's, to go on.
+        """`threads` cores are taken for the walks; `start` waits for `least` rows, `draw` for new ones where rows have
+        been drawn `reuse` times on average; `state` is another's, to go on.
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self.exits = walks.exits
@@ -97,7 +97,7 @@ class Renderer:
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
         """The next `count` rows, the generator left alone; raises what broke the thread."""
         self._check()
-        while self._drawn + count > self.reuse * self._rows and self._thread.is_alive():
+        while self._drawn >= self.reuse * self._rows and self._thread.is_alive():
             time.sleep(_GLANCE)
         self._check()
         self._drawn += count
