@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,9 @@ from prt_bake.render_state import relative_noise
 
 if TYPE_CHECKING:
     from prt_bake.camera import Camera
+
+_NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
+"""A list without lists, objects or texts in indented JSON, whose texts hold no line breaks."""
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
@@ -65,8 +69,10 @@ def rendering_report(
 
 
 def as_text(report: dict[str, Any]) -> str:
-    """The report as indented JSON; numbers that are not finite, which JSON does not know, become null."""
-    return json.dumps(_finite(report), indent=2, allow_nan=False)
+    """The report as indented JSON, each list of numbers on a line; numbers that are not finite, which JSON does not
+    know, become null.
+    """
+    return _NUMBERS.sub(_on_a_line, json.dumps(_finite(report), indent=2, allow_nan=False))
 
 
 def write_report(report: dict[str, Any], path: str | Path) -> None:
@@ -122,6 +128,10 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
     axes.grid(alpha=0.3, which="both")
     with replacing(path) as part:
         figure.savefig(part, dpi=150, format="png")
+
+
+def _on_a_line(found: re.Match[str]) -> str:
+    return "[" + " ".join(found.group()[1:-1].split()) + "]"
 
 
 def _finite(value: Any) -> Any:

@@ -61,7 +61,7 @@ def _visit_cells(
 
 
 @compiled()
-def _closest(a: Any, b: Any, c: Any, p: Any) -> Any:
+def closest(a: Any, b: Any, c: Any, p: Any) -> Any:
     """Squared distance from p to a triangle, and the (u, v) of its closest point (Ericson 2005, section 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a
     d1, d2 = np.dot(ab, ap), np.dot(ac, ap)
@@ -103,7 +103,7 @@ def _chosen(grid: Any, face_normals: Any, p: Any, eye: Any) -> Any:
         f = grid.members[m]
         cosine = np.dot(eye, face_normals[f])
         if cosine > most:
-            squared, u, v = _closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)
+            squared, u, v = closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)
             if np.sqrt(squared) <= grid.reach:
                 face, best_u, best_v, most = f, u, v, cosine
     return face, best_u, best_v, most
@@ -146,6 +146,6 @@ def distance_to_mesh(grid: Any, p: Any) -> Any:
     """The distance from one point to the mesh, every face tried."""
     best = np.inf
     for f in range(grid.corners.shape[0]):
-        squared, _u, _v = _closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)
+        squared, _u, _v = closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)
         best = min(best, squared)
     return np.sqrt(best)

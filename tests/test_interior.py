@@ -1,4 +1,4 @@
-"""Laws of the interior that a network keeps: distances, bytes, files; and of the features along rays of view."""
+"""Laws of the interior that a network keeps: bytes and files; and of the features along rays of view."""
 
 import json
 from dataclasses import replace
@@ -8,24 +8,18 @@ import numpy as np
 import pytest
 import small_training
 import torch
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from scenes import make_scene, moved
 from shapes import ball
 
 from formats.errors import ModelError
-from formats.mesh import build_mesh, write_mesh
-from formats.scene import read_scene
 from prt_bake.baking import bake
 from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
 from prt_bake.network_pairs import content_hash
 from prt_bake.surface import Surface
 from prt_bake.trainer.fit import train
-from prt_bake.trainer.interior import MOST_BYTES, interior_of
-from prt_bake.trainer.material import box_of
 from prt_bake.view_features import ViewFeatures
 
 LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0)
@@ -68,39 +62,6 @@ def told_mean(view: ViewFeatures, x: np.ndarray, eye: np.ndarray) -> np.ndarray:
     found = view(torch.from_numpy(x), torch.from_numpy(eye)).numpy()
     count = len(view.frequencies)
     return np.asarray(found[:, :count] + 1j * found[:, count : 2 * count])
-
-
-@pytest.mark.parametrize("scale", [1.0, 1e-3])
-def test_levels_are_the_distances_to_a_sphere(tmp_path: Path, scale: float) -> None:
-    scene = make_scene(tmp_path, ball(5, scale), sigma_t=2.0)
-    interior = interior_of(scene, box_of(scene))
-    places = np.stack(np.meshgrid(*map(np.arange, interior.levels.shape[1:]), indexing="ij"), axis=-1)
-    at = np.array(interior.corner) + interior.spacing * places
-    exact = np.clip((0.5 - np.linalg.norm(at - 0.5, axis=-1)) / (REACH * interior.spacing), -1.0, 1.0)
-    # Half a level, and how far off the nearest of the points on faces may lie, 36 to the square of a spacing: none is
-    # within r spacings of a place with probability exp(−36 π r²), 3e-2 for the 0.18 that are allowed here.
-    np.testing.assert_allclose(interior.levels[0] / LEVELS, exact, atol=0.5 / LEVELS + 0.06)
-    assert interior.levels.size <= 1.2 * 96**3
-
-
-def test_interior_does_not_depend_on_units_and_place(tmp_path: Path) -> None:
-    here = make_scene(tmp_path, ball(3), sigma_t=2.0)
-    there = make_scene(tmp_path, moved(ball(3), 250.0, 1000.0), sigma_t=2.0)
-    ours, theirs = (interior_of(scene, box_of(scene)) for scene in (here, there))
-    assert ours.levels.shape == theirs.levels.shape
-    assert np.abs(ours.levels.astype(int) - theirs.levels).max() <= 1
-    assert theirs.attenuation[0] == pytest.approx(250.0 * ours.attenuation[0])
-
-
-def test_a_rugged_object_gets_a_coarser_grid_and_no_more_bytes(tmp_path: Path) -> None:
-    smooth = ball(6)
-    spikes = 1.0 + 0.2 * np.random.default_rng(1).random((len(smooth.positions), 1))
-    scene = make_scene(tmp_path, build_mesh(smooth.positions * spikes, smooth.faces), sigma_t=2.0)
-    interior = interior_of(scene, box_of(scene))
-    assert len(interior.packed()) <= MOST_BYTES
-    network = NeuralBSSRDF(PRESETS["measured"], *box_of(scene), interior=interior)
-    assert network.view is not None
-    assert network.view.interior is interior
 
 
 @settings(max_examples=40, deadline=None)
@@ -235,49 +196,6 @@ def test_a_hollow_inside_attenuates_nothing() -> None:
     assert opacity == pytest.approx(1.0 - np.exp(-3.0 * (1.75 - 0.42)), abs=2e-3)
     places = told[0, 40:52].numpy() * 1.75 / 2.0
     assert not ((places > 0.31) & (places < 0.69)).any()
-
-
-def test_parts_inside_are_bodies_of_their_own(tmp_path: Path) -> None:
-    """The block in the block in the ball, each after what it lies in; where light does not enter, nothing comes out."""
-    write_mesh(ball(3), tmp_path / "ball.ply")
-    for name, side in (("outer", 1.0), ("inner", 0.5)):
-        box = trimesh.creation.box(extents=(side,) * 3)
-        write_mesh(build_mesh(np.asarray(box.vertices), np.asarray(box.faces)), tmp_path / f"{name}.ply")
-    (tmp_path / "scene.toml").write_text(
-        """
-[object]
-mesh = "ball.ply"
-[interface]
-eta = 1.5
-[medium]
-sigma_t = 0
-albedo = 1
-[[inside]]
-name = "inner"
-mesh = "inner.ply"
-in = "outer"
-surface = "diffuse"
-reflectance = 0.5
-[[inside]]
-name = "outer"
-mesh = "outer.ply"
-[inside.interface]
-eta = 1.5
-[inside.medium]
-sigma_t = 3.0
-albedo = 0.8
-phase_g = 0.5
-"""
-    )
-    scene = read_scene(tmp_path / "scene.toml")
-    interior = interior_of(scene, box_of(scene))
-    assert interior.attenuation == pytest.approx((0.0, 2.0 * 3.0 * (1.0 - 0.8 * 0.5), 1e3))
-    middle = tuple(n // 2 for n in interior.levels.shape[1:])
-    assert (interior.levels[(slice(None), *middle)] == LEVELS).all()
-    within = np.clip(interior.levels * (REACH / LEVELS) + 0.5, 0.0, 1.0)  # of a place's cell
-    volumes = within.sum(axis=(1, 2, 3)) * (2.0 * interior.spacing) ** 3
-    np.testing.assert_allclose(volumes, np.array([4.0 / 3.0 * np.pi, 1.0, 0.125]), rtol=0.03)
-    assert len(interior.packed()) <= MOST_BYTES
 
 
 @pytest.mark.parametrize("eta", [0.7, 1.0, 1.5])

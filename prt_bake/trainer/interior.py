@@ -5,10 +5,10 @@ import math
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from formats.scene import Medium, Part, Scene
 from prt_bake.interior import LEVELS, REACH, Interior
+from prt_bake.trainer.distances import grid_distances
 from prt_bake.trainer.rows import Box
 
 Array = NDArray[np.float64]
@@ -21,9 +21,6 @@ MOST_BODIES = 4
 _PLACES = 96**3
 _MOST_ACROSS = 320
 _MARGIN = 1.02
-_SAMPLES_PER_SPACING = 3.0
-"""How close together points on faces lie from which distances are measured."""
-_MOST_SAMPLES = 4_000_000
 _SURROUND = 2
 """Places around the box, each way."""
 _CLEAR = 4.0
@@ -93,19 +90,8 @@ def _places(extent: Array, spacing: float) -> NDArray[np.int64]:
 
 def _levels(mesh: trimesh.Trimesh, shape: NDArray[np.int64], corner: Array, spacing: float) -> NDArray[np.int8]:
     """The grid [X,Y,Z] of one body."""
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    points = corner + spacing * grid
     reach = REACH * spacing
-    tree = cKDTree(_on_faces(mesh, spacing), balanced_tree=False, compact_nodes=False)
-    distance, _nearest = tree.query(points, distance_upper_bound=reach, workers=-1)
-    distance = np.minimum(distance, reach)
-    signed = np.where(mesh.contains(points), distance, -distance)
-    return np.asarray(np.rint(signed * (LEVELS / reach)).reshape(shape), np.int8)
-
-
-def _on_faces(mesh: trimesh.Trimesh, spacing: float) -> Array:
-    """Points all over the surface, evenly by area; the same every time."""
-    apart = spacing / _SAMPLES_PER_SPACING
-    count = int(min(_MOST_SAMPLES, max(1000.0, 4.0 * mesh.area / apart**2)))
-    points, _faces = trimesh.sample.sample_surface(mesh, count, seed=0)
-    return np.concatenate([np.asarray(points, np.float64), mesh.vertices])
+    distances = grid_distances(np.asarray(mesh.triangles, np.float64), shape, corner, spacing, reach)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = mesh.contains(corner + spacing * grid).reshape(distances.shape)
+    return np.asarray(np.rint(np.where(inside, distances, -distances) * (LEVELS / reach)), np.int8)
