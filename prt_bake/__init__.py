@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from prt_bake.lighting import Lighting, read_lighting
     from prt_bake.mitsuba_export import mitsuba_dictionary
     from prt_bake.network import NeuralBSSRDF, load_model, save_model
-    from prt_bake.render_network import render_network
+    from prt_bake.renderer.network import render_network
     from prt_bake.rendering import render_scene
     from prt_bake.shading import shade
     from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
@@ -84,7 +84,7 @@ _ORIGIN = {
     "read_layers": ("formats.image", "read_layers"),
     "read_lighting": ("prt_bake.lighting", "read_lighting"),
     "read_mesh": ("formats.mesh", "read_mesh"),
-    "render_network": ("prt_bake.render_network", "render_network"),
+    "render_network": ("prt_bake.renderer.network", "render_network"),
     "render_scene": ("prt_bake.rendering", "render_scene"),
     "save_model": ("prt_bake.network", "save_model"),
     "sh": ("prt_bake.sh", ""),

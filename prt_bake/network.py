@@ -4,7 +4,8 @@ Input u = (ωi, x, ωo), in this order, each scaled as the settings say; positio
 float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated
 skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
 of ωi, and powers of ωi·ωo, are appended to the inputs of the last hidden layers: what comes before is run once for all
-directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view (`prt_bake.view_features`).
+directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view
+(`prt_bake.neural.view_features`).
 """
 
 import json
@@ -20,11 +21,11 @@ from torch import Tensor, nn
 from formats.errors import ModelError
 from formats.mesh import Mesh
 from prt_bake.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
-from prt_bake.interior import Interior
-from prt_bake.network_kernel import FusedNetwork
-from prt_bake.network_settings import PRESETS, NetworkSettings
+from prt_bake.neural.fused import FusedNetwork
+from prt_bake.neural.interior import Interior
+from prt_bake.neural.settings import PRESETS, NetworkSettings
+from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.surface import Surface
-from prt_bake.view_features import ViewFeatures
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
 

@@ -14,10 +14,10 @@ from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
-from prt_bake.render_loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
-from prt_bake.render_pass import PassTracer
-from prt_bake.render_reflection import SurfaceReflection
-from prt_bake.render_walks import WalkTracer
+from prt_bake.renderer.loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
+from prt_bake.renderer.passes import PassTracer
+from prt_bake.renderer.surface_reflection import SurfaceReflection
+from prt_bake.renderer.walks import WalkTracer
 from prt_bake.trainer.prepared import smooth_part
 
 __all__ = ["Rendering", "render_scene"]

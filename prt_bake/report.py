@@ -13,7 +13,7 @@ from formats.asset import Asset
 from formats.errors import PrtbakeError
 from formats.image import write_image
 from formats.whole import replacing
-from prt_bake.render_state import relative_noise
+from prt_bake.renderer.state import relative_noise
 
 if TYPE_CHECKING:
     from prt_bake.camera import Camera

@@ -13,7 +13,7 @@ from prt_bake.path_traced import PathTraced
 def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:
     """Return the transport that a file holds, to be baked on `mesh`.
 
-    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.network_torchscript`), in the
+    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.neural.torchscript`), in the
     bounding box of the mesh; without it a `.pt` file is one of our own networks.
 
     Raises:
@@ -27,7 +27,7 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
     if suffix not in (".pt", ".safetensors"):
         raise FormatError(f"{path}: expected a model (.pt, .safetensors) or a scene (.toml), found {suffix!r}")
     if convention is not None:
-        from prt_bake.network_torchscript import load_torchscript
+        from prt_bake.neural.torchscript import load_torchscript
 
         low, high = mesh.bounds
         return load_torchscript(path, convention, low, float((high - low).max()))

@@ -9,8 +9,8 @@ from prt_bake.camera import Camera, Visibility, pixel_directions
 from prt_bake.lighting import Lighting
 from prt_bake.lobe import Lobe
 from prt_bake.network import NetworkSettings, NeuralBSSRDF
-from prt_bake.network_pairs import PairNetwork
-from prt_bake.render_loop import Rendering
+from prt_bake.neural.pairs import PairNetwork
+from prt_bake.renderer.loop import Rendering
 
 MESH = ball(3)
 

@@ -15,12 +15,12 @@ from shapes import ball
 
 from formats.errors import ModelError
 from prt_bake.baking import bake
-from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
-from prt_bake.network_pairs import content_hash
+from prt_bake.neural.interior import LEVELS, REACH, Interior
+from prt_bake.neural.pairs import content_hash
+from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.surface import Surface
 from prt_bake.trainer.fit import train
-from prt_bake.view_features import ViewFeatures
 
 LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0)
 RNG = np.random.default_rng(3)

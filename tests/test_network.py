@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from formats.errors import ModelError, QueryError
-from prt_bake.interior import LEVELS, Interior
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
-from prt_bake.network_settings import NetworkSettings as Settings
+from prt_bake.neural.interior import LEVELS, Interior
+from prt_bake.neural.settings import NetworkSettings as Settings
 
 SMALL = {"features": 12, "width": 16}
 

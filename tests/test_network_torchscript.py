@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from formats.errors import ModelError, QueryError
-from prt_bake.network_torchscript import Convention, load_torchscript
+from prt_bake.neural.torchscript import Convention, load_torchscript
 
 
 class FirstThree(torch.nn.Module):

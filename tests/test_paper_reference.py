@@ -8,7 +8,7 @@ import pytest
 
 from prt_bake.paper.artefacts import Artefacts, Stopped
 from prt_bake.paper.reference import Halves, Reference, reference
-from prt_bake.render_loop import Rendering
+from prt_bake.renderer.loop import Rendering
 
 SIZE = 24
 SIGMA = 0.4

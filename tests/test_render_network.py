@@ -13,10 +13,10 @@ from formats.errors import FormatError, QueryError
 from formats.lights import DirectionalLight
 from prt_bake.emitters import LightSampler
 from prt_bake.lighting import Lighting, as_lighting
-from prt_bake.network_pairs import PairNetwork
-from prt_bake.render_mixture import Mixture, draw
-from prt_bake.render_network import render_network
-from prt_bake.render_pilot import MOST_DIRECTIONS, candidates
+from prt_bake.neural.pairs import PairNetwork
+from prt_bake.renderer.mixture import Mixture, draw
+from prt_bake.renderer.network import render_network
+from prt_bake.renderer.pilot import MOST_DIRECTIONS, candidates
 
 NETWORK = small_network()
 SKY = uneven_sky()
@@ -176,7 +176,7 @@ def test_error_bars_hold_the_truth(way: str) -> None:
 
 def test_a_picture_depends_on_its_seed_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     one = render(camera=front(), seed=5, spp=64)
-    monkeypatch.setattr("prt_bake.render_pass._RAYS_AT_ONCE", 1 << 11)
+    monkeypatch.setattr("prt_bake.renderer.passes._RAYS_AT_ONCE", 1 << 11)
     again = render(camera=front(), seed=5, spp=64)
     shared = render(camera=front(), seed=5, spp=64, workers=2)
     for other in (again, shared):

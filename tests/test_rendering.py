@@ -50,7 +50,7 @@ def test_a_picture_depends_on_its_seed_alone(tmp_path: Path, monkeypatch: pytest
     """Not on which rows are traced together, nor on threads; with and without connections."""
     scene, sky = make_scene(tmp_path, "0.8"), even_sky() if kind == "even" else uneven_sky()
     one = render_scene(scene, sky, front(), spp=16, seed=5)
-    monkeypatch.setattr("prt_bake.render_pass._RAYS_AT_ONCE", 2 * 16 * 3)
+    monkeypatch.setattr("prt_bake.renderer.passes._RAYS_AT_ONCE", 2 * 16 * 3)
     told: list[float] = []
     threads = numba.get_num_threads()
     numba.set_num_threads(1)

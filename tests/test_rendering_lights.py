@@ -35,7 +35,7 @@ def render(scene: Scene, light, spp: int = 64, seed: int = 1, size: int = 16, **
 
 def by_exits_alone(monkeypatch: pytest.MonkeyPatch, *arguments, **options) -> Rendering:
     with monkeypatch.context() as patch:
-        patch.setattr("prt_bake.render_walks.connections", lambda scene: None)
+        patch.setattr("prt_bake.renderer.walks.connections", lambda scene: None)
         return render(*arguments, **options)
 
 

@@ -17,7 +17,7 @@ from formats.image import read_image, read_layers
 from formats.lights import DirectionalLight
 from formats.scene import Scene, read_scene
 from prt_bake.lighting import Lighting
-from prt_bake.render_state import checkpoint_path, read_checkpoint
+from prt_bake.renderer.state import checkpoint_path, read_checkpoint
 from prt_bake.rendering import Rendering, render_scene
 
 
@@ -89,8 +89,8 @@ def test_one_pass_says_nothing_of_its_error(scene: Scene, tmp_path: Path) -> Non
 
 def test_checkpoints_are_written_now_and_then(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, seen = tmp_path / "a.render.npz", list[bool]()
-    monkeypatch.setattr("prt_bake.render_loop._CHECKPOINT_SECONDS", 0.0)
-    monkeypatch.setattr("prt_bake.render_loop._CHECKPOINT_SHARE", 1e9)
+    monkeypatch.setattr("prt_bake.renderer.loop._CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr("prt_bake.renderer.loop._CHECKPOINT_SHARE", 1e9)
     render(scene, spp=8, checkpoint=path, progress=lambda share: seen.append(path.exists()))
     assert seen == [False, True, True, True]
     assert not path.exists()

@@ -12,8 +12,8 @@ from shapes import ball
 
 from formats.mesh import build_mesh, write_mesh
 from formats.scene import read_scene
-from prt_bake.interior import LEVELS, REACH
 from prt_bake.network import PRESETS, NeuralBSSRDF
+from prt_bake.neural.interior import LEVELS, REACH
 from prt_bake.trainer.distances import grid_distances
 from prt_bake.trainer.interior import MOST_BYTES, interior_of
 from prt_bake.trainer.material import box_of

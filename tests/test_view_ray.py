@@ -12,11 +12,11 @@ from scenes import make_scene
 from shapes import ball
 
 from formats.errors import ModelError
-from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network import PRESETS, NetworkSettings
+from prt_bake.neural.interior import LEVELS, REACH, Interior
+from prt_bake.neural.view_features import ViewFeatures
+from prt_bake.neural.view_ray import Ray, folded, normals
 from prt_bake.trainer.fit import train
-from prt_bake.view_features import ViewFeatures
-from prt_bake.view_ray import Ray, folded, normals
 
 TURNING = replace(PRESETS["measured"], features=20, width=16, light_features=4)
 SPACING = 0.02

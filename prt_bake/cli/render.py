@@ -25,7 +25,7 @@ from prt_bake.cli.options import (
 from prt_bake.cli.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
-    from prt_bake.render_loop import Rendering
+    from prt_bake.renderer.loop import Rendering
 
 _USUAL_SPP = {"scene": 64, "network": 256}
 
@@ -115,7 +115,7 @@ def render(
     from formats.mesh import read_mesh
     from prt_bake import camera
     from prt_bake.lighting import read_lighting
-    from prt_bake.render_state import checkpoint_path
+    from prt_bake.renderer.state import checkpoint_path
 
     is_scene = source.suffix.lower() == ".toml"
     if is_scene:
@@ -147,7 +147,7 @@ def render(
 
             picture = render_scene(opened, lighting, view, spp, seed, **options)
         else:
-            from prt_bake.render_network import render_network
+            from prt_bake.renderer.network import render_network
 
             importance = _importance(source, sampling, device)
             options |= {"sampling": sampling, "importance": importance, "precision": precision, "device": device}
@@ -237,7 +237,7 @@ def _report(path: Path, command: str, seed: int, picture: "Rendering", view: Any
 def _identity_texts(opened: Any, is_scene: bool) -> dict[str, str]:
     if is_scene:
         return {"prtbake.scene": opened.content_hash}
-    from prt_bake.network_pairs import content_hash
+    from prt_bake.neural.pairs import content_hash
 
     return {"prtbake.model": content_hash(opened)}
 

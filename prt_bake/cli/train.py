@@ -58,7 +58,7 @@ def train(
 
     from formats.scene import read_scene
     from prt_bake.cli import after_training
-    from prt_bake.network_settings import PRESETS
+    from prt_bake.neural.settings import PRESETS
     from prt_bake.trainer.cores import chosen_device
     from prt_bake.trainer.fit import train as fit
 

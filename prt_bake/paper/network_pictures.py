@@ -11,7 +11,7 @@ from prt_bake.importance import load_importance
 from prt_bake.lighting import Lighting
 from prt_bake.network import load_model
 from prt_bake.paper.artefacts import Artefact, Facts, Stopped
-from prt_bake.render_mixture import Sampling
+from prt_bake.renderer.mixture import Sampling
 
 
 def network_picture(
@@ -31,7 +31,7 @@ def network_picture(
 
     For "lobe" and "mis" the importance module must lie beside the model. Raises Stopped where it was stopped.
     """
-    from prt_bake.render_network import render_network
+    from prt_bake.renderer.network import render_network
 
     picture = render_network(
         load_model(model.path, device),

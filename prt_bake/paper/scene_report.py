@@ -25,7 +25,7 @@ from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
 from prt_bake.paper.surface import surface_picture
-from prt_bake.render_mixture import Sampling
+from prt_bake.renderer.mixture import Sampling
 
 Progress = Callable[[str, float, str], None]
 """progress(what, share done, a few words)."""

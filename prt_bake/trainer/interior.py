@@ -7,7 +7,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from formats.scene import Medium, Part, Scene
-from prt_bake.interior import LEVELS, REACH, Interior
+from prt_bake.neural.interior import LEVELS, REACH, Interior
 from prt_bake.trainer.distances import grid_distances
 from prt_bake.trainer.rows import Box
 

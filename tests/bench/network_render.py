@@ -24,7 +24,7 @@ from prt_bake.importance import importance_path, load_importance, save_importanc
 from prt_bake.importance_fit import fit_importance
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.network import load_model
-from prt_bake.render_network import render_network
+from prt_bake.renderer.network import render_network
 
 SHIPPED = Path(__file__).resolve().parents[2] / "prt_bake" / "shipped"
 WAYS = ("light", "lobe", "mis")

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 
 from prt_bake import sphere
-from prt_bake.interior import LEVELS, REACH, Interior
 from prt_bake.network import PRESETS, NeuralBSSRDF
-from prt_bake.network_kernel import PRECISIONS, FusedNetwork
+from prt_bake.neural.fused import PRECISIONS, FusedNetwork
+from prt_bake.neural.interior import LEVELS, REACH, Interior
 
 VERTICES, BINS, DIRECTIONS, COPIES = 4, 1024, 64, 256
 REPEATS = 5

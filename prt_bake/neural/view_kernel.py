@@ -1,13 +1,13 @@
-"""Features of views, compiled: what `prt_bake.view_features` computes with tensors, several times as fast on a CPU."""
+"""Features of views, compiled: what `view_features` computes with tensors, several times as fast on a CPU."""
 
 from typing import Any
 
 import numpy as np
 
 from prt_bake.compilation import compiled
-from prt_bake.interior import REACH
-from prt_bake.pair_kernel import turned
-from prt_bake.view_ray import ENTERED, LEAST_SLOPE, LEAST_STEP, STEP
+from prt_bake.neural.interior import REACH
+from prt_bake.neural.pair_kernel import turned
+from prt_bake.neural.view_ray import ENTERED, LEAST_SLOPE, LEAST_STEP, STEP
 
 _STEP, _LEAST_STEP, _ENTERED, _REACH = (np.float32(number) for number in (STEP, LEAST_STEP, ENTERED, REACH))
 _LEAST_SLOPE = np.float32(LEAST_SLOPE)
@@ -42,7 +42,7 @@ def distance_rows(levels: Any, per_length: Any, points: Any, distances: Any) -> 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
-    """The grid's normal at a point from its corner, pointing out, as `prt_bake.view_ray.normals` has it."""
+    """The grid's normal at a point from its corner, pointing out, as `prt_bake.neural.view_ray.normals` has it."""
     per_length = _ONE / spacing
     u = distance_at(levels, per_length, x - spacing, y, z) - distance_at(levels, per_length, x + spacing, y, z)
     v = distance_at(levels, per_length, x, y - spacing, z) - distance_at(levels, per_length, x, y + spacing, z)
@@ -56,7 +56,7 @@ def folded_rows(
     levels: Any, spacing: Any, eta: Any, longest: Any, points: Any, along: Any, starts: Any, towards: Any, begins: Any
 ) -> None:
     """Set starts [N,P,3], towards [N,P,3] and begins [N,P] to the pieces of rays from points [N,3] along unit vectors
-    [N,3] that turn where they are totally reflected: `prt_bake.view_ray.folded`. Points are from the grid's corner.
+    [N,3] that turn where they are totally reflected: `view_ray.folded`. Points are from the grid's corner.
     """
     per_length = _ONE / spacing
     for n in range(points.shape[0]):

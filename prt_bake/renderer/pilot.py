@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.render_mixture import Mixture
-from prt_bake.render_network_pass import NetworkTracer
-from prt_bake.render_pass import PassTracer, pass_seed, some_of
+from prt_bake.renderer.mixture import Mixture
+from prt_bake.renderer.network_pass import NetworkTracer
+from prt_bake.renderer.passes import PassTracer, pass_seed, some_of
 
 Array = NDArray[np.float64]
 

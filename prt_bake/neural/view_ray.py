@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from prt_bake.interior import REACH
+from prt_bake.neural.interior import REACH
 
 Grid = Callable[[Tensor], Tensor]
 """Signed distances [N,K] to the object's boundary at points [N,K,3] over REACH spacings, in −1 … 1, positive inside."""

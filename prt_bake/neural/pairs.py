@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
-from prt_bake.network_kernel import FusedNetwork
-from prt_bake.pair_kernel import cycles_rows, fourier_rows
+from prt_bake.neural.fused import FusedNetwork
+from prt_bake.neural.pair_kernel import cycles_rows, fourier_rows
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF

@@ -48,12 +48,12 @@ class NetworkSettings:
     angle_powers: int = 0
     """Powers of ωi·ωo, from the first, told to the layers that see ωi late: light scattered once depends on them."""
     ray_samples: int = 0
-    """Places along the ray of view over which the features of x are averaged (`prt_bake.view_features`). 0: features of
+    """Places along the ray of view over which the features of x are averaged (`neural.view_features`). 0: features of
     x itself. Needs ωi to enter late, Cartesian directions, a mean of 0, and an `Interior`."""
     tells_normal: bool = False
     """Whether the ray is bent at the interface, and its normal told."""
     ray_turns: int = 0
-    """Total reflections through which a ray that is bent is followed (`prt_bake.view_ray`)."""
+    """Total reflections through which a ray that is bent is followed (`prt_bake.neural.view_ray`)."""
 
     def __post_init__(self) -> None:
         for name in ("features", "width", "layers", "light_features"):

@@ -3,7 +3,7 @@
 The phases of x, ωo and ωi add, so exp(i·phase) is a product of three precomputed tables: one row per (rotation,
 direction), one per vertex, one per bin. What remains per evaluation is one complex product per frequency and the
 matrix work. Rows are taken in tiles of one fixed size that stay in cache; a result therefore does not depend on how
-the vertices are cut into blocks. Networks that see ωi late need far less: `prt_bake.network_late`.
+the vertices are cut into blocks. Networks that see ωi late need far less: `prt_bake.neural.late_layers`.
 
 On CPUs oneDNN's fused linear + activation is called directly: float32 `F.linear` goes to MKL, which on AMD processors
 stays at half of what the vector units can do (107 against 231 GFLOP/s on one Zen 5 core).
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
-from prt_bake.network_late import LateLayers
+from prt_bake.neural.late_layers import LateLayers
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from formats.mesh import Mesh
 from prt_bake.emitters import Disc, LightSampler
 from prt_bake.lighting import Lighting
-from prt_bake.network_pairs import PairTransport
+from prt_bake.neural.pairs import PairTransport
 from prt_bake.randomness import uniforms
-from prt_bake.render_mixture import Drawn, Lobe, Mixture, draw
+from prt_bake.renderer.mixture import Drawn, Lobe, Mixture, draw
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from formats.mesh import Mesh
 from prt_bake.camera import Camera, Hits, Visibility, pixel_directions
 from prt_bake.lighting import Lighting
 from prt_bake.randomness import hashed, uniforms
-from prt_bake.render_reflection import SurfaceReflection
+from prt_bake.renderer.surface_reflection import SurfaceReflection
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from formats.errors import QueryError
 from prt_bake.camera import Camera
 from prt_bake.lighting import Lighting
-from prt_bake.render_pass import pass_seed
-from prt_bake.render_state import Sums, is_black, read_checkpoint, relative_noise, write_checkpoint
+from prt_bake.renderer.passes import pass_seed
+from prt_bake.renderer.state import Sums, is_black, read_checkpoint, relative_noise, write_checkpoint
 
 Array = NDArray[np.float64]
 

@@ -19,15 +19,15 @@ from formats.mesh import Mesh
 from prt_bake.bake_job import limited_threads, refuse_foreign
 from prt_bake.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
-from prt_bake.network_pairs import content_hash, pair_transport
-from prt_bake.render_lobes import LobeMaker, PixelLobes
-from prt_bake.render_loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
-from prt_bake.render_mixture import Mixture, Sampling
-from prt_bake.render_network_pass import NetworkTracer
-from prt_bake.render_pass import PassTracer
-from prt_bake.render_pilot import choose_mixture, directions_a_point, plain_mixture
-from prt_bake.render_reflection import SurfaceReflection
-from prt_bake.render_state import begun_with
+from prt_bake.neural.pairs import content_hash, pair_transport
+from prt_bake.renderer.lobes import LobeMaker, PixelLobes
+from prt_bake.renderer.loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
+from prt_bake.renderer.mixture import Mixture, Sampling
+from prt_bake.renderer.network_pass import NetworkTracer
+from prt_bake.renderer.passes import PassTracer
+from prt_bake.renderer.pilot import choose_mixture, directions_a_point, plain_mixture
+from prt_bake.renderer.state import begun_with
+from prt_bake.renderer.surface_reflection import SurfaceReflection
 
 SHOWS = "subsurface light of the network, unscattered light left out"
 _METHOD = 1

@@ -8,8 +8,8 @@ something smooth over the points p(s) of that ray, weighed by how likely the lig
 Where the object is thin, or the ray leaves it and enters it again, the weights say so; features of x alone would have
 to learn it point by point. The average is an integrated encoding (Barron et al. 2021, Mip-NeRF) with the medium's own
 weights: over places that are equally likely, however thick or thin the medium. At an interface the ray is bent by the
-normal, and turns at the boundary where it is totally reflected (`prt_bake.view_ray`); the normal and the cosine are
-told, too, and where the places lie.
+normal, and turns at the boundary where it is totally reflected (`prt_bake.neural.view_ray`); the normal and the cosine
+are told, too, and where the places lie.
 """
 
 import math
@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from prt_bake.interior import LEVELS, REACH, Interior
-from prt_bake.network_settings import COSINE_BUMPS, NetworkSettings
-from prt_bake.view_ray import Ray, folded, normals
+from prt_bake.neural.interior import LEVELS, REACH, Interior
+from prt_bake.neural.settings import COSINE_BUMPS, NetworkSettings
+from prt_bake.neural.view_ray import Ray, folded, normals
 
 _MEAN_FREE_PATHS = 4.0
 """How far along the ray light is looked for, where the box is not smaller."""
@@ -44,7 +44,7 @@ _LEAST_COSINE = 0.02
 
 
 class ViewFeatures(nn.Module):
-    """Features of positions and outgoing directions; on a CPU by `prt_bake.view_kernel`, unless `tensors_alone`."""
+    """Features of positions and outgoing directions; on a CPU by `view_kernel`, unless `tensors_alone`."""
 
     frequencies: Tensor
     levels: Tensor
@@ -102,7 +102,7 @@ class ViewFeatures(nn.Module):
         spacing, eta, longest = self.interior.spacing, self.interior.eta, float(self.edges[-1])
         if self.tensors_alone or x.device.type != "cpu":
             return folded(lambda points: self._inside(0, points), spacing, eta, self._turns, longest, x, back)
-        from prt_bake.view_kernel import folded_rows
+        from prt_bake.neural.view_kernel import folded_rows
 
         pieces = len(x), self._turns + 1
         starts, towards, begins = torch.empty((*pieces, 3)), torch.empty((*pieces, 3)), torch.empty(pieces)
@@ -135,7 +135,7 @@ class ViewFeatures(nn.Module):
                 grid[None, None], at.flip(-1)[None, :, :, None], padding_mode="border", align_corners=True
             )
             return found[0, 0, :, :, 0]
-        from prt_bake.view_kernel import distance_rows
+        from prt_bake.neural.view_kernel import distance_rows
 
         distances = torch.empty(points.shape[:2])
         per_length = np.float32(1.0 / self.interior.spacing)
@@ -147,7 +147,7 @@ class ViewFeatures(nn.Module):
         where nothing is met.
         """
         if not self.tensors_alone and depths.device.type == "cpu":
-            from prt_bake.view_kernel import place_rows
+            from prt_bake.neural.view_kernel import place_rows
 
             places, opacity = torch.empty((len(depths), self._samples)), torch.empty(len(depths))
             place_rows(depths.numpy(), self.edges.numpy(), places.numpy(), opacity.numpy())
@@ -169,7 +169,7 @@ class ViewFeatures(nn.Module):
         """
         own = self._own
         if not self.tensors_alone and x.device.type == "cpu":
-            from prt_bake.view_kernel import mean_rows
+            from prt_bake.neural.view_kernel import mean_rows
 
             rows = torch.empty((len(x), 2 * len(self.frequencies)))
             told = [tensor.numpy() for tensor in (x, places.contiguous(), eye, weight)]

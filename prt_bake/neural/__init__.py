@@ -1,0 +1,1 @@
+"""Inside the network: settings, features of a view, fused evaluation."""
