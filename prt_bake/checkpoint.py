@@ -89,7 +89,7 @@ def _what_it_is(fault: Exception) -> str:
             "holds something other than plain weights and was refused, nothing in it was run; "
             "expected a model written by prtbake"
         )
-    return f"not a readable checkpoint ({_first_line(fault)}); truncated or not a .pt"
+    return "not a readable checkpoint: cut short, or not a .pt; expected a model written by prtbake"
 
 
 def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:

@@ -74,8 +74,8 @@ def find_faults(path: str | Path) -> list[str]:
 
 def find_remarks(path: str | Path) -> list[str]:
     """Return what is worth knowing of a sound file, as sentences: parts of a scene that stick out or that their grids
-    do not reach, and what share of a white furnace each rough boundary loses, since single scattering ends paths at a
-    second microfacet.
+    do not reach, what share of a white furnace each rough boundary loses, since single scattering ends paths at a
+    second microfacet, and what networks hardly learn.
 
     Raises:
         PrtbakeError: the file cannot be read as what its suffix says.
@@ -84,9 +84,12 @@ def find_remarks(path: str | Path) -> list[str]:
         return []
     from formats.scene import read_scene
     from prt_bake.nesting import sticking_out
+    from prt_bake.trainer.remarks import hard_to_learn
 
-    parts = read_scene(path).parts
-    return [f"{path}: {sentence}" for sentence in (*sticking_out(parts), *_beside(parts), *_losing(parts))]
+    scene = read_scene(path)
+    parts, hard = scene.parts, hard_to_learn(scene)
+    every = (*sticking_out(parts), *_beside(parts), *_losing(parts), *([hard] if hard else []))
+    return [f"{path}: {sentence}" for sentence in every]
 
 
 def _beside(parts: "tuple[Part, ...]") -> list[str]:

@@ -152,6 +152,22 @@ def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:
     assert figures["ssim"] == pytest.approx(1)
 
 
+def test_info_has_a_line_for_every_figure(prtbake: Run) -> None:
+    told = prtbake("info", demonstration.MODEL).out.splitlines()
+    named = dict(line.split("  ", 1) for line in told)
+    assert float(named["training: relative_rmse: coefficients"]) < 0.2
+    assert max(map(len, told)) < 160
+    assert not any("{" in line for line in told)
+
+
+def test_compare_names_files_of_different_size(prtbake: Run, tmp_path: Path) -> None:
+    for name, width in (("a.exr", 20), ("b.exr", 24)):
+        write_image(tmp_path / name, np.ones((16, width, 3), np.float32))
+    outcome = prtbake("compare", tmp_path / "a.exr", tmp_path / "b.exr")
+    assert outcome.code == 1
+    assert f"a.exr: 20x16 where {tmp_path / 'b.exr'} is 24x16" in outcome.err.replace("\n", "")
+
+
 def test_demo_bakes_relights_and_measures_what_is_shipped(
     prtbake: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

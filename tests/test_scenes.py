@@ -11,6 +11,7 @@ import pytest
 from formats.image import read_image, read_levels
 from formats.mesh import build_mesh, check_mesh, read_mesh, write_mesh
 from formats.scene import read_scene
+from prt_bake.inspection import find_remarks
 from prt_bake.nesting import sticking_out, winding
 
 ROOT = Path(__file__).parent.parent
@@ -84,6 +85,14 @@ def test_the_paperweight_s_inner_boundary_is_index_matched():
         assert cow.eta == cube.eta == 1.5
         assert cow.medium.sigma_t.shape[3] == 3
         assert (cube.roughness == 0) == (name == "cow")
+
+
+def test_rough_clear_glass_is_remarked_upon_as_hard_to_learn():
+    hard = {
+        name: any("hardly learns" in remark for remark in find_remarks(SCENES / f"{name}.toml"))
+        for name in ("paperweight/cow", "paperweight/cow_rough", "dragon/serpent", "matched/spot")
+    }
+    assert [name for name, remarked in hard.items() if remarked] == ["paperweight/cow_rough"]
 
 
 def test_the_series_doubles_its_extinction():

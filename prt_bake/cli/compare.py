@@ -22,11 +22,18 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Print MSE, SSIM (full and quarter size) and FLIP."""
+    from formats.errors import QueryError
     from formats.image import read_image
     from prt_bake.comparison import compare as measure
     from prt_bake.report import as_text, write_side_by_side
 
     ours, theirs = read_image(image), read_image(reference)
+    if ours.shape != theirs.shape:
+        (h, w), (height, width) = ours.shape[:2], theirs.shape[:2]
+        raise QueryError(
+            f"{image}: {w}x{h} where {reference} is {width}x{height}; pictures are compared pixel by pixel, so bring "
+            "both to one size"
+        )
     figures = measure(ours, theirs, None if mask is None else read_image(mask), exposure)
     if picture is not None:
         write_side_by_side(ours, theirs, figures.flip_map, picture, exposure)

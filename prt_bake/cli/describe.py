@@ -1,12 +1,15 @@
 """`prtbake info`: what a file holds."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from prt_bake.cli.options import AsJson
+
+_LONGEST = 16
 
 
 def describe(
@@ -20,6 +23,18 @@ def describe(
     if as_json:
         print(json.dumps(description, indent=2))
         return
-    width = max(map(len, description))
-    for name, value in description.items():
+    lines = dict(_lines(description))
+    width = max(map(len, lines))
+    for name, value in lines.items():
         print(f"{name:<{width}}  {value}")
+
+
+def _lines(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+    """What stands in a line of its own: tables within tables by their names, of long lists how long they are."""
+    for name, value in values.items():
+        if isinstance(value, dict) and value:
+            yield from _lines(value, f"{before}{name}: ")
+        elif isinstance(value, list | tuple) and len(value) > _LONGEST:
+            yield f"{before}{name}", f"{len(value)} rows, see --json"
+        else:
+            yield f"{before}{name}", str(value)

@@ -25,6 +25,7 @@ from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.material import Material, OnlineMaterial, box_of
 from prt_bake.trainer.offline import FileMaterial
 from prt_bake.trainer.prepared import is_unbent
+from prt_bake.trainer.remarks import hard_to_learn
 from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.rows import RowSource, StreamSettings
 
@@ -75,6 +76,8 @@ def train(
             raise QueryError("train: resume needs the output that it goes on from")
         require_state(output)
     tell = say or (lambda sentence: None)
+    if remark := hard_to_learn(scene):
+        tell(f"{scene.path}: {remark}")
     material: Material
     if samples is not None:
         tell(f"reading {samples}")
