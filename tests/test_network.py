@@ -66,6 +66,30 @@ def test_file_has_the_papers_size_and_gives_the_same_network_back(
     np.testing.assert_array_equal(again.evaluate(*query), network.evaluate(*query))
 
 
+def test_a_rounded_network_takes_half_the_bytes_and_answers_nearly_the_same(
+    network: NeuralBSSRDF, tmp_path: Path
+) -> None:
+    rounded = network.rounded()
+    save_model(rounded, tmp_path / "model.pt")
+    assert (tmp_path / "model.pt").stat().st_size <= 372 * 1024
+    again = load_model(tmp_path / "model.pt")
+    rng = np.random.default_rng(1)
+    query = unit(rng, 64, 2), rng.uniform(-1, 1, (64, 3)), unit(rng, 64)
+    np.testing.assert_array_equal(again.evaluate(*query), rounded.evaluate(*query))
+    plain = network.evaluate(*query)
+    assert 0.0 < np.linalg.norm(rounded.evaluate(*query) - plain) < 2e-3 * np.linalg.norm(plain)
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_beyond_half_precision_are_kept(tmp_path: Path) -> None:
+    network = NeuralBSSRDF(NetworkSettings(**SMALL))
+    with torch.no_grad():
+        network.output.weight[0, 0], network.output.weight[0, 1] = 1e6, 1.0 / 3.0
+    save_model(network.rounded(), tmp_path / "model.pt")
+    kept = load_model(tmp_path / "model.pt").output.weight[0, :2].tolist()
+    assert kept == [1e6, float(np.float16(1.0 / 3.0))]
+
+
 def test_features_are_those_of_the_definition_even_far_from_the_origin() -> None:
     """cos 2πGu and sin 2πGu in float64, with mean 18 and an object a million units away."""
     box_min = np.array([1e6, -2e6, 3e6])

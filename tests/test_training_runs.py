@@ -10,6 +10,7 @@ import torch
 from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 
 from formats.errors import ModelError, QueryError
+from prt_bake.network import load_model
 from prt_bake.trainer import cores
 from prt_bake.trainer.in_turn import InTurn, Shuffled
 from prt_bake.trainer.material import OnlineMaterial, box_of
@@ -37,6 +38,14 @@ def rough_scene(tmp_path_factory):
 
 def weights(network):
     return {name: tensor.numpy().tobytes() for name, tensor in network.state_dict().items()}
+
+
+def before_rounding(output):
+    """The weights and their average, every bit of them, as the state beside a model has them."""
+    learner = torch.load(state_path(output), weights_only=True)["learner"]
+    return {
+        (part, name): learner[part][name].numpy().tobytes() for part in ("network", "average") for name in learner[part]
+    }
 
 
 def killed_after(scene, step, output, **more):
@@ -70,8 +79,9 @@ def test_a_killed_run_in_turns_ends_with_the_same_bits(request, tmp_path, step, 
     killed_after(scene, step, tmp_path / "m.pt", **settings)
     assert torch.load(state_path(tmp_path / "m.pt"), weights_only=True)["learner"]["step"] == step - 1
     resumed = learnt(scene, 24, output=tmp_path / "m.pt", resume=True, **settings)
-    whole = learnt(scene, 24, **settings)
+    whole = learnt(scene, 24, output=tmp_path / "whole.pt", **settings)
     assert weights(resumed) == weights(whole)
+    assert before_rounding(tmp_path / "m.pt") == before_rounding(tmp_path / "whole.pt")
     for figure in ("steps", "walks"):
         assert resumed.metadata["training"][figure] == whole.metadata["training"][figure]
 
@@ -215,6 +225,15 @@ def test_a_run_beside_its_renderer_goes_on_where_it_stopped(scene, tmp_path):
     moments = [state["learner"]["optimizer"]["state"][0]["step"], after["learner"]["optimizer"]["state"][0]["step"]]
     assert moments == [60, 100]
     assert len(after["history"]) > len(state["history"])
+
+
+def test_a_trained_model_is_written_as_it_was_measured_and_goes_on_from_what_was_learnt(scene, tmp_path):
+    """Rounded to what float16 holds; the state beside it has the weights themselves."""
+    network = learnt(scene, 24, output=tmp_path / "m.pt", synchronous=True)
+    assert weights(load_model(tmp_path / "m.pt")) == weights(network)
+    assert all(torch.equal(weight.half().float(), weight) for weight in network.parameters())
+    kept = torch.load(state_path(tmp_path / "m.pt"), weights_only=True)["learner"]["average"]
+    assert not torch.equal(kept["output.weight"].half().float(), kept["output.weight"])
 
 
 def test_a_killed_run_beside_its_renderer_loses_a_checkpoint_at_most(scene, tmp_path):

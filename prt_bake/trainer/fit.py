@@ -207,10 +207,9 @@ class _Run:
         write_state(output, self.state())
 
     def finish(self, output: str | Path | None) -> NeuralBSSRDF:
-        """Measure the final figures, note them in the model and write it."""
+        """Round the weights, measure the final figures, note them in the model and write it."""
         assert self.source is not None
-        network = self.learner.answer
-        network.eval()
+        network = self.learner.answer.eval().rounded()
         network.metadata["training"] = {
             "seconds": self.seconds,
             "steps": self.learner.step,
@@ -221,7 +220,8 @@ class _Run:
             "validation_vs_time": [[row.seconds, row.walks, row.validation] for row in self.history[::10]],
         }
         if output is not None:
-            self.save(output)
+            save_model(network, output)
+            write_state(output, self.state())
         return network
 
 
