@@ -14,7 +14,8 @@ _AHEAD = 8.0
 
 
 def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -> None:
-    """Relative RMSE of Ŝ on held-out queries against seconds of training, a curve a scene, on logarithmic axes.
+    """Relative RMSE on held-out queries (of Ŝ, or of a_lm where Ŝ has no values) against seconds of training, a curve a
+    scene, on logarithmic axes.
 
     curves: by scene, rows (seconds, walks, validation error). Dashed: the power law through the second half of a
     training, drawn on to eight times its time; a rate that falls to zero at the end makes it look better than it is.
@@ -32,7 +33,7 @@ def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -
             slope, level = np.polyfit(np.log(seconds[half]), np.log(error[half]), 1)
             ahead = np.geomspace(seconds[-1], _AHEAD * seconds[-1], 16)
             axes.loglog(ahead, np.exp(level + slope * np.log(ahead)), "--", color=line.get_color(), alpha=0.5)
-    axes.set(xlabel="seconds of training", ylabel="relative RMSE of Ŝ, held-out queries")
+    axes.set(xlabel="seconds of training", ylabel="relative RMSE on held-out queries")
     axes.grid(alpha=0.3, which="both")
     if curves:
         axes.legend()
