@@ -15,7 +15,7 @@ from prt_bake.network import load_model
 from prt_bake.trainer.fit import train
 from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.queries import EDGE_SHARE, QuerySource
-from prt_bake.trainer.rows import Batch
+from prt_bake.trainer.rows import Batch, StreamSettings
 from prt_bake.trainer.stream import RingBuffer
 from prt_bake.trainer.validation import hold_out, noise_free_ratio
 
@@ -59,6 +59,15 @@ def test_a_tenth_of_the_queries_lies_on_vertices_and_edges(queries):
     spread = np.sqrt(EDGE_SHARE / len(full))
     assert abs(on_edge.mean() - EDGE_SHARE) < 4.5 * spread
     assert abs(on_vertex.mean() - EDGE_SHARE / 2) < 4.5 * spread
+
+
+def test_more_or_none_of_the_queries_lie_on_vertices_and_edges(scene):
+    for share in (0.0, 0.4, 1.0):
+        u, v = QuerySource(prepare(scene), 1, 4, edge_share=share).draw(0, 5_000).location.barycentric.T
+        on_edge = np.minimum(np.minimum(u, v), 1 - u - v) < 1.5e-4
+        assert abs(on_edge.mean() - share) < 4.5 * np.sqrt((share * (1 - share) + 1e-3) / len(u))
+    with pytest.raises(QueryError, match="edge_share must be 0 to 1, found 2"):
+        StreamSettings(edge_share=2)
 
 
 def test_views_fill_the_hemisphere_and_stay_above_the_horizon(scene, queries):

@@ -43,12 +43,21 @@ class Queries:
 class QuerySource:
     """Draws numbered queries from a scene: the n-th depends on the seed and n alone."""
 
-    def __init__(self, prepared: PreparedScene, directions: int, seed: int, face_share: float = 0.0) -> None:
-        """`directions` of incidence a query; `face_share` of the queries has every face alike, large or small."""
+    def __init__(
+        self,
+        prepared: PreparedScene,
+        directions: int,
+        seed: int,
+        face_share: float = 0.0,
+        edge_share: float = EDGE_SHARE,
+    ) -> None:
+        """`directions` of incidence a query; `face_share` of the queries has every face alike, large or small;
+        `edge_share` lies on vertices and edges.
+        """
         self.prepared = prepared
         self.lattice = fibonacci(directions)
         self.seed = seed
-        self._face_share = face_share
+        self._face_share, self._edge_share = face_share, edge_share
 
     @property
     def _mesh(self) -> Mesh:
@@ -68,8 +77,8 @@ class QuerySource:
         barycentric = _in_triangle(u[:, 1], u[:, 2])
         normals = np.array(mesh.face_normals)[faces]
         positions = _interpolate(mesh.positions, mesh.faces, faces, barycentric)
-        on_edge = u[:, 3] < EDGE_SHARE
-        moved = _to_edge(barycentric[on_edge], u[on_edge, 3] < 0.5 * EDGE_SHARE)
+        on_edge = u[:, 3] < self._edge_share
+        moved = _to_edge(barycentric[on_edge], u[on_edge, 3] < 0.5 * self._edge_share)
         positions[on_edge] = _interpolate(mesh.positions, mesh.faces, faces[on_edge], moved)
         seen_about = _interpolate(mesh.normals, mesh.faces, faces[on_edge], moved)
         normals[on_edge] = seen_about / np.maximum(np.linalg.norm(seen_about, axis=1, keepdims=True), 1e-9)

@@ -21,7 +21,7 @@ from formats.scene import Scene
 from prt_bake.surface import Location
 from prt_bake.trainer.lit import Exits
 from prt_bake.trainer.prepared import PreparedScene, is_unbent, smooth_part
-from prt_bake.trainer.queries import Queries, QuerySource
+from prt_bake.trainer.queries import EDGE_SHARE, Queries, QuerySource
 
 Array = NDArray[np.float64]
 
@@ -65,6 +65,8 @@ class StreamSettings:
     """Walks a query, each a ray, where rays are exits."""
     face_share: float = 0.5
     """Share of the queries that has every face alike, large or small; of the others an area has as many as another."""
+    edge_share: float = EDGE_SHARE
+    """Share of the queries that lies on vertices and edges, where a bake asks."""
     capacity: int = 1 << 17
     """Rows that the buffer holds."""
     reuse: int = 1
@@ -76,8 +78,9 @@ class StreamSettings:
         for name, bound in {**least, "reuse": 1}.items():
             if getattr(self, name) < bound:
                 raise QueryError(f"stream settings: {name} must be at least {bound}, found {getattr(self, name)}")
-        if not 0.0 <= self.face_share <= 1.0:
-            raise QueryError(f"stream settings: face_share must be 0 to 1, found {self.face_share}")
+        for name in ("face_share", "edge_share"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise QueryError(f"stream settings: {name} must be 0 to 1, found {getattr(self, name)}")
         if self.rays not in ("auto", "values", "exits"):
             raise QueryError(f"stream settings: rays must be auto, values or exits, found {self.rays!r}")
 
@@ -144,7 +147,7 @@ class ValueWalks:
         """Queries and walks depend on the seed and the query's number alone."""
         self.walks_a_query = settings.walks
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
-        self._source = QuerySource(prepared, settings.directions, seed, settings.face_share)
+        self._source = QuerySource(prepared, settings.directions, seed, settings.face_share, settings.edge_share)
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of D rays."""
@@ -168,7 +171,7 @@ class ExitWalks:
         """Queries and walks depend on the seed and the query's number alone."""
         self.walks_a_query = settings.exits
         self._prepared, self._box, self._seed = prepared, box, seed
-        self._source = QuerySource(prepared, 1, seed, settings.face_share)
+        self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of a ray a walk."""

@@ -2,9 +2,9 @@
 
     python tests/bench/training.py [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
 
-Prints the relative RMSE of Ŝ and of a_lm on fresh queries, the same for all (reference noise taken out), the walks, the
-steps, and the model's size on disk. `--only` keeps the variants whose names hold one of the words. The paper's network
-is among them.
+Prints the relative RMSE of Ŝ and of a_lm on fresh queries, the same for all, and of a_lm over vertices as a bake asks
+(reference noise taken out); the walks, the steps, and the model's size on disk. `--only` keeps the variants whose names
+hold one of the words. The paper's network is among them.
 """
 
 import argparse
@@ -17,11 +17,13 @@ from typing import Any
 from formats.scene import Scene, read_scene
 from prt_bake.demonstration import SHIPPED
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.trainer.asked import vertex_views
+from prt_bake.trainer.estimate import estimate_coefficients
 from prt_bake.trainer.fit import train
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.prepared import prepare, smooth_part
 from prt_bake.trainer.rows import StreamSettings
-from prt_bake.trainer.validation import hold_out, hold_out_coefficients
+from prt_bake.trainer.validation import HeldOutCoefficients, hold_out, hold_out_coefficients
 
 OURS = PRESETS["measured"]
 PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False)
@@ -29,7 +31,7 @@ PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False)
 ASKING = StreamSettings()
 LEARNING = LearningSettings(held_out_queries=256)
 """With little to watch a training by: what is printed is measured here."""
-QUERIES, WALKS, SEED = 1024, 256, 0xAB1A
+QUERIES, VERTICES, VIEWS, WALKS, SEED = 1024, 256, 4, 256, 0xAB1A
 
 
 @dataclass(frozen=True)
@@ -101,6 +103,7 @@ VARIANTS: dict[str, Variant] = {
     "values": stream(rays="values", walks=1, connections=4),
     "exits": stream(rays="exits"),
     "queries by area alone": stream(face_share=0.0),
+    "30 % on vertices and edges": stream(edge_share=0.3),
     "rows learnt from twice": stream(reuse=2),
     "a learner that never waits": stream(reuse=1000),
     "2 exits a query": stream(exits=2),
@@ -119,12 +122,16 @@ class Truth:
         prepared = prepare(scene)
         self._values = hold_out(prepared, QUERIES, 8, WALKS, SEED) if smooth_part(scene) is None else None
         self._coefficients = hold_out_coefficients(scene, QUERIES, 8 * WALKS, SEED, directions=256)
+        positions, outgoing = vertex_views(prepared, VERTICES, VIEWS, SEED).flat()
+        seen = estimate_coefficients(scene, positions, outgoing, 2, 8 * WALKS, SEED + 2)
+        self._vertices = HeldOutCoefficients(positions, outgoing, seen.mean, seen.standard_error, directions=256)
 
     def errors(self, network: NeuralBSSRDF) -> dict[str, float | None]:
         """The relative RMSE of a network."""
         return {
             "transport": None if self._values is None else self._values.relative_rmse(network),
             "coefficients": self._coefficients.relative_rmse(network),
+            "vertices": self._vertices.relative_rmse(network),
         }
 
 
@@ -155,7 +162,7 @@ def main() -> None:
     asked = parser.parse_args()
     scene = read_scene(asked.scene)
     truth = Truth(scene)
-    head = f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'walks':>12}{'steps':>8}{'KiB':>6}"
+    head = f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'vertices':>10}{'walks':>12}{'steps':>8}{'KiB':>6}"
     print(f"{head}   ({asked.minutes:g} minutes)")
     rows = {}
     for name, variant in VARIANTS.items():
@@ -164,7 +171,8 @@ def main() -> None:
         row = rows[name] = trained(scene, variant, asked.minutes, truth)
         transport = "" if row["transport"] is None else f"{row['transport']:.4f}"
         print(
-            f"{name:36}{transport:>11}{row['coefficients']:9.4f}{row['walks']:12,}{row['steps']:8,}{row['kib']:6.0f}",
+            f"{name:36}{transport:>11}{row['coefficients']:9.4f}{row['vertices']:10.4f}"
+            f"{row['walks']:12,}{row['steps']:8,}{row['kib']:6.0f}",
             flush=True,
         )
         if asked.out is not None:
