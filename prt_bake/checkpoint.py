@@ -55,7 +55,7 @@ def refuse_unsound(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]
         if found != shapes[name]:
             raise ModelError(f"{path}: tensor {name} has shape {found}, expected {shapes[name]}")
         if not tensors[name].is_floating_point():
-            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected float32")
+            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected floats")
         bad = int((~tensors[name].isfinite()).sum())
         if bad:
             raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite")
@@ -89,6 +89,8 @@ def _what_it_is(fault: Exception) -> str:
             "holds something other than plain weights and was refused, nothing in it was run; "
             "expected a model written by prtbake"
         )
+    if isinstance(fault, OSError | MemoryError):
+        return f"cannot be read ({_first_line(fault) or type(fault).__name__})"
     return "not a readable checkpoint: cut short, or not a .pt; expected a model written by prtbake"
 
 

@@ -165,7 +165,7 @@ class NeuralBSSRDF(nn.Module):
         return bound
 
     def rounded(self) -> "NeuralBSSRDF":
-        """A copy whose weights float16 holds exactly: half the bytes on disk, and answers that differ by 3e-4.
+        """A copy whose weights float16 holds exactly: half the bytes on disk, answers of trained ones differ by 3e-4.
 
         Weights beyond what float16 holds stay as they are.
         """

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import make_scene
+from shapes import ball
 
 from formats.image import read_image, read_levels
 from formats.mesh import build_mesh, check_mesh, read_mesh, write_mesh
 from formats.scene import read_scene
 from prt_bake.inspection import find_remarks
 from prt_bake.nesting import sticking_out, winding
+from prt_bake.trainer.remarks import hard_to_learn
 
 ROOT = Path(__file__).parent.parent
 SCENES = ROOT / "scenes"
@@ -89,10 +92,19 @@ def test_the_paperweight_s_inner_boundary_is_index_matched():
 
 def test_rough_clear_glass_is_remarked_upon_as_hard_to_learn():
     hard = {
-        name: any("hardly learns" in remark for remark in find_remarks(SCENES / f"{name}.toml"))
+        name: any("hardly learn" in remark for remark in find_remarks(SCENES / f"{name}.toml"))
         for name in ("paperweight/cow", "paperweight/cow_rough", "dragon/serpent", "matched/spot")
     }
     assert [name for name, remarked in hard.items() if remarked] == ["paperweight/cow_rough"]
+
+
+@pytest.mark.parametrize(
+    ("sigma_t", "roughness", "eta", "hard"), [(0.5, 0.1, 1.5, True), (10.0, 0.1, 1.5, False), (0.5, 0.1, 1.0, False)]
+)
+def test_what_forward_scattering_lets_through_is_not_unscattered(tmp_path, sigma_t, roughness, eta, hard):
+    """A ball of diameter 2 whose medium throws nearly all light ahead."""
+    scene = make_scene(tmp_path, ball(3), sigma_t=sigma_t, albedo=0.99, phase_g=0.9, roughness=roughness, eta=eta)
+    assert (hard_to_learn(scene) is not None) == hard
 
 
 def test_the_series_doubles_its_extinction():

@@ -52,7 +52,8 @@ def test_distances_are_those_of_another_implementation() -> None:
     """Faces that meet at all angles, wide and narrow, and some of no area."""
     rng = np.random.default_rng(6)
     triangles = rng.uniform(0.0, 2.0, (60, 3, 3)) * rng.choice([0.05, 1.0], (60, 1, 1))
-    slivers = np.stack([triangles[:5, 0], triangles[:5, 1], triangles[:5, 1]], axis=1)
+    corners = ((0, 0, 1), (0, 1, 1), (0, 1, 0), (2, 2, 2))
+    slivers = np.concatenate([triangles[:5, list(chosen)] for chosen in corners])
     shape, corner, spacing, reach = np.array([17, 19, 23]), np.array([-0.1, 0.0, 0.1]), 0.1, 0.35
     found = grid_distances(np.concatenate([slivers, triangles]), shape, corner, spacing, reach)
     places = corner + spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)

@@ -9,7 +9,8 @@ import typer
 
 from prt_bake.cli.options import AsJson
 
-_LONGEST = 16
+_LONGEST = 100
+"""Characters of a list that is printed."""
 
 
 def describe(
@@ -34,7 +35,7 @@ def _lines(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]
     for name, value in values.items():
         if isinstance(value, dict) and value:
             yield from _lines(value, f"{before}{name}: ")
-        elif isinstance(value, list | tuple) and len(value) > _LONGEST:
-            yield f"{before}{name}", f"{len(value)} rows, see --json"
+        elif isinstance(value, list | tuple) and len(str(value)) > _LONGEST:
+            yield f"{before}{name}", f"{len(value)} entries, see --json"
         else:
             yield f"{before}{name}", str(value)

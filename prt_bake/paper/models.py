@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from formats.errors import ModelError
 from formats.mesh import Mesh
 from formats.scene import Scene
 from formats.whole import replacing, sha256
@@ -61,16 +62,24 @@ def trained(
             if artefacts.stop():
                 raise KeyboardInterrupt
 
-        network = train(
-            scene,
-            minutes=minutes,
-            settings=settings,
-            device=device,
-            output=path,
-            resume=resume and path.with_suffix(".train.pt").is_file(),
-            progress=follow,
-            say=artefacts.say,
-        )
+        def learnt(going_on: bool) -> NeuralBSSRDF:
+            return train(
+                scene,
+                minutes=minutes,
+                settings=settings,
+                device=device,
+                output=path,
+                resume=going_on,
+                progress=follow,
+                say=artefacts.say,
+            )
+
+        try:
+            network = learnt(resume and path.with_suffix(".train.pt").is_file())
+        except ModelError as fault:
+            # What another release began cannot be gone on with.
+            artefacts.say(f"{fault}; it is trained anew")
+            network = learnt(False)
         if artefacts.stop():
             raise Stopped(f"{path}: the training was stopped; the same command goes on from there")
         started.unlink(missing_ok=True)

@@ -1,1 +1,1 @@
-"""The network renderer: what a pass sees, how directions are drawn, and the loop that adds passes up."""
+"""Pictures by Monte Carlo: what a pass sees, how directions are drawn, and the loop that adds passes up."""

@@ -108,11 +108,12 @@ class _Run:
     ) -> None:
         self.material, self.learning, self.seed = material, learning, seed
         self.scene = material.scene
-        network_begun = {f"network {name}": value for name, value in settings.as_json().items()}
-        self.begun = {**network_begun, "seed": seed, **material.begun}
-        self.reference = material.reference(learning)
         box = material.box
         interior = interior_of(self.scene, box) if settings.ray_samples else None
+        network_begun = {f"network {name}": value for name, value in settings.as_json().items()}
+        told = "" if interior is None else interior.content_hash
+        self.begun = {**network_begun, "interior": told, "seed": seed, **material.begun}
+        self.reference = material.reference(learning)
         network = NeuralBSSRDF(
             settings, box.corner, box.side, self.reference.scale() or 1.0, _metadata(self.scene), interior
         ).to(device)

@@ -1,7 +1,7 @@
 """What the trainer asks: points all over the surface, every direction of view, every direction of incidence.
 
 Positions are uniform over the area, or, of a share of the queries, over the faces: meshes have small faces where there
-is detail, and a bake asks at every vertex alike. A tenth lies on vertices and edges, seen from the hemisphere about the
+is detail, and a bake asks at every vertex alike. A share lies on vertices and edges, seen from the hemisphere about the
 vertex normal and taken to a face by the rule of `prt_bake.surface`, since a bake asks there. Views are uniform over the
 hemisphere, directions of incidence a small lattice turned at random for each query (uniform each, and spread over the
 sphere together).
@@ -24,7 +24,7 @@ from prt_bake.trainer.prepared import PreparedScene
 Array = NDArray[np.float64]
 
 EDGE_SHARE = 0.1
-"""The share of queries on vertices (half of it) and edges (half)."""
+"""The usual share of queries on vertices (half of it) and edges (half)."""
 _QUERY_STREAM = 0x51
 _NUMBERS = 9
 

@@ -7,7 +7,7 @@ from typing import Any
 from formats.errors import ModelError
 from formats.whole import replacing
 
-_VERSION = 2
+_VERSION = 3
 
 
 def state_path(output: str | Path) -> Path:
