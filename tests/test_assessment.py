@@ -8,11 +8,14 @@ from scipy.stats import binom
 
 from formats.mesh import build_mesh
 from prt_bake import sh
+from prt_bake.sphere import fibonacci
 from prt_bake.trainer import reference
+from prt_bake.trainer.asked import answered_coefficients
 from prt_bake.trainer.assessment import assess
 from prt_bake.trainer.prepared import prepare
 from prt_bake.trainer.reference import PathTracer, grow
 from prt_bake.trainer.seams import jumps
+from prt_bake.trainer.validation import _DIRECTIONS, _DIRECTIONS_ON_THE_WAY, network_coefficients
 
 FALSE_ALARM = 1e-5
 NODES, WEIGHTS = sh.quadrature(3)
@@ -274,3 +277,25 @@ def test_a_network_that_is_path_traced_itself_has_the_error_of_its_own_noise(tmp
     found = assess(Traced(), scene, prepare(scene), queries=64, vertices=16, walks=64, seed=3, seconds=np.inf).as_json()
     expected = np.sqrt(0.05**2 + 1.05**2 * noise[0])
     assert found["transport"]["network"]["low"] * 0.85 < expected < found["transport"]["network"]["high"] * 1.15
+
+
+def test_coefficients_of_networks_with_narrow_lobes_are_their_own() -> None:
+    """Lobes of 12°, as light that crosses clear rough objects has: few directions would take them for low harmonics."""
+
+    def lobe(incident, positions, outgoing):
+        cosine = np.einsum("...c,...c->...", incident, outgoing)
+        return np.exp((cosine - 1.0) / 0.02)[..., None] * np.ones(3)
+
+    rng = np.random.default_rng(3)
+    eye = rng.normal(size=(40, 3))
+    eye /= np.linalg.norm(eye, axis=1, keepdims=True)
+    x = np.zeros((40, 3))
+    found = answered_coefficients(Network(lobe), x, eye[:, None], seed=5)[:, 0]
+    lattice = fibonacci(1 << 14)
+    exact = (
+        4.0 * np.pi / len(lattice) * np.einsum("dk,ndc->nkc", sh.evaluate(lattice, 2), lobe(lattice, x, eye[:, None]))
+    )
+    assert np.linalg.norm(found - exact) < 5e-3 * np.linalg.norm(exact)
+    for directions in (_DIRECTIONS, _DIRECTIONS_ON_THE_WAY):
+        quicker = network_coefficients(Network(lobe), x, eye, directions)
+        assert np.linalg.norm(quicker - exact) < 0.05 * np.linalg.norm(exact)

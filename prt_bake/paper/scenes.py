@@ -51,7 +51,7 @@ class BakeSettings:
     subdivisions: int
     rings: int = 8
     sectors: int = 16
-    samples: int = 64
+    samples: int = 256
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from prt_bake.trainer.reference import FIRST_BATCHES, Reference, Tracer, grow
 Array = NDArray[np.float64]
 
 DEGREE = 2
-_LATTICE = 128
+_LATTICE = 1024
 _TURNS = 8
 """The lattice of directions comes in so many random turns, so that what it aliases is not the same everywhere."""
 VERTICES, VIEWS = 192, 8

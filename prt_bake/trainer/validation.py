@@ -23,8 +23,8 @@ Array = NDArray[np.float64]
 VALIDATION_SEED = 0x7E57
 FINAL_SEED = 0xF17A
 _COEFFICIENT_DEGREE = 2
-_DIRECTIONS = 256
-_DIRECTIONS_ON_THE_WAY = 128
+_DIRECTIONS = 512
+_DIRECTIONS_ON_THE_WAY = 256
 """Coefficients cost a network many more answers than values do: on the way fewer queries and directions must do."""
 
 
