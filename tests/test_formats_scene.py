@@ -221,7 +221,7 @@ def test_a_grid_that_lies_beside_the_object_is_remarked_upon(folder):
     (folder / "scene.toml").write_text(
         SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", "[[1, 0, 0], [2, 1, 1]]")
     )
-    (remark,) = (remark for remark in find_remarks(folder / "scene.toml") if "loses" not in remark)
+    (remark,) = (remark for remark in find_remarks(folder / "scene.toml") if "wholly beside" in remark)
     assert "'object': the grids' box [[1.0, 0.0, 0.0], [2.0, 1.0, 1.0]] lies wholly beside the part's" in remark
 
 

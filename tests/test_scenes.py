@@ -176,6 +176,7 @@ def test_everything_is_small_and_no_scan_is_committed():
     kept = [path for path in SCENES.rglob("*") if path.is_file() and not kept_out_of_the_repository(path)]
     assert len(kept) > 30
     assert not [path for path in kept if "stanford" in path.name.lower()]
-    assert sum(path.stat().st_size for path in kept) < 1_500_000
+    # Networks and their reports have a bound of their own.
+    assert sum(path.stat().st_size for path in kept if path.parent.name != "models") < 1_500_000
     assert kept_out_of_the_repository(SCENES / "dragon/stanford_dragon.ply")
     assert not kept_out_of_the_repository(SCENES / "dragon/dragon.obj")
