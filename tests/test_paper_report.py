@@ -12,6 +12,7 @@ import pytest
 from command_line import Run
 from PIL import Image
 
+from formats.errors import ModelError
 from formats.image import read_image, read_layers
 from formats.mesh import read_mesh
 from formats.scene import read_scene
@@ -104,9 +105,12 @@ class FakeTraining:
     def __init__(self, error: float = 0.1) -> None:
         self.asked: list[dict[str, Any]] = []
         self.error = error
+        self.refuses_to_go_on = False
 
     def __call__(self, scene: Any, **asked: Any) -> Any:
         self.asked.append(asked)
+        if self.refuses_to_go_on and asked["resume"]:
+            raise ModelError("model.train.pt: is of version 2, expected 3")
         network = load_model(SHIPPED / "spot.pt")
         network.metadata["scene_hash"] = scene.content_hash
         layers = asked["settings"].layers if asked["settings"] else 5
@@ -165,6 +169,17 @@ def test_a_training_that_was_stopped_goes_on(tmp_path: Path, scenes: Path, train
     assert [asked["resume"] for asked in training.asked] == [False, True]
     scene_model(artefacts, "lucy", scene, missing, 2.0, "cpu", quiet)
     assert len(training.asked) == 2
+
+
+def test_what_another_release_began_is_trained_anew(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    scene, missing, said = read_scene(scenes / "spot.toml"), tmp_path / "none.pt", list[str]()
+    stopping = Artefacts(tmp_path, quiet, lambda: bool(training.asked))
+    with pytest.raises((Stopped, KeyboardInterrupt)):
+        scene_model(stopping, "lucy", scene, missing, 1.0, "cpu", quiet)
+    training.refuses_to_go_on = True
+    scene_model(Artefacts(tmp_path, said.append), "lucy", scene, missing, 1.0, "cpu", quiet)
+    assert [asked["resume"] for asked in training.asked] == [False, True, False]
+    assert any("is of version 2, expected 3; it is trained anew" in line for line in said)
 
 
 def test_layers_are_compared_with_seven_and_kept(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:

@@ -259,6 +259,11 @@ def test_resuming_needs_a_sound_state_of_the_same_run(scene, tmp_path):
     with pytest.raises(QueryError, match="resume needs the output"):
         learnt(scene, 10, resume=True)
     learnt(scene, 2, output=output, learning=EAGER)
+    state = torch.load(state_path(output), weights_only=True)
+    torch.save({**state, "begun": {**state["begun"], "interior": "another grid"}}, state_path(output))
+    with pytest.raises(ModelError, match="begun with interior 'another grid'"):
+        learnt(scene, 10, output=output, resume=True)
+    torch.save(state, state_path(output))
     with pytest.raises(ModelError, match="begun with seed 1, asked for is 2"):
         learnt(scene, 10, output=output, resume=True, seed=2)
     with pytest.raises(ModelError, match="begun with network width 32, asked for is 16"):

@@ -74,10 +74,13 @@ def trained(
                 say=artefacts.say,
             )
 
+        going_on = resume and path.with_suffix(".train.pt").is_file()
         try:
-            network = learnt(resume and path.with_suffix(".train.pt").is_file())
+            network = learnt(going_on)
         except ModelError as fault:
             # What another release began cannot be gone on with.
+            if not going_on:
+                raise
             artefacts.say(f"{fault}; it is trained anew")
             network = learnt(False)
         if artefacts.stop():
