@@ -182,6 +182,27 @@ def test_what_another_release_began_is_trained_anew(tmp_path: Path, scenes: Path
     assert any("is of version 2, expected 3; it is trained anew" in line for line in said)
 
 
+def test_a_model_error_of_a_new_training_is_not_tried_twice(
+    tmp_path: Path, scenes: Path, training: FakeTraining, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(scene: Any, **asked: Any) -> Any:
+        training.asked.append(asked)
+        raise ModelError("broken")
+
+    monkeypatch.setattr("prt_bake.trainer.fit.train", broken)
+    with pytest.raises(ModelError, match="broken"):
+        scene_model(
+            Artefacts(tmp_path, quiet),
+            "lucy",
+            read_scene(scenes / "spot.toml"),
+            tmp_path / "none.pt",
+            1.0,
+            "cpu",
+            quiet,
+        )
+    assert len(training.asked) == 1
+
+
 def test_layers_are_compared_with_seven_and_kept(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
     scene, artefacts = read_scene(scenes / "spot.toml"), Artefacts(tmp_path, quiet)
     found = ablation(artefacts, "lucy", scene, 1.0, "cpu", quiet)
