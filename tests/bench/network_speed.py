@@ -5,6 +5,7 @@
 The peak is what the same fused linear operator reaches on the first layer's shape alone, rows in cache.
 """
 
+import argparse
 import time
 from collections.abc import Callable
 
@@ -48,6 +49,7 @@ def ball(places: int) -> Interior:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     torch.set_num_threads(1)
     incident = sphere.uniform(COPIES * DIRECTIONS, 1).reshape(COPIES, DIRECTIONS, 3)
     outgoing = sphere.uniform(VERTICES * BINS, 2).reshape(VERTICES, BINS, 3)

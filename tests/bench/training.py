@@ -28,6 +28,8 @@ from prt_bake.trainer.validation import HeldOutCoefficients, hold_out, hold_out_
 OURS = PRESETS["measured"]
 PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False)
 """With features of the position itself, and nothing told of the inside."""
+EARLY: dict[str, Any] = {"light_layers": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
+"""ωi enters the first layer, and nothing is told late."""
 ASKING = StreamSettings()
 LEARNING = LearningSettings(held_out_queries=256)
 """With little to watch a training by: what is printed is measured here."""
@@ -74,7 +76,7 @@ VARIANTS: dict[str, Variant] = {
     "no normal": network(tells_normal=False),
     "no angle": network(angle_powers=0),
     "4 powers of the angle": network(angle_powers=4),
-    "no ray, light enters first": plain(light_layers=0, skips=((1, 3), (2, 4))),
+    "no ray, light enters first": plain(**EARLY),
     "light enters at the last layer": network(light_layers=1),
     "light enters at layer 3": network(light_layers=3),
     "no ray, directions spherical": plain(directions="spherical"),
@@ -99,7 +101,7 @@ VARIANTS: dict[str, Variant] = {
     "batch 1024": learning(batch=1024),
     "6 samples of the ray": network(ray_samples=6),
     "24 samples of the ray": network(ray_samples=24),
-    "no ray, light enters first, narrow spread": plain(light_layers=0, skips=((1, 3), (2, 4)), feature_spread=0.09),
+    "no ray, light enters first, narrow spread": plain(**EARLY, feature_spread=0.09),
     "no turns of the ray": network(ray_turns=0),
     "values": stream(rays="values", walks=1, connections=4),
     "exits": stream(rays="exits"),
