@@ -5,7 +5,7 @@ float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2π
 skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
 of ωi, and powers of ωi·ωo, are appended to the inputs of the last hidden layers: what comes before is run once for all
 directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view
-(`prt_bake.neural.view_features`).
+(`prt_bake.neural.view_features`), and with `lobes` narrow ones in ωi are added (`prt_bake.neural.lobes`).
 """
 
 import json
@@ -23,7 +23,8 @@ from formats.mesh import Mesh
 from prt_bake.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
 from prt_bake.neural.fused import FusedNetwork
 from prt_bake.neural.interior import Interior
-from prt_bake.neural.settings import PRESETS, NetworkSettings
+from prt_bake.neural.lobes import NUMBERS, Lobes, in_directions, lobes_from
+from prt_bake.neural.settings import EXIT, PRESETS, NetworkSettings
 from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.surface import Surface
 
@@ -34,6 +35,8 @@ FORMAT_VERSION = 1
 INTERIOR = "interior"
 """The tensor of a checkpoint that holds the interior's grid."""
 ROWS_AT_ONCE = 8192
+_FIRST_LOBES = 0.02
+"""Spread of the weights that lobes begin with: all much alike, but not the same."""
 _LARGEST_HALF = float(torch.finfo(torch.float16).max)
 
 
@@ -82,6 +85,7 @@ class NeuralBSSRDF(nn.Module):
         self.register_buffer("box_min", corner, persistent=False)
         self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
         self.output = nn.Linear(self.settings.width, 3)
+        self.lobes = nn.Linear(self.settings.width, NUMBERS * self.settings.lobes) if self.settings.lobes else None
         self._initialise(generator)
         if (interior is None) != (self.settings.ray_samples == 0):
             raise ModelError(
@@ -110,6 +114,10 @@ class NeuralBSSRDF(nn.Module):
             with torch.no_grad():
                 layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
                 layer.bias.zero_()
+        if self.lobes is not None:
+            with torch.no_grad():
+                self.lobes.weight.normal_(0.0, _FIRST_LOBES, generator=generator)
+                self.lobes.bias.zero_()
 
     def forward(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
         """Ŝ [N,3] in 1/sr: unit vectors incident [N,3] and outgoing [N,3], positions [N,3] in object space.
@@ -121,9 +129,16 @@ class NeuralBSSRDF(nn.Module):
 
     def radiance(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
         """Ŝ [N,D,3] in 1/sr, as `forward`, for D directions of incidence a query: incident [N,D,3]."""
+        smooth, lobes = self.parts(incident, positions, outgoing)
+        return (smooth if lobes is None else smooth.float() + in_directions(lobes, incident)) * self.output_scale
+
+    def parts(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Lobes | None]:
+        """Ŝ over the output scale as what the layers say [N,D,3] and the lobes that are to be added to it."""
+        lobes = None
         kind = self.output.weight.dtype
         if self.settings.trunk:
-            h = self.view_features(positions, outgoing)[:, None]
+            features = self.view_features(positions, outgoing)
+            h = features[:, None]
             light = self.light_features(incident)
             if self.settings.angle_powers:
                 light = torch.cat((light, self.angle_powers(incident, outgoing)), dim=-1)
@@ -142,8 +157,9 @@ class NeuralBSSRDF(nn.Module):
             h = _joined(layer, parts)
             h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
             activations.append(h)
-        result: Tensor = self.output(h) * self.output_scale
-        return result
+            if self.lobes is not None and number == self.settings.trunk:
+                lobes = lobes_from(self.lobes(h)[:, 0], features[:, -EXIT:])
+        return self.output(h), lobes
 
     def view_features(self, positions: Tensor, outgoing: Tensor) -> Tensor:
         """What the first layer of a network that sees ωi late is told of views [N, settings.view_inputs], float32."""

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from formats.errors import QueryError
 from prt_bake.neural.late_layers import LateLayers
+from prt_bake.neural.lobes import Lobes, in_directions
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -119,17 +120,20 @@ class FusedNetwork:
             some = view[begin : begin + bins_at_once]
             seen = torch.zeros((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
             seen[: len(some)] = some
-            of_bins = late.bins(seen)
+            of_bins, lobes = late.bins(seen)
             for first in range(0, len(some), tile):
                 bins = min(tile, len(some) - first)
                 which = slice(begin + first, begin + first + bins)
                 for layer in range(layers):
                     torch.index_select(table[layer], 0, chosen[which], out=added[layer, :bins])
-                powers[:bins] = self._powers(between[0][chosen[which]], between[1][which])
+                towards, eye = between[0][chosen[which]], between[1][which]
+                powers[:bins] = self._powers(towards, eye)
                 rows = late.add_views(added, of_bins[:, first : first + tile], powers)
                 radiance = late.radiance(rows)
-                radiance = radiance.view(tile, directions, 3)[:bins].float() * self.network.output_scale
-                answer[begin + first : begin + first + bins] = radiance.cpu().numpy()
+                radiance = radiance.view(tile, directions, 3)[:bins].float()
+                if lobes is not None:
+                    radiance = radiance + in_directions(Lobes(*(part[first : first + bins] for part in lobes)), towards)
+                answer[begin + first : begin + first + bins] = (radiance * self.network.output_scale).cpu().numpy()
 
     def _powers(self, incident: Tensor, outgoing: Tensor) -> Tensor:
         """Powers of ωi·ωo from 0 [N, D, 1 + angle_powers]: incident [N, D, 3], outgoing [N, 3]."""

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from prt_bake.neural.lobes import Lobes, lobes_from
+from prt_bake.neural.settings import EXIT
+
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
 
@@ -30,6 +33,9 @@ class LateLayers:
         features = 2 * settings.light_features
         self._light = [weight[:, :features].contiguous() for weight in told]
         self._angle = [weight[:, features:].T.contiguous() for weight in told]
+        self._lobes: Any = network.lobes
+        if self._lobes is not None:
+            self._lobes = self._lobes.weight.detach().to(dtype), self._lobes.bias.detach().to(dtype)
         self._zero = torch.zeros_like(self._biases[0])
         self._split = [self._columns(number) for number in range(self._trunk + 1, settings.layers + 1)]
 
@@ -48,8 +54,9 @@ class LateLayers:
         rows = features.to(self._zero.dtype)
         return torch.stack([torch.nn.functional.linear(rows, weight) for weight in self._light])
 
-    def bins(self, features: Tensor) -> Tensor:
-        """What a view adds to each later layer, by powers of ωi·ωo from 0 [layers, N, 1 + angle_powers, width].
+    def bins(self, features: Tensor) -> tuple[Tensor, Lobes | None]:
+        """What a view adds to each later layer, by powers of ωi·ωo from 0 [layers, N, 1 + angle_powers, width], and
+        its lobes.
 
         First what the layers before and their skips say, biases included, then what each power does; from the features
         that the first layer sees [N, view_inputs].
@@ -61,6 +68,7 @@ class LateLayers:
             h = torch.cat((h, *(activations[source - 1] for source in sources)), dim=1) if sources else h
             h = self._linear(h, self._weights[number - 1], self._biases[number - 1], self._activation)
             activations.append(h)
+        lobes = None if self._lobes is None else lobes_from(self._linear(h, *self._lobes, "none"), features[:, -EXIT:])
         added = []
         for number, (shared, _own) in enumerate(self._split, start=self._trunk + 1):
             sources = [source for source in (number - 1, *self._skips[number - 1]) if source <= self._trunk]
@@ -71,7 +79,8 @@ class LateLayers:
             else:
                 added.append(bias.expand(len(features), -1))
         powers = [weight.expand(len(features), -1, -1) for weight in self._angle]
-        return torch.stack([torch.cat((once[:, None], more), 1) for once, more in zip(added, powers, strict=True)])
+        each = [torch.cat((once[:, None], more), 1) for once, more in zip(added, powers, strict=True)]
+        return torch.stack(each), lobes
 
     def add_views(self, added: Tensor, bins: Tensor, powers: Tensor) -> Tensor:
         """`added` [layers, N, D, width], of directions, with what views add to it: `bins` [layers, N, 1 + angle_powers,

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from formats.errors import QueryError
 from prt_bake.neural.fused import FusedNetwork
+from prt_bake.neural.lobes import in_directions
 from prt_bake.neural.pair_kernel import cycles_rows, fourier_rows
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class PairNetwork(FusedNetwork):
                 if self._late is None:
                     radiance = self._layers(self._feature_rows(*query).to(self._dtype))
                 else:
-                    radiance = self._late.radiance(self._late_rows(*query))
+                    radiance = self._late_radiance(*query)
                 radiance = radiance.float() * self.network.output_scale
                 answer[chosen] = radiance.view(tile, directions, 3)[: len(answer[chosen])].cpu().numpy()
         return answer
@@ -127,19 +128,21 @@ class PairNetwork(FusedNetwork):
         fourier_rows(cycles, along, common.numpy().astype(np.float32), self._deviation, rows.numpy())
         return rows
 
-    def _late_rows(self, incident: Array, positions: Array, outgoing: Array, tile: int) -> Tensor:
-        """What views and directions add to each later layer [layers, tile·S, width]; others are of zeros."""
+    def _late_radiance(self, incident: Array, positions: Array, outgoing: Array, tile: int) -> Tensor:
+        """Ŝ [tile·S, 3] over the output scale; rows of no view hold anything."""
         assert self._late is not None
         at, count = self._device, len(positions)
         views = torch.zeros((tile, self.network.settings.view_inputs), device=at)
         views[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
-        bins = self._late.bins(views)
+        bins, lobes = self._late.bins(views)
         towards = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
         towards[:count] = torch.as_tensor(incident)
         light = self._late.light_table(self.network.light_features(towards.to(at)))
         eye = torch.zeros((tile, 3))
         eye[:count] = torch.as_tensor(outgoing)
-        return self._late.add_views(light, bins, self._powers(towards.to(at), eye.to(at)))
+        eye, towards = eye.to(at), towards.to(at)
+        smooth = self._late.radiance(self._late.add_views(light, bins, self._powers(towards, eye)))
+        return smooth if lobes is None else smooth.float() + in_directions(lobes, towards).flatten(0, 1)
 
     def _rows_there(self, light: Tensor, view: Tensor, common: Tensor, tile: int) -> Tensor:
         """As `_feature_rows`, on the device."""

@@ -13,6 +13,8 @@ Activation = Literal["relu", "silu"]
 DirectionForm = Literal["spherical", "cartesian"]
 
 COSINE_BUMPS = 8
+EXIT = 3
+"""Numbers that tell where the ray of view goes once it has left the object; they stand last."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class NetworkSettings:
     """Whether the ray is bent at the interface, and its normal told."""
     ray_turns: int = 0
     """Total reflections through which a ray that is bent is followed (`prt_bake.neural.view_ray`)."""
+    lobes: int = 0
+    """Narrow lobes in ωi that the layers before the late ones say of each view (`prt_bake.neural.lobes`)."""
 
     def __post_init__(self) -> None:
         for name in ("features", "width", "layers", "light_features"):
@@ -68,6 +72,11 @@ class NetworkSettings:
             raise ModelError(
                 "network settings: angle_powers must not be negative, and without light_layers nothing takes them; "
                 f"found {self.angle_powers}"
+            )
+        if self.lobes < 0 or (self.lobes and not self.tells_normal):
+            raise ModelError(
+                "network settings: lobes must not be negative, and without tells_normal no ray leads to them; "
+                f"found {self.lobes}"
             )
         if self.activation not in ("relu", "silu"):
             raise ModelError(f"network settings: activation must be relu or silu, found {self.activation!r}")
@@ -109,7 +118,7 @@ class NetworkSettings:
     def told_besides(self) -> int:
         """Numbers that the first layer is told of the ray of view besides the Fourier features."""
         places = self.ray_samples + 1 if self.ray_samples else 0
-        return places + (3 + COSINE_BUMPS if self.tells_normal else 0)
+        return places + (3 + COSINE_BUMPS if self.tells_normal else 0) + (EXIT if self.lobes else 0)
 
     @property
     def view_inputs(self) -> int:
@@ -183,6 +192,7 @@ PRESETS: dict[str, NetworkSettings] = {
         ray_samples=12,
         tells_normal=True,
         ray_turns=4,
+        lobes=2,
     ),
 }
 """`paper`: as published. `measured`: lower error after the same training (`make bench` shows both)."""

@@ -56,6 +56,7 @@ class ViewFeatures(nn.Module):
         super().__init__()
         self.tensors_alone = False
         self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
+        self._tells_exit = settings.lobes > 0
         self._turns = settings.ray_turns if settings.tells_normal else 0
         self._own = round(_OWN_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_USUAL_LENGTH * max(interior.attenuation)), _LEAST_OPACITY)
@@ -82,7 +83,9 @@ class ViewFeatures(nn.Module):
             ray = self._ray(x, back)
             places, opacity = self._places(self._depths(ray))
             told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None] * self._gain), dim=1)
-            return torch.cat([self._averaged(x, eye, ray.points(places), self._gain * opacity), *parts, told], dim=-1)
+            exits = [self._exit(ray)] if self._tells_exit else []
+            averaged = self._averaged(x, eye, ray.points(places), self._gain * opacity)
+            return torch.cat([averaged, *parts, told, *exits], dim=-1)
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)
@@ -112,6 +115,21 @@ class ViewFeatures(nn.Module):
             self.levels[0].numpy(), numbers[0], numbers[1], numbers[2], told[0], told[1], told[2], told[3], told[4]
         )
         return Ray(starts + self.corner, towards, begins)
+
+    def _exit(self, ray: Ray) -> Tensor:
+        """Where rays go on to [N,3] once they have left the object, bent where they leave it first; a ray that is
+        reflected there, or that never leaves, goes straight on.
+        """
+        inside = self._inside(0, ray.points(self.edges))
+        within = inside > 0.0
+        leaves = within[:, :-1] & ~within[:, 1:]
+        first = leaves.to(torch.int8).argmax(dim=1, keepdim=True)
+        before, after = inside.gather(1, first), inside.gather(1, first + 1)
+        share = before / (before - after).clamp(min=1e-6)
+        length = torch.lerp(self.edges[first], self.edges[first + 1], share.clamp(0.0, 1.0))
+        point, ahead = ray.points(length)[:, 0], ray.along(length)[:, 0]
+        normal = self._normal(point)
+        return torch.where(leaves.any(dim=1, keepdim=True), _left(ahead, normal, self.interior.eta), ahead)
 
     def _depths(self, ray: Ray) -> Tensor:
         """Optical depths [N,M] of the intervals between edges along rays; a place belongs to the last body that it lies
@@ -186,6 +204,17 @@ class ViewFeatures(nn.Module):
             ],
             dim=-1,
         )
+
+
+def _left(ahead: Tensor, normal: Tensor, eta: float) -> Tensor:
+    """Where light that meets the boundary from inside along unit vectors `ahead` [N,3] goes on to, by Snell's law;
+    straight on where it is totally reflected, or the normal is none.
+    """
+    cosine = (ahead * normal).sum(-1, keepdim=True)
+    squared = 1.0 - eta**2 * (1.0 - cosine**2)
+    bent = eta * ahead + (squared.clamp(min=0.0).sqrt() - eta * cosine) * normal
+    leaves = (squared > 0.0) & (cosine > 0.0) & normal.any(dim=-1, keepdim=True)
+    return nn.functional.normalize(torch.where(leaves, bent, ahead), dim=-1)
 
 
 def _edges(interior: Interior, turned: bool) -> Tensor:

@@ -42,6 +42,11 @@ class Ray:
         """From x [N,3] along −back [N,3]."""
         return Ray(x[:, None], -back[:, None], torch.zeros((len(x), 1), device=x.device))
 
+    def along(self, lengths: Tensor) -> Tensor:
+        """Unit vectors [N,K,3] along which the ray runs after lengths [N,K]."""
+        piece = (lengths[..., None] >= self.begins[:, None, 1:]).sum(dim=-1)
+        return self.towards.gather(1, piece[..., None].expand(-1, -1, 3))
+
     def points(self, lengths: Tensor) -> Tensor:
         """Where the ray is after lengths [N,K] or, the same for all, [K]: [N,K,3]."""
         if self.starts.shape[1] == 1:

@@ -20,11 +20,12 @@ from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.cores import chosen_device
 from prt_bake.trainer.history import Meter, TrainingRow
+from prt_bake.trainer.interface import ROUGH
 from prt_bake.trainer.interior import interior_of, is_clear
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.material import Material, OnlineMaterial, box_of
 from prt_bake.trainer.offline import FileMaterial
-from prt_bake.trainer.prepared import is_unbent
+from prt_bake.trainer.prepared import interface_kind, is_unbent
 from prt_bake.trainer.remarks import hard_to_learn
 from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.rows import RowSource, StreamSettings
@@ -227,12 +228,15 @@ class _Run:
 
 
 def _as_the_scene_needs(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
-    """The settings as they are, but that no normal is told where light leaves unbent, and that rays do not turn where
-    they hardly reach the other side: it would say nothing.
+    """The settings as they are, but for what would say nothing: the normal where light leaves unbent, rays that turn
+    where they hardly reach the other side, and lobes of what crosses unscattered where hardly anything does, or where
+    a smooth interface keeps it out of Ŝ.
     """
     if is_unbent(scene):
-        return replace(settings, tells_normal=False, ray_turns=0)
-    return settings if is_clear(scene, box_of(scene)) else replace(settings, ray_turns=0)
+        return replace(settings, tells_normal=False, ray_turns=0, lobes=0)
+    if not is_clear(scene, box_of(scene)):
+        return replace(settings, ray_turns=0, lobes=0)
+    return settings if interface_kind(scene) == ROUGH else replace(settings, lobes=0)
 
 
 def _metadata(scene: Scene) -> dict[str, Any]:

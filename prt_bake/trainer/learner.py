@@ -13,8 +13,9 @@ from torch import Tensor
 from formats.errors import QueryError
 from prt_bake.directions import rotations
 from prt_bake.network import NeuralBSSRDF
+from prt_bake.neural.lobes import Lobes, in_directions, mean_square
 from prt_bake.sphere import fibonacci
-from prt_bake.trainer.objective import Loss, of_exits, of_values
+from prt_bake.trainer.objective import Loss, SomeLobes, of_exits, of_values
 from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
 
 Schedule = Literal["cosine", "constant", "exponential"]
@@ -139,30 +140,34 @@ class Learner:
 
     def _from_values(self, rows: Tensor) -> Tensor:
         rays = rays_of(rows)
-        answers = self._answers(rays[..., INCIDENT], rows)
+        answers, _lobes = self._answers(rays[..., INCIDENT], rows)
         values = rays[..., CHANNELS] / self.network.output_scale
         return of_values(answers, values, self.settings.loss, self.settings.floor)
 
     def _from_exits(self, rows: Tensor, generator: np.random.Generator) -> Tensor:
         rays = rays_of(rows)
         everywhere = torch.from_numpy(self._turned_lattice(len(rows), generator)).to(self._device)
-        answers = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows)
+        answers, lobes = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows)
         throughput = rays[..., CHANNELS] / self.network.output_scale
         walks = rays.shape[1]
-        return of_exits(answers[:, :walks], throughput, answers[:, walks:], self.settings.loss, self.settings.floor)
+        some = None if lobes is None else SomeLobes(in_directions(lobes, everywhere), mean_square(lobes))
+        settings = self.settings
+        return of_exits(answers[:, :walks], throughput, answers[:, walks:], settings.loss, settings.floor, some)
 
     def _turned_lattice(self, count: int, generator: np.random.Generator) -> NDArray[np.float32]:
         """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
         turns = rotations(generator.random((count, 3))).astype(np.float32)
         return np.asarray(np.einsum("nij,dj->ndi", turns, self._lattice, optimize=True))
 
-    def _answers(self, incident: Tensor, rows: Tensor) -> Tensor:
-        """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32."""
+    def _answers(self, incident: Tensor, rows: Tensor) -> tuple[Tensor, Lobes | None]:
+        """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32, and the lobes in
+        them.
+        """
         network = self.network
         positions = network.box_min + network.box_side * rows[:, POSITION].double()
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
-            answer = network.radiance(incident, positions, rows[:, OUTGOING])
-        return answer.float() / network.output_scale
+            answer, lobes = network.parts(incident, positions, rows[:, OUTGOING])
+        return (answer.float() if lobes is None else answer.float() + in_directions(lobes, incident)), lobes
 
     def _average(self) -> None:
         """Move the average towards the weights, so that it weighs step s of t by about (s/t)^γ."""

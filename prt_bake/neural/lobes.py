@@ -1,0 +1,80 @@
+"""Lobes of a network: light that crosses an object almost unscattered leaves it as a narrow beam.
+
+Behind a rough interface such light is a part of Ŝ: a few per cent of it in thick objects, most of it in clear ones,
+within some ten degrees of one direction that moves with x and ωo. The late layers of a network are smooth in ωi and
+can only blur it. So the layers before them say besides, for each view, where lobes point, how sharp they are and what
+they carry, and Ŝ gets
+
+    Σₖ Eₖ · 2κₖ / (1 − exp(−2κₖ)) · exp(κₖ (ωi·μₖ − 1))
+
+added: spherical Gaussians (Wang et al. 2009, "All-frequency rendering of dynamic, spatially-varying reflectance") whose
+mean over the sphere is Eₖ, so that what a lobe carries and how sharp it is are learnt apart.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+NUMBERS = 7
+"""That a lobe is made of: what it carries in three channels, the logarithm of its sharpness, its direction."""
+_FAINT = -3.0
+"""What a lobe carries at first: the softplus of it, 0.05 of the output scale."""
+_SHARPNESS, _LEAST, _MOST = 3.4, 1.6, 5.5
+"""Logarithms of sharpness: at first (10°), at least (26°) and at most (3.7°)."""
+
+
+class Lobes(NamedTuple):
+    """K lobes of each of N views, over the output scale.
+
+    Attributes:
+        axes: [N,K,3], unit vectors μ.
+        sharpness: [N,K], κ.
+        peaks: [N,K,3], what a lobe adds along its axis.
+    """
+
+    axes: Tensor
+    sharpness: Tensor
+    peaks: Tensor
+
+
+def lobes_from(told: Tensor, exits: Tensor) -> Lobes:
+    """The lobes that numbers [N, NUMBERS·K] tell of views whose rays leave along exits [N,3]: zeros are faint lobes
+    there.
+    """
+    each = told.float().reshape(len(told), -1, NUMBERS)
+    carried = _softplus(each[..., :3] + _FAINT)
+    sharpness = (each[..., 3] + _SHARPNESS).clamp(_LEAST, _MOST).exp()
+    axes = torch.nn.functional.normalize(each[..., 4:] + exits.float()[:, None], dim=-1)
+    return Lobes(axes, sharpness, carried * _peak(sharpness)[..., None])
+
+
+def in_directions(lobes: Lobes, incident: Tensor) -> Tensor:
+    """What the lobes add [N,D,3] in directions incident [N,D,3]."""
+    # Number by number, no products of matrices: a view's sums must not depend on how many others stand beside it.
+    x, y, z = incident.float().unbind(dim=-1)
+    added = torch.zeros_like(incident, dtype=torch.float32)
+    for axis, sharpness, peak in zip(*(part.unbind(dim=1) for part in lobes), strict=True):
+        a, b, c = axis[:, None].unbind(dim=-1)
+        shape = torch.exp(sharpness[:, None] * (x * a + y * b + z * c - 1.0))
+        added = added + shape[..., None] * peak[:, None]
+    return added
+
+
+def mean_square(lobes: Lobes) -> Tensor:
+    """The mean over the sphere [N,3] of (Σ lobes)², exactly: few directions would hardly ever meet a lobe."""
+    axes, sharpness, peaks = lobes
+    weighed = sharpness[..., None] * axes
+    joint = torch.linalg.vector_norm(weighed[:, :, None] + weighed[:, None], dim=-1).clamp(min=1e-3)
+    pairs = torch.exp(joint - sharpness[:, :, None] - sharpness[:, None]) / _peak(joint)
+    return torch.einsum("njc,nkc,njk->nc", peaks, peaks, pairs)
+
+
+def _softplus(x: Tensor) -> Tensor:
+    """As torch has it, but for the last bits: those of torch's depend on how many numbers stand beside one."""
+    return torch.relu(x) + torch.log1p(torch.exp(-x.abs()))
+
+
+def _peak(sharpness: Tensor) -> Tensor:
+    """The value along the axis over the mean over the sphere."""
+    return 2.0 * sharpness / -torch.expm1(-2.0 * sharpness)
