@@ -1,5 +1,6 @@
 """Lobes of networks: what they are, how they are summed, learnt from and left out."""
 
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,9 @@ from prt_bake.neural.settings import EXIT, NetworkSettings
 from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.sphere import fibonacci, uniform
 from prt_bake.trainer.fit import train
+from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.objective import SomeLobes, of_exits
+from prt_bake.trainer.rows import Batch
 
 LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, ray_turns=0, lobes=3)
 SPACING = 0.02
@@ -131,6 +134,33 @@ def test_the_loss_of_exits_takes_the_square_of_lobes_exactly() -> None:
     difference = (plain - exact).double()
     assert abs(float(difference.mean())) < 4.0 * float(difference.std()) / draws**0.5
     assert float(exact.std()) < 0.3 * float(plain.std())
+
+
+def test_what_lobes_alone_are_learnt_from_hangs_on_no_draw() -> None:
+    """Where nothing but lobes answers, directions all over the sphere say nothing that is not known exactly."""
+    network = lobed()
+    with torch.no_grad():
+        network.output.weight.zero_()
+        network.output.bias.zero_()
+    rng = np.random.default_rng(10)
+    rows = np.concatenate([rng.uniform(0.3, 0.7, (64, 3)), uniform(64, 11), np.zeros((64, 12))], axis=1)
+    rows_of_rays = rows[:, 6:].reshape(64, 2, 6)
+    rows_of_rays[..., :3], rows_of_rays[..., 3:] = uniform(128, 12).reshape(64, 2, 3), rng.uniform(0.0, 2.0, (64, 2, 3))
+    batch = Batch(rows.astype(np.float32), np.arange(64))
+    settings = replace(small_training.LEARNING, bfloat16=False, warm_up=0.0)
+    losses = [
+        Learner(deepcopy(network), settings).learn(Exits(), batch, 0.5, np.random.default_rng(seed)) for seed in (1, 2)
+    ]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
+
+
+class Exits:
+    """A source of exits, as far as the learner asks."""
+
+    exits = True
+
+    def where(self, number: int) -> str:
+        return f"query {number}"
 
 
 def test_lobes_need_a_ray_that_leads_to_them() -> None:
