@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from scenes import make_scene
 from shapes import ball
+from test_view_ray import cube
 
 from formats.errors import ModelError
 from prt_bake.network import PRESETS, NeuralBSSRDF, load_model, save_model
@@ -100,6 +101,25 @@ def test_rays_leave_a_ball_as_snells_law_says(eta: float, turns: int) -> None:
     off = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1.0, 1.0)))
     assert np.median(off) < 1.5
     assert np.mean(off < 6.0) > 0.9
+
+
+def test_a_ray_that_turns_leaves_along_its_last_piece() -> None:
+    """In a cube of index 1.5 a wall that is met at 53° reflects; the bottom, met at 37°, lets through."""
+    x, eye = torch.tensor([[0.7, 0.5, 1.0]]), torch.tensor([[-0.9, 0.0, (1.0 - 0.81) ** 0.5]])
+    view = ViewFeatures(replace(LOBED, ray_turns=4), torch.zeros((LOBED.features, 6)), cube(0.5, 1.5))
+    found = view(x, eye, torch.tensor([[0.0, 0.0, 1.0]]))[:, -EXIT:]
+    torch.testing.assert_close(found, -eye * torch.tensor([-1.0, 1.0, 1.0]), atol=0.03, rtol=0.0)
+
+
+def test_lobes_begin_much_alike_by_the_seed_alone() -> None:
+    one, same, other = (NeuralBSSRDF(replace(LOBED, seed=seed), interior=glass_ball(1.4)).lobes for seed in (1, 1, 2))
+    assert one is not None
+    assert same is not None
+    assert other is not None
+    assert torch.equal(one.weight, same.weight)
+    assert not torch.equal(one.weight, other.weight)
+    assert 0.01 < float(one.weight.detach().std()) < 0.03
+    assert not one.bias.any()
 
 
 def test_a_network_is_its_layers_and_its_lobes_on_every_path(tmp_path: Path) -> None:
