@@ -5,6 +5,9 @@
 Prints the relative RMSE of Ŝ and of a_lm on fresh queries, the same for all, and of a_lm over vertices as a bake asks
 (reference noise taken out); the walks, the steps, and the model's size on disk. `--only` keeps the variants whose names
 hold one of the words. The paper's network is among them.
+
+What a scene does not need is left out of every variant (`trainer.fit`): those of lobes and turns of the ray differ from
+the default on clear objects alone.
 """
 
 import argparse
