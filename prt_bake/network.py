@@ -5,7 +5,8 @@ float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2π
 skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
 of ωi, and powers of ωi·ωo, are appended to the inputs of the last hidden layers: what comes before is run once for all
 directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view
-(`prt_bake.neural.view_features`), and with `lobes` narrow ones in ωi are added (`prt_bake.neural.lobes`).
+(`prt_bake.neural.view_features`), with `shape_places` the object's shape around some places of it is told
+(`prt_bake.neural.shape`), and with `lobes` narrow ones in ωi are added (`prt_bake.neural.lobes`).
 """
 
 import json

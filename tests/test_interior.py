@@ -22,7 +22,7 @@ from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.surface import Surface
 from prt_bake.trainer.fit import train
 
-LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0, lobes=0)
+LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0, lobes=0, shape_places=0)
 RNG = np.random.default_rng(3)
 
 
@@ -200,7 +200,7 @@ def test_a_hollow_inside_attenuates_nothing() -> None:
 
 @pytest.mark.parametrize("eta", [0.7, 1.0, 1.5])
 def test_tensors_and_kernel_agree(eta: float) -> None:
-    view = features(half_space(5.0, eta))
+    view = features(half_space(5.0, eta), replace(LOOKING, shape_places=3))
     # The boundary is at ½: near it, inside and out, there is a normal.
     x, eye = torch.from_numpy(RNG.uniform(0, 1, (200, 3)) * [1.0, 1.0, 0.06] + [0.0, 0.0, 0.47]), unit(200)
     kernel = view(x, eye)
@@ -226,7 +226,7 @@ def test_half_precision_leaves_the_phases_alone() -> None:
 def test_extreme_views_have_finite_features(attenuation: float, eta: float) -> None:
     """Far outside, along the boundary, where no normal is, through nothing and through what nothing leaves."""
     for interior in (half_space(attenuation, eta), full(attenuation, eta)):
-        view = features(interior)
+        view = features(interior, replace(LOOKING, shape_places=2))
         x = torch.tensor([[0.5, 0.5, 0.5], [1e6, 0.0, 0.0], [-50.0, 2.0, 9.0], [0.0, 0.0, 0.0]])
         eye = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
         for alone in (False, True):

@@ -56,8 +56,11 @@ def test_file_has_the_papers_size_and_gives_the_same_network_back(
 ) -> None:
     network.metadata = {"up": "z", "eta": 1.3, "training": {"steps": 5}}
     path = tmp_path / f"model{suffix}"
+    if network.view is not None:
+        network = network.rounded()  # as trainers write it
     save_model(network, path)
-    assert (640 if network.view is None else 590) * 1024 <= path.stat().st_size <= 660 * 1024
+    least, most = (640, 660) if network.view is None else (330, 440)
+    assert least * 1024 <= path.stat().st_size <= most * 1024
     again = load_model(path)
     assert again.settings == network.settings
     assert again.metadata == network.metadata

@@ -9,7 +9,7 @@ Where the object is thin, or the ray leaves it and enters it again, the weights 
 to learn it point by point. The average is an integrated encoding (Barron et al. 2021, Mip-NeRF) with the medium's own
 weights: over places that are equally likely, however thick or thin the medium. At an interface the ray is bent by the
 normal, and turns at the boundary where it is totally reflected (`prt_bake.neural.view_ray`); the normal and the cosine
-are told, too, and where the places lie.
+are told, too, and where the places lie, and the object's shape around some of them (`prt_bake.neural.shape`).
 """
 
 import math
@@ -19,7 +19,8 @@ import torch
 from torch import Tensor, nn
 
 from prt_bake.neural.interior import LEVELS, REACH, Interior
-from prt_bake.neural.settings import COSINE_BUMPS, NetworkSettings
+from prt_bake.neural.settings import COSINE_BUMPS, SHAPE, NetworkSettings
+from prt_bake.neural.shape import blurred, looked_up
 from prt_bake.neural.view_ray import Ray, folded, normals
 
 _MEAN_FREE_PATHS = 4.0
@@ -50,6 +51,7 @@ class ViewFeatures(nn.Module):
     levels: Tensor
     corner: Tensor
     edges: Tensor
+    shape: Tensor
 
     def __init__(self, settings: NetworkSettings, frequencies: Tensor, interior: Interior) -> None:
         """frequencies [F,6] of (x, ωo), the network's own."""
@@ -57,6 +59,9 @@ class ViewFeatures(nn.Module):
         self.tensors_alone = False
         self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
         self._tells_exit = settings.lobes > 0
+        apart = self._samples / max(settings.shape_places - 1, 1)
+        self._shape_at = [int(apart * (place + 0.5)) for place in range(settings.shape_places - 1)]
+        self._tells_shape = settings.shape_places > 0
         self._turns = settings.ray_turns if settings.tells_normal else 0
         self._own = round(_OWN_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_USUAL_LENGTH * max(interior.attenuation)), _LEAST_OPACITY)
@@ -65,6 +70,7 @@ class ViewFeatures(nn.Module):
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
             ("edges", _edges(interior, self._turns > 0)),
+            ("shape", blurred(interior) if self._tells_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
 
@@ -83,9 +89,13 @@ class ViewFeatures(nn.Module):
             ray = self._ray(x, back)
             places, opacity = self._places(self._depths(ray))
             told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None] * self._gain), dim=1)
+            points = ray.points(places)
+            shape = (
+                [self._shape(torch.cat((x[:, None], points[:, self._shape_at]), dim=1))] if self._tells_shape else []
+            )
             exits = [self._exit(ray)] if self._tells_exit else []
-            averaged = self._averaged(x, eye, ray.points(places), self._gain * opacity)
-            return torch.cat([averaged, *parts, told, *exits], dim=-1)
+            averaged = self._averaged(x, eye, points, self._gain * opacity)
+            return torch.cat([averaged, *parts, told, *shape, *exits], dim=-1)
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)
@@ -159,6 +169,17 @@ class ViewFeatures(nn.Module):
         per_length = np.float32(1.0 / self.interior.spacing)
         distance_rows(grid.numpy(), per_length, (points - self.corner).numpy(), distances.numpy())
         return distances
+
+    def _shape(self, points: Tensor) -> Tensor:
+        """What is told of the object around places [N,P,3]: [N,P·SHAPE]."""
+        at = (points - self.corner).reshape(-1, 3)
+        if self.tensors_alone or at.device.type != "cpu":
+            return looked_up(self.shape, self.interior.spacing, at).reshape(len(points), -1)
+        from prt_bake.neural.view_kernel import shape_rows
+
+        rows = torch.empty((len(at), SHAPE))
+        shape_rows(self.shape.numpy(), np.float32(1.0 / self.interior.spacing), at.numpy(), rows.numpy())
+        return rows.reshape(len(points), -1)
 
     def _places(self, depths: Tensor) -> tuple[Tensor, Tensor]:
         """Where light comes from along rays [N,K], all places equally likely, and the opacities [N] of the rays; zero

@@ -41,6 +41,25 @@ def distance_rows(levels: Any, per_length: Any, points: Any, distances: Any) -> 
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def shape_rows(told: Any, per_length: Any, points: Any, rows: Any) -> None:
+    """Set rows [N,C] to the values of a grid [X,Y,Z,C] at points [N,3] from its corner: `shape.looked_up`."""
+    nx, ny, nz, channels = told.shape
+    for n in range(len(points)):
+        u = min(max(points[n, 0] * per_length, _ZERO), np.float32(nx - 1))
+        v = min(max(points[n, 1] * per_length, _ZERO), np.float32(ny - 1))
+        w = min(max(points[n, 2] * per_length, _ZERO), np.float32(nz - 1))
+        i, j, k = min(int(u), nx - 2), min(int(v), ny - 2), min(int(w), nz - 2)
+        u, v, w = u - np.float32(i), v - np.float32(j), w - np.float32(k)
+        rows[n] = _ZERO
+        for a in range(2):
+            for b in range(2):
+                across = (u if a else _ONE - u) * (v if b else _ONE - v)
+                low, high = across * (_ONE - w), across * w
+                for c in range(channels):
+                    rows[n, c] += low * told[i + a, j + b, k, c] + high * told[i + a, j + b, k + 1, c]
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
     """The grid's normal at a point from its corner, pointing out, as `prt_bake.neural.view_ray.normals` has it."""
     per_length = _ONE / spacing

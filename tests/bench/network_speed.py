@@ -58,7 +58,9 @@ def main() -> None:
     rotation = np.random.default_rng(4).integers(0, COPIES, (VERTICES, BINS))
     evaluations = VERTICES * BINS * DIRECTIONS
     print(f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'GFLOP/s':>9}{'peak':>7}{'share':>7}")
-    for preset, settings in {**PRESETS, "no lobes": replace(PRESETS["measured"], lobes=0)}.items():
+    measured = PRESETS["measured"]
+    less = {"no lobes": replace(measured, lobes=0), "no shape": replace(measured, lobes=0, shape_places=0)}
+    for preset, settings in {**PRESETS, **less}.items():
         network = NeuralBSSRDF(settings, interior=ball(64) if settings.ray_samples else None)
         work = 2 * sum(outputs * inputs for outputs, inputs in settings.layer_shapes)
         for precision in PRECISIONS:
