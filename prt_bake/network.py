@@ -6,7 +6,8 @@ skips → linear layer to RGB, times `output_scale`. Where the settings have ωi
 of ωi, and powers of ωi·ωo, are appended to the inputs of the last hidden layers: what comes before is run once for all
 directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view
 (`prt_bake.neural.view_features`), with `shape_places` the object's shape around some places of it is told
-(`prt_bake.neural.shape`), and with `lobes` narrow ones in ωi are added (`prt_bake.neural.lobes`).
+(`prt_bake.neural.shape`), with `grid_places` numbers learnt at places of it (`prt_bake.neural.feature_grid`), and with
+`lobes` narrow ones in ωi are added (`prt_bake.neural.lobes`).
 """
 
 import json
@@ -321,8 +322,9 @@ def save_model(network: NeuralBSSRDF, path: str | Path) -> None:
     """Writes the network as `.pt` or `.safetensors`: tensors in float16 where that loses nothing (`rounded`), else in
     float32; everything else as JSON.
 
-    Both presets take 660 KiB at most, rounded 372 KiB. Raises ModelError on another suffix or on weights that are not
-    finite, StorageError if the file cannot be written; an older file then stays as it was.
+    As a trainer rounds them the paper's takes 372 KiB and the measured one 660 KiB at most. Raises ModelError on
+    another suffix or on weights that are not finite, StorageError if the file cannot be written; an older file then
+    stays as it was.
     """
     head = {
         "format": FORMAT,

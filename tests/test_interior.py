@@ -22,7 +22,9 @@ from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.surface import Surface
 from prt_bake.trainer.fit import train
 
-LOOKING = replace(PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0, lobes=0, shape_places=0)
+LOOKING = replace(
+    PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0, lobes=0, shape_places=0, grid_places=0
+)
 RNG = np.random.default_rng(3)
 
 

@@ -82,8 +82,8 @@ def test_tensors_and_kernel_look_up_as_scipy_does() -> None:
     np.testing.assert_allclose(looked_up(told, 0.1, torch.from_numpy(at)).numpy(), exact, atol=2e-4)
 
 
-@pytest.mark.parametrize("places", [1, 2, 5, 12])
-def test_places_are_told_from_x_inward_along_the_ray(places: int) -> None:
+@pytest.mark.parametrize(("places", "chosen_of_twelve"), [(1, []), (2, [6]), (4, [2, 6, 10]), (5, [1, 4, 7, 10])])
+def test_places_are_told_from_x_inward_along_the_ray(places: int, chosen_of_twelve: list[int]) -> None:
     wall, chosen = half_space(5.0), replace(LOOKING, tells_normal=False, shape_places=places)
     view = features(wall, chosen)
     x = torch.from_numpy(RNG.uniform(0.3, 0.49, (30, 3))).float()
@@ -93,9 +93,7 @@ def test_places_are_told_from_x_inward_along_the_ray(places: int) -> None:
     assert told.shape[1] == chosen.view_inputs == begins + SHAPE * places
     # Lengths are told beside them, over half of the farthest.
     lengths = told[:, 2 * chosen.features : begins - 1] * 0.5 * float(view.edges[-1])
-    along = torch.cat((torch.zeros(30, 1), lengths[:, view._shape_at]), dim=1)
-    assert bool((along.diff(dim=1) >= 0.0).all())
-    assert len(set(view._shape_at)) == places - 1
+    along = torch.cat((torch.zeros(30, 1), lengths[:, chosen_of_twelve]), dim=1)
     at = (x[:, None] - along[..., None] * eye[:, None] - view.corner).reshape(-1, 3)
     expected = looked_up(view.shape, wall.spacing, at).reshape(30, -1)
     np.testing.assert_allclose(told[:, begins:].numpy(), expected.numpy(), atol=2e-3)

@@ -9,7 +9,8 @@ Where the object is thin, or the ray leaves it and enters it again, the weights 
 to learn it point by point. The average is an integrated encoding (Barron et al. 2021, Mip-NeRF) with the medium's own
 weights: over places that are equally likely, however thick or thin the medium. At an interface the ray is bent by the
 normal, and turns at the boundary where it is totally reflected (`prt_bake.neural.view_ray`); the normal and the cosine
-are told, too, and where the places lie, and the object's shape around some of them (`prt_bake.neural.shape`).
+are told, too, and where the places lie, the object's shape around some of them (`prt_bake.neural.shape`), and what has
+been learnt at them (`prt_bake.neural.feature_grid`).
 """
 
 import math
@@ -18,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from prt_bake.neural.feature_grid import FeatureGrid
 from prt_bake.neural.interior import LEVELS, REACH, Interior
 from prt_bake.neural.settings import COSINE_BUMPS, SHAPE, NetworkSettings
 from prt_bake.neural.shape import blurred, looked_up
@@ -69,33 +71,43 @@ class ViewFeatures(nn.Module):
             ("frequencies", frequencies.detach().float()),
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
-            ("edges", _edges(interior, self._turns > 0)),
+            ("edges", edges_of(interior, self._turns > 0)),
             ("shape", blurred(interior) if self._tells_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
+        reach = float(self.edges[-1])
+        numbers = settings.grid_numbers
+        self.grid = FeatureGrid(interior, settings.grid_places, numbers, reach) if settings.grid_places else None
 
     def forward(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> Tensor:
         """Features [N, settings.view_inputs] in float32: positions [N,3] in the box's sides from its corner, unit
         vectors outgoing [N,3]. Where normals [N,3] are zero, or not given, the grid's are taken.
         """
+        x, eye = positions.float().contiguous(), outgoing.float().contiguous()
         with torch.no_grad(), torch.autocast(positions.device.type, enabled=False):
-            x, eye = positions.float().contiguous(), outgoing.float().contiguous()
-            parts, back = [], eye
-            if self._normals:
-                normal = self._normal(x) if normals is None else self._known_or_found(normals.float(), x)
-                cosine = (normal * eye).sum(-1, keepdim=True)
-                back = _bent(eye, normal, cosine.clamp(min=_LEAST_COSINE), self.interior.eta)
-                parts += [_WEIGHT * normal, _WEIGHT * _bumps(cosine)]
-            ray = self._ray(x, back)
-            places, opacity = self._places(self._depths(ray))
-            told = torch.cat((places * (2.0 / float(self.edges[-1])), opacity[:, None] * self._gain), dim=1)
-            points = ray.points(places)
-            shape = (
-                [self._shape(torch.cat((x[:, None], points[:, self._shape_at]), dim=1))] if self._tells_shape else []
-            )
-            exits = [self._exit(ray)] if self._tells_exit else []
-            averaged = self._averaged(x, eye, points, self._gain * opacity)
-            return torch.cat([averaged, *parts, told, *shape, *exits], dim=-1)
+            told, points, weight = self._told(x, eye, normals)
+        if self.grid is None:
+            return told
+        along = (weight / self._samples)[:, None].expand(-1, self._samples)
+        return torch.cat((self.grid(x[:, None], torch.ones_like(along[:, :1])), self.grid(points, along), told), dim=1)
+
+    def _told(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
+        """What is not learnt of the features, the places along the rays [N,K,3], and the weights [N] of means there."""
+        back, parts = eye, []
+        if self._normals:
+            normal = self._normal(x) if normals is None else self._known_or_found(normals.float(), x)
+            cosine = (normal * eye).sum(-1, keepdim=True)
+            back = _bent(eye, normal, cosine.clamp(min=_LEAST_COSINE), self.interior.eta)
+            parts += [_WEIGHT * normal, _WEIGHT * _bumps(cosine)]
+        ray = self._ray(x, back)
+        places, opacity = self._places(self._depths(ray))
+        points, weight = ray.points(places), self._gain * opacity
+        parts += [places * (2.0 / float(self.edges[-1])), weight[:, None]]
+        if self._tells_shape:
+            parts.append(self._shape(torch.cat((x[:, None], points[:, self._shape_at]), dim=1)))
+        if self._tells_exit:
+            parts.append(self._exit(ray))
+        return torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1), points, weight
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)
@@ -238,7 +250,7 @@ def _left(ahead: Tensor, normal: Tensor, eta: float) -> Tensor:
     return nn.functional.normalize(torch.where(leaves, bent, ahead), dim=-1)
 
 
-def _edges(interior: Interior, turned: bool) -> Tensor:
+def edges_of(interior: Interior, turned: bool) -> Tensor:
     """Between which the optical depth along a ray is summed up [M+1]: closer together near the surface, but evenly
     where light may come from bodies deep inside.
     """

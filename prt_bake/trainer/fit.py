@@ -21,7 +21,7 @@ from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.cores import chosen_device
 from prt_bake.trainer.history import Meter, TrainingRow
 from prt_bake.trainer.interface import ROUGH
-from prt_bake.trainer.interior import interior_of, is_clear
+from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
 from prt_bake.trainer.material import Material, OnlineMaterial, box_of
 from prt_bake.trainer.offline import FileMaterial
@@ -111,6 +111,7 @@ class _Run:
         self.scene = material.scene
         box = material.box
         interior = interior_of(self.scene, box) if settings.ray_samples else None
+        settings = settings if interior is None else with_fitting_grid(settings, interior)
         network_begun = {f"network {name}": value for name, value in settings.as_json().items()}
         told = "" if interior is None else interior.content_hash
         self.begun = {**network_begun, "interior": told, "seed": seed, **material.begun}

@@ -1,13 +1,17 @@
 """Where a scene's object is and what lies in it, as its network keeps it: grids that fit the bytes they may take."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
 from formats.scene import Medium, Part, Scene
+from prt_bake.neural.feature_grid import kept_places
 from prt_bake.neural.interior import LEVELS, REACH, Interior
+from prt_bake.neural.settings import NetworkSettings
+from prt_bake.neural.view_features import edges_of
 from prt_bake.trainer.distances import grid_distances
 from prt_bake.trainer.rows import Box
 
@@ -16,8 +20,11 @@ Corner = tuple[float, float, float]
 
 MOST_BYTES = 49_152
 """Of the grids as a model keeps them; with its weights a model stays below 660 KiB."""
+MOST_LEARNT_BYTES = 245_760
+"""Of the numbers learnt at places of the object, as a model keeps them."""
 MOST_BODIES = 4
 """The object and the largest of what lies inside."""
+_HALF_BYTES = 2
 _PLACES = 96**3
 _MOST_ACROSS = 320
 _MARGIN = 1.02
@@ -49,6 +56,18 @@ def interior_of(scene: Scene, box: Box) -> Interior:
             return interior
         # What takes bytes is the surface: four times as much at half the spacing.
         spacing *= _MARGIN * math.sqrt(taken / MOST_BYTES)
+
+
+def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkSettings:
+    """The settings with the finest grid of theirs at most whose numbers take no more than MOST_LEARNT_BYTES."""
+    reach = float(edges_of(interior, settings.ray_turns > 0)[-1])
+    places = settings.grid_places
+    while places > 1:
+        rows = int(kept_places(interior, places, reach).sum())
+        if rows * settings.grid_numbers * _HALF_BYTES <= MOST_LEARNT_BYTES:
+            break
+        places -= 1
+    return replace(settings, grid_places=places)
 
 
 def is_clear(scene: Scene, box: Box) -> bool:

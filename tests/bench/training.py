@@ -29,7 +29,7 @@ from prt_bake.trainer.rows import StreamSettings
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out, hold_out_coefficients
 
 OURS = PRESETS["measured"]
-PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False, lobes=0, shape_places=0)
+PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False, lobes=0, shape_places=0, grid_places=0)
 """With features of the position itself, and nothing told of the inside."""
 EARLY: dict[str, Any] = {"light_layers": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
 """ωi enters the first layer, and nothing is told late."""
@@ -80,6 +80,12 @@ VARIANTS: dict[str, Variant] = {
     "no lobes": network(lobes=0),
     "1 lobe": network(lobes=1),
     "4 lobes": network(lobes=4),
+    "no grid": network(grid_places=0),
+    "grid of 24 places": network(grid_places=24),
+    "grid of 48 places": network(grid_places=48),
+    "4 numbers at a place": network(grid_numbers=4),
+    "16 numbers at a place": network(grid_numbers=16),
+    "96 Fourier features": network(features=96),
     "no shape": network(shape_places=0),
     "shape at x alone": network(shape_places=1),
     "no angle": network(angle_powers=0),
