@@ -10,8 +10,8 @@ import torch
 from scenes import make_scene
 from scipy.ndimage import map_coordinates
 from shapes import ball
-from test_interior import LOOKING, features, full, half_space, unit
-from test_network_lobes import glass_ball
+from test_interior import LOOKING, features, full, half_space
+from test_network_lobes import glass_ball, unit
 
 from formats.errors import ModelError
 from prt_bake.network import PRESETS, NeuralBSSRDF, load_model, save_model
@@ -94,7 +94,7 @@ def test_places_are_kept_where_rays_of_view_reach(reach: float) -> None:
     inside = glass_ball(1.0)
     kept = kept_places(inside, 25, reach)
     grid = FeatureGrid(inside, 25, 1, reach)
-    outward = unit(4000).double().numpy()
+    outward = unit(4000, 1).double().numpy()
     depth = RNG.uniform(0.0, min(reach, 0.45), (4000, 1))
     points = torch.from_numpy(0.5 + (0.45 - depth) * outward).float()[:, None]
     rows, shares = grid._around(points)
@@ -121,7 +121,7 @@ def test_views_are_told_what_x_has_and_the_mean_along_the_ray() -> None:
     view, without = features(half_space(), chosen), features(half_space(), replace(chosen, grid_places=0))
     assert view.grid is not None
     learnt(view.grid)
-    x, eye = torch.from_numpy(RNG.uniform(0.2, 0.49, (40, 3))).float(), unit(40).float()
+    x, eye = torch.from_numpy(RNG.uniform(0.2, 0.49, (40, 3))).float(), unit(40, 2).float()
     told, rest = view(x, eye).detach(), without(x, eye)
     assert told.shape[1] == chosen.view_inputs == rest.shape[1] + 6
     np.testing.assert_array_equal(told[:, 6:].numpy(), rest.numpy())
@@ -137,7 +137,7 @@ def test_models_keep_what_is_learnt(tmp_path: Path) -> None:
     assert network.view is not None
     assert network.view.grid is not None
     learnt(network.view.grid)
-    query = unit(6).numpy().reshape(3, 2, 3), RNG.uniform(0.1, 0.9, (3, 3)), unit(3).numpy()
+    query = unit(6, 3).numpy().reshape(3, 2, 3), RNG.uniform(0.1, 0.9, (3, 3)), unit(3, 4).numpy()
     save_model(network, tmp_path / "model.pt")
     np.testing.assert_array_equal(load_model(tmp_path / "model.pt").evaluate(*query), network.evaluate(*query))
     with torch.no_grad():

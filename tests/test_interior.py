@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from shapes import ball
+from torch import nn
 
 from formats.errors import ModelError
 from prt_bake.baking import bake
@@ -203,8 +204,10 @@ def test_a_hollow_inside_attenuates_nothing() -> None:
 @pytest.mark.parametrize("eta", [0.7, 1.0, 1.5])
 def test_tensors_and_kernel_agree(eta: float) -> None:
     view = features(half_space(5.0, eta), replace(LOOKING, shape_places=3))
+    rng = np.random.default_rng(31)
     # The boundary is at ½: near it, inside and out, there is a normal.
-    x, eye = torch.from_numpy(RNG.uniform(0, 1, (200, 3)) * [1.0, 1.0, 0.06] + [0.0, 0.0, 0.47]), unit(200)
+    x = torch.from_numpy(rng.uniform(0, 1, (200, 3)) * [1.0, 1.0, 0.06] + [0.0, 0.0, 0.47])
+    eye = nn.functional.normalize(torch.from_numpy(rng.normal(size=(200, 3))))
     kernel = view(x, eye)
     view.tensors_alone = True
     np.testing.assert_allclose(kernel.numpy(), view(x, eye).numpy(), atol=1e-4)

@@ -8,8 +8,8 @@ import torch
 from scipy.ndimage import map_coordinates
 from scipy.stats import norm
 from test_interior import LOOKING as UNTOLD
-from test_interior import features, half_space, unit
-from test_network_lobes import glass_ball
+from test_interior import features, half_space
+from test_network_lobes import glass_ball, unit
 
 from formats.errors import ModelError
 from prt_bake.network import NeuralBSSRDF
@@ -87,7 +87,7 @@ def test_places_are_told_from_x_inward_along_the_ray(places: int, chosen_of_twel
     wall, chosen = half_space(5.0), replace(LOOKING, tells_normal=False, shape_places=places)
     view = features(wall, chosen)
     x = torch.from_numpy(RNG.uniform(0.3, 0.49, (30, 3))).float()
-    eye = unit(30).float()
+    eye = unit(30, 1).float()
     told = view(x, eye)
     begins = 2 * chosen.features + chosen.ray_samples + 1
     assert told.shape[1] == chosen.view_inputs == begins + SHAPE * places
