@@ -31,7 +31,9 @@ def test_the_model_was_trained_on_this_very_scene():
     scene = read_scene(demonstration.SHIPPED / "spot.toml")
     assert network.metadata["scene_hash"] == scene.content_hash
     assert network.metadata["training"]["seconds"] == pytest.approx(600, abs=5)
-    assert demonstration.MODEL.stat().st_size / 1024 <= 660  # grids of where the object is and of what is learnt there included
+    assert (
+        demonstration.MODEL.stat().st_size / 1024 <= 660
+    )  # grids of where the object is and of what is learnt there included
 
 
 def test_the_reference_has_the_size_and_the_noise_that_its_report_says():

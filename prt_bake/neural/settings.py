@@ -15,6 +15,7 @@ DirectionForm = Literal["spherical", "cartesian"]
 COSINE_BUMPS = 8
 SHAPE = 16
 """Numbers that tell of the object's shape around a place."""
+MOST_GRID_PLACES, MOST_GRID_NUMBERS = 128, 64
 EXIT = 3
 """Numbers that tell where the ray of view goes once it has left the object; they stand last."""
 
@@ -102,11 +103,13 @@ class NetworkSettings:
                 f"network settings: shape_places must be from 0 to ray_samples ({self.ray_samples}), "
                 f"found {self.shape_places}"
             )
-        if self.grid_places < 0 or self.grid_numbers < 1 or (self.grid_places and not self.ray_samples):
+        if not (0 <= self.grid_places <= MOST_GRID_PLACES and 1 <= self.grid_numbers <= MOST_GRID_NUMBERS):
             raise ModelError(
-                "network settings: grid_places must not be negative, grid_numbers at least 1, and without ray_samples "
-                f"there is no grid; found {self.grid_places}, {self.grid_numbers} with ray_samples {self.ray_samples}"
+                f"network settings: grid_places must be from 0 to {MOST_GRID_PLACES} and grid_numbers from 1 to "
+                f"{MOST_GRID_NUMBERS}, found {self.grid_places} and {self.grid_numbers}"
             )
+        if self.grid_places and not self.ray_samples:
+            raise ModelError(f"network settings: without ray_samples there is no grid; found {self.grid_places} places")
         if self.ray_samples and not (self.trunk and self.across == 3 and self.feature_mean == 0.0):
             raise ModelError(
                 "network settings: ray_samples needs light_layers, cartesian directions and a feature_mean of 0, found "
