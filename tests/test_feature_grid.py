@@ -105,10 +105,11 @@ def test_places_are_kept_where_rays_of_view_reach(reach: float) -> None:
     assert depths.max() <= reach + 3.0 * np.sqrt(3.0) / 25
 
 
-def test_the_object_may_be_thinner_than_a_cell() -> None:
-    """A plate of a fifth of a cell, between two planes of places."""
+@pytest.mark.parametrize("level", [3, -3])
+def test_the_object_may_be_thinner_than_a_cell(level: int) -> None:
+    """A plate of a fifth of a cell, between two planes of places; or so thin that none of the interior's lies in it."""
     levels = np.full((1, 51, 51, 51), -LEVELS, np.int8)
-    levels[0, :, :, 23] = 3
+    levels[0, :, :, 23] = level
     plate = Interior(levels, (0.0,) * 3, 0.02, (3.0,), 1.0)
     kept = kept_places(plate, 10, 0.2)
     assert kept[:, :, 4:6].all()
