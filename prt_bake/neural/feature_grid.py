@@ -5,7 +5,8 @@ of the layers at once, and late. In a grid it is learnt where it lies, by the fe
 2022, Instant neural graphics primitives, hash theirs; here places that no ray of view comes near are not kept.)
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -39,10 +40,7 @@ class FeatureGrid(nn.Module):
     def forward(self, points: Tensor, weights: Tensor) -> Tensor:
         """Sums [N,numbers] over points [N,K,3] in box sides, by weights [N,K]; float32."""
         if not self.tensors_alone and points.device.type == "cpu" and self.rows.dtype == torch.float32:
-            found: Tensor = _Compiled.apply(  # type: ignore[no-untyped-call]
-                self, self.rows, points.contiguous(), weights.contiguous()
-            )
-            return found
+            return _compiled_sums(self, self.rows, points.contiguous(), weights.contiguous())
         with torch.no_grad():
             rows, shares = self._around(points)
             shares = (shares * weights[..., None]).flatten(1)
@@ -83,6 +81,10 @@ class _Compiled(torch.autograd.Function):
         gradient = torch.zeros(context.grid.rows.shape)
         _visit(context.grid, gradient, points, weights, derivatives[0].float().contiguous(), gradient)
         return None, gradient, None, None
+
+
+_compiled_sums = cast("Callable[[FeatureGrid, Tensor, Tensor, Tensor], Tensor]", _Compiled.apply)
+"""Torch gives `apply` no types."""
 
 
 def _visit(grid: FeatureGrid, rows: Tensor, points: Tensor, weights: Tensor, sums: Tensor, gradient: Tensor) -> None:
