@@ -80,3 +80,19 @@ def test_flip_without_noise_is_nearer_to_the_truth_and_not_below_it() -> None:
     still = Reference(smooth.astype(np.float32), 0 * drawn[0], 0 * drawn[0], COVERAGE, Artefact("", "", {}))
     exact = measures.measure(smooth + ramp, still.image, mask, 0.0).flip
     assert measures.flip_without_noise(smooth + ramp, still, mask, 0.0, exact) == pytest.approx(exact)
+
+
+def test_the_error_without_noise_is_that_of_the_pictures_means() -> None:
+    """8 % too bright, with noise of 10 and 20 %: over 2304 pixels of 3 channels the estimate varies by 0.004."""
+    smooth = np.full((64, 64, 3), 0.2)
+    mask = measures.object_mask(COVERAGE)
+    drawn = GENERATOR.normal(size=(2, 64, 64, 3))
+    sigma = np.full((64, 64, 3), 0.02, np.float32)
+    noisy = Reference((smooth + 0.02 * drawn[0]).astype(np.float32), sigma, sigma, COVERAGE, Artefact("", "", {}))
+    found = measures.error_without_noise(1.08 * smooth + 0.04 * drawn[1], np.full_like(smooth, 0.04), noisy, mask)
+    assert found == pytest.approx(0.08, abs=0.016)
+    assert measures.error_without_noise(smooth, 1.0, noisy, mask) == 0.0
+    still = Reference(smooth.astype(np.float32), 0 * sigma, sigma, COVERAGE, Artefact("", "", {}))
+    assert measures.error_without_noise(1.08 * smooth, 0.0, still, mask) == pytest.approx(0.08, rel=1e-5)
+    black = Reference(0 * sigma, sigma, sigma, COVERAGE, Artefact("", "", {}))
+    assert np.isnan(measures.error_without_noise(smooth, 0.0, black, mask))

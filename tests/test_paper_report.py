@@ -27,6 +27,7 @@ from prt_bake.paper.report import PaperReport
 from prt_bake.paper.results import METHODS, Result
 from prt_bake.paper.scenes import SCENES, BakeSettings
 from prt_bake.paper.settings import ReportSettings
+from prt_bake.paper.times import heading
 
 SKY = Path(__file__).parent.parent / "scenes/skies/outdoor.hdr"
 SETTINGS = ReportSettings(size=32, spp=64, reference_spp=16)
@@ -114,7 +115,10 @@ class FakeTraining:
         network = load_model(SHIPPED / "spot.pt")
         network.metadata["scene_hash"] = scene.content_hash
         layers = asked["settings"].layers if asked["settings"] else 5
-        network.metadata["training"] = {"relative_rmse": {"transport": self.error / layers}, "seconds": 1.0}
+        network.metadata["training"] = {
+            **{"relative_rmse": {"transport": self.error / layers, "coefficients": 0.1}},
+            **{"seconds": 1.0, "walks": 1000},
+        }
         save_model(network, asked["output"])
         asked["output"].with_suffix(".train.pt").write_bytes(b"state")
         asked["progress"](SimpleNamespace(share=1.0, validation=0.5, walks_per_second=1.0))
@@ -126,6 +130,23 @@ def training(monkeypatch: pytest.MonkeyPatch) -> FakeTraining:
     fake = FakeTraining()
     monkeypatch.setattr("prt_bake.trainer.fit.train", fake)
     return fake
+
+
+def test_longer_trainings_are_compared_on_pictures(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    said: list[str] = []
+    work = PaperReport(tmp_path, scenes, SETTINGS, say=said.append)
+    (rows,) = work.run_times([LUCY], {"outdoor": SKY}).values()
+    assert [asked["minutes"] for asked in training.asked] == [1.25, 2.5, 5.0, 10.0]
+    assert [row.minutes for row in rows] == [1.25, 2.5, 5.0, 10.0]
+    # All four are the shipped network: the same picture, and no law to be seen.
+    assert len({row.flip for row in rows}) == 1
+    assert 0.0 < rows[0].flip_without_noise <= rows[0].flip < 0.5
+    assert heading(rows, "flip").slope == pytest.approx(0.0, abs=1e-9)
+    assert json.loads((tmp_path / "times.json").read_text())["lucy, outdoor"]["trainings"][3]["flip"] == rows[3].flip
+    assert np.asarray(Image.open(tmp_path / "times.png")).std() > 5.0
+    said.clear()
+    assert work.run_times([LUCY], {"outdoor": SKY}) == {"lucy, outdoor": rows}
+    assert said == []
 
 
 def quiet(*words: object) -> None:

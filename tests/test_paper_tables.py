@@ -12,18 +12,27 @@ from PIL import Image
 from prt_bake.comparison import displayed
 from prt_bake.paper import results as records
 from prt_bake.paper.layers import network_settings, relative, variants
-from prt_bake.paper.plots import plot_layers, plot_training
+from prt_bake.paper.plots import plot_layers, plot_times, plot_training
 from prt_bake.paper.results import METHODS, PAPER_MEANS, Line, Result
 from prt_bake.paper.scenes import NAMES, SCENES
 from prt_bake.paper.sheet import CELL, Row, Tile, write_sheet
 from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import first_table, markdown, means_table, second_table
+from prt_bake.paper.times import Trained, heading, told
+from prt_bake.paper.times import as_json as times_json
 
 SETTINGS = {"size": 512, "cores": 2, "quick": False}
 
 
 def figures(flip: float) -> dict[str, float]:
-    return {"mse": 1.2e-4, "ssim": 0.95, "ssim_quarter": 0.99, "flip": flip, "flip_without_noise": 0.9 * flip}
+    return {
+        "mse": 1.2e-4,
+        "ssim": 0.95,
+        "ssim_quarter": 0.99,
+        "flip": flip,
+        "flip_without_noise": 0.9 * flip,
+        "error": 0.05,
+    }
 
 
 def result(scene: str, sky: str = "outdoor", flip: float = 0.02, **changes: object) -> Result:
@@ -55,20 +64,44 @@ def test_the_first_table_has_the_papers_columns_beside_ours() -> None:
     assert cells(head)[:8] == ["Scene", "Model", "SPP", "s", "MB", "MSE", "SSIM", "FLIP"]
     noise = ["noise 1.2e-04", "noise 0.9500", "noise 0.0110"]
     assert cells(path)[:8] == ["Grape (stand-in)", "Path tracing", "1024", "77", "", *noise]
-    assert cells(path)[12:] == ["10000", "1846", "", "", "", ""]
+    assert cells(path)[13:] == ["10000", "1846", "", "", "", ""]
     assert cells(light)[1:] == [
-        *["Net (light)", "256", "12.5", "0.66", "1.2e-04", "0.9500", "0.0200", "0.0180", "1.2e-04", "0.9500", "0.0100"],
+        *[
+            "Net (light)",
+            "256",
+            "12.5",
+            "0.66",
+            "1.2e-04",
+            "0.9500",
+            "0.0200",
+            "0.0180",
+            "5.0%",
+            "1.2e-04",
+            "0.9500",
+            "0.0100",
+        ],
         *["256", "2.04", "1.31", "1.6e-04", "0.975", "0.051"],
     ]
     assert cells(harmonics)[1:8] == ["SH", "256", "12.5", "0.66", "1.2e-04", "0.9500", "0.0600"]
-    assert cells(harmonics)[12:] == ["1", "3.2e-04", "21.1", "2.8e-03", "0.983", "0.082"]
+    assert cells(harmonics)[13:] == ["1", "3.2e-04", "21.1", "2.8e-03", "0.983", "0.082"]
     assert len({len(cells(line)) for line in (head, path, light, harmonics)}) == 1
+
+
+def test_what_degree_two_costs_is_told() -> None:
+    bare = result("lucy")
+    lines = tuple(
+        replace(line, alone={**line.alone, "flip_to_net": 0.0707}) if line.method == "sh" else line
+        for line in bare.lines
+    )
+    told = "; FLIP of SH against Net (mis) 0.0707"
+    assert told in markdown([replace(bare, lines=lines)], SETTINGS)
+    assert told[:30] not in markdown([bare], SETTINGS)
 
 
 def test_everything_in_stays_empty_where_it_was_not_made() -> None:
     bare = result("lucy")
     bare = replace(bare, lines=tuple(replace(line, whole=None) for line in bare.lines))
-    assert cells(first_table([bare]).splitlines()[3])[9:12] == ["", "", ""]
+    assert cells(first_table([bare]).splitlines()[3])[10:13] == ["", "", ""]
 
 
 def test_the_second_table_has_the_scenes_and_skies_of_the_paper() -> None:
@@ -89,10 +122,11 @@ def test_a_bar_is_judged_over_all_five_scenes_alone() -> None:
         "≤ 0.03",
         "yes",
         "0.0270",
+        "5.0%",
         "0.0150",
         "0.043",
     ]
-    assert rows["SH"] == ["outdoor", "SH", "5 of 5", "0.0900", "≤ 0.08", "no", "0.0810", "0.0150", "0.139"]
+    assert rows["SH"] == ["outdoor", "SH", "5 of 5", "0.0900", "≤ 0.08", "no", "0.0810", "5.0%", "0.0150", "0.139"]
     assert rows["Net (light)"][4:6] == ["", ""]
     some = {cells(line)[1]: cells(line) for line in means_table(five[:4], ["outdoor"]).splitlines()[2:]}
     assert some["Net (mis)"][2:6] == ["4 of 5", "0.0275", "≤ 0.03", ""]
@@ -152,12 +186,28 @@ def test_layers_are_those_of_the_paper() -> None:
     assert math.isnan(relative({"5": 0.3, "7": 0.0})["5"])
 
 
+def trained(minutes: float, flip: float) -> Trained:
+    return Trained(minutes, round(1e6 * minutes), 0.1, 1.1 * flip, flip, 0.5 * flip)
+
+
+def test_where_longer_training_leads() -> None:
+    rows = [trained(minutes, 0.24 * minutes**-0.5) for minutes in (1.0, 4.0, 16.0)]
+    law = heading(rows, "flip_without_noise")
+    assert (law.level, law.slope) == (pytest.approx(0.24), pytest.approx(-0.5))
+    assert law.minutes_to(0.03) == pytest.approx(64.0)
+    assert "would take 64 minutes" in told("dragon, outdoor", rows)
+    assert times_json(rows)["minutes_to_the_bar"] == pytest.approx(64.0)
+    assert heading(rows, "coefficients").minutes_to(0.03) == math.inf
+    assert heading([trained(1.0, 0.0)], "flip").minutes_to(0.03) == math.inf
+
+
 def test_plots_are_written(tmp_path: Path) -> None:
     curve = [[float(t), 0.0, 1.0 / t] for t in range(1, 9)]
     plot_training({"grape": curve, "lucy": []}, tmp_path / "training.png")
     plot_layers({"dragon": {"5": 1.2, "5*": 2.0, "7": 1.0}}, tmp_path / "layers.png")
+    plot_times({"dragon, outdoor": [trained(1.0, 0.2), trained(4.0, 0.1)]}, tmp_path / "times.png")
     degrees = np.full((8, 8), np.nan)
     degrees[2:6, 2:6] = 40.0
     write_sigma(tmp_path / "sigma.png", [SigmaPicture("Grape", degrees), SigmaPicture("Paperweight", degrees / 2)])
-    for name in ("training", "layers", "sigma"):
+    for name in ("training", "layers", "times", "sigma"):
         assert np.ptp(np.asarray(Image.open(tmp_path / f"{name}.png").convert("L"))) > 100

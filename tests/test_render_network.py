@@ -16,7 +16,7 @@ from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.neural.pairs import PairNetwork
 from prt_bake.renderer.mixture import Mixture, draw
 from prt_bake.renderer.network import render_network
-from prt_bake.renderer.pilot import MOST_DIRECTIONS, candidates
+from prt_bake.renderer.pilot import candidates, plain_mixture
 
 NETWORK = small_network()
 SKY = uneven_sky()
@@ -84,7 +84,7 @@ def test_a_sun_without_size_is_exact(way: str) -> None:
     channels = np.array([1.0, 2.0, 0.5]) * np.array([3.0, 2.0, 1.0])
     expected = channels * ((1 + b @ [-0.36, 0.48, 0.8]) + (1 + b @ [0.0, 0.6, -0.8]))
     np.testing.assert_allclose(picture.image, np.broadcast_to(expected, (4, 4, 3)), rtol=1e-6)
-    assert picture.walks == 2 * 16 * 4 * picture.passes  # one evaluation a point and sun
+    assert picture.walks == 2 * 16 * len(picture.sampling["light"]) * picture.passes  # one evaluation a point and sun
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -141,11 +141,18 @@ def test_weights_of_a_mixture_sum_to_the_light(trust: float) -> None:
         assert abs(part.mean() - expected) < 4.5 * part.std() / math.sqrt(len(part)) + 1e-3 * expected
 
 
-@pytest.mark.parametrize("directions", [1, 2, 3, 8, MOST_DIRECTIONS])
-def test_every_mixture_has_five_percent_of_each(directions: int) -> None:
-    for mixture in candidates(directions):
+@pytest.mark.parametrize(("spp", "points"), [(2, 1), (17, 1), (48, 1), (128, 1), (256, 2), (300, 2), (4096, 4)])
+def test_every_mixture_has_five_percent_of_each(spp: int, points: int) -> None:
+    for mixture in candidates(plain_mixture(spp, "light")):
         assert 0.05 <= mixture.share <= 0.95
-        assert mixture.points == 4
+        assert mixture.points == points
+        assert min(mixture.light) >= 1
+
+
+def test_directions_are_many_before_points_are() -> None:
+    assert plain_mixture(64, "light") == Mixture((8,), (0,))
+    assert plain_mixture(256, "lobe") == Mixture((0, 0), (16, 16))
+    assert plain_mixture(1 << 20, "light") == Mixture((16,) * 4, (0,) * 4)
 
 
 def test_under_back_light_lobes_have_no_fireflies() -> None:

@@ -50,6 +50,14 @@ def paper(
     layers: Annotated[
         bool, typer.Option("--layers", help="Train 3 to 7 layers with and without skips instead (dragon by default).")
     ] = False,
+    times: Annotated[
+        bool,
+        typer.Option(
+            "--times",
+            help="Train for 1/8, 1/4, 1/2 and all of --train-minutes instead, to see where longer leads "
+            "(dragon by default, outdoor).",
+        ),
+    ] = False,
     device: Device = "cpu",
     seed: Seed = 0,
 ) -> None:
@@ -63,11 +71,12 @@ def paper(
     from prt_bake.paper.results import TITLES, Result
     from prt_bake.paper.scenes import chosen
     from prt_bake.paper.settings import ReportSettings
+    from prt_bake.paper.times import told
     from prt_bake.sources import require_device
 
     require_device(device)
     folder = scenes or Path(__file__).parents[2] / "scenes"
-    asked = chosen(scene or (["dragon"] if layers else []))
+    asked = chosen(scene or (["dragon"] if layers or times else []))
     settings = ReportSettings(
         size=size,
         spp=spp,
@@ -90,7 +99,11 @@ def paper(
             if layers:
                 for name, errors in work.run_layers(asked).items():
                     print(f"{name}: " + ", ".join(f"{network} {error:.3f}" for network, error in errors.items()))
-            else:
+            if times:
+                skies = sky_files(sky or ["outdoor"], folder)
+                for name, rows in work.run_times(asked, skies).items():
+                    print(told(name, rows))
+            if not (layers or times):
                 work.run(asked, sky_files(sky or [], folder), tell)
         except Stopped as ending:
             raise PrtbakeError(str(ending)) from None

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
+from formats.exr import Layers
 from prt_bake.comparison import Comparison, compare
 from prt_bake.paper.reference import Reference
 
@@ -59,6 +60,20 @@ def measure(image: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_], sto
     return _figures(compare(image, reference, mask, stops))
 
 
+def alone(
+    picture: Layers, reference: Reference, mask: NDArray[np.bool_], stops: float
+) -> tuple[NDArray[np.float32], dict[str, float]]:
+    """All figures of a picture of the light from under the surface alone, and its map of FLIP; a picture without a
+    layer of errors has no noise.
+    """
+    found = measure(picture.image, reference.image, mask, stops)
+    return found.flip_map, {
+        **found.as_json(),
+        "flip_without_noise": flip_without_noise(picture.image, reference, mask, stops, found.flip),
+        "error": error_without_noise(picture.image, picture.layers.get("error", 0.0), reference, mask),
+    }
+
+
 def noise_figures(reference: Reference, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
     """What the reference's own noise does to each figure: a picture exact but for such noise would have them.
 
@@ -86,6 +101,21 @@ def flip_without_noise(
     exact, noise = reference.image.astype(np.float64), reference.noise
     doubled = [measure(image, exact + sign * noise, mask, stops).flip for sign in (1.0, -1.0)]
     return math.sqrt(max(0.0, 2.0 * flip**2 - (sum(doubled) / 2.0) ** 2))
+
+
+def error_without_noise(
+    image: ArrayLike, standard_error: ArrayLike, reference: Reference, mask: NDArray[np.bool_]
+) -> float:
+    """The relative RMSE of a picture [H,W,3] over the object, its own noise and the reference's taken out.
+
+    standard_error: of the picture, [H,W,3] or 0. Over E[reference²] without noise; 0 where the noise leaves nothing of
+    the error, nan where it leaves nothing of the reference.
+    """
+    ours, theirs = np.asarray(image, np.float64)[mask], reference.image[mask].astype(np.float64)
+    own = np.broadcast_to(np.asarray(standard_error, np.float64), np.shape(image))[mask] ** 2
+    noise = reference.standard_error[mask].astype(np.float64) ** 2
+    error, value = np.mean((ours - theirs) ** 2 - noise - own), np.mean(theirs**2 - noise)
+    return math.sqrt(max(0.0, float(error / value))) if value > 0.0 else math.nan
 
 
 def framing(coverage: ArrayLike) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from prt_bake.renderer.mixture import Sampling
 def network_picture(
     path: Path,
     model: Artefact,
+    importance_of: Path | None,
     mesh: Mesh,
     lighting: Lighting,
     view: Camera,
@@ -29,7 +30,8 @@ def network_picture(
 ) -> Facts:
     """A picture of the light from under the surface alone as an .exr; samples a pixel, seconds, and its own noise.
 
-    For "lobe" and "mis" the importance module must lie beside the model. Raises Stopped where it was stopped.
+    For "lobe" and "mis", `importance_of` is the model beside which the importance module lies. Raises
+    Stopped where it was stopped.
     """
     from prt_bake.renderer.network import render_network
 
@@ -41,7 +43,7 @@ def network_picture(
         spp,
         seed,
         sampling=sampling,
-        importance=None if sampling == "light" else load_importance(model.path, device),
+        importance=None if importance_of is None else load_importance(importance_of, device),
         background=False,
         device=device,
         workers=os.cpu_count() or 1,

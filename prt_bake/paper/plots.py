@@ -8,9 +8,11 @@ import numpy as np
 
 from formats.errors import PrtbakeError
 from formats.whole import replacing
+from prt_bake.paper.results import BARS
+from prt_bake.paper.times import Trained, heading
 
-_AHEAD = 8.0
-"""How far beyond its end a training's curve is drawn on, as a factor on its time."""
+_AHEAD, _FAR_AHEAD = 8.0, 100.0
+"""How far beyond its end a training's curve is drawn on, and one through several trainings, as a factor on the time."""
 
 
 def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -> None:
@@ -55,6 +57,30 @@ def plot_layers(relative_mse: Mapping[str, Mapping[str, float]], path: Path) -> 
     axes.set_xticks(range(len(names)), names)
     axes.set(xlabel="hidden layers (* without skips)", ylabel="MSE of Ŝ over that of 7 layers with skips")
     axes.legend()
+    _save(figure, path)
+
+
+def plot_times(scenes: Mapping[str, Sequence[Trained]], path: Path) -> None:
+    """Errors of a_lm and of pictures, and FLIP without noise, against minutes of training; a colour a scene and sky.
+
+    Dashed: the power law of FLIP through all of them, drawn on to where it meets the bar, a hundred times the longest
+    training at most.
+    """
+    figure, axes = _figure()
+    for name, rows in scenes.items():
+        minutes = np.array([row.minutes for row in rows])
+        (line,) = axes.loglog(minutes, [row.flip_without_noise for row in rows], "o-", label=f"{name}: FLIP, noise out")
+        for style, figure_name, words in (("s:", "coefficients", "a_lm"), ("^:", "error", "picture")):
+            values = [getattr(row, figure_name) for row in rows]
+            axes.loglog(minutes, values, style, color=line.get_color(), alpha=0.6, label=f"{name}: {words}, rel. RMSE")
+        law = heading(rows, "flip_without_noise")
+        last = min(_FAR_AHEAD * minutes[-1], max(2.0 * minutes[-1], law.minutes_to(BARS["net"])))
+        ahead = np.geomspace(minutes[-1], last, 16)
+        axes.loglog(ahead, law.level * ahead**law.slope, "--", color=line.get_color(), alpha=0.6)
+    axes.axhline(BARS["net"], color="black", linewidth=0.8)
+    axes.set(xlabel="minutes of training", ylabel="error")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(fontsize="small")
     _save(figure, path)
 
 

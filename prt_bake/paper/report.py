@@ -14,7 +14,7 @@ from formats.whole import replacing
 from prt_bake.paper import results as records
 from prt_bake.paper.artefacts import Artefacts
 from prt_bake.paper.layers import ablation
-from prt_bake.paper.plots import plot_layers, plot_training
+from prt_bake.paper.plots import plot_layers, plot_times, plot_training
 from prt_bake.paper.results import METHODS, TITLES, Result
 from prt_bake.paper.scene_report import Progress, SceneReport
 from prt_bake.paper.scenes import SKIES, PaperScene, open_scene
@@ -22,6 +22,8 @@ from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sheet import Row, Tile, write_sheet
 from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import markdown
+from prt_bake.paper.times import Trained, trainings
+from prt_bake.paper.times import as_json as times_json
 from prt_bake.report import as_text
 
 Tell = Callable[[Result], None]
@@ -70,6 +72,19 @@ class PaperReport:
             _write_text(self.artefacts.folder / "layers.json", as_text({"minutes": minutes, "relative_mse": found}))
         return found
 
+    def run_times(self, scenes: Sequence[PaperScene], skies: dict[str, Path]) -> dict[str, list[Trained]]:
+        """Trainings of several lengths for each scene under each sky, with times.png and times.json. Raises Stopped."""
+        found: dict[str, list[Trained]] = {}
+        for paper in scenes:
+            scene = SceneReport(paper, self._folder, self.settings, self.artefacts, self._progress)
+            for sky, path in skies.items():
+                name = f"{paper.name}, {sky}"
+                found[name] = trainings(scene, sky, path, self.settings.train_minutes, self._progress)
+                plot_times(found, self.artefacts.folder / "times.png")
+                laws = {name: times_json(rows) for name, rows in found.items()}
+                _write_text(self.artefacts.folder / "times.json", as_text(laws) + "\n")
+        return found
+
     def write(self) -> None:
         """Write tables.md, tables.json, the sheets, sigma.png and training.png from the results so far."""
         folder, settings = self.artefacts.folder, self._settings_json()
@@ -85,7 +100,8 @@ class PaperReport:
     @property
     def files(self) -> tuple[Path, ...]:
         """What was written for the reader."""
-        names = ("tables.md", "tables.json", "sheet.png", "everything.png", "training.png", "sigma.png", "layers.png")
+        pictures = ("sheet", "everything", "training", "sigma", "layers", "times")
+        names = ("tables.md", "tables.json", *(f"{picture}.png" for picture in pictures))
         return tuple(path for path in (self.artefacts.folder / name for name in names) if path.is_file())
 
     def _row(self, result: Result, whole: bool) -> Row:

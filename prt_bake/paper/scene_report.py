@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.image import read_image, write_image
+from formats.image import read_image, read_layers, write_image
 from formats.whole import replacing
 from prt_bake.camera import Camera
 from prt_bake.environment import read_environment, rotation
@@ -20,7 +20,7 @@ from prt_bake.paper.harmonics import DEGREE, bake_asset, harmonics_picture
 from prt_bake.paper.models import scene_importance, scene_model
 from prt_bake.paper.network_pictures import network_picture
 from prt_bake.paper.reference import Reference, reference, trace_scene
-from prt_bake.paper.results import METHODS, SAMPLINGS, Line, Result
+from prt_bake.paper.results import JUDGED, METHODS, SAMPLINGS, Line, Result
 from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
@@ -30,7 +30,7 @@ from prt_bake.renderer.mixture import Sampling
 Progress = Callable[[str, float, str], None]
 """progress(what, share done, a few words)."""
 
-_METHOD = 1
+_METHOD = 2
 """Raised whenever the same inputs give other pictures or figures: all but references and models are then made anew."""
 _PICTURE_SEED = 0x7AB1E5
 """Of what is compared with references, whose numbers are drawn from seeds of their own."""
@@ -104,6 +104,23 @@ class SceneReport:
         pictures = dict(self._pictures(sky_name, lighting))
         return self._measured(sky_name, truth, pictures, self._surfaces(sky_name, lighting))
 
+    def judged(self, sky_name: str, sky_path: Path, model: Artefact, name: str) -> dict[str, float]:
+        """FLIP, the same without noise, and the error of another network's picture, as the judged line has them.
+
+        The picture is the file `name`.exr; its directions are drawn by the importance module of the scene's network.
+        """
+        lighting = self._lighting(sky_path)
+        truth, settings = self._reference(sky_name, lighting), self.settings
+        inputs = {"method": _METHOD, "model": model.sha256, **self._view_inputs(lighting), "spp": settings.spp}
+        inputs |= {"seed": settings.seed, "importance": self.importance.sha256}
+        file = f"{name}.exr"
+        found = read_layers(
+            self.artefacts.made(file, inputs, self._network_picture(lighting, JUDGED, file, model)).path
+        )
+        mask = measures.object_mask(truth.coverage)
+        _map, figures = measures.alone(found, truth, mask, measures.exposure(truth.image, mask))
+        return {name: figures[name] for name in ("flip", "flip_without_noise", "error")}
+
     def sigma(self) -> SigmaPicture:
         """What the importance module says of the points seen."""
         return sigma_picture(self.paper.title, self.importance.path.with_name("model.pt"), self.scene.mesh, self.view)
@@ -131,7 +148,8 @@ class SceneReport:
             inputs = {**common, "spp": settings.spp, "sampling": sampling, "seed": settings.seed}
             if sampling != "light":
                 inputs["importance"] = self.importance.sha256
-            yield sampling, self.artefacts.made(file, inputs, self._network_picture(lighting, sampling, file))
+            render = self._network_picture(lighting, sampling, file, self.model)
+            yield sampling, self.artefacts.made(file, inputs, render)
         inputs = {**common, "asset": self.asset.sha256}
         arguments = self.asset, lighting.skies[0], self.view
         yield (
@@ -139,11 +157,14 @@ class SceneReport:
             self.artefacts.made(f"{name}/{sky}/sh.exr", inputs, lambda path: harmonics_picture(path, *arguments)),
         )
 
-    def _network_picture(self, lighting: Lighting, sampling: Sampling, file: str) -> Callable[[Path], Facts]:
+    def _network_picture(
+        self, lighting: Lighting, sampling: Sampling, file: str, model: Artefact
+    ) -> Callable[[Path], Facts]:
         def render(path: Path) -> Facts:
             return network_picture(
                 path,
-                self.model,
+                model,
+                None if sampling == "light" else self.importance.path.with_name("model.pt"),
                 self.scene.mesh,
                 lighting,
                 self.view,
@@ -216,20 +237,18 @@ class SceneReport:
         maps: dict[str, NDArray[np.float16]] = {}
         figures: dict[str, Any] = {}
         for method, picture in pictures.items():
-            image = read_image(picture.path)
-            alone = measures.measure(image, truth.image, mask, alone_stops)
-            together = measures.measure(image + ours, whole, mask, whole_stops)
+            found = read_layers(picture.path)
+            flip_map, alone = measures.alone(found, truth, mask, alone_stops)
+            together = measures.measure(found.image + ours, whole, mask, whole_stops)
             maps[method], maps[f"{method}_whole"] = (
-                alone.flip_map.astype(np.float16),
+                flip_map.astype(np.float16),
                 together.flip_map.astype(np.float16),
             )
-            noiseless = measures.flip_without_noise(image, truth, mask, alone_stops, alone.flip)
-            figures[method] = {
-                "alone": {**alone.as_json(), "flip_without_noise": noiseless},
-                "whole": together.as_json(),
-            }
+            figures[method] = {"alone": alone, "whole": together.as_json()}
+        harmonics, network = (read_image(pictures[method].path) for method in ("sh", JUDGED))
+        figures["sh"]["alone"]["flip_to_net"] = measures.measure(harmonics, network, mask, alone_stops).flip
         write_maps(path, maps)
-        noise = measures.noise_figures(truth, read_image(pictures["sh"].path), mask, alone_stops)
+        noise = measures.noise_figures(truth, harmonics, mask, alone_stops)
         return {"stops": alone_stops, "whole_stops": whole_stops, "noise": noise, "figures": figures}
 
     def _cost(self, method: str, picture: Artefact) -> Facts:

@@ -27,13 +27,28 @@ The line of the path tracer holds what its own noise does to each figure: a pict
 strong as the reference's would have them. (Half the difference between the two halves of the reference's passes has
 the variance of its error; it is added to the picture by SH, which has no noise, and the two are compared.) *noise out*
 is an estimate of FLIP against a reference without noise: the same half difference added to the reference doubles its
-variance, and FLIP² is drawn on in a straight line to none. Where noise is most of it, that is too high.
+variance, and FLIP² is drawn on in a straight line to none. Where noise is most of it, that is too high. *error* is the
+relative RMSE of linear radiance with the noise of both pictures taken out: what is wrong however long one renders.
 
 In *all in*, reflection and sky are in both pictures, from other random numbers in each. Seconds are of rendering alone,
 on {cores} CPU cores here, on a GPU in the paper. MB: the model; with *lobe* and *mis* the importance module too; of SH
 the asset. The paper has one line for Net; it stands beside each of ours."""
 
-_COLUMNS = ("Scene", "Model", "SPP", "s", "MB", "MSE", "SSIM", "FLIP", "noise out", "all in: MSE", "SSIM", "FLIP")
+_COLUMNS = (
+    "Scene",
+    "Model",
+    "SPP",
+    "s",
+    "MB",
+    "MSE",
+    "SSIM",
+    "FLIP",
+    "noise out",
+    "error",
+    "all in: MSE",
+    "SSIM",
+    "FLIP",
+)
 _PAPER_COLUMNS = ("paper: SPP", "s", "MB", "MSE", "SSIM", "FLIP")
 
 
@@ -61,7 +76,7 @@ def first_table(results: Iterable[Result]) -> str:
         reference, noise = result.reference, result.noise
         figures = [f"noise {_small(noise['mse'])}", f"noise {noise['ssim']:.4f}", f"noise {noise['flip']:.4f}"]
         cost = [str(reference["spp"]), _seconds(reference["seconds"]), ""]
-        rows.append([title, "Path tracing", *cost, *figures, *[""] * 4, *_paper(scene.path_tracing)])
+        rows.append([title, "Path tracing", *cost, *figures, *[""] * 5, *_paper(scene.path_tracing)])
         rows += [
             ["", TITLES[line.method], *_line(line), *_paper(paper_row(scene, line.method))] for line in result.lines
         ]
@@ -102,9 +117,12 @@ def means_table(results: list[Result], skies: Sequence[str]) -> str:
             all_in = f"{whole:.4f}" if with_all else ""
             scenes = f"{count} of {len(SCENES)}"
             row = [sky, TITLES[method], scenes, f"{mean:.4f}", bar, reached]
-            row += [f"{noiseless:.4f}", all_in, f"{PAPER_MEANS[kind]:.3f}"]
+            error = mean_flip(results, sky, method, figure="error")[0]
+            row += [f"{noiseless:.4f}", f"{error:.1%}", all_in, f"{PAPER_MEANS[kind]:.3f}"]
             rows.append(row)
-    return _table(("Sky", "Model", "Scenes", "mean FLIP", "bar", "reached", "noise out", "all in", "paper"), rows)
+    return _table(
+        ("Sky", "Model", "Scenes", "mean FLIP", "bar", "reached", "noise out", "error", "all in", "paper"), rows
+    )
 
 
 _METRICS = {"mse": "MSE", "ssim": "SSIM", "ssim_quarter": "SSIM, quarter size", "flip": "FLIP"}
@@ -129,9 +147,16 @@ def _remarks(results: Iterable[Result]) -> str:
         lines.append(
             f"- {result.scene}, {result.sky}: {result.source}; the object fills {share:.1%} of the picture{small}, "
             f"{result.framing['object_pixels']:,} pixels count; exposure {result.stops:+.2f} stops; reference of "
-            f"{result.reference['walks']:,} walks{_trained(result.model)}{baked}"
+            f"{result.reference['walks']:,} walks{_trained(result.model)}{baked}{_of_degree_two(result)}"
         )
     return "\n".join(lines)
+
+
+def _of_degree_two(result: Result) -> str:
+    """What SH and Net differ by: degree 2 and the bake, whatever the network has learnt."""
+    line = result.line("sh")
+    flip = None if line is None else line.alone.get("flip_to_net")
+    return "" if flip is None else f"; FLIP of SH against Net ({JUDGED}) {flip:.4f}"
 
 
 def _trained(model: dict[str, Any]) -> str:
@@ -144,8 +169,8 @@ def _trained(model: dict[str, Any]) -> str:
 
 def _line(line: Line) -> list[str]:
     cost = [str(line.spp), _seconds(line.seconds), f"{line.megabytes:.2f}"]
-    noiseless = f"{line.alone['flip_without_noise']:.4f}"
-    return [*cost, *_figures(line.alone), noiseless] + (_figures(line.whole) if line.whole else [""] * 3)
+    noiseless = [f"{line.alone['flip_without_noise']:.4f}", f"{line.alone['error']:.1%}"]
+    return [*cost, *_figures(line.alone), *noiseless] + (_figures(line.whole) if line.whole else [""] * 3)
 
 
 def _figures(figures: dict[str, float]) -> list[str]:

@@ -25,12 +25,12 @@ from prt_bake.renderer.loop import SHOWS_REFLECTION, Ending, Rendering, Watching
 from prt_bake.renderer.mixture import Mixture, Sampling
 from prt_bake.renderer.network_pass import NetworkTracer
 from prt_bake.renderer.passes import PassTracer
-from prt_bake.renderer.pilot import choose_mixture, directions_a_point, plain_mixture
+from prt_bake.renderer.pilot import choose_mixture, plain_mixture
 from prt_bake.renderer.state import begun_with
 from prt_bake.renderer.surface_reflection import SurfaceReflection
 
 SHOWS = "subsurface light of the network, unscattered light left out"
-_METHOD = 1
+_METHOD = 2
 """Raised whenever a pass sees other numbers than it did."""
 
 
@@ -97,8 +97,7 @@ def render_network(
     begun = time.perf_counter()
     with limited_threads(transport, 1):
         visibility = Visibility(mesh)
-        directions = directions_a_point(spp)
-        tracer = NetworkTracer(transport, mesh, lighting, plain_mixture(directions, by), None)
+        tracer = NetworkTracer(transport, mesh, lighting, plain_mixture(spp, by), None)
         if by != "light" and importance is not None and tracer.spread:
             tracer.lobes = PixelLobes(importance, mesh, camera, visibility)
         surface = _surface(mesh, lighting, metadata, visibility) if reflection else None
@@ -107,7 +106,7 @@ def render_network(
         if "mixture" in known:
             tracer.mix(Mixture.from_json(known["mixture"]))
         elif by == "mis" and tracer.spread:
-            tracer.mix(choose_mixture(passes, tracer, directions, spp, seed))
+            tracer.mix(choose_mixture(passes, tracer, spp, seed))
         identity = picture_identity(
             lighting,
             camera,

@@ -14,10 +14,11 @@ from prt_bake.renderer.passes import PassTracer, pass_seed, some_of
 
 Array = NDArray[np.float64]
 
-POINTS = 4
-"""Points of a pixel in a pass."""
-MOST_DIRECTIONS = 16
-_USUAL_DIRECTIONS = 8
+MOST_POINTS = 4
+"""Of a pixel in a pass."""
+DIRECTIONS = 16
+"""Of a point, where that many are asked for: to look at another point costs as much as about eight directions, and
+within a pixel the light changes less from point to point than from one direction to the next."""
 _PASSES = 8
 """A picture has at least so many, where it may, for its error to be trusted."""
 _LEAST_SHARE = 0.05
@@ -30,49 +31,50 @@ _PILOT_PIXELS = (32, 1024)
 _CLEARLY = 0.9
 """A mixture must promise at most this much of the purest ones' noise: the least of many estimates flatters."""
 _USUAL_SPP = 256
-_LIGHT_COST, _LOBE_COST = 1.15, 1.3
-"""A direction's, in evaluations of the network."""
+_POINT_COST, _LIGHT_COST, _LOBE_COST = 8.0, 1.15, 1.3
+"""Of a point and of its directions, in evaluations of the network for one direction more."""
 
 
-def directions_a_point(spp: int | None) -> int:
-    """How many directions each point of a pixel gets in a pass: the more, the more evenly they lie."""
-    if spp is None:
-        return _USUAL_DIRECTIONS
-    return max(1, min(MOST_DIRECTIONS, spp // (POINTS * _PASSES)))
+def plain_mixture(spp: int | None, sampling: str) -> Mixture:
+    """What a pass of a picture of `spp` samples a pixel draws: from the lobe where that is asked for alone, else from
+    the light.
 
-
-def plain_mixture(directions: int, sampling: str) -> Mixture:
-    """All from the lobe where it is asked for alone, else all from the light."""
-    every, none = (directions,) * POINTS, (0,) * POINTS
+    Few points with many directions each, then more points; further samples make more passes.
+    """
+    a_pass = max(1, (spp or _USUAL_SPP) // _PASSES)
+    points = min(MOST_POINTS, max(1, a_pass // DIRECTIONS))
+    every, none = (min(DIRECTIONS, a_pass // points),) * points, (0,) * points
     return Mixture(none, every) if sampling == "lobe" else Mixture(every, none)
 
 
-def candidates(directions: int) -> list[Mixture]:
+def candidates(plain: Mixture) -> list[Mixture]:
     """Mixtures with at least 5 % of each, from nearly all of the light to nearly all of the lobe.
 
     The larger number is the same in all but one: evenly placed numbers lie best in powers of two, and a few of them
-    taken away cost more than those few. Each point gets a direction from the light: no lobe meets a sun.
+    taken away cost more than those few. Each point gets a direction from the light: no lobe meets a sun. `plain` says
+    how many points and directions there are.
     """
-    whole = POINTS * directions
+    points, whole = plain.points, plain.samples
     least = max(1, int(np.ceil(_LEAST_SHARE * whole / (1.0 - _LEAST_SHARE))))
     half = whole // 2
-    counts = [(whole, least), (whole, max(whole // 4, least)), (max(whole // 4, POINTS), whole)]
-    if directions > 1:
+    counts = [(whole, least), (whole, max(whole // 4, least)), (max(whole // 4, points), whole)]
+    if half >= points:
         counts.insert(2, (half, half))
-    return [Mixture(_spread(light), _spread(lobe)) for light, lobe in counts]
+    return [Mixture(_spread(light, points), _spread(lobe, points)) for light, lobe in counts]
 
 
-def _spread(directions: int) -> tuple[int, ...]:
+def _spread(directions: int, points: int) -> tuple[int, ...]:
     """Over the points of a pixel."""
-    return tuple(directions // POINTS + (point < directions % POINTS) for point in range(POINTS))
+    return tuple(directions // points + (point < directions % points) for point in range(points))
 
 
-def choose_mixture(passes: PassTracer, tracer: NetworkTracer, directions: int, spp: int | None, seed: int) -> Mixture:
+def choose_mixture(passes: PassTracer, tracer: NetworkTracer, spp: int | None, seed: int) -> Mixture:
     """The candidate of least variance times cost, over some of the pixels that show the object.
 
-    All candidates are parts of one set of directions, which is evaluated once. `tracer` is left with that set.
+    Candidates have as many points as the tracer's own mixture. All are parts of one set of directions, which is
+    evaluated once. `tracer` is left with that set.
     """
-    choices = candidates(directions)
+    choices = candidates(tracer.mixture)
     tracer.mix(Mixture(_most([choice.light for choice in choices]), _most([choice.lobe for choice in choices])))
     covered = passes.covered()
     budget = _PILOT_COST * len(covered) * (spp or _USUAL_SPP) / (_PILOT_PASSES * tracer.samples)
@@ -80,7 +82,10 @@ def choose_mixture(passes: PassTracer, tracer: NetworkTracer, directions: int, s
     if not len(pixels):
         return choices[0]
     trusted = [replace(choice, trust=trust) for choice in choices for trust in _TRUSTS]
-    costs = [_LIGHT_COST * sum(choice.light) + _LOBE_COST * sum(choice.lobe) for choice in trusted]
+    costs = [
+        _POINT_COST * choice.points + _LIGHT_COST * sum(choice.light) + _LOBE_COST * sum(choice.lobe)
+        for choice in trusted
+    ]
     noise = _variances(passes, tracer, pixels, seed, tuple(trusted)) * costs
     purest = [len(_TRUSTS) - 1, len(trusted) - len(_TRUSTS)]
     pure, best = min(purest, key=lambda i: noise[i]), int(np.argmin(noise))
