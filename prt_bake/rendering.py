@@ -1,7 +1,8 @@
 """Pictures by path tracing a scene under lights: the reference that baked pictures are measured against.
 
 What is shown is what Ŝ describes, light from under the surface, with the sky behind it; light that crosses the object
-without scattering is in the picture too. Light reflected at the surface itself is there on request alone.
+without scattering is in the picture too, unless it is left out. Light reflected at the surface itself is there on
+request alone.
 """
 
 from collections.abc import Callable
@@ -17,12 +18,16 @@ from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.renderer.loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
 from prt_bake.renderer.passes import PassTracer
 from prt_bake.renderer.surface_reflection import SurfaceReflection
-from prt_bake.renderer.walks import WalkTracer
+from prt_bake.renderer.walks import Shown, WalkTracer
 from prt_bake.trainer.prepared import smooth_part
 
 __all__ = ["Rendering", "render_scene"]
 
-SHOWS = "subsurface light, unscattered light"
+SHOWS: dict[Shown, str] = {
+    "all": "subsurface light, unscattered light",
+    "scattered": "subsurface light, unscattered light left out",
+    "unscattered": "unscattered light alone",
+}
 _METHOD = 2
 """Raised whenever a pass sees other numbers than it did: what was begun before cannot be resumed then."""
 
@@ -38,6 +43,7 @@ def render_scene(
     rotate: float = 0.0,
     background: bool = True,
     reflection: bool = False,
+    shown: Shown = "all",
     error: float | None = None,
     minutes: float | None = None,
     checkpoint: Path | None = None,
@@ -55,9 +61,10 @@ def render_scene(
 
     `up` overrides the scene's up axis for the sky, `rotate` turns the light (degrees, counter-clockwise seen from
     above). With `reflection` the light that the surface itself reflects is added, which no bake and no network holds
-    (`prt_bake.reflection`). The sums are kept in the file `checkpoint` now and then and when the work ends early; with
-    `resume` they are taken from there; when the work is complete the file is removed. `preview` is shown the picture so
-    far about every `every` seconds.
+    (`prt_bake.reflection`). `shown` says what of the light from under the surface: all of it, what has scattered (which
+    is all that a network or an asset knows), or what crosses unscattered. The sums are kept in the file `checkpoint`
+    now and then and when the work ends early; with `resume` they are taken from there; when the work is complete the
+    file is removed. `preview` is shown the picture so far about every `every` seconds.
 
     Raises QueryError below 2 walks a pixel, which have no error, for an eye inside the object, and for a directional
     light without size behind a smooth interface; FormatError where `resume` finds no state or another picture's.
@@ -71,7 +78,7 @@ def render_scene(
         surface = SurfaceReflection(
             scene.mesh, lighting, scene.eta, scene.roughness, scene.normals == "vertex", visibility
         )
-    walks = WalkTracer(scene, lighting)
+    walks = WalkTracer(scene, lighting, shown)
     tracer = PassTracer(scene.mesh, lighting, camera, background, walks, visibility=visibility, reflection=surface)
     identity = picture_identity(
         lighting,
@@ -79,11 +86,11 @@ def render_scene(
         seed,
         background,
         reflection,
-        **{"method": _METHOD, "scene": scene.content_hash, "points a pass": walks.points},
+        **{"method": _METHOD, "scene": scene.content_hash, "points a pass": walks.points, "shown": shown},
     )
     watching = Watching(progress, preview, every)
     picture = accumulate(tracer, camera, seed, ending, identity, checkpoint, resume, watching)
-    return replace(picture, shows=SHOWS + (SHOWS_REFLECTION if reflection else ""))
+    return replace(picture, shows=SHOWS[shown] + (SHOWS_REFLECTION if reflection else ""))
 
 
 def _refuse_unseen(scene: Scene, lighting: Lighting) -> None:

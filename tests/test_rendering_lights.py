@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from nested_scenes import nested_scene
-from pictures import front, make_scene, mean_z, uneven_sky, z_score
+from pictures import WHITE, front, make_scene, mean_z, uneven_sky, z_score
 from scenes import lumpy, moved, queries, sphere, unit_directions
 from scenes import make_scene as scene_of
 from significance import assert_agree
@@ -15,7 +15,7 @@ from formats.errors import QueryError
 from formats.lights import DirectionalLight
 from formats.scene import Scene
 from prt_bake.lighting import Lighting, Sky, as_lighting
-from prt_bake.rendering import Rendering, render_scene
+from prt_bake.rendering import SHOWS, Rendering, render_scene
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.lit import walk_lit
 from prt_bake.trainer.prepared import prepare
@@ -37,6 +37,29 @@ def by_exits_alone(monkeypatch: pytest.MonkeyPatch, *arguments, **options) -> Re
     with monkeypatch.context() as patch:
         patch.setattr("prt_bake.renderer.walks.connections", lambda scene: None)
         return render(*arguments, **options)
+
+
+@pytest.mark.parametrize("interface", [MATCHED, ROUGH, SMOOTH])
+def test_scattered_and_unscattered_light_are_all_light(tmp_path: Path, interface: dict[str, float]) -> None:
+    """The same walks in all three. Behind a rough interface what crosses is part of Ŝ, and nothing is left apart."""
+    scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]", sigma_t=1.0, **interface)
+    lighting = Lighting((Sky(uneven_sky(), "y", np.eye(3)),), (sun(diameter=40.0),))
+    every, scattered, unscattered = (
+        render(scene, lighting, shown=shown, background=False) for shown in ("all", "scattered", "unscattered")
+    )
+    np.testing.assert_allclose(scattered.image + unscattered.image, every.image, rtol=1e-5, atol=1e-6)
+    assert (scattered.image[4:12, 4:12] > 0.0).all()
+    assert unscattered.black == (interface is ROUGH)
+    assert (unscattered.walks == 0) == (interface is ROUGH)
+    assert [picture.shows for picture in (every, scattered, unscattered)] == list(SHOWS.values())
+
+
+def test_clear_glass_shows_nothing_but_what_crosses(tmp_path: Path) -> None:
+    """In a white furnace: of what enters at a pixel all comes from the sky, but for the light that is reflected."""
+    scene = make_scene(tmp_path, sigma_t=1e-6, eta=1.4)
+    assert render(scene, as_lighting(WHITE, "y", 0.0), shown="scattered", background=False).image.max() < 1e-3
+    crossed = render(scene, as_lighting(WHITE, "y", 0.0), shown="unscattered", background=False)
+    assert 0.9 < crossed.image[6:10, 6:10].mean() < 1.0
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])

@@ -73,6 +73,13 @@ def render(
             help="Add the light that the surface itself reflects, which assets do not hold.",
         ),
     ] = False,
+    unscattered: Annotated[
+        bool,
+        typer.Option(
+            "--unscattered/--no-unscattered",
+            help="Of a scene: show what crosses it without scattering, which networks and assets do not hold.",
+        ),
+    ] = True,
     minutes: Annotated[float | None, typer.Option(min=0, max=1e6, help="Stop on time.", show_default=False)] = None,
     error: Annotated[
         float | None,
@@ -106,11 +113,11 @@ def render(
     """Render a network or a scene directly; a scene's picture is the reference for all others.
 
     Like baked pictures it shows the light from under the surface, with the sky behind the object. What crosses an
-    index-matched or smooth object without scattering is in pictures of scenes alone: no network knows it. What the
-    surface reflects is added by --reflection. An .exr says what it holds (prtbake.shows), and has the standard error of
-    every pixel (error.R, error.G, error.B) and the object's coverage (coverage.Y). Radiance of a network may be
-    negative here and there; it is kept, so that errors are honest. Ctrl-C ends the work early: the picture so far is
-    written, and --resume goes on from it.
+    index-matched or smooth object without scattering is in pictures of scenes alone: no network knows it, so leave it
+    out (--no-unscattered) of what a network is held against. What the surface reflects is added by --reflection. An
+    .exr says what it holds (prtbake.shows), and has the standard error of every pixel (error.R, error.G, error.B) and
+    the object's coverage (coverage.Y). Radiance of a network may be negative here and there; it is kept, so that errors
+    are honest. Ctrl-C ends the work early: the picture so far is written, and --resume goes on from it.
     """
     from formats.mesh import read_mesh
     from prt_bake import camera
@@ -145,6 +152,7 @@ def render(
         if is_scene:
             from prt_bake.rendering import render_scene
 
+            options["shown"] = "all" if unscattered else "scattered"
             picture = render_scene(opened, lighting, view, spp, seed, **options)
         else:
             from prt_bake.renderer.network import render_network

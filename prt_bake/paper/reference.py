@@ -148,6 +148,7 @@ def trace_scene(
             spp,
             seed,
             background=False,
+            shown="scattered",
             checkpoint=checkpoint,
             resume=checkpoint.is_file(),
             stop=stop,

@@ -26,6 +26,8 @@ from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
 from prt_bake.paper.surface import surface_picture
 from prt_bake.renderer.mixture import Sampling
+from prt_bake.rendering import render_scene
+from prt_bake.trainer.prepared import has_unscattered
 
 Progress = Callable[[str, float, str], None]
 """progress(what, share done, a few words)."""
@@ -36,6 +38,8 @@ _PICTURE_SEED = 0x7AB1E5
 """Of what is compared with references, whose numbers are drawn from seeds of their own."""
 SURFACE_SPP, SURFACE_REFERENCE_SPP = 64, 256
 """Samples a pixel of reflection and background, in pictures and in what they are compared with."""
+UNSCATTERED_SPP = 64
+"""Walks a pixel of what crosses unscattered, in both."""
 
 
 class SceneReport:
@@ -135,6 +139,8 @@ class SceneReport:
     def _reference(self, sky: str, lighting: Lighting) -> Reference:
         name, settings = f"{self.paper.name}/{sky}/reference.exr", self.settings
         inputs = {"scene": self.scene.content_hash, "seed": settings.seed, **self._view_inputs(lighting)}
+        if has_unscattered(self.scene):
+            inputs["shown"] = "scattered"
         trace = trace_scene(self.scene, lighting, self.view, self.artefacts.stop, self._follow(f"{name}: path tracing"))
         goal = settings.reference_spp, settings.reference_minutes
         return reference(self.artefacts, name, inputs, settings.size, trace, *goal)
@@ -179,13 +185,20 @@ class SceneReport:
         return render
 
     def _surfaces(self, sky: str, lighting: Lighting) -> tuple[Artefact, Artefact]:
-        """Reflection and background: for the pictures, and from other numbers for the reference."""
+        """Reflection, background and what crosses unscattered: for the pictures, and from other numbers for the
+        reference.
+        """
         inputs = {"method": _METHOD, "scene": self.scene.content_hash, **self._view_inputs(lighting)}
+        if has_unscattered(self.scene):
+            inputs["unscattered"] = UNSCATTERED_SPP
         most = self.settings.spp
 
         def layer(name: str, spp: int, seed: int) -> Artefact:
             def render(path: Path) -> None:
-                write_image(path, surface_picture(self.scene, lighting, self.view, spp, seed, self.artefacts.stop))
+                image = surface_picture(self.scene, lighting, self.view, spp, seed, self.artefacts.stop)
+                if has_unscattered(self.scene):
+                    image = image + self._unscattered(lighting, min(spp, UNSCATTERED_SPP), seed)
+                write_image(path, image)
 
             file = f"{self.paper.name}/{sky}/{name}.exr"
             return self.artefacts.made(file, {**inputs, "spp": spp, "seed": seed}, render)
@@ -194,6 +207,15 @@ class SceneReport:
             layer("surface", min(most, SURFACE_SPP), _PICTURE_SEED + self.settings.seed),
             layer("surface_reference", min(most, SURFACE_REFERENCE_SPP), self.settings.seed),
         )
+
+    def _unscattered(self, lighting: Lighting, spp: int, seed: int) -> NDArray[np.float32]:
+        """What crosses the object without scattering [H,W,3]; raises Stopped."""
+        stop = self.artefacts.stop
+        picture = render_scene(
+            self.scene, lighting, self.view, spp, seed, background=False, shown="unscattered", stop=stop
+        )
+        self.artefacts.check()
+        return picture.image
 
     def _measured(
         self, sky: str, truth: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]

@@ -30,7 +30,8 @@ is an estimate of FLIP against a reference without noise: the same half differen
 variance, and FLIP² is drawn on in a straight line to none. Where noise is most of it, that is too high. *error* is the
 relative RMSE of linear radiance with the noise of both pictures taken out: what is wrong however long one renders.
 
-In *all in*, reflection and sky are in both pictures, from other random numbers in each. Seconds are of rendering alone,
+In *all in*, reflection, sky and the light that crosses unscattered are in both pictures, from other random numbers in
+each. Seconds are of rendering alone,
 on {cores} CPU cores here, on a GPU in the paper. MB: the model; with *lobe* and *mis* the importance module too; of SH
 the asset. The paper has one line for Net; it stands beside each of ours."""
 

@@ -1,5 +1,7 @@
 """What walks tell of a scene in a picture: the reference, one walk from every point that is seen."""
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,9 +10,11 @@ from prt_bake.emitters import plan_light
 from prt_bake.lighting import Lighting, radiance
 from prt_bake.randomness import hashed, uniforms
 from prt_bake.trainer.lit import connections, walk_lit, walk_out
-from prt_bake.trainer.prepared import is_unbent
+from prt_bake.trainer.prepared import has_unscattered, is_unbent
 
 Array = NDArray[np.float64]
+Shown = Literal["all", "scattered", "unscattered"]
+"""Of the light from under the surface: what has scattered is what Ŝ describes, networks know and assets hold."""
 
 _LIGHT_STREAM, _LIT_STREAM, _EXIT_STREAM = 0x9D, 0x9E, 0x9F
 
@@ -23,9 +27,10 @@ class WalkTracer:
     samples = 2
     cost = 1
 
-    def __init__(self, scene: Scene, lighting: Lighting) -> None:
+    def __init__(self, scene: Scene, lighting: Lighting, shown: Shown = "all") -> None:
         """Split the light into what is connected to and what walks must find."""
-        self._scene, self._lighting = scene, lighting
+        self._scene, self._lighting, self._shown = scene, lighting, shown
+        self._crossed = has_unscattered(scene) and shown != "scattered"
         self._plan = plan_light(lighting, connections(scene))
         self._straight = is_unbent(scene)
 
@@ -34,16 +39,18 @@ class WalkTracer:
     ) -> tuple[Array, int]:
         """As `ObjectTracer.radiance`; samples are walks."""
         total, walks = np.zeros((len(faces), 3)), 0
-        if len(faces) and self._plan.emitters:
+        if len(faces) and self._plan.emitters and self._shown != "unscattered":
             total += self._connected(faces, barycentric, outgoing, keys, seed)
             walks += len(faces)
-        leaving = np.arange(len(faces)) if self._plan.skies or self._plan.suns else self._lit_straight(outgoing)
+        leaving = self._leaving(outgoing)
         if len(leaving):
             where = faces[leaving], barycentric[leaving], outgoing[leaving], keys[leaving]
             exits = walk_out(self._scene, *where, 1, _kernel_seed(seed, _EXIT_STREAM))
             towards, unscattered = exits.directions[:, 0], exits.unscattered[:, 0]
             light = radiance(self._plan.skies, self._plan.suns, towards)
-            light[unscattered] = self._lighting.radiance(towards[unscattered])
+            if self._shown == "unscattered":
+                light[~unscattered] = 0.0
+            light[unscattered] = 0.0 if self._shown == "scattered" else self._lighting.radiance(towards[unscattered])
             total[leaving] += exits.throughput[:, 0] * light
             walks += len(leaving)
         return total, walks
@@ -59,9 +66,14 @@ class WalkTracer:
         received, _square = walk_lit(self._scene, faces, barycentric, outgoing, keys, incident, 1, lit_seed)
         return np.asarray((received * weights).sum(axis=1))
 
-    def _lit_straight(self, outgoing: Array) -> NDArray[np.int64]:
-        """Which views meet light straight through the object, where nothing else is left for walks to find."""
-        if not self._straight:
+    def _leaving(self, outgoing: Array) -> NDArray[np.int64]:
+        """The views [N,3] from which walks must find light: all of them, those that meet some straight through the
+        object where nothing else is left to find, or none.
+        """
+        found_by_scattering = self._shown != "unscattered" and bool(self._plan.skies or self._plan.suns)
+        if found_by_scattering or (self._crossed and not self._straight):
+            return np.arange(len(outgoing))
+        if not self._crossed:
             return np.zeros(0, np.int64)
         return np.flatnonzero(self._lighting.radiance(-outgoing).any(axis=1))
 

@@ -142,6 +142,11 @@ def is_unbent(scene: Scene) -> bool:
     return interface_kind(scene) == MATCHED and smooth_part(scene) is None
 
 
+def has_unscattered(scene: Scene) -> bool:
+    """Whether light may cross the object without scattering: nothing that it meets on the way is rough."""
+    return is_unbent(scene) or smooth_part(scene) is not None
+
+
 def has_dielectric_inside(scene: Scene) -> bool:
     """Whether a part inside the object bends light: of another index than what it stands in."""
     return any(
