@@ -27,9 +27,10 @@ _PILOT_SEED = 0x51107
 _PILOT_PASSES = 4
 _PILOT_COST = 0.03
 """Of the picture's evaluations."""
-_PILOT_PIXELS = (32, 1024)
-_CLEARLY = 0.9
-"""A mixture must promise at most this much of the purest ones' noise: the least of many estimates flatters."""
+_PILOT_PIXELS = (64, 1024)
+_CLEARLY = 0.7
+"""A mixture must promise at most this much of the purest ones' variance: the least of many estimates flatters, and of a
+lamp that lobes seldom meet a few pixels know nothing."""
 _USUAL_SPP = 256
 _POINT_COST, _LIGHT_COST, _LOBE_COST = 8.0, 1.15, 1.3
 """Of a point and of its directions, in evaluations of the network for one direction more."""
