@@ -5,9 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pictures import WHITE, front, make_scene
 
+from prt_bake.lighting import as_lighting
 from prt_bake.paper.artefacts import Artefacts, Stopped
-from prt_bake.paper.reference import Halves, Reference, reference
+from prt_bake.paper.reference import Halves, Reference, reference, trace_scene
 from prt_bake.renderer.loop import Rendering
 
 SIZE = 24
@@ -92,3 +94,12 @@ def test_the_noise_of_the_halves_has_the_variance_of_the_error_and_is_uncorrelat
     assert abs(np.mean(error * noise)) < 5.0 * expected / math.sqrt(len(noise))
     # Each picture's variance is known from 7 or more degrees of freedom, 1728 times over.
     assert np.mean(halves.standard_error**2) == pytest.approx(expected, rel=0.1)
+
+
+def test_light_that_crosses_unscattered_is_in_no_reference(tmp_path: Path) -> None:
+    """Clear glass in a white furnace: it crosses, and no network knows it."""
+    glass = make_scene(tmp_path, eta=1.4, sigma_t=1e-6)
+    trace = trace_scene(glass, as_lighting(WHITE, "y", 0.0), front(size=8), lambda: False, lambda share: None)
+    seen = trace(16, 1, tmp_path / "glass.npz")
+    assert seen.coverage.max() == 1.0
+    assert seen.image.max() < 1e-3
