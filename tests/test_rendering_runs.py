@@ -18,7 +18,7 @@ from formats.lights import DirectionalLight
 from formats.scene import Scene, read_scene
 from prt_bake.lighting import Lighting
 from prt_bake.renderer.state import checkpoint_path, read_checkpoint
-from prt_bake.rendering import Rendering, render_scene
+from prt_bake.rendering import SHOWS, Rendering, render_scene
 
 
 @pytest.fixture
@@ -187,6 +187,14 @@ def test_the_command_writes_layers_texts_and_a_report(prtbake: Run, tmp_path: Pa
     assert [row[1] for row in said["error_vs_time"]["rows"]][-1] == said["walks"]
     assert len(said["error_vs_time"]["rows"]) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.json"]
+
+
+@pytest.mark.parametrize("left_out", [True, False])
+def test_the_command_leaves_out_what_crosses_unscattered(prtbake: Run, tmp_path: Path, left_out: bool) -> None:
+    output, option = tmp_path / "a.exr", ["--no-unscattered"] if left_out else []
+    assert prtbake(*COMMAND, "--light", "sky.exr", "-o", output, "--spp", 2, *option).code == 0
+    shows = read_layers(output).attributes["prtbake.shows"]
+    assert shows == SHOWS["scattered" if left_out else "all"]
 
 
 @pytest.mark.parametrize("options", [["--minutes", "0"], ["--error", "0.5"], []])
