@@ -96,3 +96,13 @@ def test_the_error_without_noise_is_that_of_the_pictures_means() -> None:
     assert measures.error_without_noise(1.08 * smooth, 0.0, still, mask) == pytest.approx(0.08, rel=1e-5)
     black = Reference(0 * sigma, sigma, sigma, COVERAGE, Artefact("", "", {}))
     assert np.isnan(measures.error_without_noise(smooth, 0.0, black, mask))
+
+
+def test_the_error_without_noise_is_relative_to_the_reference_without_noise() -> None:
+    """Noise of half the radiance that alternates from pixel to pixel: its sums are exact."""
+    smooth = np.full((64, 64, 3), 0.2)
+    sigma = np.full((64, 64, 3), 0.1, np.float32)
+    sign = (-1.0) ** np.add.outer(np.arange(64), np.arange(64))[..., None]
+    truth = Reference((smooth + 0.1 * sign).astype(np.float32), sigma, sigma, COVERAGE, Artefact("", "", {}))
+    found = measures.error_without_noise(1.08 * smooth, 0.0, truth, measures.object_mask(COVERAGE))
+    assert found == pytest.approx(0.08, rel=1e-4)
