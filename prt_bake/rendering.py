@@ -66,9 +66,12 @@ def render_scene(
     now and then and when the work ends early; with `resume` they are taken from there; when the work is complete the
     file is removed. `preview` is shown the picture so far about every `every` seconds.
 
-    Raises QueryError below 2 walks a pixel, which have no error, for an eye inside the object, and for a directional
-    light without size behind a smooth interface; FormatError where `resume` finds no state or another picture's.
+    Raises QueryError below 2 walks a pixel, which have no error, for another `shown`, for an eye inside the object, and
+    for a directional light without size behind a smooth interface; FormatError where `resume` finds no state or another
+    picture's.
     """
+    if shown not in SHOWS:
+        raise QueryError(f"shown: expected {', '.join(map(repr, SHOWS))}, found {shown!r}")
     ending = Ending(spp, error, minutes, stop)
     refuse_eye_in_object(scene.mesh, camera.eye)
     lighting = as_lighting(light, up or scene.up, rotate)

@@ -54,6 +54,11 @@ def test_scattered_and_unscattered_light_are_all_light(tmp_path: Path, interface
     assert [picture.shows for picture in (every, scattered, unscattered)] == list(SHOWS.values())
 
 
+def test_what_else_should_be_shown_is_refused_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(QueryError, match="shown: expected 'all', 'scattered', 'unscattered', found 'reflected'"):
+        render(make_scene(tmp_path), as_lighting(WHITE, "y", 0.0), shown="reflected")
+
+
 def test_clear_glass_shows_nothing_but_what_crosses(tmp_path: Path) -> None:
     """In a white furnace: of what enters at a pixel all comes from the sky, but for the light that is reflected."""
     scene = make_scene(tmp_path, sigma_t=1e-6, eta=1.4)
