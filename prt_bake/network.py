@@ -27,7 +27,7 @@ from prt_bake.neural.fused import FusedNetwork
 from prt_bake.neural.interior import Interior
 from prt_bake.neural.lobes import NUMBERS, Lobes, in_directions, lobes_from
 from prt_bake.neural.settings import EXIT, PRESETS, NetworkSettings
-from prt_bake.neural.view_features import ViewFeatures
+from prt_bake.neural.view_features import Told, ViewFeatures
 from prt_bake.surface import Surface
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
@@ -134,12 +134,17 @@ class NeuralBSSRDF(nn.Module):
         smooth, lobes = self.parts(incident, positions, outgoing)
         return (smooth if lobes is None else smooth.float() + in_directions(lobes, incident)) * self.output_scale
 
-    def parts(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Lobes | None]:
-        """Ŝ over the output scale as what the layers say [N,D,3] and the lobes that are to be added to it."""
+    def parts(
+        self, incident: Tensor, positions: Tensor, outgoing: Tensor, told: Told | None = None
+    ) -> tuple[Tensor, Lobes | None]:
+        """Ŝ over the output scale as what the layers say [N,D,3] and the lobes that are to be added to it.
+
+        `told` is what `told` said of the same views, where that has been asked already.
+        """
         lobes = None
         kind = self.output.weight.dtype
         if self.settings.trunk:
-            features = self.view_features(positions, outgoing)
+            features = self.view_features(positions, outgoing, told)
             h = features[:, None]
             light = self.light_features(incident)
             if self.settings.angle_powers:
@@ -163,12 +168,19 @@ class NeuralBSSRDF(nn.Module):
                 lobes = lobes_from(self.lobes(h)[:, 0], features[:, -EXIT:])
         return self.output(h), lobes
 
-    def view_features(self, positions: Tensor, outgoing: Tensor) -> Tensor:
+    def view_features(self, positions: Tensor, outgoing: Tensor, told: Told | None = None) -> Tensor:
         """What the first layer of a network that sees ωi late is told of views [N, settings.view_inputs], float32."""
         if self.view is None:
             return self.fourier_features(self.inputs(None, positions, outgoing))
-        features: Tensor = self.view(self._relative(positions), outgoing, self._normals(positions, outgoing))
-        return features
+        if told is None:
+            told = self.view.told(self._relative(positions), outgoing, self._normals(positions, outgoing))
+        return self.view.learnt(told)
+
+    def told(self, positions: Tensor, outgoing: Tensor) -> Told | None:
+        """The part of `view_features` that stays the same while the network learns; None where it is none."""
+        if self.view is None:
+            return None
+        return self.view.told(self._relative(positions), outgoing, self._normals(positions, outgoing))
 
     def on(self, mesh: Mesh) -> "NeuralBSSRDF":
         """The same network, weights shared, that takes the normals which it is told from its object's mesh.

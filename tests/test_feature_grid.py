@@ -126,7 +126,8 @@ def test_views_are_told_what_x_has_and_the_mean_along_the_ray() -> None:
     told, rest = view(x, eye).detach(), without(x, eye)
     assert told.shape[1] == chosen.view_inputs == rest.shape[1] + 6
     np.testing.assert_array_equal(told[:, 6:].numpy(), rest.numpy())
-    _, points, weight = view._told(x, eye, None)
+    told_of = view.told(x, eye)
+    points, weight = told_of.points, told_of.weight
     one = torch.ones(40, 1)
     at_x = view.grid(x[:, None], one)
     mean = torch.stack([view.grid(points[:, [k]], one) for k in range(12)]).mean(dim=0) * weight[:, None]

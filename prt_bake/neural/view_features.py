@@ -14,6 +14,7 @@ been learnt at them (`prt_bake.neural.feature_grid`).
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -44,6 +45,21 @@ _WEIGHT = 3.0
 _BUMP_WIDTH = 0.15
 _LEAST_COSINE = 0.02
 """Of the outgoing direction where it is bent: grids tell normals roughly, and directions behind them have none."""
+
+
+class Told(NamedTuple):
+    """What is told of views [N] whatever has been learnt, in float32.
+
+    Attributes:
+        features: [N,·].
+        x: positions [N,3] in the box's sides from its corner.
+        points, weight: the places [N,K,3] along the rays of view, and what the means over them weigh [N].
+    """
+
+    features: Tensor
+    x: Tensor
+    points: Tensor
+    weight: Tensor
 
 
 class ViewFeatures(nn.Module):
@@ -83,16 +99,23 @@ class ViewFeatures(nn.Module):
         """Features [N, settings.view_inputs] in float32: positions [N,3] in the box's sides from its corner, unit
         vectors outgoing [N,3]. Where normals [N,3] are zero, or not given, the grid's are taken.
         """
+        return self.learnt(self.told(positions, outgoing, normals))
+
+    def told(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> Told:
+        """What `learnt` takes, from what `forward` takes: the part that stays the same while the network learns."""
         x, eye = positions.float().contiguous(), outgoing.float().contiguous()
         with torch.no_grad(), torch.autocast(positions.device.type, enabled=False):
-            told, points, weight = self._told(x, eye, normals)
-        if self.grid is None:
-            return told
-        along = (weight / self._samples)[:, None].expand(-1, self._samples)
-        return torch.cat((self.grid(x[:, None], torch.ones_like(along[:, :1])), self.grid(points, along), told), dim=1)
+            return self._told(x, eye, normals)
 
-    def _told(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-        """What is not learnt of the features, the places along the rays [N,K,3], and the weights [N] of means there."""
+    def learnt(self, told: Told) -> Tensor:
+        """The features [N, settings.view_inputs]: what has been learnt at the places, and what is told."""
+        if self.grid is None:
+            return told.features
+        here, along = torch.ones((len(told.x), 1), device=told.x.device), told.weight[:, None] / self._samples
+        places = along.expand(-1, self._samples)
+        return torch.cat((self.grid(told.x[:, None], here), self.grid(told.points, places), told.features), dim=1)
+
+    def _told(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> Told:
         back, parts = eye, []
         if self._normals:
             normal = self._normal(x) if normals is None else self._known_or_found(normals.float(), x)
@@ -107,7 +130,7 @@ class ViewFeatures(nn.Module):
             parts.append(self._shape(torch.cat((x[:, None], points[:, self._shape_at]), dim=1)))
         if self._tells_exit:
             parts.append(self._exit(ray))
-        return torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1), points, weight
+        return Told(torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1), x, points, weight)
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)

@@ -18,6 +18,7 @@ import torch
 from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.trainer.ahead import Ahead
 from prt_bake.trainer.cores import chosen_device
 from prt_bake.trainer.history import Meter, TrainingRow
 from prt_bake.trainer.interface import ROUGH
@@ -156,18 +157,23 @@ class _Run:
         device = self.learner.network.frequencies.device.type
         self.source = self.material.source(self.learning, device, self.source_state)
         threads = torch.get_num_threads()
-        torch.set_num_threads(self.material.learning_threads(self.learning, device))
+        learning = self.material.learning_threads(self.learning, device)
+        beside = 0 if self.begun["synchronous"] or device != "cpu" else learning
+        ahead = Ahead(self.source, self.learner, self.generator, beside)
+        torch.set_num_threads(learning)
         try:
-            self._learn(self.source, seconds, steps, output, progress)
+            self._learn(self.source, ahead, seconds, steps, output, progress)
         except KeyboardInterrupt:
             pass
         finally:
             self.source.stop()
+            ahead.stop()
             torch.set_num_threads(threads)
 
     def _learn(
         self,
         source: RowSource,
+        ahead: Ahead,
         seconds: float,
         steps: int | None,
         output: str | Path | None,
@@ -180,9 +186,9 @@ class _Run:
         meter.add_wait(meter.seconds)
         while (share := self._share(seconds, steps)) < 1.0:
             asked = time.perf_counter()
-            batch = source.draw(self.learning.batch, self.generator)
+            batch, told = ahead.draw()
             meter.add_wait(time.perf_counter() - asked)
-            meter.add_step(self.learner.learn(source, batch, share, self.generator), len(batch.rows))
+            meter.add_step(self.learner.learn(source, batch, share, self.generator, told), len(batch.rows))
             self.seconds = before + time.perf_counter() - begun
             if meter.seconds > self.learning.report_every:
                 self._report(meter, self._share(seconds, steps), source, progress)

@@ -14,9 +14,10 @@ from formats.errors import QueryError
 from prt_bake.directions import rotations
 from prt_bake.network import NeuralBSSRDF
 from prt_bake.neural.lobes import Lobes, in_directions, mean_square
+from prt_bake.neural.view_features import Told
 from prt_bake.sphere import fibonacci
 from prt_bake.trainer.objective import Loss, SomeLobes, of_exits, of_values
-from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
+from prt_bake.trainer.rows import BEFORE_RAYS, CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
 
 Schedule = Literal["cosine", "constant", "exponential"]
 
@@ -101,15 +102,28 @@ class Learner:
         self._lattice = fibonacci(settings.spread).astype(np.float32)
         self._bfloat16 = settings.bfloat16 and _has_bfloat16(self._device)
 
-    def learn(self, source: RowSource, batch: Batch, share: float, generator: np.random.Generator) -> float:
-        """One step from rows that `source` gave, after `share` of the run; returns the loss.
+    def told(self, batch: Batch) -> Told | None:
+        """What the network is told of the rows' views whatever it has learnt; other threads may ask for it."""
+        rows = torch.from_numpy(batch.rows[:, :BEFORE_RAYS]).to(self._device)
+        return self.network.told(self._positions(rows), rows[:, OUTGOING])
+
+    def learn(
+        self,
+        source: RowSource,
+        batch: Batch,
+        share: float,
+        generator: np.random.Generator,
+        told: Told | None = None,
+    ) -> float:
+        """One step from rows that `source` gave, after `share` of the run; returns the loss. `told` is what `told` said
+        of the rows, where that has been asked already.
 
         Raises QueryError where the loss is not finite, with the query that caused it; no weight is touched then.
         """
         for group in self.optimizer.param_groups:
             group["lr"] = rate_at(self.settings, share)
         rows = torch.from_numpy(batch.rows).to(self._device)
-        each = self._from_exits(rows, generator) if source.exits else self._from_values(rows)
+        each = self._from_exits(rows, generator, told) if source.exits else self._from_values(rows, told)
         loss = each.mean()
         value = float(loss.detach())
         if not math.isfinite(value):
@@ -138,16 +152,16 @@ class Learner:
         self.optimizer.load_state_dict(state["optimizer"])
         self.step = int(state["step"])
 
-    def _from_values(self, rows: Tensor) -> Tensor:
+    def _from_values(self, rows: Tensor, told: Told | None) -> Tensor:
         rays = rays_of(rows)
-        answers, _lobes = self._answers(rays[..., INCIDENT], rows)
+        answers, _lobes = self._answers(rays[..., INCIDENT], rows, told)
         values = rays[..., CHANNELS] / self.network.output_scale
         return of_values(answers, values, self.settings.loss, self.settings.floor)
 
-    def _from_exits(self, rows: Tensor, generator: np.random.Generator) -> Tensor:
+    def _from_exits(self, rows: Tensor, generator: np.random.Generator, told: Told | None) -> Tensor:
         rays = rays_of(rows)
         everywhere = torch.from_numpy(self._turned_lattice(len(rows), generator)).to(self._device)
-        answers, lobes = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows)
+        answers, lobes = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows, told)
         throughput = rays[..., CHANNELS] / self.network.output_scale
         walks = rays.shape[1]
         some = None if lobes is None else SomeLobes(in_directions(lobes, everywhere), mean_square(lobes))
@@ -159,15 +173,18 @@ class Learner:
         turns = rotations(generator.random((count, 3))).astype(np.float32)
         return np.asarray(np.einsum("nij,dj->ndi", turns, self._lattice, optimize=True))
 
-    def _answers(self, incident: Tensor, rows: Tensor) -> tuple[Tensor, Lobes | None]:
+    def _answers(self, incident: Tensor, rows: Tensor, told: Told | None) -> tuple[Tensor, Lobes | None]:
         """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32, and the lobes in
         them.
         """
-        network = self.network
-        positions = network.box_min + network.box_side * rows[:, POSITION].double()
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
-            answer, lobes = network.parts(incident, positions, rows[:, OUTGOING])
+            answer, lobes = self.network.parts(incident, self._positions(rows), rows[:, OUTGOING], told)
         return (answer.float() if lobes is None else answer.float() + in_directions(lobes, incident)), lobes
+
+    def _positions(self, rows: Tensor) -> Tensor:
+        """Positions [Q,3] in the scene."""
+        positions: Tensor = self.network.box_min + self.network.box_side * rows[:, POSITION].double()
+        return positions
 
     def _average(self) -> None:
         """Move the average towards the weights, so that it weighs step s of t by about (s/t)^γ."""
