@@ -199,6 +199,7 @@ def test_where_longer_training_leads() -> None:
     assert times_json(rows)["minutes_to_the_bar"] == pytest.approx(64.0)
     assert heading(rows, "coefficients").minutes_to(0.03) == math.inf
     assert heading([trained(1.0, 0.0)], "flip").minutes_to(0.03) == math.inf
+    assert told("dragon, outdoor", [trained(1.0, 0.2), trained(2.0, 0.2)]).endswith("is not to be seen")
 
 
 def test_plots_are_written(tmp_path: Path) -> None:

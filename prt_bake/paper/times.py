@@ -15,7 +15,6 @@ from prt_bake.paper.scene_report import SceneReport
 SHARES = (0.125, 0.25, 0.5, 1.0)
 """Of the usual time of training."""
 
-
 _NEVER = math.log(1e12)
 """In minutes: two million years."""
 
@@ -104,8 +103,11 @@ def told(name: str, rows: Sequence[Trained]) -> str:
         for row in rows
     ]
     reached = law.minutes_to(BARS["net"])
-    lines.append(
-        f"{name}: FLIP falls as minutes^{law.slope:.2f}; if it went on so, the bar of {BARS['net']:g} would take "
-        f"{reached:,.0f} minutes on this machine"
-    )
+    if math.isinf(reached):
+        lines.append(f"{name}: FLIP does not fall with the minutes: what it would take to the bar is not to be seen")
+    else:
+        lines.append(
+            f"{name}: FLIP falls as minutes^{law.slope:.2f}; if it went on so, the bar of {BARS['net']:g} would take "
+            f"{reached:,.0f} minutes on this machine"
+        )
     return "\n".join(lines)
