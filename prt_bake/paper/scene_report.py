@@ -114,13 +114,8 @@ class SceneReport:
         The picture is the file `name`.exr; its directions are drawn by the importance module of the scene's network.
         """
         lighting = self._lighting(sky_path)
-        truth, settings = self._reference(sky_name, lighting), self.settings
-        inputs = {"method": _METHOD, "model": model.sha256, **self._view_inputs(lighting), "spp": settings.spp}
-        inputs |= {"seed": settings.seed, "importance": self.importance.sha256}
-        file = f"{name}.exr"
-        found = read_layers(
-            self.artefacts.made(file, inputs, self._network_picture(lighting, JUDGED, file, model)).path
-        )
+        truth = self._reference(sky_name, lighting)
+        found = read_layers(self._network_picture(lighting, JUDGED, f"{name}.exr", model).path)
         mask = measures.object_mask(truth.coverage)
         _map, figures = measures.alone(found, truth, mask, measures.exposure(truth.image, mask))
         return {name: figures[name] for name in ("flip", "flip_without_noise", "error")}
@@ -147,42 +142,44 @@ class SceneReport:
 
     def _pictures(self, sky: str, lighting: Lighting) -> Iterator[tuple[str, Artefact]]:
         """The pictures by method, of light from under the surface alone."""
-        name, settings = self.paper.name, self.settings
-        common = {"method": _METHOD, "model": self.model.sha256, **self._view_inputs(lighting)}
+        folder = f"{self.paper.name}/{sky}"
         for sampling in SAMPLINGS:
-            file = f"{name}/{sky}/net_{sampling}.exr"
-            inputs = {**common, "spp": settings.spp, "sampling": sampling, "seed": settings.seed}
-            if sampling != "light":
-                inputs["importance"] = self.importance.sha256
-            render = self._network_picture(lighting, sampling, file, self.model)
-            yield sampling, self.artefacts.made(file, inputs, render)
-        inputs = {**common, "asset": self.asset.sha256}
+            yield sampling, self._network_picture(lighting, sampling, f"{folder}/net_{sampling}.exr", self.model)
+        inputs = {**self._picture_inputs(lighting, self.model), "asset": self.asset.sha256}
         arguments = self.asset, lighting.skies[0], self.view
         yield (
             "sh",
-            self.artefacts.made(f"{name}/{sky}/sh.exr", inputs, lambda path: harmonics_picture(path, *arguments)),
+            self.artefacts.made(f"{folder}/sh.exr", inputs, lambda path: harmonics_picture(path, *arguments)),
         )
 
-    def _network_picture(
-        self, lighting: Lighting, sampling: Sampling, file: str, model: Artefact
-    ) -> Callable[[Path], Facts]:
+    def _picture_inputs(self, lighting: Lighting, model: Artefact) -> Facts:
+        return {"method": _METHOD, "model": model.sha256, **self._view_inputs(lighting)}
+
+    def _network_picture(self, lighting: Lighting, sampling: Sampling, file: str, model: Artefact) -> Artefact:
+        """A network's picture, its directions drawn by the importance module of the scene's own network."""
+        settings, drawn_by = self.settings, None if sampling == "light" else self.importance
+        inputs = {**self._picture_inputs(lighting, model), "spp": settings.spp, "sampling": sampling}
+        inputs["seed"] = settings.seed
+        if drawn_by is not None:
+            inputs["importance"] = drawn_by.sha256
+
         def render(path: Path) -> Facts:
             return network_picture(
                 path,
                 model,
-                None if sampling == "light" else self.importance.path.with_name("model.pt"),
+                None if drawn_by is None else drawn_by.path.with_name("model.pt"),
                 self.scene.mesh,
                 lighting,
                 self.view,
-                self.settings.spp,
+                settings.spp,
                 sampling,
-                _PICTURE_SEED + self.settings.seed,
-                self.settings.device,
+                _PICTURE_SEED + settings.seed,
+                settings.device,
                 self.artefacts.stop,
                 self._follow(file),
             )
 
-        return render
+        return self.artefacts.made(file, inputs, render)
 
     def _surfaces(self, sky: str, lighting: Lighting) -> tuple[Artefact, Artefact]:
         """Reflection, background and what crosses unscattered: for the pictures, and from other numbers for the
