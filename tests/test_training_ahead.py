@@ -1,5 +1,6 @@
 """Batches that are made ready while the learner learns: the same ones, told the same, learnt from alike."""
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,24 @@ def test_several_threads_hand_over_every_row_once_in_order() -> None:
         assert told is not None
         assert again is not None
         assert all(torch.equal(a, b) for a, b in zip(told, again, strict=True))
+
+
+def test_what_was_told_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    learner, source = a_learner(), Numbered()
+    view = learner.network.view
+    assert view is not None
+    ahead = Ahead(source, learner, np.random.default_rng(0), 0)
+    batch, told = ahead.draw()
+    monkeypatch.setattr(view, "_told", lambda *views: pytest.fail("asked again"))
+    assert np.isfinite(learner.learn(source, batch, 0.5, np.random.default_rng(2), told))
+
+
+def test_no_thread_is_left() -> None:
+    ahead = Ahead(Numbered(), a_learner(), np.random.default_rng(0), 2)
+    ahead.draw()
+    assert any(thread.name.startswith("prtbake-ahead") for thread in threading.enumerate())
+    ahead.stop()
+    assert not any(thread.name.startswith("prtbake-ahead") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize("threads", [0, 1, 2])
