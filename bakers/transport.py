@@ -90,6 +90,13 @@ def on_mesh(transport: Any, mesh: Mesh) -> Any:
     return transport.on(mesh) if hasattr(transport, "on") else transport
 
 
+def up_to(transport: Any, degree: int) -> Any:
+    """The transport told by its method `up_to`, if it has one, that coefficients to `degree` are all that is wanted: it
+    may leave out what is orthogonal to them and narrower than few directions see.
+    """
+    return transport.up_to(degree) if hasattr(transport, "up_to") else transport
+
+
 def as_radiance(answer: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:
     """A transport's answer as a NumPy array; raises QueryError if its shape is not the expected one."""
     if hasattr(answer, "detach"):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bakers.baker import bake_block
 from bakers.path_traced import Walks
-from bakers.transport import on_mesh
+from bakers.transport import on_mesh, up_to
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.bake_error import ErrorMeter
@@ -75,7 +75,7 @@ def error_ladder(
     Error and time come from a few vertices drawn by the seed; the time is carried to all vertices and shared among the
     workers. Raises as `bake` does.
     """
-    transport = prepared(on_mesh(transport, mesh), precision, device)
+    transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     rows = []
     with limited_threads(transport, 1):
         for count in samples:

@@ -14,7 +14,7 @@ import numpy as np
 from bakers.baker import Block, bake_block, bake_blocks, block_size
 from bakers.path_traced import Account, Walks
 from bakers.plan import BakePlan, plan_bake
-from bakers.transport import on_mesh
+from bakers.transport import on_mesh, up_to
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
@@ -86,7 +86,7 @@ def bake(
     """
     began = time.monotonic()
     refuse_foreign(transport, mesh)
-    transport = prepared(on_mesh(transport, mesh), precision, device)
+    transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     with limited_threads(transport, workers):
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         spent = 0
@@ -115,7 +115,7 @@ def plan(
 ) -> BakePlan:
     """What `bake` with these arguments would cost; one block is baked to estimate the time. Raises as `bake` does."""
     refuse_foreign(transport, mesh)
-    transport = prepared(on_mesh(transport, mesh), precision, device)
+    transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     with limited_threads(transport, workers):
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         bake_block(job.task, 0, 1)

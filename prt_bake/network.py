@@ -25,6 +25,7 @@ from formats.mesh import Mesh
 from prt_bake.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
 from prt_bake.neural.fused import FusedNetwork
 from prt_bake.neural.interior import Interior
+from prt_bake.neural.late_layers import joined
 from prt_bake.neural.lobes import NUMBERS, Lobes, in_directions, lobes_from
 from prt_bake.neural.settings import EXIT, PRESETS, NetworkSettings
 from prt_bake.neural.view_features import Told, ViewFeatures
@@ -96,6 +97,8 @@ class NeuralBSSRDF(nn.Module):
             )
         self.surface: Surface | None = None
         """The object's own mesh, where it is known: see `on`."""
+        self.band: int | None = None
+        """The degree up to which lobes are told: see `up_to`."""
         self.view = None if interior is None else ViewFeatures(self.settings, self.frequencies, interior)
 
     def _draw_frequencies(self, generator: torch.Generator) -> None:
@@ -132,7 +135,8 @@ class NeuralBSSRDF(nn.Module):
     def radiance(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
         """Ŝ [N,D,3] in 1/sr, as `forward`, for D directions of incidence a query: incident [N,D,3]."""
         smooth, lobes = self.parts(incident, positions, outgoing)
-        return (smooth if lobes is None else smooth.float() + in_directions(lobes, incident)) * self.output_scale
+        answer = smooth if lobes is None else smooth.float() + in_directions(lobes, incident, self.band)
+        return answer * self.output_scale
 
     def parts(
         self, incident: Tensor, positions: Tensor, outgoing: Tensor, told: Told | None = None
@@ -161,7 +165,7 @@ class NeuralBSSRDF(nn.Module):
             parts = [h, *(activations[source - 1] for source in self.settings.sources(number))]
             if 0 < self.settings.trunk < number:
                 parts.append(light)
-            h = _joined(layer, parts)
+            h = joined(layer, parts)
             h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
             activations.append(h)
             if self.lobes is not None and number == self.settings.trunk:
@@ -172,9 +176,9 @@ class NeuralBSSRDF(nn.Module):
         """What the first layer of a network that sees ωi late is told of views [N, settings.view_inputs], float32."""
         if self.view is None:
             return self.fourier_features(self.inputs(None, positions, outgoing))
-        if told is None:
-            told = self.view.told(self._relative(positions), outgoing, self._normals(positions, outgoing))
-        return self.view.learnt(told)
+        known = self.told(positions, outgoing) if told is None else told
+        assert known is not None
+        return self.view.learnt(known)
 
     def told(self, positions: Tensor, outgoing: Tensor) -> Told | None:
         """The part of `view_features` that stays the same while the network learns; None where it is none."""
@@ -193,6 +197,16 @@ class NeuralBSSRDF(nn.Module):
         bound = copy(self)
         bound.surface = Surface(mesh)
         return bound
+
+    def up_to(self, degree: int) -> "NeuralBSSRDF":
+        """The same network, weights shared, with its lobes' bands up to `degree` alone: few directions, which may all
+        miss a lobe, then find its coefficients up to that degree exactly. Networks without lobes are given back.
+        """
+        if self.lobes is None:
+            return self
+        limited = copy(self)
+        limited.band = degree
+        return limited
 
     def rounded(self) -> "NeuralBSSRDF":
         """A copy whose weights float16 holds exactly: half the bytes on disk, answers of trained ones differ by 3e-4.
@@ -306,21 +320,6 @@ class NeuralBSSRDF(nn.Module):
         return self.prepared(device=str(self.frequencies.device)).evaluate_block(
             incident, rotation, positions, outgoing
         )
-
-
-def _joined(layer: Any, parts: list[Tensor]) -> Tensor:
-    """The layer's answer to the concatenation of `parts`, [N,1,·] and [N,D,·]; what is shared by the D is done once."""
-    if len({part.shape[1] for part in parts}) == 1:
-        return torch.as_tensor(layer(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]))
-    columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
-    shared = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] == 1]
-    own = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] > 1]
-    once, each = (
-        torch.nn.functional.linear(*(torch.cat(group, dim=-1) for group in zip(*kind, strict=True)))
-        for kind in (shared, own)
-    )
-    result: Tensor = once + (each + layer.bias)
-    return result
 
 
 def _float64(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:

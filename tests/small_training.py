@@ -25,8 +25,8 @@ albedo = [0.9, 0.7, 0.5]
 SMALL = NetworkSettings(
     features=32, feature_mean=0.0, feature_spread=0.15, width=32, layers=3, skips=((1, 3),), directions="cartesian"
 )
-STREAM = StreamSettings(queries_a_batch=512, walks=1, connections=4, capacity=1 << 12)
-LEARNING = LearningSettings(batch=128, rate=1e-2, bfloat16=False, held_out_queries=128, held_out_walks=64)
+STREAM = StreamSettings(queries_a_batch=512, walks=1, connections=4, exits=8, least_exits=2, kept=4, capacity=1 << 12)
+LEARNING = LearningSettings(batch=128, rate=1e-2, spread=8, bfloat16=False, held_out_queries=128, held_out_walks=64)
 
 
 def make_scene(folder: Path, eta: float = 1.0, roughness: float = 0.0) -> Scene:

@@ -184,6 +184,32 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
         renderer.stop()
 
 
+def test_a_renderer_that_is_ahead_walks_more_often_from_each_query(rough_scene):
+    """And less often while the learner waits, within the settings' bounds; the walks are counted as they were."""
+    stream = dataclasses.replace(STREAM, queries_a_batch=64, exits=9, least_exits=3, kept=4, capacity=1024)
+    walks = row_walks(rough_scene, prepare(rough_scene), Box(np.zeros(3), 1.0), stream, 0)
+    walks.walks_a_query = 3
+    asked, render = [], walks.render
+
+    def noted(first, count):
+        asked.append(walks.walks_a_query)
+        return render(first, count)
+
+    walks.render = noted
+    renderer = Renderer(walks, stream, 1, least=16, reuse=1)
+    renderer.start()
+    try:
+        while renderer.done().rows < 576:  # it rests more than half a buffer ahead
+            time.sleep(0.01)
+        assert asked == [3, 3, 3, 4, 5, 6, 7, 8, 9]
+        for _ in range(80):
+            renderer.draw(64, np.random.default_rng(0))
+        assert asked.count(3) > 20  # of 80 batches; it is ahead again as soon as nobody draws
+    finally:
+        renderer.stop()
+    assert renderer.done().walks == 64 * sum(asked)
+
+
 def test_a_buffer_smaller_than_a_batch_stops_nobody(scene):
     stream = dataclasses.replace(STREAM, queries_a_batch=8, capacity=16, reuse=1)
     renderer = Renderer(ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, 16, reuse=1)

@@ -26,7 +26,7 @@ def smooth(tmp_path_factory):
 def test_exits_carry_the_coefficients(tmp_path):
     """Rows of exits are what a_lm = E[T · Y_lm(exit)] is made of, without what met nothing."""
     thin = make_scene(tmp_path, sphere(2), eta=1.4, sigma_t=0.5)  # most walks meet nothing
-    settings = StreamSettings(exits=2000, face_share=0.0)
+    settings = StreamSettings(exits=2000, kept=2000, face_share=0.0)
     walks = ExitWalks(prepare(thin), box_of(thin), settings, seed=0x7E57)
     batch = walks.render(0, 4)
     reference = hold_out_coefficients(thin, 4, 4000, 0x7E57, 64)

@@ -132,7 +132,8 @@ class FusedNetwork:
                 radiance = late.radiance(rows)
                 radiance = radiance.view(tile, directions, 3)[:bins].float()
                 if lobes is not None:
-                    radiance = radiance + in_directions(Lobes(*(part[first : first + bins] for part in lobes)), towards)
+                    some_lobes = Lobes(*(part[first : first + bins] for part in lobes))
+                    radiance = radiance + in_directions(some_lobes, towards, self.network.band)
                 answer[begin + first : begin + first + bins] = (radiance * self.network.output_scale).cpu().numpy()
 
     def _powers(self, incident: Tensor, outgoing: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from prt_bake.neural.settings import EXIT
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
 
-__all__ = ["LateLayers"]
+__all__ = ["LateLayers", "joined"]
 
 
 class LateLayers:
@@ -102,3 +102,18 @@ class LateLayers:
             h = h.relu_() if self._activation == "relu" else torch.nn.functional.silu(h, inplace=True)
             activations[number] = h
         return torch.as_tensor(self._linear(h, self._weights[-1], self._biases[-1], "none"))
+
+
+def joined(layer: Any, parts: list[Tensor]) -> Tensor:
+    """The layer's answer to the concatenation of `parts`, [N,1,·] and [N,D,·]; what is shared by the D is done once."""
+    if len({part.shape[1] for part in parts}) == 1:
+        return torch.as_tensor(layer(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]))
+    columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
+    shared = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] == 1]
+    own = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] > 1]
+    once, each = (
+        torch.nn.functional.linear(*(torch.cat(group, dim=-1) for group in zip(*kind, strict=True)))
+        for kind in (shared, own)
+    )
+    result: Tensor = once + (each + layer.bias)
+    return result

@@ -9,6 +9,9 @@ they carry, and Ŝ gets
 
 added: spherical Gaussians (Wang et al. 2009, "All-frequency rendering of dynamic, spatially-varying reflectance") whose
 mean over the sphere is Eₖ, so that what a lobe carries and how sharp it is are learnt apart.
+
+Whoever wants coefficients up to a degree needs no directions to find those of lobes: 2κ/(1 − exp(−2κ)) exp(κ(c − 1)) is
+Σₗ (2l + 1) Aₗ(κ) Pₗ(c) with Aₗ = I_{l+½}(κ)/I_{½}(κ), and its bands up to the degree are all that is asked for.
 """
 
 from typing import NamedTuple
@@ -22,6 +25,8 @@ _FAINT = -3.0
 """What a lobe carries at first: the softplus of it, 0.05 of the output scale."""
 _SHARPNESS, _LEAST, _MOST = 3.4, 1.6, 5.5
 """Logarithms of sharpness: at first (10°), at least (26°) and at most (3.7°)."""
+_BANDS_ABOVE = 16
+"""From which the shares of bands are computed downwards: what is not known there is below 10⁻⁵ of them then."""
 
 
 class Lobes(NamedTuple):
@@ -49,16 +54,48 @@ def lobes_from(told: Tensor, exits: Tensor) -> Lobes:
     return Lobes(axes, sharpness, carried * _peak(sharpness)[..., None])
 
 
-def in_directions(lobes: Lobes, incident: Tensor) -> Tensor:
-    """What the lobes add [N,D,3] in directions incident [N,D,3]."""
+def in_directions(lobes: Lobes, incident: Tensor, degree: int | None = None) -> Tensor:
+    """What the lobes add [N,D,3] in directions incident [N,D,3]; of it the bands up to `degree` alone, if given."""
     # Number by number, no products of matrices: a view's sums must not depend on how many others stand beside it.
     x, y, z = incident.float().unbind(dim=-1)
     added = torch.zeros_like(incident, dtype=torch.float32)
     for axis, sharpness, peak in zip(*(part.unbind(dim=1) for part in lobes), strict=True):
         a, b, c = axis[:, None].unbind(dim=-1)
-        shape = torch.exp(sharpness[:, None] * (x * a + y * b + z * c - 1.0))
+        cosine = x * a + y * b + z * c
+        if degree is None:
+            shape = torch.exp(sharpness[:, None] * (cosine - 1.0))
+        else:
+            shape = _bands(cosine, sharpness, degree) / _peak(sharpness)[:, None]
         added = added + shape[..., None] * peak[:, None]
     return added
+
+
+def _bands(cosine: Tensor, sharpness: Tensor, degree: int) -> Tensor:
+    """Σₗ (2l + 1) Aₗ(κ) Pₗ(cosine) [N,D] up to l = degree, for sharpness κ [N]."""
+    shares = _shares(sharpness.double(), degree)
+    summed, before, value = torch.ones_like(cosine), torch.ones_like(cosine), cosine
+    for band in range(1, degree + 1):
+        summed = summed + ((2 * band + 1) * shares[band]).float()[:, None] * value
+        before, value = value, ((2 * band + 1) * cosine * value - band * before) / (band + 1)
+    return summed
+
+
+def _shares(kappa: Tensor, degree: int) -> list[Tensor]:
+    """A₀ … of a degree for sharpness κ [N].
+
+    Aₗ/Aₗ₋₁ = 1/((2l + 1)/κ + Aₗ₊₁/Aₗ), from above downwards, where errors shrink, begun between the bounds of Amos
+    (1974), "Computation of modified Bessel functions and their ratios".
+    """
+    last = degree + _BANDS_ABOVE
+    ratio = kappa / (last + ((last + 0.5) ** 2 + kappa**2).sqrt())
+    ratios: list[Tensor] = []
+    for band in range(last - 1, 0, -1):
+        ratio = 1.0 / ((2 * band + 1) / kappa + ratio)
+        ratios.append(ratio)
+    shares = [torch.ones_like(kappa)]
+    for ratio in ratios[::-1][:degree]:
+        shares.append(shares[-1] * ratio)
+    return shares
 
 
 def mean_square(lobes: Lobes) -> Tensor:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.transport import up_to
 from prt_bake import directions, sh
 from prt_bake.randomness import uniforms
 from prt_bake.trainer.prepared import PreparedScene
@@ -66,6 +67,7 @@ def answered_coefficients(network: Any, positions: Array, outgoing: Array, seed:
     """a_lm [N,B,9,3] of a network at positions [N,3] seen along outgoing [N,B,3], by least squares over a lattice."""
     turns = directions.random_rotations(_TURNS, seed + _TURN_STREAM)
     incident = directions.fibonacci(_LATTICE) @ turns.transpose(0, 2, 1)
+    network = up_to(network, DEGREE)
     fits = np.linalg.pinv(sh.evaluate(incident, DEGREE))
     count, views = outgoing.shape[:2]
     taken = np.arange(count * views).reshape(count, views) % _TURNS

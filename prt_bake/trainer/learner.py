@@ -44,7 +44,7 @@ class LearningSettings:
     """Whether the model is the running average of the weights rather than the last weights."""
     average_length: float = 0.03
     """How far the average looks back on average, as a share of the steps so far; 0.5 is all of them alike."""
-    spread: int = 8
+    spread: int = 24
     """Directions all over the sphere, a lattice turned at random, that a query of exits is asked for besides."""
     core_share: float = 0.25
     """Share of the cores that learns (at least one does); the others walk."""

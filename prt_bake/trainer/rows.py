@@ -10,7 +10,7 @@ through the interface costs as much as ten walks, and at equal time the coeffici
 than half of the variance (`tests/bench/noise_of_a_walk.py`). Where nothing is bent, connections say ten times as much.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -61,8 +61,13 @@ class StreamSettings:
     """How many of them each event of a walk looks at."""
     walks: int = 2
     """Walks that each value is the mean of."""
-    exits: int = 4
-    """Walks a query, each a ray, where rays are exits."""
+    exits: int = 32
+    """Walks a query at most, where rays are exits."""
+    least_exits: int = 6
+    """Walks a query at least, where `exits` is not less: between the two a renderer beside the learner walks as often
+    as it has time for. Where both take turns it is `exits`."""
+    kept: int = 12
+    """Rays that their exits are told by (`prt_bake.trainer.thinning`)."""
     face_share: float = 0.5
     """Share of the queries that has every face alike, large or small; of the others an area has as many as another."""
     edge_share: float = EDGE_SHARE
@@ -74,10 +79,9 @@ class StreamSettings:
     graphics card does not. Where both take turns, exactly so often."""
 
     def __post_init__(self) -> None:
-        least = {"queries_a_batch": 1, "directions": 1, "connections": 1, "walks": 1, "exits": 1, "capacity": 1}
-        for name, bound in {**least, "reuse": 1}.items():
-            if getattr(self, name) < bound:
-                raise QueryError(f"stream settings: {name} must be at least {bound}, found {getattr(self, name)}")
+        for name in (field.name for field in fields(self) if field.type is int):
+            if getattr(self, name) < 1:
+                raise QueryError(f"stream settings: {name} must be at least 1, found {getattr(self, name)}")
         for name in ("face_share", "edge_share"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise QueryError(f"stream settings: {name} must be 0 to 1, found {getattr(self, name)}")
@@ -131,6 +135,9 @@ class RowWalks(Protocol):
     exits: bool
     walks_a_query: int
 
+    def hurry(self, faster: bool) -> None:
+        """Walk fewer times a query from now on, or more often, where that is possible."""
+
     def render(self, first: int, count: int) -> Batch:
         """The rows of queries number first … first + count − 1."""
 
@@ -149,6 +156,9 @@ class ValueWalks:
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
         self._source = QuerySource(prepared, settings.directions, seed, settings.face_share, settings.edge_share)
 
+    def hurry(self, faster: bool) -> None:
+        """Every value is the mean of as many walks as the settings say."""
+
     def render(self, first: int, count: int) -> Batch:
         """Rows of D rays."""
         queries = self._source.draw(first, count)
@@ -163,20 +173,32 @@ class ValueWalks:
 
 
 class ExitWalks:
-    """Rows whose rays are exits: the ends of the query's walks."""
+    """Rows whose rays are exits: the ends of the query's walks, told by some of them that stand for all."""
 
     exits = True
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
-        """Queries and walks depend on the seed and the query's number alone."""
-        self.walks_a_query = settings.exits
+        """Queries and walks depend on the seed and the query's number alone, how many walks on `hurry`."""
+        self.walks_a_query, self._settings = settings.exits, settings
         self._prepared, self._box, self._seed = prepared, box, seed
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
 
+    def hurry(self, faster: bool) -> None:
+        """A fifth fewer walks a query, or more, within the settings' bounds."""
+        now = self.walks_a_query
+        wanted = now - max(1, now // 6) if faster else now + max(1, now // 5)
+        settings = self._settings
+        self.walks_a_query = min(max(wanted, settings.least_exits), settings.exits)
+
     def render(self, first: int, count: int) -> Batch:
-        """Rows of a ray a walk."""
+        """Rows of `kept` rays."""
+        from prt_bake.trainer.thinning import thinned
+
+        kept = self._settings.kept
         queries = self._source.draw(first, count)
         exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
+        if kept != self.walks_a_query:
+            exits = thinned(exits, kept, self._seed, queries.keys)
         carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
         return batch_of(queries.keys, queries.positions, queries.outgoing, exits.directions, carried, self._box)
 

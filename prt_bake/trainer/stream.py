@@ -2,10 +2,11 @@
 
 The buffer is a ring. The renderer overwrites the oldest rows, the learner goes round and round through what is there:
 queries are drawn at random already, and rows drawn at random once more would be learnt from unequally often, which
-doubles the noise of walks where each is drawn once on average. The renderer may use every core, beside the learner. It
-rests only while it is a buffer's half ahead of the learner: rows that are overwritten before they are drawn would be
-walked in vain, on cores that could learn. And where both share the cores, the learner waits rather than learn from rows
-more than `reuse` times: new walks say more.
+doubles the noise of walks where each is drawn once on average. The renderer may use every core, beside the learner.
+It walks more often from each query while it is ahead of the learner and less often while the learner waits for it, and
+rests only while it is a buffer's half ahead: rows that are overwritten before they are drawn would be walked in vain,
+on cores that could learn. And where both share the cores, the learner waits rather than learn from rows more than
+`reuse` times: new walks say more.
 """
 
 import math
@@ -20,6 +21,8 @@ from prt_bake.trainer.rows import Batch, Done, RowWalks, StreamSettings, render
 __all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
 
 
+_SHORT, _AMPLE = 1.0, 3.0
+"""Batches ahead of the learner below which the renderer hurries, and above which it takes its time for each query."""
 _REST, _GLANCE = 0.002, 0.0005
 """Seconds between two looks of the renderer at how far ahead it is, and of the learner at what is there."""
 
@@ -125,18 +128,22 @@ class Renderer:
         numba.set_num_threads(self._threads)
         try:
             while not self._stop.is_set():
-                if self._rows - self._drawn > max(self._settings.capacity // 2, self._least):
+                ahead = self._rows - self._drawn
+                if ahead > max(self._settings.capacity // 2, self._least):
                     time.sleep(_REST)
-                else:
-                    self._one_batch()
+                    continue
+                if not _SHORT < ahead / self._settings.queries_a_batch < _AMPLE:
+                    self._walks.hurry(faster=ahead < _AMPLE * self._settings.queries_a_batch)
+                self._one_batch()
         except BaseException as fault:
             self._fault = fault
 
     def _one_batch(self) -> None:
         begun = time.perf_counter()
+        walks = self._settings.queries_a_batch * self._walks.walks_a_query
         batch = self._walks.render(self._next_query, self._settings.queries_a_batch)
         self._walking += time.perf_counter() - begun
         self.buffer.put(batch)
         self._next_query += self._settings.queries_a_batch
-        self._walked += self._settings.queries_a_batch * self._walks.walks_a_query
+        self._walked += walks
         self._rows += len(batch.rows)

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bakers.transport import up_to
 from formats.scene import Scene
 from prt_bake import sh
 from prt_bake.sphere import fibonacci
@@ -105,7 +106,7 @@ def network_coefficients(network: Any, positions: Array, outgoing: Array, direct
     """A network's a_lm [N,9,3], fitted to its values on a lattice of `directions`."""
     lattice = fibonacci(directions)
     basis = sh.evaluate(lattice, _COEFFICIENT_DEGREE)
-    values = network.evaluate(lattice, positions, outgoing).astype(np.float64)
+    values = up_to(network, _COEFFICIENT_DEGREE).evaluate(lattice, positions, outgoing).astype(np.float64)
     return np.asarray(np.einsum("kd,ndc->nkc", np.linalg.pinv(basis), values))
 
 

@@ -122,9 +122,15 @@ VARIANTS: dict[str, Variant] = {
     "queries by area alone": stream(face_share=0.0),
     "rows learnt from twice": stream(reuse=2),
     "a learner that never waits": stream(reuse=1000),
-    "2 exits a query": stream(exits=2),
-    "8 exits a query": stream(exits=8),
-    "4 directions besides the exits": learning(spread=4),
+    "4 walks a query, 8 directions besides": Variant(
+        stream=replace(ASKING, exits=4, kept=4), learning=replace(LEARNING, spread=8)
+    ),
+    "8 walks a query": stream(exits=8, kept=8),
+    "64 walks a query at most": stream(exits=64),
+    "32 walks a query, each a ray": stream(least_exits=32, kept=32),
+    "6 rays a query": stream(kept=6),
+    "8 directions besides the exits": learning(spread=8),
+    "48 directions besides the exits": learning(spread=48),
     "1 walk a value": stream(walks=1),
     "4 walks a value": stream(walks=4),
 }

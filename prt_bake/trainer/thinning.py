@@ -1,0 +1,88 @@
+"""The walks of a query told by a few rays, whatever their number: most walks cost less than asking the network where
+they left.
+
+What the learner wants of the exits of P walks is sums Σ T f(ω_exit) with an f that it does not know yet, but that
+changes slowly with ω. The exits are put in order along a Hilbert curve over the sphere, and K of them are drawn by
+systematic sampling, each as often as the light that it carries is of the whole: one number decides all draws, so that
+every stretch of the curve, which is a patch of the sphere, keeps its share. The sums keep their expectation whatever f
+is, and their noise is nearly that of P rays where f is smooth at the scale of a patch. Systematic sampling: Madow 1949,
+"On the theory of systematic sampling II"; the octahedral map: Engelhardt and Dachsbacher 2008.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from prt_bake.compilation import compiled
+from prt_bake.randomness import uniforms
+from prt_bake.trainer.lit import Exits
+
+_STREAM = 0x7417
+_LEVELS = 8
+"""Of the Hilbert curve: patches of a fifth of a degree squared."""
+
+
+def thinned(exits: Exits, kept: int, seed: int, keys: NDArray[Any]) -> Exits:
+    """`kept` rays [N,K,3] in place of the exits of P walks; means over them have the exits' means as expectation.
+
+    What crossed unscattered is not drawn. Each query's draw depends on the seed, its key [N] and its exits alone. A
+    channel carries at most three times what the brightest walk of its query carries.
+    """
+    carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
+    count = len(carried)
+    directions, throughput = np.zeros((count, kept, 3)), np.zeros((count, kept, 3))
+    directions[..., 2] = 1.0
+    offsets = uniforms((_STREAM, seed, keys), 1)[:, 0]
+    draw_systematically(exits.directions, carried, offsets, directions, throughput)
+    return Exits(directions, throughput, np.zeros((count, kept), np.bool_))
+
+
+@compiled(parallel=True, nogil=True)
+def draw_systematically(directions: Any, carried: Any, offsets: Any, drawn: Any, throughput: Any) -> None:
+    """Fill drawn and throughput [N,K,3] from directions and what they carry [N,P,3]; offsets [N] in [0, 1).
+
+    Queries that carry nothing are left as they are.
+    """
+    walks, kept = carried.shape[1], drawn.shape[1]
+    for n in prange(len(carried)):
+        place, light = np.empty(walks, np.int64), np.empty(walks)
+        for p in range(walks):
+            place[p] = along_curve(directions[n, p, 0], directions[n, p, 1], directions[n, p, 2])
+            light[p] = (carried[n, p, 0] + carried[n, p, 1] + carried[n, p, 2]) / 3.0
+        whole = light.sum()
+        if whole > 0.0:
+            order, reached, k = np.argsort(place, kind="mergesort"), 0.0, 0
+            for p in order:
+                reached += light[p]
+                while k < kept and (offsets[n] + k) * whole < reached * kept:
+                    _take(directions[n, p], carried[n, p], whole / (walks * light[p]), drawn[n, k], throughput[n, k])
+                    k += 1
+
+
+@compiled(nogil=True)
+def _take(direction: Any, carried: Any, scale: Any, drawn: Any, throughput: Any) -> None:
+    for c in range(3):
+        drawn[c], throughput[c] = direction[c], carried[c] * scale
+
+
+@compiled(nogil=True)
+def along_curve(x: Any, y: Any, z: Any) -> Any:
+    """How far along a Hilbert curve over the sphere a unit vector lies: an integer below 4**8."""
+    reach = abs(x) + abs(y) + abs(z)
+    u, v = x / reach, y / reach
+    if z < 0.0:
+        u, v = np.copysign(1.0 - abs(v), u), np.copysign(1.0 - abs(u), v)
+    side = 1 << _LEVELS
+    i, j = min(int((0.5 + 0.5 * u) * side), side - 1), min(int((0.5 + 0.5 * v) * side), side - 1)
+    place, half = 0, side >> 1
+    while half:
+        right, up = int(i & half != 0), int(j & half != 0)
+        place += half * half * ((3 * right) ^ up)
+        if not up:
+            if right:
+                i, j = side - 1 - i, side - 1 - j
+            i, j = j, i
+        half >>= 1
+    return place
