@@ -15,6 +15,7 @@ from prt_bake.baking import bake
 from prt_bake.network import NeuralBSSRDF
 from prt_bake.neural.lobes import _shares, in_directions, lobes_from
 from prt_bake.sphere import fibonacci, uniform
+from prt_bake.trainer.asked import answered_coefficients
 from prt_bake.trainer.validation import network_coefficients
 
 MANY = 40_000
@@ -47,16 +48,27 @@ def test_shares_of_bands_are_ratios_of_bessel_functions():
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
-def test_few_directions_find_what_many_do():
-    """Of a network's lobes alone: 64 directions are off by a fifth and more, in bands by nothing."""
+def lobes_alone():
+    """A network whose other layers say nothing, and twenty views of it."""
     network = lobed()
     with torch.no_grad():
         network.output.weight.zero_()
         network.output.bias.zero_()
-    x, eye = uniform(20, 1) * 0.45 + 0.5, uniform(20, 1)
+    return network, uniform(20, 1) * 0.45 + 0.5, uniform(20, 1)
+
+
+def test_few_directions_find_what_many_do():
+    """64 directions are off by a tenth and more, in bands by nothing."""
+    network, x, eye = lobes_alone()
     truth = network_by_values(network, x, eye, MANY)
     assert relative(network_by_values(network, x, eye, 64), truth) > 0.1
     assert relative(network_coefficients(network, x, eye, 64), truth) < 2e-3
+
+
+def test_a_report_asks_for_bands_alone():
+    network, x, eye = lobes_alone()
+    found = answered_coefficients(network, x, eye[:, None], 0)[:, 0]
+    assert relative(found, network_coefficients(network, x, eye, 4096)) < 1e-5
 
 
 def network_by_values(network, positions, outgoing, directions):
