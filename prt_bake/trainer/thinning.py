@@ -1,12 +1,12 @@
-"""The walks of a query told by a few rays, whatever their number: most walks cost less than asking the network where
-they left.
+"""The walks of a query told by a few rays, whatever their number.
 
-What the learner wants of the exits of P walks is sums Σ T f(ω_exit) with an f that it does not know yet, but that
-changes slowly with ω. The exits are put in order along a Hilbert curve over the sphere, and K of them are drawn by
-systematic sampling, each as often as the light that it carries is of the whole: one number decides all draws, so that
-every stretch of the curve, which is a patch of the sphere, keeps its share. The sums keep their expectation whatever f
-is, and their noise is nearly that of P rays where f is smooth at the scale of a patch. Systematic sampling: Madow 1949,
-"On the theory of systematic sampling II"; the octahedral map: Engelhardt and Dachsbacher 2008.
+In a clear object a walk takes no longer than learning from the direction in which it left. What the learner wants of
+the exits of P walks is sums Σ T f(ω_exit) with an f that it does not know yet, but that changes slowly with ω. The
+exits are put in order along a Hilbert curve over the sphere, and K of them are drawn by systematic sampling, each as
+often as the light that it carries is of the whole: one number decides all draws, so that every stretch of the curve,
+which is a patch of the sphere, keeps its share. The sums keep their expectation whatever f is, and their noise is
+nearly that of P rays where f is smooth at the scale of a patch. Systematic sampling: Madow 1949, "On the theory of
+systematic sampling II"; the octahedral map: Engelhardt and Dachsbacher 2008.
 """
 
 from typing import Any
