@@ -82,6 +82,20 @@ def test_walks_that_carry_nothing_give_rays_that_carry_nothing():
     np.testing.assert_array_equal(np.linalg.norm(rays.directions, axis=-1), 1.0)
 
 
+@pytest.mark.parametrize("fault", [np.nan, np.inf])
+def test_a_walk_that_is_not_finite_is_not_lost(fault):
+    """The learner stops at it and names its query; the queries beside it are as they were."""
+    exits, keys = exits_of(3), np.arange(3)
+    broken = exits.throughput.copy()
+    broken[1, 5, 2] = fault
+    unscattered = np.zeros_like(exits.unscattered)
+    rays = thinned(Exits(exits.directions, broken, unscattered), KEPT, 0, keys)
+    sound = thinned(Exits(exits.directions, exits.throughput, unscattered), KEPT, 0, keys)
+    assert not np.isfinite(rays.throughput[1, :, 2]).any()
+    np.testing.assert_array_equal(rays.directions[1], np.repeat(exits.directions[1, 5:6], KEPT, axis=0))
+    np.testing.assert_array_equal(rays.throughput[[0, 2]], sound.throughput[[0, 2]])
+
+
 def test_a_walk_that_carries_nearly_all_is_drawn_nearly_always():
     """Contrast of 10¹²: no other ray is scaled up for it."""
     exits = exits_of(1)

@@ -21,14 +21,15 @@ from prt_bake.trainer.lit import Exits
 
 _STREAM = 0x7417
 _LEVELS = 8
-"""Of the Hilbert curve: patches of a fifth of a degree squared."""
+"""Of the Hilbert curve: patches of 0.6 square degrees on average."""
 
 
 def thinned(exits: Exits, kept: int, seed: int, keys: NDArray[Any]) -> Exits:
     """`kept` rays [N,K,3] in place of the exits of P walks; means over them have the exits' means as expectation.
 
     What crossed unscattered is not drawn. Each query's draw depends on the seed, its key [N] and its exits alone. A
-    channel carries at most three times what the brightest walk of its query carries.
+    channel carries at most three times what the brightest walk of its query carries. Of a query with a walk that is not
+    finite all rays are that walk: the learner must stop at it.
     """
     carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
     count = len(carried)
@@ -43,7 +44,7 @@ def thinned(exits: Exits, kept: int, seed: int, keys: NDArray[Any]) -> Exits:
 def draw_systematically(directions: Any, carried: Any, offsets: Any, drawn: Any, throughput: Any) -> None:
     """Fill drawn and throughput [N,K,3] from directions and what they carry [N,P,3]; offsets [N] in [0, 1).
 
-    Queries that carry nothing are left as they are.
+    Queries that carry nothing are left as they are; a walk that is not finite is all that is drawn of its query.
     """
     walks, kept = carried.shape[1], drawn.shape[1]
     for n in prange(len(carried)):
@@ -52,7 +53,12 @@ def draw_systematically(directions: Any, carried: Any, offsets: Any, drawn: Any,
             place[p] = along_curve(directions[n, p, 0], directions[n, p, 1], directions[n, p, 2])
             light[p] = (carried[n, p, 0] + carried[n, p, 1] + carried[n, p, 2]) / 3.0
         whole = light.sum()
-        if whole > 0.0:
+        if not np.isfinite(whole):
+            for p in range(walks):
+                if not np.isfinite(light[p]):
+                    for k in range(kept):
+                        _take(directions[n, p], carried[n, p], 1.0, drawn[n, k], throughput[n, k])
+        elif whole > 0.0:
             order, reached, k = np.argsort(place, kind="mergesort"), 0.0, 0
             for p in order:
                 reached += light[p]
