@@ -188,7 +188,6 @@ def test_a_renderer_that_is_ahead_walks_more_often_from_each_query(rough_scene):
     """And less often while the learner waits, within the settings' bounds; the walks are counted as they were."""
     stream = dataclasses.replace(STREAM, queries_a_batch=64, exits=9, least_exits=3, kept=4, capacity=1024)
     walks = row_walks(rough_scene, prepare(rough_scene), Box(np.zeros(3), 1.0), stream, 0)
-    walks.walks_a_query = 3
     asked, render = [], walks.render
 
     def noted(first, count):

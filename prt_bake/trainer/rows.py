@@ -134,9 +134,8 @@ class RowWalks(Protocol):
 
     exits: bool
     walks_a_query: int
-
-    def hurry(self, faster: bool) -> None:
-        """Walk fewer times a query from now on, or more often, where that is possible."""
+    """May be set to less, down to `fewest`, and back."""
+    fewest: int
 
     def render(self, first: int, count: int) -> Batch:
         """The rows of queries number first … first + count − 1."""
@@ -152,12 +151,9 @@ class ValueWalks:
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
-        self.walks_a_query = settings.walks
+        self.walks_a_query = self.fewest = settings.walks
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
         self._source = QuerySource(prepared, settings.directions, seed, settings.face_share, settings.edge_share)
-
-    def hurry(self, faster: bool) -> None:
-        """Every value is the mean of as many walks as the settings say."""
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of D rays."""
@@ -178,27 +174,20 @@ class ExitWalks:
     exits = True
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
-        """Queries and walks depend on the seed and the query's number alone, how many walks on `hurry`."""
-        self.walks_a_query, self._settings = settings.exits, settings
+        """Queries and walks depend on the seed and the query's number alone."""
+        self.walks_a_query, self._kept = settings.exits, settings.kept
+        self.fewest = min(settings.least_exits, settings.exits)
         self._prepared, self._box, self._seed = prepared, box, seed
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
-
-    def hurry(self, faster: bool) -> None:
-        """A fifth fewer walks a query, or more, within the settings' bounds."""
-        now = self.walks_a_query
-        wanted = now - max(1, now // 6) if faster else now + max(1, now // 5)
-        settings = self._settings
-        self.walks_a_query = min(max(wanted, settings.least_exits), settings.exits)
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of `kept` rays."""
         from prt_bake.trainer.thinning import thinned
 
-        kept = self._settings.kept
         queries = self._source.draw(first, count)
         exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
-        if kept != self.walks_a_query:
-            exits = thinned(exits, kept, self._seed, queries.keys)
+        if self._kept != self.walks_a_query:
+            exits = thinned(exits, self._kept, self._seed, queries.keys)
         carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
         return batch_of(queries.keys, queries.positions, queries.outgoing, exits.directions, carried, self._box)
 

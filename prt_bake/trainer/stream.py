@@ -21,8 +21,8 @@ from prt_bake.trainer.rows import Batch, Done, RowWalks, StreamSettings, render
 __all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
 
 
-_SHORT, _AMPLE = 1.0, 3.0
-"""Batches ahead of the learner below which the renderer hurries, and above which it takes its time for each query."""
+_SHORT, _AMPLE = 1, 3
+"""Batches ahead of the learner up to which the renderer walks less often from each query, and from which more often."""
 _REST, _GLANCE = 0.002, 0.0005
 """Seconds between two looks of the renderer at how far ahead it is, and of the learner at what is there."""
 
@@ -75,6 +75,8 @@ class Renderer:
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self.exits = walks.exits
+        self._most = walks.walks_a_query
+        walks.walks_a_query = walks.fewest
         self.buffer = RingBuffer(settings.capacity)
         self._walks, self._settings, self._threads = walks, settings, threads
         self._least, self.reuse = min(least, settings.capacity), reuse
@@ -132,11 +134,19 @@ class Renderer:
                 if ahead > max(self._settings.capacity // 2, self._least):
                     time.sleep(_REST)
                     continue
-                if not _SHORT < ahead / self._settings.queries_a_batch < _AMPLE:
-                    self._walks.hurry(faster=ahead < _AMPLE * self._settings.queries_a_batch)
+                self._pace(ahead)
                 self._one_batch()
         except BaseException as fault:
             self._fault = fault
+
+    def _pace(self, ahead: int) -> None:
+        """Walk a fifth more or less often from each query, by how many rows the learner has before it."""
+        now, batch = self._walks.walks_a_query, self._settings.queries_a_batch
+        if ahead <= _SHORT * batch:
+            now -= max(1, now // 6)
+        elif ahead >= _AMPLE * batch:
+            now += max(1, now // 5)
+        self._walks.walks_a_query = min(max(now, self._walks.fewest), self._most)
 
     def _one_batch(self) -> None:
         begun = time.perf_counter()
