@@ -3,7 +3,6 @@
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 25 of them.
 """
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -174,14 +173,12 @@ def _assert_alike(one: Scene, two: Scene) -> None:
 
 
 def test_a_grid_of_256_cells_each_way(tmp_path: Path) -> None:
-    """Prepared in seconds (1.5 s on an idle core), whatever its majorants, and looked up rightly."""
+    """Whatever its majorants, it is looked up rightly (what preparing it takes: `tests/bench/extremes.py`)."""
     generator = np.random.default_rng(6)
     grid = generator.uniform(1.0, 7.0, (256, 256, 256)).astype(np.float32)
     grid[generator.integers(0, 256, 500), 128, 128] = 1e4
     scene = make_scene(tmp_path, lumpy(2), sigma_t=grid, albedo=1.0)
-    begun = time.process_time()
     medium = prepared.prepare(scene).medium
-    assert time.process_time() - begun < 60.0
     assert medium.extinction_cells.nbytes == grid.nbytes
     assert_furnace(scene, *queries(scene.mesh, 8, 3)[:2], paths=64)
 

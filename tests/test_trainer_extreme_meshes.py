@@ -3,7 +3,6 @@
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 5 of them.
 """
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,6 @@ from formats.errors import MeshError, SceneError
 from formats.mesh import Mesh, build_mesh
 from formats.scene import Scene
 from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
-from prt_bake.trainer.prepared import prepare
 
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 SMOOTH: dict[str, Any] = {"eta": 1.4}
@@ -112,16 +110,13 @@ def test_a_cube_of_twelve_faces_from_everywhere(tmp_path: Path, interface: dict[
 
 
 def test_hundreds_of_thousands_of_faces(tmp_path: Path) -> None:
-    """A ball of 200,000 faces is prepared within seconds, and answers as one of 20,000 does."""
+    """A ball of 200,000 faces answers as one of 20,000 does (what preparing it takes: `tests/bench/extremes.py`)."""
     means = []
     for sectors in (100, 320):
         (tmp_path / str(sectors)).mkdir()
         ball = trimesh.creation.uv_sphere(radius=1.0, count=[sectors, sectors])
         mesh = build_mesh(np.asarray(ball.vertices), np.asarray(ball.faces))
         scene = make_scene(tmp_path / str(sectors), mesh, sigma_t=8.0, albedo=0.9, **ROUGH)
-        begun = time.process_time()
-        prepare(scene)
-        assert time.process_time() - begun < 60.0
         faces = np.linspace(0, len(mesh.faces) - 1, 9).astype(int)[1:-1]
         outgoing = np.asarray(mesh.face_normals)[faces]
         where = mesh.positions[mesh.faces[faces]].mean(axis=1)

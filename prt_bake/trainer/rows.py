@@ -186,10 +186,10 @@ class ExitWalks:
 
         queries = self._source.draw(first, count)
         exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
+        directions, carried = exits.directions, np.where(exits.unscattered[..., None], 0.0, exits.throughput)
         if self._kept != self.walks_a_query:
-            exits = thinned(exits, self._kept, self._seed, queries.keys)
-        carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
-        return batch_of(queries.keys, queries.positions, queries.outgoing, exits.directions, carried, self._box)
+            directions, carried = thinned(directions, carried, self._kept, self._seed, queries.keys)
+        return batch_of(queries.keys, queries.positions, queries.outgoing, directions, carried, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""

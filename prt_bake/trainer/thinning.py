@@ -17,27 +17,26 @@ from numpy.typing import NDArray
 
 from prt_bake.compilation import compiled
 from prt_bake.randomness import uniforms
-from prt_bake.trainer.lit import Exits
+
+Array = NDArray[np.float64]
 
 _STREAM = 0x7417
 _LEVELS = 8
 """Of the Hilbert curve: patches of 0.6 square degrees on average."""
 
 
-def thinned(exits: Exits, kept: int, seed: int, keys: NDArray[Any]) -> Exits:
-    """`kept` rays [N,K,3] in place of the exits of P walks; means over them have the exits' means as expectation.
+def thinned(directions: Array, carried: Array, kept: int, seed: int, keys: NDArray[Any]) -> tuple[Array, Array]:
+    """Directions and what they carry [N,K,3] of `kept` rays in place of those [N,P,3] of P walks; means over them have
+    the walks' means as expectation.
 
-    What crossed unscattered is not drawn. Each query's draw depends on the seed, its key [N] and its exits alone. A
-    channel carries at most three times what the brightest walk of its query carries. Of a query with a walk that is not
-    finite all rays are that walk: the learner must stop at it.
+    Each query's draw depends on the seed, its key [N] and its walks alone. A channel carries at most three times what
+    the brightest walk of its query carries. Of a query with a walk that is not finite all rays are that walk: the
+    learner must stop at it.
     """
-    carried = np.where(exits.unscattered[..., None], 0.0, exits.throughput)
-    count = len(carried)
-    directions, throughput = np.zeros((count, kept, 3)), np.zeros((count, kept, 3))
-    directions[..., 2] = 1.0
-    offsets = uniforms((_STREAM, seed, keys), 1)[:, 0]
-    draw_systematically(exits.directions, carried, offsets, directions, throughput)
-    return Exits(directions, throughput, np.zeros((count, kept), np.bool_))
+    drawn, drawn_carry = np.zeros((2, len(carried), kept, 3))
+    drawn[..., 2] = 1.0
+    draw_systematically(directions, carried, uniforms((_STREAM, seed, keys), 1)[:, 0], drawn, drawn_carry)
+    return drawn, drawn_carry
 
 
 @compiled(parallel=True, nogil=True)

@@ -9,18 +9,21 @@ with `z` the largest deviation of the mean of Ŝ over random directions from a_0
 
 import argparse
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from nested_scenes import CLEAR, nested_scene
 from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from soundness import ROOT, connects
 
-from formats.mesh import Mesh
+from formats.mesh import Mesh, build_mesh
 from formats.scene import Scene, read_scene
 from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
+from prt_bake.trainer.prepared import prepare
 
 ROUGH: dict[str, Any] = {"eta": 1.4, "roughness": 0.3}
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -105,6 +108,21 @@ def agreement(scene: Scene, count: int, paths: int, lots: int = 16) -> str:
     return f"  z {np.abs(z).max():.1f} of {z.size}, ratio {ratio:.3f}"
 
 
+def large(folder: Path) -> dict[str, Scene]:
+    """Scenes of many cells and many faces."""
+    generator = np.random.default_rng(6)
+    grid = generator.uniform(1.0, 7.0, (256, 256, 256)).astype(np.float32)
+    grid[generator.integers(0, 256, 500), 128, 128] = 1e4
+    ball = trimesh.creation.uv_sphere(radius=1.0, count=[320, 320])
+    many = build_mesh(np.asarray(ball.vertices), np.asarray(ball.faces))
+    for name in ("cells", "faces"):
+        (folder / name).mkdir()
+    return {
+        "a grid of 256 cells each way": make_scene(folder / "cells", lumpy(2), sigma_t=grid, albedo=1.0),
+        f"{len(many.faces):,} faces": make_scene(folder / "faces", many, sigma_t=8.0, albedo=0.9, **ROUGH),
+    }
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -116,6 +134,11 @@ def main() -> None:
     for name, write in cases().items():
         with tempfile.TemporaryDirectory() as folder:
             measure(name, write(Path(folder)), arguments.queries, arguments.paths)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, scene in large(Path(folder)).items():
+            begun = time.perf_counter()
+            prepare(scene)
+            print(f"{'preparing ' + name:46}{'':10}{time.perf_counter() - begun:10.2f}", flush=True)
     for path in sorted(SCENES.glob("*/*.toml")) if arguments.scenes else []:
         try:
             scene = read_scene(path)
