@@ -110,7 +110,7 @@ def test_a_cube_of_twelve_faces_from_everywhere(tmp_path: Path, interface: dict[
 
 
 def test_hundreds_of_thousands_of_faces(tmp_path: Path) -> None:
-    """A ball of 200,000 faces answers as one of 20,000 does (what preparing it takes: `tests/bench/extremes.py`)."""
+    """A ball of 407,000 faces answers as one of 40,000 does (what preparing it takes: `tests/bench/extremes.py`)."""
     means = []
     for sectors in (100, 320):
         (tmp_path / str(sectors)).mkdir()
