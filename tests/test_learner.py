@@ -11,7 +11,7 @@ from small_training import LEARNING, SMALL
 from formats.errors import QueryError
 from prt_bake import sphere
 from prt_bake.network import NeuralBSSRDF
-from prt_bake.trainer.learner import Learner, LearningSettings, rate_at
+from prt_bake.trainer.learner import Learner, LearningSettings, every_third, rate_at, turned_lattice
 from prt_bake.trainer.objective import of_exits, of_values
 from prt_bake.trainer.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, rays_of
 
@@ -103,8 +103,7 @@ def test_the_loss_of_values_is_the_squared_distance(loss):
 
 
 def test_directions_for_the_first_term_are_uniform():
-    learner = Learner(network_with(), dataclasses.replace(LEARNING, spread=5))
-    lattices = learner._turned_lattice(100_000, np.random.default_rng(1)).astype(np.float64)
+    lattices = turned_lattice(100_000, 5, np.random.default_rng(1)).astype(np.float64)
     np.testing.assert_allclose(np.linalg.norm(lattices, axis=2), 1.0, atol=1e-6)
     basis = sphere.fibonacci(64)
     for d in np.moveaxis(lattices, 1, 0):  # each on its own: together they are spread evenly
@@ -113,17 +112,38 @@ def test_directions_for_the_first_term_are_uniform():
         assert np.abs(share - 0.05).max() < 5 * np.sqrt(0.05 / len(d))  # false alarm 2e-4 over 320 caps
 
 
+@pytest.mark.parametrize("rays", [2, 3, 4, 11, 12])
+def test_thirds_of_the_rays_carry_together_what_all_carry(rays):
+    all_rays = torch.rand((5, rays, 6), dtype=torch.float64, generator=torch.Generator().manual_seed(2))
+    before = all_rays.clone()
+    thirds = [every_third(all_rays, first) for first in range(3)]
+    assert sum(third.shape[1] for third in thirds) == (rays if rays >= 3 else 3 * rays)
+    means = torch.stack([third[..., CHANNELS].mean(dim=1) for third in thirds]).mean(dim=0)
+    torch.testing.assert_close(means, all_rays[..., CHANNELS].mean(dim=1))
+    assert torch.equal(all_rays, before)
+
+
+def test_the_first_steps_ask_the_network_less():
+    batch, asked = rows_of(np.full(3, 0.2), rays=12), []
+    learner = Learner(network_with(), dataclasses.replace(LEARNING, spread=24, coarse_steps=2))
+    answers = learner._answers
+    learner._answers = lambda incident, *rest: asked.append(incident.shape[1]) or answers(incident, *rest)
+    for _step in range(3):
+        learner.learn(Rows(batch, True), batch, 0.0, np.random.default_rng(0))
+    assert asked == [4 + 8, 4 + 8, 12 + 24]
+
+
 def network_with(**more):
     return NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0, **more)
 
 
-def rows_of(channels, count=64, seed=0):
+def rows_of(channels, count=64, seed=0, rays=2):
     generator = np.random.default_rng(seed)
-    rows = np.empty((count, 18), np.float32)
+    rows = np.empty((count, 6 + 6 * rays), np.float32)
     rows[:, POSITION], rows[:, OUTGOING] = generator.random((count, 3)), uniform_directions(count, generator)
-    rays = rays_of(rows)
-    rays[..., INCIDENT] = uniform_directions(2 * count, generator).reshape(count, 2, 3)
-    rays[..., CHANNELS] = channels
+    each = rays_of(rows)
+    each[..., INCIDENT] = uniform_directions(rays * count, generator).reshape(count, rays, 3)
+    each[..., CHANNELS] = channels
     return Batch(rows, np.arange(100, 100 + count))
 
 

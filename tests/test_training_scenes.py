@@ -39,7 +39,7 @@ def test_exits_carry_the_coefficients(tmp_path):
 
 
 def test_a_smooth_scene_trains(smooth):
-    learning = dataclasses.replace(LEARNING, batch=512, held_out_queries=64)
+    learning = dataclasses.replace(LEARNING, batch=512, held_out_queries=64, coarse_steps=0)
     network = learnt(smooth, 150, synchronous=True, learning=learning)
     fresh = hold_out_coefficients(smooth, 64, 1000, 5, 64)
     error = fresh.relative_rmse(network)

@@ -46,6 +46,9 @@ class LearningSettings:
     """How far the average looks back on average, as a share of the steps so far; 0.5 is all of them alike."""
     spread: int = 24
     """Directions all over the sphere, a lattice turned at random, that a query of exits is asked for besides."""
+    coarse_steps: int = 1000
+    """Steps at the beginning that look at a third of a query's exits and of the directions besides: what is learnt
+    first is coarse, and comes sooner from many cheap steps."""
     core_share: float = 0.25
     """Share of the cores that learns (at least one does); the others walk."""
     checkpoint_every: float = 60.0
@@ -67,6 +70,7 @@ class LearningSettings:
             "floor": self.floor > 0.0,
             "average_length": 0.0 < self.average_length <= 0.5,
             "spread": self.spread >= 1,
+            "coarse_steps": self.coarse_steps >= 0,
             "core_share": 0.0 <= self.core_share < 1.0,
             "held_out_queries": self.held_out_queries >= 1,
             "held_out_walks": self.held_out_walks >= 2,
@@ -99,7 +103,6 @@ class Learner:
         self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.rate, betas=(0.9, 0.99))
         self.step = 0
         self._device = network.frequencies.device
-        self._lattice = fibonacci(settings.spread).astype(np.float32)
         self._bfloat16 = settings.bfloat16 and _has_bfloat16(self._device)
 
     def told(self, batch: Batch) -> Told | None:
@@ -159,19 +162,16 @@ class Learner:
         return of_values(answers, values, self.settings.loss, self.settings.floor)
 
     def _from_exits(self, rows: Tensor, generator: np.random.Generator, told: Told | None) -> Tensor:
-        rays = rays_of(rows)
-        everywhere = torch.from_numpy(self._turned_lattice(len(rows), generator)).to(self._device)
+        rays, spread = rays_of(rows), self.settings.spread
+        if self.step < self.settings.coarse_steps:
+            rays, spread = every_third(rays, int(generator.integers(3))), math.ceil(spread / 3)
+        everywhere = torch.from_numpy(turned_lattice(len(rows), spread, generator)).to(self._device)
         answers, lobes = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows, told)
         throughput = rays[..., CHANNELS] / self.network.output_scale
         walks = rays.shape[1]
         some = None if lobes is None else SomeLobes(in_directions(lobes, everywhere), mean_square(lobes))
         settings = self.settings
         return of_exits(answers[:, :walks], throughput, answers[:, walks:], settings.loss, settings.floor, some)
-
-    def _turned_lattice(self, count: int, generator: np.random.Generator) -> NDArray[np.float32]:
-        """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
-        turns = rotations(generator.random((count, 3))).astype(np.float32)
-        return np.asarray(np.einsum("nij,dj->ndi", turns, self._lattice, optimize=True))
 
     def _answers(self, incident: Tensor, rows: Tensor, told: Told | None) -> tuple[Tensor, Lobes | None]:
         """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32, and the lobes in
@@ -215,6 +215,24 @@ class Learner:
             f"position {_told(position)}, outgoing {_told(row[OUTGOING])}, incident {_told(ray[INCIDENT])}, "
             f"{what} {_told(ray[CHANNELS])}; {cause}"
         )
+
+
+def every_third(rays: Tensor, first: int) -> Tensor:
+    """Every third of the rays [Q,P,6] of each query, a systematic sample where they are one. The mean of what they
+    carry, averaged over `first`, is that of all.
+    """
+    rays_a_query = rays.shape[1]
+    if rays_a_query < 3:
+        return rays
+    third = rays[:, first::3].clone()
+    third[..., CHANNELS] *= 3.0 * third.shape[1] / rays_a_query
+    return third
+
+
+def turned_lattice(count: int, spread: int, generator: np.random.Generator) -> NDArray[np.float32]:
+    """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
+    turns = rotations(generator.random((count, 3))).astype(np.float32)
+    return np.asarray(np.einsum("nij,dj->ndi", turns, fibonacci(spread).astype(np.float32), optimize=True))
 
 
 def _has_bfloat16(device: torch.device) -> bool:

@@ -123,12 +123,14 @@ VARIANTS: dict[str, Variant] = {
     "rows learnt from twice": stream(reuse=2),
     "a learner that never waits": stream(reuse=1000),
     "4 walks a query, 8 directions besides": Variant(
-        stream=replace(ASKING, exits=4, kept=4), learning=replace(LEARNING, spread=8)
+        stream=replace(ASKING, exits=4, kept=4), learning=replace(LEARNING, spread=8, coarse_steps=0)
     ),
     "8 walks a query": stream(exits=8, kept=8),
     "64 walks a query at most": stream(exits=64),
     "32 walks a query, each a ray": stream(least_exits=32, kept=32),
     "6 rays a query": stream(kept=6),
+    "no coarse steps": learning(coarse_steps=0),
+    "3000 coarse steps": learning(coarse_steps=3000),
     "8 directions besides the exits": learning(spread=8),
     "48 directions besides the exits": learning(spread=48),
     "1 walk a value": stream(walks=1),
