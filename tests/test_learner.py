@@ -133,6 +133,15 @@ def test_the_first_steps_ask_the_network_less():
     assert asked == [4 + 8, 4 + 8, 12 + 24]
 
 
+@pytest.mark.parametrize("ray", range(12))
+def test_the_first_steps_stop_at_whichever_ray_is_not_finite(ray):
+    batch = rows_of(np.full(3, 0.2), rays=12)
+    batch.rays[5, ray, CHANNELS] = np.nan
+    learner = Learner(network_with(), dataclasses.replace(LEARNING, coarse_steps=2))
+    with pytest.raises(QueryError, match="query 105"):
+        learner.learn(Rows(batch, True), batch, 0.0, np.random.default_rng(0))
+
+
 def network_with(**more):
     return NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0, **more)
 

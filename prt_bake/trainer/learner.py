@@ -163,7 +163,7 @@ class Learner:
 
     def _from_exits(self, rows: Tensor, generator: np.random.Generator, told: Told | None) -> Tensor:
         rays, spread = rays_of(rows), self.settings.spread
-        if self.step < self.settings.coarse_steps:
+        if self.step < self.settings.coarse_steps and bool(torch.isfinite(rays).all()):
             rays, spread = every_third(rays, int(generator.integers(3))), math.ceil(spread / 3)
         everywhere = torch.from_numpy(turned_lattice(len(rows), spread, generator)).to(self._device)
         answers, lobes = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows, told)
