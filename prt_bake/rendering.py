@@ -19,7 +19,7 @@ from prt_bake.renderer.loop import SHOWS_REFLECTION, Ending, Rendering, Watching
 from prt_bake.renderer.passes import PassTracer
 from prt_bake.renderer.surface_reflection import SurfaceReflection
 from prt_bake.renderer.walks import Shown, WalkTracer
-from prt_bake.trainer.prepared import smooth_part
+from prt_bake.trainer.prepared import has_unscattered, smooth_part
 
 __all__ = ["Rendering", "render_scene"]
 
@@ -28,6 +28,8 @@ SHOWS: dict[Shown, str] = {
     "scattered": "subsurface light, unscattered light left out",
     "unscattered": "unscattered light alone",
 }
+SHOWS_ROUGH = "subsurface light"
+"""Of all of a scene where nothing crosses unscattered."""
 _METHOD = 2
 """Raised whenever a pass sees other numbers than it did: what was begun before cannot be resumed then."""
 
@@ -93,7 +95,8 @@ def render_scene(
     )
     watching = Watching(progress, preview, every)
     picture = accumulate(tracer, camera, seed, ending, identity, checkpoint, resume, watching)
-    return replace(picture, shows=SHOWS[shown] + (SHOWS_REFLECTION if reflection else ""))
+    shows = SHOWS[shown] if shown != "all" or has_unscattered(scene) else SHOWS_ROUGH
+    return replace(picture, shows=shows + (SHOWS_REFLECTION if reflection else ""))
 
 
 def _refuse_unseen(scene: Scene, lighting: Lighting) -> None:

@@ -13,6 +13,9 @@ from command_line import Run
 from formats.asset import read_asset
 from formats.image import read_image, write_image
 from prt_bake import demonstration
+from prt_bake.renderer.loop import SHOWS_REFLECTION
+from prt_bake.renderer.network import SHOWS as SHOWS_NETWORK
+from prt_bake.rendering import SHOWS, SHOWS_ROUGH
 
 
 def test_help_lists_every_command_and_loads_no_library_that_is_slow_to_load() -> None:
@@ -166,6 +169,28 @@ def test_compare_names_files_of_different_size(prtbake: Run, tmp_path: Path) -> 
     outcome = prtbake("compare", tmp_path / "a.exr", tmp_path / "b.exr")
     assert outcome.code == 1
     assert f"a.exr: 20x16 where {tmp_path / 'b.exr'} is 24x16" in outcome.err.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("model", "scene", "said"),
+    [
+        (SHOWS_NETWORK, SHOWS["all"], "b.exr holds unscattered light, a.exr does not: "),
+        (SHOWS_NETWORK + SHOWS_REFLECTION, SHOWS["scattered"], "a.exr holds light reflected at the surface, b.exr"),
+        (SHOWS_NETWORK, SHOWS["scattered"], ""),
+        (SHOWS_NETWORK + SHOWS_REFLECTION, SHOWS_ROUGH + SHOWS_REFLECTION, ""),
+        (None, SHOWS["all"], ""),
+    ],
+)
+def test_compare_says_what_light_one_picture_alone_holds(
+    prtbake: Run, tmp_path: Path, model: str | None, scene: str, said: str
+) -> None:
+    for name, shows in (("a.exr", model), ("b.exr", scene)):
+        texts = {} if shows is None else {"prtbake.shows": shows}
+        write_image(tmp_path / name, np.ones((16, 20, 3), np.float32), attributes=texts)
+    outcome = prtbake("compare", tmp_path / "a.exr", tmp_path / "b.exr")
+    assert outcome.code == 0
+    words = outcome.err.replace("\n", "").replace(f"{tmp_path}/", "")
+    assert said in words if said else "holds" not in words
 
 
 def test_demo_bakes_relights_and_measures_what_is_shipped(

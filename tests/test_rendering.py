@@ -1,6 +1,7 @@
 """Path-traced pictures: what is known of them exactly, and how honest their error is."""
 
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from pictures import WHITE, even_sky, front, make_scene, uneven_sky, z_score
 
 from formats.errors import QueryError
-from prt_bake.rendering import Rendering, render_scene
+from prt_bake.rendering import SHOWS, SHOWS_ROUGH, Rendering, render_scene
 
 
 def test_a_white_furnace_cannot_be_seen(tmp_path: Path) -> None:
@@ -27,6 +28,13 @@ def test_behind_a_smooth_interface_what_is_reflected_is_missing(tmp_path: Path) 
     assert (np.abs(middle - expected) < 4 * error + 1e-3).all()
     assert picture.image[picture.coverage == 1].max() < 1.0
     np.testing.assert_array_equal(picture.image[picture.coverage == 0], 1.0)
+
+
+@pytest.mark.parametrize(("kind", "shows"), [({}, SHOWS["all"]), ({"eta": 1.4, "roughness": 0.3}, SHOWS_ROUGH)])
+def test_a_picture_says_whether_it_holds_what_crosses_unscattered(tmp_path: Path, kind: Any, shows: str) -> None:
+    scene = make_scene(tmp_path, **kind)
+    assert render_scene(scene, WHITE, front(size=4), spp=2).shows == shows
+    assert render_scene(scene, WHITE, front(size=4), spp=2, shown="scattered").shows == SHOWS["scattered"]
 
 
 def test_two_seeds_differ_by_what_their_errors_say(tmp_path: Path) -> None:
