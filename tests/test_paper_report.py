@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -28,6 +29,8 @@ from prt_bake.paper.results import METHODS, Result
 from prt_bake.paper.scenes import SCENES, BakeSettings
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.times import heading
+from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.rows import StreamSettings
 
 SKY = Path(__file__).parent.parent / "scenes/skies/outdoor.hdr"
 SETTINGS = ReportSettings(size=32, spp=64, reference_spp=16)
@@ -190,6 +193,23 @@ def test_a_training_that_was_stopped_goes_on(tmp_path: Path, scenes: Path, train
     assert [asked["resume"] for asked in training.asked] == [False, True]
     scene_model(artefacts, "lucy", scene, missing, 2.0, "cpu", quiet)
     assert len(training.asked) == 2
+
+
+def test_what_was_learnt_by_another_rule_is_trained_anew(
+    tmp_path: Path, scenes: Path, training: FakeTraining, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, missing, said = read_scene(scenes / "spot.toml"), tmp_path / "none.pt", list[str]()
+    artefacts = Artefacts(tmp_path, said.append)
+    others = {
+        "learning": ("prt_bake.trainer.fit.LearningSettings", LearningSettings(spread=7)),
+        "walks": ("prt_bake.trainer.rows.StreamSettings", StreamSettings(exits=5)),
+    }
+    for rule, (name, settings) in others.items():
+        scene_model(artefacts, "lucy", scene, missing, 1.0, "cpu", quiet)
+        with monkeypatch.context() as patched:
+            patched.setattr(name, Mock(return_value=settings))
+            scene_model(artefacts, "lucy", scene, missing, 1.0, "cpu", quiet)
+        assert said[-1] == f"lucy/model.pt: made anew, another {rule}"
 
 
 def test_what_another_release_began_is_trained_anew(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:

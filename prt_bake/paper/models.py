@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from formats.mesh import Mesh
 from formats.scene import Scene
 from formats.whole import replacing, sha256
 from prt_bake.importance import importance_path, load_importance, save_importance
-from prt_bake.network import NetworkSettings, NeuralBSSRDF, load_model
+from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 
 Progress = Callable[[float, str], None]
@@ -45,10 +46,12 @@ def trained(
     settings: NetworkSettings | None = None,
 ) -> Artefact:
     """A network trained for `minutes`, with `settings` or the usual ones; goes on where an earlier run was stopped."""
-    from prt_bake.trainer.fit import train
+    from prt_bake.trainer.fit import LearningSettings, train
+    from prt_bake.trainer.rows import StreamSettings
 
-    chosen = None if settings is None else settings.as_json()
-    inputs = {"scene": scene.content_hash, "minutes": minutes, "device": device, "settings": chosen}
+    usual = {"learning": asdict(LearningSettings()), "walks": asdict(StreamSettings())}
+    chosen = (settings or PRESETS["measured"]).as_json()
+    inputs = {"scene": scene.content_hash, "minutes": minutes, "device": device, "settings": chosen, **usual}
 
     def build(path: Path) -> Facts:
         started = path.with_suffix(".started.json")
