@@ -133,6 +133,18 @@ def test_the_first_steps_ask_the_network_less():
     assert asked == [4 + 8, 4 + 8, 12 + 24]
 
 
+def test_the_first_steps_look_at_one_third_after_another():
+    batch, asked = rows_of(np.full(3, 0.2), rays=12), []
+    learner = Learner(network_with(), dataclasses.replace(LEARNING, coarse_steps=30))
+    answers, generator = learner._answers, np.random.default_rng(0)
+    learner._answers = lambda incident, *rest: asked.append(incident[0, 0].numpy()) or answers(incident, *rest)
+    for _step in range(30):
+        learner.learn(Rows(batch, True), batch, 0.0, generator)
+    first = [[np.array_equal(direction, ray[INCIDENT]) for direction in asked] for ray in batch.rays[0, :3]]
+    assert np.sum(first) == 30
+    assert np.sum(first, axis=1).min() >= 2  # false alarm 3 (2/3)^30 · 16, 2e-4, at one fixed seed
+
+
 @pytest.mark.parametrize("ray", range(12))
 def test_the_first_steps_stop_at_whichever_ray_is_not_finite(ray):
     batch = rows_of(np.full(3, 0.2), rays=12)
