@@ -15,7 +15,7 @@ from formats.errors import QueryError
 from formats.lights import DirectionalLight
 from formats.scene import Scene
 from prt_bake.lighting import Lighting, Sky, as_lighting
-from prt_bake.rendering import SHOWS, Rendering, render_scene
+from prt_bake.rendering import SHOWS, SHOWS_ROUGH, Rendering, render_scene
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.lit import walk_lit
 from prt_bake.trainer.prepared import prepare
@@ -51,7 +51,8 @@ def test_scattered_and_unscattered_light_are_all_light(tmp_path: Path, interface
     assert (scattered.image[4:12, 4:12] > 0.0).all()
     assert unscattered.black == (interface is ROUGH)
     assert (unscattered.walks == 0) == (interface is ROUGH)
-    assert [picture.shows for picture in (every, scattered, unscattered)] == list(SHOWS.values())
+    shows = {**SHOWS, "all": SHOWS_ROUGH} if interface is ROUGH else SHOWS
+    assert [picture.shows for picture in (every, scattered, unscattered)] == list(shows.values())
 
 
 def test_what_else_should_be_shown_is_refused_before_any_work(tmp_path: Path) -> None:
