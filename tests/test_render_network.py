@@ -16,7 +16,7 @@ from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.neural.pairs import PairNetwork
 from prt_bake.renderer.mixture import Mixture, draw
 from prt_bake.renderer.network import render_network
-from prt_bake.renderer.pilot import candidates, plain_mixture
+from prt_bake.renderer.pilot import candidates, plain_mixture, surely_least
 
 NETWORK = small_network()
 SKY = uneven_sky()
@@ -153,6 +153,20 @@ def test_directions_are_many_before_points_are() -> None:
     assert plain_mixture(64, "light") == Mixture((8,), (0,))
     assert plain_mixture(256, "lobe") == Mixture((0, 0), (16, 16))
     assert plain_mixture(1 << 20, "light") == Mixture((16,) * 4, (0,) * 4)
+
+
+def test_another_mixture_must_surely_be_less_noisy() -> None:
+    """Of sixteen as noisy as the usual one at 98 pixels, another is taken in about 7 % of the runs (below 12 % in 400
+    of them); one with 0.6 of the noise always. Where there is no noise at all the usual one stays.
+    """
+    rng = np.random.default_rng(3)
+    pixels = rng.lognormal(0.0, 0.5, (400, 1, 98))
+    alike = pixels * rng.gamma(1.5, 1 / 1.5, (400, 16, 98))
+    assert np.mean([surely_least(noise, 2) != 2 for noise in alike]) < 0.12
+    assert surely_least(np.zeros((16, 98)), 2) == 2
+    better = pixels * rng.gamma(12.0, 1 / 12.0, (400, 16, 98))
+    better[:, 9] *= 0.6
+    assert all(surely_least(noise, 2) == 9 for noise in better)
 
 
 def test_under_back_light_lobes_have_no_fireflies() -> None:

@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 PIXEL_STREAM = 0x9C
 _RAYS_AT_ONCE = 1 << 17
 _GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
+_MIDDLE_AND_CORNERS = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
 class ObjectTracer(Protocol):
@@ -112,10 +113,12 @@ class PassTracer:
                 follow(rows.stop / height)
 
     def covered(self) -> NDArray[np.int64]:
-        """The pixels whose middle shows the object."""
+        """The pixels that show the object in their middle and corners, or in their middle where there are none."""
         pixels = np.arange(self._camera.width * self._camera.height)
-        rays = pixel_directions(self._camera, pixels, np.full((len(pixels), 1, 2), 0.5))[:, 0]
-        return np.flatnonzero(self._visibility.first_hits(self._camera.eye, rays).faces >= 0)
+        rays = pixel_directions(self._camera, pixels, np.broadcast_to(_MIDDLE_AND_CORNERS, (len(pixels), 5, 2)))
+        met = self._visibility.first_hits(self._camera.eye, rays.reshape(-1, 3)).faces.reshape(-1, 5) >= 0
+        whole = met.all(axis=1)
+        return np.flatnonzero(whole if whole.any() else met[:, 0])
 
     def points(self, pixels: NDArray[np.int64], seed: int) -> PixelPoints:
         """The points of `pixels` [N] in the pass of this seed."""

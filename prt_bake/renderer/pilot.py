@@ -23,14 +23,16 @@ _PASSES = 8
 """A picture has at least so many, where it may, for its error to be trusted."""
 _LEAST_SHARE = 0.05
 _TRUSTS = (0.125, 1.0, 8.0, 64.0)
+_USUAL_TRUST = 8.0
+"""With nearly all of the light: less noise than trust 64 under each of six skies."""
 _PILOT_SEED = 0x51107
 _PILOT_PASSES = 4
 _PILOT_COST = 0.03
 """Of the picture's evaluations."""
 _PILOT_PIXELS = (64, 1024)
-_CLEARLY = 0.7
-"""A mixture must promise at most this much of the purest ones' variance: the least of many estimates flatters, and of a
-lamp that lobes seldom meet a few pixels know nothing."""
+_SURELY = 3.0
+"""Standard errors by which a mixture must promise less noise than the light nearly alone: the least of many estimates
+flatters, and of a lamp that lobes seldom meet a few pixels know nothing."""
 _USUAL_SPP = 256
 _POINT_COST, _LIGHT_COST, _LOBE_COST = 8.0, 1.15, 1.3
 """Of a point and of its directions, in evaluations of the network for one direction more."""
@@ -70,10 +72,10 @@ def _spread(directions: int, points: int) -> tuple[int, ...]:
 
 
 def choose_mixture(passes: PassTracer, tracer: NetworkTracer, spp: int | None, seed: int) -> Mixture:
-    """The candidate of least variance times cost, over some of the pixels that show the object.
+    """The candidate of least variance times cost, over some of the pixels that show nothing but the object.
 
-    Candidates have as many points as the tracer's own mixture. All are parts of one set of directions, which is
-    evaluated once. `tracer` is left with that set.
+    That is nearly all of the light, unless another is surely less noisy. Candidates have as many points as the tracer's
+    own mixture. All are parts of one set of directions, which is evaluated once. `tracer` is left with that set.
     """
     choices = candidates(tracer.mixture)
     tracer.mix(Mixture(_most([choice.light for choice in choices]), _most([choice.lobe for choice in choices])))
@@ -87,10 +89,20 @@ def choose_mixture(passes: PassTracer, tracer: NetworkTracer, spp: int | None, s
         _POINT_COST * choice.points + _LIGHT_COST * sum(choice.light) + _LOBE_COST * sum(choice.lobe)
         for choice in trusted
     ]
-    noise = _variances(passes, tracer, pixels, seed, tuple(trusted)) * costs
-    purest = [len(_TRUSTS) - 1, len(trusted) - len(_TRUSTS)]
-    pure, best = min(purest, key=lambda i: noise[i]), int(np.argmin(noise))
-    return trusted[best] if noise[best] < _CLEARLY * noise[pure] else trusted[pure]
+    noise = _variances(passes, tracer, pixels, seed, tuple(trusted)) * np.array(costs)[:, None]
+    return trusted[surely_least(noise, _TRUSTS.index(_USUAL_TRUST))]
+
+
+def surely_least(noise: Array, usual: int) -> int:
+    """The row of noise [M,P], known at some pixels, of least mean; `usual`, unless another is surely below that."""
+    mean = noise.mean(axis=1)
+    if not mean[usual] > 0.0:
+        return usual
+    # The ratio of two means has the spread of the residuals about it, whatever the pixels have in common; the usual
+    # row's own are zero.
+    residuals = noise - np.outer(mean / mean[usual], noise[usual])
+    bound = mean + _SURELY * residuals.std(axis=1) / np.sqrt(noise.shape[1])
+    return int(np.argmin(bound))
 
 
 def _most(counts: list[tuple[int, ...]]) -> tuple[int, ...]:
@@ -100,11 +112,11 @@ def _most(counts: list[tuple[int, ...]]) -> tuple[int, ...]:
 def _variances(
     passes: PassTracer, tracer: NetworkTracer, pixels: NDArray[np.int64], seed: int, mixtures: tuple[Mixture, ...]
 ) -> Array:
-    """Of one pass, the mean over pixels and channels, by each mixture [M]."""
+    """Of one pass at each pixel, the mean over channels, by each mixture [M,P]."""
     seen = []
     for number in range(_PILOT_PASSES):
         one = pass_seed(seed ^ _PILOT_SEED, number)
         points = passes.points(pixels, one)
         radiance, _evaluations = tracer.radiance_by(*points.on_object(), one, mixtures)
         seen.append(points.pixel_means(radiance))
-    return np.asarray(np.var(seen, axis=0, ddof=1).mean(axis=(1, 2)))
+    return np.asarray(np.var(seen, axis=0, ddof=1).mean(axis=2))

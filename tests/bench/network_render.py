@@ -4,7 +4,7 @@
 
 The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand. An importance
 module is fitted first where the model has none beside it. A row gives, for each way, standard error over mean radiance
-on the object at the CPU time that the first took; samples a pixel a second on one thread; then the mixture chosen.
+on the object at the CPU time that the first took (medians); samples a pixel a second on one thread; the mixture chosen.
 """
 
 import argparse
@@ -68,6 +68,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--spp", type=int, default=256)
+    parser.add_argument("--repeats", type=int, default=3, help="of each picture, for the median of the times")
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--model", type=Path, help="another copy of the model, with its importance module beside it")
     parser.add_argument("--only", nargs="*", help="some of the lights")
@@ -83,17 +84,19 @@ def main() -> None:
     for name, light in skies().items():
         if given.only and name not in given.only:
             continue
-        noise, clock, rate, mixture = {}, 0.0, "", ""
+        noise, seconds, rate, mixture = {}, {way: [] for way in WAYS}, "", ""
+        for _ in range(given.repeats):
+            for way in WAYS:
+                began = time.process_time()
+                picture = render_network(
+                    network, mesh, light, view, given.spp, 1, sampling=way, importance=module, background=False
+                )
+                seconds[way].append(time.process_time() - began)
+                noise[way] = picture.relative_noise
+                mixture = f"{picture.sampling['light']} {picture.sampling['lobe']} trust {picture.sampling['trust']:g}"
         for way in WAYS:
-            began = time.process_time()
-            picture = render_network(
-                network, mesh, light, view, given.spp, 1, sampling=way, importance=module, background=False
-            )
-            seconds = time.process_time() - began
-            clock = clock or seconds
-            noise[way] = picture.relative_noise * np.sqrt(seconds / clock)
-            rate += f" {picture.spp / seconds:.3g}"
-            mixture = f"{picture.sampling['light']} {picture.sampling['lobe']} trust {picture.sampling['trust']:g}"
+            noise[way] *= np.sqrt(np.median(seconds[way]) / np.median(seconds["light"]))
+            rate += f" {given.spp / np.median(seconds[way]):.3g}"
         ratio = noise["mis"] / max(1e-12, min(noise["light"], noise["lobe"]))
         figures = "".join(f"{noise[way]:10.2%}" for way in WAYS)
         print(f"{name:20}{figures}{ratio:11.2f} {rate}  {mixture}", flush=True)
