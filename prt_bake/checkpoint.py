@@ -81,8 +81,8 @@ def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
 def _what_it_is(fault: Exception) -> str:
     if "TorchScript" in str(fault):
         return (
-            "a TorchScript function; say how its 7 inputs are meant with --convention, "
-            'for example "incident, position, outgoing"'
+            "a TorchScript function, which `prtbake bake` alone takes; say there how its 7 inputs are meant, with "
+            '--convention "incident, position, outgoing" for example'
         )
     if isinstance(fault, pickle.UnpicklingError):
         return (

@@ -15,6 +15,7 @@ import torch
 
 from bakers.transport import on_mesh
 from formats.mesh import Mesh
+from prt_bake.bake_job import refuse_foreign
 from prt_bake.importance import ImportanceModule, ImportanceSettings
 from prt_bake.importance_loss import (
     TargetTensors,
@@ -77,11 +78,13 @@ def fit_importance(
 ) -> ImportanceModule:
     """An importance module for `network` (anything with `evaluate_block`) on its mesh, ready to be saved.
 
-    It ends after `seconds`, or after `steps` if they are given: then nothing depends on the clock, and the same seed
-    gives the same module bit by bit. Learns from `blocks` times 256 queries; what it reached on 256 others stands in
-    `.metadata["fit"]`: divergence and variance (`prt_bake.importance_loss.Fitness`) of uniform directions, of the best
-    single σ for the object and of the module. Raises ModelError if the network is black or not finite on the mesh.
+    It ends after `seconds`, or before, after STEPS; or after `steps` if they are given: then nothing depends on the
+    clock, and the same seed gives the same module bit by bit. Learns from `blocks` times 256 queries; what it reached
+    on 256 others stands in `.metadata["fit"]`: divergence and variance (`prt_bake.importance_loss.Fitness`) of uniform
+    directions, of the best single σ for the object and of the module. Raises ModelError if the network is black or not
+    finite on the mesh, QueryError if the mesh is not the network's own.
     """
+    refuse_foreign(network, mesh)
     clock = Clock(math.inf if steps else seconds, progress or _silent)
     bound = on_mesh(network, mesh)
     transport = bound.prepared(device=device) if hasattr(bound, "prepared") else bound

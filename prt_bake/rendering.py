@@ -65,8 +65,8 @@ def render_scene(
     above). With `reflection` the light that the surface itself reflects is added, which no bake and no network holds
     (`prt_bake.reflection`). `shown` says what of the light from under the surface: all of it, what has scattered (which
     is all that a network or an asset knows), or what crosses unscattered. The sums are kept in the file `checkpoint`
-    now and then and when the work ends early; with `resume` they are taken from there; when the work is complete the
-    file is removed. `preview` is shown the picture so far about every `every` seconds.
+    now and then and when the work ends early; with `resume` they are taken from there. It stays: who has the picture
+    safe removes it. `preview` is shown the picture so far about every `every` seconds.
 
     Raises QueryError below 2 walks a pixel, which have no error, for another `shown`, for an eye inside the object, and
     for a directional light without size behind a smooth interface; FormatError where `resume` finds no state or another

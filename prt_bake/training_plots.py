@@ -78,17 +78,19 @@ def _draw_history(figure: Any, report: dict[str, Any]) -> None:
     rows = np.asarray(report["history"]["rows"], np.float64)
     axes = figure.add_subplot()
     minutes = rows[:, 0] / 60.0
-    axes.plot(minutes, 100.0 * rows[:, 2], color=_NETWORK, label="validation error of Ŝ while training")
+    of = report["history"]["of"]
+    words = "Ŝ" if of == "transport" else "a_lm over the surface"
+    axes.plot(minutes, 100.0 * rows[:, 2], color=_NETWORK, label=f"validation error of {words} while training")
     part = report["prediction"]
-    if part["of"] == "transport" and part["weights"] and (rows[:, 1] > 0).all():
+    if part["of"] == of == "transport" and part["weights"] and (rows[:, 1] > 0).all():
         expected = 100.0 * np.sqrt(part["weights"] * part["v"]["value"] / rows[:, 1])
         shown = expected < 200.0
         label = "sqrt(weights · v / walks)"
         axes.plot(minutes[shown], expected[shown], color=_REFERENCE, linestyle="--", label=label)
-    if report["transport"] is not None:
-        figure_of = report["transport"]["network"]
+    measured = report["transport"] if of == "transport" else report["coefficients"]["surface"]
+    if measured is not None:
         last = report["model"]["training_seconds"] / 60.0 or minutes[-1]
-        _with_interval(axes, [last], [figure_of], "o", "on fresh queries, 95 % interval", _NETWORK)
+        _with_interval(axes, [last], [measured["network"]], "o", "on fresh queries, 95 % interval", _NETWORK)
     axes.set(xlabel="minutes of training", ylabel="relative RMSE [%]", yscale="log")
     _plain_ticks(axes.yaxis)
     axes.legend()

@@ -57,7 +57,7 @@ def test_what_it_refuses_it_refuses_in_a_sentence(prtbake: Run, model: Path, tmp
         outcome = prtbake("render", "model.pt", "sphere.ply", *COMMAND, "-o", output, "--sampling", way)
         assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
         assert "prtbake importance" in outcome.err
-    for option in (["--sampling", "light"], ["--precision", "bfloat16"], ["--device", "cuda"]):
+    for option in (["--sampling", "light"], ["--precision", "bfloat16"], ["--device", "cuda"], ["--workers", "1"]):
         outcome = prtbake("render", "scene.toml", "sphere.ply", *COMMAND, "-o", output, *option)
         assert outcome.code == 2
         assert "is for networks" in outcome.err

@@ -13,7 +13,7 @@ import torch
 import trimesh
 from command_line import Run
 
-from formats.errors import ModelError, StorageError
+from formats.errors import ModelError, QueryError, StorageError
 from formats.mesh import Mesh, build_mesh
 from prt_bake import lobe
 from prt_bake.checkpoint import read_checkpoint, write_checkpoint
@@ -29,6 +29,7 @@ from prt_bake.importance import (
 from prt_bake.importance_fit import fit_importance
 from prt_bake.importance_loss import TargetTensors, density, variance, wrapped
 from prt_bake.importance_targets import QUERIES_PER_BLOCK, draw_queries, gather_targets
+from prt_bake.network import NetworkSettings, NeuralBSSRDF
 
 SMALL = ImportanceSettings(features=16, widths=(32, 16), position_spread=0.3)
 BALL = trimesh.creation.icosphere(subdivisions=3)
@@ -76,6 +77,12 @@ def test_a_known_sigma_is_recovered(fitted: ImportanceModule) -> None:
     error = np.abs(fitted.sigma(positions, outgoing) / KNOWN.sigma(positions) - 1.0)
     assert np.quantile(error, 0.5) < 0.03
     assert np.quantile(error, 0.95) < 0.1
+
+
+def test_another_object_is_refused() -> None:
+    network = NeuralBSSRDF(NetworkSettings(), (-0.5, -0.5, -0.5), 1.0)
+    with pytest.raises(QueryError, match="outside the box that the model was trained in"):
+        fit_importance(network, ball(), **FIT)
 
 
 def test_the_fit_lowers_divergence_and_variance(fitted: ImportanceModule) -> None:

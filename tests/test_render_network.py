@@ -23,6 +23,10 @@ SKY = uneven_sky()
 WAYS = ["light", "lobe", "mis"]
 
 
+class OtherLobes(Lobes):
+    """The same under another name, which is all that tells what is no network apart."""
+
+
 def sun(direction=(-0.36, 0.48, 0.8), irradiance=(3.0, 2.0, 1.0), diameter=0.0) -> DirectionalLight:
     return DirectionalLight(np.array(direction), np.array(irradiance), diameter)
 
@@ -217,10 +221,15 @@ def test_stopped_and_resumed_is_the_picture_of_one_run(tmp_path: Path, way: str)
     np.testing.assert_array_equal(resumed.image, whole.image)
     np.testing.assert_array_equal(resumed.standard_error, whole.standard_error)
     assert resumed.passes == whole.passes
-    assert not path.exists()
+    path.unlink()
     render(sampling=way, checkpoint=path, minutes=0.0)
     longer = render(sampling=way, spp=1024, checkpoint=path, resume=True)
     assert longer.sampling["light"] == whole.sampling["light"]
+    drawn = longer.passes * sum(longer.sampling["light"] + longer.sampling["lobe"])
+    assert longer.spp == drawn >= 1024
+    if way == "mis":
+        with pytest.raises(FormatError, match="belongs to another picture: the importance is another"):
+            render(sampling=way, importance=OtherLobes(), checkpoint=path, resume=True)
     render(sampling=way, checkpoint=path, minutes=0.0)
     with pytest.raises(FormatError, match="belongs to another picture: the network is another"):
         render(sampling=way, network=small_network(seed=3), checkpoint=path, resume=True)

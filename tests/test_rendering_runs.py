@@ -12,7 +12,7 @@ import pytest
 from command_line import Run
 from pictures import WHITE, front, make_scene, uneven_sky
 
-from formats.errors import FormatError
+from formats.errors import FormatError, StorageError
 from formats.image import read_image, read_layers
 from formats.lights import DirectionalLight
 from formats.scene import Scene, read_scene
@@ -62,7 +62,7 @@ def test_stopped_and_resumed_is_the_picture_of_one_run(scene: Scene, tmp_path: P
     assert part.passes == 14 - 1
     whole_again = render(scene, checkpoint=path, resume=True)
     assert_same(whole_again, whole)
-    assert not path.exists()
+    assert path.exists()  # whoever has the picture safe removes it
     assert whole_again.seconds > part.seconds
     seconds, walks, _noise = whole_again.history.T
     assert (np.diff(seconds) > 0).all()
@@ -93,8 +93,7 @@ def test_checkpoints_are_written_now_and_then(scene: Scene, tmp_path: Path, monk
     monkeypatch.setattr("prt_bake.renderer.loop._CHECKPOINT_SHARE", 1e9)
     render(scene, spp=8, checkpoint=path, progress=lambda share: seen.append(path.exists()))
     assert seen == [False, True, True, True]
-    assert not path.exists()
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["ball.ply", "ball.toml"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.render.npz", "ball.ply", "ball.toml"]
 
 
 def test_time_and_noise_end_the_work(scene: Scene, tmp_path: Path) -> None:
@@ -216,12 +215,41 @@ def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path)
     assert read_layers(tmp_path / "a.exr").attributes["prtbake.complete"] == "no"
     refused = prtbake(*picture, "--resume", "--seed", 3)
     assert refused.code == 1
-    assert refused.err.startswith(f"prtbake: {tmp_path}/a.render.npz: belongs to another picture: seed is 0 there, 3")
+    assert refused.err.startswith(
+        f"prtbake: {tmp_path}/a.exr.render.npz: belongs to another picture: seed is 0 there, 3"
+    )
+    again = prtbake(*picture[:-2], "--resume")  # the limits are those of before: 8 walks, no minute
+    assert "the time was up after 4 walks a pixel" in again.err
     assert prtbake(*picture, "--resume").code == 0
+    assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == "8"
     resumed = read_image(tmp_path / "a.exr")
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
     assert prtbake(*picture).code == 0
     np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), resumed)
+
+
+def full(path: Path, *_: object, **__: object) -> None:
+    raise StorageError(f"{path}: no space left on the device")
+
+
+def test_a_picture_that_cannot_be_written_can_be_resumed(
+    prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prt_bake.renderer.loop._CHECKPOINT_SECONDS", 0.0)
+    picture = [*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", "--spp", 8]
+    with monkeypatch.context() as patched:
+        patched.setattr("formats.image.write_image", full)
+        assert prtbake(*picture).code == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr.render.npz"]
+    assert prtbake(*picture, "--resume").code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_two_pictures_of_one_name_have_their_own_states(prtbake: Run, tmp_path: Path) -> None:
+    start = [*COMMAND, "--light", "sky.exr"]
+    assert prtbake(*start, "-o", tmp_path / "a.exr", "--spp", 8, "--minutes", 0).code == 0
+    assert prtbake(*start, "-o", tmp_path / "a.png", "--spp", 2).code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.exr.render.npz", "a.png"]
 
 
 def test_no_light_is_wrong_usage_and_bad_lights_are_one_sentence(prtbake: Run, tmp_path: Path) -> None:

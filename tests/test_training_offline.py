@@ -17,7 +17,9 @@ from prt_bake.trainer import fit
 from prt_bake.trainer.estimate import estimate_transport
 from prt_bake.trainer.offline import sides_of
 from prt_bake.trainer.prepared import prepare
+from prt_bake.trainer.queries import QuerySource
 from prt_bake.trainer.record import query_keys, record_samples
+from prt_bake.trainer.rows import StreamSettings, render
 from prt_bake.trainer.validation import hold_out, noise_free_ratio
 
 BRIEF = dataclasses.replace(LEARNING, held_out_queries=64, held_out_walks=32, report_every=0.1)
@@ -65,6 +67,38 @@ def test_stopping_keeps_what_is_done(scene, tmp_path):
     assert (len(found.keys), found.complete) == (done, False)
     assert record_samples(scene, tmp_path / "s.h5", 8, stop=lambda: True) == 8
     assert read_samples(tmp_path / "s.h5").complete
+
+
+def test_a_value_that_is_not_finite_names_its_query_and_costs_nothing_before_it(scene, tmp_path, monkeypatch):
+    def broken(prepared, source, queries, *more):
+        mean, error = render(prepared, source, queries, *more)
+        mean[queries.keys == 13] = np.nan
+        return mean, error
+
+    monkeypatch.setattr("prt_bake.trainer.record.render", broken)
+    monkeypatch.setattr("prt_bake.trainer.record._VALUES_AT_ONCE", 20)
+    (tmp_path / "s.h5").write_text("older")
+    with pytest.raises(
+        SamplesError, match=r"query 13 of seed 0, on face \d+ is not finite; .*s.h5 holds the 10 before"
+    ):
+        record_samples(scene, tmp_path / "s.h5", 40, walks=2, directions=2)
+    found = read_samples(tmp_path / "s.h5")
+    assert (len(found.keys), found.complete) == (10, False)
+    monkeypatch.setattr("prt_bake.trainer.record._VALUES_AT_ONCE", 80)
+    with pytest.raises(SamplesError, match="none before it was kept"):
+        record_samples(scene, tmp_path / "s.h5", 40, walks=2, directions=2)
+    assert len(read_samples(tmp_path / "s.h5").keys) == 10
+
+
+def test_queries_are_drawn_as_the_trainer_draws_them(scene, tmp_path):
+    """Half of the queries off vertices and edges have every face alike, and a stop is asked for between few walks."""
+    asked = []
+    record_samples(scene, tmp_path / "s.h5", 64, walks=1 << 14, directions=8, stop=lambda: bool(asked.append(1)))
+    assert len(asked) > 4
+    stream = StreamSettings()
+    source = QuerySource(prepare(scene), 8, 0, stream.face_share, stream.edge_share)
+    found = read_samples(tmp_path / "s.h5").positions
+    np.testing.assert_array_equal(found, source.draw(0, 64).positions)
 
 
 def test_numbers_out_of_range_are_refused(scene, tmp_path):

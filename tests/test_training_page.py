@@ -52,6 +52,7 @@ def test_the_json_holds_finite_numbers_and_the_page_is_made_of_it_alone(report, 
     write_training_report(report, tmp_path / "a.json", tmp_path / "a.html")
     read = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
     assert training_page(read) == (tmp_path / "a.html").read_text()
+    assert read["history"]["of"] == "transport"
     assert read["transport"]["network"]["value"] == pytest.approx(0.05, rel=0.2)
 
 

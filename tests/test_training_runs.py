@@ -12,6 +12,7 @@ from small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 from formats.errors import ModelError, QueryError
 from prt_bake.network import load_model
 from prt_bake.trainer import cores
+from prt_bake.trainer.history import every_tenth
 from prt_bake.trainer.in_turn import InTurn, Shuffled
 from prt_bake.trainer.material import OnlineMaterial, box_of
 from prt_bake.trainer.prepared import prepare
@@ -266,6 +267,40 @@ def test_a_killed_run_beside_its_renderer_loses_a_checkpoint_at_most(scene, tmp_
     killed_after(scene, 9, output, learning=EAGER)
     assert torch.load(state_path(output), weights_only=True)["learner"]["step"] == 8
     assert learnt(scene, 24, output=output, resume=True).metadata["training"]["steps"] == 24
+
+
+def test_what_was_learnt_is_kept_before_it_is_measured(scene, tmp_path, monkeypatch):
+    output = tmp_path / "m.pt"
+
+    def killed(*_):
+        raise Killed
+
+    monkeypatch.setattr(OnlineMaterial, "figures", killed)
+    with pytest.raises(Killed):
+        learnt(scene, 9, output=output)
+    assert torch.load(state_path(output), weights_only=True)["learner"]["step"] == 9
+    load_model(output)
+
+
+def test_where_nothing_is_left_to_learn_that_is_said(scene, tmp_path):
+    output, said = tmp_path / "m.pt", []
+    learnt(scene, 9, output=output, say=said.append)
+    assert not any("nothing is left" in sentence for sentence in said)
+    assert any("the validation error is that of the transport function" in sentence for sentence in said)
+    learnt(scene, 9, output=output, resume=True, say=said.append)
+    assert any("nothing is left to learn: it had 9 steps" in sentence for sentence in said)
+
+
+def test_a_model_keeps_every_tenth_line_the_first_and_the_last(rough_scene):
+    rows = list(range(1, 24))
+    assert every_tenth(rows) == [1, 11, 21, 23]
+    assert every_tenth(rows[:21]) == [1, 11, 21]
+    assert every_tenth(rows[:1]) == [1]
+    assert every_tenth([]) == []
+    training = learnt(rough_scene, 13, learning=EAGER).metadata["training"]
+    assert len(training["validation_vs_time"]) == 3
+    assert training["validation_vs_time"][-1][0] == training["seconds"]
+    assert training["validation_of"] == "coefficients"
 
 
 def test_resuming_needs_a_sound_state_of_the_same_run(scene, tmp_path):

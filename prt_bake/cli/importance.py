@@ -13,9 +13,10 @@ from prt_bake.cli.progress import reporting, stopping
 def importance(
     model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="A trained network.")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="The object that it was trained on.")],
-    seconds: Annotated[float, typer.Option(min=0, max=1e6, help="Time to gather values and to fit.")] = 60.0,
+    seconds: Annotated[float, typer.Option(min=0, max=1e6, help="Time to gather values and to fit, at most.")] = 60.0,
     steps: Annotated[
-        int | None, typer.Option(min=1, help="Optimiser steps, in place of seconds.", show_default=False)
+        int | None,
+        typer.Option(min=1, help="Optimiser steps, in place of seconds; 1500 at most without.", show_default=False),
     ] = None,
     preset: Annotated[
         Literal["measured", "paper"],

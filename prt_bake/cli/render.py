@@ -90,7 +90,13 @@ def render(
             show_default=False,
         ),
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from IMAGE.render.npz beside the output.")] = False,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on from IMAGE.render.npz beside the output, as far as was asked for unless a limit is given.",
+        ),
+    ] = False,
     preview: Annotated[
         Path | None,
         optional_output("--preview", "IMAGE", "Write the picture so far here now and then.", *IMAGE_SUFFIXES),
@@ -122,16 +128,20 @@ def render(
     from formats.mesh import read_mesh
     from prt_bake import camera
     from prt_bake.lighting import read_lighting
-    from prt_bake.renderer.state import checkpoint_path
+    from prt_bake.renderer.state import asked_of, checkpoint_path
 
     is_scene = source.suffix.lower() == ".toml"
     if is_scene:
-        _refuse_network_options(sampling, device, precision)
+        _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
     sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say)
     view = camera.fit(surface, size.width, size.height, eye=eye, up=sky_up)
+    checkpoint = checkpoint_path(output)
+    if resume and spp is None and minutes is None and error is None:
+        asked = asked_of(checkpoint)
+        spp, minutes, error = asked.get("spp"), asked.get("minutes"), asked.get("error")
     if spp is None and minutes is None and error is None:
         spp = _USUAL_SPP["scene" if is_scene else "network"]
     texts = {"prtbake.seed": str(seed), **_identity_texts(opened, is_scene)}
@@ -141,7 +151,7 @@ def render(
             "reflection": reflection,
             "error": error,
             "minutes": minutes,
-            "checkpoint": checkpoint_path(output),
+            "checkpoint": checkpoint,
             "resume": resume,
             "stop": stop,
             "progress": lambda share: show(share, _aim(spp, minutes, error, is_scene)),
@@ -163,6 +173,8 @@ def render(
             picture = render_network(opened, surface, lighting, view, spp, seed, **options)
         stopped = stop() and not picture.complete
     _write(output, picture, texts, exposure)
+    if picture.complete:
+        checkpoint.unlink(missing_ok=True)
     if picture.negative > 0.001:
         say(f"{output}: {picture.negative:.1%} of the object's radiance is below 0, as the network answers there")
     if picture.black:
@@ -179,12 +191,13 @@ def render(
         say(f"{output}: the time was up after {picture.spp} {_unit(is_scene)} a pixel; --resume goes on")
 
 
-def _refuse_network_options(sampling: str | None, device: str, precision: str) -> None:
+def _refuse_network_options(sampling: str | None, device: str, precision: str, workers: int | None) -> None:
     """Wrong usage: a scene is path traced in one way."""
     for name, given in (
         ("--sampling", sampling is not None),
         ("--device", device != "cpu"),
         ("--precision", precision != "float32"),
+        ("--workers", workers is not None),
     ):
         if given:
             raise typer.BadParameter(f"{name} is for networks; a scene (.toml) is path traced, leave it out")

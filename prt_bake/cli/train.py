@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 def train(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to learn.")],
     output: Annotated[Path, output_option("MODEL.pt", ".pt", ".safetensors")],
-    minutes: Annotated[float, typer.Option(min=1e-3, max=1e6, help="Time to train.")] = 10.0,
+    minutes: Annotated[
+        float, typer.Option(min=1e-3, max=1e6, help="Time to train, earlier runs that are resumed included.")
+    ] = 10.0,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Optimiser steps in all, in place of minutes.", show_default=False)
     ] = None,

@@ -128,6 +128,7 @@ def reference(
             raise Stopped(f"{name}: stopped after {halves.spp} walks a pixel; the same command goes on from there")
         halves.add(picture)
         _write(sums_path, halves, identity)
+        checkpoint.unlink(missing_ok=True)
         artefacts.say(f"{name}: {halves.spp} walks a pixel in {halves.seconds:.0f} s")
     made = artefacts.made(name, {**inputs, "pictures": halves.pictures, "walks": halves.walks}, _exr(halves))
     return _read_reference(made)

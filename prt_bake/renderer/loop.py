@@ -82,9 +82,11 @@ class Rendering:
 
 
 class Tracer(Protocol):
-    """Traces passes that are independent and alike; `samples` of the light a pixel in each."""
+    """Traces passes that are independent and alike."""
 
-    samples: int
+    @property
+    def samples(self) -> int:
+        """Of the light, a pixel and pass."""
 
     def trace(self, seed: int, follow: Callable[[float], None]) -> Iterator[tuple[slice, Array, Array, int]]:
         """Rows of a pass, one batch after another: (rows, radiance [R,W,3], coverage [R,W], walks)."""
@@ -151,6 +153,8 @@ def accumulate(
 ) -> Rendering:
     """Add passes until `ending`; the sums are kept in the file `checkpoint`, and with `resume` taken from there.
 
+    That file stays: only who has the picture safe knows that there is nothing left to resume.
+
     `spent` are seconds of preparation that count as the picture's. Raises FormatError where there is no state to
     resume, or that of another picture: `identity` differs.
     """
@@ -159,7 +163,7 @@ def accumulate(
         sums = read_checkpoint(checkpoint, identity)
     goal = _Goal(ending, tracer.samples, sums.seconds)
     sums.seconds += spent
-    keeper, progress = _Keeper(checkpoint, identity), watching.progress
+    keeper, progress = _Keeper(checkpoint, identity, ending), watching.progress
     shown = _Now(watching.every)
     while not goal.ended(sums):
         _add_pass(tracer, sums, seed, lambda share: None if progress is None else progress(goal.share(sums, share)))
@@ -169,7 +173,8 @@ def accumulate(
             shown.done()
     sums.note()
     complete = goal.reached(sums) or (goal.only_time and goal.out_of_time(sums))
-    keeper.close(sums, complete)
+    if not complete:
+        keeper.write(sums)
     return _picture(sums, tracer, complete)
 
 
@@ -254,21 +259,18 @@ class _Now:
 
 
 class _Keeper:
-    """Writes the checkpoint now and then, and removes it when there is nothing left to resume."""
+    """Writes the checkpoint now and then."""
 
-    def __init__(self, path: Path | None, identity: dict[str, Any]) -> None:
+    def __init__(self, path: Path | None, identity: dict[str, Any], ending: Ending) -> None:
         self._path, self._identity = path, identity
+        self._asked = {"spp": ending.spp, "error": ending.error, "minutes": ending.minutes}
         self._now = _Now(_CHECKPOINT_SECONDS)
 
     def keep(self, sums: Sums) -> None:
-        if self._path is not None and self._now.due():
-            write_checkpoint(self._path, sums, self._identity)
+        if self._now.due():
+            self.write(sums)
             self._now.done()
 
-    def close(self, sums: Sums, complete: bool) -> None:
-        if self._path is None:
-            return
-        if complete:
-            self._path.unlink(missing_ok=True)
-        else:
-            write_checkpoint(self._path, sums, self._identity)
+    def write(self, sums: Sums) -> None:
+        if self._path is not None:
+            write_checkpoint(self._path, sums, self._identity, self._asked)

@@ -119,6 +119,7 @@ def render_network(
             precision=precision,
             sampling=by,
             mixture=tracer.mixture.as_json(),
+            importance=content_hash(importance) if tracer.lobes is not None else "",
         )
         watching = Watching(progress, preview, every)
         spent = time.perf_counter() - begun

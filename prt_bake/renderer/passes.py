@@ -88,11 +88,15 @@ class PassTracer:
 
         `reflection` is added to what the object's `tracer` tells.
         """
-        self.samples = tracer.samples
         self._lighting, self._camera, self._background = lighting, camera, background
         self._tracer, self._workers = tracer, workers
         self._visibility = visibility or Visibility(mesh)
         self._reflection = reflection
+
+    @property
+    def samples(self) -> int:
+        """Of the light, a pixel and pass, as the tracer draws them now."""
+        return self._tracer.samples
 
     def trace(self, seed: int, follow: Callable[[float], None]) -> Iterator[tuple[slice, Array, Array, int]]:
         """Rows of a pass, one batch after another: (rows, radiance [R,W,3], coverage [R,W], samples).

@@ -106,24 +106,35 @@ def object_pixels(coverage: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def checkpoint_path(output: str | Path) -> Path:
-    """Where the state of the run that writes `output` lies: NAME.render.npz beside it."""
+    """Where the state of the run that writes `output` lies: IMAGE.render.npz beside it."""
     output = Path(output)
-    return output.with_name(output.stem + ".render.npz")
+    return output.with_name(output.name + ".render.npz")
 
 
-def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any]) -> None:
-    """Write the sums and what they are of, whole or not at all; raises StorageError if the disk does not take it."""
+def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Write the sums, what they are of and what they were to become, whole or not at all; raises StorageError if the
+    disk does not take it.
+    """
     numbers = {"passes": sums.passes, "walks": sums.walks, "seconds": sums.seconds, "history": sums.history}
-    head = np.array(json.dumps({"identity": identity, "numbers": numbers}))
+    head = np.array(json.dumps({"identity": identity, "numbers": numbers, "asked": asked}))
     with replacing(path) as part, open(part, "wb") as file:
         np.savez(file, head=head, **{name: getattr(sums, name) for name in _ARRAYS})
 
 
 def begun_with(path: Path) -> dict[str, Any]:
     """What the picture of a checkpoint was begun with; empty where `read_checkpoint` will say why it cannot be read."""
+    return _of_head(path, "identity")
+
+
+def asked_of(path: Path) -> dict[str, Any]:
+    """The limits (spp, error, minutes) that the last run of a checkpoint had; empty as `begun_with`."""
+    return _of_head(path, "asked")
+
+
+def _of_head(path: Path, part: str) -> dict[str, Any]:
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return dict(json.loads(str(file["head"]))["identity"])
+            return dict(json.loads(str(file["head"]))[part])
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return {}
 

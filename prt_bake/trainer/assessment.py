@@ -1,6 +1,6 @@
 """How good a trained network is, by path-traced queries that it never saw: every figure with its interval.
 
-Queries as the trainer draws them, of a seed of their own, for Ŝ and a_lm; and vertices of the mesh, each seen from
+Queries over the surface, of a seed of their own, for Ŝ and a_lm; and vertices of the mesh, each seen from
 several sides, for what is said of positions. Figures are of the network alone, the reference's noise taken out.
 """
 
@@ -24,7 +24,7 @@ from prt_bake.trainer.error_figures import (
     weights_of,
     white_sky,
 )
-from prt_bake.trainer.prepared import PreparedScene, smooth_part
+from prt_bake.trainer.prepared import PreparedScene, is_unbent, smooth_part
 from prt_bake.trainer.reference import PathTracer, Tracer
 from prt_bake.trainer.summary import criteria, sentences
 
@@ -83,6 +83,7 @@ def assess(
         "white_sky": white_sky(asked, seed),
         "prediction": prediction(asked, network, training, seed),
         "history": {
+            "of": training.get("validation_of", _watched(scene, training)),
             "columns": ["seconds", "walks", "validation error"],
             "rows": [[float(x) for x in row] for row in history],
         },
@@ -98,6 +99,11 @@ def assess(
     found["criteria"] = criteria(found, scene)
     found["summary"] = sentences(found)
     return Assessment(found)
+
+
+def _watched(scene: Scene, training: dict[str, Any]) -> str:
+    """What the error is of that a model's history keeps, where the model itself does not say."""
+    return "transport" if is_unbent(scene) or "samples" in training else "coefficients"
 
 
 def _model(network: Any, scene: Scene, training: dict[str, Any]) -> dict[str, Any]:

@@ -44,7 +44,7 @@ def transport_error(asked: Asked, seed: int) -> dict[str, Any] | None:
 
 
 def coefficient_error(asked: Asked, seed: int) -> dict[str, Any]:
-    """Of a_lm: over the surface as it was trained, over vertices and views as a bake asks, and the worst vertices."""
+    """Of a_lm: over the surface by area, over vertices and views as a bake asks, and the worst vertices."""
     parts = per_view(asked)
     shape = asked.view_answer.shape[:2]
     percentile, uncorrected = percentile_over(parts.error.reshape(shape), parts.value.reshape(shape), seed)

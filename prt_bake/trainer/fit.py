@@ -20,7 +20,7 @@ from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.ahead import Ahead
 from prt_bake.trainer.cores import chosen_device
-from prt_bake.trainer.history import Meter, TrainingRow
+from prt_bake.trainer.history import Meter, TrainingRow, every_tenth
 from prt_bake.trainer.interface import ROUGH
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
@@ -34,6 +34,8 @@ from prt_bake.trainer.rows import RowSource, StreamSettings
 __all__ = ["LearningSettings", "TrainingRow", "train"]
 
 Progress = Callable[[TrainingRow], None]
+WATCHED = {"transport": "the transport function", "coefficients": "the coefficients a_lm over the surface"}
+"""What a training is watched by, in words."""
 
 
 def train(
@@ -56,7 +58,7 @@ def train(
     """Train a neural BSSRDF of a scene for `minutes`, or for `steps` where given, and return it with its final figures.
 
     `settings` are those of the preset "measured", with `seed`, unless given; `PRESETS["paper"]` is the paper's network.
-    `steps` counts from the very beginning, resumed or not. `say` is told what goes on before and after the learning.
+    Both count from the very beginning, resumed or not. `say` is told what goes on before and after the learning.
     `device` is "auto" (a graphics card where there is one), "cpu" or "cuda". The figures (relative RMSE of Ŝ and of
     a_lm on fresh queries, reference noise taken out) stand in `network.metadata["training"]`.
 
@@ -97,6 +99,12 @@ def train(
     if resume:
         assert output is not None
         run.restore(output)
+        if run.share(minutes * 60.0, steps) >= 1.0:
+            tell(
+                f"{output}: nothing is left to learn: it had {run.learner.step} steps in {run.seconds / 60.0:.3g} "
+                "minutes already, and what is asked for counts from the very beginning; ask for more"
+            )
+    tell(f"learning; the validation error is that of {WATCHED[run.reference.of]}")
     run.learn(minutes * 60.0, steps, output, progress)
     tell("path tracing fresh queries for the final figures")
     return run.finish(output)
@@ -184,14 +192,14 @@ class _Run:
         meter = Meter(source.done())
         source.start()
         meter.add_wait(meter.seconds)
-        while (share := self._share(seconds, steps)) < 1.0:
+        while (share := self.share(seconds, steps)) < 1.0:
             asked = time.perf_counter()
             batch, told = ahead.draw()
             meter.add_wait(time.perf_counter() - asked)
             meter.add_step(self.learner.learn(source, batch, share, self.generator, told), len(batch.rows))
             self.seconds = before + time.perf_counter() - begun
             if meter.seconds > self.learning.report_every:
-                self._report(meter, self._share(seconds, steps), source, progress)
+                self._report(meter, self.share(seconds, steps), source, progress)
                 meter = Meter(source.done())
             if output is not None and time.perf_counter() - saved > self.learning.checkpoint_every:
                 self.save(output)
@@ -199,7 +207,8 @@ class _Run:
         if not meter.empty:
             self._report(meter, 1.0, source, progress)
 
-    def _share(self, seconds: float, steps: int | None) -> float:
+    def share(self, seconds: float, steps: int | None) -> float:
+        """How much of the time or of the steps is used up."""
         return self.learner.step / steps if steps is not None else self.seconds / seconds
 
     def _report(self, meter: Meter, share: float, source: RowSource, progress: Progress | None) -> None:
@@ -218,6 +227,8 @@ class _Run:
     def finish(self, output: str | Path | None) -> NeuralBSSRDF:
         """Round the weights, measure the final figures, note them in the model and write it."""
         assert self.source is not None
+        if output is not None:  # before what takes long
+            self.save(output)
         network = self.learner.answer.eval().rounded()
         network.metadata["training"] = {
             "seconds": self.seconds,
@@ -226,11 +237,11 @@ class _Run:
             "seed": self.seed,
             "learning": asdict(self.learning),
             **self.material.figures(network, self.learning),
-            "validation_vs_time": [[row.seconds, row.walks, row.validation] for row in self.history[::10]],
+            "validation_vs_time": [[row.seconds, row.walks, row.validation] for row in every_tenth(self.history)],
+            "validation_of": self.reference.of,
         }
         if output is not None:
             save_model(network, output)
-            write_state(output, self.state())
         return network
 
 

@@ -86,3 +86,8 @@ class Meter:
             walking=min(1.0, (done.walking - self._done.walking) / passed),
             reuse=learnt / max(done.rows, 1),
         )
+
+
+def every_tenth(rows: list[TrainingRow]) -> list[TrainingRow]:
+    """Of the lines, with the first and the last."""
+    return rows[::10] if len(rows) % 10 == 1 else rows[::10] + rows[-1:]

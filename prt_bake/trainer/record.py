@@ -7,17 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import QueryError, SceneError
+from formats.errors import QueryError, SamplesError, SceneError
 from formats.samples import SamplesHead
 from formats.samples_writer import SamplesWriter
 from formats.scene import Scene
 from prt_bake.randomness import hashed
 from prt_bake.trainer.prepared import prepare, smooth_part
 from prt_bake.trainer.queries import QuerySource
-from prt_bake.trainer.rows import render
+from prt_bake.trainer.rows import StreamSettings, query_words, render
 
 _KEY_STREAM = 0x4B
 _VALUES_AT_ONCE = 1 << 17
+_WALKS_AT_ONCE = 8
+"""Of a query: where it has more, fewer queries are walked between two looks at the clock."""
 _CONNECTIONS = 4
 
 Progress = Callable[[int, int], None]
@@ -41,7 +43,8 @@ def record_samples(
     answers true what is done so far is kept, marked as incomplete.
 
     Raises SceneError behind a smooth interface, where Ŝ has no values to keep, QueryError for numbers out of range (two
-    walks are needed for an error), StorageError where the file cannot be written.
+    walks are needed for an error), StorageError where the file cannot be written, SamplesError where an estimate is not
+    finite, naming the query; what came before it is kept.
     """
     smooth = smooth_part(scene)
     if smooth is not None:
@@ -53,13 +56,22 @@ def record_samples(
         if value < least:
             raise QueryError(f"{name}: {value} where {least} or more is expected")
     prepared = prepare(scene)
-    source = QuerySource(prepared, directions, seed)
+    shares = {name: getattr(StreamSettings(), name) for name in ("face_share", "edge_share")}
+    source = QuerySource(prepared, directions, seed, **shares)
     connections = min(directions, _CONNECTIONS)
-    step = max(1, _VALUES_AT_ONCE // directions)
-    with SamplesWriter(output, _head(scene, walks, directions, connections, seed)) as writer:
+    step = max(1, _VALUES_AT_ONCE * _WALKS_AT_ONCE // (directions * max(walks, _WALKS_AT_ONCE)))
+    settings = {"connections": connections, "up": scene.up, **shares}
+    with SamplesWriter(output, _head(scene, walks, directions, settings, seed)) as writer:
         for first in range(0, count, step):
             queries = source.draw(first, min(step, count - first))
             mean, error = render(prepared, source, queries, walks, connections, seed)
+            broken = np.flatnonzero(~np.isfinite(mean + error).all(axis=(1, 2)))
+            if broken.size:
+                kept = f"{output} holds the {writer.count:,} before it" if writer.count else "none before it was kept"
+                if writer.count:
+                    writer.finish(complete=False)
+                words = query_words(source, first + int(broken[0]))
+                raise SamplesError(f"{scene.path}: the estimate of {words} is not finite; {kept}; try another seed")
             keys = query_keys(seed, queries.keys)
             writer.append(keys, queries.positions, queries.outgoing, queries.incident, mean, error)
             if progress is not None:
@@ -75,7 +87,7 @@ def query_keys(seed: int, numbers: NDArray[Any]) -> NDArray[np.uint64]:
     return hashed(_KEY_STREAM, seed, np.asarray(numbers).astype(np.int64))
 
 
-def _head(scene: Scene, walks: int, directions: int, connections: int, seed: int) -> SamplesHead:
+def _head(scene: Scene, walks: int, directions: int, settings: dict[str, Any], seed: int) -> SamplesHead:
     return SamplesHead(
         scene=Path(scene.path).name,
         scene_hash=scene.content_hash,
@@ -83,5 +95,5 @@ def _head(scene: Scene, walks: int, directions: int, connections: int, seed: int
         seed=seed,
         walks=walks,
         directions=directions,
-        settings={"connections": connections, "up": scene.up},
+        settings=settings,
     )

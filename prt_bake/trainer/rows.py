@@ -165,7 +165,7 @@ class ValueWalks:
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
-        return _where(self._source, number)
+        return query_words(self._source, number)
 
 
 class ExitWalks:
@@ -193,7 +193,7 @@ class ExitWalks:
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
-        return _where(self._source, number)
+        return query_words(self._source, number)
 
 
 def row_walks(
@@ -230,7 +230,8 @@ def batch_of(
     return Batch(rows, np.asarray(numbers).astype(np.int64))
 
 
-def _where(source: QuerySource, number: int) -> str:
+def query_words(source: QuerySource, number: int) -> str:
+    """Words that name a query by its number."""
     location: Location = source.draw(number, 1).location
     return f"query {number} of seed {source.seed}, on face {int(location.faces[0])}"
 

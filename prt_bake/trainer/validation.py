@@ -5,7 +5,7 @@ Behind a smooth interface Ŝ has no point values, and the coefficients a_lm alon
 """
 
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,7 +30,9 @@ _DIRECTIONS_ON_THE_WAY = 256
 
 
 class Reference(Protocol):
-    """Path-traced answers that a network is compared with."""
+    """Path-traced answers that a network is compared with: values of Ŝ ("transport") or "coefficients"."""
+
+    of: ClassVar[str]
 
     def relative_rmse(self, network: Any) -> float:
         """The network's error over the size of the answers, the reference's noise taken out of both."""
@@ -43,6 +45,7 @@ class Reference(Protocol):
 class HeldOut:
     """Path-traced queries: Ŝ [N,D,3] with its standard error, never learnt from."""
 
+    of: ClassVar[str] = "transport"
     queries: Queries
     mean: Array
     standard_error: Array
@@ -62,6 +65,7 @@ class HeldOut:
 class HeldOutCoefficients:
     """Path-traced coefficients a_lm [N,K,3] of N queries with their standard error, never learnt from."""
 
+    of: ClassVar[str] = "coefficients"
     positions: Array
     outgoing: Array
     mean: Array
