@@ -58,7 +58,7 @@ def train(
     """Train a neural BSSRDF of a scene for `minutes`, or for `steps` where given, and return it with its final figures.
 
     `settings` are those of the preset "measured", with `seed`, unless given; `PRESETS["paper"]` is the paper's network.
-    Both count from the very beginning, resumed or not. `say` is told what goes on before and after the learning.
+    `minutes` and `steps` count from the very beginning, resumed or not. `say` is told what goes on before and after.
     `device` is "auto" (a graphics card where there is one), "cpu" or "cuda". The figures (relative RMSE of Ŝ and of
     a_lm on fresh queries, reference noise taken out) stand in `network.metadata["training"]`.
 

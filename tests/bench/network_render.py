@@ -84,7 +84,7 @@ def main() -> None:
     for name, light in skies().items():
         if given.only and name not in given.only:
             continue
-        noise, seconds, rate, mixture = {}, {way: [] for way in WAYS}, "", ""
+        noise, seconds, spp, rate, mixture = {}, {way: [] for way in WAYS}, {}, "", ""
         for _ in range(given.repeats):
             for way in WAYS:
                 began = time.process_time()
@@ -92,11 +92,11 @@ def main() -> None:
                     network, mesh, light, view, given.spp, 1, sampling=way, importance=module, background=False
                 )
                 seconds[way].append(time.process_time() - began)
-                noise[way] = picture.relative_noise
+                noise[way], spp[way] = picture.relative_noise, picture.spp
                 mixture = f"{picture.sampling['light']} {picture.sampling['lobe']} trust {picture.sampling['trust']:g}"
         for way in WAYS:
             noise[way] *= np.sqrt(np.median(seconds[way]) / np.median(seconds["light"]))
-            rate += f" {given.spp / np.median(seconds[way]):.3g}"
+            rate += f" {spp[way] / np.median(seconds[way]):.3g}"
         ratio = noise["mis"] / max(1e-12, min(noise["light"], noise["lobe"]))
         figures = "".join(f"{noise[way]:10.2%}" for way in WAYS)
         print(f"{name:20}{figures}{ratio:11.2f} {rate}  {mixture}", flush=True)
