@@ -33,6 +33,7 @@ class Tracer:
         self.seeds, self.last = list[int](), last
 
     def __call__(self, spp: int, seed: int, checkpoint: Path) -> Rendering:
+        checkpoint.write_bytes(b"what a renderer keeps")
         if len(self.seeds) == self.last:
             return picture(spp, seed, complete=False)
         self.seeds.append(seed)
@@ -54,6 +55,7 @@ def test_a_stopped_reference_goes_on_to_the_same_numbers(tmp_path: Path) -> None
     assert len({*first.seeds, *second.seeds}) == 4
     for name in ("image", "standard_error", "noise", "coverage"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    assert not list((tmp_path / "parts").rglob("*.render.npz"))
     assert parts.artefact.facts == whole.artefact.facts == {"spp": 64, "walks": 640, "seconds": 240.0}
 
 

@@ -11,11 +11,14 @@ from sampling import SphereCells
 
 from formats.errors import FormatError, QueryError
 from formats.lights import DirectionalLight
+from prt_bake.camera import Visibility, pixel_directions
 from prt_bake.emitters import LightSampler
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.neural.pairs import PairNetwork
 from prt_bake.renderer.mixture import Mixture, draw
 from prt_bake.renderer.network import render_network
+from prt_bake.renderer.network_pass import NetworkTracer
+from prt_bake.renderer.passes import PassTracer
 from prt_bake.renderer.pilot import candidates, plain_mixture, surely_least
 
 NETWORK = small_network()
@@ -157,6 +160,20 @@ def test_directions_are_many_before_points_are() -> None:
     assert plain_mixture(64, "light") == Mixture((8,), (0,))
     assert plain_mixture(256, "lobe") == Mixture((0, 0), (16, 16))
     assert plain_mixture(1 << 20, "light") == Mixture((16,) * 4, (0,) * 4)
+
+
+def test_the_pilot_looks_at_pixels_that_show_nothing_but_the_object() -> None:
+    """A ball covers a pixel whose corners it covers; of a ball smaller than a pixel the middle must do."""
+    camera, dark = front(size=24), as_lighting(np.zeros((2, 4, 3), np.float32), "y", 0.0)
+    tracer = NetworkTracer(PairNetwork(NETWORK), MESH, dark, Mixture((1,), (0,)), None)
+    found = PassTracer(MESH, dark, camera, False, tracer).covered()
+    fine = np.stack(np.meshgrid(*2 * [(np.arange(8) + 0.5) / 8]), axis=-1).reshape(1, 64, 2)
+    rays = pixel_directions(camera, np.arange(576), np.repeat(fine, 576, axis=0))
+    coverage = (Visibility(MESH).first_hits(camera.eye, rays.reshape(-1, 3)).faces >= 0).reshape(576, 64).mean(axis=1)
+    assert (coverage[found] == 1.0).all()
+    assert len(found) > 0.95 * np.sum(coverage == 1.0) > 100
+    far = front((0.0, 0.0, 60.0), 9)
+    assert PassTracer(MESH, dark, far, False, tracer).covered().tolist() == [40]
 
 
 def test_another_mixture_must_surely_be_less_noisy() -> None:
