@@ -148,12 +148,11 @@ class NeuralBSSRDF(nn.Module):
         lobes = None
         kind = self.output.weight.dtype
         if self.settings.trunk:
-            features = self.view_features(positions, outgoing, told)
+            known = self.told(positions, outgoing) if told is None else told
+            features = self.view_features(positions, outgoing, known)
             h = features[:, None]
-            light = self.light_features(incident)
-            if self.settings.angle_powers:
-                light = torch.cat((light, self.angle_powers(incident, outgoing)), dim=-1)
-            light = light.to(kind)
+            pairs = self.pair_features(incident, outgoing, None if known is None else known.starts)
+            light = torch.cat((self.light_features(incident), pairs), dim=-1).to(kind)
         else:
             wide = incident.shape
             h = self.fourier_features(
@@ -232,11 +231,17 @@ class NeuralBSSRDF(nn.Module):
             phase = (2.0 * torch.pi) * (self._scale(incident).float() @ self.light_frequencies.T)
             return torch.cat((phase.cos(), phase.sin()), dim=-1)
 
-    def angle_powers(self, incident: Tensor, outgoing: Tensor) -> Tensor:
-        """(ωi·ωo)ⁿ [N,D,angle_powers] in float32, n from 1: incident [N,D,3], outgoing [N,3]."""
+    def pair_features(self, incident: Tensor, outgoing: Tensor, starts: Tensor | None) -> Tensor:
+        """What is told of views and directions together [N,D,settings.pair_inputs] in float32: (ωi·ωo)ⁿ, n from 1, and
+        what lies on the way to the light: incident [N,D,3], outgoing [N,3], `starts` as `Told` has them.
+        """
         with torch.autocast(incident.device.type, enabled=False):
-            cosine = (incident.float() @ outgoing.float()[..., None])[..., 0]
-        return torch.stack([cosine**power for power in range(1, self.settings.angle_powers + 1)], dim=-1)
+            cosine = incident.float() @ outgoing.float()[..., None]
+        powers = [cosine**power for power in range(1, self.settings.angle_powers + 1)]
+        if self.view is not None and self.view.light is not None:
+            assert starts is not None
+            powers.append(self.view.light(starts, incident))
+        return torch.cat(powers, dim=-1) if powers else cosine[..., :0]
 
     def inputs(self, incident: Tensor | None, positions: Tensor, outgoing: Tensor) -> Tensor:
         """The scaled inputs u [N, 7 or 9] in float64: incident direction (unless it enters late), position, outgoing

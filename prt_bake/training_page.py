@@ -21,6 +21,7 @@ table { border-collapse: collapse; font-size: .9rem; width: 100% }
 th, td { border-bottom: 1px solid var(--line); padding: .3rem .6rem .3rem 0; text-align: left; vertical-align: top }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
 div.wide { overflow-x: auto } ul { padding-left: 1.2rem } li { margin: .35rem 0 }
+img { display: block; height: auto; width: 100%; image-rendering: pixelated }
 svg { display: block; height: auto; max-width: 100%; width: 100%; margin: .6rem 0 }
 svg text { font-family: system-ui, sans-serif !important }
 .met { color: var(--met) } .not { color: var(--missed) } .undecided { color: var(--open) }
@@ -57,6 +58,7 @@ def training_page(report: dict[str, Any]) -> str:
         _criteria(report["criteria"]),
         f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'])}</ul>",
         _section("The network's error and the reference's noise", plots["split"], _split_table(report)),
+        *([_picture(report["picture"])] if "picture" in report else []),
         _section("Error against time", plots.get("history", "<p>The model keeps no history.</p>"), _prediction(report)),
         _section(
             f"Error against angle, of {'Ŝ' if report['angles']['of'] == 'transport' else 'the coefficients'}",
@@ -113,8 +115,11 @@ def _criteria(rows: list[dict[str, Any]]) -> str:
     told = []
     for row in rows:
         verdict = f'<b class="verdict {row["verdict"].split()[0]}">{escape(row["verdict"])}</b>'
-        bound = f"{100 * row['bound']:g} %" if "bound" in row else ""
-        told.append([escape(row["name"]), bound, _percent(row) if "bound" in row else "", verdict])
+        if "unit" in row:
+            bound, figure = f"{row['bound']:g}", f"{row['value']:.4f} ({row['low']:.4f} to {row['high']:.4f})"
+        else:
+            bound, figure = (f"{100 * row['bound']:g} %", _percent(row)) if "bound" in row else ("", "")
+        told.append([escape(row["name"]), bound, figure, verdict])
     return _table(["asked", "at most", "found", ""], told)
 
 
@@ -136,6 +141,26 @@ def _split_table(report: dict[str, Any]) -> str:
         "equal weight would tell as much; where few, the figure is poorly known. 95th percentile over vertices of a "
         f"vertex's own relative RMSE: {_percent(coefficients['percentile_95'])}; "
         f"{coefficients['percentile_95_uncorrected']:.2%} before the scatter of views and walks is taken out.</p>"
+    )
+
+
+def _picture(part: dict[str, Any]) -> str:
+    strip = (
+        f'<img src="data:image/png;base64,{part["png"]}" width="{3 * part["size"]}" height="{part["size"]}" '
+        "alt=\"The network's picture, the path tracer's, and FLIP between them\">"
+    )
+    return _section(
+        "A picture under a sun",
+        strip,
+        f"<p class='under'>The network's, the path tracer's ({part['walks']} walks a pixel, {part['seconds']:.0f} s) "
+        f"and FLIP between them, white 1; under {escape(part['light'])}. Light from under the surface alone.</p>",
+        _table(
+            ["over the object's pixels", "found", "without the reference's noise", "noise alone"],
+            [
+                ["mean FLIP", *(f"{part[name]:.4f}" for name in ("flip", "flip_without_noise", "flip_of_noise"))],
+                ["relative RMSE of radiance", "", f"{part['error']:.2%}", f"{part['noise']:.2%}"],
+            ],
+        ),
     )
 
 

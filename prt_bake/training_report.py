@@ -4,14 +4,17 @@ from pathlib import Path
 from typing import Any
 
 from bakers.transport import on_mesh
-from formats.errors import ModelError
+from formats.errors import ModelError, PrtbakeError
 from formats.scene import Scene
 from prt_bake.trainer.asked import VERTICES
 from prt_bake.trainer.assessment import ASSESSMENT_SEED, assess
 from prt_bake.trainer.prepared import prepare
 from prt_bake.training_page import report_paths, write_training_report
+from prt_bake.training_picture import picture_error, sentence, verdict
 
 QUERIES, SECONDS = 1024, 40.0
+_FOR_THE_PICTURE = 0.5
+"""Of the time for queries, as much again."""
 
 
 def report_training(
@@ -26,6 +29,8 @@ def report_training(
 ) -> tuple[dict[str, Any], Path]:
     """Assess `network` on its scene and write MODEL.report.json and MODEL.report.html beside `model`.
 
+    Path traces for `seconds`, and half as long again for a picture under a sun (`training_picture`).
+
     Returns the figures and where the page lies. `network.metadata["training"]["validation_vs_time"]` gives the history,
     rows of (seconds, walks, validation error). Raises ModelError where the model says that it was trained on another
     scene, StorageError if a file cannot be written, PrtbakeError (the JSON is written by then) without matplotlib.
@@ -36,8 +41,9 @@ def report_training(
             f"{model}: was trained on another scene than {scene.path} (its mesh, medium or interface is not the same); "
             "give the scene that it was trained on"
         )
+    bound = on_mesh(network, scene.mesh)
     found = assess(
-        on_mesh(network, scene.mesh),
+        bound,
         scene,
         prepare(scene),
         queries=queries,
@@ -46,6 +52,18 @@ def report_training(
         seconds=seconds,
         vertices=vertices,
     ).as_json()
+    _add_picture(found, bound, scene, _FOR_THE_PICTURE * seconds, seed)
     json_path, page_path = report_paths(model)
     write_training_report(found, json_path, page_path)
     return found, page_path
+
+
+def _add_picture(found: dict[str, Any], network: Any, scene: Scene, seconds: float, seed: int) -> None:
+    try:
+        picture = picture_error(network, scene, seconds, seed)
+    except PrtbakeError as fault:
+        found["summary"].append(f"There is no picture: {fault}.")
+        return
+    found["picture"] = picture
+    found["criteria"].append(verdict(picture))
+    found["summary"].append(sentence(picture))

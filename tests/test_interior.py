@@ -24,7 +24,15 @@ from prt_bake.surface import Surface
 from prt_bake.trainer.fit import train
 
 LOOKING = replace(
-    PRESETS["measured"], features=20, width=16, light_features=4, ray_turns=0, lobes=0, shape_places=0, grid_places=0
+    PRESETS["measured"],
+    features=20,
+    width=16,
+    light_features=4,
+    ray_turns=0,
+    lobes=0,
+    shape_places=0,
+    grid_places=0,
+    light_places=0,
 )
 RNG = np.random.default_rng(3)
 

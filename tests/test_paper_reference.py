@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from pictures import WHITE, front, make_scene
 
+from prt_bake.halves import Halves
 from prt_bake.lighting import as_lighting
 from prt_bake.paper.artefacts import Artefacts, Stopped
-from prt_bake.paper.reference import Halves, Reference, reference, trace_scene
+from prt_bake.paper.reference import Reference, reference, trace_scene
 from prt_bake.renderer.loop import Rendering
 
 SIZE = 24

@@ -18,7 +18,9 @@ from prt_bake.neural.view_features import ViewFeatures
 from prt_bake.neural.view_ray import Ray, folded, normals
 from prt_bake.trainer.fit import train
 
-TURNING = replace(PRESETS["measured"], features=20, width=16, light_features=4, lobes=0, shape_places=0, grid_places=0)
+TURNING = replace(
+    PRESETS["measured"], features=20, width=16, light_features=4, lobes=0, shape_places=0, grid_places=0, light_places=0
+)
 SPACING = 0.02
 RNG = np.random.default_rng(4)
 

@@ -17,6 +17,7 @@ _MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 
 def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
     """Write MODEL.report.json and MODEL.report.html, and print the verdicts; what goes wrong is only told."""
+    from prt_bake.trainer.summary import criterion
     from prt_bake.training_report import report_training
 
     say("path tracing fresh queries for the report")
@@ -29,8 +30,7 @@ def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> N
         say(f"no report; 'prtbake report training {model} {scene.path}' makes it up")
         return
     for row in found["criteria"]:
-        bound = f" (at most {row['bound']:.0%}): {row['value']:.2%}" if "bound" in row else ""
-        print(f"{row['verdict']:10} {row['name']}{bound}")
+        print(criterion(row))
     print(f"{page}: {found['summary'][0]}")
 
 

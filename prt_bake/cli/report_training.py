@@ -13,7 +13,12 @@ def training(
     model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="Model that `prtbake train` wrote.")],
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene that it was trained on.")],
     seconds: Annotated[
-        float, typer.Option(min=0, max=1e6, help="Time for path tracing; more makes intervals narrower.")
+        float,
+        typer.Option(
+            min=0,
+            max=1e6,
+            help="Time for path tracing queries, and half as long again for a picture; more makes intervals narrower.",
+        ),
     ] = 40.0,
     queries: Annotated[int, typer.Option(min=16, max=1 << 20, help="Fresh queries.")] = 1024,
     vertices: Annotated[int, typer.Option(min=16, max=1 << 20, help="Vertices that are asked from 8 sides.")] = 192,
@@ -26,6 +31,7 @@ def training(
     """
     from formats.scene import read_scene
     from prt_bake.network import load_model
+    from prt_bake.trainer.summary import criterion
     from prt_bake.training_report import report_training
 
     network, given = load_model(model), read_scene(scene)
@@ -34,6 +40,5 @@ def training(
         network, given, model, seconds=seconds, queries=queries, vertices=vertices, seed=seed
     )
     for row in found["criteria"]:
-        asked = f" (at most {row['bound']:.0%}): {row['value']:.2%}" if "bound" in row else ""
-        print(f"{row['verdict']:10} {row['name']}{asked}")
+        print(criterion(row))
     print(f"{page_path}: {found['summary'][0]}")

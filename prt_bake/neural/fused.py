@@ -23,6 +23,7 @@ from torch import Tensor
 from formats.errors import QueryError
 from prt_bake.neural.late_layers import LateLayers
 from prt_bake.neural.lobes import Lobes, in_directions
+from prt_bake.neural.settings import STARTS
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -86,7 +87,7 @@ class FusedNetwork:
         bounds = [*range(0, directions, step), directions]
         with torch.inference_mode():
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
-            view = self._views(positions, outgoing)
+            view, starts = self._views(positions, outgoing)
             eye = _float32(np.reshape(outgoing, (-1, 3)), self._device)
             for first, last in pairwise(bounds):
                 towards = light[:, first:last]
@@ -94,8 +95,8 @@ class FusedNetwork:
                 if self._late is None:
                     self._fill(answer[:, first:last], table, chosen, view)
                 else:
-                    angles = _float32(towards, self._device), eye
-                    self._fill_late(self._late, answer[:, first:last], table, chosen, view, angles)
+                    between = _float32(towards, self._device), eye, starts
+                    self._fill_late(self._late, answer[:, first:last], table, chosen, view, between)
         return answer.reshape(vertices, bins, directions, 3)
 
     def _fill_late(
@@ -105,15 +106,15 @@ class FusedNetwork:
         table: Tensor,
         chosen: Tensor,
         view: Tensor,
-        between: tuple[Tensor, Tensor],
+        between: tuple[Tensor, Tensor, Tensor],
     ) -> None:
-        """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers, and those
-        directions [rotations, D, 3] and the outgoing ones [N·B, 3] themselves.
+        """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers, those
+        directions [rotations, D, 3] themselves, the outgoing ones [N·B, 3], and whence the light is looked for.
         """
         layers, _rotations, directions, width = table.shape
         tile = max(1, self._rows // directions)
         added = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
-        powers = torch.zeros((tile, directions, 1 + self.network.settings.angle_powers), device=self._device)
+        pairs = torch.zeros((tile, directions, self.network.settings.pair_inputs), device=self._device)
         bins_at_once = tile * max(1, self._rows // tile)
         for begin in range(0, len(chosen), bins_at_once):
             # Whole tiles of bins, whatever their number: the result must not depend on how bins are cut.
@@ -126,22 +127,15 @@ class FusedNetwork:
                 which = slice(begin + first, begin + first + bins)
                 for layer in range(layers):
                     torch.index_select(table[layer], 0, chosen[which], out=added[layer, :bins])
-                towards, eye = between[0][chosen[which]], between[1][which]
-                powers[:bins] = self._powers(towards, eye)
-                rows = late.add_views(added, of_bins[:, first : first + tile], powers)
+                towards = between[0][chosen[which]]
+                pairs[:bins] = self.network.pair_features(towards, between[1][which], between[2][which])
+                rows = late.add_views(added, of_bins[:, first : first + tile], pairs)
                 radiance = late.radiance(rows)
                 radiance = radiance.view(tile, directions, 3)[:bins].float()
                 if lobes is not None:
                     some_lobes = Lobes(*(part[first : first + bins] for part in lobes))
                     radiance = radiance + in_directions(some_lobes, towards, self.network.band)
                 answer[begin + first : begin + first + bins] = (radiance * self.network.output_scale).cpu().numpy()
-
-    def _powers(self, incident: Tensor, outgoing: Tensor) -> Tensor:
-        """Powers of ωi·ωo from 0 [N, D, 1 + angle_powers]: incident [N, D, 3], outgoing [N, 3]."""
-        ones = torch.ones((*incident.shape[:2], 1), device=incident.device)
-        if not self.network.settings.angle_powers:
-            return ones
-        return torch.cat((ones, self.network.angle_powers(incident, outgoing)), dim=-1)
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
@@ -168,29 +162,36 @@ class FusedNetwork:
             activations.append(h)
         return self._linear(h, self._weights[-1], self._biases[-1], "none")
 
-    def _views(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
+    def _views(self, positions: ArrayLike, outgoing: ArrayLike) -> tuple[Tensor, Tensor]:
         """What is known of each bin beforehand, [N·B, ·]: exp(i·phase) where directions enter with it, else the
-        features that the first layer sees.
+        features that the first layer sees; and whence its light is looked for, as `view_rows` has it.
         """
-        if self._late is None:
-            return self._view_exponentials(positions, outgoing)
         if self.network.view is None:
             exponentials = self._view_exponentials(positions, outgoing)
-            return torch.cat((exponentials.real, exponentials.imag), dim=1)
+            nowhere = torch.empty((len(exponentials), 0, 3), device=self._device)
+            if self._late is None:
+                return exponentials, nowhere
+            return torch.cat((exponentials.real, exponentials.imag), dim=1), nowhere
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
 
-    def view_rows(self, positions: Tensor, outgoing: Tensor) -> Tensor:
-        """`NeuralBSSRDF.view_features` in lots of one size, so that no row depends on those beside it."""
+    def view_rows(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
+        """`NeuralBSSRDF.view_features` [N, view_inputs], and `Told.starts` [N,STARTS,3], which are 0 where nothing is
+        told; in lots of one size, so that no row depends on those beside it.
+        """
         count = len(positions)
         features = torch.empty((count, self.network.settings.view_inputs), device=self._device)
+        starts = torch.zeros((count, len(STARTS), 3), device=self._device)
         for first in range(0, count, VIEWS_AT_ONCE):
             some = slice(first, min(first + VIEWS_AT_ONCE, count))
             x, eye = torch.zeros((2, VIEWS_AT_ONCE, 3), dtype=torch.float64, device=self._device)
             x[: some.stop - first], eye[: some.stop - first] = positions[some], outgoing[some]
-            features[some] = self.network.view_features(x, eye)[: some.stop - first]
-        return features
+            told = self.network.told(x, eye)
+            features[some] = self.network.view_features(x, eye, told)[: some.stop - first]
+            if told is not None:
+                starts[some] = told.starts[: some.stop - first]
+        return features, starts
 
     def _view_exponentials(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
         """exp(i·phase) of position and outgoing direction together [N·B, features]."""

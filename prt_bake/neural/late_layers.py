@@ -32,7 +32,7 @@ class LateLayers:
         told = [weight[:, -settings.light_inputs :] for weight in self._weights[self._trunk : -1]]
         features = 2 * settings.light_features
         self._light = [weight[:, :features].contiguous() for weight in told]
-        self._angle = [weight[:, features:].T.contiguous() for weight in told]
+        self._pairs = [weight[:, features:].T.contiguous() for weight in told]
         self._lobes: Any = network.lobes
         if self._lobes is not None:
             self._lobes = self._lobes.weight.detach().to(dtype), self._lobes.bias.detach().to(dtype)
@@ -55,10 +55,7 @@ class LateLayers:
         return torch.stack([torch.nn.functional.linear(rows, weight) for weight in self._light])
 
     def bins(self, features: Tensor) -> tuple[Tensor, Lobes | None]:
-        """What a view adds to each later layer, by powers of ωi·ωo from 0 [layers, N, 1 + angle_powers, width], and
-        its lobes.
-
-        First what the layers before and their skips say, biases included, then what each power does; from the features
+        """What a view adds to each later layer, biases included [layers, N, width], and its lobes; from the features
         that the first layer sees [N, view_inputs].
         """
         h = features.to(self._zero.dtype)
@@ -78,17 +75,16 @@ class LateLayers:
                 added.append(self._linear(rows, shared, bias, "none"))
             else:
                 added.append(bias.expand(len(features), -1))
-        powers = [weight.expand(len(features), -1, -1) for weight in self._angle]
-        each = [torch.cat((once[:, None], more), 1) for once, more in zip(added, powers, strict=True)]
-        return torch.stack(each), lobes
+        return torch.stack(added), lobes
 
-    def add_views(self, added: Tensor, bins: Tensor, powers: Tensor) -> Tensor:
-        """`added` [layers, N, D, width], of directions, with what views add to it: `bins` [layers, N, 1 + angle_powers,
-        width] of them, powers [N, D, 1 + angle_powers] of ωi·ωo from 0. Overwrites it; gives [layers, N·D, width].
+    def add_views(self, added: Tensor, bins: Tensor, pairs: Tensor) -> Tensor:
+        """`added` [layers, N, D, width], of directions, with what views add to it: `bins` [layers, N, width] of them
+        alone, `pairs` [N, D, pair_inputs] of them and directions. Overwrites it; gives [layers, N·D, width].
         """
-        rows = powers.to(self._zero.dtype)
+        rows = pairs.to(self._zero.dtype).flatten(0, 1)
         for layer, part in enumerate(added):
-            part.baddbmm_(rows, bins[layer])
+            part += bins[layer][:, None]
+            part.flatten(0, 1).addmm_(rows, self._pairs[layer])
         return added.flatten(1, 2)
 
     def radiance(self, added: Tensor) -> Tensor:

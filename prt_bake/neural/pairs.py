@@ -16,6 +16,7 @@ from formats.errors import QueryError
 from prt_bake.neural.fused import FusedNetwork
 from prt_bake.neural.lobes import in_directions
 from prt_bake.neural.pair_kernel import cycles_rows, fourier_rows
+from prt_bake.neural.settings import STARTS
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -133,7 +134,8 @@ class PairNetwork(FusedNetwork):
         assert self._late is not None
         at, count = self._device, len(positions)
         views = torch.zeros((tile, self.network.settings.view_inputs), device=at)
-        views[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
+        starts = torch.zeros((tile, len(STARTS), 3), device=at)
+        views[:count], starts[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
         bins, lobes = self._late.bins(views)
         towards = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
         towards[:count] = torch.as_tensor(incident)
@@ -141,7 +143,9 @@ class PairNetwork(FusedNetwork):
         eye = torch.zeros((tile, 3))
         eye[:count] = torch.as_tensor(outgoing)
         eye, towards = eye.to(at), towards.to(at)
-        smooth = self._late.radiance(self._late.add_views(light, bins, self._powers(towards, eye)))
+        smooth = self._late.radiance(
+            self._late.add_views(light, bins, self.network.pair_features(towards, eye, starts))
+        )
         return smooth if lobes is None else smooth.float() + in_directions(lobes, towards).flatten(0, 1)
 
     def _rows_there(self, light: Tensor, view: Tensor, common: Tensor, tile: int) -> Tensor:

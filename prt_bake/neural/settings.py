@@ -16,6 +16,8 @@ COSINE_BUMPS = 8
 SHAPE = 16
 """Numbers that tell of the object's shape around a place."""
 MOST_GRID_PLACES, MOST_GRID_NUMBERS = 128, 64
+STARTS = ("x", "within")
+"""Whence the way to the light is looked along: x itself, and half-way between the places along the ray of view."""
 EXIT = 3
 """Numbers that tell where the ray of view goes once it has left the object; they stand last."""
 
@@ -69,6 +71,9 @@ class NetworkSettings:
     ray_samples."""
     grid_numbers: int = 8
     """Numbers at each place; what x itself has and the mean along the ray are both told."""
+    light_places: int = 0
+    """Places on the way to the light, as many seen from x as from within, of which the layers that see ωi late are told
+    how much of the object lies there (`prt_bake.neural.light_ray`). Needs ray_samples."""
 
     def __post_init__(self) -> None:
         for name in ("features", "width", "layers", "light_features"):
@@ -110,6 +115,11 @@ class NetworkSettings:
             )
         if self.grid_places and not self.ray_samples:
             raise ModelError(f"network settings: without ray_samples there is no grid; found {self.grid_places} places")
+        if self.light_places < 0 or self.light_places % len(STARTS) or (self.light_places and not self.ray_samples):
+            raise ModelError(
+                "network settings: light_places must be even and not negative, and without ray_samples there are "
+                f"none; found {self.light_places}"
+            )
         if self.ray_samples and not (self.trunk and self.across == 3 and self.feature_mean == 0.0):
             raise ModelError(
                 "network settings: ray_samples needs light_layers, cartesian directions and a feature_mean of 0, found "
@@ -133,9 +143,14 @@ class NetworkSettings:
         return self.layers - self.light_layers if self.light_layers else 0
 
     @property
+    def pair_inputs(self) -> int:
+        """Numbers that a layer is told of a view and ωi together: powers of ωi·ωo, then what lies on the way."""
+        return self.angle_powers + self.light_places
+
+    @property
     def light_inputs(self) -> int:
-        """Numbers that a layer is told of ωi where it enters late, powers of ωi·ωo last."""
-        return 2 * self.light_features + self.angle_powers
+        """Numbers that a layer is told where ωi enters late: features of ωi alone, then of the view and ωi together."""
+        return 2 * self.light_features + self.pair_inputs
 
     @property
     def told_besides(self) -> int:
@@ -220,6 +235,7 @@ PRESETS: dict[str, NetworkSettings] = {
         lobes=2,
         shape_places=4,
         grid_places=32,
+        light_places=16,
     ),
 }
 """`paper`: as published. `measured`: lower error after the same training (`make bench` shows both)."""

@@ -22,7 +22,8 @@ from torch import Tensor, nn
 
 from prt_bake.neural.feature_grid import FeatureGrid
 from prt_bake.neural.interior import LEVELS, REACH, Interior
-from prt_bake.neural.settings import COSINE_BUMPS, SHAPE, NetworkSettings
+from prt_bake.neural.light_ray import LightRay
+from prt_bake.neural.settings import COSINE_BUMPS, SHAPE, STARTS, NetworkSettings
 from prt_bake.neural.shape import blurred, looked_up
 from prt_bake.neural.view_ray import Ray, folded, normals
 
@@ -61,6 +62,11 @@ class Told(NamedTuple):
     points: Tensor
     weight: Tensor
 
+    @property
+    def starts(self) -> Tensor:
+        """Whence the way to the light is looked along [N,STARTS,3]: x, and the middle one of the places."""
+        return torch.stack((self.x, self.points[:, self.points.shape[1] // 2]), dim=1)
+
 
 class ViewFeatures(nn.Module):
     """Features of positions and outgoing directions; on a CPU by `view_kernel`, unless `tensors_alone`."""
@@ -92,6 +98,7 @@ class ViewFeatures(nn.Module):
         ):
             self.register_buffer(name, tensor, persistent=False)
         reach = float(self.edges[-1])
+        self.light = LightRay(interior, settings.light_places // len(STARTS)) if settings.light_places else None
         numbers = settings.grid_numbers
         self.grid = FeatureGrid(interior, settings.grid_places, numbers, reach) if settings.grid_places else None
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from formats.image import read_image, read_layers, write_image
 from formats.whole import replacing
+from prt_bake import object_figures
 from prt_bake.camera import Camera
 from prt_bake.environment import read_environment, rotation
 from prt_bake.lighting import Lighting, Sky
-from prt_bake.paper import measures
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
 from prt_bake.paper.harmonics import DEGREE, bake_asset, harmonics_picture
 from prt_bake.paper.models import scene_importance, scene_model
@@ -116,8 +116,8 @@ class SceneReport:
         lighting = self._lighting(sky_path)
         truth = self._reference(sky_name, lighting)
         found = read_layers(self._network_picture(lighting, JUDGED, f"{name}.exr", model).path)
-        mask = measures.object_mask(truth.coverage)
-        _map, figures = measures.alone(found, truth, mask, measures.exposure(truth.image, mask))
+        mask = object_figures.object_mask(truth.coverage)
+        _map, figures = object_figures.alone(found, truth, mask, object_figures.exposure(truth.image, mask))
         return {name: figures[name] for name in ("flip", "flip_without_noise", "error")}
 
     def sigma(self) -> SigmaPicture:
@@ -236,7 +236,7 @@ class SceneReport:
             sky,
             Path(self.scene.path).name,
             is_stand_in(self.paper, self.scene),
-            measures.framing(truth.coverage),
+            object_figures.framing(truth.coverage),
             facts["stops"],
             truth.artefact.facts,
             facts["noise"],
@@ -248,26 +248,26 @@ class SceneReport:
     def _measure(
         self, path: Path, truth: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
     ) -> Facts:
-        mask = measures.object_mask(truth.coverage)
-        alone_stops = measures.exposure(truth.image, mask)
+        mask = object_figures.object_mask(truth.coverage)
+        alone_stops = object_figures.exposure(truth.image, mask)
         ours, theirs = (read_image(surface.path) for surface in surfaces)
         whole = truth.image + theirs
-        whole_stops = measures.exposure(whole, mask)
+        whole_stops = object_figures.exposure(whole, mask)
         maps: dict[str, NDArray[np.float16]] = {}
         figures: dict[str, Any] = {}
         for method, picture in pictures.items():
             found = read_layers(picture.path)
-            flip_map, alone = measures.alone(found, truth, mask, alone_stops)
-            together = measures.measure(found.image + ours, whole, mask, whole_stops)
+            flip_map, alone = object_figures.alone(found, truth, mask, alone_stops)
+            together = object_figures.measure(found.image + ours, whole, mask, whole_stops)
             maps[method], maps[f"{method}_whole"] = (
                 flip_map.astype(np.float16),
                 together.flip_map.astype(np.float16),
             )
             figures[method] = {"alone": alone, "whole": together.as_json()}
         harmonics, network = (read_image(pictures[method].path) for method in ("sh", JUDGED))
-        figures["sh"]["alone"]["flip_to_net"] = measures.measure(harmonics, network, mask, alone_stops).flip
+        figures["sh"]["alone"]["flip_to_net"] = object_figures.measure(harmonics, network, mask, alone_stops).flip
         write_maps(path, maps)
-        noise = measures.noise_figures(truth, harmonics, mask, alone_stops)
+        noise = object_figures.noise_figures(truth, harmonics, mask, alone_stops)
         return {"stops": alone_stops, "whole_stops": whole_stops, "noise": noise, "figures": figures}
 
     def _cost(self, method: str, picture: Artefact) -> Facts:

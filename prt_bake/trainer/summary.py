@@ -70,6 +70,15 @@ def percent(figure: dict[str, float]) -> str:
     return f"{figure['value']:.2%} ({figure['low']:.2%} to {figure['high']:.2%})"
 
 
+def criterion(row: dict[str, Any]) -> str:
+    """A bar's line: the verdict, what was asked, the bound and the figure, in percent but for those of another unit."""
+    if "bound" not in row:
+        return f"{row['verdict']:10} {row['name']}"
+    told = ("{:g}", "{:.4f}") if row.get("unit") else ("{:.0%}", "{:.2%}")
+    bound, figure = (form.format(row[name]) for form, name in zip(told, ("bound", "value"), strict=True))
+    return f"{row['verdict']:10} {row['name']} (at most {bound}): {figure}"
+
+
 def sentences(found: dict[str, Any]) -> list[str]:
     """What there is to say, in order of weight; intervals are 95 %."""
     told = []

@@ -29,7 +29,9 @@ from prt_bake.trainer.rows import StreamSettings
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out, hold_out_coefficients
 
 OURS = PRESETS["measured"]
-PLAIN = replace(OURS, features=256, ray_samples=0, tells_normal=False, lobes=0, shape_places=0, grid_places=0)
+PLAIN = replace(
+    OURS, features=256, ray_samples=0, tells_normal=False, lobes=0, shape_places=0, grid_places=0, light_places=0
+)
 """With features of the position itself, and nothing told of the inside."""
 EARLY: dict[str, Any] = {"light_layers": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
 """ωi enters the first layer, and nothing is told late."""

@@ -1,4 +1,4 @@
-"""The figures of the tables: how far a picture is from its reference on the object, and what noise alone does to them.
+"""Figures of an object's pictures, the paper's tables' own: how far they are from a reference, and what noise does.
 
 Law: the pixels that the object covers wholly; an exposure that gives the reference's object a median luminance of 0.18;
 the sRGB curve cut to [0,1]; FLIP at 67 pixels a degree.
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.exr import Layers
 from prt_bake.comparison import Comparison, compare
-from prt_bake.paper.reference import Reference
+from prt_bake.halves import Traced
 
 MIDDLE_GREY = 0.18
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -61,7 +61,7 @@ def measure(image: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_], sto
 
 
 def alone(
-    picture: Layers, reference: Reference, mask: NDArray[np.bool_], stops: float
+    picture: Layers, reference: Traced, mask: NDArray[np.bool_], stops: float
 ) -> tuple[NDArray[np.float32], dict[str, float]]:
     """All figures of a picture of the light from under the surface alone, and its map of FLIP; a picture without a
     layer of errors has no noise.
@@ -74,11 +74,11 @@ def alone(
     }
 
 
-def noise_figures(reference: Reference, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
+def noise_figures(reference: Traced, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
     """What the reference's own noise does to each figure: a picture exact but for such noise would have them.
 
     mse: of the standard errors. flip, ssim, ssim_quarter: means of what `smooth` and itself with the reference's noise
-    added and taken away make (`prt_bake.paper.reference` says which noise). `smooth` [H,W,3] is a picture without noise
+    added and taken away make (`prt_bake.halves` says which noise). `smooth` [H,W,3] is a picture without noise
     that stands for the exact one, which nobody has; the reference itself would not do: its own noise passes for
     structure, and SSIM forgives more of it.
     """
@@ -90,7 +90,7 @@ def noise_figures(reference: Reference, smooth: ArrayLike, mask: NDArray[np.bool
 
 
 def flip_without_noise(
-    image: ArrayLike, reference: Reference, mask: NDArray[np.bool_], stops: float, flip: float
+    image: ArrayLike, reference: Traced, mask: NDArray[np.bool_], stops: float, flip: float
 ) -> float:
     """An estimate of the mean FLIP that a picture would have against a reference without noise; `flip` is what it has.
 
@@ -104,7 +104,7 @@ def flip_without_noise(
 
 
 def error_without_noise(
-    image: ArrayLike, standard_error: ArrayLike, reference: Reference, mask: NDArray[np.bool_]
+    image: ArrayLike, standard_error: ArrayLike, reference: Traced, mask: NDArray[np.bool_]
 ) -> float:
     """The relative RMSE of a picture [H,W,3] over the object, its own noise and the reference's taken out.
 

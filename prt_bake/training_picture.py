@@ -1,0 +1,135 @@
+"""A picture of a trained network beside the path tracer's own, under a sun and a sky that no training knows.
+
+Coefficients of degree 2 say how good an asset can be. Under a sun all of Ŝ is seen: shadows that the object casts on
+itself, and light that comes through from behind. Two thirds of the light are the sun's, from aside and above.
+"""
+
+import base64
+import io
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from formats.exr import Layers
+from formats.lights import DirectionalLight
+from formats.png import to_srgb
+from formats.scene import Scene
+from prt_bake import camera
+from prt_bake.halves import Halves, Traced
+from prt_bake.lighting import Lighting, as_lighting
+from prt_bake.noise_free import Interval
+from prt_bake.object_figures import alone, exposure, noise_figures, object_mask
+from prt_bake.renderer.network import render_network
+from prt_bake.renderer.state import relative_noise
+from prt_bake.rendering import render_scene
+from prt_bake.trainer.prepared import smooth_part
+
+Array = NDArray[np.float64]
+
+FLIP = 0.05
+"""Of the judged picture, at most."""
+SIZE = 96
+_SPP = 128
+"""Directions a pixel of the network's picture; the sun has its own besides."""
+_SUN_SHARE = 2.0 / 3.0
+_SUN_COLOUR, _SKY_COLOUR, _GROUND_COLOUR = (1.10, 1.00, 0.85), (0.75, 0.95, 1.30), (0.22, 0.20, 0.18)
+_TOWARDS_SUN = {"y": (0.75, 0.60, -0.30), "z": (0.75, 0.30, 0.60)}
+_DIAMETER, _WIDE = 0.53, 30.0
+"""Degrees. Behind a smooth interface walks meet a sun by chance alone: it is wide there."""
+
+
+def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict[str, Any]:
+    """How far the network's picture is from one that is path traced for `seconds`, as the report keeps it.
+
+    Of light from under the surface alone, over the pixels that the object covers, as in the tables (`object_figures`):
+    `flip` with the reference's noise in it, `flip_without_noise` estimated without, `flip_of_noise` what the noise
+    alone makes; `error` and `noise`, relative; and the pictures with the map of FLIP as a PNG.
+
+    Raises QueryError where no light reaches what is seen, PrtbakeError where the extra `evaluate` is missing.
+    """
+    lighting = sunny(scene)
+    view = camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
+    halves = _traced(scene, lighting, view, seconds, seed)
+    reference = halves.traced()
+    seen = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
+    mask = object_mask(reference.coverage)
+    stops = exposure(reference.image, mask)
+    flip_map, figures = alone(Layers(seen.image, {"error": seen.standard_error}, {}), reference, mask, stops)
+    return {
+        "light": f"a sun of {_diameter(scene):g}° with {_SUN_SHARE:.0%} of the light, and a sky",
+        "size": SIZE,
+        **{name: figures[name] for name in ("flip", "flip_without_noise", "error")},
+        "flip_of_noise": noise_figures(reference, seen.image, mask, stops)["flip"],
+        "noise": relative_noise(reference.image, reference.standard_error, reference.coverage),
+        "walks": halves.spp,
+        "seconds": halves.seconds,
+        "png": _side_by_side(seen.image, reference, flip_map, stops),
+    }
+
+
+def verdict(found: dict[str, Any]) -> dict[str, Any]:
+    """The bar for the picture with its figure: FLIP from what it would be without noise to what it is with it."""
+    span = Interval(found["flip"], found["flip_without_noise"], found["flip"])
+    reached = span.within(FLIP)
+    # What is left without noise is an upper estimate where noise is most of what is seen.
+    if reached == "not met" and found["flip_of_noise"] > 0.5 * found["flip"]:
+        reached = "undecided"
+    name = f"mean FLIP of a picture under a sun, {SIZE}x{SIZE}, without and with the reference's noise"
+    return {"name": name, "unit": "FLIP", "bound": FLIP, **span.as_json(), "verdict": reached}
+
+
+def sentence(found: dict[str, Any]) -> str:
+    """The picture's figures in words."""
+    return (
+        f"A picture under {found['light']}: the network is {found['error']:.1%} off, the reference's own noise "
+        f"({found['noise']:.1%}) taken out; mean FLIP {found['flip']:.3f}, of which noise alone makes "
+        f"{found['flip_of_noise']:.3f}."
+    )
+
+
+def sunny(scene: Scene) -> Lighting:
+    """The light of the picture, whatever its unit: its exposure follows from what is seen."""
+    rows = [_SKY_COLOUR] * 8 + [_GROUND_COLOUR] * 8
+    sky = as_lighting(np.repeat(np.array(rows, np.float32)[:, None], 32, axis=1), scene.up, 0.0)
+    whole = 4.0 * math.pi * 0.5 * (np.array(_SKY_COLOUR) + _GROUND_COLOUR).mean()
+    towards = np.array(_TOWARDS_SUN[scene.up])
+    sun = DirectionalLight(
+        towards / np.linalg.norm(towards),
+        np.array(_SUN_COLOUR) * whole * _SUN_SHARE / (1.0 - _SUN_SHARE),
+        _diameter(scene),
+    )
+    return Lighting(sky.skies, (sun,))
+
+
+def _diameter(scene: Scene) -> float:
+    return _DIAMETER if smooth_part(scene) is None else _WIDE
+
+
+def _traced(scene: Scene, lighting: Lighting, view: camera.Camera, seconds: float, seed: int) -> Halves:
+    halves = Halves.empty(SIZE)
+    for half in range(2):
+        halves.add(
+            render_scene(
+                scene,
+                lighting,
+                view,
+                None,
+                2 * seed + half,
+                background=False,
+                shown="scattered",
+                minutes=0.5 * seconds / 60.0,
+            )
+        )
+    return halves
+
+
+def _side_by_side(image: NDArray[np.float32], reference: Traced, flip_map: NDArray[np.float32], stops: float) -> str:
+    """Network, path tracer and FLIP (white is 1) beside one another: PNG in base64."""
+    shown = [to_srgb(part.astype(np.float64) * 2.0**stops) for part in (image, reference.image)]
+    pixels = np.concatenate([*shown, np.repeat(flip_map[..., None], 3, axis=2)], axis=1)
+    file = io.BytesIO()
+    Image.fromarray(np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)).save(file, format="PNG", optimize=True)
+    return base64.b64encode(file.getvalue()).decode("ascii")
