@@ -4,10 +4,8 @@ Input u = (ωi, x, ωo), in this order, each scaled as the settings say; positio
 float64 before they are rounded to float32. Fourier features [cos 2πGu, sin 2πGu] → hidden layers with concatenated
 skips → linear layer to RGB, times `output_scale`. Where the settings have ωi enter late, u = (x, ωo), and the features
 of ωi, and powers of ωi·ωo, are appended to the inputs of the last hidden layers: what comes before is run once for all
-directions. With `ray_samples` the features of (x, ωo) are averaged along the ray of view
-(`prt_bake.neural.view_features`), with `shape_places` the object's shape around some places of it is told
-(`prt_bake.neural.shape`), with `grid_places` numbers learnt at places of it (`prt_bake.neural.feature_grid`), and with
-`lobes` narrow ones in ωi are added (`prt_bake.neural.lobes`).
+directions. What `ray_samples`, `shape_places`, `grid_places`, `light_places` and `lobes` add is said in the modules
+`view_features`, `shape`, `feature_grid`, `light_ray` and `lobes` of `prt_bake.neural`.
 """
 
 import json

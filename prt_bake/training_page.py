@@ -155,13 +155,18 @@ def _picture(part: dict[str, Any]) -> str:
         f"<p class='under'>The network's, the path tracer's ({part['walks']} walks a pixel, {part['seconds']:.0f} s) "
         f"and FLIP between them, white 1; under {escape(part['light'])}. Light from under the surface alone.</p>",
         _table(
-            ["over the object's pixels", "found", "without the reference's noise", "noise alone"],
+            ["", "found", "without the reference's noise", "noise alone"],
             [
-                ["mean FLIP", *(f"{part[name]:.4f}" for name in ("flip", "flip_without_noise", "flip_of_noise"))],
-                ["relative RMSE of radiance", "", f"{part['error']:.2%}", f"{part['noise']:.2%}"],
+                ["mean FLIP of the picture", *_flips(part)],
+                ["of the object's pixels alone", *_flips(part["on_object"])],
+                ["relative RMSE of the object's radiance", "", f"{part['error']:.2%}", f"{part['noise']:.2%}"],
             ],
         ),
     )
+
+
+def _flips(part: dict[str, Any]) -> list[str]:
+    return [f"{part[name]:.4f}" for name in ("flip", "flip_without_noise", "flip_of_noise")]
 
 
 def _prediction(report: dict[str, Any]) -> str:

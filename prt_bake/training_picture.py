@@ -21,7 +21,7 @@ from prt_bake import camera
 from prt_bake.halves import Halves, Traced
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.noise_free import Interval
-from prt_bake.object_figures import alone, exposure, noise_figures, object_mask
+from prt_bake.object_figures import alone, error_without_noise, exposure, noise_figures, object_mask
 from prt_bake.renderer.network import render_network
 from prt_bake.renderer.state import relative_noise
 from prt_bake.rendering import render_scene
@@ -44,9 +44,10 @@ _DIAMETER, _WIDE = 0.53, 30.0
 def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict[str, Any]:
     """How far the network's picture is from one that is path traced for `seconds`, as the report keeps it.
 
-    Of light from under the surface alone, over the pixels that the object covers, as in the tables (`object_figures`):
-    `flip` with the reference's noise in it, `flip_without_noise` estimated without, `flip_of_noise` what the noise
-    alone makes; `error` and `noise`, relative; and the pictures with the map of FLIP as a PNG.
+    Of light from under the surface alone, lifted as in the tables (`object_figures`). FLIP of the whole picture, and as
+    `on_object` of the pixels that the object covers: `flip` with the reference's noise in it, `flip_without_noise`
+    estimated without, `flip_of_noise` what the noise alone makes. `error` and `noise` are relative, of the object; the
+    pictures with the map of FLIP are a PNG.
 
     Raises QueryError where no light reaches what is seen, PrtbakeError where the extra `evaluate` is missing.
     """
@@ -57,17 +58,28 @@ def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict
     seen = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
     mask = object_mask(reference.coverage)
     stops = exposure(reference.image, mask)
-    flip_map, figures = alone(Layers(seen.image, {"error": seen.standard_error}, {}), reference, mask, stops)
+    picture = Layers(seen.image, {"error": seen.standard_error}, {})
+    flip_map, whole = _flips(picture, reference, np.ones_like(mask), stops)
     return {
         "light": f"a sun of {_diameter(scene):g}° with {_SUN_SHARE:.0%} of the light, and a sky",
         "size": SIZE,
-        **{name: figures[name] for name in ("flip", "flip_without_noise", "error")},
-        "flip_of_noise": noise_figures(reference, seen.image, mask, stops)["flip"],
+        **whole,
+        "on_object": _flips(picture, reference, mask, stops)[1],
+        "error": error_without_noise(seen.image, seen.standard_error, reference, mask),
         "noise": relative_noise(reference.image, reference.standard_error, reference.coverage),
         "walks": halves.spp,
         "seconds": halves.seconds,
         "png": _side_by_side(seen.image, reference, flip_map, stops),
     }
+
+
+def _flips(
+    picture: Layers, reference: Traced, mask: NDArray[np.bool_], stops: float
+) -> tuple[NDArray[np.float32], dict[str, float]]:
+    """The map of FLIP, and its means over the mask."""
+    flip_map, figures = alone(picture, reference, mask, stops)
+    told = {name: figures[name] for name in ("flip", "flip_without_noise")}
+    return flip_map, {**told, "flip_of_noise": noise_figures(reference, picture.image, mask, stops)["flip"]}
 
 
 def verdict(found: dict[str, Any]) -> dict[str, Any]:
@@ -85,8 +97,9 @@ def sentence(found: dict[str, Any]) -> str:
     """The picture's figures in words."""
     return (
         f"A picture under {found['light']}: the network is {found['error']:.1%} off, the reference's own noise "
-        f"({found['noise']:.1%}) taken out; mean FLIP {found['flip']:.3f}, of which noise alone makes "
-        f"{found['flip_of_noise']:.3f}."
+        f"({found['noise']:.1%}) taken out; mean FLIP {found['flip']:.3f} ({found['on_object']['flip']:.3f} on the "
+        f"object alone), where noise alone would make {found['flip_of_noise']:.3f} "
+        f"({found['on_object']['flip_of_noise']:.3f})."
     )
 
 

@@ -200,6 +200,21 @@ def test_the_average_weighs_late_steps_more():
         assert lag == pytest.approx(length, abs=0.01)
 
 
+@pytest.mark.parametrize("decay", [0.0, 0.1, 2.0])
+def test_weights_that_nothing_asks_for_shrink_with_the_rate(decay):
+    """Where the answer is what it should be, and asks no weight to change, decay alone does."""
+    learner = Learner(network_with(), dataclasses.replace(LEARNING, decay=decay, rate=0.02, warm_up=0.0))
+    with torch.no_grad():
+        learner.network.output.weight.zero_()
+        learner.network.output.bias.zero_()
+    before = learner.network.hidden[0].weight.detach().clone()
+    for _ in range(3):
+        learner.learn(Rows(rows_of(np.zeros(3, np.float32))), rows_of(np.zeros(3, np.float32)), 0.0, None)
+    rate = rate_at(learner.settings, 0.0)
+    shrunk = before * (1.0 - rate * decay) ** 3
+    np.testing.assert_allclose(learner.network.hidden[0].weight.detach(), shrunk, rtol=1e-5)
+
+
 def test_without_an_average_the_model_is_the_network():
     learner = Learner(network_with(), dataclasses.replace(LEARNING, average=False))
     assert learner.answer is learner.network
@@ -217,7 +232,15 @@ def test_rates_rise_and_fall_as_the_schedule_says():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"batch": 0}, {"schedule": "steps"}, {"loss": "l1"}, {"average_length": 0.6}, {"rate": float("nan")}]
+    "wrong",
+    [
+        {"batch": 0},
+        {"schedule": "steps"},
+        {"loss": "l1"},
+        {"average_length": 0.6},
+        {"rate": float("nan")},
+        {"decay": -0.1},
+    ],
 )
 def test_settings_out_of_range_are_refused(wrong):
     with pytest.raises(QueryError, match=f"{next(iter(wrong))} cannot be"):

@@ -60,6 +60,9 @@ def test_the_error_is_that_against_independent_pictures(scene):
     assert 0.0 < found["flip_of_noise"] < found["flip"] < 1.0
     assert found["flip_without_noise"] <= found["flip"]
     assert found["walks"] >= 8
+    # All of the difference is on the object, but for what FLIP's filters carry over its rim.
+    share = 0.5 * coverage.mean(), 1.5 * coverage.mean()
+    assert share[0] < found["flip"] / found["on_object"]["flip"] < share[1]
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(found["png"]))))
     assert picture.shape == (SIZE, 3 * SIZE, 3)
     ours, theirs, flip = np.split(picture.astype(np.float64), 3, axis=1)

@@ -1,8 +1,8 @@
 """`train`: fits a network to a scene, until the time or the steps are used up.
 
 Loss: squared error (the paper's L2) of Ŝ in units of the network's output scale, or from walks' exits behind a smooth
-interface (`prt_bake.trainer.objective`). Adam, a rate that falls along a cosine to zero, weights averaged over the last
-part of the run, and matrix work in bfloat16 with float32 weights where the processor has it.
+interface (`prt_bake.trainer.objective`). AdamW, a rate that falls along a cosine to zero, weights averaged over the
+last part of the run, and matrix work in bfloat16 with float32 weights where the processor has it.
 """
 
 import json

@@ -37,6 +37,9 @@ class LearningSettings:
     last_rate: float = 0.01
     warm_up: float = 0.02
     """Share of the run over which the rate rises."""
+    decay: float = 0.03
+    """By which every weight shrinks in a step, times the rate: what walks say of it is noise in part. AdamW: Loshchilov
+    and Hutter 2019, "Decoupled weight decay regularization"."""
     loss: Loss = "l2"
     floor: float = 0.01
     """Of the relative loss: what keeps it finite in the dark, in squares of the output scale."""
@@ -66,6 +69,7 @@ class LearningSettings:
             "schedule": self.schedule in ("cosine", "constant", "exponential"),
             "last_rate": 0.0 < self.last_rate <= 1.0,
             "warm_up": 0.0 <= self.warm_up <= 1.0,
+            "decay": self.decay >= 0.0,
             "loss": self.loss in ("l2", "relative"),
             "floor": self.floor > 0.0,
             "average_length": 0.0 < self.average_length <= 0.5,
@@ -100,7 +104,9 @@ class Learner:
         """Learn on the device that the network is on."""
         self.network, self.settings = network, settings
         self.answer = copy.deepcopy(network) if settings.average else network
-        self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.rate, betas=(0.9, 0.99))
+        self.optimizer = torch.optim.AdamW(
+            network.parameters(), lr=settings.rate, betas=(0.9, 0.99), weight_decay=settings.decay
+        )
         self.step = 0
         self._device = network.frequencies.device
         self._bfloat16 = settings.bfloat16 and _has_bfloat16(self._device)
