@@ -149,7 +149,7 @@ class NeuralBSSRDF(nn.Module):
             known = self.told(positions, outgoing) if told is None else told
             features = self.view_features(positions, outgoing, known)
             h = features[:, None]
-            pairs = self.pair_features(incident, outgoing, None if known is None else known.starts)
+            pairs = self.pair_features(incident, outgoing, None if known is None else known.frame)
             light = torch.cat((self.light_features(incident), pairs), dim=-1).to(kind)
         else:
             wide = incident.shape
@@ -229,17 +229,16 @@ class NeuralBSSRDF(nn.Module):
             phase = (2.0 * torch.pi) * (self._scale(incident).float() @ self.light_frequencies.T)
             return torch.cat((phase.cos(), phase.sin()), dim=-1)
 
-    def pair_features(self, incident: Tensor, outgoing: Tensor, starts: Tensor | None) -> Tensor:
-        """What is told of views and directions together [N,D,settings.pair_inputs] in float32: (ωi·ωo)ⁿ, n from 1, and
-        what lies on the way to the light: incident [N,D,3], outgoing [N,3], `starts` as `Told` has them.
+    def pair_features(self, incident: Tensor, outgoing: Tensor, frame: Tensor | None) -> Tensor:
+        """What is told of views and directions together [N,D,settings.pair_inputs] in float32: (ωi·ωo)ⁿ, n from 1, what
+        lies on the way to the light, and cosines: incident [N,D,3], outgoing [N,3], `frame` as `Told` has it.
         """
         with torch.autocast(incident.device.type, enabled=False):
             cosine = incident.float() @ outgoing.float()[..., None]
-        powers = [cosine**power for power in range(1, self.settings.angle_powers + 1)]
-        if self.view is not None and self.view.light is not None:
-            assert starts is not None
-            powers.append(self.view.light(starts, incident))
-        return torch.cat(powers, dim=-1) if powers else cosine[..., :0]
+            told = [cosine**power for power in range(1, self.settings.angle_powers + 1)]
+            if self.view is not None and frame is not None:
+                told += self.view.towards(incident.float(), frame)
+        return torch.cat((cosine[..., :0], *told), dim=-1)
 
     def inputs(self, incident: Tensor | None, positions: Tensor, outgoing: Tensor) -> Tensor:
         """The scaled inputs u [N, 7 or 9] in float64: incident direction (unless it enters late), position, outgoing

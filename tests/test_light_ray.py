@@ -16,8 +16,9 @@ from prt_bake.network import NetworkSettings, NeuralBSSRDF, load_model, save_mod
 from prt_bake.neural.interior import LEVELS, REACH, Interior
 from prt_bake.neural.light_ray import GROWTH, NEAREST, LightRay
 from prt_bake.neural.pairs import PairNetwork
+from prt_bake.neural.shape import blurred, looked_up
 
-LOOKING = replace(UNTOLD, ray_samples=12, light_places=8)
+LOOKING = replace(UNTOLD, ray_samples=12, light_places=8, light_cosines=False)
 OF_SHARE = 5.0
 RNG = np.random.default_rng(12)
 
@@ -128,19 +129,19 @@ def test_the_late_layers_are_told_of_the_way_from_x_and_from_within() -> None:
     assert looking.view is not None
     assert looking.view.light is not None
     x = (positions - looking.box_min) / looking.box_side
-    np.testing.assert_allclose(told.starts[:, 0], x, atol=1e-6)
-    np.testing.assert_array_equal(told.starts[:, 1], told.points[:, 6])
-    pairs = looking.pair_features(incident, outgoing, told.starts)
+    np.testing.assert_allclose(told.frame[:, 0], x, atol=1e-6)
+    np.testing.assert_array_equal(told.frame[:, 1], told.points[:, 6])
+    pairs = looking.pair_features(incident, outgoing, told.frame)
     assert pairs.shape == (20, 7, looking.settings.pair_inputs) == (20, 7, 10)
     cosine = (incident @ outgoing[..., None])[..., 0]
     np.testing.assert_allclose(pairs[..., 0], cosine, atol=1e-6)
     np.testing.assert_allclose(pairs[..., 1], cosine**2, atol=1e-6)
-    np.testing.assert_array_equal(pairs[..., 2:], looking.view.light(told.starts, incident))
+    np.testing.assert_array_equal(pairs[..., 2:], looking.view.light(told.frame[:, :2], incident))
 
 
-@pytest.mark.parametrize("angle_powers", [0, 2])
-def test_every_path_through_a_network_is_told_the_same(angle_powers: int) -> None:
-    looking = network(angle_powers=angle_powers)
+@pytest.mark.parametrize("told", [{"angle_powers": 0}, {"angle_powers": 2}, {"light_cosines": True, "shape_places": 4}])
+def test_every_path_through_a_network_is_told_the_same(told: dict[str, Any]) -> None:
+    looking = network(**told)
     incident, positions, outgoing = views(70)
     with torch.no_grad():
         expected = looking.radiance(incident, positions, outgoing).numpy()
@@ -155,6 +156,41 @@ def test_every_path_through_a_network_is_told_the_same(angle_powers: int) -> Non
     np.testing.assert_allclose(PairNetwork(looking).evaluate_pairs(*query), expected, **close)
     block = looking.evaluate_block(query[0], np.arange(70)[:, None], query[1], query[2][:, None])
     np.testing.assert_allclose(block[:, 0], expected, **close)
+
+
+@pytest.mark.parametrize(("tells_normal", "shape_places"), [(True, 0), (False, 4), (True, 4)])
+def test_the_late_layers_are_told_cosines_to_the_normal_and_to_the_slopes_around_x(
+    tells_normal: bool, shape_places: int
+) -> None:
+    looking = network(
+        light_cosines=True, tells_normal=tells_normal, shape_places=shape_places, light_places=0, angle_powers=0
+    )
+    incident, positions, outgoing = views(30)
+    told = looking.told(positions, outgoing)
+    assert told is not None
+    axes = []
+    besides = 2 * looking.settings.features
+    if tells_normal:
+        axes.append(told.features[:, None, besides : besides + 3] / 3.0)
+    if shape_places:
+        shape = looked_up(blurred(rough_interior(30)), 1.2 / 29, told.x + 0.1)
+        axes.append(shape.reshape(30, 4, 4)[..., 1:] / 2.8)
+    expected = np.einsum("ndc,nac->nda", incident.numpy(), torch.cat(axes, dim=1).numpy())
+    pairs = looking.pair_features(incident, outgoing, told.frame)
+    assert pairs.shape[-1] == looking.settings.pair_inputs == int(tells_normal) + shape_places
+    np.testing.assert_allclose(pairs, expected, atol=2e-3)
+    blind = looking.radiance(incident, positions, outgoing).detach().numpy()
+    with torch.no_grad():
+        looking.hidden[-1].weight[:, -looking.settings.pair_inputs :] = 0.0
+    assert np.abs(looking.radiance(incident, positions, outgoing).detach().numpy() - blind).max() > 0.01
+
+
+def test_cosines_are_told_of_what_there_is() -> None:
+    """Without a normal and a shape there are none, and the network is the same."""
+    with_them, without = network(light_cosines=True, tells_normal=False), network(tells_normal=False)
+    assert with_them.settings.light_axes == 0
+    query = [part.numpy() for part in views(5)]
+    np.testing.assert_array_equal(with_them.evaluate(*query), without.evaluate(*query))
 
 
 def test_what_lies_on_the_way_changes_the_answer(tmp_path: Any) -> None:

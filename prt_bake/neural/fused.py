@@ -23,7 +23,6 @@ from torch import Tensor
 from formats.errors import QueryError
 from prt_bake.neural.late_layers import LateLayers
 from prt_bake.neural.lobes import Lobes, in_directions
-from prt_bake.neural.settings import STARTS
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -87,7 +86,7 @@ class FusedNetwork:
         bounds = [*range(0, directions, step), directions]
         with torch.inference_mode():
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
-            view, starts = self._views(positions, outgoing)
+            view, frame = self._views(positions, outgoing)
             eye = _float32(np.reshape(outgoing, (-1, 3)), self._device)
             for first, last in pairwise(bounds):
                 towards = light[:, first:last]
@@ -95,7 +94,7 @@ class FusedNetwork:
                 if self._late is None:
                     self._fill(answer[:, first:last], table, chosen, view)
                 else:
-                    between = _float32(towards, self._device), eye, starts
+                    between = _float32(towards, self._device), eye, frame
                     self._fill_late(self._late, answer[:, first:last], table, chosen, view, between)
         return answer.reshape(vertices, bins, directions, 3)
 
@@ -109,7 +108,7 @@ class FusedNetwork:
         between: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers, those
-        directions [rotations, D, 3] themselves, the outgoing ones [N·B, 3], and whence the light is looked for.
+        directions [rotations, D, 3] themselves, the outgoing ones [N·B, 3], and the views' frames.
         """
         layers, _rotations, directions, width = table.shape
         tile = max(1, self._rows // directions)
@@ -164,25 +163,25 @@ class FusedNetwork:
 
     def _views(self, positions: ArrayLike, outgoing: ArrayLike) -> tuple[Tensor, Tensor]:
         """What is known of each bin beforehand, [N·B, ·]: exp(i·phase) where directions enter with it, else the
-        features that the first layer sees; and whence its light is looked for, as `view_rows` has it.
+        features that the first layer sees; and what is held against ωi, as `view_rows` has it.
         """
         if self.network.view is None:
             exponentials = self._view_exponentials(positions, outgoing)
-            nowhere = torch.empty((len(exponentials), 0, 3), device=self._device)
+            none = torch.empty((len(exponentials), 0, 3), device=self._device)
             if self._late is None:
-                return exponentials, nowhere
-            return torch.cat((exponentials.real, exponentials.imag), dim=1), nowhere
+                return exponentials, none
+            return torch.cat((exponentials.real, exponentials.imag), dim=1), none
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
 
     def view_rows(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
-        """`NeuralBSSRDF.view_features` [N, view_inputs], and `Told.starts` [N,STARTS,3], which are 0 where nothing is
-        told; in lots of one size, so that no row depends on those beside it.
+        """`NeuralBSSRDF.view_features` [N, view_inputs], and `Told.frame`, which is 0 where nothing is told; in lots of
+        one size, so that no row depends on those beside it.
         """
         count = len(positions)
         features = torch.empty((count, self.network.settings.view_inputs), device=self._device)
-        starts = torch.zeros((count, len(STARTS), 3), device=self._device)
+        frame = torch.zeros((count, self.network.settings.frame_rows, 3), device=self._device)
         for first in range(0, count, VIEWS_AT_ONCE):
             some = slice(first, min(first + VIEWS_AT_ONCE, count))
             x, eye = torch.zeros((2, VIEWS_AT_ONCE, 3), dtype=torch.float64, device=self._device)
@@ -190,8 +189,8 @@ class FusedNetwork:
             told = self.network.told(x, eye)
             features[some] = self.network.view_features(x, eye, told)[: some.stop - first]
             if told is not None:
-                starts[some] = told.starts[: some.stop - first]
-        return features, starts
+                frame[some] = told.frame[: some.stop - first]
+        return features, frame
 
     def _view_exponentials(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
         """exp(i·phase) of position and outgoing direction together [N·B, features]."""

@@ -16,7 +16,6 @@ from formats.errors import QueryError
 from prt_bake.neural.fused import FusedNetwork
 from prt_bake.neural.lobes import in_directions
 from prt_bake.neural.pair_kernel import cycles_rows, fourier_rows
-from prt_bake.neural.settings import STARTS
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -134,8 +133,8 @@ class PairNetwork(FusedNetwork):
         assert self._late is not None
         at, count = self._device, len(positions)
         views = torch.zeros((tile, self.network.settings.view_inputs), device=at)
-        starts = torch.zeros((tile, len(STARTS), 3), device=at)
-        views[:count], starts[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
+        frame = torch.zeros((tile, self.network.settings.frame_rows, 3), device=at)
+        views[:count], frame[:count] = self.view_rows(torch.as_tensor(positions), torch.as_tensor(outgoing))
         bins, lobes = self._late.bins(views)
         towards = torch.zeros((tile, *incident.shape[1:]), dtype=torch.float64)
         towards[:count] = torch.as_tensor(incident)
@@ -143,9 +142,7 @@ class PairNetwork(FusedNetwork):
         eye = torch.zeros((tile, 3))
         eye[:count] = torch.as_tensor(outgoing)
         eye, towards = eye.to(at), towards.to(at)
-        smooth = self._late.radiance(
-            self._late.add_views(light, bins, self.network.pair_features(towards, eye, starts))
-        )
+        smooth = self._late.radiance(self._late.add_views(light, bins, self.network.pair_features(towards, eye, frame)))
         return smooth if lobes is None else smooth.float() + in_directions(lobes, towards).flatten(0, 1)
 
     def _rows_there(self, light: Tensor, view: Tensor, common: Tensor, tile: int) -> Tensor:

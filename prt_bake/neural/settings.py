@@ -16,6 +16,8 @@ COSINE_BUMPS = 8
 SHAPE = 16
 """Numbers that tell of the object's shape around a place."""
 MOST_GRID_PLACES, MOST_GRID_NUMBERS = 128, 64
+SCALES = (0.015, 0.03, 0.06, 0.12)
+"""At which an object's shape is told: standard deviations of the Gaussians that blur it, in sides of its box."""
 STARTS = ("x", "within")
 """Whence the way to the light is looked along: x itself, and half-way between the places along the ray of view."""
 EXIT = 3
@@ -74,6 +76,10 @@ class NetworkSettings:
     light_places: int = 0
     """Places on the way to the light, as many seen from x as from within, of which the layers that see ωi late are told
     how much of the object lies there (`prt_bake.neural.light_ray`). Needs ray_samples."""
+
+    light_cosines: bool = False
+    """Whether the layers that see ωi late are told its cosines to the normal and to the slopes of the shape around x,
+    where those are told."""
 
     def __post_init__(self) -> None:
         for name in ("features", "width", "layers", "light_features"):
@@ -144,8 +150,20 @@ class NetworkSettings:
 
     @property
     def pair_inputs(self) -> int:
-        """Numbers that a layer is told of a view and ωi together: powers of ωi·ωo, then what lies on the way."""
-        return self.angle_powers + self.light_places
+        """Numbers that a layer is told of a view and ωi together: powers of ωi·ωo, what lies on the way, cosines."""
+        return self.angle_powers + self.light_places + self.light_axes
+
+    @property
+    def frame_rows(self) -> int:
+        """Rows of what is held against ωi: places whence the way to the light is looked along, and axes."""
+        return len(STARTS) + self.light_axes
+
+    @property
+    def light_axes(self) -> int:
+        """Directions of a view whose cosines to ωi are told."""
+        if not self.light_cosines:
+            return 0
+        return int(self.tells_normal) + (len(SCALES) if self.shape_places else 0)
 
     @property
     def light_inputs(self) -> int:
@@ -236,6 +254,7 @@ PRESETS: dict[str, NetworkSettings] = {
         shape_places=4,
         grid_places=32,
         light_places=16,
+        light_cosines=True,
     ),
 }
 """`paper`: as published. `measured`: lower error after the same training (`make bench` shows both)."""

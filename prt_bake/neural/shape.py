@@ -12,14 +12,14 @@ import torch
 from torch import Tensor
 
 from prt_bake.neural.interior import LEVELS, REACH, Interior
+from prt_bake.neural.settings import SCALES
 
-SCALES = (0.015, 0.03, 0.06, 0.12)
-"""Standard deviations of the Gaussians that the object is blurred by, in sides of its box."""
 _FARTHEST = 3.5
 """Standard deviations, where Gaussians are cut off."""
-_OF_SHARE, _OF_SLOPE = 5.0, 7.0
+_OF_SHARE, OF_SLOPE = 5.0, 7.0
 """Of the share less ½ and of its slope over a standard deviation, among features whose mean square is ½: at a flat wall
-the slope is 0.4 long."""
+the slope is STEEPEST long."""
+STEEPEST = 0.4
 
 
 def blurred(interior: Interior) -> Tensor:
@@ -33,7 +33,7 @@ def blurred(interior: Interior) -> Tensor:
         blur = [_gaussian(sigma, places) for places in solid.shape]
         slope = [_slope(sigma, places) for places in solid.shape]
         slopes = [_along_each(solid, [*blur[:axis], slope[axis], *blur[axis + 1 :]]) for axis in range(3)]
-        told += [_OF_SHARE * (_along_each(solid, blur) - 0.5), *(_OF_SLOPE * part for part in slopes)]
+        told += [_OF_SHARE * (_along_each(solid, blur) - 0.5), *(OF_SLOPE * part for part in slopes)]
     return torch.stack(told, dim=-1)
 
 

@@ -23,8 +23,8 @@ from torch import Tensor, nn
 from prt_bake.neural.feature_grid import FeatureGrid
 from prt_bake.neural.interior import LEVELS, REACH, Interior
 from prt_bake.neural.light_ray import LightRay
-from prt_bake.neural.settings import COSINE_BUMPS, SHAPE, STARTS, NetworkSettings
-from prt_bake.neural.shape import blurred, looked_up
+from prt_bake.neural.settings import COSINE_BUMPS, SCALES, SHAPE, STARTS, NetworkSettings
+from prt_bake.neural.shape import OF_SLOPE, STEEPEST, blurred, looked_up
 from prt_bake.neural.view_ray import Ray, folded, normals
 
 _MEAN_FREE_PATHS = 4.0
@@ -55,17 +55,21 @@ class Told(NamedTuple):
         features: [N,·].
         x: positions [N,3] in the box's sides from its corner.
         points, weight: the places [N,K,3] along the rays of view, and what the means over them weigh [N].
+        axes: directions [N,A,3] whose cosines to ωi are told: the normal, and the slopes of the shape around x.
     """
 
     features: Tensor
     x: Tensor
     points: Tensor
     weight: Tensor
+    axes: Tensor
 
     @property
-    def starts(self) -> Tensor:
-        """Whence the way to the light is looked along [N,STARTS,3]: x, and the middle one of the places."""
-        return torch.stack((self.x, self.points[:, self.points.shape[1] // 2]), dim=1)
+    def frame(self) -> Tensor:
+        """What is held against ωi [N,STARTS+A,3]: whence the way to the light is looked along, x and the middle one of
+        the places, and then the axes.
+        """
+        return torch.cat((self.x[:, None], self.points[:, None, self.points.shape[1] // 2], self.axes), dim=1)
 
 
 class ViewFeatures(nn.Module):
@@ -85,7 +89,7 @@ class ViewFeatures(nn.Module):
         self._tells_exit = settings.lobes > 0
         apart = self._samples / max(settings.shape_places - 1, 1)
         self._shape_at = [int(apart * (place + 0.5)) for place in range(settings.shape_places - 1)]
-        self._tells_shape = settings.shape_places > 0
+        self._tells_shape, self._axes = settings.shape_places > 0, settings.light_axes
         self._turns = settings.ray_turns if settings.tells_normal else 0
         self._own = round(_OWN_SHARE * settings.features) if settings.tells_normal else 0
         self._gain = 1.0 / max(-math.expm1(-_USUAL_LENGTH * max(interior.attenuation)), _LEAST_OPACITY)
@@ -122,22 +126,38 @@ class ViewFeatures(nn.Module):
         places = along.expand(-1, self._samples)
         return torch.cat((self.grid(told.x[:, None], here), self.grid(told.points, places), told.features), dim=1)
 
+    def towards(self, incident: Tensor, frame: Tensor) -> list[Tensor]:
+        """What is told of views and directions of incidence [N,D,3] together, each [N,D,·]: what lies on the way, and
+        the cosines to the axes; `frame` is that of `Told`.
+        """
+        way = [] if self.light is None else [self.light(frame[:, : len(STARTS)], incident)]
+        return [*way, incident @ frame[:, len(STARTS) :].transpose(1, 2)]
+
     def _told(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> Told:
-        back, parts = eye, []
+        back, parts, axes = eye, [], torch.empty((len(x), 0, 3), device=x.device)
         if self._normals:
             normal = self._normal(x) if normals is None else self._known_or_found(normals.float(), x)
             cosine = (normal * eye).sum(-1, keepdim=True)
             back = _bent(eye, normal, cosine.clamp(min=_LEAST_COSINE), self.interior.eta)
             parts += [_WEIGHT * normal, _WEIGHT * _bumps(cosine)]
+            axes = normal[:, None]
         ray = self._ray(x, back)
         places, opacity = self._places(self._depths(ray))
         points, weight = ray.points(places), self._gain * opacity
         parts += [places * (2.0 / float(self.edges[-1])), weight[:, None]]
         if self._tells_shape:
             parts.append(self._shape(torch.cat((x[:, None], points[:, self._shape_at]), dim=1)))
+            slopes = parts[-1][:, :SHAPE].reshape(len(x), len(SCALES), -1)[..., 1:]
+            axes = torch.cat((axes, slopes / OF_SLOPE / STEEPEST), dim=1)
         if self._tells_exit:
             parts.append(self._exit(ray))
-        return Told(torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1), x, points, weight)
+        return Told(
+            torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1),
+            x,
+            points,
+            weight,
+            axes[:, : self._axes],
+        )
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)

@@ -93,6 +93,7 @@ VARIANTS: dict[str, Variant] = {
     "no way to the light": network(light_places=0),
     "8 places on the way to the light": network(light_places=8),
     "24 places on the way to the light": network(light_places=24),
+    "no cosines to the light": network(light_cosines=False),
     "no angle": network(angle_powers=0),
     "4 powers of the angle": network(angle_powers=4),
     "no ray, light enters first": plain(**EARLY),
