@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from formats.errors import QueryError
-from prt_bake.comparison import compare
 from prt_bake import object_figures
+from prt_bake.comparison import compare
 from prt_bake.paper.artefacts import Artefact
 from prt_bake.paper.reference import Reference
 
