@@ -74,7 +74,7 @@ class Halves:
         difference = self.radiance[0] / first - self.radiance[1] / second
         return np.asarray(difference * math.sqrt(first * second) / (first + second))
 
-    def traced(self) -> "Traced":
+    def traced(self) -> Traced:
         """What the sums come to."""
         parts = self.image, self.standard_error, self.noise, self.coverage / sum(self.passes)
         return Traced(*(part.astype(np.float32) for part in parts))

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from formats.exr import Layers
 from formats.lights import DirectionalLight
 from formats.png import to_srgb
 from formats.scene import Scene
@@ -21,13 +20,18 @@ from prt_bake import camera
 from prt_bake.halves import Halves, Traced
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.noise_free import Interval
-from prt_bake.object_figures import alone, error_without_noise, exposure, noise_figures, object_mask
+from prt_bake.object_figures import (
+    error_without_noise,
+    exposure,
+    flip_without_noise,
+    measure,
+    noise_figures,
+    object_mask,
+)
 from prt_bake.renderer.network import render_network
 from prt_bake.renderer.state import relative_noise
 from prt_bake.rendering import render_scene
 from prt_bake.trainer.prepared import smooth_part
-
-Array = NDArray[np.float64]
 
 FLIP = 0.05
 """Of the judged picture, at most."""
@@ -58,13 +62,12 @@ def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict
     seen = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
     mask = object_mask(reference.coverage)
     stops = exposure(reference.image, mask)
-    picture = Layers(seen.image, {"error": seen.standard_error}, {})
-    flip_map, whole = _flips(picture, reference, np.ones_like(mask), stops)
+    flip_map, whole = _flips(seen.image, reference, np.ones_like(mask), stops)
     return {
         "light": f"a sun of {_diameter(scene):g}° with {_SUN_SHARE:.0%} of the light, and a sky",
         "size": SIZE,
         **whole,
-        "on_object": _flips(picture, reference, mask, stops)[1],
+        "on_object": _flips(seen.image, reference, mask, stops)[1],
         "error": error_without_noise(seen.image, seen.standard_error, reference, mask),
         "noise": relative_noise(reference.image, reference.standard_error, reference.coverage),
         "walks": halves.spp,
@@ -74,12 +77,15 @@ def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict
 
 
 def _flips(
-    picture: Layers, reference: Traced, mask: NDArray[np.bool_], stops: float
+    image: NDArray[np.float32], reference: Traced, mask: NDArray[np.bool_], stops: float
 ) -> tuple[NDArray[np.float32], dict[str, float]]:
     """The map of FLIP, and its means over the mask."""
-    flip_map, figures = alone(picture, reference, mask, stops)
-    told = {name: figures[name] for name in ("flip", "flip_without_noise")}
-    return flip_map, {**told, "flip_of_noise": noise_figures(reference, picture.image, mask, stops)["flip"]}
+    found = measure(image, reference.image, mask, stops)
+    return found.flip_map, {
+        "flip": found.flip,
+        "flip_without_noise": flip_without_noise(image, reference, mask, stops, found.flip),
+        "flip_of_noise": noise_figures(reference, image, mask, stops)["flip"],
+    }
 
 
 def verdict(found: dict[str, Any]) -> dict[str, Any]:

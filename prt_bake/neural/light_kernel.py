@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from prt_bake.compilation import compiled
+from prt_bake.neural.view_kernel import distance_at
 
 _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 
@@ -30,17 +31,4 @@ def shares_along(
                     v = y + reach * incident[n, d, 1]
                     w = z + reach * incident[n, d, 2]
                     within = u >= _ZERO and v >= _ZERO and w >= _ZERO and u < nx and v < ny and w < nz
-                    shares[n, d, s, place] = between(grid, u, v, w) if within else _ZERO
-
-
-@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def between(grid: Any, u: Any, v: Any, w: Any) -> Any:
-    """A grid's value at (u, v, w) in spacings from its corner, short of its last places."""
-    i, j, k = int(u), int(v), int(w)
-    u, v, w = u - np.float32(i), v - np.float32(j), w - np.float32(k)
-    low = grid[i, j, k] * (_ONE - w) + grid[i, j, k + 1] * w
-    high = grid[i, j + 1, k] * (_ONE - w) + grid[i, j + 1, k + 1] * w
-    near = low * (_ONE - v) + high * v
-    low = grid[i + 1, j, k] * (_ONE - w) + grid[i + 1, j, k + 1] * w
-    high = grid[i + 1, j + 1, k] * (_ONE - w) + grid[i + 1, j + 1, k + 1] * w
-    return near * (_ONE - u) + (low * (_ONE - v) + high * v) * u
+                    shares[n, d, s, place] = distance_at(grid, _ONE, u, v, w) if within else _ZERO
