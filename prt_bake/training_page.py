@@ -58,7 +58,7 @@ def training_page(report: dict[str, Any]) -> str:
         _criteria(report["criteria"]),
         f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'])}</ul>",
         _section("The network's error and the reference's noise", plots["split"], _split_table(report)),
-        *([_picture(report["picture"])] if "picture" in report else []),
+        *(_picture(part) for part in report.get("pictures", [])),
         _section("Error against time", plots.get("history", "<p>The model keeps no history.</p>"), _prediction(report)),
         _section(
             f"Error against angle, of {'Ŝ' if report['angles']['of'] == 'transport' else 'the coefficients'}",
@@ -150,7 +150,7 @@ def _picture(part: dict[str, Any]) -> str:
         "alt=\"The network's picture, the path tracer's, and FLIP between them\">"
     )
     return _section(
-        "A picture under a sun",
+        f"A picture, the sun {part['sun']}",
         strip,
         f"<p class='under'>The network's, the path tracer's ({part['walks']} walks a pixel, {part['seconds']:.0f} s) "
         f"and FLIP between them, white 1; under {escape(part['light'])}. Light from under the surface alone.</p>",

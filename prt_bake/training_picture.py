@@ -1,7 +1,8 @@
-"""A picture of a trained network beside the path tracer's own, under a sun and a sky that no training knows.
+"""Pictures of a trained network beside the path tracer's own, under suns and a sky that no training knows.
 
-Coefficients of degree 2 say how good an asset can be. Under a sun all of Ŝ is seen: shadows that the object casts on
-itself, and light that comes through from behind. Two thirds of the light are the sun's, from aside and above.
+Coefficients of degree 2 say how good an asset can be. Under a sun all of Ŝ is seen: with the sun aside, shadows that
+the object casts on itself; with the sun behind the object, light that comes through. Two thirds of the light are the
+sun's.
 """
 
 import base64
@@ -40,22 +41,27 @@ _SPP = 128
 """Directions a pixel of the network's picture; the sun has its own besides."""
 _SUN_SHARE = 2.0 / 3.0
 _SUN_COLOUR, _SKY_COLOUR, _GROUND_COLOUR = (1.10, 1.00, 0.85), (0.75, 0.95, 1.30), (0.22, 0.20, 0.18)
-_TOWARDS_SUN = {"y": (0.75, 0.60, -0.30), "z": (0.75, 0.30, 0.60)}
+_TOWARDS_SUN = {
+    "aside": {"y": (0.75, 0.60, -0.30), "z": (0.75, 0.30, 0.60)},
+    "behind": {"y": (0.43, 0.45, 0.87), "z": (0.43, -0.87, 0.45)},
+}
+"""Where each sun stands, by the axis that is up: both above. `camera.fit` looks from −z, or from y with z up."""
+SUNS = tuple(_TOWARDS_SUN)
 _DIAMETER, _WIDE = 0.53, 30.0
 """Degrees. Behind a smooth interface walks meet a sun by chance alone: it is wide there."""
 
 
-def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict[str, Any]:
+def picture_error(network: Any, scene: Scene, sun: str, seconds: float, seed: int) -> dict[str, Any]:
     """How far the network's picture is from one that is path traced for `seconds`, as the report keeps it.
 
-    Of light from under the surface alone, lifted as in the tables (`object_figures`). FLIP of the whole picture, and as
-    `on_object` of the pixels that the object covers: `flip` with the reference's noise in it, `flip_without_noise`
-    estimated without, `flip_of_noise` what the noise alone makes. `error` and `noise` are relative, of the object; the
-    pictures with the map of FLIP are a PNG.
+    sun: of SUNS. Of light from under the surface alone, lifted as in the tables (`object_figures`). FLIP of the whole
+    picture, and as `on_object` of the pixels that the object covers: `flip` with the reference's noise in it,
+    `flip_without_noise` estimated without, `flip_of_noise` what the noise alone makes. `error` and `noise` are
+    relative, of the object; the pictures with the map of FLIP are a PNG.
 
     Raises QueryError where no light reaches what is seen, PrtbakeError where the extra `evaluate` is missing.
     """
-    lighting = sunny(scene)
+    lighting = sunny(scene, sun)
     view = camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
     halves = _traced(scene, lighting, view, seconds, seed)
     reference = halves.traced()
@@ -64,7 +70,8 @@ def picture_error(network: Any, scene: Scene, seconds: float, seed: int) -> dict
     stops = exposure(reference.image, mask)
     flip_map, whole = _flips(seen.image, reference, np.ones_like(mask), stops)
     return {
-        "light": f"a sun of {_diameter(scene):g}° with {_SUN_SHARE:.0%} of the light, and a sky",
+        "sun": sun,
+        "light": f"a sun {sun} of {_diameter(scene):g}° with {_SUN_SHARE:.0%} of the light, and a sky",
         "size": SIZE,
         **whole,
         "on_object": _flips(seen.image, reference, mask, stops)[1],
@@ -95,7 +102,7 @@ def verdict(found: dict[str, Any]) -> dict[str, Any]:
     # What is left without noise is an upper estimate where noise is most of what is seen.
     if reached == "not met" and found["flip_of_noise"] > 0.5 * found["flip"]:
         reached = "undecided"
-    name = f"mean FLIP of a picture under a sun, {SIZE}x{SIZE}, without and with the reference's noise"
+    name = f"mean FLIP of a picture, the sun {found['sun']}, {SIZE}x{SIZE}, without and with the reference's noise"
     return {"name": name, "unit": "FLIP", "bound": FLIP, **span.as_json(), "verdict": reached}
 
 
@@ -109,18 +116,18 @@ def sentence(found: dict[str, Any]) -> str:
     )
 
 
-def sunny(scene: Scene) -> Lighting:
-    """The light of the picture, whatever its unit: its exposure follows from what is seen."""
+def sunny(scene: Scene, sun: str) -> Lighting:
+    """The light of the picture, whatever its unit: its exposure follows from what is seen. `sun` is of SUNS."""
     rows = [_SKY_COLOUR] * 8 + [_GROUND_COLOUR] * 8
     sky = as_lighting(np.repeat(np.array(rows, np.float32)[:, None], 32, axis=1), scene.up, 0.0)
     whole = 4.0 * math.pi * 0.5 * (np.array(_SKY_COLOUR) + _GROUND_COLOUR).mean()
-    towards = np.array(_TOWARDS_SUN[scene.up])
-    sun = DirectionalLight(
+    towards = np.array(_TOWARDS_SUN[sun][scene.up])
+    light = DirectionalLight(
         towards / np.linalg.norm(towards),
         np.array(_SUN_COLOUR) * whole * _SUN_SHARE / (1.0 - _SUN_SHARE),
         _diameter(scene),
     )
-    return Lighting(sky.skies, (sun,))
+    return Lighting(sky.skies, (light,))
 
 
 def _diameter(scene: Scene) -> float:

@@ -10,10 +10,10 @@ from prt_bake.trainer.asked import VERTICES
 from prt_bake.trainer.assessment import ASSESSMENT_SEED, assess
 from prt_bake.trainer.prepared import prepare
 from prt_bake.training_page import report_paths, write_training_report
-from prt_bake.training_picture import picture_error, sentence, verdict
+from prt_bake.training_picture import SUNS, picture_error, sentence, verdict
 
 QUERIES, SECONDS = 1024, 40.0
-_FOR_THE_PICTURE = 0.5
+_FOR_A_PICTURE = 0.5
 """Of the time for queries, as much again."""
 
 
@@ -29,7 +29,7 @@ def report_training(
 ) -> tuple[dict[str, Any], Path]:
     """Assess `network` on its scene and write MODEL.report.json and MODEL.report.html beside `model`.
 
-    Path traces for `seconds`, and half as long again for a picture under a sun (`training_picture`).
+    Path traces for `seconds`, and half as long again for each picture under a sun (`training_picture`).
 
     Returns the figures and where the page lies. `network.metadata["training"]["validation_vs_time"]` gives the history,
     rows of (seconds, walks, validation error). Raises ModelError where the model says that it was trained on another
@@ -52,18 +52,18 @@ def report_training(
         seconds=seconds,
         vertices=vertices,
     ).as_json()
-    _add_picture(found, bound, scene, _FOR_THE_PICTURE * seconds, seed)
+    _add_pictures(found, bound, scene, _FOR_A_PICTURE * seconds, seed)
     json_path, page_path = report_paths(model)
     write_training_report(found, json_path, page_path)
     return found, page_path
 
 
-def _add_picture(found: dict[str, Any], network: Any, scene: Scene, seconds: float, seed: int) -> None:
+def _add_pictures(found: dict[str, Any], network: Any, scene: Scene, seconds: float, seed: int) -> None:
     try:
-        picture = picture_error(network, scene, seconds, seed)
+        pictures = [picture_error(network, scene, sun, seconds, seed) for sun in SUNS]
     except PrtbakeError as fault:
-        found["summary"].append(f"There is no picture: {fault}.")
+        found["summary"].append(f"There are no pictures: {fault}.")
         return
-    found["picture"] = picture
-    found["criteria"].append(verdict(picture))
-    found["summary"].append(sentence(picture))
+    found["pictures"] = pictures
+    found["criteria"] += [verdict(picture) for picture in pictures]
+    found["summary"] += [sentence(picture) for picture in pictures]

@@ -17,6 +17,7 @@ from prt_bake.network import NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.assessment import assess
 from prt_bake.trainer.prepared import prepare
 from prt_bake.training_page import report_paths, training_page, write_training_report
+from prt_bake.training_picture import SUNS, sentence
 
 MOST_BYTES = 400 * 1024
 EMPTY = {"meta", "link", "br", "hr", "img", "path", "use"}
@@ -115,6 +116,13 @@ def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capf
     read = json.loads((tmp_path / "m.report.json").read_text())
     assert read["transport"]["network"]["value"] > 0.1
     assert (tmp_path / "m.report.html").stat().st_size < MOST_BYTES
+    assert [picture["sun"] for picture in read["pictures"]] == list(SUNS)
+    page = (tmp_path / "m.report.html").read_text()
+    for picture in read["pictures"]:
+        assert sentence(picture) in read["summary"]
+        assert sum(f"the sun {picture['sun']}" in row["name"] for row in read["criteria"]) == 1
+        assert f"{picture['flip']:.4f}" in page
+        assert picture["png"] in page
     network.metadata["scene_hash"] = "another"
     save_model(network, tmp_path / "m.pt")
     assert main(words) == 1

@@ -14,7 +14,7 @@ from formats.errors import QueryError
 from prt_bake import camera, training_picture
 from prt_bake.environment import project
 from prt_bake.rendering import render_scene
-from prt_bake.training_picture import FLIP, SIZE, picture_error, sunny, verdict
+from prt_bake.training_picture import FLIP, SIZE, SUNS, picture_error, sunny, verdict
 
 
 def fluence(image):
@@ -22,16 +22,17 @@ def fluence(image):
     return np.sqrt(4.0 * np.pi) * project(image, 0)[0]
 
 
+@pytest.mark.parametrize(("sun", "towards_the_eye"), [("aside", (0.0, 0.5)), ("behind", (-0.95, -0.7))])
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_two_thirds_of_the_light_are_the_suns_from_aside_and_above(tmp_path, up):
-    light = sunny(replace(make_scene(tmp_path, sphere(1)), up=up))
-    (sky,), (sun,) = light.skies, light.suns
+def test_two_thirds_of_the_light_are_the_suns_from_above(tmp_path, up, sun, towards_the_eye):
+    light = sunny(replace(make_scene(tmp_path, sphere(1)), up=up), sun)
+    (sky,), (disc,) = light.skies, light.suns
     whole = fluence(sky.image).mean()
-    assert sun.irradiance.mean() / (sun.irradiance.mean() + whole) == pytest.approx(2.0 / 3.0, rel=0.02)
-    above = sun.direction[{"y": 1, "z": 2}[up]]
+    assert disc.irradiance.mean() / (disc.irradiance.mean() + whole) == pytest.approx(2.0 / 3.0, rel=0.02)
+    above = disc.direction[{"y": 1, "z": 2}[up]]
     assert 0.4 < above < 0.7
     eye = camera._VIEW[up] / np.linalg.norm(camera._VIEW[up])
-    assert 0.0 < float(eye @ sun.direction) < 0.5
+    assert towards_the_eye[0] < float(eye @ disc.direction) < towards_the_eye[1]
     overhead, below = (light.radiance(side * np.eye(3)[[{"y": 1, "z": 2}[up]]])[0] for side in (1.0, -1.0))
     assert (overhead > 3.0 * below).all()
 
@@ -45,16 +46,17 @@ def constant(value):
     return Network(lambda incident, positions, outgoing: np.full((*incident.shape[:2], 3), value))
 
 
-def test_the_error_is_that_against_independent_pictures(scene):
+@pytest.mark.parametrize("sun", SUNS)
+def test_the_error_is_that_against_independent_pictures(scene, sun):
     """A network that is the same everywhere: its picture is Ŝ times all of the light, known without rendering."""
-    light, view = sunny(scene), camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
+    light, view = sunny(scene, sun), camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
     first, second = (render_scene(scene, light, view, 64, seed, background=False).image for seed in (7, 8))
     coverage = render_scene(scene, light, view, 4, 9, background=False).coverage >= 1.0
     first, second = (part[coverage].astype(np.float64) for part in (first, second))
-    (sky,), (sun,) = light.skies, light.suns
-    whole = fluence(sky.image) + sun.irradiance
+    (sky,), (disc,) = light.skies, light.suns
+    whole = fluence(sky.image) + disc.irradiance
     value = float(np.median(first.mean(axis=1)) / whole.mean())
-    found = picture_error(constant(value), scene, 2.0, 3)
+    found = picture_error(constant(value), scene, sun, 2.0, 3)
     expected = np.sqrt(np.mean((value * whole - first) * (value * whole - second)) / np.mean(first * second))
     assert found["error"] == pytest.approx(expected, rel=0.1)
     assert 0.0 < found["flip_of_noise"] < found["flip"] < 1.0
@@ -81,7 +83,7 @@ def test_pictures_depend_on_the_seed_alone_of_what_is_random(scene, monkeypatch)
         return render_scene(*asked[:3], 4, asked[4], background=False)
 
     monkeypatch.setattr(training_picture, "render_scene", traced)
-    found = [picture_error(constant(0.05), scene, 1.0, seed)["flip"] for seed in (0, 1, 0)]
+    found = [picture_error(constant(0.05), scene, "aside", 1.0, seed)["flip"] for seed in (0, 1, 0)]
     assert found[0] == found[2] != found[1]
     assert len(set(seeds)) == 4
 
@@ -96,7 +98,7 @@ def test_pictures_depend_on_the_seed_alone_of_what_is_random(scene, monkeypatch)
     ],
 )
 def test_the_verdict_is_no_harder_than_the_noise_allows(flip, without, noise, expected):
-    row = verdict({"flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
+    row = verdict({"sun": "behind", "flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
     assert row["verdict"] == expected
     assert row["bound"] == FLIP == 0.05
 
@@ -104,4 +106,4 @@ def test_the_verdict_is_no_harder_than_the_noise_allows(flip, without, noise, ex
 def test_where_no_light_comes_out_there_is_no_picture(tmp_path):
     black = make_scene(tmp_path, sphere(1), albedo=0.0)
     with pytest.raises(QueryError, match="no light reaches it"):
-        picture_error(constant(0.05), black, 0.1, 0)
+        picture_error(constant(0.05), black, "aside", 0.1, 0)
