@@ -1,5 +1,6 @@
 """SH at degree 2: a scene's network baked to an asset, and the asset's picture."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,7 @@ def bake_asset(
         settings.sectors,
         samples=settings.samples,
         out=path,
+        workers=os.cpu_count() or 1,
         progress=lambda done, total, row: progress(done / total),
         stop=stop,
         provenance={"command": "prtbake report paper", "source": model.path.name, "source_sha256": model.sha256},
