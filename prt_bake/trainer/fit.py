@@ -2,7 +2,7 @@
 
 Loss: squared error (the paper's L2) of Ŝ in units of the network's output scale, or from walks' exits behind a smooth
 interface (`prt_bake.trainer.objective`). AdamW, a rate that falls along a cosine to zero, weights averaged over the
-last part of the run, and matrix work in bfloat16 with float32 weights where the processor has it.
+last part of the run, and matrix work in bfloat16 with float32 weights where the processor is faster in it.
 """
 
 import json
@@ -236,6 +236,7 @@ class _Run:
             "walks": self.source.done().walks,
             "seed": self.seed,
             "learning": asdict(self.learning),
+            "precision": "bfloat16" if self.learner.bfloat16 else "float32",
             **self.material.figures(network, self.learning),
             "validation_vs_time": [[row.seconds, row.walks, row.validation] for row in every_tenth(self.history)],
             "validation_of": self.reference.of,

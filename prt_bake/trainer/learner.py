@@ -17,6 +17,7 @@ from prt_bake.neural.lobes import Lobes, in_directions, mean_square
 from prt_bake.neural.view_features import Told
 from prt_bake.sphere import fibonacci
 from prt_bake.trainer.objective import Loss, SomeLobes, of_exits, of_values
+from prt_bake.trainer.precision import bfloat16_pays
 from prt_bake.trainer.rows import BEFORE_RAYS, CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
 
 Schedule = Literal["cosine", "constant", "exponential"]
@@ -58,7 +59,7 @@ class LearningSettings:
     """Seconds between checkpoints."""
     report_every: float = 2.0
     bfloat16: bool = True
-    """Matrix work in bfloat16, weights in float32, where the processor has it."""
+    """Matrix work in bfloat16, weights in float32, where the processor is faster in it (`precision`)."""
     held_out_queries: int = 512
     held_out_walks: int = 256
 
@@ -98,7 +99,9 @@ def rate_at(settings: LearningSettings, share: float) -> float:
 
 
 class Learner:
-    """A network on its way: `network` has the last weights, `answer` those that the model is made of."""
+    """A network on its way: `network` has the last weights, `answer` those that the model is made of; `bfloat16` is the
+    matrix work's.
+    """
 
     def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
         """Learn on the device that the network is on."""
@@ -109,7 +112,7 @@ class Learner:
         )
         self.step = 0
         self._device = network.frequencies.device
-        self._bfloat16 = settings.bfloat16 and _has_bfloat16(self._device)
+        self.bfloat16 = settings.bfloat16 and bfloat16_pays(self._device.type)
 
     def told(self, batch: Batch) -> Told | None:
         """What the network is told of the rows' views whatever it has learnt; other threads may ask for it."""
@@ -146,12 +149,13 @@ class Learner:
         return value
 
     def state(self) -> dict[str, Any]:
-        """What `restore` needs: weights, their average, the optimiser's moments, the step."""
+        """What `restore` needs: weights, their average, the optimiser's moments, the step, the matrix work's kind."""
         return {
             "network": self.network.state_dict(),
             "average": self.answer.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "step": self.step,
+            "bfloat16": self.bfloat16,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -160,6 +164,7 @@ class Learner:
         self.answer.load_state_dict(state["average"] if self.settings.average else state["network"])
         self.optimizer.load_state_dict(state["optimizer"])
         self.step = int(state["step"])
+        self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 
     def _from_values(self, rows: Tensor, told: Told | None) -> Tensor:
         rays = rays_of(rows)
@@ -183,7 +188,7 @@ class Learner:
         """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32, and the lobes in
         them.
         """
-        with torch.autocast(self._device.type, torch.bfloat16, enabled=self._bfloat16):
+        with torch.autocast(self._device.type, torch.bfloat16, enabled=self.bfloat16):
             answer, lobes = self.network.parts(incident, self._positions(rows), rows[:, OUTGOING], told)
         return (answer.float() if lobes is None else answer.float() + in_directions(lobes, incident)), lobes
 
@@ -239,13 +244,6 @@ def turned_lattice(count: int, spread: int, generator: np.random.Generator) -> N
     """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
     turns = rotations(generator.random((count, 3))).astype(np.float32)
     return np.asarray(np.einsum("nij,dj->ndi", turns, fibonacci(spread).astype(np.float32), optimize=True))
-
-
-def _has_bfloat16(device: torch.device) -> bool:
-    if device.type != "cpu":
-        return bool(torch.cuda.is_bf16_supported())
-    able = torch.cpu.get_capabilities()
-    return any(bool(able.get(name)) for name in ("avx512_bf16", "amx_bf16", "bf16"))
 
 
 def _told(vector: NDArray[np.float64]) -> str:

@@ -1,0 +1,70 @@
+"""Which precision a learner's matrix work has: what the machine is faster in, and what a resumed run began with."""
+
+import dataclasses
+import time
+
+import pytest
+import torch
+from small_training import LEARNING, SMALL, learnt, make_scene
+
+from prt_bake.network import NeuralBSSRDF
+from prt_bake.trainer import learner as learning
+from prt_bake.trainer import precision
+from prt_bake.trainer.learner import Learner
+
+ASKING = dataclasses.replace(LEARNING, bfloat16=True)
+
+
+def learner_where(pays, monkeypatch, settings=ASKING):
+    monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type: pays)
+    return Learner(NeuralBSSRDF(SMALL, [-1.0] * 3, 2.0, 0.05), settings)
+
+
+@pytest.mark.parametrize(("share", "pays"), [(0.2, True), (0.9, False), (2.0, False)])
+def test_what_is_faster_is_measured(share, pays, monkeypatch):
+    """A machine whose products in bfloat16 take a share of the time of those in float32."""
+
+    def product(rows, weights):
+        time.sleep(2e-3 * (share if rows.dtype == torch.bfloat16 else 1.0))
+
+    monkeypatch.setattr(torch.nn.functional, "linear", product)
+    precision.bfloat16_pays.cache_clear()
+    try:
+        assert precision.bfloat16_pays("cpu") is pays
+    finally:
+        precision.bfloat16_pays.cache_clear()
+
+
+@pytest.mark.parametrize(("asked", "pays"), [(True, True), (True, False), (False, True)])
+def test_matrix_work_is_in_bfloat16_where_it_is_asked_for_and_pays(asked, pays, monkeypatch):
+    learner = learner_where(pays, monkeypatch, dataclasses.replace(LEARNING, bfloat16=asked))
+    assert learner.bfloat16 is (asked and pays)
+    kinds = []
+    monkeypatch.setattr(
+        learner.network,
+        "parts",
+        lambda *query: kinds.append(torch.is_autocast_enabled("cpu")) or (torch.zeros(1), None),
+    )
+    learner._answers(torch.zeros(1, 1, 3), torch.zeros(1, 16), None)
+    assert kinds == [asked and pays]
+
+
+@pytest.mark.parametrize("began_with", [True, False])
+def test_a_resumed_run_goes_on_in_the_precision_it_began_with(began_with, monkeypatch):
+    state = learner_where(began_with, monkeypatch).state()
+    other = learner_where(not began_with, monkeypatch)
+    other.restore(state)
+    assert other.bfloat16 is began_with
+
+
+def test_a_state_that_does_not_say_goes_on_as_the_machine_would(monkeypatch):
+    learner = learner_where(True, monkeypatch)
+    learner.restore({name: part for name, part in learner.state().items() if name != "bfloat16"})
+    assert learner.bfloat16
+
+
+@pytest.mark.parametrize(("pays", "said"), [(True, "bfloat16"), (False, "float32")])
+def test_a_model_says_what_it_was_learnt_in(tmp_path, pays, said, monkeypatch):
+    monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type: pays)
+    network = learnt(make_scene(tmp_path), 2, learning=ASKING, synchronous=True)
+    assert network.metadata["training"]["precision"] == said
