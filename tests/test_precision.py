@@ -80,5 +80,15 @@ def test_a_state_that_does_not_say_goes_on_as_the_machine_would(monkeypatch):
 @pytest.mark.parametrize(("pays", "said"), [(True, "bfloat16"), (False, "float32")])
 def test_a_model_says_what_it_was_learnt_in(tmp_path, pays, said, monkeypatch):
     monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type: pays)
-    network = learnt(make_scene(tmp_path), 2, learning=ASKING, synchronous=True)
+    network = learnt(make_scene(tmp_path), 2, learning=ASKING)
     assert network.metadata["training"]["precision"] == said
+
+
+def test_no_clock_decides_the_bits_of_a_synchronous_run(tmp_path, monkeypatch):
+    scene, weights = make_scene(tmp_path), []
+    for pays in (True, False):
+        monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type, pays=pays: pays)
+        network = learnt(scene, 2, learning=ASKING, synchronous=True)
+        assert network.metadata["training"]["precision"] == "float32"
+        weights.append(network.state_dict())
+    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])

@@ -63,10 +63,10 @@ def train(
     a_lm on fresh queries, reference noise taken out) stand in `network.metadata["training"]`.
 
     Renderer and learner run side by side; with `synchronous` they take turns, and `steps`, `seed` and the settings
-    decide every bit of the weights, whatever the number of cores, resumed or not. With `samples` (`record_samples`)
-    nothing is walked while learning: the file is learnt from again and again, but for what validates and tests. With
-    `output` the model is written there once a minute and at the end, beside it what `resume` needs. A KeyboardInterrupt
-    ends the training early and keeps what was learnt.
+    decide every bit of the weights, whatever the number of cores, resumed or not; matrix work is in float32 then. With
+    `samples` (`record_samples`) nothing is walked while learning: the file is learnt from again and again, but for what
+    validates and tests. With `output` the model is written there once a minute and at the end, beside it what `resume`
+    needs. A KeyboardInterrupt ends the training early and keeps what was learnt.
 
     Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and where the loss stops being
     finite, naming the query; SamplesError for a file that is damaged or of another scene.
@@ -129,7 +129,9 @@ class _Run:
             settings, box.corner, box.side, self.reference.scale() or 1.0, _metadata(self.scene), interior
         ).to(device)
         network = network.on(self.scene.mesh)
-        self.learner = Learner(network, learning)
+        # what a processor is faster in is measured, and no clock may decide the bits of a synchronous run
+        steady = replace(learning, bfloat16=False) if self.begun["synchronous"] else learning
+        self.learner = Learner(network, steady)
         self.generator = np.random.default_rng(seed)
         self.seconds = 0.0
         self.source: RowSource | None = None
