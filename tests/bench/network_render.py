@@ -1,10 +1,12 @@
 """Noise of a network's pictures at equal time, sampled by light, lobe and both, the pilot included.
 
     python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1] [--only LIGHT ...]
+    python tests/bench/network_render.py --model grape.pt --mesh grape.ply --sky indoor.hdr
 
-The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand. An importance
-module is fitted first where the model has none beside it. A row gives, for each way, standard error over mean radiance
-on the object at the CPU time that the first took (medians); samples a pixel a second on one thread; the mixture chosen.
+The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand; with --sky,
+that sky from four sides instead. An importance module is fitted first where the model has none beside it. A row gives,
+for each way, standard error over mean radiance on the object at the CPU time that the first took (medians); samples a
+pixel a second on one thread; the mixture chosen.
 """
 
 import argparse
@@ -17,10 +19,10 @@ import numpy as np
 import torch
 
 from formats.lights import parse_sun
-from formats.mesh import read_mesh
+from formats.mesh import Mesh, read_mesh
 from prt_bake import camera
 from prt_bake.environment import read_environment
-from prt_bake.importance import importance_path, load_importance, save_importance
+from prt_bake.importance import ImportanceModule, importance_path, load_importance, save_importance
 from prt_bake.importance_fit import fit_importance
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.network import load_model
@@ -54,14 +56,19 @@ def skies() -> dict[str, Lighting]:
     }
 
 
-def module_of(folder: Path, minutes: float) -> object:
+def turned(sky: Path) -> dict[str, Lighting]:
+    image = read_environment(sky)
+    return {f"{sky.stem}, {turn} degrees": as_lighting(image, "y", float(turn)) for turn in (0, 90, 180, 270)}
+
+
+def module_of(model: Path, mesh: Mesh, minutes: float) -> ImportanceModule:
     """The model's importance module, fitted here where there is none."""
-    if importance_path(SHIPPED / "spot.pt").is_file():
-        return load_importance(SHIPPED / "spot.pt")
-    model = Path(shutil.copy(SHIPPED / "spot.pt", folder))
-    mesh = read_mesh(SHIPPED / "spot.obj")
-    save_importance(fit_importance(load_model(model), mesh, seconds=60 * minutes, threads=1), model)
-    return load_importance(model)
+    if importance_path(model).is_file():
+        return load_importance(model)
+    with tempfile.TemporaryDirectory() as folder:
+        own = Path(shutil.copy(model, folder))
+        save_importance(fit_importance(load_model(own), mesh, seconds=60 * minutes, threads=1), own)
+        return load_importance(own)
 
 
 def main() -> None:
@@ -70,18 +77,19 @@ def main() -> None:
     parser.add_argument("--spp", type=int, default=256)
     parser.add_argument("--repeats", type=int, default=3, help="of each picture, for the median of the times")
     parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--model", type=Path, help="another copy of the model, with its importance module beside it")
+    parser.add_argument("--model", type=Path, default=SHIPPED / "spot.pt")
+    parser.add_argument("--mesh", type=Path, default=SHIPPED / "spot.obj", help="the object that it was learnt from")
+    parser.add_argument("--sky", type=Path, help="a lat-long picture instead of the lights above")
     parser.add_argument("--only", nargs="*", help="some of the lights")
     given = parser.parse_args()
     torch.set_num_threads(1)
-    mesh = read_mesh(SHIPPED / "spot.obj")
-    network = load_model(given.model or SHIPPED / "spot.pt")
+    mesh, network = read_mesh(given.mesh), load_model(given.model)
     view = camera.fit(mesh, given.size, given.size)
-    with tempfile.TemporaryDirectory() as folder:
-        module = load_importance(given.model) if given.model else module_of(Path(folder), given.minutes)
+    module = module_of(given.model, mesh, given.minutes)
+    lights = turned(given.sky) if given.sky else skies()
     render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # what is compiled is compiled
     print(f"{'light':20}{'by light':>10}{'by lobe':>10}{'by both':>10}{'of better':>11}  rate, mixture")
-    for name, light in skies().items():
+    for name, light in lights.items():
         if given.only and name not in given.only:
             continue
         noise, seconds, spp, rate, mixture = {}, {way: [] for way in WAYS}, {}, "", ""
