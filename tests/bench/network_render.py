@@ -1,7 +1,7 @@
 """Noise of a network's pictures at equal time, sampled by light, lobe and both, the pilot included.
 
     python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1] [--only LIGHT ...]
-    python tests/bench/network_render.py --model grape.pt --mesh grape.ply --sky indoor.hdr
+    python tests/bench/network_render.py --model grape.pt --mesh grape.obj --sky indoor.hdr
 
 The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand; with --sky,
 that sky from four sides instead. An importance module is fitted first where the model has none beside it. A row gives,
