@@ -3,9 +3,7 @@
 A block's numbers depend on its vertices alone, not on where the cuts lie or how many workers there are.
 """
 
-from collections import deque
 from collections.abc import Callable, Generator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.error_estimate import Estimator, halves_variance, neighbour_variance
+from bakers.in_order import in_order
 from bakers.path_traced import Account, Walks, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
 from bakers.projection import DirectionPool, project, residual_variance
@@ -71,21 +70,10 @@ def bake_blocks(task: Task, vertices: range, workers: int = 1) -> Generator[Bloc
     """
     size = block_size(task)
     starts = range(vertices.start, vertices.stop, size)
-    if workers <= 1 or isinstance(task.sampling, Walks):
-        for first in starts:
-            yield bake_block(task, first, min(first + size, vertices.stop))
-        return
-    executor = ThreadPoolExecutor(workers)
-    running: deque[Future[Block]] = deque()
-    try:
-        for first in starts:
-            running.append(executor.submit(bake_block, task, first, min(first + size, vertices.stop)))
-            if len(running) > workers:
-                yield running.popleft().result()
-        while running:
-            yield running.popleft().result()
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+    alone = workers <= 1 or isinstance(task.sampling, Walks)
+    yield from in_order(
+        lambda first: bake_block(task, first, min(first + size, vertices.stop)), starts, 1 if alone else workers
+    )
 
 
 def block_size(task: Task) -> int:

@@ -1,7 +1,7 @@
 """A bake with everything resolved: where, in which bins and basis, how the light is sampled."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -22,6 +22,9 @@ OUTSIDE = 0.01
 
 MOST_BINS = 1 << 16
 
+Views = Callable[[int, int], tuple[NDArray[np.float64], int]]
+"""(first vertex, last vertex) → directions to the eye [n,B,3] and how many of them were bent to the horizon."""
+
 
 @dataclass(frozen=True)
 class Job:
@@ -41,10 +44,19 @@ def resolve(
     transport: Any, mesh: Mesh, degree: int, rings: int, sectors: int, directions: str, samples: int, seed: int
 ) -> Job:
     """Raises QueryError for arguments out of their domain."""
+    tangents, outgoing = views_of(mesh, rings, sectors)
+    resolved = resolve_sampling(transport, degree, rings * sectors, sectors, directions, samples, seed)
+    task = Task(transport, mesh.positions, outgoing, rings * sectors, sectors, resolved.sampling)
+    return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
+
+
+def views_of(mesh: Mesh, rings: int, sectors: int) -> tuple[NDArray[np.float64], Views]:
+    """Tangents [V,3], and the directions of the view bins, bent to the horizon where they lie below it. Raises
+    QueryError for more bins than are possible.
+    """
     if rings * sectors > MOST_BINS:
         raise QueryError(f"rings × sectors: {rings} × {sectors} view bins, where at most {MOST_BINS:,} are possible")
     local = sphere.view_bins(rings, sectors)
-    resolved = resolve_sampling(transport, degree, len(local), sectors, directions, samples, seed)
     tangents = sphere.tangent_frame(mesh.normals)
     around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
 
@@ -52,8 +64,7 @@ def resolve(
         world = sphere.to_world(local, mesh.normals[first:last, None], tangents[first:last, None])
         return bend_to_horizon(world, around, first)
 
-    task = Task(transport, mesh.positions, outgoing, len(local), sectors, resolved.sampling)
-    return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
+    return tangents, outgoing
 
 
 def refuse_foreign(transport: Any, mesh: Mesh) -> None:

@@ -3,6 +3,7 @@
 `a_lm(x, ωo) = ∫ Ŝ(ωi; x, ωo) Y_lm(ωi) dωi` at every vertex x and every view bin ωo of the hemisphere about its normal.
 """
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -14,15 +15,17 @@ import numpy as np
 from bakers.baker import Block, bake_block, bake_blocks, block_size
 from bakers.path_traced import Account, Walks
 from bakers.plan import BakePlan, plan_bake
-from bakers.transport import on_mesh, up_to
+from bakers.transport import on_mesh, up_to, way_in
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
 from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
+from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve, views_of
 from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
 from prt_bake.bake_pilot import reach
+from prt_bake.bake_refined import Site
+from prt_bake.bake_to_error import Run, bake_to_error, opened_store
 
 Progress = Callable[[int, int, tuple[float, float, float]], None]
 """progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error))."""
@@ -41,6 +44,7 @@ def bake(
     error: float | None = None,
     seed: int = 0,
     *,
+    minutes: float | None = None,
     out: str | Path | None = None,
     precision: str = "float32",
     storage: str = "float16",
@@ -48,6 +52,7 @@ def bake(
     device: str = "cpu",
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
+    resume: bool = False,
     provenance: dict[str, Any] | None = None,
 ) -> Asset:
     """Bakes `transport` at every vertex of `mesh` and every one of rings × sectors view bins.
@@ -61,7 +66,11 @@ def bake(
         directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
         samples: directions per bin, or random walks if the transport estimates coefficients itself. 64, the default,
             is raised to 2K where that is more.
-        error: estimated relative RMSE to reach; a pilot at eight vertices tells how many `samples` that takes.
+        error: estimated relative RMSE of the coefficients to reach, of the object and of the 95th percentile of its
+            vertices. With "fibonacci" directions `samples` is not used then: each view bin is evaluated in as many
+            directions as it takes, and only where its neighbours do not tell it (`prt_bake.bake_to_error`). Otherwise,
+            and for random walks, a pilot tells how many `samples` it takes.
+        minutes: how long to go on making it finer, if `error` is not reached before; a coarse asset is there first.
         seed: keys everything random; equal seeds give equal assets whatever the number of workers.
         out: asset to write while baking; without it the coefficients are an array in float32.
         precision: "float32" or "bfloat16", of a network's matrix work.
@@ -70,6 +79,7 @@ def bake(
         device: where a network is evaluated ("cpu", "cuda").
         progress: called after each block.
         stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
+        resume: go on from the finished blocks of a bake to the same `error` and `out` that was killed.
         provenance: entries added to the asset's provenance (command, hashes, credits).
 
     Returns:
@@ -87,6 +97,26 @@ def bake(
     began = time.monotonic()
     refuse_foreign(transport, mesh)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
+    refined = directions == "fibonacci" and way_in(transport) != "coefficients"
+    if minutes is not None and not (refined and minutes > 0.0):
+        raise QueryError(
+            "minutes: must be positive, and are for fibonacci directions and transports that answer Ŝ; "
+            "give samples or an error instead"
+        )
+    if refined and (error is not None or minutes is not None):
+        asked: dict[str, Any] = {
+            "degree": degree,
+            "rings": rings,
+            "sectors": sectors,
+            "error": error,
+            "minutes": minutes,
+            "seed": seed,
+        }
+        asked |= {"precision": precision, "storage": storage, "device": device}
+        with limited_threads(transport, workers):
+            return _refined(transport, mesh, asked, out, workers, progress, stop, resume, provenance or {}, began)
+    if resume:
+        raise QueryError("resume: is for a bake to an error, with fibonacci directions; this one starts anew")
     with limited_threads(transport, workers):
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         spent = 0
@@ -96,6 +126,60 @@ def bake(
         head = asset_head(mesh, job.tangents, rings, sectors, degree, transport)
         with open_sink(out, head, storage) as sink:
             return _run(job, sink, report, began, spent, workers, progress, stop)
+
+
+def _refined(
+    transport: Any,
+    mesh: Mesh,
+    asked: dict[str, Any],
+    out: str | Path | None,
+    workers: int,
+    progress: Progress | None,
+    stop: Callable[[], bool] | None,
+    resume: bool,
+    provenance: dict[str, Any],
+    began: float,
+) -> Asset:
+    """Bakes to `asked["error"]`, for `asked["minutes"]`, in passes."""
+    error, minutes, seed = asked["error"], asked["minutes"], asked["seed"]
+    if error is not None and not 0.0 < error < 1.0:
+        raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
+    rings, sectors, degree = asked["rings"], asked["sectors"], asked["degree"]
+    tangents, views = views_of(mesh, rings, sectors)
+    site = Site(transport, mesh, tangents, views, rings, sectors, degree, seed)
+    head = asset_head(mesh, tangents, rings, sectors, degree, transport)
+    settings = {name: value for name, value in asked.items() if name not in ("seed", "device")}
+    report = {
+        "settings": {**settings, "directions": "extensible lattice", "workers": workers},
+        "seed": seed,
+        "device": asked["device"],
+        "error_estimate": "independent directions at bins drawn at random",
+        "mesh_sha256": mesh.content_hash,
+        **_said_of(transport),
+        **provenance,
+    }
+    identity = {**asked, "mesh": mesh.content_hash, "transport": _identity(transport, provenance)}
+    run = Run(
+        site=site,
+        head=head,
+        report=report,
+        store=opened_store(out, identity, resume),
+        out=out,
+        storage=asked["storage"],
+        workers=workers,
+        error=error,
+        deadline=math.inf if minutes is None else began + 60.0 * minutes,
+        began=began,
+        progress=progress,
+        stop=stop,
+    )
+    return bake_to_error(run)
+
+
+def _identity(transport: Any, provenance: dict[str, Any]) -> str:
+    """What a resumed bake must have been begun with: the hash of the source file, or what is known of the transport."""
+    known = provenance.get("source_sha256") or provenance.get("model_sha256")
+    return str(known or type(transport).__name__)
 
 
 def plan(
@@ -208,7 +292,13 @@ def _settings(
         "error_estimate": job.resolved.error_estimate,
         "condition_number": job.resolved.condition,
         "mesh_sha256": job.mesh.content_hash,
-        "transport": type(job.transport).__name__,
-        "eta": float(said_by(job.transport, "eta", 1.0)),
-        "model": dict(getattr(job.transport, "metadata", None) or {}),
+        **_said_of(job.transport),
+    }
+
+
+def _said_of(transport: Any) -> dict[str, Any]:
+    return {
+        "transport": type(transport).__name__,
+        "eta": float(said_by(transport, "eta", 1.0)),
+        "model": dict(getattr(transport, "metadata", None) or {}),
     }

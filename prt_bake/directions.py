@@ -16,6 +16,7 @@ from prt_bake.randomness import hashed, uniforms
 # One stream of random numbers for each use, so that equal seeds do not tie the uses together.
 UNIFORM_STREAM, SOBOL_STREAM, ROTATION_STREAM = 1, 2, 3
 SOBOL_BITS = 32
+LATTICE_GENERATOR, LARGEST_LATTICE = 741, 1 << 14
 
 
 def uniform(count: int, seed: int) -> NDArray[np.float64]:
@@ -50,6 +51,28 @@ def fibonacci(count: int) -> NDArray[np.float64]:
     index = np.arange(count)
     golden_ratio = (1 + math.sqrt(5)) / 2
     return on_sphere((index + 0.5) / count, (index / golden_ratio) % 1)
+
+
+def extensible_lattice(count: int) -> NDArray[np.float64]:
+    """The first `count` points of a rank-1 lattice sequence as unit directions [D, 3]: for every power of two up to
+    2¹⁴ they are a lattice of their own, z_k = 1 − 2(k/D + shift), φ_k = 2π k h/D, that keeps the points of the smaller.
+
+    Of all h below 1024 this one has the least energy Σ −|x − y| beyond degree 2, at its worst over 2⁵ to 2¹⁰ points:
+    1.00 to 1.09 times that of a Fibonacci lattice. Degree-2 fits of trained networks have 0.9 to 1.3 times the error
+    with 32 to 128 points, 1.0 to 1.6 times with 256.
+    Fixed: turn it by `random_rotations` for an unbiased estimate. Source: Hickernell et al., "Extensible lattice
+    sequences for quasi-Monte Carlo quadrature", SIAM J. Sci. Comput. 22 (2000). Raises QueryError if `count` is below
+    1 or above 2¹⁴.
+    """
+    _require_some(count)
+    if count > LARGEST_LATTICE:
+        raise QueryError(f"extensible lattice: expected at most {LARGEST_LATTICE} directions, found {count}")
+    index = np.arange(count)
+    place = np.zeros(count)
+    for bit in range(LARGEST_LATTICE.bit_length() - 1):
+        place += ((index >> bit) & 1) * 0.5 ** (bit + 1)
+    # A third of the distance between 32 heights leaves a third or two between those of every larger size, too.
+    return on_sphere((place + 1.0 / 96.0) % 1.0, (place * LATTICE_GENERATOR) % 1.0)
 
 
 def random_rotations(count: int, seed: int) -> NDArray[np.float64]:

@@ -98,6 +98,14 @@ def rotation(matrix: ArrayLike, degree: int) -> NDArray[np.float64]:
     return blocks
 
 
+def rotations(matrices: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
+    """`rotation` of many rotation matrices [R,3,3] at once: [R,K,K], with rounding errors between the bands."""
+    directions, weights = quadrature(degree)
+    turned = evaluate((directions @ matrices.transpose(0, 2, 1)).reshape(-1, 3), degree)
+    harmonics = evaluate(directions, degree) * weights[:, None]
+    return np.asarray(turned.reshape(len(matrices), len(directions), count(degree)).transpose(0, 2, 1) @ harmonics)
+
+
 @lru_cache(maxsize=32)
 def quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Directions [D, 3] and weights [D] [sr] that integrate any product of two harmonics up to `degree` exactly.

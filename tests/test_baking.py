@@ -207,7 +207,7 @@ def test_progress_and_rows_grow_to_the_end() -> None:
 
 def test_error_asked_for_is_reached() -> None:
     mesh = ball(12)
-    asset = bake(Kinked(), mesh, 2, 2, 32, error=0.008, samples=16, seed=2)
+    asset = bake(Kinked(), mesh, 2, 2, 32, "sobol", error=0.008, samples=16, seed=2)
     truth = reference(mesh, 2, 32)
     assert asset.provenance["settings"]["samples"] > 64
     assert np.sqrt(((asset.coefficients - truth) ** 2).sum() / (truth**2).sum()) < 0.01

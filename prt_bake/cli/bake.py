@@ -28,7 +28,15 @@ def bake(
     error: Annotated[
         float | None,
         typer.Option(
-            min=0, max=1, help="Relative RMSE to reach: a pilot tells how many samples that takes.", show_default=False
+            min=0, max=1, help="Relative RMSE to reach, of the object and of most vertices.", show_default=False
+        ),
+    ] = None,
+    minutes: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="Make it finer for that long, coarse to fine, if --error is not reached before.",
+            show_default=False,
         ),
     ] = None,
     seed: Seed = 0,
@@ -48,7 +56,9 @@ def bake(
         typer.Option(help="How the 7 inputs of a TorchScript SOURCE are meant.", show_default=False),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print size and estimated time, and stop.")] = False,
-    resume: Annotated[bool, typer.Option("--resume", help="Not supported yet.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with a bake to the same --error that was killed.")
+    ] = False,
     report: ReportFile = None,
 ) -> None:
     """Bake a model or a scene on a mesh into an asset.
@@ -61,8 +71,6 @@ def bake(
     from prt_bake.report import bake_report, write_report
     from prt_bake.sources import open_source, origin
 
-    if resume:
-        raise PrtbakeError("bake --resume: is not supported yet; a bake starts anew")
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
     if workers is None:
@@ -81,6 +89,7 @@ def bake(
             *sampling,
             error,
             seed,
+            minutes=minutes,
             out=output,
             precision=precision,
             storage=storage,
@@ -88,6 +97,7 @@ def bake(
             device=device,
             progress=lambda done, total, row: show(done / total, f"{done} of {total} vertices, error {row[2]:.2%}"),
             stop=stop,
+            resume=resume,
             provenance={"command": context.obj, "mesh": mesh.name, **origin(source)},
         )
     summary = bake_report(asset)

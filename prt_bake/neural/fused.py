@@ -116,11 +116,8 @@ class FusedNetwork:
         pairs = torch.zeros((tile, directions, self.network.settings.pair_inputs), device=self._device)
         bins_at_once = tile * max(1, self._rows // tile)
         for begin in range(0, len(chosen), bins_at_once):
-            # Whole tiles of bins, whatever their number: the result must not depend on how bins are cut.
             some = view[begin : begin + bins_at_once]
-            seen = torch.zeros((bins_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
-            seen[: len(some)] = some
-            of_bins, lobes = late.bins(seen)
+            of_bins, lobes = self._trunk(late, some, tile)
             for first in range(0, len(some), tile):
                 bins = min(tile, len(some) - first)
                 which = slice(begin + first, begin + first + bins)
@@ -135,6 +132,23 @@ class FusedNetwork:
                     some_lobes = Lobes(*(part[first : first + bins] for part in lobes))
                     radiance = radiance + in_directions(some_lobes, towards, self.network.band)
                 answer[begin + first : begin + first + bins] = (radiance * self.network.output_scale).cpu().numpy()
+
+    def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | None]:
+        """What views [N,·] add to each later layer [layers, ≥ N + tile, width], and their lobes; in lots of one size,
+        whatever their number: the result must not depend on how bins are cut.
+        """
+        parts = []
+        for first in range(0, len(view), VIEWS_AT_ONCE):
+            some = view[first : first + VIEWS_AT_ONCE]
+            seen = torch.zeros((VIEWS_AT_ONCE, view.shape[1]), dtype=view.dtype, device=self._device)
+            seen[: len(some)] = some
+            parts.append(late.bins(seen))
+        of_bins = torch.cat([part for part, _lobes in parts], dim=1)
+        of_bins = torch.nn.functional.pad(of_bins, (0, 0, 0, tile))
+        lobes = [lobes for _part, lobes in parts if lobes is not None]
+        if not lobes:
+            return of_bins, None
+        return of_bins, Lobes(*(torch.cat(alike) for alike in zip(*lobes, strict=True)))
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""

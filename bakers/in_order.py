@@ -1,0 +1,31 @@
+"""Work on several threads, results in order."""
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def in_order(work: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Generator[Result, None, None]:
+    """Yields work(item) for every item, in order, computed by `workers` threads a little ahead of what is asked for.
+
+    Whatever the work raises is raised here. Closing the iterator waits for what is under way.
+    """
+    if workers <= 1:
+        for item in items:
+            yield work(item)
+        return
+    executor = ThreadPoolExecutor(workers)
+    running: deque[Future[Result]] = deque()
+    try:
+        for item in items:
+            running.append(executor.submit(work, item))
+            if len(running) > workers:
+                yield running.popleft().result()
+        while running:
+            yield running.popleft().result()
+    finally:
+        executor.shutdown(wait=True, cancel_futures=True)

@@ -1,0 +1,357 @@
+"""Bakes a block of vertices to a tolerance: few view bins first, finer ones where they are not foretold well enough,
+and at each bin as many directions as it takes.
+
+Level by level (`bakers.view_levels`) the bins of the next level are foretold from those that are known. Where those
+beside one came as no surprise the prediction is kept; elsewhere Ŝ is evaluated. All bins of a vertex take their
+directions from one lattice, each as long a beginning of it as it needs, so that what is foretold of a bin can be held
+against it direction by direction: only the *difference* is integrated, which has far less detail than Ŝ itself and
+needs far fewer directions (a multilevel Monte Carlo estimate: Heinrich, "Multilevel Monte Carlo methods", 2001). Where
+Ŝ is rougher than its neighbours allow for, the bin is integrated on its own. The lattice is turned anew at every
+vertex, and a fit by least squares over it is unbiased (`bakers.projection`).
+
+A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on what is baked beside it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.light_noise import LightNoise
+from bakers.nested_lattice import NestedLattice
+from bakers.transport import as_radiance, way_in
+from bakers.view_levels import STENCIL, Level
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+VALUES_AT_ONCE = 1 << 17
+ATTEMPTS = 6
+DECAY = 0.45
+"""Of the error of prediction, from one level to the next, as it usually is; and how many bins' worth that counts."""
+DECAY_BEFORE = 8.0
+LEAST_DECAY, MOST_DECAY = 0.15, 1.0
+LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
+"""Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
+ALWAYS = 2
+"""Levels up to this one are evaluated whole: what fewer bins say of the others is not to be relied on."""
+LEAST_SHARE = 0.15
+"""Of the tolerated variance, what a bin may always have of its own."""
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How far to go, and by what means."""
+
+    levels: list[Level]
+    lattice: NestedLattice
+    rotations: Callable[[Index], Array]
+    """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
+    other_rotations: Callable[[Index, Index, int], Array]
+    """(vertices [M], bins [M], which of two) → rotations [M,3,3], independent of those, for the checks."""
+    rotate: Callable[[Array], Array]
+    """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
+    noise: LightNoise
+    light: float
+    """Error of directions tolerated at a bin, over the root mean square coefficient of its vertex."""
+    view: float
+    """Error of prediction tolerated at a bin, over the same."""
+    checked: float
+    """Noise of a check, over the same."""
+    floor: float
+    """Least root mean square of a vertex's coefficients that errors are held against."""
+    checks: Callable[[Index], NDArray[np.bool_]]
+    """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Bins at which an estimate was held against an independent one; each [M]."""
+
+    evaluated: NDArray[np.bool_]
+    """Whether the bin had been evaluated, or foretold."""
+    stated: Array
+    """Variance as it was estimated."""
+    squared: Array
+    """Squared error, mean over K and channels, by two independent estimates: right in the mean, at times negative."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What came of a block of n vertices."""
+
+    coefficients: NDArray[np.float32]
+    """[n,B,K,3]"""
+    deviation: NDArray[np.float32]
+    """[n,B], one sigma, rms over K and channels, before it is held against the checks."""
+    directions: NDArray[np.uint16]
+    """[n,B], in how many each bin was evaluated; 0 where it is foretold from its neighbours."""
+    evaluations: int
+    checks: Checks
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Vertices [n] at which all is finite."""
+        return np.asarray(np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.deviation).all(axis=1))
+
+
+def refine(transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array) -> Refined:
+    """Bakes the vertices of these numbers [n] at positions [n,3] seen along outgoing [n,B,3].
+
+    A vertex at which the transport answers something that is not finite has coefficients that are not finite.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        work = _Work(transport, refinement, vertices, positions, outgoing)
+        for number, level in enumerate(refinement.levels):
+            work.add(number, level)
+        return work.finished()
+
+
+class _Work:
+    """The state of a block between levels: arrays [B,n,…]; coefficients are those in the lattice's own frame."""
+
+    def __init__(
+        self, transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array
+    ) -> None:
+        n, bins = outgoing.shape[:2]
+        self.transport, self.how, self.positions, self.outgoing = transport, refinement, positions, outgoing
+        self.lattice, self.vertices, self.evaluations = refinement.lattice, vertices, 0
+        self.rotations = refinement.rotations(vertices)
+        self.coefficients = np.zeros((bins, n, self.lattice.count * 3))
+        self.noise, self.surprise, self.rough = np.zeros((3, bins, n))
+        self.known = np.zeros((bins, n), np.int64)
+        """How many sizes of the lattice a bin has values for, evaluated or foretold."""
+        self.evaluated = np.zeros((bins, n), np.int64)
+        """The same, evaluated alone."""
+        self.values: list[NDArray[np.float32]] = []
+        self.scale, self.decay = np.full(n, refinement.floor**2), np.full(n, DECAY**2)
+        self.unit = np.array([refinement.noise.variance(self.lattice, size) for size in self.lattice.sizes])
+        self.of_differences = refinement.noise.of_differences
+        beginning = np.concatenate([level.bins for level in refinement.levels[: ALWAYS + 1]])
+        bins_, rows = (axis.ravel() for axis in np.meshgrid(beginning, np.arange(n), indexing="ij"))
+        self._grow(rows, bins_, np.ones(len(rows), np.int64))
+
+    def add(self, number: int, level: Level) -> None:
+        """Foretells the bins of a level, and evaluates those that this is not good enough for."""
+        tolerated = self.how.light**2 * LEVEL_SHARES[min(number, len(LEVEL_SHARES) - 1)]
+        if number == 0:
+            places, rows = np.nonzero(np.ones((len(level.bins), len(self.positions)), bool))
+            self.coefficients[level.bins[places], rows] = self._direct(rows, level.bins[places])[0]
+            self._measure(number)
+            self._settle(rows, level.bins[places], None, tolerated)
+            return
+        self._foretell(level)
+        wanted = np.isfinite(self.scale) & np.ones((len(level.bins), 1), bool)
+        if number > ALWAYS:
+            wanted &= ~(self.surprise[level.bins] <= self.how.view**2 * self.scale)
+        places, rows = np.nonzero(wanted)
+        bins = level.bins[places]
+        foretold, carried, expected = (part[bins, rows] for part in (self.coefficients, self.noise, self.surprise))
+        self._grow(rows, bins, np.ones(len(rows), np.int64))
+        self._foretell_values(rows, level.parents[places], number)
+        self._settle(rows, bins, (level.parents[places], level.weights[places], foretold, carried), tolerated)
+        off = ((self.coefficients[bins, rows] - foretold) ** 2).mean(axis=1)
+        self.surprise[bins, rows] = np.maximum(off - np.maximum(self.noise[bins, rows] - carried, 0.0), 0.0)
+        if number > ALWAYS:
+            self._learn_decay(rows, expected, self.surprise[bins, rows])
+        if number == ALWAYS:
+            # The first levels were hardly foretold: they take after the last of them.
+            for before in self.how.levels[:number]:
+                self.surprise[before.bins] = self.surprise[level.bins].mean(axis=0)
+        if number < ALWAYS:
+            self._measure(number)
+
+    def finished(self) -> Refined:
+        variance = np.ascontiguousarray((self.noise + np.where(self.evaluated > 0, 0.0, self.surprise)).T)
+        n, bins = variance.shape
+        own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
+        turned = self.how.rotate(self.rotations)[:, None] @ own
+        checks = self._check(variance, turned)
+        sizes = np.array([0, *self.lattice.sizes], np.uint16)
+        rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
+        return Refined(*rounded, sizes[self.evaluated.T], self.evaluations, checks)
+
+    def _measure(self, number: int) -> None:
+        """The mean square coefficient of each vertex, by the levels up to this one."""
+        known = np.concatenate([level.bins for level in self.how.levels[: number + 1]])
+        self.scale = np.maximum((self.coefficients[known] ** 2).mean(axis=(0, 2)), self.how.floor**2)
+
+    def _learn_decay(self, rows: Index, expected: Array, found: Array) -> None:
+        """How much smaller each vertex's surprises were at the bins of a level than beside them one level below."""
+        many, n = np.bincount(rows, minlength=len(self.decay)), len(self.decay)
+        before, after = (np.bincount(rows, np.nan_to_num(part), n) for part in (expected, found))
+        usual = DECAY_BEFORE * before / np.maximum(many, 1)
+        ratio = (after + DECAY**2 / self.decay * usual) / np.maximum(before + usual, 1e-300)
+        self.decay = np.where(before > 0.0, np.clip(self.decay * ratio, LEAST_DECAY**2, MOST_DECAY**2), self.decay)
+
+    def _foretell(self, level: Level) -> None:
+        """Coefficients of a level's bins, their noise, roughness and the surprise to be expected, from its parents'."""
+        count, n, width = self.coefficients.shape
+        own, near = level.combining, level.nearest
+        self.coefficients[level.bins] = (own @ self.coefficients.reshape(count, -1)).reshape(-1, n, width)
+        self.noise[level.bins] = (own @ np.sqrt(self.noise)) ** 2
+        self.surprise[level.bins] = self.decay * (near @ self.surprise)
+        self.rough[level.bins] = near @ self.rough
+
+    def _foretell_values(self, rows: Index, parents: Index, number: int) -> None:
+        """Values, in the first size of the lattice, of bins that were only foretold and are now parents themselves."""
+        width, wanted = len(self.positions), [np.empty(0, np.int64)] * number
+        missing = np.unique(parents * width + rows[:, None])
+        for below in range(number - 1, ALWAYS, -1):
+            level = self.how.levels[below]
+            at, row = np.divmod(missing, width)
+            unknown = (level.place[at] >= 0) & (self.known[at, row] == 0)
+            wanted[below] = missing[unknown]
+            theirs = level.parents[level.place[at[unknown]]] * width + row[unknown][:, None]
+            missing = np.union1d(missing, theirs)
+        for below in range(ALWAYS + 1, number):
+            level = self.how.levels[below]
+            for some in _lots(wanted[below], self.lattice.sizes[0] * STENCIL):
+                at, row = np.divmod(some, width)
+                place = level.place[at]
+                values = self.values[0][level.parents[place], row[:, None]]
+                self.values[0][at, row] = _combined(level.weights[place], values)
+                self.known[at, row] = 1
+
+    def _settle(
+        self, rows: Index, bins: Index, foretold: tuple[Index, Array, Array, Array] | None, tolerated: float
+    ) -> None:
+        """Takes more directions at bins (rows [M], bins [M]) until their noise is tolerable, by the cheaper of two
+        ways: integrating what they differ by from what was foretold of them, or integrating them on their own.
+        """
+        here = np.arange(len(rows))
+        for _attempt in range(ATTEMPTS):
+            if not len(here):
+                return
+            r, b = rows[here], bins[here]
+            allowed = tolerated * self.scale[r]
+            coefficients, noise, rough = self._direct(r, b)
+            steps = self._steps(rough, allowed)
+            if foretold is not None:
+                parents, weights = foretold[0][here], foretold[1][here]
+                before, carried = foretold[2][here], foretold[3][here]
+                left = np.maximum(allowed - carried, LEAST_SHARE * allowed)
+                difference, own, apart = self._difference(r, b, parents, weights)
+                taken = np.minimum(self._steps(apart, left), len(self.unit))
+                possible = self.unit[taken - 1] * apart <= left
+                possible &= taken <= self.known[parents, r[:, None]].min(axis=1)
+                better = possible & ((taken <= steps) | (taken <= self.evaluated[b, r]))
+                # While neither is good enough, what is nearer to the truth is kept.
+                use = better | (~possible & (own + carried < noise))
+                coefficients = np.where(use[:, None], before + difference, coefficients)
+                noise = np.where(use, own + carried, noise)
+                steps = np.where(better, taken, steps)
+            self.coefficients[b, r], self.noise[b, r] = coefficients, noise
+            more = steps > self.evaluated[b, r]
+            here = here[more]
+            self._grow(rows[here], bins[here], steps[more])
+
+    def _steps(self, rough: Array, allowed: Array) -> Index:
+        """How many sizes of the lattice it takes [M] until bins of this squared roughness have the variance allowed;
+        one for what is not finite.
+        """
+        enough = ~(rough[:, None] * self.unit > allowed[:, None])
+        return np.where(enough.any(axis=1), enough.argmax(axis=1) + 1, len(self.unit))
+
+    def _direct(self, rows: Index, bins: Index) -> tuple[Array, Array, Array]:
+        """Coefficients [M,K·3] of bins on their own, their noise and squared roughness [M]."""
+        found, rough = np.empty((len(rows), self.coefficients.shape[2])), np.empty(len(rows))
+        sizes = self.evaluated[bins, rows]
+        for size in np.unique(sizes):
+            which = np.flatnonzero(sizes == size)
+            for some in _lots(which, self.lattice.sizes[size - 1]):
+                values = self._values(size, rows[some], bins[some])
+                found[some], rough[some] = self.lattice.fitted(values, size - 1)
+        self.rough[bins, rows] = rough
+        return found, rough * self.unit[sizes - 1], rough
+
+    def _difference(self, rows: Index, bins: Index, parents: Index, weights: Array) -> tuple[Array, Array, Array]:
+        """What bins differ by from what is foretold of them: coefficients [M,K·3], noise, and the squared roughness
+        [M] that Ŝ itself would have with that noise.
+        """
+        found, rough = np.empty((len(rows), self.coefficients.shape[2])), np.empty(len(rows))
+        common = np.minimum(self.evaluated[bins, rows], self.known[parents, rows[:, None]].min(axis=1))
+        for size in np.unique(common):
+            which = np.flatnonzero(common == size)
+            for some in _lots(which, self.lattice.sizes[size - 1] * parents.shape[1]):
+                values = self._values(size, rows[some], bins[some])
+                of_parents = self._values(size, rows[some][:, None], parents[some])
+                values -= _combined(weights[some], of_parents)
+                found[some], rough[some] = self.lattice.fitted(values, size - 1)
+        rough *= self.of_differences
+        return found, rough * self.unit[common - 1], rough
+
+    def _values(self, size: int, rows: Index, bins: Index) -> NDArray[np.float32]:
+        """Values [..., D, 3] of bins in the first `size` sizes of the lattice."""
+        return np.concatenate([part[bins, rows] for part in self.values[:size]], axis=-2)
+
+    def _grow(self, rows: Index, bins: Index, sizes: Index) -> None:
+        """Evaluates bins up to `sizes` [M] sizes of the lattice."""
+        all_bins, n = self.known.shape
+        for size in range(1, int(sizes.max(initial=0)) + 1):
+            begin, end = ([0, *self.lattice.sizes])[size - 1 : size + 1]
+            if len(self.values) < size:
+                self.values.append(np.empty((all_bins, n, end - begin, 3), np.float32))
+            missing = np.flatnonzero((sizes >= size) & (self.evaluated[bins, rows] < size))
+            incident = self.lattice.directions[begin:end] @ self.rotations.transpose(0, 2, 1)
+            for some in _lots(missing, end - begin):
+                r, b = rows[some], bins[some]
+                self.values[size - 1][b, r] = values_at(
+                    self.transport, incident, r, self.positions[r], self.outgoing[r, b]
+                )
+            r, b = rows[missing], bins[missing]
+            self.evaluated[b, r], self.known[b, r] = size, np.maximum(self.known[b, r], size)
+            self.evaluations += len(missing) * (end - begin)
+
+    def _check(self, variance: Array, turned: Array) -> Checks:
+        """Holds some bins against two independent lattices each: the product of what the two differ by has the squared
+        error for its mean, however noisy they are themselves.
+        """
+        rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
+        steps = self._steps(self.rough[bins, rows], self.how.checked**2 * self.scale[rows])
+        squared = np.empty(len(rows))
+        for step in np.unique(steps):
+            for some in _lots(np.flatnonzero(steps == step), self.lattice.sizes[step - 1]):
+                off = [
+                    self._anew(rows[some], bins[some], step, draw) - turned[rows[some], bins[some]] for draw in (0, 1)
+                ]
+                squared[some] = (off[0] * off[1]).mean(axis=(1, 2))
+        return Checks(self.evaluated[bins, rows] > 0, variance[rows, bins], squared)
+
+    def _anew(self, rows: Index, bins: Index, step: int, draw: int) -> Array:
+        """Coefficients [M,K,3] of bins from lattices of their own."""
+        size = self.lattice.sizes[step - 1]
+        turn = self.how.other_rotations(self.vertices[rows], bins, draw)
+        incident = self.lattice.directions[:size] @ turn.transpose(0, 2, 1)
+        values = values_at(
+            self.transport, incident, np.arange(len(rows)), self.positions[rows], self.outgoing[rows, bins]
+        )
+        found, _rough = self.lattice.fitted(values, step - 1)
+        self.evaluations += len(rows) * size
+        return np.asarray(self.how.rotate(turn) @ found.reshape(len(rows), -1, 3))
+
+
+def values_at(
+    transport: object, incident: Array, taken: Index, positions: Array, outgoing: Array
+) -> NDArray[np.floating]:
+    """Ŝ [M,D,3] at positions [M,3] along outgoing [M,3], lit from the sets incident [R,D,3] that `taken` [M] names."""
+    offered: object = transport
+    directions = incident.shape[1]
+    if way_in(transport) == "block":
+        answer = offered.evaluate_block(incident, taken[:, None], positions, outgoing[:, None])  # type: ignore[attr-defined]
+        return as_radiance(answer, (len(taken), 1, directions, 3), "evaluate_block")[:, 0]
+    answer = offered.evaluate(incident[taken], positions, outgoing)  # type: ignore[attr-defined]
+    return as_radiance(answer, (len(taken), directions, 3), "evaluate")
+
+
+def _combined(weights: Array, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Σ_s weights [M,s] · values [M,s,...]."""
+    flat = values.reshape(*values.shape[:2], -1)
+    return np.asarray((weights.astype(values.dtype)[:, None] @ flat)[:, 0]).reshape(len(values), *values.shape[2:])
+
+
+def _lots(which: Index, width: int) -> list[Index]:
+    """`which` in lots of at most VALUES_AT_ONCE values of `width` each."""
+    size = max(1, VALUES_AT_ONCE // width)
+    return [which[begin : begin + size] for begin in range(0, len(which), size)]

@@ -1,0 +1,92 @@
+"""What a refined bake's checks say of its error: how far the stated variances are off, and the error of it all.
+
+Evaluated bins and foretold ones are held against independent directions apart, since their errors come about in
+different ways. Checked bins are a random sample of all, so that the ratio of what was seen to what was stated corrects
+the sum of what is stated without bias; a few bins' worth of what was known before keeps it steady.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from bakers.refinement import Checks, Refined
+
+Array = NDArray[np.float64]
+
+BEFORE = 6.0
+"""How many checked bins weigh as much as what was known before."""
+LEAST, MOST = 0.05, 1e4
+FREEDOM = 8
+"""Independent numbers that the error of one vertex is made of: its bins share a lattice, and err together."""
+_SCATTER = np.sqrt(chi2.ppf((np.arange(32) + 0.5) / 32, FREEDOM) / FREEDOM)
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Factors on stated variances."""
+
+    evaluated: float = 1.0
+    foretold: float = 1.0
+
+    def of(self, evaluated: NDArray[np.bool_]) -> Array:
+        """The factor for each bin."""
+        return np.where(evaluated, self.evaluated, self.foretold)
+
+
+class Tally:
+    """Adds up blocks: sums [V] over the bins of each vertex, and all checks."""
+
+    def __init__(self, vertices: int) -> None:
+        self.evaluated, self.foretold, self.signal = np.zeros(vertices), np.zeros(vertices), np.zeros(vertices)
+        self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
+        self.evaluations, self.evaluated_bins, self.bins = 0, 0, 0
+        self._checks: list[Checks] = []
+
+    def add(self, rows: NDArray[np.int64], refined: Refined) -> None:
+        """Takes in the vertices `rows` [n] of a block; those that are not finite count for nothing."""
+        finite, was = refined.valid, refined.directions > 0
+        variance = np.where(finite[:, None], refined.deviation.astype(np.float64) ** 2, 0.0)
+        self.evaluated[rows] = (variance * was).sum(axis=1)
+        self.foretold[rows] = (variance * ~was).sum(axis=1)
+        sound = np.where(finite[:, None, None, None], refined.coefficients.astype(np.float64), 0.0)
+        self.signal[rows] = (sound**2).mean(axis=(2, 3)).sum(axis=1)
+        self.done[rows], self.invalid[rows] = True, ~finite
+        self.evaluated_bins, self.bins = self.evaluated_bins + int(was.sum()), self.bins + was.size
+        self.evaluations += refined.evaluations
+        self._checks.append(refined.checks)
+
+    @property
+    def checked(self) -> int:
+        """Bins that were held against independent directions."""
+        return sum(len(checks.stated) for checks in self._checks)
+
+    def correction(self, before: Correction) -> Correction:
+        """What the checks say of the stated variances, `before` known."""
+        evaluated = np.concatenate([check.evaluated for check in self._checks] or [np.zeros(0, bool)])
+        stated = np.concatenate([check.stated for check in self._checks] or [np.zeros(0)])
+        squared = np.concatenate([check.squared for check in self._checks] or [np.zeros(0)])
+        sound = np.isfinite(stated) & np.isfinite(squared)
+        return Correction(
+            _ratio(stated[sound & evaluated], squared[sound & evaluated], before.evaluated),
+            _ratio(stated[sound & ~evaluated], squared[sound & ~evaluated], before.foretold),
+        )
+
+    def relative(self, correction: Correction) -> tuple[float, float]:
+        """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one."""
+        error = correction.evaluated * self.evaluated + correction.foretold * self.foretold
+        error, signal = error[self.done], np.maximum(self.signal[self.done], 0.0)
+        signal = np.maximum(signal - error, 0.5 * signal)
+        by_vertex = np.sqrt(np.divide(error, signal, out=np.zeros_like(error), where=signal > 0.0))
+        total = float(np.sqrt(error.sum() / signal.sum())) if signal.sum() > 0.0 else 0.0
+        if not by_vertex.size:
+            return total, 0.0
+        return total, float(np.percentile(by_vertex[:, None] * _SCATTER, 95, method="higher"))
+
+
+def _ratio(stated: Array, squared: Array, before: float) -> float:
+    if not len(stated) or not stated.sum() > 0.0:
+        return before
+    weight = BEFORE * float(stated.mean())
+    return float(np.clip((squared.sum() + before * weight) / (stated.sum() + weight), LEAST, MOST))

@@ -1,0 +1,253 @@
+"""Passes over an object, coarse to fine, until its error is as small as was asked for, and an asset after each."""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import Block
+from bakers.refinement import Checks, Refined
+from formats.asset import Asset, AssetHead
+from formats.errors import QueryError
+from formats.journal import Journal
+from prt_bake.bake_output import open_sink
+from prt_bake.bake_refined import Aim, Pass, Site, aimed, coarse, first_refinement, one_pass, tighter
+
+Progress = Callable[[int, int, tuple[float, float, float]], None]
+
+COARSE = 0.15
+"""Error that the first pass is made for where the last one takes long."""
+WORTH_A_COARSE_PASS = 10.0
+"""Seconds that the pass to the error asked for must take."""
+PASSES = 3
+FINER = 2.0
+"""From one pass to the next, of a bake that has a time to run."""
+ALL_THE_TIME = 0.9
+"""Of the time left, what a pass may be foretold to take."""
+
+
+class Store(Protocol):
+    """Keeps named arrays by name: in memory, or `formats.journal.Journal`."""
+
+    def read(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """What was kept under that name."""
+
+    def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keeps arrays."""
+
+    def forget(self, stage: str) -> None:
+        """Drops what is kept under names that begin so."""
+
+    def remove(self) -> None:
+        """Drops everything."""
+
+
+class Memory:
+    """A store in memory."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, dict[str, NDArray[Any]]] = {}
+
+    def read(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """What was kept under that name."""
+        return self._kept.get(name)
+
+    def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Keeps arrays."""
+        self._kept[name] = arrays
+
+    def forget(self, stage: str) -> None:
+        """Drops what is kept under names that begin so."""
+        for name in [name for name in self._kept if name.startswith(stage)]:
+            del self._kept[name]
+
+    def remove(self) -> None:
+        """Drops everything."""
+        self._kept.clear()
+
+
+@dataclass
+class Run:
+    """A bake under way: what it is for, where its blocks and its assets go, and what it has cost."""
+
+    site: Site
+    head: AssetHead
+    report: dict[str, Any]
+    store: Store
+    out: str | Path | None
+    storage: str
+    workers: int
+    error: float | None
+    deadline: float
+    began: float
+    progress: Progress | None
+    stop: Callable[[], bool] | None
+    evaluations: int = 0
+    number: int = 0
+    asset: Asset | None = None
+
+    def __post_init__(self) -> None:
+        self.rows: list[tuple[float, float, float]] = []
+
+    @property
+    def left(self) -> float:
+        """Seconds until the bake must end."""
+        return self.deadline - time.monotonic()
+
+
+def bake_to_error(run: Run) -> Asset:
+    """Bakes in passes until both figures of the error are at most `run.error`, or the time is up, or it is stopped.
+
+    The asset of the last whole pass is what comes back; where there is none, the part that was done. Raises QueryError
+    where nothing was done, where nothing is finite, or where the pilot says that the error is out of reach.
+    """
+    refinement, run.evaluations = first_refinement(run.site)
+    if run.error is not None and not math.isfinite(run.deadline):
+        aim = aimed(run.site, refinement, run.error)
+        run.evaluations += aim.evaluations
+        share = max(1, run.workers)
+        if aim.seconds * len(run.site.mesh.positions) / share > WORTH_A_COARSE_PASS and run.error < COARSE / 2:
+            first = _pass(run, coarse(refinement, COARSE))
+            if first is None:
+                return _ended(run)
+        for _again in range(PASSES):
+            done = _pass(run, aim)
+            if done is None or done.worst <= run.error:
+                break
+            aim = tighter(aim, done, run.error)
+        return _ended(run)
+    done = _pass(run, coarse(refinement, max(COARSE, run.error or 0.0)))
+    goal = COARSE
+    while done is not None and not (run.error is not None and done.worst <= run.error):
+        following = _next_aim(run, refinement, goal)
+        if following is None:
+            break
+        goal, aim = following
+        done = _pass(run, aim)
+    return _ended(run)
+
+
+def _next_aim(run: Run, refinement: Any, goal: float) -> tuple[float, Aim] | None:
+    """The finest error, and how to get there, that there is time left for; None where there is not for any."""
+    found = None
+    while run.left > 0.0 and not (run.stop is not None and run.stop()):
+        goal = max(goal / FINER, run.error or 0.0)
+        try:
+            aim = aimed(run.site, refinement, goal)
+        except QueryError:
+            break
+        run.evaluations += aim.evaluations
+        if aim.seconds * len(run.site.mesh.positions) / max(1, run.workers) > ALL_THE_TIME * run.left:
+            break
+        found = goal, aim
+        if goal == run.error:
+            break
+    return found
+
+
+def _pass(run: Run, aim: Aim) -> Pass | None:
+    """One pass and its asset; None where it was stopped before its end, and an asset then only if it is the first."""
+    number, site = run.number, run.site
+    stage, vertices = f"{number:02d}-", len(site.mesh.positions)
+    run.number += 1
+
+    def keep(first: int, refined: Refined, bent: int) -> None:
+        run.store.write(f"{stage}{first}", _as_arrays(refined, bent))
+
+    def kept(first: int) -> Refined | None:
+        arrays = run.store.read(f"{stage}{first}")
+        return None if arrays is None else _as_refined(arrays)
+
+    def stop() -> bool:
+        return run.left <= 0.0 or (run.stop is not None and run.stop())
+
+    def show(done: int, tally: Any) -> None:
+        if run.progress is not None:
+            estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
+            spent = time.monotonic() - run.began, float(run.evaluations + tally.evaluations), estimate
+            run.progress(done, vertices, spent)
+
+    done = one_pass(site, aim, run.workers, keep, kept, stop, show)
+    run.evaluations += done.tally.evaluations
+    run.rows.append((time.monotonic() - run.began, float(run.evaluations), done.total))
+    if not done.tally.done.any():
+        if run.asset is None:
+            raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
+        return None
+    if done.tally.invalid[done.tally.done].all():
+        raise QueryError(
+            f"the transport answered values that are not finite at every one of {int(done.tally.done.sum())} vertices"
+        )
+    if done.whole or run.asset is None:
+        _write(run, stage, aim, done)
+    if done.whole and number:
+        run.store.forget(f"{number - 1:02d}-")
+    return done if done.whole else None
+
+
+def _write(run: Run, stage: str, aim: Aim, done: Pass) -> None:
+    """The asset of a pass, its standard errors corrected by the checks."""
+    bent, histogram = 0, dict[int, int]()
+    with open_sink(run.out, run.head, run.storage) as sink:
+        for first in range(0, len(run.site.mesh.positions), run.site.block_vertices):
+            arrays = run.store.read(f"{stage}{first}")
+            if arrays is None or not done.tally.done[first]:
+                break
+            refined = _as_refined(arrays)
+            valid, bent = refined.valid, bent + int(arrays["bent"])
+            for size, many in zip(*np.unique(refined.directions, return_counts=True), strict=True):
+                histogram[int(size)] = histogram.get(int(size), 0) + int(many)
+            deviation = np.sqrt(done.correction.of(refined.directions > 0)) * refined.deviation
+            coefficients = np.where(valid[:, None, None, None], refined.coefficients, np.float32(0.0))
+            standard_error = np.where(valid[:, None], deviation, 0.0).astype(np.float32)
+            sink.write(Block(first, coefficients, standard_error, valid, 0))
+        invalid = np.flatnonzero(done.tally.invalid)
+        own = {
+            "evaluations": run.evaluations,
+            "seconds": time.monotonic() - run.began,
+            "estimated_relative_rmse": {"total": done.total, "percentile_95_over_vertices": done.percentile_95},
+            "bins_bent_to_the_horizon": bent,
+            "vertices_not_finite": {"count": len(invalid), "first": invalid[:16].tolist()},
+            "vertices_baked": int(done.tally.done.sum()),
+            "refinement": {
+                "passes": run.number,
+                "bins_by_directions": {str(size): histogram[size] for size in sorted(histogram)},
+                "bins_foretold": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
+                "bins_checked": done.tally.checked,
+                "checked_over_stated_variance": {
+                    "evaluated": done.correction.evaluated,
+                    "foretold": done.correction.foretold,
+                },
+                "lattice_gain": vars(aim.refinement.noise),
+            },
+        }
+        run.asset = sink.finish(run.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
+
+
+def _ended(run: Run) -> Asset:
+    assert run.asset is not None
+    if run.asset.complete:
+        run.store.remove()
+    return run.asset
+
+
+def _as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
+    checks = {f"checks_{name}": values for name, values in vars(refined.checks).items()}
+    own = {name: np.asarray(values) for name, values in vars(refined).items() if name != "checks"}
+    return own | checks | {"bent": np.asarray(bent)}
+
+
+def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
+    checks = Checks(arrays["checks_evaluated"], arrays["checks_stated"], arrays["checks_squared"])
+    own = [arrays[name] for name in ("coefficients", "deviation", "directions")]
+    return Refined(own[0], own[1], own[2], int(arrays["evaluations"]), checks)
+
+
+def opened_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> Store:
+    """A journal beside the asset, or memory where there is no asset on disk."""
+    return Memory() if out is None else Journal(out, identity, resume)

@@ -1,0 +1,141 @@
+"""Bakes that are killed go on where they were, bit for bit; what has changed is named; a full disk loses nothing."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from transports import Incoherent, icosphere
+
+from formats.errors import StorageError
+from formats.journal import Journal
+from prt_bake import bake, read_asset
+
+BLOCKS = {"rings": 4, "sectors": 16, "error": 0.05}
+
+KILLED = """
+import sys
+sys.path[:0] = {path!r}
+import os, signal
+from prt_bake import bake
+from transports import Incoherent, icosphere
+import formats.journal as journal
+write, left = journal.Journal.write, [{blocks}]
+def counted(self, name, arrays):
+    write(self, name, arrays)
+    left[0] -= 1
+    if left[0] == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+journal.Journal.write = counted
+import prt_bake.bake_refined as refined
+refined.BINS_AT_ONCE = 5 * 64
+bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.05, out={out!r})
+"""
+
+
+def contents(path: Path) -> dict[str, np.ndarray]:
+    found = {}
+    with h5py.File(path) as file:
+        for group in ("mesh", "basis", "bins", "transfer"):
+            file[group].visititems(
+                lambda name, item, group=group: (
+                    found.update({f"{group}/{name}": item[()]}) if isinstance(item, h5py.Dataset) else None
+                )
+            )
+    return found
+
+
+@pytest.mark.parametrize("blocks", [1, 4, 9])
+def test_killed_and_resumed_is_the_asset_of_one_run(
+    tmp_path: Path, blocks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "killed.h5"
+    script = KILLED.format(path=[p for p in sys.path if p], blocks=blocks, out=str(out))
+    killed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
+    journal = tmp_path / "killed.h5.journal"
+    assert len(list(journal.glob("*.npz"))) == blocks
+    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    asked: list[int] = []
+
+    class Asked(Incoherent):
+        def evaluate(self, incident: np.ndarray, positions: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+            asked.append(incident.shape[0] * incident.shape[1])
+            return super().evaluate(incident, positions, outgoing)
+
+    Asked.__name__ = "Incoherent"
+    resumed = bake(Asked(), icosphere(1), **BLOCKS, out=out, resume=True)
+    assert sum(asked) < resumed.provenance["evaluations"]
+    bake(Incoherent(), icosphere(1), **BLOCKS, out=tmp_path / "whole.h5", workers=2)
+    one, other = contents(out), contents(tmp_path / "whole.h5")
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    assert not journal.exists()
+
+
+def test_a_changed_bake_is_not_resumed_and_what_changed_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "asset.h5"
+    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    calls = iter([False] * 2 + [True] * 100)
+    part = bake(Incoherent(), icosphere(1), **BLOCKS, out=out, stop=lambda: next(calls))
+    assert not part.complete
+    assert part.provenance["vertices_baked"] == 10
+    for changed, named in (({"error": 0.04}, "error was 0.05 and is 0.04"), ({"seed": 5}, "seed was 0 and is 5")):
+        with pytest.raises(StorageError, match=named):
+            bake(Incoherent(), icosphere(1), **{**BLOCKS, **changed}, out=out, resume=True)
+    with pytest.raises(StorageError, match="mesh was"):
+        bake(Incoherent(), icosphere(0), **BLOCKS, out=out, resume=True)
+    assert bake(Incoherent(), icosphere(1), **BLOCKS, out=out, resume=True).complete
+
+
+def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "asset.h5"
+    bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.2, out=out)
+    before = out.read_bytes()
+    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    save, left = np.savez, [4]
+
+    def full(file: object, **arrays: object) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        save(file, **arrays)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("formats.journal.np.savez", full)
+    with pytest.raises(StorageError, match="disk is full"):
+        bake(Incoherent(), icosphere(1), **BLOCKS, out=out)
+    assert out.read_bytes() == before
+    assert len(list((tmp_path / "asset.h5.journal").glob("*.npz"))) == 4
+    monkeypatch.setattr("formats.journal.np.savez", save)
+    assert bake(Incoherent(), icosphere(1), **BLOCKS, out=out, resume=True).complete
+    assert read_asset(out).provenance["settings"]["error"] == 0.05
+
+
+def test_blocks_that_are_broken_are_not_there(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "a.h5", {"seed": 1}, resume=False)
+    journal.write("00-0", {"numbers": np.arange(5.0)})
+    kept = Journal(tmp_path / "a.h5", {"seed": 1}, resume=True)
+    np.testing.assert_array_equal(kept.read("00-0")["numbers"], np.arange(5.0))  # type: ignore[index]
+    path = journal.folder / "00-0.npz"
+    path.write_bytes(path.read_bytes()[:100])
+    assert kept.read("00-0") is None
+    assert kept.read("00-9") is None
+    (journal.folder / "identity.json").write_text("{")
+    with pytest.raises(StorageError, match="seed was None"):
+        Journal(tmp_path / "a.h5", {"seed": 1}, resume=True)
+    Journal(tmp_path / "a.h5", {"seed": 2}, resume=False).remove()
+    assert not journal.folder.exists()
+
+
+def test_stopped_before_the_first_block_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match="before its first vertex"):
+        bake(Incoherent(), icosphere(0), **BLOCKS, out=tmp_path / "a.h5", stop=lambda: True)
+    assert not (tmp_path / "a.h5").exists()

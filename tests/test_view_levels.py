@@ -1,0 +1,116 @@
+"""Levels of view bins and the lattice that grows: laws of what refined bakes are made of."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from transports import Lobed
+
+from bakers.light_noise import LightNoise, fitted_noise
+from bakers.verdict import Correction, Tally
+from bakers.view_levels import view_levels
+from prt_bake import sh, sphere
+from prt_bake.bake_light import bin_turns, checked_bins, drawn, lattice_for, vertex_turns
+from prt_bake.directions import extensible_lattice
+
+
+@pytest.mark.parametrize(("rings", "sectors"), [(1, 1), (1, 5), (2, 3), (4, 8), (16, 64), (40, 64)])
+def test_every_bin_is_in_one_level_and_foretold_from_those_below(rings: int, sectors: int) -> None:
+    directions = sphere.view_bins(rings, sectors)
+    levels = view_levels(directions)
+    below: set[int] = set()
+    for level in levels:
+        assert not below & set(level.bins.tolist())
+        assert set(level.parents.ravel().tolist()) <= below
+        if level is not levels[0]:
+            np.testing.assert_allclose(level.weights.sum(axis=1), 1.0, atol=1e-9)
+        below |= set(level.bins.tolist())
+    assert below == set(range(rings * sectors))
+
+
+def test_smooth_functions_of_the_view_are_foretold_the_better_the_finer() -> None:
+    directions = sphere.view_bins(16, 64)
+    values = sh.evaluate(directions, 3)
+    off = [float(np.abs(level.combining @ values - values[level.bins]).max()) for level in view_levels(directions)[2:]]
+    assert all(after < 0.7 * before for before, after in pairwise(off))
+    assert off[-1] < 0.01
+
+
+def test_the_lattice_keeps_its_points_and_each_size_is_even() -> None:
+    whole = extensible_lattice(1 << 12)
+    for size in (16, 64, 512, 4096):
+        some = whole[:size]
+        np.testing.assert_array_equal(extensible_lattice(size), some)
+        heights = np.sort(some[:, 2])
+        # One point in each of `size` zones of equal area: the heights are equally far apart.
+        np.testing.assert_allclose(np.diff(heights), 2.0 / size, atol=1e-9)
+        harmonics = sh.evaluate(some, 2)
+        np.testing.assert_allclose(4.0 * np.pi / size * harmonics.T @ harmonics, np.eye(9), atol=12.0 / size)
+    with pytest.raises(Exception, match="16384"):
+        extensible_lattice((1 << 14) + 1)
+
+
+@pytest.mark.parametrize("degree", [0, 2, 5])
+def test_fits_recover_what_is_in_the_band_and_tell_of_what_is_not(degree: int) -> None:
+    lattice = lattice_for(degree)
+    exact = np.random.default_rng(degree).normal(size=(4, sh.count(degree), 3))
+    for step, size in enumerate(lattice.sizes[:4]):
+        values = lattice.harmonics[:size] @ exact
+        found, rough = lattice.fitted(values, step)
+        np.testing.assert_allclose(found.reshape(exact.shape), exact, atol=1e-12)
+        assert (rough < 1e-24).all()
+        noise = np.random.default_rng(step).normal(size=(400, size, 3))
+        found, rough = lattice.fitted(noise, step)
+        assert rough.mean() == pytest.approx(1.0, abs=0.05)
+        assert (found**2).mean() == pytest.approx(lattice.variance_shares[step], rel=0.1)
+
+
+def test_turns_are_rotations_of_their_own_vertex_and_bin() -> None:
+    turns = vertex_turns(3)(np.arange(2000))
+    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
+    # Uniform on SO(3): the image of any axis has mean 0 and a third of its length in each direction.
+    assert np.abs(turns.mean(axis=0)).max() < 5.0 / np.sqrt(3.0 * 2000)
+    np.testing.assert_array_equal(vertex_turns(3)(np.array([7])), turns[7:8])
+    own, other = (bin_turns(3)(np.array([7, 7]), np.array([1, 2]), which) for which in (0, 1))
+    assert np.abs(own[0] - own[1]).max() > 1e-3
+    assert np.abs(own - other).max(axis=(1, 2)).min() > 1e-3
+    np.testing.assert_allclose(sh.rotations(turns[:5], 3), [sh.rotation(turn, 3) for turn in turns[:5]], atol=1e-12)
+
+
+def test_bins_are_drawn_by_the_seed_with_their_share() -> None:
+    some = checked_bins(1, 1024, 0.02)(np.arange(50))
+    assert some.mean() == pytest.approx(0.02, abs=0.003)
+    np.testing.assert_array_equal(checked_bins(1, 1024, 0.02)(np.array([7])), some[7:8])
+    assert checked_bins(1, 8, 1.0)(np.arange(9)).all()
+    assert len(set(drawn(1, 100, 30).tolist())) == 30
+
+
+def test_noise_of_fits_is_found_from_pairs() -> None:
+    lattice = lattice_for(2)
+    sizes, many = lattice.sizes[:3], 4000
+    true = LightNoise(gain=5.0, slope=0.5)
+    rough = np.random.default_rng(1).lognormal(size=(3, many))
+    squared = np.array([true.variance(lattice, size) for size in sizes])[:, None] * rough
+    found = fitted_noise(lattice, sizes, rough, squared)
+    assert found.gain == pytest.approx(5.0, rel=0.02)
+    assert found.slope == pytest.approx(0.5, abs=0.02)
+    nothing = fitted_noise(lattice, sizes, np.zeros((3, 5)), np.zeros((3, 5)))
+    assert nothing.gain == pytest.approx(LightNoise().gain)
+
+
+def test_a_correction_without_checks_is_what_was_known() -> None:
+    assert Tally(3).correction(Correction(2.0, 0.5)) == Correction(2.0, 0.5)
+    assert Tally(3).relative(Correction()) == (0.0, 0.0)
+
+
+def test_the_lattices_error_falls_faster_than_a_root() -> None:
+    lattice, transport = lattice_for(2), Lobed()
+    turns = vertex_turns(5)(np.arange(200))
+    x = np.array([[0.0, 0.0, 1.0]])
+    off = []
+    for step, size in enumerate(lattice.sizes[:4]):
+        incident = lattice.directions[:size] @ turns.transpose(0, 2, 1)
+        values = transport.evaluate(incident, np.repeat(x, 200, 0), np.repeat([[0.6, 0.0, 0.8]], 200, 0))
+        found = sh.rotations(turns, 2) @ lattice.fitted(values, step)[0].reshape(200, 9, 3)
+        off.append(float(np.sqrt(found.var(axis=0).mean())))
+    assert np.polyfit(np.log(lattice.sizes[:4]), np.log(off), 1)[0] < -1.0
