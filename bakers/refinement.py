@@ -75,6 +75,8 @@ class Checks:
     """Variance as it was estimated."""
     squared: Array
     """Squared error, mean over K and channels, by two independent estimates: right in the mean, at times negative."""
+    evaluations: int
+    """That these took."""
 
 
 @dataclass(frozen=True)
@@ -317,7 +319,9 @@ class _Work:
                     self._anew(rows[some], bins[some], step, draw) - turned[rows[some], bins[some]] for draw in (0, 1)
                 ]
                 squared[some] = (off[0] * off[1]).mean(axis=(1, 2))
-        return Checks(self.evaluated[bins, rows] > 0, variance[rows, bins], squared)
+        spent = 2 * int(np.array([0, *self.lattice.sizes])[steps].sum())
+        self.evaluations += spent
+        return Checks(self.evaluated[bins, rows] > 0, variance[rows, bins], squared, spent)
 
     def _anew(self, rows: Index, bins: Index, step: int, draw: int) -> Array:
         """Coefficients [M,K,3] of bins from lattices of their own."""
@@ -328,7 +332,6 @@ class _Work:
             self.transport, incident, np.arange(len(rows)), self.positions[rows], self.outgoing[rows, bins]
         )
         found, _rough = self.lattice.fitted(values, step - 1)
-        self.evaluations += len(rows) * size
         return np.asarray(self.how.rotate(turn) @ found.reshape(len(rows), -1, 3))
 
 

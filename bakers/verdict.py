@@ -41,7 +41,7 @@ class Tally:
     def __init__(self, vertices: int) -> None:
         self.evaluated, self.foretold, self.signal = np.zeros(vertices), np.zeros(vertices), np.zeros(vertices)
         self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
-        self.evaluations, self.evaluated_bins, self.bins = 0, 0, 0
+        self.evaluations = self.check_evaluations = self.evaluated_bins = self.bins = 0
         self._checks: list[Checks] = []
 
     def add(self, rows: NDArray[np.int64], refined: Refined) -> None:
@@ -55,6 +55,7 @@ class Tally:
         self.done[rows], self.invalid[rows] = True, ~finite
         self.evaluated_bins, self.bins = self.evaluated_bins + int(was.sum()), self.bins + was.size
         self.evaluations += refined.evaluations
+        self.check_evaluations += refined.checks.evaluations
         self._checks.append(refined.checks)
 
     @property

@@ -82,6 +82,9 @@ class Aim:
     seconds: float
     """Of one worker for one vertex."""
     evaluations: int
+    """That the pilot took."""
+    evaluations_per_vertex: float
+    """Of a pass, checks apart."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +131,7 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / _many(site))
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     noise, view, tightness = refinement.noise, 1.0, 1.0
-    spent, correction, reached, seconds = 0, Correction(), 0.0, 0.0
+    spent, correction, reached, seconds, per_vertex = 0, Correction(), 0.0, 0.0, 0.0
     for attempt in range(MOST_PILOTS):
         if attempt:
             # The noise of differences and the error of prediction as they were seen, and then what is tolerated.
@@ -145,6 +148,7 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
             tally.add(some, _refined(site, replace(trial, checks=checks), some)[0])
         seconds = (time.monotonic() - began) / len(chosen)
         spent += tally.evaluations
+        per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
         correction = tally.correction(Correction())
         reached = _worst(*tally.relative(correction))
         if reached <= 0.0 or 0.7 * error <= reached <= error or (reached < error and attempt + 1 >= PILOTS):
@@ -154,13 +158,13 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
             f"error: a relative RMSE of {error:g} is out of reach; up to {refinement.lattice.sizes[-1]:,} directions "
             f"a bin leave {reached:.3g}; ask for less"
         )
-    return Aim(trial, correction, reached, seconds, spent)
+    return Aim(trial, correction, reached, seconds, spent, per_vertex)
 
 
 def coarse(refinement: Refinement, error: float) -> Aim:
     """Tolerances of about that error, without a pilot."""
     return Aim(
-        replace(refinement, light=error, view=VIEW_OVER_LIGHT * error, checked=error), Correction(), error, 0.0, 0
+        replace(refinement, light=error, view=VIEW_OVER_LIGHT * error, checked=error), Correction(), error, 0.0, 0, 0.0
     )
 
 

@@ -237,13 +237,15 @@ def _ended(run: Run) -> Asset:
 
 
 def _as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
-    checks = {f"checks_{name}": values for name, values in vars(refined.checks).items()}
+    checks = {f"checks_{name}": np.asarray(values) for name, values in vars(refined.checks).items()}
     own = {name: np.asarray(values) for name, values in vars(refined).items() if name != "checks"}
     return own | checks | {"bent": np.asarray(bent)}
 
 
 def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
-    checks = Checks(arrays["checks_evaluated"], arrays["checks_stated"], arrays["checks_squared"])
+    checks = Checks(
+        arrays["checks_evaluated"], arrays["checks_stated"], arrays["checks_squared"], int(arrays["checks_evaluations"])
+    )
     own = [arrays[name] for name in ("coefficients", "deviation", "directions")]
     return Refined(own[0], own[1], own[2], int(arrays["evaluations"]), checks)
 

@@ -3,6 +3,7 @@
 `a_lm(x, ωo) = ∫ Ŝ(ωi; x, ωo) Y_lm(ωi) dωi` at every vertex x and every view bin ωo of the hemisphere about its normal.
 """
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -24,7 +25,7 @@ from prt_bake.bake_error import ErrorMeter
 from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve, views_of
 from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
 from prt_bake.bake_pilot import reach
-from prt_bake.bake_refined import Site
+from prt_bake.bake_refined import Site, aimed, first_refinement
 from prt_bake.bake_to_error import Run, bake_to_error, opened_store
 
 Progress = Callable[[int, int, tuple[float, float, float]], None]
@@ -178,8 +179,15 @@ def _refined(
 
 def _identity(transport: Any, provenance: dict[str, Any]) -> str:
     """What a resumed bake must have been begun with: the hash of the source file, or what is known of the transport."""
-    known = provenance.get("source_sha256") or provenance.get("model_sha256")
-    return str(known or type(transport).__name__)
+    if "source_sha256" in provenance:
+        return str(provenance["source_sha256"])
+    network = getattr(transport, "network", transport)
+    if not hasattr(network, "state_dict"):
+        return type(transport).__name__
+    digest = hashlib.sha256()
+    for name, tensor in network.state_dict().items():
+        digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
+    return digest.hexdigest()
 
 
 def plan(
@@ -192,25 +200,36 @@ def plan(
     samples: int = 64,
     seed: int = 0,
     *,
+    error: float | None = None,
     precision: str = "float32",
     storage: str = "float16",
     workers: int = 1,
     device: str = "cpu",
 ) -> BakePlan:
-    """What `bake` with these arguments would cost; one block is baked to estimate the time. Raises as `bake` does."""
+    """What `bake` with these arguments would cost; one block, or the pilot of a bake to an error, is baked to estimate
+    it. Raises as `bake` does.
+    """
     refuse_foreign(transport, mesh)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
+    vertices, width = len(mesh.positions), 2 if storage == "float16" else 4
+    if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
+        with limited_threads(transport, workers):
+            tangents, views = views_of(mesh, rings, sectors)
+            site = Site(transport, mesh, tangents, views, rings, sectors, degree, seed)
+            aim = aimed(site, first_refinement(site)[0], error)
+        a_bin = math.ceil(aim.evaluations_per_vertex / site.bins)
+        sizes = plan_bake(vertices, site.bins, sh.count(degree), a_bin, width)
+        evaluations = round(aim.evaluations_per_vertex * vertices)
+        return replace(sizes, evaluations=evaluations, seconds=aim.seconds * vertices / max(1, workers))
     with limited_threads(transport, workers):
         job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
         bake_block(job.task, 0, 1)
-        size = min(block_size(job.task), len(mesh.positions))
+        size = min(block_size(job.task), vertices)
         shared = 1 if isinstance(job.resolved.sampling, Walks) else max(1, workers)
         began = time.monotonic()
         bake_block(job.task, 0, size)
-        seconds = (time.monotonic() - began) * len(mesh.positions) / (size * shared)
-    sizes = plan_bake(
-        len(mesh.positions), rings * sectors, sh.count(degree), job.resolved.samples, 2 if storage == "float16" else 4
-    )
+        seconds = (time.monotonic() - began) * vertices / (size * shared)
+    sizes = plan_bake(vertices, rings * sectors, sh.count(degree), job.resolved.samples, width)
     return replace(sizes, seconds=seconds)
 
 

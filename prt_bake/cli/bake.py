@@ -78,7 +78,15 @@ def bake(
     sampling = (degree, rings, sectors, directions, samples)
     if dry_run:
         plan = baking.plan(
-            transport, surface, *sampling, seed, precision=precision, storage=storage, workers=workers, device=device
+            transport,
+            surface,
+            *sampling,
+            seed,
+            error=error,
+            precision=precision,
+            storage=storage,
+            workers=workers,
+            device=device,
         )
         print(json.dumps(plan.as_json(), indent=2))
         return
