@@ -32,6 +32,8 @@ DECAY = 0.45
 """Of the error of prediction, from one level to the next, as it usually is; and how many bins' worth that counts."""
 DECAY_BEFORE = 8.0
 LEAST_DECAY, MOST_DECAY = 0.15, 1.0
+NOISE_OF_WHOLE = 0.17
+"""Squared error of a lattice over its squared difference to half of it: errors fall by 2.6 where sizes double."""
 LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
 """Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
 ALWAYS = 2
@@ -48,8 +50,8 @@ class Refinement:
     lattice: NestedLattice
     rotations: Callable[[Index], Array]
     """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
-    other_rotations: Callable[[Index, Index, int], Array]
-    """(vertices [M], bins [M], which of two) → rotations [M,3,3], independent of those, for the checks."""
+    other_rotations: Callable[[Index, Index], Array]
+    """(vertices [M], bins [M]) → rotations [M,3,3], independent of those, for the checks."""
     rotate: Callable[[Array], Array]
     """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
     noise: LightNoise
@@ -58,7 +60,7 @@ class Refinement:
     view: float
     """Error of prediction tolerated at a bin, over the same."""
     checked: float
-    """Noise of a check, over the same."""
+    """Noise of half of a check, over the same."""
     floor: float
     """Least root mean square of a vertex's coefficients that errors are held against."""
     checks: Callable[[Index], NDArray[np.bool_]]
@@ -74,7 +76,7 @@ class Checks:
     stated: Array
     """Variance as it was estimated."""
     squared: Array
-    """Squared error, mean over K and channels, by two independent estimates: right in the mean, at times negative."""
+    """Squared error, mean over K and channels, the noise of the check taken off: at times negative."""
     evaluations: int
     """That these took."""
 
@@ -307,32 +309,34 @@ class _Work:
             self.evaluations += len(missing) * (end - begin)
 
     def _check(self, variance: Array, turned: Array) -> Checks:
-        """Holds some bins against two independent lattices each: the product of what the two differ by has the squared
-        error for its mean, however noisy they are themselves.
+        """Holds some bins against lattices of their own. What half of such a lattice says otherwise tells how noisy the
+        whole is: that is taken off.
         """
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
-        steps = self._steps(self.rough[bins, rows], self.how.checked**2 * self.scale[rows])
+        half = self._steps(self.rough[bins, rows], self.how.checked**2 * self.scale[rows])
+        whole = np.minimum(half + 1, len(self.unit))
         squared = np.empty(len(rows))
-        for step in np.unique(steps):
-            for some in _lots(np.flatnonzero(steps == step), self.lattice.sizes[step - 1]):
-                off = [
-                    self._anew(rows[some], bins[some], step, draw) - turned[rows[some], bins[some]] for draw in (0, 1)
-                ]
-                squared[some] = (off[0] * off[1]).mean(axis=(1, 2))
-        spent = 2 * int(np.array([0, *self.lattice.sizes])[steps].sum())
+        for step in np.unique(whole):
+            for some in _lots(np.flatnonzero(whole == step), self.lattice.sizes[step - 1]):
+                found, before = self._anew(rows[some], bins[some], step)
+                off = ((found - turned[rows[some], bins[some]]) ** 2).mean(axis=(1, 2))
+                squared[some] = off - NOISE_OF_WHOLE * ((found - before) ** 2).mean(axis=(1, 2))
+        spent = int(np.array([0, *self.lattice.sizes])[whole].sum())
         self.evaluations += spent
         return Checks(self.evaluated[bins, rows] > 0, variance[rows, bins], squared, spent)
 
-    def _anew(self, rows: Index, bins: Index, step: int, draw: int) -> Array:
-        """Coefficients [M,K,3] of bins from lattices of their own."""
+    def _anew(self, rows: Index, bins: Index, step: int) -> tuple[Array, Array]:
+        """Coefficients [M,K,3] of bins from lattices of their own, and from the half of them."""
         size = self.lattice.sizes[step - 1]
-        turn = self.how.other_rotations(self.vertices[rows], bins, draw)
+        turn = self.how.other_rotations(self.vertices[rows], bins)
         incident = self.lattice.directions[:size] @ turn.transpose(0, 2, 1)
         values = values_at(
             self.transport, incident, np.arange(len(rows)), self.positions[rows], self.outgoing[rows, bins]
         )
         found, _rough = self.lattice.fitted(values, step - 1)
-        return np.asarray(self.how.rotate(turn) @ found.reshape(len(rows), -1, 3))
+        less, _rough = self.lattice.fitted(values[:, : self.lattice.sizes[max(step - 2, 0)]], max(step - 2, 0))
+        back = self.how.rotate(turn)
+        return back @ found.reshape(len(rows), -1, 3), back @ less.reshape(len(rows), -1, 3)
 
 
 def values_at(

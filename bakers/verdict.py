@@ -5,7 +5,7 @@ different ways. Checked bins are a random sample of all, so that the ratio of wh
 the sum of what is stated without bias; a few bins' worth of what was known before keeps it steady.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 BEFORE = 6.0
 """How many checked bins weigh as much as what was known before."""
 LEAST, MOST = 0.05, 1e4
+BOUND, BOUND_BEFORE = 1.96, 20.0
+"""Sigmas that 95 % of the errors lie within, and how many checks weigh as much as that being so already."""
 FREEDOM = 8
 """Independent numbers that the error of one vertex is made of: its bins share a lattice, and err together."""
 _SCATTER = np.sqrt(chi2.ppf((np.arange(32) + 0.5) / 32, FREEDOM) / FREEDOM)
@@ -29,10 +31,16 @@ class Correction:
 
     evaluated: float = 1.0
     foretold: float = 1.0
+    bound: float = 1.0
+    """Factor on standard errors beside: with it 1.96 of them hold the errors of 95 % of the bins."""
 
     def of(self, evaluated: NDArray[np.bool_]) -> Array:
-        """The factor for each bin."""
+        """The factor for the variance of each bin."""
         return np.where(evaluated, self.evaluated, self.foretold)
+
+    def standard_error(self, deviation: NDArray[np.floating], evaluated: NDArray[np.bool_]) -> Array:
+        """Standard errors from stated ones [...], such that 1.96 of them are a 95 % bound."""
+        return np.asarray(self.bound * np.sqrt(self.of(evaluated)) * deviation)
 
 
 class Tally:
@@ -69,10 +77,12 @@ class Tally:
         stated = np.concatenate([check.stated for check in self._checks] or [np.zeros(0)])
         squared = np.concatenate([check.squared for check in self._checks] or [np.zeros(0)])
         sound = np.isfinite(stated) & np.isfinite(squared)
-        return Correction(
-            _ratio(stated[sound & evaluated], squared[sound & evaluated], before.evaluated),
-            _ratio(stated[sound & ~evaluated], squared[sound & ~evaluated], before.foretold),
+        evaluated, stated, squared = evaluated[sound], stated[sound], squared[sound]
+        found = Correction(
+            _ratio(stated[evaluated], squared[evaluated], before.evaluated),
+            _ratio(stated[~evaluated], squared[~evaluated], before.foretold),
         )
+        return replace(found, bound=_bound(found.of(evaluated) * stated, squared))
 
     def relative(self, correction: Correction) -> tuple[float, float]:
         """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one."""
@@ -84,6 +94,17 @@ class Tally:
         if not by_vertex.size:
             return total, 0.0
         return total, float(np.percentile(by_vertex[:, None] * _SCATTER, 95, method="higher"))
+
+
+def _bound(variance: Array, squared: Array) -> float:
+    """The factor on sigma with which 1.96 of it holds 95 % of these errors, as far as their number tells."""
+    known = variance > 0.0
+    if not known.any():
+        return 1.0
+    over = np.sqrt(np.maximum(squared[known], 0.0) / variance[known])
+    factor = float(np.percentile(over, 95.0)) / BOUND
+    weight = len(over) / (len(over) + BOUND_BEFORE)
+    return float(np.clip(factor, 0.5, 2.0) ** weight)
 
 
 def _ratio(stated: Array, squared: Array, before: float) -> float:

@@ -39,7 +39,9 @@ OUT_OF_REACH = 1.5
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
 PILOT_CHECKS = 128
-CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.005, 64, 4096
+CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.01, 64, 4096
+CHECK_NOISE = 1.5
+"""Of half of a check's lattice, over the error asked for."""
 FEWEST_NOISE_BINS, MOST_NOISE_BINS = 16, 48
 PERCENTILE_SLACK = 1.15
 DARK = 0.01
@@ -140,7 +142,7 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
             tightness *= float(np.clip(AIM * error / reached, 0.5, 1.6)) if attempt > 1 else 1.0
         tolerated = tightness * error
         trial = replace(
-            refinement, noise=noise, light=tolerated, view=view * VIEW_OVER_LIGHT * tolerated, checked=error
+            refinement, noise=noise, light=tolerated, view=view * VIEW_OVER_LIGHT * tolerated, checked=CHECK_NOISE * error
         )
         began, tally = time.monotonic(), Tally(vertices)
         for first in range(0, len(chosen), site.block_vertices):
@@ -164,7 +166,12 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
 def coarse(refinement: Refinement, error: float) -> Aim:
     """Tolerances of about that error, without a pilot."""
     return Aim(
-        replace(refinement, light=error, view=VIEW_OVER_LIGHT * error, checked=error), Correction(), error, 0.0, 0, 0.0
+        replace(refinement, light=error, view=VIEW_OVER_LIGHT * error, checked=CHECK_NOISE * error),
+        Correction(),
+        error,
+        0.0,
+        0,
+        0.0,
     )
 
 

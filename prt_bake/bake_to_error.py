@@ -202,7 +202,7 @@ def _write(run: Run, stage: str, aim: Aim, done: Pass) -> None:
             valid, bent = refined.valid, bent + int(arrays["bent"])
             for size, many in zip(*np.unique(refined.directions, return_counts=True), strict=True):
                 histogram[int(size)] = histogram.get(int(size), 0) + int(many)
-            deviation = np.sqrt(done.correction.of(refined.directions > 0)) * refined.deviation
+            deviation = done.correction.standard_error(refined.deviation, refined.directions > 0)
             coefficients = np.where(valid[:, None, None, None], refined.coefficients, np.float32(0.0))
             standard_error = np.where(valid[:, None], deviation, 0.0).astype(np.float32)
             sink.write(Block(first, coefficients, standard_error, valid, 0))
@@ -223,6 +223,7 @@ def _write(run: Run, stage: str, aim: Aim, done: Pass) -> None:
                     "evaluated": done.correction.evaluated,
                     "foretold": done.correction.foretold,
                 },
+                "bound_factor": done.correction.bound,
                 "lattice_gain": vars(aim.refinement.noise),
             },
         }

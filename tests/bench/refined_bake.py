@@ -1,0 +1,139 @@
+"""Bakes to an error against plain Monte Carlo: evaluations, time, and whether what they say of their error is true.
+
+    PYTHONPATH=tests python tests/bench/refined_bake.py [--error 0.01] [--seeds 6]
+    PYTHONPATH=tests python tests/bench/refined_bake.py --model MODEL.pt --mesh MESH [--vertices 64]
+
+Without a model: analytic transports on 42 vertices, 16×64 bins, all evaluations counted from outside. With one: some
+vertices of its mesh, refined to the error, against a bake as one would write it in plain PyTorch: uniform directions,
+bin by bin, default threads; timed at 1024 directions on bins drawn at random and carried to the error by its own law.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from transports import Array, Chequered, Counting, Edged, Incoherent, Lobed, exact, icosphere, uniform_needs
+
+from bakers.transport import on_mesh, up_to
+from formats.mesh import read_mesh
+from prt_bake import bake, sh, sphere
+from prt_bake.bake_job import limited_threads, prepared, views_of
+from prt_bake.bake_refined import Site, _refined, aimed, first_refinement
+from prt_bake.network import load_model
+
+PLAIN_DIRECTIONS, PLAIN_BINS = 1024, 192
+TRUE_DIRECTIONS = 1 << 13
+
+
+def analytic(error: float, seeds: int) -> None:
+    mesh = icosphere(1)
+    bins = len(mesh.positions) * 1024
+    print(f"{'':12}{'uniform':>9}{'ours':>8}{'fewer':>8}{'true':>8}{'told':>8}{'p95':>8}{'told':>8}{'within':>8}")
+    for transport in (Edged(), Lobed(), Incoherent(), Chequered()):
+        truth = exact(transport, mesh, 16, 64)
+        needs = uniform_needs(transport, mesh, truth, 16, 64, error)
+        for seed in range(seeds):
+            counted = Counting(transport)
+            asset = bake(counted, mesh, error=error, seed=seed)
+            off = asset.coefficients - truth
+            told = asset.provenance["estimated_relative_rmse"]
+            by_vertex = np.sqrt((off**2).sum(axis=(1, 2, 3)) / (truth**2).sum(axis=(1, 2, 3)))
+            within = np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error
+            ours = counted.evaluations / bins
+            print(
+                f"{type(transport).__name__:12}{needs:9.0f}{ours:8.1f}{needs / ours:8.0f}"
+                f"{np.sqrt((off**2).sum() / (truth**2).sum()):8.2%}{told['total']:8.2%}"
+                f"{np.percentile(by_vertex, 95):8.2%}{told['percentile_95_over_vertices']:8.2%}{within.mean():8.1%}",
+                flush=True,
+            )
+
+
+def row_by_row(network: Any, incident: Array, x: Array, eye: Array) -> Array:
+    """Ŝ [D,3] of one bin, the network called on rows of (ωi, x, ωo)."""
+    rows = [torch.from_numpy(np.broadcast_to(part, incident.shape).copy()) for part in (incident, x, eye)]
+    with torch.no_grad():
+        return network(*rows).double().numpy()
+
+
+def view_once(network: Any, incident: Array, x: Array, eye: Array) -> Array:
+    """The same by the plain method that runs what does not depend on ωi once."""
+    return network.evaluate(incident, x[None], eye[None])[0].astype(np.float64)
+
+
+def plain_bake(ask: Any, network: Any, places: Array, looking: Array, directions: int) -> tuple[Array, float]:
+    """Coefficients [M,K,3] of bins from uniform directions, bin by bin, and the seconds of one bin."""
+    began, found = time.perf_counter(), []
+    for number, (x, eye) in enumerate(zip(places, looking, strict=True)):
+        incident = sphere.uniform(directions, directions + number)
+        found.append(4.0 * np.pi / directions * sh.evaluate(incident, 2).T @ ask(network, incident, x, eye))
+    return np.stack(found), (time.perf_counter() - began) / len(places)
+
+
+def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precision: str) -> None:
+    mesh, network = read_mesh(mesh_path), load_model(model)
+    bound = up_to(on_mesh(network, mesh), 2)
+    transport = prepared(bound, precision, "cpu")
+    tangents, views = views_of(mesh, 16, 64)
+    chosen = np.sort(np.random.default_rng(5).permutation(len(mesh.positions))[:vertices])
+    site = Site(transport, mesh, tangents, views, 16, 64, 2, 0)
+    with limited_threads(transport, 1):
+        aim = aimed(site, first_refinement(site)[0], error)
+        began = time.perf_counter()
+        cuts = range(0, len(chosen), site.block_vertices)
+        parts = [_refined(site, aim.refinement, chosen[first : first + site.block_vertices])[0] for first in cuts]
+        ours = (time.perf_counter() - began) / (len(chosen) * 1024)
+    coefficients = np.concatenate([part.coefficients for part in parts]).astype(np.float64)
+    spent = sum(part.evaluations for part in parts) / (len(chosen) * 1024)
+    rows, bins = np.random.default_rng(1).integers((len(chosen), 1024), size=(PLAIN_BINS, 2)).T
+    looking = np.stack([views(int(v), int(v) + 1)[0][0, b] for v, b in zip(chosen[rows], bins, strict=True)])
+    places = mesh.positions[chosen[rows]]
+    lattice = sphere.fibonacci(TRUE_DIRECTIONS)
+    harmonics = sh.evaluate(lattice, 2)
+    with limited_threads(transport, 1):
+        answer = prepared(bound, "float32", "cpu").evaluate_block(
+            lattice[None], np.zeros((len(rows), 1), int), places, looking[:, None]
+        )
+    truth = np.linalg.lstsq(harmonics, answer[:, 0].transpose(1, 0, 2).reshape(TRUE_DIRECTIONS, -1).astype(float))[0]
+    truth = truth.reshape(-1, len(rows), 3).transpose(1, 0, 2)
+
+    def off(found: Array) -> float:
+        return float(np.sqrt(((found - truth) ** 2).sum() / (truth**2).sum()))
+
+    print(
+        f"{model.name} {precision}, {error:.1%} asked for: {off(coefficients[rows, bins]):.2%} (told by the pilot "
+        f"{aim.error:.2%}) with {spent:.1f} evaluations and {1e6 * ours:.0f} µs a bin, {spent / ours / 1e6:.2f} M/s"
+    )
+    for name, ask in (("row by row", row_by_row), ("view once", view_once)):
+        few = 16 if ask is row_by_row else len(rows)
+        _found, seconds = plain_bake(ask, bound, places[:few], looking[:few], PLAIN_DIRECTIONS)
+        whole, _seconds = plain_bake(view_once, bound, places, looking, PLAIN_DIRECTIONS)
+        quarter, _seconds = plain_bake(view_once, bound, places, looking, PLAIN_DIRECTIONS // 4)
+        needed = (off(whole) / error) ** 2
+        print(
+            f"  plain, {name}: {1e3 * seconds:.2f} ms a bin of {PLAIN_DIRECTIONS} directions, {off(whole):.1%} "
+            f"({off(quarter):.1%} with a quarter), {needed * seconds:.2f} s at {error:.1%}: "
+            f"{needed * seconds / ours:,.0f} times ours",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--error", type=float, default=0.01)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--mesh", type=Path)
+    parser.add_argument("--vertices", type=int, default=64)
+    parser.add_argument("--precision", default="float32")
+    given = parser.parse_args()
+    if given.model is None:
+        analytic(given.error, given.seeds)
+    else:
+        of_network(given.model, given.mesh, given.error, given.vertices, given.precision)
+
+
+if __name__ == "__main__":
+    main()
