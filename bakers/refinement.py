@@ -13,7 +13,7 @@ A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +32,11 @@ DECAY = 0.45
 """Of the error of prediction, from one level to the next, as it usually is; and how many bins' worth that counts."""
 DECAY_BEFORE = 8.0
 LEAST_DECAY, MOST_DECAY = 0.15, 1.0
-NOISE_OF_WHOLE = 0.17
-"""Squared error of a lattice over its squared difference to half of it: errors fall by 2.6 where sizes double."""
 LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
 """Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
 ALWAYS = 2
 """Levels up to this one are evaluated whole: what fewer bins say of the others is not to be relied on."""
+MISSED_OF_ERROR = 0.3
 LEAST_SHARE = 0.15
 """Of the tolerated variance, what a bin may always have of its own."""
 
@@ -50,8 +49,8 @@ class Refinement:
     lattice: NestedLattice
     rotations: Callable[[Index], Array]
     """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
-    other_rotations: Callable[[Index, Index], Array]
-    """(vertices [M], bins [M]) → rotations [M,3,3], independent of those, for the checks."""
+    other_rotations: Callable[[Index, Index, int], Array]
+    """(vertices [M], bins [M], 0 or 1) → rotations [M,3,3], independent of those and of each other, for the checks."""
     rotate: Callable[[Array], Array]
     """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
     noise: LightNoise
@@ -60,25 +59,44 @@ class Refinement:
     view: float
     """Error of prediction tolerated at a bin, over the same."""
     checked: float
-    """Noise of half of a check, over the same."""
+    """Noise of each half of a check, over the same."""
     floor: float
     """Least root mean square of a vertex's coefficients that errors are held against."""
+    begin: int
+    """Sizes of the lattice that every evaluated bin has to begin with: enough not to miss the narrowest detail."""
+    missed: Array
+    """What each size of the lattice misses without telling so, over the root mean square coefficient."""
     checks: Callable[[Index], NDArray[np.bool_]]
     """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
+
+    def begin_for(self, error: float) -> int:
+        """How many sizes to begin with so that hardly any of that error is missed without telling."""
+        return 1 + int(np.max(np.flatnonzero(self.missed > MISSED_OF_ERROR * error), initial=-1) + 1)
 
 
 @dataclass(frozen=True)
 class Checks:
     """Bins at which an estimate was held against an independent one; each [M]."""
 
+    rows: Index
+    """Whose bins they are: the place of the vertex in its block."""
     evaluated: NDArray[np.bool_]
     """Whether the bin had been evaluated, or foretold."""
     stated: Array
     """Variance as it was estimated."""
     squared: Array
-    """Squared error, mean over K and channels, the noise of the check taken off: at times negative."""
+    """Squared error, mean over K and channels, without bias for the noise of the check: at times negative."""
     evaluations: int
     """That these took."""
+
+    def with_rows(self, rows: Index, other: "Checks") -> "Checks":
+        """These checks, those of the vertices in these places [m] from `other`."""
+        stay = ~np.isin(self.rows, rows)
+        order = np.argsort(np.concatenate([self.rows[stay], rows[other.rows]]), kind="stable")
+        own = [self.rows[stay], self.evaluated[stay], self.stated[stay], self.squared[stay]]
+        theirs = [rows[other.rows], other.evaluated, other.stated, other.squared]
+        parts = [np.concatenate(pair)[order] for pair in zip(own, theirs, strict=True)]
+        return Checks(parts[0], parts[1], parts[2], parts[3], other.evaluations)
 
 
 @dataclass(frozen=True)
@@ -98,6 +116,20 @@ class Refined:
     def valid(self) -> NDArray[np.bool_]:
         """Vertices [n] at which all is finite."""
         return np.asarray(np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.deviation).all(axis=1))
+
+    def for_nothing(self) -> "Refined":
+        """The same, from an earlier pass: it took nothing."""
+        return replace(self, evaluations=0, checks=replace(self.checks, evaluations=0))
+
+    def with_rows(self, rows: Index, other: "Refined") -> "Refined":
+        """This block with the vertices in these places [m] as `other` has them; it took what `other` took."""
+        parts = []
+        for name in ("coefficients", "deviation", "directions"):
+            whole = getattr(self, name).copy()
+            whole[rows] = getattr(other, name)
+            parts.append(whole)
+        checks = self.checks.with_rows(rows, other.checks)
+        return Refined(parts[0], parts[1], parts[2], other.evaluations, checks)
 
 
 def refine(transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array) -> Refined:
@@ -134,7 +166,7 @@ class _Work:
         self.of_differences = refinement.noise.of_differences
         beginning = np.concatenate([level.bins for level in refinement.levels[: ALWAYS + 1]])
         bins_, rows = (axis.ravel() for axis in np.meshgrid(beginning, np.arange(n), indexing="ij"))
-        self._grow(rows, bins_, np.ones(len(rows), np.int64))
+        self._grow(rows, bins_, np.full(len(rows), self.how.begin))
 
     def add(self, number: int, level: Level) -> None:
         """Foretells the bins of a level, and evaluates those that this is not good enough for."""
@@ -152,7 +184,7 @@ class _Work:
         places, rows = np.nonzero(wanted)
         bins = level.bins[places]
         foretold, carried, expected = (part[bins, rows] for part in (self.coefficients, self.noise, self.surprise))
-        self._grow(rows, bins, np.ones(len(rows), np.int64))
+        self._grow(rows, bins, np.full(len(rows), self.how.begin))
         self._foretell_values(rows, level.parents[places], number)
         self._settle(rows, bins, (level.parents[places], level.weights[places], foretold, carried), tolerated)
         off = ((self.coefficients[bins, rows] - foretold) ** 2).mean(axis=1)
@@ -309,34 +341,32 @@ class _Work:
             self.evaluations += len(missing) * (end - begin)
 
     def _check(self, variance: Array, turned: Array) -> Checks:
-        """Holds some bins against lattices of their own. What half of such a lattice says otherwise tells how noisy the
-        whole is: that is taken off.
+        """Holds some bins against two lattices of their own each. What both of them say a bin is off, one times the
+        other, has its squared error for a mean, however noisy they are.
         """
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
-        half = self._steps(self.rough[bins, rows], self.how.checked**2 * self.scale[rows])
-        whole = np.minimum(half + 1, len(self.unit))
+        # A bin that seems smoother than its vertex may have missed what others have seen.
+        rough = np.maximum(self.rough[bins, rows], self.rough.mean(axis=0)[rows])
+        steps = np.maximum(self._steps(rough, self.how.checked**2 * self.scale[rows]), self.how.begin)
         squared = np.empty(len(rows))
-        for step in np.unique(whole):
-            for some in _lots(np.flatnonzero(whole == step), self.lattice.sizes[step - 1]):
-                found, before = self._anew(rows[some], bins[some], step)
-                off = ((found - turned[rows[some], bins[some]]) ** 2).mean(axis=(1, 2))
-                squared[some] = off - NOISE_OF_WHOLE * ((found - before) ** 2).mean(axis=(1, 2))
-        spent = int(np.array([0, *self.lattice.sizes])[whole].sum())
+        for step in np.unique(steps):
+            for some in _lots(np.flatnonzero(steps == step), self.lattice.sizes[step - 1]):
+                r, b = rows[some], bins[some]
+                one, other = (self._anew(r, b, step, which) - turned[r, b] for which in (0, 1))
+                squared[some] = (one * other).mean(axis=(1, 2))
+        spent = 2 * int(np.array([0, *self.lattice.sizes])[steps].sum())
         self.evaluations += spent
-        return Checks(self.evaluated[bins, rows] > 0, variance[rows, bins], squared, spent)
+        return Checks(rows, self.evaluated[bins, rows] > 0, variance[rows, bins], squared, spent)
 
-    def _anew(self, rows: Index, bins: Index, step: int) -> tuple[Array, Array]:
-        """Coefficients [M,K,3] of bins from lattices of their own, and from the half of them."""
-        size = self.lattice.sizes[step - 1]
-        turn = self.how.other_rotations(self.vertices[rows], bins)
-        incident = self.lattice.directions[:size] @ turn.transpose(0, 2, 1)
+    def _anew(self, rows: Index, bins: Index, step: int, which: int) -> Array:
+        """Coefficients [M,K,3] of bins from the first or second of the lattices that are theirs alone."""
+        turn = self.how.other_rotations(self.vertices[rows], bins, which)
+        incident = self.lattice.directions[: self.lattice.sizes[step - 1]] @ turn.transpose(0, 2, 1)
         values = values_at(
             self.transport, incident, np.arange(len(rows)), self.positions[rows], self.outgoing[rows, bins]
         )
         found, _rough = self.lattice.fitted(values, step - 1)
-        less, _rough = self.lattice.fitted(values[:, : self.lattice.sizes[max(step - 2, 0)]], max(step - 2, 0))
-        back = self.how.rotate(turn)
-        return back @ found.reshape(len(rows), -1, 3), back @ less.reshape(len(rows), -1, 3)
+        return np.asarray(self.how.rotate(turn) @ found.reshape(len(rows), -1, 3))
 
 
 def values_at(

@@ -6,6 +6,7 @@ the sum of what is stated without bias; a few bins' worth of what was known befo
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ BOUND, BOUND_BEFORE = 1.96, 20.0
 """Sigmas that 95 % of the errors lie within, and how many checks weigh as much as that being so already."""
 FREEDOM = 8
 """Independent numbers that the error of one vertex is made of: its bins share a lattice, and err together."""
+_CHECKED: dict[str, type] = {"rows": np.int64, "evaluated": np.bool_, "stated": np.float64, "squared": np.float64}
 _SCATTER = np.sqrt(chi2.ppf((np.arange(32) + 0.5) / 32, FREEDOM) / FREEDOM)
 
 
@@ -73,9 +75,7 @@ class Tally:
 
     def correction(self, before: Correction) -> Correction:
         """What the checks say of the stated variances, `before` known."""
-        evaluated = np.concatenate([check.evaluated for check in self._checks] or [np.zeros(0, bool)])
-        stated = np.concatenate([check.stated for check in self._checks] or [np.zeros(0)])
-        squared = np.concatenate([check.squared for check in self._checks] or [np.zeros(0)])
+        evaluated, stated, squared = (self._all_checks(name) for name in ("evaluated", "stated", "squared"))
         sound = np.isfinite(stated) & np.isfinite(squared)
         evaluated, stated, squared = evaluated[sound], stated[sound], squared[sound]
         found = Correction(
@@ -84,16 +84,45 @@ class Tally:
         )
         return replace(found, bound=_bound(found.of(evaluated) * stated, squared))
 
-    def relative(self, correction: Correction) -> tuple[float, float]:
-        """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one."""
+    def relative(self, correction: Correction, smaller: Array | float = 1.0) -> tuple[float, float]:
+        """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one;
+        as they would be if the errors of the vertices were `smaller` [V] times what they are.
+        """
         error = correction.evaluated * self.evaluated + correction.foretold * self.foretold
-        error, signal = error[self.done], np.maximum(self.signal[self.done], 0.0)
+        error = (error * np.square(smaller))[self.done]
+        signal = np.maximum(self.signal[self.done], 0.0)
         signal = np.maximum(signal - error, 0.5 * signal)
         by_vertex = np.sqrt(np.divide(error, signal, out=np.zeros_like(error), where=signal > 0.0))
         total = float(np.sqrt(error.sum() / signal.sum())) if signal.sum() > 0.0 else 0.0
         if not by_vertex.size:
             return total, 0.0
         return total, float(np.percentile(by_vertex[:, None] * _SCATTER, 95, method="higher"))
+
+    def worst_first(self, correction: Correction) -> NDArray[np.int64]:
+        """Finite vertices by their relative error, the largest first."""
+        error = correction.evaluated * self.evaluated + correction.foretold * self.foretold
+        relative = np.divide(error, self.signal, out=np.zeros_like(error), where=self.signal > 0.0)
+        order = np.argsort(-relative, kind="stable")
+        return order[(relative > 0.0)[order]]
+
+    def as_arrays(self) -> dict[str, NDArray[Any]]:
+        """All of it, to be kept."""
+        sums = {name: np.asarray(value) for name, value in vars(self).items() if name != "_checks"}
+        checks = {f"checks_{name}": self._all_checks(name) for name in _CHECKED}
+        return sums | checks
+
+    @classmethod
+    def of_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "Tally":
+        """What `as_arrays` was made of."""
+        tally = cls(len(arrays["done"]))
+        for name, was in list(vars(tally).items()):
+            if name != "_checks":
+                setattr(tally, name, int(arrays[name]) if isinstance(was, int) else arrays[name])
+        tally._checks = [Checks(evaluations=0, **{name: arrays[f"checks_{name}"] for name in _CHECKED})]
+        return tally
+
+    def _all_checks(self, name: str) -> NDArray[Any]:
+        return np.concatenate([np.zeros(0, _CHECKED[name]), *(getattr(check, name) for check in self._checks)])
 
 
 def _bound(variance: Array, squared: Array) -> float:

@@ -38,9 +38,9 @@ def vertex_turns(seed: int) -> Callable[[Index], NDArray[np.float64]]:
     return lambda vertices: rotations(uniforms((_TURN_STREAM, seed, vertices), 3))
 
 
-def bin_turns(seed: int) -> Callable[[Index, Index], NDArray[np.float64]]:
-    """(vertices [M], bins [M]) → rotations [M,3,3], independent of the vertices' own."""
-    return lambda vertices, bins: rotations(uniforms((_CHECK_TURN_STREAM, seed, vertices, bins), 3))
+def bin_turns(seed: int) -> Callable[[Index, Index, int], NDArray[np.float64]]:
+    """(vertices [M], bins [M], which of two) → rotations [M,3,3], independent of the vertices' own."""
+    return lambda vertices, bins, which: rotations(uniforms((_CHECK_TURN_STREAM, seed, which, vertices, bins), 3))
 
 
 def pair_turns(seed: int, size: int, which: int, bins: Index) -> NDArray[np.float64]:

@@ -10,21 +10,17 @@ a small part, and a lattice of the right size has a smaller error than one that 
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bakers.in_order import in_order
-from bakers.light_noise import LightNoise, fitted_noise
-from bakers.refinement import Refined, Refinement, refine, values_at
+from bakers.refinement import Refined, Refinement, refine
 from bakers.verdict import Correction, Tally
-from bakers.view_levels import view_levels
 from formats.errors import QueryError
-from formats.mesh import Mesh
-from prt_bake import sh, sphere
-from prt_bake.bake_job import Views
-from prt_bake.bake_light import bin_turns, checked_bins, drawn, lattice_for, pair_turns, vertex_turns
+from prt_bake.bake_first_look import FEWEST_CHECKS, MISSED, Site
+from prt_bake.bake_light import checked_bins, drawn
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -39,38 +35,13 @@ OUT_OF_REACH = 1.5
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
 PILOT_CHECKS = 128
-CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.01, 64, 4096
-CHECK_NOISE = 1.5
-"""Of half of a check's lattice, over the error asked for."""
-FEWEST_NOISE_BINS, MOST_NOISE_BINS = 16, 48
+CHECK_NOISE = 1.0
+"""Of each of the two lattices of a check, over the error asked for."""
 PERCENTILE_SLACK = 1.15
-DARK = 0.01
-"""Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
-BINS_AT_ONCE = 1 << 15
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where a refined bake is: the transport, ready to be asked, and what it is baked on."""
-
-    transport: Any
-    mesh: Mesh
-    tangents: Array
-    views: Views
-    rings: int
-    sectors: int
-    degree: int
-    seed: int
-
-    @property
-    def bins(self) -> int:
-        """B"""
-        return self.rings * self.sectors
-
-    @property
-    def block_vertices(self) -> int:
-        """Vertices that are baked together."""
-        return int(np.clip(BINS_AT_ONCE // self.bins, 1, 64))
+AGAIN = 0.8, 0.6, 0.4, 0.25, 0.15
+"""Of their error, what vertices that are done again may come down to."""
+COST = 1.5
+"""Evaluations grow with that power of 1 / error."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +58,8 @@ class Aim:
     """That the pilot took."""
     evaluations_per_vertex: float
     """Of a pass, checks apart."""
+    again: NDArray[np.bool_] | None = None
+    """Vertices [V] to be done; the others stay as the pass before left them. None: all."""
 
 
 @dataclass(frozen=True)
@@ -105,45 +78,27 @@ class Pass:
         return _worst(self.total, self.percentile_95)
 
 
-def first_refinement(site: Site) -> tuple[Refinement, int]:
-    """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
-    lattice = lattice_for(site.degree)
-    noise, floor, spent = _noise(site, lattice)
-    levels = view_levels(sphere.view_bins(site.rings, site.sectors))
-    share = np.clip(CHECK_SHARE, FEWEST_CHECKS / _many(site), MOST_CHECKS / _many(site))
-    return Refinement(
-        levels=levels,
-        lattice=lattice,
-        rotations=vertex_turns(site.seed),
-        other_rotations=bin_turns(site.seed),
-        rotate=lambda turns: sh.rotations(turns, site.degree),
-        noise=noise,
-        light=1.0,
-        view=1.0,
-        checked=1.0,
-        floor=DARK * floor,
-        checks=checked_bins(site.seed, site.bins, float(share)),
-    ), spent
-
-
 def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices."""
     vertices = len(site.mesh.positions)
     chosen = np.sort(drawn(site.seed, vertices, int(np.clip(vertices // PILOT_SHARE, 1, PILOT_VERTICES))))
-    share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / _many(site))
+    share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     noise, view, tightness = refinement.noise, 1.0, 1.0
-    spent, correction, reached, seconds, per_vertex = 0, Correction(), 0.0, 0.0, 0.0
-    for attempt in range(MOST_PILOTS):
-        if attempt:
+    begin, most = refinement.begin_for(error), len(refinement.lattice.sizes)
+    spent, correction, reached, seconds, per_vertex, attempt = 0, Correction(), 0.0, 0.0, 0.0, 0
+    while attempt < MOST_PILOTS:
+        if correction.evaluated > MISSED and begin < most:
+            # Most bins do not see what some do: what they say of their error is worth nothing.
+            begin, attempt = min(begin + 2, most), 0
+        elif attempt:
             # The noise of differences and the error of prediction as they were seen, and then what is tolerated.
             noise = replace(noise, of_differences=noise.of_differences * correction.evaluated)
             view = float(np.clip(view / np.sqrt(correction.foretold), *VIEW_RANGE))
             tightness *= float(np.clip(AIM * error / reached, 0.5, 1.6)) if attempt > 1 else 1.0
-        tolerated = tightness * error
-        trial = replace(
-            refinement, noise=noise, light=tolerated, view=view * VIEW_OVER_LIGHT * tolerated, checked=CHECK_NOISE * error
-        )
+        light = tightness * error
+        bound = view * VIEW_OVER_LIGHT * light
+        trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
         began, tally = time.monotonic(), Tally(vertices)
         for first in range(0, len(chosen), site.block_vertices):
             some = chosen[first : first + site.block_vertices]
@@ -153,7 +108,8 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
         per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
         correction = tally.correction(Correction())
         reached = _worst(*tally.relative(correction))
-        if reached <= 0.0 or 0.7 * error <= reached <= error or (reached < error and attempt + 1 >= PILOTS):
+        attempt += 1
+        if reached <= 0.0 or 0.7 * error <= reached <= error or (reached < error and attempt >= PILOTS):
             break
     if reached > OUT_OF_REACH * error:
         raise QueryError(
@@ -166,7 +122,13 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
 def coarse(refinement: Refinement, error: float) -> Aim:
     """Tolerances of about that error, without a pilot."""
     return Aim(
-        replace(refinement, light=error, view=VIEW_OVER_LIGHT * error, checked=CHECK_NOISE * error),
+        replace(
+            refinement,
+            light=error,
+            view=VIEW_OVER_LIGHT * error,
+            checked=CHECK_NOISE * error,
+            begin=refinement.begin_for(error),
+        ),
         Correction(),
         error,
         0.0,
@@ -176,35 +138,68 @@ def coarse(refinement: Refinement, error: float) -> Aim:
 
 
 def tighter(aim: Aim, done: Pass, error: float) -> Aim:
-    """What to do after a pass that left more than the error asked for."""
-    factor = AIM * error / done.worst
+    """What to do after a pass that left more than the error asked for: the worst vertices again, as many of them and to
+    as small an error of theirs as costs least.
+    """
+    goal = AIM * error
+    trials = [_worst_again(done, goal, factor) for factor in AGAIN] + [_all_again(done, goal)]
+    again, factor, left = min(trials, key=lambda trial: (trial[2] > goal, trial[0].sum() * trial[1] ** -COST))
     refinement = replace(aim.refinement, light=factor * aim.refinement.light, view=factor * aim.refinement.view)
-    return replace(aim, refinement=refinement, correction=done.correction, error=AIM * error)
+    return replace(aim, refinement=refinement, correction=done.correction, error=left, again=again)
+
+
+def _worst_again(done: Pass, goal: float, factor: float) -> tuple[NDArray[np.bool_], float, float]:
+    """The fewest vertices [V], to within a hundredth, that lead to that error where theirs become `factor` times what
+    they are; the factor, and the error.
+    """
+    order = done.tally.worst_first(done.correction)
+    smaller, left = np.ones(len(done.tally.done)), done.worst
+    for many in np.unique(np.linspace(1, max(1, len(order)), 100).astype(np.int64)):
+        smaller[order[:many]] = factor
+        left = _worst(*done.tally.relative(done.correction, smaller))
+        if left <= goal:
+            break
+    return smaller < 1.0, factor, left
+
+
+def _all_again(done: Pass, goal: float) -> tuple[NDArray[np.bool_], float, float]:
+    return np.ones(len(done.tally.done), bool), goal / done.worst, goal
+
+
+class Shelf(Protocol):
+    """Where the blocks of a pass lie: each with the number of its bins that were bent to the horizon."""
+
+    def keep(self, first: int, refined: Refined, bent: int) -> None:
+        """Takes the block that begins with vertex `first`."""
+
+    def kept(self, first: int) -> tuple[Refined, int] | None:
+        """Gives a block of this pass back."""
+
+    def before(self, first: int) -> tuple[Refined, int]:
+        """A block as the pass before left it."""
 
 
 def one_pass(
     site: Site,
     aim: Aim,
     workers: int,
-    keep: Callable[[int, Refined, int], None],
-    kept: Callable[[int], Refined | None],
+    shelf: Shelf,
     stop: Callable[[], bool],
     progress: Callable[[int, Tally], None],
 ) -> Pass:
-    """Bakes all vertices to the aim's tolerances, block by block.
+    """Bakes all vertices to the aim's tolerances, or those that it names, block by block.
 
-    `keep` (first vertex, block, bins bent to the horizon) takes each block, `kept` gives one of an earlier run back.
     Ends early, not whole, once `stop` says so.
     """
     vertices = len(site.mesh.positions)
     tally, done = Tally(vertices), 0
 
     def block(first: int) -> tuple[int, Refined]:
-        refined = kept(first)
-        if refined is None:
-            refined, bent = _refined(site, aim.refinement, np.arange(first, min(first + site.block_vertices, vertices)))
-            keep(first, refined, bent)
-        return first, refined
+        kept = shelf.kept(first)
+        if kept is None:
+            kept = _one_block(site, aim, shelf, np.arange(first, min(first + site.block_vertices, vertices)))
+            shelf.keep(first, *kept)
+        return first, kept[0]
 
     blocks: Iterator[tuple[int, Refined]] = in_order(block, range(0, vertices, site.block_vertices), workers)
     try:
@@ -225,6 +220,16 @@ def one_pass(
     return Pass(tally, correction, *tally.relative(correction), done == vertices)
 
 
+def _one_block(site: Site, aim: Aim, shelf: Shelf, vertices: Index) -> tuple[Refined, int]:
+    if aim.again is None:
+        return _refined(site, aim.refinement, vertices)
+    before, bent = shelf.before(int(vertices[0]))
+    rows = np.flatnonzero(aim.again[vertices])
+    if not len(rows):
+        return before.for_nothing(), bent
+    return before.with_rows(rows, _refined(site, aim.refinement, vertices[rows])[0]), bent
+
+
 def _refined(site: Site, refinement: Refinement, vertices: Index) -> tuple[Refined, int]:
     """A block, and how many of its bins were bent to the horizon."""
     views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
@@ -233,42 +238,6 @@ def _refined(site: Site, refinement: Refinement, vertices: Index) -> tuple[Refin
     return refined, sum(bent for _directions, bent in views)
 
 
-def _noise(site: Site, lattice: Any) -> tuple[LightNoise, float, int]:
-    """How noisy fits over the lattice are, the root mean square coefficient and the evaluations that these took; from
-    bins that are drawn, each with two lattices of each of the first four sizes.
-    """
-    bins = drawn(
-        site.seed + 2,
-        _many(site),
-        min(int(np.clip(_many(site) // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS)), _many(site)),
-    )
-    vertices, local = np.divmod(bins, site.bins)
-    outgoing = np.stack([site.views(int(v), int(v) + 1)[0][0, b] for v, b in zip(vertices, local, strict=True)])
-    sizes, positions, spent = lattice.sizes[:4], site.mesh.positions[vertices], 0
-    rough, squared, found = [], [], np.zeros(0)
-    for size in sizes:
-        fits = []
-        for which in (0, 1):
-            turns = pair_turns(site.seed, size, which, bins)
-            incident = lattice.directions[:size] @ turns.transpose(0, 2, 1)
-            values = values_at(site.transport, incident, np.arange(len(bins)), positions, outgoing)
-            coefficients, left = lattice.fitted(values, lattice.sizes.index(size))
-            fits.append((sh.rotations(turns, site.degree) @ coefficients.reshape(len(bins), -1, 3), left))
-            spent += len(bins) * size
-        found = (fits[0][0] + fits[1][0]) / 2.0
-        rough.append((fits[0][1] + fits[1][1]) / 2.0)
-        squared.append(((fits[0][0] - fits[1][0]) ** 2).mean(axis=(1, 2)) / 2.0)
-    finite = np.isfinite(squared).all(axis=0) & np.isfinite(rough).all(axis=0)
-    if not finite.any():
-        raise QueryError(f"the transport answered values that are not finite at every one of {len(bins)} bins tried")
-    noise = fitted_noise(lattice, sizes, np.array(rough)[:, finite], np.array(squared)[:, finite])
-    return noise, float(np.sqrt((found[finite] ** 2).mean())), spent
-
-
 def _worst(total: float, percentile_95: float) -> float:
     """The larger of the two figures of an error; the percentile is estimated on the safe side, and has its slack."""
     return max(total, percentile_95 / PERCENTILE_SLACK)
-
-
-def _many(site: Site) -> int:
-    return len(site.mesh.positions) * site.bins

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from bakers.baker import Block
 from bakers.refinement import Checks, Refined
+from bakers.verdict import Tally
 from formats.asset import Asset, AssetHead
 from formats.errors import QueryError
 from formats.journal import Journal
+from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_output import open_sink
-from prt_bake.bake_refined import Aim, Pass, Site, aimed, coarse, first_refinement, one_pass, tighter
+from prt_bake.bake_refined import Aim, Pass, aimed, coarse, one_pass, tighter
 
 Progress = Callable[[int, int, tuple[float, float, float]], None]
 
@@ -150,29 +152,51 @@ def _next_aim(run: Run, refinement: Any, goal: float) -> tuple[float, Aim] | Non
     return found
 
 
+@dataclass(frozen=True)
+class _Shelf:
+    """The blocks of pass `number` in the store."""
+
+    store: Store
+    number: int
+
+    def name(self, first: int) -> str:
+        return f"{self.number:02d}-{first}"
+
+    def keep(self, first: int, refined: Refined, bent: int) -> None:
+        self.store.write(self.name(first), _as_arrays(refined, bent))
+
+    def kept(self, first: int) -> tuple[Refined, int] | None:
+        arrays = self.store.read(self.name(first))
+        return None if arrays is None else (_as_refined(arrays), int(arrays["bent"]))
+
+    def before(self, first: int) -> tuple[Refined, int]:
+        found = _Shelf(self.store, self.number - 1).kept(first)
+        assert found is not None
+        return found
+
+    def forget_before(self) -> None:
+        self.store.forget(f"{self.number - 1:02d}-")
+
+
 def _pass(run: Run, aim: Aim) -> Pass | None:
     """One pass and its asset; None where it was stopped before its end, and an asset then only if it is the first."""
-    number, site = run.number, run.site
-    stage, vertices = f"{number:02d}-", len(site.mesh.positions)
+    shelf, vertices = _Shelf(run.store, run.number), len(run.site.mesh.positions)
     run.number += 1
-
-    def keep(first: int, refined: Refined, bent: int) -> None:
-        run.store.write(f"{stage}{first}", _as_arrays(refined, bent))
-
-    def kept(first: int) -> Refined | None:
-        arrays = run.store.read(f"{stage}{first}")
-        return None if arrays is None else _as_refined(arrays)
 
     def stop() -> bool:
         return run.left <= 0.0 or (run.stop is not None and run.stop())
 
-    def show(done: int, tally: Any) -> None:
+    def show(done: int, tally: Tally) -> None:
         if run.progress is not None:
             estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
             spent = time.monotonic() - run.began, float(run.evaluations + tally.evaluations), estimate
             run.progress(done, vertices, spent)
 
-    done = one_pass(site, aim, run.workers, keep, kept, stop, show)
+    done = _whole_before(run, aim, shelf)
+    if done is None:
+        done = one_pass(run.site, aim, run.workers, shelf, stop, show)
+        if done.whole:
+            run.store.write(_summary(shelf), done.tally.as_arrays())
     run.evaluations += done.tally.evaluations
     run.rows.append((time.monotonic() - run.began, float(run.evaluations), done.total))
     if not done.tally.done.any():
@@ -183,23 +207,37 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
         raise QueryError(
             f"the transport answered values that are not finite at every one of {int(done.tally.done.sum())} vertices"
         )
-    if done.whole or run.asset is None:
-        _write(run, stage, aim, done)
-    if done.whole and number:
-        run.store.forget(f"{number - 1:02d}-")
+    if shelf.kept(0) is not None and (done.whole or run.asset is None):
+        _write(run, shelf, aim, done)
+    if done.whole and shelf.number:
+        shelf.forget_before()
     return done if done.whole else None
 
 
-def _write(run: Run, stage: str, aim: Aim, done: Pass) -> None:
+def _whole_before(run: Run, aim: Aim, shelf: _Shelf) -> Pass | None:
+    """What a pass came to that an earlier run has done; its blocks may be gone, if the next pass was done as well."""
+    arrays = run.store.read(_summary(shelf))
+    if arrays is None:
+        return None
+    tally = Tally.of_arrays(arrays)
+    correction = tally.correction(aim.correction)
+    return Pass(tally, correction, *tally.relative(correction), True)
+
+
+def _summary(shelf: _Shelf) -> str:
+    return f"done-{shelf.number:02d}"
+
+
+def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
     """The asset of a pass, its standard errors corrected by the checks."""
     bent, histogram = 0, dict[int, int]()
     with open_sink(run.out, run.head, run.storage) as sink:
         for first in range(0, len(run.site.mesh.positions), run.site.block_vertices):
-            arrays = run.store.read(f"{stage}{first}")
-            if arrays is None or not done.tally.done[first]:
+            kept = shelf.kept(first)
+            if kept is None or not done.tally.done[first]:
                 break
-            refined = _as_refined(arrays)
-            valid, bent = refined.valid, bent + int(arrays["bent"])
+            refined, bent = kept[0], bent + kept[1]
+            valid = refined.valid
             for size, many in zip(*np.unique(refined.directions, return_counts=True), strict=True):
                 histogram[int(size)] = histogram.get(int(size), 0) + int(many)
             deviation = done.correction.standard_error(refined.deviation, refined.directions > 0)
@@ -244,11 +282,10 @@ def _as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
 
 
 def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
-    checks = Checks(
-        arrays["checks_evaluated"], arrays["checks_stated"], arrays["checks_squared"], int(arrays["checks_evaluations"])
-    )
+    checks = {name: arrays[f"checks_{name}"] for name in ("rows", "evaluated", "stated", "squared")}
+    taken = int(arrays["checks_evaluations"])
     own = [arrays[name] for name in ("coefficients", "deviation", "directions")]
-    return Refined(own[0], own[1], own[2], int(arrays["evaluations"]), checks)
+    return Refined(own[0], own[1], own[2], int(arrays["evaluations"]), Checks(evaluations=taken, **checks))
 
 
 def opened_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> Store:

@@ -22,10 +22,11 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
 from prt_bake.bake_error import ErrorMeter
+from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve, views_of
 from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
 from prt_bake.bake_pilot import reach
-from prt_bake.bake_refined import Site, aimed, first_refinement
+from prt_bake.bake_refined import aimed
 from prt_bake.bake_to_error import Run, bake_to_error, opened_store
 
 Progress = Callable[[int, int, tuple[float, float, float]], None]

@@ -10,6 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from loose_aim import loosely_aimed
 from transports import Incoherent, icosphere
 
 from formats.errors import StorageError
@@ -32,8 +33,11 @@ def counted(self, name, arrays):
     if left[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
 journal.Journal.write = counted
-import prt_bake.bake_refined as refined
+import prt_bake.bake_first_look as refined
 refined.BINS_AT_ONCE = 5 * 64
+import loose_aim
+import prt_bake.bake_to_error as passes
+passes.aimed = loose_aim.loosely_aimed
 bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.05, out={out!r})
 """
 
@@ -50,7 +54,7 @@ def contents(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-@pytest.mark.parametrize("blocks", [1, 4, 9])
+@pytest.mark.parametrize("blocks", [1, 4, 9, 10, 13, 19, 20])
 def test_killed_and_resumed_is_the_asset_of_one_run(
     tmp_path: Path, blocks: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -60,7 +64,8 @@ def test_killed_and_resumed_is_the_asset_of_one_run(
     assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     journal = tmp_path / "killed.h5.journal"
     assert len(list(journal.glob("*.npz"))) == blocks
-    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.bake_to_error.aimed", loosely_aimed)
     asked: list[int] = []
 
     class Asked(Incoherent):
@@ -71,7 +76,8 @@ def test_killed_and_resumed_is_the_asset_of_one_run(
     Asked.__name__ = "Incoherent"
     resumed = bake(Asked(), icosphere(1), **BLOCKS, out=out, resume=True)
     assert sum(asked) < resumed.provenance["evaluations"]
-    bake(Incoherent(), icosphere(1), **BLOCKS, out=tmp_path / "whole.h5", workers=2)
+    whole = bake(Incoherent(), icosphere(1), **BLOCKS, out=tmp_path / "whole.h5", workers=2)
+    assert whole.provenance["refinement"]["passes"] == 2
     one, other = contents(out), contents(tmp_path / "whole.h5")
     assert one.keys() == other.keys()
     for name in one:
@@ -83,7 +89,7 @@ def test_a_changed_bake_is_not_resumed_and_what_changed_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "asset.h5"
-    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
     calls = iter([False] * 2 + [True] * 100)
     part = bake(Incoherent(), icosphere(1), **BLOCKS, out=out, stop=lambda: next(calls))
     assert not part.complete
@@ -100,7 +106,7 @@ def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pyte
     out = tmp_path / "asset.h5"
     bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.2, out=out)
     before = out.read_bytes()
-    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
     save, left = np.savez, [4]
 
     def full(file: object, **arrays: object) -> None:

@@ -1,18 +1,29 @@
 """Bakes to an error: it is reached, what is said of it is true, and it takes a small part of the evaluations."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from loose_aim import loosely_aimed
 from transports import Array, Chequered, Counting, Edged, Incoherent, Lobed, exact, icosphere, uniform_needs
 
+import prt_bake
+from bakers.verdict import Correction, Tally
 from formats.errors import QueryError
-from formats.mesh import Mesh
+from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake, sh
+from prt_bake.bake_first_look import Site, first_refinement
+from prt_bake.bake_job import views_of
+from prt_bake.bake_refined import Pass, coarse, tighter
+from prt_bake.network import load_model
+
+SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 
 ERROR = 0.01
 CASES = {
     # Least ratio of evaluations to plain Monte Carlo's, all included: pilot, checks and passes.
     "edged": (Edged(), 5000.0),
-    "lobed": (Lobed(), 3000.0),
+    "lobed": (Lobed(), 2500.0),
     "incoherent": (Incoherent(), 900.0),
     "chequered": (Chequered(), 700.0),
 }
@@ -33,9 +44,9 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     true = relative(off, truth)
     told = asset.provenance["estimated_relative_rmse"]["total"]
     assert true <= 1.1 * ERROR
-    assert 0.75 < told / true < 1.33
+    assert 0.8 < told / true < 1.2
     within = (np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error).mean()
-    assert 0.85 < within < 1.0
+    assert 0.92 < within < 0.98
     bins = len(mesh.positions) * 1024
     assert counted.evaluations == asset.provenance["evaluations"]
     assert uniform_needs(transport, mesh, truth, 16, 64, ERROR) > least * counted.evaluations / bins
@@ -97,13 +108,16 @@ def test_what_networks_may_be(name: str, of_cosine: object) -> None:
     assert np.sqrt(((asset.coefficients - truth) ** 2).sum()) <= 0.022 * np.sqrt((truth**2).sum())
 
 
-def test_a_narrow_spike_is_told_of() -> None:
-    # Two degrees wide: most sets of directions miss it. What is asked for may be missed, but not silently.
-    mesh, transport = icosphere(0), Lobed(sharpness=3000.0, floor=0.001)
-    asset = bake(transport, mesh, rings=4, sectors=16, error=0.05)
+@pytest.mark.parametrize("floor", [0.001, 0.01, 0.1])
+def test_a_lobe_of_two_degrees_is_not_overlooked(floor: float) -> None:
+    # Of 32 directions hardly one in a hundred sets meets it; what is missed must not pass for exact.
+    mesh, transport = icosphere(0), Lobed(sharpness=3000.0, floor=floor)
     truth = exact(transport, mesh, 4, 16, directions=1 << 16)
-    true = relative(asset.coefficients - truth, truth)
-    assert asset.provenance["estimated_relative_rmse"]["total"] > 0.5 * true
+    for seed in (0, 1):
+        asset = bake(transport, mesh, rings=4, sectors=16, error=0.05, seed=seed)
+        true = relative(asset.coefficients - truth, truth)
+        assert true < 0.055
+        assert asset.provenance["estimated_relative_rmse"]["total"] > 0.6 * true
 
 
 def test_a_vertex_that_is_not_finite_is_named_and_the_rest_baked() -> None:
@@ -135,12 +149,54 @@ def test_numbers_do_not_depend_on_workers_or_on_the_cut(monkeypatch: pytest.Monk
     mesh = icosphere(1)
     whole = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     threads = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05, workers=3)
-    monkeypatch.setattr("prt_bake.bake_refined.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
     cut = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     for other in (threads, cut):
         np.testing.assert_array_equal(other.coefficients, whole.coefficients)
         np.testing.assert_array_equal(other.standard_error, whole.standard_error)
         assert other.provenance["evaluations"] == whole.provenance["evaluations"]
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_numbers_of_a_network_do_not_depend_on_them_either(precision: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    spot = read_mesh(SHIPPED / "spot.obj")
+    used, faces = np.unique(spot.faces[:60], return_inverse=True)
+    mesh = build_mesh(spot.positions[used], faces.reshape(-1, 3))
+    network = load_model(SHIPPED / "spot.pt")
+    asked = {"rings": 4, "sectors": 8, "error": 0.1, "precision": precision}
+    whole = bake(network, mesh, **asked)
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 3 * 32)
+    cut = bake(network, mesh, **asked, workers=2)
+    np.testing.assert_array_equal(cut.coefficients, whole.coefficients)
+    np.testing.assert_array_equal(cut.standard_error, whole.standard_error)
+
+
+def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, transport = icosphere(1), Incoherent()
+    monkeypatch.setattr("prt_bake.bake_to_error.aimed", loosely_aimed)
+    counted = Counting(transport)
+    asset = bake(counted, mesh, error=ERROR, seed=1)
+    assert asset.provenance["refinement"]["passes"] == 2
+    assert counted.evaluations == asset.provenance["evaluations"]
+    truth = exact(transport, mesh, 16, 64)
+    true = relative(asset.coefficients - truth, truth)
+    assert true < 1.1 * ERROR
+    assert 0.8 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.25
+
+
+def test_the_worst_vertices_alone_are_done_again() -> None:
+    site = Site(Lobed(), icosphere(1), *views_of(icosphere(1), 4, 8), 4, 8, 2, 0)
+    aim = coarse(first_refinement(site)[0], ERROR)
+    tally = Tally(42)
+    tally.signal[:], tally.done[:] = 1.0, True
+    tally.evaluated[:] = (0.5 * ERROR) ** 2
+    tally.evaluated[[3, 17, 30]] = (4.0 * ERROR) ** 2
+    done = Pass(tally, Correction(), *tally.relative(Correction()), True)
+    assert done.worst > ERROR
+    again = tighter(aim, done, ERROR)
+    assert again.again is not None
+    assert np.flatnonzero(again.again).tolist() == [3, 17, 30]
+    assert again.error <= ERROR
 
 
 def test_minutes_buy_smaller_errors() -> None:

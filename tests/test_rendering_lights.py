@@ -197,7 +197,7 @@ def test_objects_in_the_object_are_lit_alike_both_ways(
     sky[5, 20] = 300.0
     lighting = Lighting(as_lighting(sky, "y", 0.0).skies, (sun(diameter=60.0),))
     connected = render(scene, lighting, 256)
-    met = by_exits_alone(monkeypatch, scene, lighting, 1024, 2)
+    met = by_exits_alone(monkeypatch, scene, lighting, 512, 2)
     assert np.abs(mean_z(connected, met)).max() < 4
 
 

@@ -31,6 +31,8 @@ PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}
 VIEWS_AT_ONCE = 256
 """Views whose features are computed at once: they stay in cache."""
+LIGHTS_AT_ONCE = 1024
+"""Incident directions whose features are computed at once: a product of one shape, whatever their number."""
 TABLE_ROWS = 1 << 14
 """Most (rotation, direction) rows whose exponentials are held at once: 32 MiB with 256 frequencies."""
 
@@ -111,31 +113,33 @@ class FusedNetwork:
         directions [rotations, D, 3] themselves, the outgoing ones [N·B, 3], and the views' frames.
         """
         layers, _rotations, directions, width = table.shape
-        tile = max(1, self._rows // directions)
+        tile, pad, count = max(1, self._rows // directions), torch.nn.functional.pad, len(chosen)
         added = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
-        pairs = torch.zeros((tile, directions, self.network.settings.pair_inputs), device=self._device)
+        chosen = pad(chosen, (0, tile))
+        along, frame = (pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in between[1:])
         bins_at_once = tile * max(1, self._rows // tile)
-        for begin in range(0, len(chosen), bins_at_once):
+        for begin in range(0, count, bins_at_once):
             some = view[begin : begin + bins_at_once]
             of_bins, lobes = self._trunk(late, some, tile)
             for first in range(0, len(some), tile):
-                bins = min(tile, len(some) - first)
-                which = slice(begin + first, begin + first + bins)
+                # Whole tiles in all that is done: the last digits of a row depend on the shape that it is done in.
+                which = slice(begin + first, begin + first + tile)
                 for layer in range(layers):
-                    torch.index_select(table[layer], 0, chosen[which], out=added[layer, :bins])
+                    torch.index_select(table[layer], 0, chosen[which], out=added[layer])
                 towards = between[0][chosen[which]]
-                pairs[:bins] = self.network.pair_features(towards, between[1][which], between[2][which])
+                pairs = self.network.pair_features(towards, along[which], frame[which])
                 rows = late.add_views(added, of_bins[:, first : first + tile], pairs)
-                radiance = late.radiance(rows)
-                radiance = radiance.view(tile, directions, 3)[:bins].float()
+                radiance = late.radiance(rows).view(tile, directions, 3).float()
                 if lobes is not None:
-                    some_lobes = Lobes(*(part[first : first + bins] for part in lobes))
+                    some_lobes = Lobes(*(part[first : first + tile] for part in lobes))
                     radiance = radiance + in_directions(some_lobes, towards, self.network.band)
-                answer[begin + first : begin + first + bins] = (radiance * self.network.output_scale).cpu().numpy()
+                last = min(begin + first + tile, count)
+                whole = (radiance * self.network.output_scale).cpu().numpy()
+                answer[begin + first : last] = whole[: last - begin - first]
 
     def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | None]:
-        """What views [N,·] add to each later layer [layers, ≥ N + tile, width], and their lobes; in lots of one size,
-        whatever their number: the result must not depend on how bins are cut.
+        """What views [N,·] add to each later layer [layers, ≥ N + tile, width], and their lobes, as many; in lots of
+        one size, whatever their number: the result must not depend on how bins are cut.
         """
         parts = []
         for first in range(0, len(view), VIEWS_AT_ONCE):
@@ -148,7 +152,8 @@ class FusedNetwork:
         lobes = [lobes for _part, lobes in parts if lobes is not None]
         if not lobes:
             return of_bins, None
-        return of_bins, Lobes(*(torch.cat(alike) for alike in zip(*lobes, strict=True)))
+        whole = (torch.cat(alike) for alike in zip(*lobes, strict=True))
+        return of_bins, Lobes(*(torch.nn.functional.pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in whole))
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
@@ -227,7 +232,15 @@ class FusedNetwork:
         if self._late is None:
             return _exponential(self.network.cycles("incident", light))
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
-        return self._late.light_table(self.network.light_features(directions))
+        rows, parts = directions.reshape(-1, 3), []
+        for first in range(0, len(rows), LIGHTS_AT_ONCE):
+            # Whole lots, whatever their number: a row must not depend on how many there are beside it.
+            some = torch.zeros((LIGHTS_AT_ONCE, 3), dtype=rows.dtype, device=self._device)
+            last = min(first + LIGHTS_AT_ONCE, len(rows))
+            some[: last - first] = rows[first:last]
+            table = self._late.light_table(self.network.light_features(some))
+            parts.append(table[:, : last - first])
+        return torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1])
 
 
 def _float32(directions: Any, device: torch.device) -> Tensor:
