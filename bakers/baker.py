@@ -3,7 +3,7 @@
 A block's numbers depend on its vertices alone, not on where the cuts lie or how many workers there are.
 """
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,17 +63,15 @@ class Task:
     sampling: Sampling | Walks
 
 
-def bake_blocks(task: Task, vertices: range, workers: int = 1) -> Generator[Block, None, None]:
-    """Yields the blocks of `vertices` in order, computed by `workers` threads, or by those of the walks themselves.
+def bake_blocks(task: Task, runs: Sequence[range], workers: int = 1) -> Generator[Block, None, None]:
+    """Yields the blocks of runs of vertices in order, computed by `workers` threads, or by those of the walks.
 
     Whatever the transport raises is raised here. Closing the iterator waits for the blocks under way.
     """
     size = block_size(task)
-    starts = range(vertices.start, vertices.stop, size)
+    cuts = ((first, min(first + size, run.stop)) for run in runs for first in range(run.start, run.stop, size))
     alone = workers <= 1 or isinstance(task.sampling, Walks)
-    yield from in_order(
-        lambda first: bake_block(task, first, min(first + size, vertices.stop)), starts, 1 if alone else workers
-    )
+    yield from in_order(lambda cut: bake_block(task, *cut), cuts, 1 if alone else workers)
 
 
 def block_size(task: Task) -> int:

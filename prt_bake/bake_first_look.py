@@ -12,7 +12,7 @@ from bakers.refinement import Refinement, values_at
 from bakers.view_levels import view_levels
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake import sh, sphere
+from prt_bake import sh
 from prt_bake.bake_job import Views
 from prt_bake.bake_light import bin_turns, checked_bins, drawn, lattice_for, pair_turns, vertex_turns
 
@@ -36,27 +36,37 @@ class Site:
 
     transport: Any
     mesh: Mesh
-    tangents: Array
+    vertices: Index
+    """Numbers of those that are baked."""
     views: Views
-    rings: int
-    sectors: int
+    local: Array
+    """View bins [B,3] in the local frame."""
     degree: int
     seed: int
 
     @property
     def bins(self) -> int:
         """B"""
-        return self.rings * self.sectors
+        return len(self.local)
 
     @property
     def many(self) -> int:
-        """V·B"""
-        return self.bins * len(self.mesh.positions)
+        """Bins in all."""
+        return self.bins * len(self.vertices)
 
     @property
     def block_vertices(self) -> int:
         """Vertices that are baked together."""
         return int(np.clip(BINS_AT_ONCE // self.bins, 1, 64))
+
+    @property
+    def blocks(self) -> range:
+        """Where in `vertices` each block begins."""
+        return range(0, len(self.vertices), self.block_vertices)
+
+    def block(self, first: int) -> Index:
+        """The vertices of a block."""
+        return self.vertices[first : first + self.block_vertices]
 
 
 def first_refinement(site: Site) -> tuple[Refinement, int]:
@@ -64,7 +74,7 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
     lattice = lattice_for(site.degree)
     noise, floor, spent = _noise(site, lattice)
     missed, looked = _missed(site, lattice, noise)
-    levels = view_levels(sphere.view_bins(site.rings, site.sectors))
+    levels = view_levels(site.local)
     share = np.clip(CHECK_SHARE, FEWEST_CHECKS / site.many, MOST_CHECKS / site.many)
     return Refinement(
         levels=levels,
@@ -132,8 +142,9 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
 
 
 def _values_at_bins(site: Site, directions: Array, turns: Array, bins: Index) -> NDArray[np.floating]:
-    """Ŝ [M,D,3] at bins [M], numbered through all vertices, in directions [D,3] turned by turns [M,3,3]."""
-    vertices, local = np.divmod(bins, site.bins)
+    """Ŝ [M,D,3] at bins [M], numbered through all that are baked, in directions [D,3] turned by turns [M,3,3]."""
+    places, local = np.divmod(bins, site.bins)
+    vertices = site.vertices[places]
     outgoing = np.stack([site.views(int(v), int(v) + 1)[0][0, b] for v, b in zip(vertices, local, strict=True)])
     incident = directions @ turns.transpose(0, 2, 1)
     return values_at(site.transport, incident, np.arange(len(bins)), site.mesh.positions[vertices], outgoing)

@@ -3,19 +3,23 @@
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.baker import Task
+from bakers.baker import Sampling, Task
 from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.path_traced import Walks
 from bakers.transport import way_in
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sphere
 from prt_bake.bake_sampling import Resolved, resolve_sampling
+
+if TYPE_CHECKING:
+    from prt_bake.bake_needs import Needs
 
 OUTSIDE = 0.01
 """How far a mesh may leave the model's box, in sides of it."""
@@ -32,22 +36,50 @@ class Job:
 
     transport: Any
     mesh: Mesh
-    tangents: NDArray[np.float64]
     rings: int
     sectors: int
     degree: int
     resolved: Resolved
     task: Task
+    needs: "Needs | None" = None
+
+    @property
+    def vertices(self) -> NDArray[np.int64]:
+        """Numbers of those that are baked."""
+        return np.arange(len(self.mesh.positions)) if self.needs is None else self.needs.vertices
 
 
 def resolve(
-    transport: Any, mesh: Mesh, degree: int, rings: int, sectors: int, directions: str, samples: int, seed: int
+    transport: Any,
+    mesh: Mesh,
+    degree: int,
+    rings: int,
+    sectors: int,
+    directions: str,
+    samples: int,
+    seed: int,
+    needs: "Needs | None" = None,
 ) -> Job:
-    """Raises QueryError for arguments out of their domain."""
-    tangents, outgoing = views_of(mesh, rings, sectors)
-    resolved = resolve_sampling(transport, degree, rings * sectors, sectors, directions, samples, seed)
-    task = Task(transport, mesh.positions, outgoing, rings * sectors, sectors, resolved.sampling)
-    return Job(transport, mesh, tangents, rings, sectors, degree, resolved, task)
+    """Raises QueryError for arguments out of their domain. `needs`: what of it all is baked, everything by default."""
+    outgoing, bins, around = views_of(mesh, rings, sectors)[1], rings * sectors, sectors
+    if needs is not None and needs.views != "all":
+        outgoing, bins, around = needs.outgoing, len(needs.local), 1
+    resolved = resolve_sampling(transport, degree, bins, around, directions, samples, seed)
+    sampling = resolved.sampling
+    if needs is not None and needs.views == "one" and not isinstance(sampling, Walks):
+        sampling = alike(sampling)
+    task = Task(transport, mesh.positions, outgoing, bins, around, sampling)
+    return Job(transport, mesh, rings, sectors, degree, resolved, task, needs)
+
+
+def alike(sampling: Sampling) -> Sampling:
+    """All bins of a vertex lit from the same directions: what they differ by is no noise."""
+
+    def of_first(rotation: Callable[[int, int], NDArray[np.int64]]) -> Callable[[int, int], NDArray[np.int64]]:
+        return lambda first, last: np.broadcast_to(rotation(first, last)[:, :1], rotation(first, last).shape)
+
+    second = None if sampling.second_rotation is None else of_first(sampling.second_rotation)
+    return replace(sampling, rotation=of_first(sampling.rotation), second_rotation=second)
 
 
 def views_of(mesh: Mesh, rings: int, sectors: int) -> tuple[NDArray[np.float64], Views]:

@@ -46,12 +46,23 @@ class Sink(Protocol):
         """The asset, whole or in part."""
 
 
-def open_sink(out: str | Path | None, head: AssetHead, storage: str) -> Sink:
-    """A sink in memory, or one that streams to the file `out`; raises QueryError on an unknown storage type."""
+def open_sink(
+    out: str | Path | None,
+    head: AssetHead,
+    storage: str,
+    views: int | None = None,
+    channels: int = 3,
+    light: NDArray[np.float64] | None = None,
+) -> Sink:
+    """A sink in memory, or one that streams to the file `out`; raises QueryError on an unknown storage type.
+
+    views: length of the view axis, B by default. channels: of the last axis. light: that radiance was made for [K,3].
+    """
     if storage not in ("float16", "float32"):
         raise QueryError(f"storage must be float16 or float32, found {storage!r}")
     kept = cast(Storage, storage)
-    return ArraySink(head, kept) if out is None else FileSink(head, kept, out)
+    axes = views or len(head.directions), channels
+    return ArraySink(head, kept, axes, light) if out is None else FileSink(head, kept, axes, light, out)
 
 
 def asset_head(
@@ -81,11 +92,14 @@ def said_by(transport: Any, name: str, otherwise: Any) -> Any:
 class ArraySink:
     """Keeps the coefficients in memory, in float32."""
 
-    def __init__(self, head: AssetHead, storage: Storage) -> None:
-        vertices, bins = len(head.mesh.positions), len(head.directions)
-        self._head, self._storage = head, storage
-        self._coefficients = np.zeros((vertices, bins, sh.count(head.degree), 3), dtype=np.float32)
-        self._standard_error = np.zeros((vertices, bins), dtype=np.float32)
+    def __init__(
+        self, head: AssetHead, storage: Storage, axes: tuple[int, int], light: NDArray[np.float64] | None
+    ) -> None:
+        vertices, (views, channels) = len(head.mesh.positions), axes
+        self._head, self._storage, self._light = head, storage, light
+        terms = sh.count(head.degree) if head.quantity == "transfer" else 1
+        self._coefficients = np.zeros((vertices, views, terms, channels), dtype=np.float32)
+        self._standard_error = np.zeros((vertices, views), dtype=np.float32)
         self._valid = np.zeros(vertices, dtype=np.bool_)
 
     def __enter__(self) -> Self:
@@ -114,7 +128,7 @@ class ArraySink:
             complete=complete,
             provenance=provenance,
             error_vs_time=error_vs_time,
-            selftest=selftest(self._head, first, self._coefficients[first]) if self._valid.any() else {},
+            selftest=selftest(self._head, first, self._coefficients[first], self._light) if self._valid.any() else {},
             storage=self._storage,
         )
 
@@ -126,11 +140,18 @@ class FileSink:
     partial-NAME.
     """
 
-    def __init__(self, head: AssetHead, storage: Storage, out: str | Path) -> None:
-        self._head, self._out = head, Path(out)
+    def __init__(
+        self,
+        head: AssetHead,
+        storage: Storage,
+        axes: tuple[int, int],
+        light: NDArray[np.float64] | None,
+        out: str | Path,
+    ) -> None:
+        self._head, self._light, self._out = head, light, Path(out)
         replaces = self._out.is_file()
         self._target = self._out.with_name(f"partial-{self._out.name}") if replaces else self._out
-        self._writer = AssetWriter(self._target, head, storage=storage)
+        self._writer = AssetWriter(self._target, head, storage=storage, views=axes[0], channels=axes[1])
         self._first: tuple[int, NDArray[np.float32]] | None = None
 
     def __enter__(self) -> Self:
@@ -159,7 +180,7 @@ class FileSink:
         check: dict[str, NDArray[Any]] = {}
         if self._first is not None:
             vertex, coefficients = self._first
-            check = selftest(self._head, vertex, coefficients.astype(self._writer.storage))
+            check = selftest(self._head, vertex, coefficients.astype(self._writer.storage), self._light)
         if self._writer.storage_note:
             provenance = provenance | {"storage_note": self._writer.storage_note}
         self._writer.finish(provenance, error_vs_time, check, complete=complete)
@@ -168,17 +189,25 @@ class FileSink:
         return read_asset(self._out if complete else self._target, load=False)
 
 
-def selftest(head: AssetHead, vertex: int, coefficients: NDArray[np.floating]) -> dict[str, NDArray[Any]]:
-    """A light, some views of one vertex and the radiance that an importer must find there, coefficients [B,K,3] given.
+def selftest(
+    head: AssetHead, vertex: int, coefficients: NDArray[np.floating], folded: NDArray[np.float64] | None
+) -> dict[str, NDArray[Any]]:
+    """A light, some views of one vertex and the radiance that an importer must find there, coefficients [B,K,C] given.
 
-    The radiance is interpolated between view bins and not clamped.
+    The radiance is interpolated between view bins and not clamped. The light is `folded` [K,3] where the coefficients
+    are the radiance that it makes.
     """
-    count = coefficients.shape[1]
+    count = sh.count(head.degree)
     fall = 1.0 / (1.0 + np.arange(count))
     light = np.stack([fall, 0.8 * fall, 0.6 * fall * (-1.0) ** np.arange(count)], axis=-1)
-    bins, weights = sphere.bin_weights(SELFTEST_LOCAL, head.rings, head.sectors)
-    by_bin = np.einsum("bkc,kc->bc", coefficients.astype(np.float64), light)
+    a = coefficients.astype(np.float64)
+    if folded is None:
+        by_bin = (a * light).sum(axis=1)
+    else:
+        light, by_bin = folded[:count], np.broadcast_to(a[:, 0], (len(a), 3))
     local = SELFTEST_LOCAL
+    bins, weights = sphere.bin_weights(local, head.rings, head.sectors)
+    by_bin = np.broadcast_to(by_bin, (head.rings * head.sectors, 3))
     return {
         "light": light,
         "vertex": np.full(len(local), vertex, dtype=np.int64),

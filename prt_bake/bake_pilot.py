@@ -34,8 +34,8 @@ def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]
     """
     if not 0.0 < error < 1.0:
         raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
-    vertices = _pilot_vertices(job.mesh, seed)
-    bins, spent = job.rings * job.sectors, 0
+    vertices = _pilot_vertices(job, seed)
+    bins, spent = job.task.bins, 0
     walks = isinstance(job.resolved.sampling, Walks)
     limit, kind = (MOST_SAMPLES, "walks") if walks else (PILOT_LIMIT, "directions")
     foretold = False
@@ -52,7 +52,7 @@ def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]
                 f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} {kind} a bin leave "
                 f"{meter.total:.3g}, and more than {limit:,} are not tried; ask for less"
             )
-        job = resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed)
+        job = resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed, job.needs)
         if foretold:
             return job, spent
 
@@ -80,7 +80,7 @@ def error_ladder(
     with limited_threads(transport, 1):
         for count in samples:
             job = resolve(transport, mesh, degree, rings, sectors, "fibonacci", count, seed)
-            vertices = _pilot_vertices(mesh, seed)
+            vertices = _pilot_vertices(job, seed)
             bake_block(job.task, 0, 1)
             began = time.monotonic()
             error = _baked(job, vertices).total
@@ -90,9 +90,9 @@ def error_ladder(
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
-def _pilot_vertices(mesh: Mesh, seed: int) -> list[int]:
-    order = np.argsort(hashed(_PILOT_STREAM, seed, np.arange(len(mesh.positions))))
-    return [int(vertex) for vertex in order[:PILOT_VERTICES]]
+def _pilot_vertices(job: Job, seed: int) -> list[int]:
+    order = np.argsort(hashed(_PILOT_STREAM, seed, job.vertices))
+    return [int(vertex) for vertex in job.vertices[order[:PILOT_VERTICES]]]
 
 
 def _baked(job: Job, vertices: list[int]) -> ErrorMeter:

@@ -80,8 +80,10 @@ class Pass:
 
 def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices."""
-    vertices = len(site.mesh.positions)
-    chosen = np.sort(drawn(site.seed, vertices, int(np.clip(vertices // PILOT_SHARE, 1, PILOT_VERTICES))))
+    vertices = len(site.vertices)
+    chosen = site.vertices[
+        np.sort(drawn(site.seed, vertices, int(np.clip(vertices // PILOT_SHARE, 1, PILOT_VERTICES))))
+    ]
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     noise, view, tightness = refinement.noise, 1.0, 1.0
@@ -99,7 +101,7 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
         light = tightness * error
         bound = view * VIEW_OVER_LIGHT * light
         trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
-        began, tally = time.monotonic(), Tally(vertices)
+        began, tally = time.monotonic(), Tally(len(site.mesh.positions))
         for first in range(0, len(chosen), site.block_vertices):
             some = chosen[first : first + site.block_vertices]
             tally.add(some, _refined(site, replace(trial, checks=checks), some)[0])
@@ -170,7 +172,7 @@ class Shelf(Protocol):
     """Where the blocks of a pass lie: each with the number of its bins that were bent to the horizon."""
 
     def keep(self, first: int, refined: Refined, bent: int) -> None:
-        """Takes the block that begins with vertex `first`."""
+        """Takes the block that begins with the baked vertex number `first`."""
 
     def kept(self, first: int) -> tuple[Refined, int] | None:
         """Gives a block of this pass back."""
@@ -191,39 +193,38 @@ def one_pass(
 
     Ends early, not whole, once `stop` says so.
     """
-    vertices = len(site.mesh.positions)
-    tally, done = Tally(vertices), 0
+    tally, done = Tally(len(site.mesh.positions)), 0
 
     def block(first: int) -> tuple[int, Refined]:
         kept = shelf.kept(first)
         if kept is None:
-            kept = _one_block(site, aim, shelf, np.arange(first, min(first + site.block_vertices, vertices)))
+            kept = _one_block(site, aim, shelf, first)
             shelf.keep(first, *kept)
         return first, kept[0]
 
-    blocks: Iterator[tuple[int, Refined]] = in_order(block, range(0, vertices, site.block_vertices), workers)
+    blocks: Iterator[tuple[int, Refined]] = in_order(block, site.blocks, workers)
     try:
         while not stop():
             following = next(blocks, None)
             if following is None:
                 break
             first, refined = following
-            rows = np.arange(first, first + len(refined.deviation))
-            tally.add(rows, refined)
-            done += len(rows)
+            tally.add(site.block(first), refined)
+            done += len(refined.deviation)
             progress(done, tally)
     except KeyboardInterrupt:
         pass
     finally:
         blocks.close()  # type: ignore[attr-defined]
     correction = tally.correction(aim.correction)
-    return Pass(tally, correction, *tally.relative(correction), done == vertices)
+    return Pass(tally, correction, *tally.relative(correction), done == len(site.vertices))
 
 
-def _one_block(site: Site, aim: Aim, shelf: Shelf, vertices: Index) -> tuple[Refined, int]:
+def _one_block(site: Site, aim: Aim, shelf: Shelf, first: int) -> tuple[Refined, int]:
+    vertices = site.block(first)
     if aim.again is None:
         return _refined(site, aim.refinement, vertices)
-    before, bent = shelf.before(int(vertices[0]))
+    before, bent = shelf.before(first)
     rows = np.flatnonzero(aim.again[vertices])
     if not len(rows):
         return before.for_nothing(), bent

@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,14 +12,13 @@ from numpy.typing import NDArray
 from bakers.baker import Block
 from bakers.refinement import Checks, Refined
 from bakers.verdict import Tally
-from formats.asset import Asset, AssetHead
+from formats.asset import Asset
 from formats.errors import QueryError
 from formats.journal import Journal
 from prt_bake.bake_first_look import Site, first_refinement
-from prt_bake.bake_output import open_sink
 from prt_bake.bake_refined import Aim, Pass, aimed, coarse, one_pass, tighter
-
-Progress = Callable[[int, int, tuple[float, float, float]], None]
+from prt_bake.bake_work import Work
+from prt_bake.pared_sink import pared_sink
 
 COARSE = 0.15
 """Error that the first pass is made for where the last one takes long."""
@@ -73,33 +71,29 @@ class Memory:
         self._kept.clear()
 
 
-@dataclass
 class Run:
-    """A bake under way: what it is for, where its blocks and its assets go, and what it has cost."""
+    """A bake under way: where its blocks go, what it is to come to and by when, and what it has come to so far."""
 
-    site: Site
-    head: AssetHead
-    report: dict[str, Any]
-    store: Store
-    out: str | Path | None
-    storage: str
-    workers: int
-    error: float | None
-    deadline: float
-    began: float
-    progress: Progress | None
-    stop: Callable[[], bool] | None
-    evaluations: int = 0
-    number: int = 0
-    asset: Asset | None = None
-
-    def __post_init__(self) -> None:
+    def __init__(self, work: Work, store: Store, error: float | None, deadline: float) -> None:
+        needs = work.needs
+        self.work, self.store, self.deadline = work, store, deadline
+        self.error = None if error is None else error * needs.share_of_projection
+        self.site = Site(
+            work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed
+        )
+        self.number = 0
+        self.asset: Asset | None = None
         self.rows: list[tuple[float, float, float]] = []
 
     @property
     def left(self) -> float:
         """Seconds until the bake must end."""
         return self.deadline - time.monotonic()
+
+    @property
+    def stopped(self) -> bool:
+        """Whether it is to end."""
+        return self.left <= 0.0 or self.work.stopped
 
 
 def bake_to_error(run: Run) -> Asset:
@@ -108,12 +102,13 @@ def bake_to_error(run: Run) -> Asset:
     The asset of the last whole pass is what comes back; where there is none, the part that was done. Raises QueryError
     where nothing was done, where nothing is finite, or where the pilot says that the error is out of reach.
     """
-    refinement, run.evaluations = first_refinement(run.site)
+    refinement, looked = first_refinement(run.site)
+    run.work.evaluations += looked
     if run.error is not None and not math.isfinite(run.deadline):
         aim = aimed(run.site, refinement, run.error)
-        run.evaluations += aim.evaluations
-        share = max(1, run.workers)
-        if aim.seconds * len(run.site.mesh.positions) / share > WORTH_A_COARSE_PASS and run.error < COARSE / 2:
+        run.work.evaluations += aim.evaluations
+        share = max(1, run.work.workers)
+        if aim.seconds * len(run.site.vertices) / share > WORTH_A_COARSE_PASS and run.error < COARSE / 2:
             first = _pass(run, coarse(refinement, COARSE))
             if first is None:
                 return _ended(run)
@@ -137,14 +132,14 @@ def bake_to_error(run: Run) -> Asset:
 def _next_aim(run: Run, refinement: Any, goal: float) -> tuple[float, Aim] | None:
     """The finest error, and how to get there, that there is time left for; None where there is not for any."""
     found = None
-    while run.left > 0.0 and not (run.stop is not None and run.stop()):
+    while not run.stopped:
         goal = max(goal / FINER, run.error or 0.0)
         try:
             aim = aimed(run.site, refinement, goal)
         except QueryError:
             break
-        run.evaluations += aim.evaluations
-        if aim.seconds * len(run.site.mesh.positions) / max(1, run.workers) > ALL_THE_TIME * run.left:
+        run.work.evaluations += aim.evaluations
+        if aim.seconds * len(run.site.vertices) / max(1, run.work.workers) > ALL_THE_TIME * run.left:
             break
         found = goal, aim
         if goal == run.error:
@@ -180,25 +175,22 @@ class _Shelf:
 
 def _pass(run: Run, aim: Aim) -> Pass | None:
     """One pass and its asset; None where it was stopped before its end, and an asset then only if it is the first."""
-    shelf, vertices = _Shelf(run.store, run.number), len(run.site.mesh.positions)
+    shelf, vertices = _Shelf(run.store, run.number), len(run.site.vertices)
     run.number += 1
 
-    def stop() -> bool:
-        return run.left <= 0.0 or (run.stop is not None and run.stop())
-
     def show(done: int, tally: Tally) -> None:
-        if run.progress is not None:
+        if run.work.progress is not None:
             estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
-            spent = time.monotonic() - run.began, float(run.evaluations + tally.evaluations), estimate
-            run.progress(done, vertices, spent)
+            spent = run.work.seconds, float(run.work.evaluations + tally.evaluations), estimate
+            run.work.progress(done, vertices, spent)
 
     done = _whole_before(run, aim, shelf)
     if done is None:
-        done = one_pass(run.site, aim, run.workers, shelf, stop, show)
+        done = one_pass(run.site, aim, run.work.workers, shelf, lambda: run.stopped, show)
         if done.whole:
             run.store.write(_summary(shelf), done.tally.as_arrays())
-    run.evaluations += done.tally.evaluations
-    run.rows.append((time.monotonic() - run.began, float(run.evaluations), done.total))
+    run.work.evaluations += done.tally.evaluations
+    run.rows.append((run.work.seconds, float(run.work.evaluations), done.total))
     if not done.tally.done.any():
         if run.asset is None:
             raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
@@ -231,10 +223,11 @@ def _summary(shelf: _Shelf) -> str:
 def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
     """The asset of a pass, its standard errors corrected by the checks."""
     bent, histogram = 0, dict[int, int]()
-    with open_sink(run.out, run.head, run.storage) as sink:
-        for first in range(0, len(run.site.mesh.positions), run.site.block_vertices):
-            kept = shelf.kept(first)
-            if kept is None or not done.tally.done[first]:
+    site = run.site
+    with pared_sink(run.work.out, run.work.head, run.work.storage, run.work.needs) as sink:
+        for first in site.blocks:
+            kept, vertices = shelf.kept(first), site.block(first)
+            if kept is None or not done.tally.done[vertices[0]]:
                 break
             refined, bent = kept[0], bent + kept[1]
             valid = refined.valid
@@ -243,11 +236,12 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             deviation = done.correction.standard_error(refined.deviation, refined.directions > 0)
             coefficients = np.where(valid[:, None, None, None], refined.coefficients, np.float32(0.0))
             standard_error = np.where(valid[:, None], deviation, 0.0).astype(np.float32)
-            sink.write(Block(first, coefficients, standard_error, valid, 0))
+            for rows in np.split(np.arange(len(vertices)), np.flatnonzero(np.diff(vertices) > 1) + 1):
+                sink.write(Block(int(vertices[rows[0]]), coefficients[rows], standard_error[rows], valid[rows], 0))
         invalid = np.flatnonzero(done.tally.invalid)
         own = {
-            "evaluations": run.evaluations,
-            "seconds": time.monotonic() - run.began,
+            "evaluations": run.work.evaluations,
+            "seconds": run.work.seconds,
             "estimated_relative_rmse": {"total": done.total, "percentile_95_over_vertices": done.percentile_95},
             "bins_bent_to_the_horizon": bent,
             "vertices_not_finite": {"count": len(invalid), "first": invalid[:16].tolist()},
@@ -265,7 +259,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
                 "lattice_gain": vars(aim.refinement.noise),
             },
         }
-        run.asset = sink.finish(run.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
+        run.asset = sink.finish(run.work.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
 
 
 def _ended(run: Run) -> Asset:

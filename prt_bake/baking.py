@@ -6,33 +6,33 @@
 import hashlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from bakers.baker import Block, bake_block, bake_blocks, block_size
-from bakers.path_traced import Account, Walks
+from bakers.baker import bake_block, block_size
+from bakers.path_traced import Walks
 from bakers.plan import BakePlan, plan_bake
 from bakers.transport import on_mesh, up_to, way_in
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake import sh
-from prt_bake.bake_error import ErrorMeter
+from prt_bake import sh, sphere
+from prt_bake.bake_by_samples import bake_by_samples
 from prt_bake.bake_first_look import Site, first_refinement
-from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve, views_of
-from prt_bake.bake_output import Sink, asset_head, open_sink, said_by
-from prt_bake.bake_pilot import reach
+from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
+from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
+from prt_bake.bake_output import asset_head, said_by
 from prt_bake.bake_refined import aimed
-from prt_bake.bake_to_error import Run, bake_to_error, opened_store
+from prt_bake.bake_to_error import Memory, Run, Store, bake_to_error, opened_store
+from prt_bake.bake_work import Progress, Work
+from prt_bake.pared_sink import NotSo
 
-Progress = Callable[[int, int, tuple[float, float, float]], None]
-"""progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error))."""
-
-ROWS = 100
+__all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]
 
 
 def bake(
@@ -55,6 +55,9 @@ def bake(
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
     resume: bool = False,
+    leave_out: Collection[str] = (),
+    for_light: Light | ArrayLike | None = None,
+    for_eye: ArrayLike | None = None,
     provenance: dict[str, Any] | None = None,
 ) -> Asset:
     """Bakes `transport` at every vertex of `mesh` and every one of rings × sectors view bins.
@@ -82,6 +85,11 @@ def bake(
         progress: called after each block.
         stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
         resume: go on from the finished blocks of a bake to the same `error` and `out` that was killed.
+        leave_out: of "unseen", "duplicates", "views", "bands" and "channels", what may be left out where the scene does
+            not need it (`prt_bake.bake_needs`); `baking.ITEMS` are all of them. Axes that are left out have length 1,
+            vertices that are left out are not valid, and `left_out` of the asset names each.
+        for_light: coefficients [K,3] of the only light that the asset is for; it holds radiance then, K = 1.
+        for_eye: the only point [3] that it will be seen from; B = 1 then.
         provenance: entries added to the asset's provenance (command, hashes, credits).
 
     Returns:
@@ -105,77 +113,55 @@ def bake(
             "minutes: must be positive, and are for fibonacci directions and transports that answer Ŝ; "
             "give samples or an error instead"
         )
-    if refined and (error is not None or minutes is not None):
-        asked: dict[str, Any] = {
-            "degree": degree,
-            "rings": rings,
-            "sectors": sectors,
-            "error": error,
-            "minutes": minutes,
-            "seed": seed,
-        }
-        asked |= {"precision": precision, "storage": storage, "device": device}
-        with limited_threads(transport, workers):
-            return _refined(transport, mesh, asked, out, workers, progress, stop, resume, provenance or {}, began)
-    if resume:
-        raise QueryError("resume: is for a bake to an error, with fibonacci directions; this one starts anew")
-    with limited_threads(transport, workers):
-        job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
-        spent = 0
-        if error is not None:
-            job, spent = reach(job, error, directions, seed)
-        report = _settings(job, seed, precision, storage, workers, device, error) | (provenance or {})
-        head = asset_head(mesh, job.tangents, rings, sectors, degree, transport)
-        with open_sink(out, head, storage) as sink:
-            return _run(job, sink, report, began, spent, workers, progress, stop)
-
-
-def _refined(
-    transport: Any,
-    mesh: Mesh,
-    asked: dict[str, Any],
-    out: str | Path | None,
-    workers: int,
-    progress: Progress | None,
-    stop: Callable[[], bool] | None,
-    resume: bool,
-    provenance: dict[str, Any],
-    began: float,
-) -> Asset:
-    """Bakes to `asked["error"]`, for `asked["minutes"]`, in passes."""
-    error, minutes, seed = asked["error"], asked["minutes"], asked["seed"]
     if error is not None and not 0.0 < error < 1.0:
         raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
-    rings, sectors, degree = asked["rings"], asked["sectors"], asked["degree"]
-    tangents, views = views_of(mesh, rings, sectors)
-    site = Site(transport, mesh, tangents, views, rings, sectors, degree, seed)
-    head = asset_head(mesh, tangents, rings, sectors, degree, transport)
-    settings = {name: value for name, value in asked.items() if name not in ("seed", "device")}
-    report = {
-        "settings": {**settings, "directions": "extensible lattice", "workers": workers},
+    refined = refined and (error is not None or minutes is not None)
+    if resume and not refined:
+        raise QueryError("resume: is for a bake to an error, with fibonacci directions; this one starts anew")
+    light = as_light(for_light, degree)
+    eye = None if for_eye is None else as_point(for_eye)
+    asked: dict[str, Any] = {
+        "degree": degree,
+        "rings": rings,
+        "sectors": sectors,
+        "error": error,
         "seed": seed,
-        "device": asked["device"],
-        "error_estimate": "independent directions at bins drawn at random",
-        "mesh_sha256": mesh.content_hash,
-        **_said_of(transport),
-        **provenance,
+        "precision": precision,
+        "storage": storage,
+        "device": device,
+        "leave_out": sorted(leave_out),
+        "for_light": None if light is None else light.content_hash,
+        "for_eye": None if eye is None else eye.tolist(),
     }
-    identity = {**asked, "mesh": mesh.content_hash, "transport": _identity(transport, provenance)}
-    run = Run(
-        site=site,
-        head=head,
-        report=report,
-        store=opened_store(out, identity, resume),
-        out=out,
-        storage=asked["storage"],
-        workers=workers,
-        error=error,
-        deadline=math.inf if minutes is None else began + 60.0 * minutes,
-        began=began,
-        progress=progress,
-        stop=stop,
-    )
-    return bake_to_error(run)
+    if refined:
+        asked["minutes"] = minutes
+    identity = {**asked, "mesh": mesh.content_hash, "transport": _identity(transport, provenance or {})}
+    tangents = sphere.tangent_frame(mesh.normals)
+    head = asset_head(mesh, tangents, rings, sectors, degree, transport)
+    report = _settings(transport, mesh, asked, workers) | (provenance or {})
+    with limited_threads(transport, workers):
+        store = opened_store(out, identity, resume) if refined else Memory()
+        spared, spent = set(leave_out) - _needed_after_all(store), 0
+        while True:
+            needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, spared, light, eye)
+            spent += needs.evaluations
+            work = Work(transport, mesh, needs, head, report, out, storage, workers, seed, progress, stop, began, spent)
+            try:
+                if refined:
+                    deadline = math.inf if minutes is None else began + 60.0 * minutes
+                    return bake_to_error(Run(work, store, error, deadline))
+                return bake_by_samples(work, directions, samples, error)
+            except NotSo as wrong:
+                spared, spent = spared - {wrong.item}, work.evaluations
+                report = report | {"needed_after_all": [*report.get("needed_after_all", []), str(wrong)]}
+                store.forget("")
+                store.write("needed", {"items": np.array(sorted(set(leave_out) - spared))})
+
+
+def _needed_after_all(store: Store) -> set[str]:
+    """Items that an earlier run has found out are needed."""
+    arrays = store.read("needed")
+    return set() if arrays is None else set(arrays["items"].tolist())
 
 
 def _identity(transport: Any, provenance: dict[str, Any]) -> str:
@@ -206,113 +192,55 @@ def plan(
     storage: str = "float16",
     workers: int = 1,
     device: str = "cpu",
+    leave_out: Collection[str] = (),
+    for_light: Light | ArrayLike | None = None,
+    for_eye: ArrayLike | None = None,
 ) -> BakePlan:
-    """What `bake` with these arguments would cost; one block, or the pilot of a bake to an error, is baked to estimate
-    it. Raises as `bake` does.
+    """What `bake` with these arguments would cost, and what it would leave out; one block, or the pilot of a bake to an
+    error, is baked to estimate it. Raises as `bake` does.
     """
     refuse_foreign(transport, mesh)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
-    vertices, width = len(mesh.positions), 2 if storage == "float16" else 4
-    if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
-        with limited_threads(transport, workers):
-            tangents, views = views_of(mesh, rings, sectors)
-            site = Site(transport, mesh, tangents, views, rings, sectors, degree, seed)
-            aim = aimed(site, first_refinement(site)[0], error)
-        a_bin = math.ceil(aim.evaluations_per_vertex / site.bins)
-        sizes = plan_bake(vertices, site.bins, sh.count(degree), a_bin, width)
-        evaluations = round(aim.evaluations_per_vertex * vertices)
-        return replace(sizes, evaluations=evaluations, seconds=aim.seconds * vertices / max(1, workers))
+    light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
     with limited_threads(transport, workers):
-        job = resolve(transport, mesh, degree, rings, sectors, directions, samples, seed)
-        bake_block(job.task, 0, 1)
-        size = min(block_size(job.task), vertices)
-        shared = 1 if isinstance(job.resolved.sampling, Walks) else max(1, workers)
-        began = time.monotonic()
-        bake_block(job.task, 0, size)
-        seconds = (time.monotonic() - began) * vertices / (size * shared)
-    sizes = plan_bake(vertices, rings * sectors, sh.count(degree), job.resolved.samples, width)
-    return replace(sizes, seconds=seconds)
+        needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, leave_out, light, eye)
+        if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
+            site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed)
+            aim = aimed(site, first_refinement(site)[0], error * needs.share_of_projection)
+            a_bin, a_vertex = math.ceil(aim.evaluations_per_vertex / site.bins), aim.evaluations_per_vertex
+            seconds = aim.seconds / max(1, workers)
+        else:
+            job = resolve(transport, mesh, needs.degree, rings, sectors, directions, samples, seed, needs)
+            a_bin, seconds = job.resolved.samples, _trial(job, workers)
+            a_vertex = float(a_bin * job.task.bins)
+    vertices, count = len(needs.vertices), 1 if light is not None else sh.count(needs.kept_degree)
+    views, width = len(needs.local) if needs.views == "all" else 1, 2 if storage == "float16" else 4
+    sizes = plan_bake(vertices, len(needs.local), count, a_bin, width, needs.channels, views)
+    evaluations = round(a_vertex * vertices)
+    sizes = replace(sizes, left_out=needs.left_out, kept=needs.kept)
+    return replace(sizes, evaluations=evaluations, seconds=seconds * vertices)
 
 
-def _run(
-    job: Job,
-    sink: Sink,
-    report: dict[str, Any],
-    began: float,
-    spent: int,
-    workers: int,
-    progress: Progress | None,
-    stop: Callable[[], bool] | None,
-) -> Asset:
-    """Bakes block by block into the sink, keeps the error figures, and closes the asset, whole or in part."""
-    vertices = len(job.mesh.positions)
-    per_vertex = job.rings * job.sectors * job.resolved.samples
-    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), Account()
-    done = bent = 0
-    blocks = bake_blocks(job.task, range(vertices), workers)
-    try:
-        for block in _until(stop, blocks):
-            sink.write(block)
-            done, bent = block.first_vertex + len(block.valid), bent + block.bent
-            invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
-            account += block.account or Account()
-            meter.add(block)
-            row = (time.monotonic() - began, float(spent + done * per_vertex), meter.total)
-            if not rows or done * ROWS // vertices > len(rows) or done == vertices:
-                rows.append(row)
-            if progress is not None:
-                progress(done, vertices, row)
-    except KeyboardInterrupt:
-        pass
-    finally:
-        blocks.close()
-    if done == 0:
-        raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
-    if len(invalid) == done:
-        raise QueryError(f"the transport answered values that are not finite at every one of {done} vertices")
-    report |= {
-        "evaluations": spent + done * per_vertex,
-        "seconds": time.monotonic() - began,
-        "estimated_relative_rmse": {"total": meter.total, "percentile_95_over_vertices": meter.percentile_95},
-        "bins_bent_to_the_horizon": bent,
-        "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
-        "vertices_baked": done,
-    }
-    if isinstance(job.resolved.sampling, Walks):
-        report["walks"] = account.as_json()
-    return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), complete=done == vertices)
+def _trial(job: Job, workers: int) -> float:
+    """Seconds a vertex, from one block."""
+    first = int(job.vertices[0])
+    size = int(min(block_size(job.task), len(job.mesh.positions) - first))
+    shared = 1 if isinstance(job.resolved.sampling, Walks) else max(1, workers)
+    bake_block(job.task, first, first + 1)
+    began = time.monotonic()
+    bake_block(job.task, first, first + size)
+    return (time.monotonic() - began) / (size * shared)
 
 
-def _until(stop: Callable[[], bool] | None, blocks: Iterator[Block]) -> Iterator[Block]:
-    while not (stop is not None and stop()):
-        block = next(blocks, None)
-        if block is None:
-            return
-        yield block
-
-
-def _settings(
-    job: Job, seed: int, precision: str, storage: str, workers: int, device: str, error: float | None
-) -> dict[str, Any]:
+def _settings(transport: Any, mesh: Mesh, asked: dict[str, Any], workers: int) -> dict[str, Any]:
     """Provenance that is known before the bake."""
+    settings = {name: value for name, value in asked.items() if name not in ("seed", "device")}
     return {
-        "settings": {
-            "degree": job.degree,
-            "rings": job.rings,
-            "sectors": job.sectors,
-            "directions": job.resolved.directions,
-            "samples": job.resolved.samples,
-            "error": error,
-            "precision": precision,
-            "storage": storage,
-            "workers": workers,
-        },
-        "seed": seed,
-        "device": device,
-        "error_estimate": job.resolved.error_estimate,
-        "condition_number": job.resolved.condition,
-        "mesh_sha256": job.mesh.content_hash,
-        **_said_of(job.transport),
+        "settings": {**settings, "workers": workers},
+        "seed": asked["seed"],
+        "device": asked["device"],
+        "mesh_sha256": mesh.content_hash,
+        **_said_of(transport),
     }
 
 

@@ -220,7 +220,7 @@ def test_blocks_come_in_order_and_do_not_depend_on_workers_or_cuts(
 ) -> None:
     whole = bake_block(task(LobedInBlocks()), 0, 7)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
-    blocks = list(bake_blocks(task(LobedInBlocks()), range(7), workers))
+    blocks = list(bake_blocks(task(LobedInBlocks()), [range(7)], workers))
     assert [block.first_vertex for block in blocks] == [0, 2, 4, 6]
     np.testing.assert_array_equal(np.concatenate([block.coefficients for block in blocks]), whole.coefficients)
     np.testing.assert_array_equal(np.concatenate([block.standard_error for block in blocks]), whole.standard_error)
@@ -234,7 +234,7 @@ def test_what_a_transport_raises_is_raised(workers: int) -> None:
             raise RuntimeError("lamp is out")
 
     with pytest.raises(RuntimeError, match="lamp is out"):
-        list(bake_blocks(task(Broken()), range(7), workers))
+        list(bake_blocks(task(Broken()), [range(7)], workers))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
@@ -284,7 +284,7 @@ def test_loop_can_be_left_early() -> None:
             calls.append(len(positions))
             return super().evaluate(incident, positions, outgoing)
 
-    blocks = bake_blocks(task(Counting(), vertices=4, sampling=None), range(4))
+    blocks = bake_blocks(task(Counting(), vertices=4, sampling=None), [range(4)])
     next(blocks)
     blocks.close()
     assert len(calls) == 1

@@ -71,8 +71,10 @@ def test_turns_are_rotations_of_their_own_vertex_and_bin() -> None:
     # Uniform on SO(3): the image of any axis has mean 0 and a third of its length in each direction.
     assert np.abs(turns.mean(axis=0)).max() < 5.0 / np.sqrt(3.0 * 2000)
     np.testing.assert_array_equal(vertex_turns(3)(np.array([7])), turns[7:8])
-    own = bin_turns(3)(np.array([7, 7]), np.array([1, 2]))
+    own = bin_turns(3)(np.array([7, 7]), np.array([1, 2]), 0)
+    other = bin_turns(3)(np.array([7, 7]), np.array([1, 2]), 1)
     assert np.abs(own[0] - own[1]).max() > 1e-3
+    assert np.abs(own - other).max(axis=(1, 2)).min() > 1e-3
     assert np.abs(own - turns[7]).max(axis=(1, 2)).min() > 1e-3
     np.testing.assert_allclose(sh.rotations(turns[:5], 3), [sh.rotation(turn, 3) for turn in turns[:5]], atol=1e-12)
 

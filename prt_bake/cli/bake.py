@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Device, ReportFile, Seed, output_option
+from prt_bake.cli.options import Device, OnlyEye, ReportFile, Seed, output_option
 from prt_bake.cli.progress import reporting, stopping
 
 
@@ -55,7 +55,26 @@ def bake(
         str | None,
         typer.Option(help="How the 7 inputs of a TorchScript SOURCE are meant.", show_default=False),
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print size and estimated time, and stop.")] = False,
+    dry_run: Annotated[
+        bool,
+        typer.Option("--dry-run", help="Print size, estimated time and what would be left out and why, and stop."),
+    ] = False,
+    keep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ITEM",
+            help="unseen, duplicates, views, bands, channels or all: not left out even where the scene does not need "
+            "it; can be given again.",
+            show_default=False,
+        ),
+    ] = None,
+    for_light: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SKY", help="The only light that the asset is for; it holds radiance then.", show_default=False
+        ),
+    ] = None,
+    for_eye: OnlyEye = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a bake to the same --error that was killed.")
     ] = False,
@@ -76,6 +95,11 @@ def bake(
     if workers is None:
         workers = (os.cpu_count() or 1) if source.suffix.lower() == ".toml" else 1
     sampling = (degree, rings, sectors, directions, samples)
+    needed: Any = {
+        "leave_out": _but(keep or [], baking.ITEMS),
+        "for_light": None if for_light is None else _light(for_light, degree, baking.said_by(transport, "up", "y")),
+        "for_eye": for_eye,
+    }
     if dry_run:
         plan = baking.plan(
             transport,
@@ -87,6 +111,7 @@ def bake(
             storage=storage,
             workers=workers,
             device=device,
+            **needed,
         )
         print(json.dumps(plan.as_json(), indent=2))
         return
@@ -106,6 +131,7 @@ def bake(
             progress=lambda done, total, row: show(done / total, f"{done} of {total} vertices, error {row[2]:.2%}"),
             stop=stop,
             resume=resume,
+            **needed,
             provenance={"command": context.obj, "mesh": mesh.name, **origin(source)},
         )
     summary = bake_report(asset)
@@ -126,8 +152,25 @@ def bake(
         raise PrtbakeError(f"{written}: the bake was stopped; what is baked is a valid asset that says so")
 
 
+def _but(kept: list[str], items: tuple[str, ...]) -> list[str]:
+    """What may be left out where `kept` may not be."""
+    if unknown := sorted(set(kept) - {*items, "all"}):
+        raise typer.BadParameter(f"--keep: {', '.join(unknown)} is none of {', '.join(items)}, all")
+    return [] if "all" in kept else [item for item in items if item not in kept]
+
+
+def _light(sky: Path, degree: int, up: str) -> Any:
+    from formats.whole import sha256
+    from prt_bake import environment
+    from prt_bake.baking import Light
+
+    return Light(environment.project(environment.read_environment(sky), degree, up), sky.name, sha256(sky))
+
+
 def _remarks(summary: dict[str, Any]) -> Iterator[str]:
     """What is in no coefficient of a path-traced bake, and where its error figure cannot be trusted."""
+    for item in summary["left_out"]:
+        yield f"left out: {item['item']} ({item['reason']}); {item['saving']}"
     walks = summary.get("walks", {"unscattered": 0.0, "lost": 0.0, "unreliable_bins": 0})
     if walks["unscattered"] >= 0.001:
         yield f"{walks['unscattered']:.1%} of the view goes straight through the object, and is in no coefficient"

@@ -107,6 +107,16 @@ Eye = Annotated[
     Point | None,
     typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default the whole object is framed."),
 ]
+OnlyEye = Annotated[
+    Point | None,
+    typer.Option(
+        "--for-eye",
+        parser=_read_point,
+        metavar="x,y,z",
+        help="The only point that the asset will be seen from.",
+        show_default=False,
+    ),
+]
 Exposure = Annotated[
     float,
     typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG alone)."),

@@ -46,6 +46,9 @@ def shade(
     view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=up or baked.up)
     picture = render_picture(baked, sky, view, up=up, rotate=rotate, samples=samples)
     write_image(output, picture.image, exposure=exposure)
+    for item in baked.left_out:
+        if item["item"].startswith("other "):
+            say(f"{asset}: {item['item']} are left out: {item['reason']}")
     if not baked.complete:
         say(f"{asset}: is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black")
     print(

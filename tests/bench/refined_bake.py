@@ -77,9 +77,9 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
     mesh, network = read_mesh(mesh_path), load_model(model)
     bound = up_to(on_mesh(network, mesh), 2)
     transport = prepared(bound, precision, "cpu")
-    tangents, views = views_of(mesh, 16, 64)
+    _tangents, views = views_of(mesh, 16, 64)
     chosen = np.sort(np.random.default_rng(5).permutation(len(mesh.positions))[:vertices])
-    site = Site(transport, mesh, tangents, views, 16, 64, 2, 0)
+    site = Site(transport, mesh, np.arange(len(mesh.positions)), views, sphere.view_bins(16, 64), 2, 0)
     with limited_threads(transport, 1):
         aim = aimed(site, first_refinement(site)[0], error)
         began = time.perf_counter()

@@ -1,0 +1,94 @@
+"""Bakes with the same number of directions, or of random walks, at every view bin."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bakers.baker import Block, bake_blocks
+from bakers.path_traced import Account, Walks
+from formats.asset import Asset
+from formats.errors import QueryError
+from prt_bake.bake_error import ErrorMeter
+from prt_bake.bake_job import Job, resolve
+from prt_bake.bake_output import Sink
+from prt_bake.bake_pilot import reach
+from prt_bake.bake_work import Work
+from prt_bake.pared_sink import pared_sink
+
+ROWS = 100
+
+
+def bake_by_samples(work: Work, directions: str, samples: int, error: float | None) -> Asset:
+    """Bakes block by block; to an `error`, a pilot finds out how many samples it takes.
+
+    Raises QueryError where nothing was done or nothing is finite, or the error is out of reach, NotSo where a vertex
+    needs what was to be left out.
+    """
+    rings, sectors = work.head.rings, work.head.sectors
+    job = resolve(
+        work.transport, work.mesh, work.needs.degree, rings, sectors, directions, samples, work.seed, work.needs
+    )
+    if error is not None:
+        job, spent = reach(job, error, directions, work.seed)
+        work.evaluations += spent
+    with pared_sink(work.out, work.head, work.storage, work.needs) as sink:
+        return _run(work, job, sink)
+
+
+def _run(work: Work, job: Job, sink: Sink) -> Asset:
+    """Bakes into the sink, keeps the error figures, and closes the asset, whole or in part."""
+    vertices, per_vertex = len(work.needs.vertices), job.task.bins * job.resolved.samples
+    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), Account()
+    done = bent = 0
+    blocks = bake_blocks(job.task, _runs(work), work.workers)
+    try:
+        for block in _until(work, blocks):
+            work.evaluations += len(block.valid) * per_vertex
+            sink.write(block)
+            done, bent = done + len(block.valid), bent + block.bent
+            invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
+            account += block.account or Account()
+            meter.add(block)
+            row = (work.seconds, float(work.evaluations), meter.total)
+            if not rows or done * ROWS // vertices > len(rows) or done == vertices:
+                rows.append(row)
+            if work.progress is not None:
+                work.progress(done, vertices, row)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        blocks.close()
+    if done == 0:
+        raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
+    if len(invalid) == done:
+        raise QueryError(f"the transport answered values that are not finite at every one of {done} vertices")
+    settings = work.report["settings"] | {"directions": job.resolved.directions, "samples": job.resolved.samples}
+    report = work.report | {
+        "settings": settings,
+        "error_estimate": job.resolved.error_estimate,
+        "condition_number": job.resolved.condition,
+        "evaluations": work.evaluations,
+        "seconds": work.seconds,
+        "estimated_relative_rmse": {"total": meter.total, "percentile_95_over_vertices": meter.percentile_95},
+        "bins_bent_to_the_horizon": bent,
+        "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
+        "vertices_baked": done,
+    }
+    if isinstance(job.resolved.sampling, Walks):
+        report["walks"] = account.as_json()
+    return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
+
+
+def _runs(work: Work) -> list[range]:
+    """The vertices that are baked, as runs of consecutive ones."""
+    vertices = work.needs.vertices
+    runs = np.split(vertices, np.flatnonzero(np.diff(vertices) > 1) + 1)
+    return [range(int(run[0]), int(run[-1]) + 1) for run in runs if len(run)]
+
+
+def _until(work: Work, blocks: Iterator[Block]) -> Iterator[Block]:
+    while not work.stopped:
+        block = next(blocks, None)
+        if block is None:
+            return
+        yield block

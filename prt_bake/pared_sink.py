@@ -1,0 +1,138 @@
+"""Leaves out of baked blocks what the scene does not need, and holds every vertex against what a few have promised."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import Block
+from formats.asset import Asset, AssetHead
+from prt_bake import sh
+from prt_bake.bake_needs import WORST, Needs
+from prt_bake.bake_output import Sink, open_sink
+
+Array = NDArray[np.float64]
+
+DARK = 1e-2
+"""Of the mean square coefficient: darker vertices are held to the errors of those that have it."""
+NOISE = 1.5
+"""Standard errors that bands which hold nothing may show."""
+
+
+class NotSo(Exception):
+    """An item was left out that a vertex needs."""
+
+    def __init__(self, item: str, vertex: int) -> None:
+        super().__init__(f"{item} matter at vertex {vertex}")
+        self.item, self.vertex = item, vertex
+
+
+def pared_head(head: AssetHead, needs: Needs) -> AssetHead:
+    """The head of an asset that keeps what is needed alone."""
+    degree = needs.kept_degree
+    head = replace(
+        head,
+        degree=degree,
+        check_values=head.check_values[:, : sh.count(degree)],
+        left_out=[item.as_json() for item in needs.left_out],
+    )
+    if needs.light is None:
+        return head
+    return replace(head, quantity="radiance", folded_in=f"light {needs.light.content_hash}")
+
+
+def pared_sink(out: str | Path | None, head: AssetHead, storage: str, needs: Needs) -> "ParedSink":
+    """A sink in memory or for the file `out`, for blocks of all that is baked; raises QueryError on a storage type."""
+    folded = None if needs.light is None else needs.light.coefficients
+    views = len(head.directions) if needs.views == "all" else 1
+    return ParedSink(open_sink(out, pared_head(head, needs), storage, views, needs.channels, folded), needs)
+
+
+class ParedSink:
+    """Takes blocks of all that was baked and hands on what the asset keeps.
+
+    Attributes:
+        squared: Σ of squares that were left out, mean over K and channels, and of those that stayed, over vertices.
+    """
+
+    def __init__(self, sink: Sink, needs: Needs) -> None:
+        self._sink, self._needs = sink, needs
+        self._copies: dict[int, list[int]] = {}
+        for vertex, same in needs.copies.tolist():
+            self._copies.setdefault(same, []).append(vertex)
+        self.squared = np.zeros(2)
+
+    def __enter__(self) -> Self:
+        self._sink.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sink.__exit__(kind, fault, trace)
+
+    @property
+    def left_out(self) -> float:
+        """Relative RMSE that leaving out has added so far."""
+        return float(np.sqrt(self.squared[0] / self.squared[1])) if self.squared[1] > 0.0 else 0.0
+
+    def write(self, block: Block) -> None:
+        """Takes a block [n,B,K,3] of consecutive vertices; raises NotSo where one of them needs what is left out."""
+        pared = self._pared(block)
+        self._sink.write(pared)
+        for row, vertex in enumerate(range(block.first_vertex, block.first_vertex + len(block.valid))):
+            for copy in self._copies.get(vertex, ()):
+                rows = slice(row, row + 1)
+                parts = pared.coefficients[rows], pared.standard_error[rows], pared.valid[rows]
+                self._sink.write(Block(copy, *parts, 0))
+
+    def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
+        """The asset, whole or in part; its error figures hold what was left out besides."""
+        if self.left_out > 0.0:
+            told = provenance["estimated_relative_rmse"]
+            both = {name: float(np.hypot(value, self.left_out)) for name, value in told.items()}
+            provenance = provenance | {"estimated_relative_rmse": both | {"left_out": self.left_out}}
+        return self._sink.finish(provenance, error_vs_time, complete)
+
+    def _pared(self, block: Block) -> Block:
+        needs = self._needs
+        a, variance = block.coefficients.astype(np.float64), block.standard_error.astype(np.float64) ** 2
+        squares = (a**2).mean(axis=(2, 3))
+        off = np.zeros(variance.shape)
+        if needs.views == "one":
+            mean = a.mean(axis=1, keepdims=True)
+            spread = ((a - mean) ** 2).mean(axis=(1, 2, 3), keepdims=True)[..., 0, 0]
+            variance, squares = variance.mean(axis=1, keepdims=True), squares.mean(axis=1, keepdims=True)
+            off = self._held("views", block, spread, squares, variance)
+            a = mean
+        kept = sh.count(needs.kept_degree)
+        if kept < a.shape[2]:
+            cut = (a[:, :, kept:] ** 2).sum(axis=(2, 3)) / (a.shape[2] * 3)
+            off = off + self._held("bands", block, cut, squares, variance)
+            a = a[:, :, :kept]
+        if needs.channels == 1:
+            grey = a.mean(axis=3, keepdims=True)
+            cut = ((a - grey) ** 2).mean(axis=(2, 3))
+            off = off + self._held("channels", block, cut, squares, 0.0 * variance)
+            a = grey
+        self.squared += off[block.valid].sum(), squares[block.valid].sum()
+        variance = variance + off
+        if needs.light is not None:
+            light = needs.light.coefficients[: a.shape[2]]
+            variance = variance * (light**2).sum(axis=0).mean()
+            a = np.einsum("nbkc,kc->nbc", a, light[:, :1] if needs.channels == 1 else light)[:, :, None]
+        return replace(block, coefficients=a.astype(np.float32), standard_error=np.sqrt(variance).astype(np.float32))
+
+    def _held(self, item: str, block: Block, off: Array, squares: Array, variance: Array) -> Array:
+        """What is left out at each bin, noise apart; raises NotSo at a vertex where it is too much."""
+        off = np.maximum(off - variance, 0.0)
+        each = off.mean(axis=1)
+        scale = np.maximum(squares.mean(axis=1), DARK * self._needs.signal)
+        limit = (WORST * self._needs.tolerated) ** 2 * scale + (NOISE**2) * variance.mean(axis=1)
+        wrong = block.valid & (each > limit)
+        if wrong.any():
+            raise NotSo(item, block.first_vertex + int(wrong.argmax()))
+        return off
