@@ -104,7 +104,7 @@ def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
         began, tally = time.monotonic(), Tally(len(site.mesh.positions))
         for first in range(0, len(chosen), site.block_vertices):
             some = chosen[first : first + site.block_vertices]
-            tally.add(some, _refined(site, replace(trial, checks=checks), some)[0])
+            tally.add(some, refined_block(site, replace(trial, checks=checks), some)[0])
         seconds = (time.monotonic() - began) / len(chosen)
         spent += tally.evaluations
         per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
@@ -223,15 +223,15 @@ def one_pass(
 def _one_block(site: Site, aim: Aim, shelf: Shelf, first: int) -> tuple[Refined, int]:
     vertices = site.block(first)
     if aim.again is None:
-        return _refined(site, aim.refinement, vertices)
+        return refined_block(site, aim.refinement, vertices)
     before, bent = shelf.before(first)
     rows = np.flatnonzero(aim.again[vertices])
     if not len(rows):
         return before.for_nothing(), bent
-    return before.with_rows(rows, _refined(site, aim.refinement, vertices[rows])[0]), bent
+    return before.with_rows(rows, refined_block(site, aim.refinement, vertices[rows])[0]), bent
 
 
-def _refined(site: Site, refinement: Refinement, vertices: Index) -> tuple[Refined, int]:
+def refined_block(site: Site, refinement: Refinement, vertices: Index) -> tuple[Refined, int]:
     """A block, and how many of its bins were bent to the horizon."""
     views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
     outgoing = np.concatenate([directions for directions, _bent in views])

@@ -2,14 +2,16 @@
 
 import typer
 
+from prt_bake.cli.report_bake import bake
 from prt_bake.cli.report_paper import paper
 from prt_bake.cli.report_training import training
 
 report = typer.Typer(
-    help="Measure a model, or all that the paper measures, and write down how good it is.",
+    help="Measure a model, a bake, or all that the paper measures, and write down how good it is.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
 )
 report.command("training", no_args_is_help=True)(training)
 report.command("paper")(paper)
+report.command("bake", no_args_is_help=True)(bake)

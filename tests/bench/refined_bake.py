@@ -22,7 +22,7 @@ from formats.mesh import read_mesh
 from prt_bake import bake, sh, sphere
 from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import limited_threads, prepared, views_of
-from prt_bake.bake_refined import _refined, aimed
+from prt_bake.bake_refined import aimed, refined_block
 from prt_bake.network import load_model
 
 PLAIN_DIRECTIONS, PLAIN_BINS = 1024, 192
@@ -84,7 +84,7 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
         aim = aimed(site, first_refinement(site)[0], error)
         began = time.perf_counter()
         cuts = range(0, len(chosen), site.block_vertices)
-        parts = [_refined(site, aim.refinement, chosen[first : first + site.block_vertices])[0] for first in cuts]
+        parts = [refined_block(site, aim.refinement, chosen[first : first + site.block_vertices])[0] for first in cuts]
         ours = (time.perf_counter() - began) / (len(chosen) * 1024)
     coefficients = np.concatenate([part.coefficients for part in parts]).astype(np.float64)
     spent = sum(part.evaluations for part in parts) / (len(chosen) * 1024)
