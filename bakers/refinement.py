@@ -12,15 +12,15 @@ vertex, and a fit by least squares over it is unbiased (`bakers.projection`).
 A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on what is baked beside it.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.lattice_pools import Pools
 from bakers.light_noise import LightNoise
-from bakers.nested_lattice import NestedLattice
-from bakers.transport import as_radiance, way_in
+from bakers.refined import Checks, Refined, Refinement
+from bakers.values import values_at
 from bakers.view_levels import STENCIL, Level
 
 Array = NDArray[np.float64]
@@ -28,6 +28,8 @@ Index = NDArray[np.int64]
 
 VALUES_AT_ONCE = 1 << 17
 ATTEMPTS = 6
+ALONE, NEARLY = 3, 1.5
+"""How often a bin's own lattice is tried, and times the variance allowed that is let pass."""
 DECAY = 0.45
 """Of the error of prediction, from one level to the next, as it usually is; and how many bins' worth that counts."""
 DECAY_BEFORE = 8.0
@@ -36,100 +38,8 @@ LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
 """Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
 ALWAYS = 2
 """Levels up to this one are evaluated whole: what fewer bins say of the others is not to be relied on."""
-MISSED_OF_ERROR = 0.3
 LEAST_SHARE = 0.15
 """Of the tolerated variance, what a bin may always have of its own."""
-
-
-@dataclass(frozen=True)
-class Refinement:
-    """How far to go, and by what means."""
-
-    levels: list[Level]
-    lattice: NestedLattice
-    rotations: Callable[[Index], Array]
-    """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
-    other_rotations: Callable[[Index, Index, int], Array]
-    """(vertices [M], bins [M], 0 or 1) → rotations [M,3,3], independent of those and of each other, for the checks."""
-    rotate: Callable[[Array], Array]
-    """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
-    noise: LightNoise
-    light: float
-    """Error of directions tolerated at a bin, over the root mean square coefficient of its vertex."""
-    view: float
-    """Error of prediction tolerated at a bin, over the same."""
-    checked: float
-    """Noise of each half of a check, over the same."""
-    floor: float
-    """Least root mean square of a vertex's coefficients that errors are held against."""
-    begin: int
-    """Sizes of the lattice that every evaluated bin has to begin with: enough not to miss the narrowest detail."""
-    missed: Array
-    """What each size of the lattice misses without telling so, over the root mean square coefficient."""
-    checks: Callable[[Index], NDArray[np.bool_]]
-    """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
-
-    def begin_for(self, error: float) -> int:
-        """How many sizes to begin with so that hardly any of that error is missed without telling."""
-        return 1 + int(np.max(np.flatnonzero(self.missed > MISSED_OF_ERROR * error), initial=-1) + 1)
-
-
-@dataclass(frozen=True)
-class Checks:
-    """Bins at which an estimate was held against an independent one; each [M]."""
-
-    rows: Index
-    """Whose bins they are: the place of the vertex in its block."""
-    evaluated: NDArray[np.bool_]
-    """Whether the bin had been evaluated, or foretold."""
-    stated: Array
-    """Variance as it was estimated."""
-    squared: Array
-    """Squared error, mean over K and channels, without bias for the noise of the check: at times negative."""
-    evaluations: int
-    """That these took."""
-
-    def with_rows(self, rows: Index, other: "Checks") -> "Checks":
-        """These checks, those of the vertices in these places [m] from `other`."""
-        stay = ~np.isin(self.rows, rows)
-        order = np.argsort(np.concatenate([self.rows[stay], rows[other.rows]]), kind="stable")
-        own = [self.rows[stay], self.evaluated[stay], self.stated[stay], self.squared[stay]]
-        theirs = [rows[other.rows], other.evaluated, other.stated, other.squared]
-        parts = [np.concatenate(pair)[order] for pair in zip(own, theirs, strict=True)]
-        return Checks(parts[0], parts[1], parts[2], parts[3], other.evaluations)
-
-
-@dataclass(frozen=True)
-class Refined:
-    """What came of a block of n vertices."""
-
-    coefficients: NDArray[np.float32]
-    """[n,B,K,3]"""
-    deviation: NDArray[np.float32]
-    """[n,B], one sigma, rms over K and channels, before it is held against the checks."""
-    directions: NDArray[np.uint16]
-    """[n,B], in how many each bin was evaluated; 0 where it is foretold from its neighbours."""
-    evaluations: int
-    checks: Checks
-
-    @property
-    def valid(self) -> NDArray[np.bool_]:
-        """Vertices [n] at which all is finite."""
-        return np.asarray(np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.deviation).all(axis=1))
-
-    def for_nothing(self) -> "Refined":
-        """The same, from an earlier pass: it took nothing."""
-        return replace(self, evaluations=0, checks=replace(self.checks, evaluations=0))
-
-    def with_rows(self, rows: Index, other: "Refined") -> "Refined":
-        """This block with the vertices in these places [m] as `other` has them; it took what `other` took."""
-        parts = []
-        for name in ("coefficients", "deviation", "directions"):
-            whole = getattr(self, name).copy()
-            whole[rows] = getattr(other, name)
-            parts.append(whole)
-        checks = self.checks.with_rows(rows, other.checks)
-        return Refined(parts[0], parts[1], parts[2], other.evaluations, checks)
 
 
 def refine(transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array) -> Refined:
@@ -162,7 +72,13 @@ class _Work:
         """The same, evaluated alone."""
         self.values: list[NDArray[np.float32]] = []
         self.scale, self.decay = np.full(n, refinement.floor**2), np.full(n, DECAY**2)
-        self.unit = np.array([refinement.noise.variance(self.lattice, size) for size in self.lattice.sizes])
+        self.unit = _unit(refinement.noise, self.lattice.variance_shares, self.lattice.sizes)
+        self.pool_unit = _pool_unit(refinement.pool_noise, refinement.pools)
+        self.turn = refinement.rotate(self.rotations)
+        self.alone = np.zeros((bins, n))
+        """What of the noise is a bin's own, and no other's."""
+        self.spent = np.zeros((bins, n), np.int64)
+        """Directions that a bin was evaluated in."""
         self.of_differences = refinement.noise.of_differences
         beginning = np.concatenate([level.bins for level in refinement.levels[: ALWAYS + 1]])
         bins_, rows = (axis.ravel() for axis in np.meshgrid(beginning, np.arange(n), indexing="ij"))
@@ -188,7 +104,10 @@ class _Work:
         self._foretell_values(rows, level.parents[places], number)
         self._settle(rows, bins, (level.parents[places], level.weights[places], foretold, carried), tolerated)
         off = ((self.coefficients[bins, rows] - foretold) ** 2).mean(axis=1)
-        self.surprise[bins, rows] = np.maximum(off - np.maximum(self.noise[bins, rows] - carried, 0.0), 0.0)
+        noise, alone = self.noise[bins, rows], self.alone[bins, rows]
+        # What is foretold errs apart from a bin that was integrated alone, and together with others.
+        noisy = np.where(alone > 0.0, noise + carried, np.maximum(noise - carried, 0.0))
+        self.surprise[bins, rows] = np.maximum(off - noisy, 0.0)
         if number > ALWAYS:
             self._learn_decay(rows, expected, self.surprise[bins, rows])
         if number == ALWAYS:
@@ -202,11 +121,14 @@ class _Work:
         variance = np.ascontiguousarray((self.noise + np.where(self.evaluated > 0, 0.0, self.surprise)).T)
         n, bins = variance.shape
         own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
-        turned = self.how.rotate(self.rotations)[:, None] @ own
+        turned = self.turn[:, None] @ own
         checks = self._check(variance, turned)
-        sizes = np.array([0, *self.lattice.sizes], np.uint16)
         rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
-        return Refined(*rounded, sizes[self.evaluated.T], self.evaluations, checks)
+        return Refined(*rounded, self.spent.T.astype(np.uint16), self._way().T, self.evaluations, checks)
+
+    def _way(self) -> NDArray[np.uint8]:
+        """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""
+        return ((self.evaluated > 0).astype(np.uint8) + (self.alone > 0.0) * (self.evaluated > 0)).astype(np.uint8)
 
     def _measure(self, number: int) -> None:
         """The mean square coefficient of each vertex, by the levels up to this one."""
@@ -226,7 +148,8 @@ class _Work:
         count, n, width = self.coefficients.shape
         own, near = level.combining, level.nearest
         self.coefficients[level.bins] = (own @ self.coefficients.reshape(count, -1)).reshape(-1, n, width)
-        self.noise[level.bins] = (own @ np.sqrt(self.noise)) ** 2
+        together = (own @ np.sqrt(np.maximum(self.noise - self.alone, 0.0))) ** 2
+        self.noise[level.bins] = together + level.combining_squares @ self.alone
         self.surprise[level.bins] = self.decay * (near @ self.surprise)
         self.rough[level.bins] = near @ self.rough
 
@@ -253,8 +176,9 @@ class _Work:
     def _settle(
         self, rows: Index, bins: Index, foretold: tuple[Index, Array, Array, Array] | None, tolerated: float
     ) -> None:
-        """Takes more directions at bins (rows [M], bins [M]) until their noise is tolerable, by the cheaper of two
-        ways: integrating what they differ by from what was foretold of them, or integrating them on their own.
+        """Takes more directions at bins (rows [M], bins [M]) until their noise is tolerable, by the cheapest of three
+        ways: integrating what they differ by from what was foretold of them, over as much of the shared lattice as that
+        takes; integrating them over all of it that they have; or over more of it, or a lattice of their own.
         """
         here = np.arange(len(rows))
         for _attempt in range(ATTEMPTS):
@@ -263,7 +187,8 @@ class _Work:
             r, b = rows[here], bins[here]
             allowed = tolerated * self.scale[r]
             coefficients, noise, rough = self._direct(r, b)
-            steps = self._steps(rough, allowed)
+            grown = self._steps(rough, allowed)
+            better = np.zeros(len(here), bool)
             if foretold is not None:
                 parents, weights = foretold[0][here], foretold[1][here]
                 before, carried = foretold[2][here], foretold[3][here]
@@ -272,16 +197,56 @@ class _Work:
                 taken = np.minimum(self._steps(apart, left), len(self.unit))
                 possible = self.unit[taken - 1] * apart <= left
                 possible &= taken <= self.known[parents, r[:, None]].min(axis=1)
-                better = possible & ((taken <= steps) | (taken <= self.evaluated[b, r]))
+                better = possible & ((taken <= grown) | (taken <= self.evaluated[b, r]))
                 # While neither is good enough, what is nearer to the truth is kept.
                 use = better | (~possible & (own + carried < noise))
                 coefficients = np.where(use[:, None], before + difference, coefficients)
                 noise = np.where(use, own + carried, noise)
-                steps = np.where(better, taken, steps)
-            self.coefficients[b, r], self.noise[b, r] = coefficients, noise
-            more = steps > self.evaluated[b, r]
-            here = here[more]
-            self._grow(rows[here], bins[here], steps[more])
+                grown = np.where(better, taken, grown)
+            self.coefficients[b, r], self.noise[b, r], self.alone[b, r] = coefficients, noise, 0.0
+            lacking = grown > self.evaluated[b, r]
+            alone = lacking & ~better & self.how.apart
+            further = lacking & ~alone
+            self._integrate(r[alone], b[alone], allowed[alone])
+            here = here[further]
+            self._grow(rows[here], bins[here], grown[further])
+
+    def _integrate(self, rows: Index, bins: Index, allowed: Array) -> None:
+        """Integrates bins over lattices of their own, as large as it takes for the variance allowed [M]."""
+        rough, least = self.rough[bins, rows], np.zeros(len(rows), np.int64)
+        for _attempt in range(ALONE):
+            if not len(rows):
+                return
+            enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
+            steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
+            steps = np.maximum(steps, least)
+            found, rough = self._alone(rows, bins, steps, 0)
+            self.coefficients[bins, rows] = (self.turn[rows].transpose(0, 2, 1) @ found).reshape(len(rows), -1)
+            noise = rough * self.pool_unit[steps]
+            self.noise[bins, rows] = self.alone[bins, rows] = noise
+            self.rough[bins, rows] = rough
+            # Rougher than it seemed: once more, unless it is nearly good enough.
+            again = (noise > NEARLY * allowed) & (steps < len(self.pool_unit) - 1)
+            rows, bins, least = rows[again], bins[again], steps[again] + 1
+            allowed, rough = allowed[again], rough[again]
+
+    def _alone(self, rows: Index, bins: Index, steps: Index, which: int) -> tuple[Array, Array]:
+        """Coefficients [M,K,3], in the world's frame, of bins over lattices of their own, and squared roughness."""
+        found, rough = np.empty((len(rows), self.lattice.count, 3)), np.empty(len(rows))
+        pools = self.how.pools
+        for step in np.unique(steps):
+            size = pools.sizes[step]
+            pool = pools.of(size)
+            for some in _lots(np.flatnonzero(steps == step), size):
+                r, b = rows[some], bins[some]
+                copies = pools.copies(size, self.vertices[r], b, which)
+                values = values_at(self.transport, pool.incident, copies, self.positions[r], self.outgoing[r, b])
+                found[some], rough[some] = pool.fitted(values, copies)
+        taken = np.array(pools.sizes, np.int64)[steps]
+        self.evaluations += int(taken.sum())
+        if which == 0:
+            self.spent[bins, rows] += taken
+        return found, rough
 
     def _steps(self, rough: Array, allowed: Array) -> Index:
         """How many sizes of the lattice it takes [M] until bins of this squared roughness have the variance allowed;
@@ -338,6 +303,7 @@ class _Work:
                 )
             r, b = rows[missing], bins[missing]
             self.evaluated[b, r], self.known[b, r] = size, np.maximum(self.known[b, r], size)
+            self.spent[b, r] += end - begin
             self.evaluations += len(missing) * (end - begin)
 
     def _check(self, variance: Array, turned: Array) -> Checks:
@@ -347,39 +313,25 @@ class _Work:
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
         # A bin that seems smoother than its vertex may have missed what others have seen.
         rough = np.maximum(self.rough[bins, rows], self.rough.mean(axis=0)[rows])
-        steps = np.maximum(self._steps(rough, self.how.checked**2 * self.scale[rows]), self.how.begin)
-        squared = np.empty(len(rows))
-        for step in np.unique(steps):
-            for some in _lots(np.flatnonzero(steps == step), self.lattice.sizes[step - 1]):
-                r, b = rows[some], bins[some]
-                one, other = (self._anew(r, b, step, which) - turned[r, b] for which in (0, 1))
-                squared[some] = (one * other).mean(axis=(1, 2))
-        spent = 2 * int(np.array([0, *self.lattice.sizes])[steps].sum())
-        self.evaluations += spent
-        return Checks(rows, self.evaluated[bins, rows] > 0, variance[rows, bins], squared, spent)
-
-    def _anew(self, rows: Index, bins: Index, step: int, which: int) -> Array:
-        """Coefficients [M,K,3] of bins from the first or second of the lattices that are theirs alone."""
-        turn = self.how.other_rotations(self.vertices[rows], bins, which)
-        incident = self.lattice.directions[: self.lattice.sizes[step - 1]] @ turn.transpose(0, 2, 1)
-        values = values_at(
-            self.transport, incident, np.arange(len(rows)), self.positions[rows], self.outgoing[rows, bins]
-        )
-        found, _rough = self.lattice.fitted(values, step - 1)
-        return np.asarray(self.how.rotate(turn) @ found.reshape(len(rows), -1, 3))
+        allowed = self.how.checked**2 * self.scale[rows]
+        enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
+        steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
+        least = self.lattice.sizes[self.how.begin - 1]
+        steps = np.maximum(steps, np.searchsorted(self.how.pools.sizes, least).clip(max=len(self.pool_unit) - 1))
+        before = self.evaluations
+        one, other = (self._alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
+        squared = (one * other).mean(axis=(1, 2))
+        return Checks(rows, self._way()[bins, rows], variance[rows, bins], squared, self.evaluations - before)
 
 
-def values_at(
-    transport: object, incident: Array, taken: Index, positions: Array, outgoing: Array
-) -> NDArray[np.floating]:
-    """Ŝ [M,D,3] at positions [M,3] along outgoing [M,3], lit from the sets incident [R,D,3] that `taken` [M] names."""
-    offered: object = transport
-    directions = incident.shape[1]
-    if way_in(transport) == "block":
-        answer = offered.evaluate_block(incident, taken[:, None], positions, outgoing[:, None])  # type: ignore[attr-defined]
-        return as_radiance(answer, (len(taken), 1, directions, 3), "evaluate_block")[:, 0]
-    answer = offered.evaluate(incident[taken], positions, outgoing)  # type: ignore[attr-defined]
-    return as_radiance(answer, (len(taken), directions, 3), "evaluate")
+def _unit(noise: LightNoise, shares: Sequence[float], sizes: Sequence[int]) -> Array:
+    """Variance of a coefficient per squared roughness, for lattices of these sizes."""
+    return np.array([noise.variance(share, size) for share, size in zip(shares, sizes, strict=True)])
+
+
+def _pool_unit(noise: LightNoise, pools: Pools) -> Array:
+    # (YᵀY)⁻¹ of a lattice is 4π/D of the identity, to a thousandth: none need be made to know it.
+    return _unit(noise, [4.0 * np.pi / size for size in pools.sizes], pools.sizes)
 
 
 def _combined(weights: Array, values: NDArray[np.float32]) -> NDArray[np.float32]:

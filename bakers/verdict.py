@@ -1,8 +1,9 @@
 """What a refined bake's checks say of its error: how far the stated variances are off, and the error of it all.
 
-Evaluated bins and foretold ones are held against independent directions apart, since their errors come about in
-different ways. Checked bins are a random sample of all, so that the ratio of what was seen to what was stated corrects
-the sum of what is stated without bias; a few bins' worth of what was known before keeps it steady.
+Bins that were foretold, evaluated over the shared lattice and integrated alone are held against independent directions
+each kind apart, since their errors come about in different ways. Checked bins are a random sample of all, so that the
+ratio of what was seen to what was stated corrects the sum of what is stated without bias; a few bins' worth of what was
+known before keeps it steady.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from bakers.refinement import Checks, Refined
+from bakers.refined import WAYS, Checks, Refined
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ BOUND, BOUND_BEFORE = 1.96, 20.0
 """Sigmas that 95 % of the errors lie within, and how many checks weigh as much as that being so already."""
 FREEDOM = 8
 """Independent numbers that the error of one vertex is made of: its bins share a lattice, and err together."""
-_CHECKED: dict[str, type] = {"rows": np.int64, "evaluated": np.bool_, "stated": np.float64, "squared": np.float64}
+_CHECKED: dict[str, type] = {"rows": np.int64, "way": np.uint8, "stated": np.float64, "squared": np.float64}
 _SCATTER = np.sqrt(chi2.ppf((np.arange(32) + 0.5) / 32, FREEDOM) / FREEDOM)
 
 
@@ -31,35 +32,37 @@ _SCATTER = np.sqrt(chi2.ppf((np.arange(32) + 0.5) / 32, FREEDOM) / FREEDOM)
 class Correction:
     """Factors on stated variances."""
 
-    evaluated: float = 1.0
     foretold: float = 1.0
+    shared: float = 1.0
+    alone: float = 1.0
     bound: float = 1.0
     """Factor on standard errors beside: with it 1.96 of them hold the errors of 95 % of the bins."""
 
-    def of(self, evaluated: NDArray[np.bool_]) -> Array:
-        """The factor for the variance of each bin."""
-        return np.where(evaluated, self.evaluated, self.foretold)
+    @property
+    def by_way(self) -> Array:
+        """The factors [3], in the order of `bakers.refined.WAYS`."""
+        return np.array([self.foretold, self.shared, self.alone])
 
-    def standard_error(self, deviation: NDArray[np.floating], evaluated: NDArray[np.bool_]) -> Array:
+    def standard_error(self, deviation: NDArray[np.floating], way: NDArray[np.integer]) -> Array:
         """Standard errors from stated ones [...], such that 1.96 of them are a 95 % bound."""
-        return np.asarray(self.bound * np.sqrt(self.of(evaluated)) * deviation)
+        return np.asarray(self.bound * np.sqrt(self.by_way[way]) * deviation)
 
 
 class Tally:
-    """Adds up blocks: sums [V] over the bins of each vertex, and all checks."""
+    """Adds up blocks: sums [V] over the bins of each vertex, variances by way [3,V], and all checks."""
 
     def __init__(self, vertices: int) -> None:
-        self.evaluated, self.foretold, self.signal = np.zeros(vertices), np.zeros(vertices), np.zeros(vertices)
+        self.variance, self.signal = np.zeros((len(WAYS), vertices)), np.zeros(vertices)
         self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
         self.evaluations = self.check_evaluations = self.evaluated_bins = self.bins = 0
         self._checks: list[Checks] = []
 
     def add(self, rows: NDArray[np.int64], refined: Refined) -> None:
         """Takes in the vertices `rows` [n] of a block; those that are not finite count for nothing."""
-        finite, was = refined.valid, refined.directions > 0
+        finite, was = refined.valid, refined.way > 0
         variance = np.where(finite[:, None], refined.deviation.astype(np.float64) ** 2, 0.0)
-        self.evaluated[rows] = (variance * was).sum(axis=1)
-        self.foretold[rows] = (variance * ~was).sum(axis=1)
+        for way in range(len(WAYS)):
+            self.variance[way, rows] = (variance * (refined.way == way)).sum(axis=1)
         sound = np.where(finite[:, None, None, None], refined.coefficients.astype(np.float64), 0.0)
         self.signal[rows] = (sound**2).mean(axis=(2, 3)).sum(axis=1)
         self.done[rows], self.invalid[rows] = True, ~finite
@@ -75,20 +78,18 @@ class Tally:
 
     def correction(self, before: Correction) -> Correction:
         """What the checks say of the stated variances, `before` known."""
-        evaluated, stated, squared = (self._all_checks(name) for name in ("evaluated", "stated", "squared"))
+        way, stated, squared = (self._all_checks(name) for name in ("way", "stated", "squared"))
         sound = np.isfinite(stated) & np.isfinite(squared)
-        evaluated, stated, squared = evaluated[sound], stated[sound], squared[sound]
-        found = Correction(
-            _ratio(stated[evaluated], squared[evaluated], before.evaluated),
-            _ratio(stated[~evaluated], squared[~evaluated], before.foretold),
-        )
-        return replace(found, bound=_bound(found.of(evaluated) * stated, squared))
+        way, stated, squared = way[sound], stated[sound], squared[sound]
+        factors = [_ratio(stated[way == w], squared[way == w], was) for w, was in enumerate(before.by_way)]
+        found = Correction(*factors)
+        return replace(found, bound=_bound(found.by_way[way] * stated, squared))
 
     def relative(self, correction: Correction, smaller: Array | float = 1.0) -> tuple[float, float]:
         """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one;
         as they would be if the errors of the vertices were `smaller` [V] times what they are.
         """
-        error = correction.evaluated * self.evaluated + correction.foretold * self.foretold
+        error = correction.by_way @ self.variance
         error = (error * np.square(smaller))[self.done]
         signal = np.maximum(self.signal[self.done], 0.0)
         signal = np.maximum(signal - error, 0.5 * signal)
@@ -100,7 +101,7 @@ class Tally:
 
     def worst_first(self, correction: Correction) -> NDArray[np.int64]:
         """Finite vertices by their relative error, the largest first."""
-        error = correction.evaluated * self.evaluated + correction.foretold * self.foretold
+        error = correction.by_way @ self.variance
         relative = np.divide(error, self.signal, out=np.zeros_like(error), where=self.signal > 0.0)
         order = np.argsort(-relative, kind="stable")
         return order[(relative > 0.0)[order]]

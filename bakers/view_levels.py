@@ -42,6 +42,8 @@ class Level:
     """[B], of each bin of this level its place in `bins`; −1 for all others."""
     combining: csr_array
     """The weights as a matrix [n,B]."""
+    combining_squares: csr_array
+    """Their squares, for what errs apart."""
     nearest: csr_array
     """The mean over the nearest parents as a matrix [n,B]."""
 
@@ -91,12 +93,21 @@ def _complete(bins: NDArray[np.int64], parents: NDArray[np.int64], weights: Arra
     place[bins] = np.arange(len(bins))
     near = parents[:, :NEAREST]
     means = np.full(near.shape, 1.0 / max(1, near.shape[1]))
-    return Level(bins, parents, weights, place, _matrix(weights, parents, width), _matrix(means, near, width))
+    return Level(
+        bins,
+        parents,
+        weights,
+        place,
+        _matrix(weights, parents, width),
+        _matrix(weights**2, parents, width),
+        _matrix(means, near, width),
+    )
 
 
 def _matrix(weights: Array, columns: NDArray[np.int64], width: int) -> csr_array:
     starts = np.arange(len(weights) + 1) * weights.shape[1]
-    return csr_array((weights.ravel(), columns.ravel(), starts), shape=(len(weights), width))
+    # Copies: the matrix sorts its entries in place when it likes to.
+    return csr_array((weights.ravel().copy(), columns.ravel().copy(), starts), shape=(len(weights), width))
 
 
 def _kriging(between: Array, distance: Array) -> Array:

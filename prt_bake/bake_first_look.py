@@ -1,20 +1,22 @@
 """Where a refined bake is, and a first look at it: how noisy fits over the lattice are, and what they miss."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.light_noise import LightNoise, fitted_noise
+from bakers.lattice_pools import Pools
+from bakers.light_noise import USUAL_SLOPE, LightNoise, fitted_noise
 from bakers.nested_lattice import NestedLattice
-from bakers.refinement import Refinement, values_at
+from bakers.refined import Refinement
+from bakers.values import values_at
 from bakers.view_levels import view_levels
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
 from prt_bake.bake_job import Views
-from prt_bake.bake_light import bin_turns, checked_bins, drawn, lattice_for, pair_turns, vertex_turns
+from prt_bake.bake_light import checked_bins, drawn, lattice_for, pair_turns, pools_for, vertex_turns
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -71,8 +73,8 @@ class Site:
 
 def first_refinement(site: Site) -> tuple[Refinement, int]:
     """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
-    lattice = lattice_for(site.degree)
-    noise, floor, spent = _noise(site, lattice)
+    lattice, pools = lattice_for(site.degree), pools_for(site.degree, site.seed)
+    noise, pool_noise, floor, spent = _noise(site, lattice, pools)
     missed, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
     share = np.clip(CHECK_SHARE, FEWEST_CHECKS / site.many, MOST_CHECKS / site.many)
@@ -80,9 +82,11 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
         levels=levels,
         lattice=lattice,
         rotations=vertex_turns(site.seed),
-        other_rotations=bin_turns(site.seed),
         rotate=lambda turns: sh.rotations(turns, site.degree),
         noise=noise,
+        pools=pools,
+        pool_noise=pool_noise,
+        apart=True,
         light=1.0,
         view=1.0,
         checked=1.0,
@@ -93,33 +97,54 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
     ), spent + looked
 
 
-def _noise(site: Site, lattice: NestedLattice) -> tuple[LightNoise, float, int]:
-    """How noisy fits over the lattice are, the root mean square coefficient and the evaluations that these took; from
-    bins that are drawn, each with two lattices of each of the first four sizes.
+def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, int]:
+    """How noisy fits over the shared lattice and over pools are, the root mean square coefficient, and the evaluations
+    that these took; from bins that are drawn, each with two lattices of each of some sizes.
     """
-    bins = drawn(
-        site.seed + 2,
-        site.many,
-        min(int(np.clip(site.many // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS)), site.many),
-    )
-    sizes, spent = lattice.sizes[:4], 0
-    rough, squared, found = [], [], np.zeros(0)
-    for size in sizes:
-        fits = []
-        for which in (0, 1):
-            turns = pair_turns(site.seed, size, which, bins)
-            values = _values_at_bins(site, lattice.directions[:size], turns, bins)
-            coefficients, left = lattice.fitted(values, lattice.sizes.index(size))
-            fits.append((sh.rotations(turns, site.degree) @ coefficients.reshape(len(bins), -1, 3), left))
-            spent += len(bins) * size
-        found = (fits[0][0] + fits[1][0]) / 2.0
-        rough.append((fits[0][1] + fits[1][1]) / 2.0)
-        squared.append(((fits[0][0] - fits[1][0]) ** 2).mean(axis=(1, 2)) / 2.0)
-    finite = np.isfinite(squared).all(axis=0) & np.isfinite(rough).all(axis=0)
+    few = int(np.clip(site.many // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS))
+    bins = drawn(site.seed + 2, site.many, min(few, site.many))
+    shared = [_pair(site, lattice, size, bins) for size in lattice.sizes[:2]]
+    pooled = [_pooled_pair(site, pools, size, bins) for size in pools.sizes[2:7:2]]
+    parts = [np.array([pair[part] for pair in shared + pooled]) for part in (1, 2)]
+    finite = np.isfinite(parts).all(axis=(0, 1))
     if not finite.any():
         raise QueryError(f"the transport answered values that are not finite at every one of {len(bins)} bins tried")
-    noise = fitted_noise(lattice, sizes, np.array(rough)[:, finite], np.array(squared)[:, finite])
-    return noise, float(np.sqrt((found[finite] ** 2).mean())), spent
+    rough, squared = (part[:, finite] for part in parts)
+    sizes = tuple(pools.sizes[2:7:2])
+    pool_noise = fitted_noise([4.0 * np.pi / size for size in sizes], sizes, rough[2:], squared[2:])
+    noise = fitted_noise(lattice.variance_shares[:2], lattice.sizes[:2], rough[:2], squared[:2])
+    noise = replace(noise, slope=min(noise.slope, pool_noise.slope, USUAL_SLOPE))
+    floor = float(np.sqrt((pooled[-1][0][finite] ** 2).mean()))
+    return noise, pool_noise, floor, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
+
+
+Pair = tuple[Array, Array, Array]
+"""Coefficients [M,K,3], squared roughness [M] and squared error [M] of one of two fits."""
+
+
+def _pair(site: Site, lattice: NestedLattice, size: int, bins: Index) -> Pair:
+    fits = []
+    for which in (0, 1):
+        turns = pair_turns(site.seed, size, which, bins)
+        values = _values_at_bins(site, lattice.directions[:size], turns, bins)
+        own, rough = lattice.fitted(values, lattice.sizes.index(size))
+        fits.append((sh.rotations(turns, site.degree) @ own.reshape(len(bins), -1, 3), rough))
+    return _both(fits)
+
+
+def _pooled_pair(site: Site, pools: Pools, size: int, bins: Index) -> Pair:
+    fits, pool = [], pools.of(size)
+    vertices, outgoing = _places(site, bins)
+    for which in (1, 2):
+        copies = pools.copies(size, vertices, bins, which)
+        values = values_at(site.transport, pool.incident, copies, site.mesh.positions[vertices], outgoing)
+        fits.append(pool.fitted(values, copies))
+    return _both(fits)
+
+
+def _both(fits: list[tuple[Array, Array]]) -> Pair:
+    (one, rough), (other, also) = fits
+    return (one + other) / 2.0, (rough + also) / 2.0, ((one - other) ** 2).mean(axis=(1, 2)) / 2.0
 
 
 def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Array, int]:
@@ -135,7 +160,10 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
     missed, signal = np.zeros(len(lattice.sizes)), float(np.nanmean(all_seen**2))
     for number, size in enumerate(lattice.sizes[:step]):
         found, rough = lattice.fitted(values[:, :size], number)
-        off, stated = ((found - all_seen) ** 2).mean(axis=1), rough * noise.variance(lattice, size)
+        off, stated = (
+            ((found - all_seen) ** 2).mean(axis=1),
+            rough * noise.variance(lattice.variance_shares[number], size),
+        )
         if np.median(off - MISSED * stated) > 0.0:
             missed[number] = np.sqrt(np.median(off) / signal)
     return missed, len(bins) * lattice.sizes[step]
@@ -143,8 +171,14 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
 
 def _values_at_bins(site: Site, directions: Array, turns: Array, bins: Index) -> NDArray[np.floating]:
     """Ŝ [M,D,3] at bins [M], numbered through all that are baked, in directions [D,3] turned by turns [M,3,3]."""
+    vertices, outgoing = _places(site, bins)
+    incident = directions @ turns.transpose(0, 2, 1)
+    return values_at(site.transport, incident, np.arange(len(bins)), site.mesh.positions[vertices], outgoing)
+
+
+def _places(site: Site, bins: Index) -> tuple[Index, Array]:
+    """The vertices of bins [M], numbered through all that are baked, and their directions to the eye [M,3]."""
     places, local = np.divmod(bins, site.bins)
     vertices = site.vertices[places]
     outgoing = np.stack([site.views(int(v), int(v) + 1)[0][0, b] for v, b in zip(vertices, local, strict=True)])
-    incident = directions @ turns.transpose(0, 2, 1)
-    return values_at(site.transport, incident, np.arange(len(bins)), site.mesh.positions[vertices], outgoing)
+    return vertices, outgoing

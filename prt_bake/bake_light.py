@@ -3,22 +3,28 @@ seed, and by vertex and bin.
 """
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.lattice_pools import Pool, Pools
 from bakers.nested_lattice import NestedLattice, nested_lattice
 from formats.errors import QueryError
 from prt_bake import sh
-from prt_bake.directions import LARGEST_LATTICE, extensible_lattice, rotations
+from prt_bake.directions import LARGEST_LATTICE, extensible_lattice, fibonacci, rotations
 from prt_bake.randomness import hashed, uniforms
 
 Index = NDArray[np.int64]
 
 SMALLEST_LATTICE = 16
-_TURN_STREAM, _CHECK_STREAM, _CHECK_TURN_STREAM, _PILOT_STREAM, _PAIR_STREAM = 21, 22, 23, 24, 25
+COPIES = 4, 256
+POOL_DIRECTIONS = 1 << 14
+"""In all copies of a lattice: as many as a network holds tables for."""
+_TURN_STREAM, _CHECK_STREAM, _POOL_STREAM, _PILOT_STREAM, _PAIR_STREAM, _COPY_STREAM = 21, 22, 23, 24, 25, 27
 
 
+@cache
 def lattice_for(degree: int) -> NestedLattice:
     """The lattice that coefficients to `degree` are fitted over: its sizes double from about 3K to 2¹⁴ directions.
 
@@ -38,9 +44,27 @@ def vertex_turns(seed: int) -> Callable[[Index], NDArray[np.float64]]:
     return lambda vertices: rotations(uniforms((_TURN_STREAM, seed, vertices), 3))
 
 
-def bin_turns(seed: int) -> Callable[[Index, Index, int], NDArray[np.float64]]:
-    """(vertices [M], bins [M], which of two) → rotations [M,3,3], independent of the vertices' own."""
-    return lambda vertices, bins, which: rotations(uniforms((_CHECK_TURN_STREAM, seed, which, vertices, bins), 3))
+def pools_for(degree: int, seed: int) -> Pools:
+    """Fibonacci lattices of about 3K to 2¹⁴ directions, each √2 times the one before, in 4 to 256 copies.
+
+    Raises QueryError for degrees that these do not determine.
+    """
+    first, last = lattice_for(degree).sizes[0], LARGEST_LATTICE
+    steps = 2 * (last.bit_length() - first.bit_length())
+    sizes = tuple(round(first * 2.0 ** (step / 2.0)) for step in range(steps + 1))
+
+    def made(size: int) -> Pool:
+        lattice = fibonacci(size)
+        copies = int(np.clip(POOL_DIRECTIONS // size, *COPIES))
+        turns = rotations(uniforms((_POOL_STREAM, seed, size, np.arange(copies)), 3))
+        harmonics = sh.evaluate(lattice, degree)
+        weights = np.asarray(np.linalg.solve(harmonics.T @ harmonics, harmonics.T), np.float64)
+        return Pool(lattice @ turns.transpose(0, 2, 1), sh.rotations(turns, degree), harmonics, weights)
+
+    def taken(vertices: Index, bins: Index, which: int) -> Index:
+        return (hashed(_COPY_STREAM, seed, which, vertices, bins) >> np.uint64(1)).astype(np.int64)
+
+    return Pools(sizes, made, taken)
 
 
 def pair_turns(seed: int, size: int, which: int, bins: Index) -> NDArray[np.float64]:

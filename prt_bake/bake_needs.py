@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from bakers.horizon import bend_to_horizon, vertex_faces
 from bakers.plan import Item
-from bakers.refinement import values_at
 from bakers.transport import way_in
+from bakers.values import values_at
 from bakers.view_levels import view_levels
 from formats.errors import QueryError
 from formats.mesh import Mesh

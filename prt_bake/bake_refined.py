@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.in_order import in_order
-from bakers.refinement import Refined, Refinement, refine
+from bakers.refined import Refined, Refinement
+from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
 from formats.errors import QueryError
 from prt_bake.bake_first_look import FEWEST_CHECKS, MISSED, Site
@@ -35,6 +36,8 @@ OUT_OF_REACH = 1.5
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
 PILOT_CHECKS = 128
+MANY = 1 << 18
+"""Bins of an object from which on a pilot is a small part of it all."""
 CHECK_NOISE = 1.0
 """Of each of the two lattices of a check, over the error asked for."""
 PERCENTILE_SLACK = 1.15
@@ -79,23 +82,49 @@ class Pass:
 
 
 def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
+    """Tolerances that lead to the error at a few vertices, by whichever way of integrating bins costs less there.
+
+    On small objects, where a pilot is a large part of it all, what either way would cost is told without checks.
+    """
+    ways = [replace(refinement, apart=apart) for apart in (True, False)]
+    if site.many < MANY:
+        costs = [_untold(site, way, error) for way in ways]
+        best = _calibrated(site, ways[int(np.argmin(costs))], error)
+        return replace(best, evaluations=best.evaluations + sum(costs))
+    aims = [_calibrated(site, way, error) for way in ways]
+    best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error, 0.1 * error) ** COST)
+    return replace(best, evaluations=sum(aim.evaluations for aim in aims))
+
+
+def _untold(site: Site, refinement: Refinement, error: float) -> int:
+    """Evaluations at the pilot's vertices, without checks."""
+    how = replace(coarse(refinement, error).refinement, checks=checked_bins(site.seed, site.bins, 0.0))
+    chosen = _pilot_vertices(site)
+    size = site.block_vertices
+    return sum(refined_block(site, how, chosen[i : i + size])[0].evaluations for i in range(0, len(chosen), size))
+
+
+def _pilot_vertices(site: Site) -> Index:
+    count = int(np.clip(len(site.vertices) // PILOT_SHARE, 1, PILOT_VERTICES))
+    return site.vertices[np.sort(drawn(site.seed, len(site.vertices), count))]
+
+
+def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices."""
-    vertices = len(site.vertices)
-    chosen = site.vertices[
-        np.sort(drawn(site.seed, vertices, int(np.clip(vertices // PILOT_SHARE, 1, PILOT_VERTICES))))
-    ]
+    chosen = _pilot_vertices(site)
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
-    noise, view, tightness = refinement.noise, 1.0, 1.0
+    noise, pool_noise, view, tightness = refinement.noise, refinement.pool_noise, 1.0, 1.0
     begin, most = refinement.begin_for(error), len(refinement.lattice.sizes)
     spent, correction, reached, seconds, per_vertex, attempt = 0, Correction(), 0.0, 0.0, 0.0, 0
     while attempt < MOST_PILOTS:
-        if correction.evaluated > MISSED and begin < most:
+        if max(correction.shared, correction.alone) > MISSED and begin < most:
             # Most bins do not see what some do: what they say of their error is worth nothing.
             begin, attempt = min(begin + 2, most), 0
         elif attempt:
             # The noise of differences and the error of prediction as they were seen, and then what is tolerated.
-            noise = replace(noise, of_differences=noise.of_differences * correction.evaluated)
+            noise = replace(noise, of_differences=noise.of_differences * correction.shared)
+            pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(correction.alone))
             view = float(np.clip(view / np.sqrt(correction.foretold), *VIEW_RANGE))
             tightness *= float(np.clip(AIM * error / reached, 0.5, 1.6)) if attempt > 1 else 1.0
         light = tightness * error

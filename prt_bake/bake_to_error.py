@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block
-from bakers.refinement import Checks, Refined
+from bakers.refined import WAYS, Checks, Refined
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -233,7 +233,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             valid = refined.valid
             for size, many in zip(*np.unique(refined.directions, return_counts=True), strict=True):
                 histogram[int(size)] = histogram.get(int(size), 0) + int(many)
-            deviation = done.correction.standard_error(refined.deviation, refined.directions > 0)
+            deviation = done.correction.standard_error(refined.deviation, refined.way)
             coefficients = np.where(valid[:, None, None, None], refined.coefficients, np.float32(0.0))
             standard_error = np.where(valid[:, None], deviation, 0.0).astype(np.float32)
             for rows in np.split(np.arange(len(vertices)), np.flatnonzero(np.diff(vertices) > 1) + 1):
@@ -252,11 +252,10 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
                 "bins_foretold": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
                 "bins_checked": done.tally.checked,
                 "checked_over_stated_variance": {
-                    "evaluated": done.correction.evaluated,
-                    "foretold": done.correction.foretold,
+                    name: float(factor) for name, factor in zip(WAYS, done.correction.by_way, strict=True)
                 },
                 "bound_factor": done.correction.bound,
-                "lattice_gain": vars(aim.refinement.noise),
+                "lattice_gain": {"shared": vars(aim.refinement.noise), "alone": vars(aim.refinement.pool_noise)},
             },
         }
         run.asset = sink.finish(run.work.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
@@ -276,10 +275,10 @@ def _as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
 
 
 def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
-    checks = {name: arrays[f"checks_{name}"] for name in ("rows", "evaluated", "stated", "squared")}
+    checks = {name: arrays[f"checks_{name}"] for name in ("rows", "way", "stated", "squared")}
     taken = int(arrays["checks_evaluations"])
-    own = [arrays[name] for name in ("coefficients", "deviation", "directions")]
-    return Refined(own[0], own[1], own[2], int(arrays["evaluations"]), Checks(evaluations=taken, **checks))
+    own = [arrays[name] for name in ("coefficients", "deviation", "directions", "way")]
+    return Refined(own[0], own[1], own[2], own[3], int(arrays["evaluations"]), Checks(evaluations=taken, **checks))
 
 
 def opened_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> Store:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bakers.refinement import Refinement
+from bakers.refined import Refinement
 from prt_bake.bake_first_look import Site
 from prt_bake.bake_refined import Aim, aimed
 

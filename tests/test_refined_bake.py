@@ -190,8 +190,8 @@ def test_the_worst_vertices_alone_are_done_again() -> None:
     aim = coarse(first_refinement(site)[0], ERROR)
     tally = Tally(42)
     tally.signal[:], tally.done[:] = 1.0, True
-    tally.evaluated[:] = (0.5 * ERROR) ** 2
-    tally.evaluated[[3, 17, 30]] = (4.0 * ERROR) ** 2
+    tally.variance[2] = (0.5 * ERROR) ** 2
+    tally.variance[2, [3, 17, 30]] = (4.0 * ERROR) ** 2
     done = Pass(tally, Correction(), *tally.relative(Correction()), True)
     assert done.worst > ERROR
     again = tighter(aim, done, ERROR)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.refinement import values_at
+from bakers.values import values_at
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
 from prt_bake.bake_job import views_of

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.horizon import bend_to_horizon, vertex_faces
-from bakers.refinement import values_at
+from bakers.values import values_at
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import camera as cameras

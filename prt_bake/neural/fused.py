@@ -9,6 +9,7 @@ On CPUs oneDNN's fused linear + activation is called directly: float32 `F.linear
 stays at half of what the vector units can do (107 against 231 GFLOP/s on one Zen 5 core).
 """
 
+from collections import OrderedDict
 from collections.abc import Callable
 from copy import deepcopy
 from itertools import pairwise
@@ -33,6 +34,8 @@ VIEWS_AT_ONCE = 256
 """Views whose features are computed at once: they stay in cache."""
 LIGHTS_AT_ONCE = 1024
 """Incident directions whose features are computed at once: a product of one shape, whatever their number."""
+TABLES = 12
+"""Whole tables that are remembered, those of the arrays that were handed in last."""
 TABLE_ROWS = 1 << 14
 """Most (rotation, direction) rows whose exponentials are held at once: 32 MiB with 256 frequencies."""
 
@@ -63,7 +66,7 @@ class FusedNetwork:
         if self._late is None:
             self._weights[0] = _interleave(self._weights[0], settings.features)
         self._lock = Lock()
-        self._table: tuple[ArrayLike, Tensor] | None = None
+        self._tables: OrderedDict[int, tuple[ArrayLike, Tensor]] = OrderedDict()
 
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
         """Ŝ [N,D,3] by the plain float32 path: `NeuralBSSRDF.evaluate`."""
@@ -77,8 +80,8 @@ class FusedNetwork:
         Bin (n, b) lies at positions[n], is seen along outgoing[n, b] and lit from incident[rotation[n, b]]:
 
         incident [R,D,3] unit vectors; rotation [N,B] integers below R; positions [N,3] in object space; outgoing
-        [N,B,3]. Agrees with `evaluate` to about 10⁻⁵ of the output's size in float32, 10⁻² in bfloat16. The table of
-        incident exponentials is kept for the next call with the same array object.
+        [N,B,3]. Agrees with `evaluate` to about 10⁻⁵ of the output's size in float32, 10⁻² in bfloat16. The tables of a
+        few incident arrays are kept for the next calls with the same objects.
         """
         light = np.asarray(incident)
         copies, directions = light.shape[:2]
@@ -218,15 +221,19 @@ class FusedNetwork:
         return _exponential(at_x[:, None, :] + along).reshape(-1, along.shape[-1])
 
     def _light_table(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> Tensor:
-        """What is known of incident directions [R,D] beforehand: exp(i·phase), or what they add to late layers; a whole
-        table is remembered by the array it came from.
+        """What is known of incident directions [R,D] beforehand: exp(i·phase), or what they add to late layers; a few
+        whole tables are remembered by the arrays they came from.
         """
         if not whole:
             return self._of_light(light)
         with self._lock:
-            if self._table is None or self._table[0] is not key:
-                self._table = (key, self._of_light(light))
-            return self._table[1]
+            # The array itself is kept beside its table, so that no other takes its number meanwhile.
+            if id(key) not in self._tables:
+                self._tables[id(key)] = key, self._of_light(light)
+                if len(self._tables) > TABLES:
+                    self._tables.popitem(last=False)
+            self._tables.move_to_end(id(key))
+            return self._tables[id(key)][1]
 
     def _of_light(self, light: NDArray[Any]) -> Tensor:
         if self._late is None:

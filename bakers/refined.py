@@ -1,0 +1,118 @@
+"""What a refined bake is told, and what comes of it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.lattice_pools import Pools
+from bakers.light_noise import LightNoise
+from bakers.nested_lattice import NestedLattice
+from bakers.view_levels import Level
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+WAYS = "foretold", "shared", "alone"
+"""How bins are come by: from their neighbours; over the lattice that all of a vertex share; over one of their own."""
+MISSED_OF_ERROR = 0.3
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """How far to go, and by what means."""
+
+    levels: list[Level]
+    lattice: NestedLattice
+    rotations: Callable[[Index], Array]
+    """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
+    rotate: Callable[[Array], Array]
+    """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
+    noise: LightNoise
+    """Of the shared lattice."""
+    pools: Pools
+    pool_noise: LightNoise
+    apart: bool
+    """Whether bins that need more directions are integrated over lattices of their own; otherwise over more of the
+    shared one, so that finer bins can be held against them in as many directions.
+    """
+    light: float
+    """Error of directions tolerated at a bin, over the root mean square coefficient of its vertex."""
+    view: float
+    """Error of prediction tolerated at a bin, over the same."""
+    checked: float
+    """Noise of each half of a check, over the same."""
+    floor: float
+    """Least root mean square of a vertex's coefficients that errors are held against."""
+    begin: int
+    """Sizes of the lattice that every evaluated bin has to begin with: enough not to miss the narrowest detail."""
+    missed: Array
+    """What each size of the lattice misses without telling so, over the root mean square coefficient."""
+    checks: Callable[[Index], NDArray[np.bool_]]
+    """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
+
+    def begin_for(self, error: float) -> int:
+        """How many sizes to begin with so that hardly any of that error is missed without telling."""
+        return 1 + int(np.max(np.flatnonzero(self.missed > MISSED_OF_ERROR * error), initial=-1) + 1)
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Bins at which an estimate was held against an independent one; each [M]."""
+
+    rows: Index
+    """Whose bins they are: the place of the vertex in its block."""
+    way: NDArray[np.uint8]
+    """How the bin was come by: places in WAYS."""
+    stated: Array
+    """Variance as it was estimated."""
+    squared: Array
+    """Squared error, mean over K and channels, without bias for the noise of the check: at times negative."""
+    evaluations: int
+    """That these took."""
+
+    def with_rows(self, rows: Index, other: "Checks") -> "Checks":
+        """These checks, those of the vertices in these places [m] from `other`."""
+        stay = ~np.isin(self.rows, rows)
+        order = np.argsort(np.concatenate([self.rows[stay], rows[other.rows]]), kind="stable")
+        own: list[NDArray[Any]] = [self.rows[stay], self.way[stay], self.stated[stay], self.squared[stay]]
+        theirs: list[NDArray[Any]] = [rows[other.rows], other.way, other.stated, other.squared]
+        parts = [np.concatenate(pair)[order] for pair in zip(own, theirs, strict=True)]
+        return Checks(parts[0], parts[1], parts[2], parts[3], other.evaluations)
+
+
+@dataclass(frozen=True)
+class Refined:
+    """What came of a block of n vertices."""
+
+    coefficients: NDArray[np.float32]
+    """[n,B,K,3]"""
+    deviation: NDArray[np.float32]
+    """[n,B], one sigma, rms over K and channels, before it is held against the checks."""
+    directions: NDArray[np.uint16]
+    """[n,B], in how many each bin was evaluated; 0 where it is foretold from its neighbours."""
+    way: NDArray[np.uint8]
+    """[n,B], how each bin was come by: places in WAYS."""
+    evaluations: int
+    checks: Checks
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Vertices [n] at which all is finite."""
+        return np.asarray(np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.deviation).all(axis=1))
+
+    def for_nothing(self) -> "Refined":
+        """The same, from an earlier pass: it took nothing."""
+        return replace(self, evaluations=0, checks=replace(self.checks, evaluations=0))
+
+    def with_rows(self, rows: Index, other: "Refined") -> "Refined":
+        """This block with the vertices in these places [m] as `other` has them; it took what `other` took."""
+        parts = []
+        for name in ("coefficients", "deviation", "directions", "way"):
+            whole = getattr(self, name).copy()
+            whole[rows] = getattr(other, name)
+            parts.append(whole)
+        checks = self.checks.with_rows(rows, other.checks)
+        return Refined(parts[0], parts[1], parts[2], parts[3], other.evaluations, checks)
