@@ -36,6 +36,8 @@ OUT_OF_REACH = 1.5
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
 PILOT_CHECKS = 128
+NEAR = 0.7, 0.85
+"""Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
 MANY = 1 << 18
 """Bins of an object from which on a pilot is a small part of it all."""
 CHECK_NOISE = 1.0
@@ -140,7 +142,8 @@ def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
         correction = tally.correction(Correction())
         reached = _worst(*tally.relative(correction))
         attempt += 1
-        if reached <= 0.0 or 0.7 * error <= reached <= error or (reached < error and attempt >= PILOTS):
+        near = NEAR[site.many >= MANY] * error <= reached <= error
+        if reached <= 0.0 or near or (reached < error and attempt >= PILOTS):
             break
     if reached > OUT_OF_REACH * error:
         raise QueryError(

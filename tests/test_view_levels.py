@@ -10,7 +10,7 @@ from bakers.light_noise import LightNoise, fitted_noise
 from bakers.verdict import Correction, Tally
 from bakers.view_levels import view_levels
 from prt_bake import sh, sphere
-from prt_bake.bake_light import bin_turns, checked_bins, drawn, lattice_for, vertex_turns
+from prt_bake.bake_light import checked_bins, drawn, lattice_for, pools_for, vertex_turns
 from prt_bake.directions import extensible_lattice
 
 
@@ -65,17 +65,12 @@ def test_fits_recover_what_is_in_the_band_and_tell_of_what_is_not(degree: int) -
         assert (found**2).mean() == pytest.approx(lattice.variance_shares[step], rel=0.1)
 
 
-def test_turns_are_rotations_of_their_own_vertex_and_bin() -> None:
+def test_turns_are_rotations_of_their_own_vertex() -> None:
     turns = vertex_turns(3)(np.arange(2000))
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
     # Uniform on SO(3): the image of any axis has mean 0 and a third of its length in each direction.
     assert np.abs(turns.mean(axis=0)).max() < 5.0 / np.sqrt(3.0 * 2000)
     np.testing.assert_array_equal(vertex_turns(3)(np.array([7])), turns[7:8])
-    own = bin_turns(3)(np.array([7, 7]), np.array([1, 2]), 0)
-    other = bin_turns(3)(np.array([7, 7]), np.array([1, 2]), 1)
-    assert np.abs(own[0] - own[1]).max() > 1e-3
-    assert np.abs(own - other).max(axis=(1, 2)).min() > 1e-3
-    assert np.abs(own - turns[7]).max(axis=(1, 2)).min() > 1e-3
     np.testing.assert_allclose(sh.rotations(turns[:5], 3), [sh.rotation(turn, 3) for turn in turns[:5]], atol=1e-12)
 
 
@@ -88,16 +83,51 @@ def test_bins_are_drawn_by_the_seed_with_their_share() -> None:
 
 
 def test_noise_of_fits_is_found_from_pairs() -> None:
-    lattice = lattice_for(2)
-    sizes, many = lattice.sizes[:3], 4000
+    sizes, shares, many = (20, 40, 80), (0.6, 0.3, 0.15), 4000
     true = LightNoise(gain=5.0, slope=0.5)
-    rough = np.random.default_rng(1).lognormal(size=(3, many))
-    squared = np.array([true.variance(lattice, size) for size in sizes])[:, None] * rough
-    found = fitted_noise(lattice, sizes, rough, squared)
-    assert found.gain == pytest.approx(5.0, rel=0.02)
-    assert found.slope == pytest.approx(0.5, abs=0.02)
-    nothing = fitted_noise(lattice, sizes, np.zeros((3, 5)), np.zeros((3, 5)))
+    draws = np.random.default_rng(1)
+    rough = draws.lognormal(size=(3, many))
+    usual = np.array([true.variance(share, size) for share, size in zip(shares, sizes, strict=True)])[:, None] * rough
+    squared = usual * draws.lognormal(-0.5 * 0.7**2, 0.7, size=usual.shape)
+    found = fitted_noise(shares, sizes, rough, squared)
+    assert found.gain == pytest.approx(5.0, rel=0.03)
+    assert found.slope == pytest.approx(0.5, abs=0.05)
+    nothing = fitted_noise(shares, sizes, np.zeros((3, 5)), np.zeros((3, 5)))
     assert nothing.gain == pytest.approx(LightNoise().gain)
+
+
+@pytest.mark.parametrize("degree", [0, 2, 5])
+def test_pools_recover_what_is_in_the_band_in_every_copy(degree: int) -> None:
+    pools = pools_for(degree, 4)
+    exact = np.random.default_rng(degree).normal(size=(5, sh.count(degree), 3))
+    for size in pools.sizes[:5]:
+        pool = pools.of(size)
+        copies = np.arange(5) % len(pool.incident)
+        values = sh.evaluate(pool.incident[copies].reshape(-1, 3), degree).reshape(5, size, -1) @ exact
+        found, rough = pool.fitted(values, copies)
+        np.testing.assert_allclose(found, exact, atol=1e-11)
+        assert (rough < 1e-22).all()
+        noise = np.random.default_rng(size).normal(size=(400, size, 3))
+        found, rough = pool.fitted(noise, np.zeros(400, np.int64))
+        assert rough.mean() == pytest.approx(1.0, abs=0.05)
+        assert (found**2).mean() == pytest.approx(pool.variance_share, rel=0.1)
+
+
+def test_a_bin_and_its_two_checks_take_three_copies_evenly() -> None:
+    pools = pools_for(2, 4)
+    for size in (pools.sizes[0], pools.sizes[-1]):
+        many = len(pools.of(size).incident)
+        vertices, bins = np.divmod(np.arange(20_000), 64)
+        taken = np.array([pools.copies(size, vertices, bins, which) for which in range(3)])
+        for one, other in ((0, 1), (0, 2), (1, 2)):
+            assert (taken[one] != taken[other]).all()
+        for row in taken:
+            counts = np.bincount(row, minlength=many)
+            expected = taken.shape[1] / many
+            # Chi-square with many − 1 degrees of freedom: once in 3e7 runs above six sigma.
+            off = ((counts - expected) ** 2 / expected).sum()
+            assert abs(off - (many - 1)) < 6.0 * np.sqrt(2.0 * (many - 1))
+        np.testing.assert_array_equal(pools.copies(size, vertices[7:9], bins[7:9], 2), taken[2, 7:9])
 
 
 def test_a_correction_without_checks_is_what_was_known() -> None:
