@@ -1,8 +1,10 @@
-"""Speed of the network in a bake: evaluations of Ŝ per second and core, and the share of the matrix units' peak.
+"""Speed of the network in a bake: evaluations of Ŝ per second and core, and the share of what a matrix product reaches.
 
     python tests/bench/network_speed.py
 
-The peak is what the same fused linear operator reaches on the first layer's shape alone, rows in cache.
+The product is one of 2048 × 2048 matrices of the same type on the same core, by whichever of two operators is faster.
+Useful are the FLOP of the layers as the settings have them, sines, cosines and padding not counted; done are those that
+are left where layers that do not see ωi are run once for all 64 directions of a bin.
 """
 
 import argparse
@@ -14,8 +16,8 @@ import numpy as np
 import torch
 
 from prt_bake import sphere
-from prt_bake.network import PRESETS, NeuralBSSRDF
-from prt_bake.neural.fused import PRECISIONS, FusedNetwork
+from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF
+from prt_bake.neural.fused import PRECISIONS, _onednn_answers, _onednn_linear
 from prt_bake.neural.interior import LEVELS, REACH, Interior
 
 VERTICES, BINS, DIRECTIONS, COPIES = 4, 1024, 64, 256
@@ -32,13 +34,25 @@ def best_time(work: Callable[[], object]) -> float:
     return min(times)
 
 
-def peak(fused: FusedNetwork, precision: str) -> float:
-    """FLOP/s of the first layer alone."""
-    weight, bias = fused._weights[0], fused._biases[0]
-    rows = torch.rand(2048, weight.shape[1]).to(PRECISIONS[precision])
+def peak(precision: str, side: int = 2048) -> float:
+    """FLOP/s of one large matrix product."""
+    one, other = torch.rand(2, side, side).to(PRECISIONS[precision])
+    none = torch.zeros(side, dtype=one.dtype)
+    ways = [lambda: torch.mm(one, other), lambda: _onednn_linear(one, other, none, "none")]
     with torch.inference_mode():
-        seconds = best_time(lambda: [fused._linear(rows, weight, bias, "relu") for _ in range(20)])
-    return 20 * 2 * len(rows) * weight.numel() / seconds
+        return 2 * side**3 / min(best_time(way) for way in (ways if _onednn_answers(one) else ways[:1]))
+
+
+def flop(settings: NetworkSettings) -> tuple[int, float]:
+    """FLOP of one evaluation: all layers; and those done where a bin has so many directions."""
+    shapes = settings.layer_shapes
+    useful = 2 * sum(outputs * inputs for outputs, inputs in shapes)
+    if not settings.trunk:
+        return useful, useful
+    alone = settings.pair_inputs + settings.width * np.arange(settings.light_layers)
+    late = sum(2 * settings.width * int(inputs) for inputs in alone) + 2 * 3 * settings.width
+    once = sum(2 * outputs * inputs for outputs, inputs in shapes[: settings.trunk])
+    return useful, late + once / DIRECTIONS
 
 
 def ball(places: int) -> Interior:
@@ -57,18 +71,19 @@ def main() -> None:
     positions = np.random.default_rng(3).uniform(size=(VERTICES, 3))
     rotation = np.random.default_rng(4).integers(0, COPIES, (VERTICES, BINS))
     evaluations = VERTICES * BINS * DIRECTIONS
-    print(f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'GFLOP/s':>9}{'peak':>7}{'share':>7}")
+    print(
+        f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}"
+    )
     measured = PRESETS["measured"]
     less = {"no lobes": replace(measured, lobes=0), "no shape": replace(measured, lobes=0, shape_places=0)}
     for preset, settings in {**PRESETS, **less}.items():
         network = NeuralBSSRDF(settings, interior=ball(64) if settings.ray_samples else None)
-        work = 2 * sum(outputs * inputs for outputs, inputs in settings.layer_shapes)
         for precision in PRECISIONS:
-            fused = network.prepared(precision)
+            fused, top = network.prepared(precision), peak(precision)
             block = (incident, rotation, positions, outgoing)
             rate = evaluations / best_time(lambda f=fused, b=block: f.evaluate_block(*b))  # type: ignore[misc]
-            speed, top = rate * work, peak(fused, precision)
-            print(f"{preset:10}{precision:11}{rate:15,.0f}{speed / 1e9:9.0f}{top / 1e9:7.0f}{speed / top:7.0%}")
+            shares = "".join(f"{rate * work / 1e9:8.0f}{rate * work / top:7.0%}" for work in flop(settings))
+            print(f"{preset:10}{precision:11}{rate:15,.0f}{top / 1e9:9.0f}{shares}", flush=True)
 
 
 if __name__ == "__main__":
