@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ Index = NDArray[np.int64]
 WAYS = "foretold", "shared", "alone"
 """How bins are come by: from their neighbours; over the lattice that all of a vertex share; over one of their own."""
 MISSED_OF_ERROR = 0.3
+Lattices = Literal["own", "shared", "both"]
 
 
 @dataclass(frozen=True)
@@ -34,9 +35,10 @@ class Refinement:
     """Of the shared lattice."""
     pools: Pools
     pool_noise: LightNoise
-    apart: bool
-    """Whether bins that need more directions are integrated over lattices of their own; otherwise over more of the
-    shared one, so that finer bins can be held against them in as many directions.
+    lattices: Lattices
+    """Which lattices bins are integrated over: "own", each over one of its own; "shared", all over one that grows, so
+    that finer bins can be held against coarser ones in as many directions; "both", over a shared beginning, and those
+    that need more over one of their own.
     """
     light: float
     """Error of directions tolerated at a bin, over the root mean square coefficient of its vertex."""
@@ -55,7 +57,11 @@ class Refinement:
 
     def begin_for(self, error: float) -> int:
         """How many sizes to begin with so that hardly any of that error is missed without telling."""
-        return 1 + int(np.max(np.flatnonzero(self.missed > MISSED_OF_ERROR * error), initial=-1) + 1)
+        missing = np.flatnonzero(self.missed > MISSED_OF_ERROR * error)
+        if not len(missing):
+            return 1
+        # The first size at which most bins see what there is; with the next one hardly any do not.
+        return min(int(missing[-1]) + 3, len(self.missed))
 
 
 @dataclass(frozen=True)

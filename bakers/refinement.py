@@ -79,7 +79,14 @@ class _Work:
         """What of the noise is a bin's own, and no other's."""
         self.spent = np.zeros((bins, n), np.int64)
         """Directions that a bin was evaluated in."""
+        self.apart = np.zeros((bins, n), bool)
+        """Whether a bin was integrated over a lattice of its own."""
         self.of_differences = refinement.noise.of_differences
+        self.fewest = int(np.searchsorted(refinement.pools.sizes, self.lattice.sizes[refinement.begin - 1]))
+        self.fewest = min(self.fewest, len(self.pool_unit) - 1)
+        """The smallest of the lattices of their own that do not miss what there is."""
+        if refinement.lattices == "own":
+            return
         beginning = np.concatenate([level.bins for level in refinement.levels[: ALWAYS + 1]])
         bins_, rows = (axis.ravel() for axis in np.meshgrid(beginning, np.arange(n), indexing="ij"))
         self._grow(rows, bins_, np.full(len(rows), self.how.begin))
@@ -88,10 +95,7 @@ class _Work:
         """Foretells the bins of a level, and evaluates those that this is not good enough for."""
         tolerated = self.how.light**2 * LEVEL_SHARES[min(number, len(LEVEL_SHARES) - 1)]
         if number == 0:
-            places, rows = np.nonzero(np.ones((len(level.bins), len(self.positions)), bool))
-            self.coefficients[level.bins[places], rows] = self._direct(rows, level.bins[places])[0]
-            self._measure(number)
-            self._settle(rows, level.bins[places], None, tolerated)
+            self._begin(level, tolerated)
             return
         self._foretell(level)
         wanted = np.isfinite(self.scale) & np.ones((len(level.bins), 1), bool)
@@ -100,9 +104,12 @@ class _Work:
         places, rows = np.nonzero(wanted)
         bins = level.bins[places]
         foretold, carried, expected = (part[bins, rows] for part in (self.coefficients, self.noise, self.surprise))
-        self._grow(rows, bins, np.full(len(rows), self.how.begin))
-        self._foretell_values(rows, level.parents[places], number)
-        self._settle(rows, bins, (level.parents[places], level.weights[places], foretold, carried), tolerated)
+        if self.how.lattices == "own":
+            self._integrate(rows, bins, tolerated * self.scale[rows])
+        else:
+            self._grow(rows, bins, np.full(len(rows), self.how.begin))
+            self._foretell_values(rows, level.parents[places], number)
+            self._settle(rows, bins, (level.parents[places], level.weights[places], foretold, carried), tolerated)
         off = ((self.coefficients[bins, rows] - foretold) ** 2).mean(axis=1)
         noise, alone = self.noise[bins, rows], self.alone[bins, rows]
         # What is foretold errs apart from a bin that was integrated alone, and together with others.
@@ -117,8 +124,22 @@ class _Work:
         if number < ALWAYS:
             self._measure(number)
 
+    def _begin(self, level: Level, tolerated: float) -> None:
+        """Evaluates the coarsest bins, which nothing foretells and no scale is known for."""
+        places, rows = np.nonzero(np.ones((len(level.bins), len(self.positions)), bool))
+        bins = level.bins[places]
+        if self.how.lattices != "own":
+            self.coefficients[bins, rows] = self._direct(rows, bins)[0]
+            self._measure(0)
+            self._settle(rows, bins, None, tolerated)
+            return
+        self._integrate(rows, bins, np.full(len(rows), np.inf))
+        self._measure(0)
+        noisy = np.flatnonzero(self.noise[bins, rows] > tolerated * self.scale[rows])
+        self._integrate(rows[noisy], bins[noisy], tolerated * self.scale[rows[noisy]])
+
     def finished(self) -> Refined:
-        variance = np.ascontiguousarray((self.noise + np.where(self.evaluated > 0, 0.0, self.surprise)).T)
+        variance = np.ascontiguousarray((self.noise + np.where(self.spent > 0, 0.0, self.surprise)).T)
         n, bins = variance.shape
         own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
         turned = self.turn[:, None] @ own
@@ -128,7 +149,7 @@ class _Work:
 
     def _way(self) -> NDArray[np.uint8]:
         """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""
-        return ((self.evaluated > 0).astype(np.uint8) + (self.alone > 0.0) * (self.evaluated > 0)).astype(np.uint8)
+        return ((self.spent > 0).astype(np.uint8) + self.apart).astype(np.uint8)
 
     def _measure(self, number: int) -> None:
         """The mean square coefficient of each vertex, by the levels up to this one."""
@@ -205,7 +226,7 @@ class _Work:
                 grown = np.where(better, taken, grown)
             self.coefficients[b, r], self.noise[b, r], self.alone[b, r] = coefficients, noise, 0.0
             lacking = grown > self.evaluated[b, r]
-            alone = lacking & ~better & self.how.apart
+            alone = lacking & ~better & (self.how.lattices == "both")
             further = lacking & ~alone
             self._integrate(r[alone], b[alone], allowed[alone])
             here = here[further]
@@ -213,7 +234,8 @@ class _Work:
 
     def _integrate(self, rows: Index, bins: Index, allowed: Array) -> None:
         """Integrates bins over lattices of their own, as large as it takes for the variance allowed [M]."""
-        rough, least = self.rough[bins, rows], np.zeros(len(rows), np.int64)
+        rough, least = self.rough[bins, rows], np.full(len(rows), self.fewest)
+        self.apart[bins, rows] = True
         for _attempt in range(ALONE):
             if not len(rows):
                 return
@@ -316,8 +338,7 @@ class _Work:
         allowed = self.how.checked**2 * self.scale[rows]
         enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
         steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
-        least = self.lattice.sizes[self.how.begin - 1]
-        steps = np.maximum(steps, np.searchsorted(self.how.pools.sizes, least).clip(max=len(self.pool_unit) - 1))
+        steps = np.maximum(steps, self.fewest)
         before = self.evaluations
         one, other = (self._alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
         squared = (one * other).mean(axis=(1, 2))

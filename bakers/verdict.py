@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import ndtri
 
 from bakers.refined import WAYS, Checks, Refined
 
@@ -22,10 +22,14 @@ BEFORE = 6.0
 LEAST, MOST = 0.05, 1e4
 BOUND, BOUND_BEFORE = 1.96, 20.0
 """Sigmas that 95 % of the errors lie within, and how many checks weigh as much as that being so already."""
-FREEDOM = 8
-"""Independent numbers that the error of one vertex is made of: its bins share a lattice, and err together."""
+FREEDOM, FREEDOM_ALONE, MOST_FREEDOM = 8.0, 0.1, 40.0
+"""Independent numbers that the error of one vertex is made of: its bins share a lattice and err together; those that
+have one of their own do not, but are a few of many, the others foretold from them. However many they are, what is
+stated of a vertex is right to a tenth or so.
+"""
+SCATTERED = 1 << 17
+"""About how many errors that vertices may have the percentile is taken of."""
 _CHECKED: dict[str, type] = {"rows": np.int64, "way": np.uint8, "stated": np.float64, "squared": np.float64}
-_SCATTER = np.sqrt(chi2.ppf((np.arange(32) + 0.5) / 32, FREEDOM) / FREEDOM)
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class Tally:
     def __init__(self, vertices: int) -> None:
         self.variance, self.signal = np.zeros((len(WAYS), vertices)), np.zeros(vertices)
         self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
+        self.alone = np.zeros(vertices, np.int64)
         self.evaluations = self.check_evaluations = self.evaluated_bins = self.bins = 0
         self._checks: list[Checks] = []
 
@@ -63,6 +68,7 @@ class Tally:
         variance = np.where(finite[:, None], refined.deviation.astype(np.float64) ** 2, 0.0)
         for way in range(len(WAYS)):
             self.variance[way, rows] = (variance * (refined.way == way)).sum(axis=1)
+        self.alone[rows] = (refined.way == WAYS.index("alone")).sum(axis=1)
         sound = np.where(finite[:, None, None, None], refined.coefficients.astype(np.float64), 0.0)
         self.signal[rows] = (sound**2).mean(axis=(2, 3)).sum(axis=1)
         self.done[rows], self.invalid[rows] = True, ~finite
@@ -97,7 +103,10 @@ class Tally:
         total = float(np.sqrt(error.sum() / signal.sum())) if signal.sum() > 0.0 else 0.0
         if not by_vertex.size:
             return total, 0.0
-        return total, float(np.percentile(by_vertex[:, None] * _SCATTER, 95, method="higher"))
+        scattered = by_vertex[:, None] * _scatter(
+            np.minimum(FREEDOM + FREEDOM_ALONE * self.alone[self.done], MOST_FREEDOM)
+        )
+        return total, float(np.percentile(scattered, 95, method="higher"))
 
     def worst_first(self, correction: Correction) -> NDArray[np.int64]:
         """Finite vertices by their relative error, the largest first."""
@@ -126,6 +135,15 @@ class Tally:
         return np.concatenate([np.zeros(0, _CHECKED[name]), *(getattr(check, name) for check in self._checks)])
 
 
+def _scatter(freedom: Array) -> Array:
+    """Evenly spaced quantiles [V,Q] of sqrt(χ²/k), k = freedom [V] (Wilson and Hilferty, "The distribution of
+    chi-square", 1931).
+    """
+    many = int(np.clip(SCATTERED // max(1, len(freedom)), 4, 32))
+    ninth = (2.0 / 9.0 / freedom)[:, None]
+    return np.asarray(np.maximum(1.0 - ninth + ndtri((np.arange(many) + 0.5) / many) * np.sqrt(ninth), 0.0) ** 1.5)
+
+
 def _bound(variance: Array, squared: Array) -> float:
     """The factor on sigma with which 1.96 of it holds 95 % of these errors, as far as their number tells."""
     known = variance > 0.0
@@ -138,7 +156,12 @@ def _bound(variance: Array, squared: Array) -> float:
 
 
 def _ratio(stated: Array, squared: Array, before: float) -> float:
+    """The factor on stated variances, nearer to what it was `before` the fewer, and the less certain, the checks are."""
     if not len(stated) or not stated.sum() > 0.0:
         return before
     weight = BEFORE * float(stated.mean())
-    return float(np.clip((squared.sum() + before * weight) / (stated.sum() + weight), LEAST, MOST))
+    found = (squared.sum() + before * weight) / (stated.sum() + weight)
+    # Rare large errors make the sum uncertain, and a product of two noisy checks may even be negative.
+    size = max(before * float(stated.sum()), float(squared.sum()))
+    certain = size**2 / (size**2 + float((squared**2).sum()))
+    return float(np.clip(certain * found + (1.0 - certain) * before, LEAST, MOST))

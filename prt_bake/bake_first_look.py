@@ -26,7 +26,7 @@ LOOKED_AT, LOOK = 8, 4096
 """Bins that are looked at in that many directions, to see what fewer miss."""
 DARK = 0.01
 """Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
-BINS_AT_ONCE = 1 << 15
+BINS_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1024
 CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.01, 64, 4096
 MISSED = 20.0
 """Times its stated variance that an error must be before bins are held not to see what there is."""
@@ -59,7 +59,7 @@ class Site:
     @property
     def block_vertices(self) -> int:
         """Vertices that are baked together."""
-        return int(np.clip(BINS_AT_ONCE // self.bins, 1, 64))
+        return int(np.clip(BINS_AT_ONCE // self.bins, 1, MOST_AT_ONCE))
 
     @property
     def blocks(self) -> range:
@@ -86,7 +86,7 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
         noise=noise,
         pools=pools,
         pool_noise=pool_noise,
-        apart=True,
+        lattices="own",
         light=1.0,
         view=1.0,
         checked=1.0,

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.in_order import in_order
-from bakers.refined import Refined, Refinement
+from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
 from formats.errors import QueryError
@@ -40,9 +40,11 @@ NEAR = 0.7, 0.85
 """Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
 MANY = 1 << 18
 """Bins of an object from which on a pilot is a small part of it all."""
+LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
+ALIKE = 1.3
+"""Times the least evaluations that a way may take to be tried out with checks."""
 CHECK_NOISE = 1.0
 """Of each of the two lattices of a check, over the error asked for."""
-PERCENTILE_SLACK = 1.15
 AGAIN = 0.8, 0.6, 0.4, 0.25, 0.15
 """Of their error, what vertices that are done again may come down to."""
 COST = 1.5
@@ -84,18 +86,14 @@ class Pass:
 
 
 def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
-    """Tolerances that lead to the error at a few vertices, by whichever way of integrating bins costs less there.
-
-    On small objects, where a pilot is a large part of it all, what either way would cost is told without checks.
-    """
-    ways = [replace(refinement, apart=apart) for apart in (True, False)]
-    if site.many < MANY:
-        costs = [_untold(site, way, error) for way in ways]
-        best = _calibrated(site, ways[int(np.argmin(costs))], error)
-        return replace(best, evaluations=best.evaluations + sum(costs))
-    aims = [_calibrated(site, way, error) for way in ways]
-    best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error, 0.1 * error) ** COST)
-    return replace(best, evaluations=sum(aim.evaluations for aim in aims))
+    """Tolerances that lead to the error at a few vertices, over whichever lattices cost least there."""
+    ways = [replace(refinement, lattices=which) for which in LATTICES]
+    costs = [_untold(site, way, error) for way in ways]
+    # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
+    near = ALIKE if site.many >= MANY else 1.0
+    aims = [_calibrated(site, way, error) for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
+    best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
+    return replace(best, evaluations=sum(costs) + sum(aim.evaluations for aim in aims))
 
 
 def _untold(site: Site, refinement: Refinement, error: float) -> int:
@@ -272,5 +270,5 @@ def refined_block(site: Site, refinement: Refinement, vertices: Index) -> tuple[
 
 
 def _worst(total: float, percentile_95: float) -> float:
-    """The larger of the two figures of an error; the percentile is estimated on the safe side, and has its slack."""
-    return max(total, percentile_95 / PERCENTILE_SLACK)
+    """The larger of the two figures of an error."""
+    return max(total, percentile_95)

@@ -23,9 +23,9 @@ ERROR = 0.01
 CASES = {
     # Least ratio of evaluations to plain Monte Carlo's, all included: pilot, checks and passes.
     "edged": (Edged(), 5000.0),
-    "lobed": (Lobed(), 2500.0),
-    "incoherent": (Incoherent(), 900.0),
-    "chequered": (Chequered(), 700.0),
+    "lobed": (Lobed(), 5000.0),
+    "incoherent": (Incoherent(), 1400.0),
+    "chequered": (Chequered(), 500.0),
 }
 
 
