@@ -27,7 +27,7 @@ LOOKED_AT, LOOK = 8, 4096
 DARK = 0.01
 """Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
 BINS_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1024
-CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.01, 64, 4096
+CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.008, 64, 4096
 MISSED = 20.0
 """Times its stated variance that an error must be before bins are held not to see what there is."""
 

@@ -43,7 +43,7 @@ MANY = 1 << 18
 LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
 ALIKE = 1.3
 """Times the least evaluations that a way may take to be tried out with checks."""
-CHECK_NOISE = 1.0
+CHECK_NOISE = 0.7
 """Of each of the two lattices of a check, over the error asked for."""
 AGAIN = 0.8, 0.6, 0.4, 0.25, 0.15
 """Of their error, what vertices that are done again may come down to."""
