@@ -39,7 +39,7 @@ WALKS = (16, 64, 256, 1024, 4096, 16384)
 GOOD_ENOUGH = 0.001
 AIMED = 0.02
 """Error that the pilot is for; tolerances for others are in proportion."""
-CHECKED = 0.01
+CHECKED = 0.02
 GROWTH = 8.0
 """How much longer the next step of a ladder may take than the last one."""
 
@@ -125,11 +125,11 @@ def adaptively(transport: Any, bins: Bins, truth: Array, seconds: float, seed: i
     refinement, _spent = first_refinement(site)
     refinement = replace(refinement, checks=checked_bins(seed, site.bins, CHECKED))
     rows: list[Row] = []
-    ends = time.monotonic() + seconds
     try:
         aim = aimed(site, refinement, AIMED)
     except QueryError:
         return rows
+    ends = time.monotonic() + seconds
     for error in ERRORS:
         if rows and (
             rows[-1].error < GOOD_ENOUGH or time.monotonic() + 3.0 * _all_bins(site, bins) * rows[-1].seconds > ends
