@@ -30,7 +30,10 @@ AIM = 0.92
 """Of the error asked for, what tolerances are chosen for: what a few vertices say of all is not exact."""
 VIEW_OVER_LIGHT = 2.0
 VIEW_RANGE = 0.3, 2.0
-PILOTS, MOST_PILOTS = 3, 6
+PILOTS, MOST_PILOTS = (3, 5), 6
+"""Trials of few bins, and of many, after which any error below the one asked for will do; and most trials."""
+RESPONSE = 0.75
+"""Tolerances change with that power of the error that they are to lead to."""
 OUT_OF_REACH = 1.5
 """Times the error asked for, which a pilot must come down to."""
 PILOT_VERTICES, PILOT_SHARE = 24, 12
@@ -115,7 +118,7 @@ def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     noise, pool_noise, view, tightness = refinement.noise, refinement.pool_noise, 1.0, 1.0
-    begin, most = refinement.begin_for(error), len(refinement.lattice.sizes)
+    begin, most, large = refinement.begin_for(error), len(refinement.lattice.sizes), int(site.many >= MANY)
     spent, correction, reached, seconds, per_vertex, attempt = 0, Correction(), 0.0, 0.0, 0.0, 0
     while attempt < MOST_PILOTS:
         if max(correction.shared, correction.alone) > MISSED and begin < most:
@@ -126,7 +129,7 @@ def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
             noise = replace(noise, of_differences=noise.of_differences * correction.shared)
             pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(correction.alone))
             view = float(np.clip(view / np.sqrt(correction.foretold), *VIEW_RANGE))
-            tightness *= float(np.clip(AIM * error / reached, 0.5, 1.6)) if attempt > 1 else 1.0
+            tightness *= float(np.clip((AIM * error / reached) ** RESPONSE, 0.5, 1.6)) if attempt > 1 else 1.0
         light = tightness * error
         bound = view * VIEW_OVER_LIGHT * light
         trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
@@ -140,8 +143,7 @@ def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
         correction = tally.correction(Correction())
         reached = _worst(*tally.relative(correction))
         attempt += 1
-        near = NEAR[site.many >= MANY] * error <= reached <= error
-        if reached <= 0.0 or near or (reached < error and attempt >= PILOTS):
+        if reached <= 0.0 or NEAR[large] * error <= reached <= error or (reached < error and attempt >= PILOTS[large]):
             break
     if reached > OUT_OF_REACH * error:
         raise QueryError(

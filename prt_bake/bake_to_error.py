@@ -16,14 +16,12 @@ from formats.asset import Asset
 from formats.errors import QueryError
 from formats.journal import Journal
 from prt_bake.bake_first_look import Site, first_refinement
-from prt_bake.bake_refined import Aim, Pass, aimed, coarse, one_pass, tighter
+from prt_bake.bake_refined import MANY, Aim, Pass, aimed, coarse, one_pass, tighter
 from prt_bake.bake_work import Work
 from prt_bake.pared_sink import pared_sink
 
 COARSE = 0.15
-"""Error that the first pass is made for where the last one takes long."""
-WORTH_A_COARSE_PASS = 10.0
-"""Seconds that the pass to the error asked for must take."""
+"""Error that the first pass over an object of many bins is made for: there is an asset soon."""
 PASSES = 3
 FINER = 2.0
 """From one pass to the next, of a bake that has a time to run."""
@@ -105,13 +103,10 @@ def bake_to_error(run: Run) -> Asset:
     refinement, looked = first_refinement(run.site)
     run.work.evaluations += looked
     if run.error is not None and not math.isfinite(run.deadline):
+        if run.site.many >= MANY and run.error < COARSE / 2 and _pass(run, coarse(refinement, COARSE)) is None:
+            return _ended(run)
         aim = aimed(run.site, refinement, run.error)
         run.work.evaluations += aim.evaluations
-        share = max(1, run.work.workers)
-        if aim.seconds * len(run.site.vertices) / share > WORTH_A_COARSE_PASS and run.error < COARSE / 2:
-            first = _pass(run, coarse(refinement, COARSE))
-            if first is None:
-                return _ended(run)
         for _again in range(PASSES):
             done = _pass(run, aim)
             if done is None or done.worst <= run.error:
