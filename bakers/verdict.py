@@ -156,7 +156,7 @@ def _bound(variance: Array, squared: Array) -> float:
 
 
 def _ratio(stated: Array, squared: Array, before: float) -> float:
-    """The factor on stated variances, nearer to what it was `before` the fewer, and the less certain, the checks are."""
+    """The factor on stated variances, nearer to what it was `before` the fewer and less certain the checks are."""
     if not len(stated) or not stated.sum() > 0.0:
         return before
     weight = BEFORE * float(stated.mean())

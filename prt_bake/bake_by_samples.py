@@ -29,7 +29,7 @@ def bake_by_samples(work: Work, directions: str, samples: int, error: float | No
         work.transport, work.mesh, work.needs.degree, rings, sectors, directions, samples, work.seed, work.needs
     )
     if error is not None:
-        job, spent = reach(job, error, directions, work.seed)
+        job, spent = reach(job, work.needs.left_for_projection(error), directions, work.seed)
         work.evaluations += spent
     with pared_sink(work.out, work.head, work.storage, work.needs) as sink:
         return _run(work, job, sink)

@@ -23,6 +23,7 @@ from formats.mesh import Mesh
 from prt_bake import sh, sphere
 from prt_bake.bake_job import Views, views_of
 from prt_bake.bake_light import drawn, pair_turns
+from prt_bake.bake_rounding import rounding_of
 from prt_bake.camera import refuse_eye_in_object
 from prt_bake.unseen import seen_from_eye, seen_from_outside
 
@@ -30,6 +31,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ITEMS = ("unseen", "duplicates", "views", "bands", "channels")
+MOST_ROUNDING = 0.8
+"""Of an error asked for, what rounding may take up."""
 SHARE_OF_ERROR = 0.25
 """Of the error asked for, what each item may add."""
 ALWAYS_TOLERATED = 2.0**-12
@@ -76,12 +79,19 @@ class Needs:
     evaluations: int = 0
     left_out: list[Item] = field(default_factory=list)
     kept: list[Item] = field(default_factory=list)
+    rounding: float = 0.0
+    """Relative RMSE that the precision of the transport's arithmetic adds."""
 
-    @property
-    def share_of_projection(self) -> float:
-        """Of an error asked for, what remains for the projection where each item left out may add its share."""
+    def left_for_projection(self, error: float) -> float:
+        """Of an error asked for, what remains for the projection beside rounding, and where each item left out may add
+        its share. Raises QueryError where rounding alone is too much.
+        """
+        if self.rounding > MOST_ROUNDING * error:
+            raise QueryError(
+                f"error: rounding alone adds {self.rounding:.2g}, too much of the {error:g} asked for; bake in float32"
+            )
         items = (self.views == "one") + (self.kept_degree < self.degree) + (self.channels == 1)
-        return float(np.sqrt(1.0 - items * SHARE_OF_ERROR**2))
+        return error * float(np.sqrt(1.0 - items * SHARE_OF_ERROR**2 - (self.rounding / error) ** 2))
 
 
 @dataclass(frozen=True)
@@ -196,6 +206,7 @@ def needs_of(
         channels = 1 if judge("channels", fine, reason, _less(3), f"{cost}; adds {off:.2g}") else 3
     elif wanted:
         kept.append(Item("views, bands, channels", "walks are too noisy to tell", "", "nothing"))
+    rounding, more = rounding_of(transport, mesh, views_of(mesh, rings, sectors)[1], rings * sectors, degree, seed)
     return Needs(
         vertices,
         copies,
@@ -208,9 +219,10 @@ def needs_of(
         light,
         tolerated,
         signal,
-        spent,
+        spent + more,
         left_out,
         kept,
+        rounding,
     )
 
 

@@ -75,7 +75,7 @@ class Run:
     def __init__(self, work: Work, store: Store, error: float | None, deadline: float) -> None:
         needs = work.needs
         self.work, self.store, self.deadline = work, store, deadline
-        self.error = None if error is None else error * needs.share_of_projection
+        self.error = None if error is None else needs.left_for_projection(error)
         self.site = Site(
             work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed
         )

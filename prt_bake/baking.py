@@ -206,7 +206,7 @@ def plan(
         needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, leave_out, light, eye)
         if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
             site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed)
-            aim = aimed(site, first_refinement(site)[0], error * needs.share_of_projection)
+            aim = aimed(site, first_refinement(site)[0], needs.left_for_projection(error))
             a_bin, a_vertex = math.ceil(aim.evaluations_per_vertex / site.bins), aim.evaluations_per_vertex
             seconds = aim.seconds / max(1, workers)
         else:

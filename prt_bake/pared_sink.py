@@ -1,5 +1,6 @@
 """Leaves out of baked blocks what the scene does not need, and holds every vertex against what a few have promised."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -90,17 +91,20 @@ class ParedSink:
                 self._sink.write(Block(copy, *parts, 0))
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset, whole or in part; its error figures hold what was left out besides."""
-        if self.left_out > 0.0:
+        """The asset, whole or in part; its error figures hold what was left out, and rounding, besides."""
+        parts = {"left_out": self.left_out, "rounding": self._needs.rounding}
+        parts = {name: value for name, value in parts.items() if value > 0.0}
+        if parts:
             told = provenance["estimated_relative_rmse"]
-            both = {name: float(np.hypot(value, self.left_out)) for name, value in told.items()}
-            provenance = provenance | {"estimated_relative_rmse": both | {"left_out": self.left_out}}
+            whole = {name: math.hypot(value, *parts.values()) for name, value in told.items()}
+            provenance = provenance | {"estimated_relative_rmse": whole | parts}
         return self._sink.finish(provenance, error_vs_time, complete)
 
     def _pared(self, block: Block) -> Block:
         needs = self._needs
         a, variance = block.coefficients.astype(np.float64), block.standard_error.astype(np.float64) ** 2
         squares = (a**2).mean(axis=(2, 3))
+        variance += needs.rounding**2 * squares
         off = np.zeros(variance.shape)
         if needs.views == "one":
             mean = a.mean(axis=1, keepdims=True)

@@ -93,14 +93,16 @@ def error_budget(
     def lit(coefficients: Array) -> Array:
         return np.asarray(np.einsum("nkc,kc->nc", coefficients, light))
 
-    whole = _under(network, seen, texels)
-    exact = fitted(band_limited, seen.places, seen.outgoing, degree, EXACT, seed)
-    few = fitted(band_limited, seen.places, seen.outgoing, degree, SAMPLES, seed + 1)
+    sharp = band_limited.exact() if hasattr(band_limited, "exact") else band_limited
+    whole = _under(network.exact() if hasattr(network, "exact") else network, seen, texels)
+    exact = fitted(sharp, seen.places, seen.outgoing, degree, EXACT, seed)
+    few = fitted(sharp, seen.places, seen.outgoing, degree, SAMPLES, seed + 1)
     half = exact.astype(np.float16).astype(np.float64)
-    baked = _Baked(band_limited, mesh, view.eye, seen, rings, sectors, degree)
+    baked = _Baked(sharp, mesh, view.eye, seen, rings, sectors, degree)
     at_corners = lit(baked.towards_eye(seed))
     in_bins = lit(baked.between_bins(EXACT, seed))
-    together = lit(baked.between_bins(SAMPLES, seed + 2))
+    rounded = baked if sharp is band_limited else _Baked(band_limited, mesh, view.eye, seen, rings, sectors, degree)
+    together = lit(rounded.between_bins(SAMPLES, seed + 2))
     parts = [
         Part(f"harmonics of degree {degree}", relative(lit(exact) - whole, whole), "against every texel of the sky"),
         Part(f"{SAMPLES} directions a bin", relative(lit(few) - lit(exact), whole), f"against {EXACT} directions"),
@@ -109,6 +111,9 @@ def error_budget(
         Part("float16", relative(lit(half) - lit(exact), whole), "against float64"),
         Part("compression (gzip)", 0.0, "lossless"),
     ]
+    if sharp is not band_limited:
+        low = fitted(band_limited, seen.places, seen.outgoing, degree, EXACT, seed)
+        parts.append(Part(band_limited.precision, relative(lit(low) - lit(exact), whole), "against float32 arithmetic"))
     if walks is not None:
         traced, sigma = walks(seen.places, seen.outgoing, WALKS)
         noise = np.einsum("nkc,kc->nc", sigma**2, light**2).sum()

@@ -72,6 +72,10 @@ class FusedNetwork:
         """Ŝ [N,D,3] by the plain float32 path: `NeuralBSSRDF.evaluate`."""
         return self.network.evaluate(incident, positions, outgoing)
 
+    def exact(self) -> "FusedNetwork":
+        """The same network in float32."""
+        return self if self.precision == "float32" else FusedNetwork(self.network, "float32", str(self._device))
+
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
     ) -> NDArray[np.float32]:
