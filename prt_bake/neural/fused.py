@@ -10,7 +10,7 @@ stays at half of what the vector units can do (107 against 231 GFLOP/s on one Ze
 """
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from threading import Lock
@@ -23,7 +23,7 @@ from torch import Tensor
 
 from formats.errors import QueryError
 from prt_bake.neural.late_layers import LateLayers
-from prt_bake.neural.lobes import Lobes, in_directions
+from prt_bake.neural.lobes import Bands, Lobes, bands_of, in_bands, in_directions
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -137,16 +137,18 @@ class FusedNetwork:
                 pairs = self.network.pair_features(towards, along[which], frame[which])
                 rows = late.add_views(added, of_bins[:, first : first + tile], pairs)
                 radiance = late.radiance(rows).view(tile, directions, 3).float()
-                if lobes is not None:
-                    some_lobes = Lobes(*(part[first : first + tile] for part in lobes))
-                    radiance = radiance + in_directions(some_lobes, towards, self.network.band)
+                if isinstance(lobes, Lobes):
+                    radiance = radiance + in_directions(Lobes(*_rows(lobes, first, tile)), towards)
+                elif lobes is not None:
+                    radiance = radiance + in_bands(Bands(*_rows(lobes, first, tile)), towards)
                 last = min(begin + first + tile, count)
                 whole = (radiance * self.network.output_scale).cpu().numpy()
                 answer[begin + first : last] = whole[: last - begin - first]
 
-    def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | None]:
-        """What views [N,·] add to each later layer [layers, ≥ N + tile, width], and their lobes, as many; in lots of
-        one size, whatever their number: the result must not depend on how bins are cut.
+    def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | Bands | None]:
+        """What views [N,·] add to each later layer [layers, ≥ N + tile, width], and their lobes, as many, or the bands
+        of these that are asked for; in lots of one size, whatever their number: the result must not depend on how bins
+        are cut.
         """
         parts = []
         for first in range(0, len(view), VIEWS_AT_ONCE):
@@ -159,8 +161,9 @@ class FusedNetwork:
         lobes = [lobes for _part, lobes in parts if lobes is not None]
         if not lobes:
             return of_bins, None
-        whole = (torch.cat(alike) for alike in zip(*lobes, strict=True))
-        return of_bins, Lobes(*(torch.nn.functional.pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in whole))
+        if self.network.band is None:
+            return of_bins, Lobes(*_together(lobes, tile))
+        return of_bins, Bands(*_together([bands_of(some_lobes, self.network.band) for some_lobes in lobes], tile))
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
@@ -252,6 +255,17 @@ class FusedNetwork:
             table = self._late.light_table(self.network.light_features(some))
             parts.append(table[:, : last - first])
         return torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1])
+
+
+def _together(parts: Sequence[Iterable[Tensor]], more: int) -> Iterator[Tensor]:
+    """Tuples of tensors [N,...], one after another and then zeros for `more`."""
+    for alike in zip(*parts, strict=True):
+        whole = torch.cat(alike)
+        yield torch.nn.functional.pad(whole, (0, 0) * (whole.dim() - 1) + (0, more))
+
+
+def _rows(parts: Iterable[Tensor], first: int, many: int) -> Iterator[Tensor]:
+    return (part[first : first + many] for part in parts)
 
 
 def _float32(directions: Any, device: torch.device) -> Tensor:

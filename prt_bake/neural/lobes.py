@@ -43,6 +43,20 @@ class Lobes(NamedTuple):
     peaks: Tensor
 
 
+class Bands(NamedTuple):
+    """What K lobes of each of N views are up to a degree L.
+
+    Attributes:
+        axes: [N,K,3], unit vectors.
+        weights: [N,K,L+1], of the Legendre polynomials of the cosine to the axis.
+        peaks: [N,K,3], what their sum is multiplied by.
+    """
+
+    axes: Tensor
+    weights: Tensor
+    peaks: Tensor
+
+
 def lobes_from(told: Tensor, exits: Tensor) -> Lobes:
     """The lobes that numbers [N, NUMBERS·K] tell of views whose rays leave along exits [N,3]: zeros are faint lobes
     there.
@@ -56,28 +70,42 @@ def lobes_from(told: Tensor, exits: Tensor) -> Lobes:
 
 def in_directions(lobes: Lobes, incident: Tensor, degree: int | None = None) -> Tensor:
     """What the lobes add [N,D,3] in directions incident [N,D,3]; of it the bands up to `degree` alone, if given."""
-    # Number by number, no products of matrices: a view's sums must not depend on how many others stand beside it.
-    x, y, z = incident.float().unbind(dim=-1)
+    if degree is not None:
+        return in_bands(bands_of(lobes, degree), incident)
     added = torch.zeros_like(incident, dtype=torch.float32)
     for axis, sharpness, peak in zip(*(part.unbind(dim=1) for part in lobes), strict=True):
-        a, b, c = axis[:, None].unbind(dim=-1)
-        cosine = x * a + y * b + z * c
-        if degree is None:
-            shape = torch.exp(sharpness[:, None] * (cosine - 1.0))
-        else:
-            shape = _bands(cosine, sharpness, degree) / _peak(sharpness)[:, None]
+        shape = torch.exp(sharpness[:, None] * (_cosine(axis, incident) - 1.0))
         added = added + shape[..., None] * peak[:, None]
     return added
 
 
-def _bands(cosine: Tensor, sharpness: Tensor, degree: int) -> Tensor:
-    """Σₗ (2l + 1) Aₗ(κ) Pₗ(cosine) [N,D] up to l = degree, for sharpness κ [N]."""
-    shares = _shares(sharpness.double(), degree)
-    summed, before, value = torch.ones_like(cosine), torch.ones_like(cosine), cosine
-    for band in range(1, degree + 1):
-        summed = summed + ((2 * band + 1) * shares[band]).float()[:, None] * value
-        before, value = value, ((2 * band + 1) * cosine * value - band * before) / (band + 1)
-    return summed
+def bands_of(lobes: Lobes, degree: int) -> Bands:
+    """The bands up to a degree: Σₗ (2l + 1) Aₗ(κ) Pₗ over the value along the axis."""
+    shares = torch.stack(_shares(lobes.sharpness.double(), degree), dim=-1)
+    weights = shares * (2.0 * torch.arange(degree + 1, device=shares.device) + 1.0)
+    return Bands(lobes.axes, weights.float(), lobes.peaks / _peak(lobes.sharpness)[..., None])
+
+
+def in_bands(bands: Bands, incident: Tensor) -> Tensor:
+    """What these bands add [N,D,3] in directions incident [N,D,3]."""
+    added = torch.zeros_like(incident, dtype=torch.float32)
+    for axis, weights, peak in zip(*(part.unbind(dim=1) for part in bands), strict=True):
+        cosine = _cosine(axis, incident)
+        summed, before, value = weights[:, :1], torch.ones_like(cosine), cosine
+        for band in range(1, weights.shape[1]):
+            summed = summed + weights[:, band, None] * value
+            before, value = value, ((2 * band + 1) * cosine * value - band * before) / (band + 1)
+        added = added + summed[..., None] * peak[:, None]
+    return added
+
+
+def _cosine(axis: Tensor, incident: Tensor) -> Tensor:
+    """[N,D], of axes [N,3] and directions [N,D,3]; number by number, no products of matrices: a view's sums must not
+    depend on how many others stand beside it.
+    """
+    x, y, z = incident.float().unbind(dim=-1)
+    a, b, c = axis[:, None].unbind(dim=-1)
+    return x * a + y * b + z * c
 
 
 def _shares(kappa: Tensor, degree: int) -> list[Tensor]:
