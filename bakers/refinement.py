@@ -36,6 +36,8 @@ DECAY_BEFORE = 8.0
 LEAST_DECAY, MOST_DECAY = 0.15, 1.0
 LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
 """Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
+ROUNDING = 2.0**-23
+"""Relative error of a coefficient that is never held to be smaller: values and coefficients are kept in float32."""
 ALWAYS = 2
 """Levels up to this one are evaluated whole: what fewer bins say of the others is not to be relied on."""
 LEAST_SHARE = 0.15
@@ -139,7 +141,8 @@ class _Work:
         self._integrate(rows[noisy], bins[noisy], tolerated * self.scale[rows[noisy]])
 
     def finished(self) -> Refined:
-        variance = np.ascontiguousarray((self.noise + np.where(self.spent > 0, 0.0, self.surprise)).T)
+        variance = self.noise + np.where(self.spent > 0, 0.0, self.surprise) + ROUNDING**2 * self.scale
+        variance = np.ascontiguousarray(variance.T)
         n, bins = variance.shape
         own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
         turned = self.turn[:, None] @ own

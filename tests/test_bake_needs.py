@@ -7,13 +7,17 @@ import h5py
 import numpy as np
 import pytest
 import trimesh
+from command_line import Run
 from transports import Array, Counting, Edged, Lobed, exact, icosphere
 
+import prt_bake
 from formats.errors import QueryError
+from formats.image import write_image
 from formats.mesh import Mesh, build_mesh
 from prt_bake import bake, baking, read_asset, sh, shade, sphere
 from prt_bake.unseen import seen_from_eye, seen_from_outside
 
+SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 SMALL = {"rings": 8, "sectors": 32}
 
 
@@ -223,3 +227,31 @@ def test_the_plan_says_what_is_left_out_and_what_it_saves() -> None:
     assert whole.left_out == []
     kept = baking.plan(Edged(), mesh, samples=64, leave_out=["unseen"])
     assert kept.evaluations == 42 * 1024 * 64
+
+
+def test_of_an_asset_for_one_light_the_error_of_its_radiance_is_told() -> None:
+    # Hardly any of it is in the constant: errors of coefficients say little of the radiance.
+    light = np.zeros((9, 3))
+    light[6] = 1.0
+    asset = bake(Lobed(), icosphere(1), rings=4, sectors=16, error=0.05, for_light=light)
+    truth = np.einsum("vbkc,kc->vbc", exact(Lobed(), icosphere(1), 4, 16), light)
+    true = np.sqrt(((asset.coefficients[:, :, 0] - truth) ** 2).sum() / (truth**2).sum())
+    assert 0.6 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.7
+
+
+def test_a_picture_that_an_asset_for_one_light_cannot_show_is_told(prtbake: Run, tmp_path: Path) -> None:
+    skies = [tmp_path / "one.exr", tmp_path / "other.exr"]
+    for sky, value in zip(skies, (1.0, 2.0), strict=True):
+        write_image(sky, np.full((8, 16, 3), value, np.float32))
+    asset, eye = tmp_path / "lit.h5", ["--eye", "0,1,4"]
+    made_for = ["--rings", "1", "--sectors", "4", "--samples", "32", "--for-light", skies[0], "--for-eye", "0,1,4"]
+    assert prtbake("bake", SHIPPED / "spot.pt", SHIPPED / "spot.obj", "-o", asset, *made_for).code == 0
+    picture = ["-o", tmp_path / "a.exr", "--size", "16x16"]
+    as_made = prtbake("shade", asset, "--light", skies[0], *eye, *picture)
+    assert as_made.code == 0
+    assert "not under" not in as_made.err
+    assert "colours are wrong" not in as_made.err
+    assert "not under other.exr" in prtbake("shade", asset, "--light", skies[1], *eye, *picture).err
+    turned = prtbake("shade", asset, "--light", skies[0], "--rotate", "90", "--eye", "3,0,0", *picture)
+    assert "not under one.exr turned by 90 degrees" in turned.err
+    assert "colours are wrong" in turned.err

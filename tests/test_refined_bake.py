@@ -120,6 +120,13 @@ def test_a_lobe_of_two_degrees_is_not_overlooked(floor: float) -> None:
         assert asset.provenance["estimated_relative_rmse"]["total"] > 0.6 * true
 
 
+@pytest.mark.parametrize("slope", [0.0, 1e-5])
+def test_what_float32_rounds_off_is_not_chased(slope: float) -> None:
+    counted = Counting(Scaled(lambda c, x: 0.7 + slope * c))
+    bake(counted, icosphere(1), error=ERROR)
+    assert counted.evaluations < 8 * 42 * 1024
+
+
 def test_a_vertex_that_is_not_finite_is_named_and_the_rest_baked() -> None:
     mesh = icosphere(1)
     bad = 17

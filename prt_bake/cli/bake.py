@@ -12,6 +12,9 @@ from formats.errors import PrtbakeError
 from prt_bake.cli.options import Device, OnlyEye, ReportFile, Seed, output_option
 from prt_bake.cli.progress import reporting, stopping
 
+REACHED = 1.02
+"""Times the error asked for, that is told as reached."""
+
 
 def bake(
     context: typer.Context,
@@ -168,7 +171,10 @@ def _light(sky: Path, degree: int, up: str) -> Any:
 
 
 def _remarks(summary: dict[str, Any]) -> Iterator[str]:
-    """What is in no coefficient of a path-traced bake, and where its error figure cannot be trusted."""
+    """An error that was not reached; what is in no coefficient, and where the error figure cannot be trusted."""
+    asked, reached = summary["settings"].get("error"), summary["estimated_relative_rmse"]["total"]
+    if asked is not None and reached > REACHED * asked:
+        yield f"the error asked for, {asked:.2%}, was not reached"
     for item in summary["left_out"]:
         yield f"left out: {item['item']} ({item['reason']}); {item['saving']}"
     walks = summary.get("walks", {"unscattered": 0.0, "lost": 0.0, "unreliable_bins": 0})

@@ -1,7 +1,8 @@
 """`prtbake shade`: a baked asset under a sky."""
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -46,12 +47,24 @@ def shade(
     view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=up or baked.up)
     picture = render_picture(baked, sky, view, up=up, rotate=rotate, samples=samples)
     write_image(output, picture.image, exposure=exposure)
-    for item in baked.left_out:
-        if item["item"].startswith("other "):
-            say(f"{asset}: {item['item']} are left out: {item['reason']}")
+    for remark in _shown_otherwise(baked, light, rotate, view.eye):
+        say(f"{asset}: {remark}")
     if not baked.complete:
         say(f"{asset}: is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black")
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
         f"{abs(picture.clamped):.3%} of the energy"
     )
+
+
+def _shown_otherwise(baked: Any, light: Path, rotate: float, eye: Any) -> Iterator[str]:
+    """What an asset made for one light or one eye alone cannot show of what was asked for."""
+    from formats.whole import sha256
+
+    reasons = {item["item"]: item["reason"] for item in baked.left_out}
+    if "other lights" in reasons and (rotate % 360.0 or baked.folded_in != f"light {sha256(light)}"):
+        turned = f" turned by {rotate:g} degrees" if rotate % 360.0 else ""
+        yield f"{reasons['other lights']}: the object is shown under that, not under {light.name}{turned}"
+    made_for = baked.provenance.get("settings", {}).get("for_eye")
+    if made_for is not None and any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
+        yield f"{reasons.get('other views', 'made for one eye')}: from elsewhere its colours are wrong"
