@@ -7,6 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from formats import compact_layout
 from formats.asset_head import FORMAT, FORMULAS
 
 _MISSING = object()
@@ -14,7 +15,6 @@ _ATTRIBUTES = {
     "": ("up", "handedness", "unit", "complete", "left_out"),
     "basis": ("kind", "degree", "order", "sign", "normalisation"),
     "bins": ("rings", "sectors"),
-    "transfer": ("quantity", "folded_in"),
 }
 # Kinds of NumPy types, then lengths: letters are the axes of the asset, a bar allows an axis that was left out.
 _DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -25,11 +25,13 @@ _DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "basis/check_directions": ("f", ("2", "3")),
     "basis/check_values": ("f", ("2", "K")),
     "bins/directions": ("f", ("B", "3")),
+    "provenance/json": ("O", ()),
+    "provenance/error_vs_time": ("f", ("rows", "3")),
+}
+_PLAIN_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "transfer/coefficients": ("f", ("V", "B|1", "K|1", "3|1")),
     "transfer/standard_error": ("f", ("V", "B|1")),
     "transfer/valid": ("iub", ("V",)),
-    "provenance/json": ("O", ()),
-    "provenance/error_vs_time": ("f", ("rows", "3")),
 }
 _OPTIONAL_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "mesh/uv": ("f", ("V", "2")),
@@ -50,9 +52,6 @@ def layout_faults(file: Any) -> Iterator[str]:
     if version.split(".")[0] != "1":
         yield f"has format_version {version}; this program reads 1.x, use one that is as new as the asset"
         return
-    if "transfer" not in file and "transfer_compact" in file:
-        yield "is a compact asset, which cannot be read yet; use the full one"
-        return
     missing = list(_missing_attributes(file))
     yield from missing
     if not missing:
@@ -60,8 +59,15 @@ def layout_faults(file: Any) -> Iterator[str]:
         yield from _dataset_faults(file)
 
 
+def transfer_group(file: Any) -> str:
+    """Where an open asset keeps its coefficients: "transfer_compact" where there is one, else "transfer"."""
+    return compact_layout.GROUP if compact_layout.GROUP in file else "transfer"
+
+
 def _missing_attributes(file: Any) -> Iterator[str]:
-    for group, names in _ATTRIBUTES.items():
+    compact = transfer_group(file) == compact_layout.GROUP
+    of_transfer = compact_layout.ATTRIBUTES if compact else {"transfer": ("quantity", "folded_in")}
+    for group, names in {**_ATTRIBUTES, **of_transfer}.items():
         if group and not isinstance(file.get(group), h5py.Group):
             yield f"/{group} is missing"
             continue
@@ -83,8 +89,9 @@ def _attribute_faults(file: Any) -> Iterator[str]:
         value = np.asarray(file[group].attrs[name])
         if value.shape != () or value.dtype.kind not in "iu" or not (0 if name == "degree" else 1) <= value <= 10**5:
             yield f"/{group}: the attribute {name} is {value}, which is no count"
-    if file["transfer"].attrs["quantity"] not in FORMULAS:
-        yield f"/transfer: quantity is {file['transfer'].attrs['quantity']!r}; expected {' or '.join(FORMULAS)}"
+    group = transfer_group(file)
+    if file[group].attrs["quantity"] not in FORMULAS:
+        yield f"/{group}: quantity is {file[group].attrs['quantity']!r}; expected {' or '.join(FORMULAS)}"
     if not isinstance(_json(file.attrs["left_out"]), list):
         yield "the attribute left_out is no JSON list"
 
@@ -93,13 +100,18 @@ def _dataset_faults(file: Any) -> Iterator[str]:
     lengths = {
         "K": (int(file["basis"].attrs["degree"]) + 1) ** 2,
         "B": int(file["bins"].attrs["rings"]) * int(file["bins"].attrs["sectors"]),
+        "rings": int(file["bins"].attrs["rings"]),
+        "sectors": int(file["bins"].attrs["sectors"]),
     }
     selftest = {f"selftest/{name}" for name in file.get("selftest", ())}
-    required = {name for name in _OPTIONAL_DATASETS if name.startswith("selftest/")} if selftest else set()
-    for name, (kinds, axes) in {**_DATASETS, **_OPTIONAL_DATASETS}.items():
+    compact = transfer_group(file) == compact_layout.GROUP
+    of_transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
+    required = {*_DATASETS, *of_transfer}
+    required |= {name for name in _OPTIONAL_DATASETS if name.startswith("selftest/")} if selftest else set()
+    for name, (kinds, axes) in {**_DATASETS, **of_transfer, **_OPTIONAL_DATASETS}.items():
         dataset = file.get(name)
         if not isinstance(dataset, h5py.Dataset):
-            if name in _DATASETS or name in required:
+            if name in required:
                 yield f"/{name} is missing"
             continue
         shape = dataset.shape

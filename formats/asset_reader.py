@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.asset_layout import layout_faults
+from formats.asset_layout import layout_faults, transfer_group
 from formats.asset_record import Asset
+from formats.compact_file import read_compact
+from formats.compact_layout import GROUP, value_faults
 from formats.errors import AssetError
 from formats.hdf5_file import DAMAGE, first_line, open_hdf5
 from formats.mesh import Mesh
@@ -25,7 +27,8 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
     Args:
         path: the HDF5 file.
         load: read the coefficients into memory, as the type that the file keeps, and check each; without it they are
-            the open dataset (see `Asset.close`), for assets larger than memory.
+            the open dataset (see `Asset.close`), for assets larger than memory. Compact ones are always read into
+            memory, as they are.
 
     Raises:
         AssetError: not HDF5, truncated, of another version, datasets missing or of the wrong shape or type, values that
@@ -44,7 +47,7 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
         if isinstance(cause, AssetError):
             raise
         raise AssetError(f"{path}: is damaged: {first_line(cause)}; bake it again") from cause
-    if load:
+    if load or GROUP in file:
         file.close()
     return asset
 
@@ -64,7 +67,7 @@ def check_asset(path: str | os.PathLike[str]) -> list[str]:
         try:
             faults.extend(_faults(file))
             if not faults:
-                faults.extend(_coefficient_faults(file["transfer"]))
+                faults.extend([] if GROUP in file else _coefficient_faults(file["transfer"]))
         except DAMAGE as cause:
             faults.append(f"is damaged: {first_line(cause)}")
     return [f"{path}: {fault}" for fault in faults]
@@ -92,9 +95,12 @@ def _faults(file: Any) -> Iterator[str]:
     yield from _marked("mesh/tangents", ~(sine < _UNIT_TOLERANCE), "not perpendicular to the normal")
     faces, vertices = file["mesh/faces"][...], len(normals)
     yield from _marked("mesh/faces", ((faces < 0) | (faces >= vertices)).any(axis=1), "of vertices that do not exist")
-    valid = file["transfer/valid"][...].astype(bool)
-    errors = file["transfer/standard_error"][...]
-    yield from _marked("transfer/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
+    group = transfer_group(file)
+    valid = file[f"{group}/valid"][...].astype(bool)
+    errors = file[f"{group}/standard_error"][...]
+    yield from _marked(f"{group}/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
+    if group == GROUP:
+        yield from value_faults(file[GROUP])
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
         yield from _marked("selftest/vertex", outside, "of vertices that do not exist")
@@ -135,9 +141,9 @@ def _unfit_block(rows: slice, block: NDArray[np.floating], valid: NDArray[np.boo
 
 
 def _asset(file: Any, load: bool) -> Asset:
-    mesh, transfer = file["mesh"], file["transfer"]
+    mesh, transfer = file["mesh"], file[transfer_group(file)]
     valid = transfer["valid"][...].astype(bool)
-    coefficients = _loaded(file.filename, transfer, valid) if load else transfer["coefficients"]
+    coefficients = _coefficients(file, valid, load)
     selftest = file.get("selftest", {})
     return Asset(
         mesh=_mesh(mesh),
@@ -161,8 +167,14 @@ def _asset(file: Any, load: bool) -> Asset:
         provenance=json.loads(file["provenance/json"][()]),
         error_vs_time=file["provenance/error_vs_time"][...].astype(np.float64),
         selftest={name: selftest[name][...] for name in selftest},
-        storage="float16" if transfer["coefficients"].dtype.itemsize == 2 else "float32",
+        storage="float16" if coefficients.dtype.itemsize == 2 else "float32",
     )
+
+
+def _coefficients(file: Any, valid: NDArray[np.bool_], load: bool) -> Any:
+    if GROUP in file:
+        return read_compact(file[GROUP])
+    return _loaded(file.filename, file["transfer"], valid) if load else file["transfer/coefficients"]
 
 
 def _mesh(group: Any) -> Mesh:

@@ -55,7 +55,8 @@ class Asset(AssetHead):
     """A baked asset, in memory or on disk.
 
     Attributes:
-        coefficients: float16 or float32 [V,B,K,C], an array or the open dataset of a file; B and C may be 1, see above.
+        coefficients: float16 or float32 [V,B,K,C], an array or the open dataset of a file, B and C may be 1, see above;
+            or `CompactCoefficients`, decoded where they are cut.
         standard_error: [V,B] (or [V,1]), one sigma of the coefficients, root mean square over K and C.
         valid: bool [V], false where a vertex was not baked.
         complete: false for a bake that was stopped before its end.
@@ -81,5 +82,5 @@ class Asset(AssetHead):
 
     def close(self) -> None:
         """Close the file behind the coefficients, if they are an open dataset; harmless otherwise."""
-        if not isinstance(self.coefficients, np.ndarray):
+        if hasattr(self.coefficients, "file"):
             self.coefficients.file.close()

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from formats.asset_file import AssetFile, chunk_vertices
 from formats.asset_head import FORMULAS
 from formats.asset_record import Asset, AssetHead, Storage
+from formats.compact_file import write_compact
+from formats.compact_record import CompactCoefficients
 from formats.errors import AssetError
 from formats.interrupts import deferred
 from formats.whole import replacing
@@ -233,12 +235,16 @@ class AssetWriter:
 
 
 def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
-    """Write an asset, whole or not at all, keeping `asset.storage` if float16 can hold the coefficients.
+    """Write an asset, whole or not at all, keeping `asset.storage` if float16 can hold the coefficients, and compact
+    coefficients compact.
 
     Raises:
         AssetError: shapes that do not fit one another, coefficients that are not finite.
         StorageError: the disk is full or not writable.
     """
+    if isinstance(asset.coefficients, CompactCoefficients):
+        write_compact(asset, path)
+        return
     _, views, _, channels = asset.coefficients.shape
     with AssetWriter(path, asset, storage=asset.storage, views=views, channels=channels) as writer:
         baked = np.flatnonzero(asset.valid)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from prt_bake import sh, sphere
     from prt_bake.baking import bake
     from prt_bake.comparison import compare
+    from prt_bake.compressing import compress, unpacked
     from prt_bake.environment import project as project_environment
     from prt_bake.environment import read_environment
     from prt_bake.lighting import Lighting, read_lighting
@@ -38,6 +39,7 @@ __all__ = [
     "Scene",
     "bake",
     "compare",
+    "compress",
     "estimate_coefficients",
     "estimate_transport",
     "load_model",
@@ -57,6 +59,7 @@ __all__ = [
     "shade",
     "sphere",
     "train",
+    "unpacked",
     "write_asset",
     "write_image",
     "write_mesh",
@@ -72,6 +75,7 @@ _ORIGIN = {
     "Scene": ("formats.scene", "Scene"),
     "bake": ("prt_bake.baking", "bake"),
     "compare": ("prt_bake.comparison", "compare"),
+    "compress": ("prt_bake.compressing", "compress"),
     "estimate_coefficients": ("prt_bake.trainer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.trainer.estimate", "estimate_transport"),
     "load_model": ("prt_bake.network", "load_model"),
@@ -91,6 +95,7 @@ _ORIGIN = {
     "shade": ("prt_bake.shading", "shade"),
     "sphere": ("prt_bake.sphere", ""),
     "train": ("prt_bake.trainer.fit", "train"),
+    "unpacked": ("prt_bake.compressing", "unpacked"),
     "write_asset": ("formats.asset", "write_asset"),
     "write_image": ("formats.image", "write_image"),
     "write_mesh": ("formats.mesh", "write_mesh"),

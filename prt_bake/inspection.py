@@ -276,7 +276,24 @@ def _describe_asset(path: Path) -> dict[str, Any]:
         "up": asset.up,
         "unit": asset.unit,
         "left out": asset.left_out,
+        **_describe_compaction(asset.coefficients),
         **{f"provenance: {name}": value for name, value in asset.provenance.items()},
+    }
+
+
+def _describe_compaction(coefficients: Any) -> dict[str, Any]:
+    from formats.compact_record import CompactCoefficients
+
+    if not isinstance(coefficients, CompactCoefficients):
+        return {}
+    added = coefficients.added
+    return {
+        "compact: components": len(coefficients.view_component),
+        "compact: codes a vertex": len(coefficients.values) / len(coefficients),
+        "compact: added relative RMSE": added.total,
+        "compact: asked for": added.asked,
+        "compact: 95th percentile over vertices": added.percentile_95,
+        "compact: worst vertex": added.worst,
     }
 
 

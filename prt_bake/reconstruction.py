@@ -14,11 +14,14 @@ import numpy as np
 from numba import get_num_threads, prange, set_num_threads
 from numpy.typing import NDArray
 
+from formats.compact_record import CompactCoefficients
+from prt_bake.compact_reconstruction import reconstruct_compact
 from prt_bake.compilation import compiled
 from prt_bake.sphere import BinCoordinates
 
 _BYTES_AT_ONCE = 64 << 20
 _VERTICES_A_THREAD = 1 << 14
+_COMPACT_VERTICES_A_THREAD = 1 << 11
 
 
 def reconstruct(
@@ -27,13 +30,17 @@ def reconstruct(
     """Radiance [n,3], negative values kept, that `vertices` [n] (ascending) send to the eye under light [K,3].
 
     coefficients: [V,B,K,C], float16 or float32, an array or an open HDF5 dataset, of which only what is needed is read;
-    B and C may be 1 and are broadcast. at: where each vertex's direction to the eye lies between the view bins, fields
-    [n] (`sphere.bin_coordinates`).
+    B and C may be 1 and are broadcast; or compact ones, which are shaded as they are. at: where each vertex's
+    direction to the eye lies between the view bins, fields [n] (`sphere.bin_coordinates`).
     """
     radiance = np.zeros((len(vertices), 3))
     places = BinCoordinates._make(np.ascontiguousarray(field) for field in at)
     light = np.ascontiguousarray(light, np.float64)
-    with _threads_for(len(vertices)):
+    if isinstance(coefficients, CompactCoefficients):
+        with _threads_for(len(vertices), _COMPACT_VERTICES_A_THREAD):
+            reconstruct_compact(coefficients, vertices, places, sectors, light, radiance)
+        return radiance
+    with _threads_for(len(vertices), _VERTICES_A_THREAD):
         for part, block, rows in _blocks(coefficients, vertices):
             half = block.dtype == np.float16
             bits, table = (block.view(np.uint16), _half_table()) if half else (block, None)
@@ -42,10 +49,10 @@ def reconstruct(
 
 
 @contextmanager
-def _threads_for(vertices: int) -> Iterator[None]:
+def _threads_for(vertices: int, a_thread: int) -> Iterator[None]:
     """As many of numba's threads as have enough to do: on a busy machine waiting for one more costs milliseconds."""
     most = get_num_threads()
-    set_num_threads(min(most, 1 + vertices // _VERTICES_A_THREAD))
+    set_num_threads(min(most, 1 + vertices // a_thread))
     try:
         yield
     finally:

@@ -11,6 +11,7 @@ from formats.errors import PrtbakeError
 from prt_bake.cli.bake import bake
 from prt_bake.cli.check import check
 from prt_bake.cli.compare import compare
+from prt_bake.cli.compress import compress
 from prt_bake.cli.demo import demo
 from prt_bake.cli.describe import describe
 from prt_bake.cli.export import export
@@ -37,6 +38,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sample": sample,
     "importance": importance,
     "bake": bake,
+    "compress": compress,
     "light": light,
     "shade": shade,
     "render": render,

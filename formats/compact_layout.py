@@ -1,0 +1,68 @@
+"""What /transfer_compact must hold: attributes, datasets, and values that can be decoded."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+GROUP = "transfer_compact"
+MOST_DIGITS = 4
+ATTRIBUTES = {
+    GROUP: ("quantity", "folded_in", "step", "error_asked", "error", "error_percentile_95", "error_worst"),
+}
+Kinds = dict[str, tuple[str, tuple[str, ...]]]
+_ALWAYS: Kinds = {
+    "valid": ("iub", ("V",)),
+    "standard_error": ("f", ("V", "B|1")),
+    "added_error": ("f", ("V",)),
+    "channel_basis": ("f", ("J", "K|1", "3|1")),
+    "view_component": ("iu", ("P",)),
+    "channel_component": ("iu", ("P",)),
+}
+_FACTORISED: Kinds = {"ring_basis": ("f", ("I", "rings|1")), "sector_basis": ("f", ("S", "sectors|1"))}
+_LEARNED: Kinds = {"view_scale": ("f", ("R",))}
+
+
+def datasets(group: Any) -> Kinds:
+    """The datasets that this group must hold, by their place in the file: kinds of types and axes."""
+    learned = "view_scale" in group
+    every = {**_ALWAYS, **(_LEARNED if learned else _FACTORISED)}
+    every |= dict.fromkeys(digit_names(group, "digits"), ("i", ("P", "V")))
+    if learned:
+        every |= dict.fromkeys(digit_names(group, "view_digits"), ("i", ("R", "B|1")))
+    return {f"{GROUP}/{name}": axes for name, axes in every.items()}
+
+
+def digit_names(group: Any, stem: str) -> list[str]:
+    """Datasets of digits, the lowest first; the lowest always, others where they are."""
+    return [f"{stem}_{d}" for d in range(MOST_DIGITS) if d == 0 or f"{stem}_{d}" in group]
+
+
+def views_kept(group: Any) -> int:
+    """Length of the view axis that a group of sound layout decodes to."""
+    if "view_scale" in group:
+        return int(group["view_digits_0"].shape[1])
+    return int(group["ring_basis"].shape[1]) * int(group["sector_basis"].shape[1])
+
+
+def value_faults(group: Any) -> Iterator[str]:
+    """Yield a sentence for every value of a group of sound layout that decodes to nothing."""
+    for name in ATTRIBUTES[GROUP][2:]:
+        value = np.asarray(group.attrs[name])
+        if value.shape != () or value.dtype.kind != "f" or not (np.isfinite(value) and value >= 0.0):
+            yield f"/{GROUP}: the attribute {name} is {value}; expected a number from 0 on"
+    for name in ("added_error", "channel_basis", "ring_basis", "sector_basis", "view_scale"):
+        if name in group and (wrong := ~np.isfinite(group[name][...])).any():
+            yield f"/{GROUP}/{name}: {wrong.sum()} of {wrong.size} values are not finite"
+    learned = "view_scale" in group
+    views = len(group["view_scale"]) if learned else len(group["ring_basis"]) * len(group["sector_basis"])
+    bins, kept = int(np.prod([group.file["bins"].attrs[name] for name in ("rings", "sectors")])), views_kept(group)
+    if kept not in (1, bins):
+        yield f"/{GROUP}: the basis of the views is over {kept} bins; expected {bins} or 1"
+    for name, length in (("view_component", views), ("channel_component", len(group["channel_basis"]))):
+        outside = (group[name][...] < 0) | (group[name][...] >= length)
+        if outside.any():
+            yield f"/{GROUP}/{name}: {outside.sum()} of {outside.size} name functions that do not exist"
+    for name in digit_names(group, "digits") + (digit_names(group, "view_digits") if learned else []):
+        if group[name].dtype.itemsize != 1:
+            yield f"/{GROUP}/{name} has type {group[name].dtype}; expected digits in one byte, int8"

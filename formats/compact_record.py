@@ -1,0 +1,160 @@
+"""Compact coefficients: whole numbers, most of them zero, times a basis over view bins and one over harmonics.
+
+coefficients[v,b,k,c] = step · Σ_p codes[p,v] · view[view_component[p],b] · channel[channel_component[p],k,c]
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_DECODED_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class FactorisedViews:
+    """A basis over view bins that is one over rings times one over sectors, every pair of them.
+
+    Attributes:
+        rings: float32 [I,rings].
+        sectors: float32 [J,sectors]; function J·i + j is rings[i] at the ring times sectors[j] at the sector.
+    """
+
+    rings: NDArray[np.float32]
+    sectors: NDArray[np.float32]
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The functions at the bins [I·J,B]."""
+        return np.asarray(np.kron(self.rings.astype(np.float64), self.sectors.astype(np.float64)), np.float64)
+
+
+@dataclass(frozen=True)
+class LearnedViews:
+    """A basis over view bins as whole numbers, each function with a scale of its own.
+
+    Attributes:
+        codes: int32 [R,B].
+        scale: float32 [R].
+    """
+
+    codes: NDArray[np.int32]
+    scale: NDArray[np.float32]
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The functions at the bins [R,B]."""
+        return self.codes * self.scale.astype(np.float64)[:, None]
+
+
+@dataclass(frozen=True)
+class AddedError:
+    """What compaction added, relative: the root of Σ|decoded − original|² / Σ|original|² over valid vertices.
+
+    Attributes:
+        asked: the most that it may be.
+        total: what it is, over all of the object.
+        percentile_95: 95th percentile over vertices of the same ratio taken per vertex.
+        worst: the largest of a vertex.
+        per_vertex: float32 [V], not relative: root mean square over B, K and C.
+    """
+
+    asked: float
+    total: float
+    percentile_95: float
+    worst: float
+    per_vertex: NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CompactCoefficients:
+    """Coefficients [V,B,K,C] that are decoded where they are asked for: `compact[rows]` is an array in float32.
+
+    The codes that are not zero lie vertex by vertex: those of vertex v are values[starts[v]:starts[v+1]].
+
+    Attributes:
+        step: what a code of 1 stands for.
+        views: the basis over view bins, R functions.
+        channels: float32 [J,K,C], the basis over harmonics and channels.
+        view_component: int64 [P], which function of the view each component has.
+        channel_component: int64 [P], which of harmonics and channels; never falls.
+        starts: int64 [V+1].
+        components: uint16 or uint32 [N], ascending within a vertex.
+        values: int16 or int32 [N].
+        added: the error of it.
+    """
+
+    step: float
+    views: FactorisedViews | LearnedViews
+    channels: NDArray[np.float32]
+    view_component: NDArray[np.int64]
+    channel_component: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    components: NDArray[np.unsignedinteger]
+    values: NDArray[np.signedinteger]
+    added: AddedError
+
+    @cached_property
+    def view_matrix(self) -> NDArray[np.float64]:
+        """The functions of the view at the bins [R,B]."""
+        return self.views.matrix
+
+    @cached_property
+    def view_table(self) -> NDArray[np.float32]:
+        """The same by bins [B,R], as shading reads it."""
+        return np.ascontiguousarray(self.view_matrix.T, np.float32)
+
+    @cached_property
+    def view_of_codes(self) -> NDArray[np.unsignedinteger]:
+        """The function of the view that each code belongs to [N]."""
+        narrow: Any = np.uint16 if len(self.view_matrix) <= 2**16 else np.uint32
+        return np.asarray(self.view_component.astype(narrow)[self.components])
+
+    @cached_property
+    def runs(self) -> NDArray[np.int64]:
+        """Codes of vertex v of channel function j are values[runs[v,j]:runs[v,j+1]], [V,J+1]."""
+        ends = np.append(
+            np.searchsorted(self.channel_component, np.arange(len(self.channels))), len(self.channel_component)
+        )
+        keys = np.repeat(np.arange(len(self)), np.diff(self.starts)) * (ends[-1] + 1) + self.components
+        return np.asarray(np.searchsorted(keys, np.arange(len(self))[:, None] * (ends[-1] + 1) + ends), np.int64)
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Lengths of the axes V, B, K and C."""
+        terms, channels = self.channels.shape[1:]
+        return len(self.starts) - 1, self.view_matrix.shape[1], terms, channels
+
+    @property
+    def dtype(self) -> np.dtype[np.float32]:
+        """The type that it is decoded to."""
+        return np.dtype(np.float32)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: Any) -> NDArray[np.float32]:
+        """Only the first axis may be cut: by a number, a slice, an array of numbers or of bool, or `...`."""
+        rows = np.arange(len(self))[key]
+        decoded = np.zeros((rows.size, *self.shape[1:]), np.float32)
+        for first in range(0, rows.size, _DECODED_AT_ONCE):
+            some = slice(first, first + _DECODED_AT_ONCE)
+            decoded[some] = self.decoded(rows.reshape(-1)[some])
+        return decoded.reshape(*rows.shape, *self.shape[1:])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return self[:].astype(dtype or np.float32, copy=False)
+
+    def decoded(self, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The coefficients [n,B,K,C] of some vertices [n]."""
+        _, bins, terms, channels = self.shape
+        core = np.zeros((len(vertices), len(self.view_matrix), len(self.channels)))
+        for row, vertex in enumerate(vertices.tolist()):
+            some = slice(self.starts[vertex], self.starts[vertex + 1])
+            p = self.components[some]
+            core[row, self.view_component[p], self.channel_component[p]] = self.values[some]
+        by_view = core @ self.channels.reshape(len(self.channels), -1).astype(np.float64)
+        decoded = self.step * np.matmul(self.view_matrix.T, by_view)
+        return np.asarray(decoded.reshape(len(vertices), bins, terms, channels))
