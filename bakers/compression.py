@@ -23,7 +23,7 @@ ROUND_UP = 0.38
 """What is added before the fraction is dropped; a half would round to the nearest. Less makes more zeros, of a finer
 step for the same error: 5 % fewer bytes.
 """
-TAILS = 0.03, 0.12, 0.3
+TAILS = 0.1, 0.3, 0.5
 """Shares of the squared error that learned bases over view bins may leave out."""
 TAIL_OF_CHANNELS = 0.003
 SHARE_OF_BASIS = 0.03
@@ -54,6 +54,13 @@ class Form:
         views, channels = analysis
         flat = block.reshape(*block.shape[:2], -1).astype(views.dtype)
         return np.asarray(np.matmul(views, flat @ channels))
+
+    def squares(self, numbers: NDArray[Any]) -> float:
+        """Σ of the squares of the coefficients that numbers [n,R,J] stand for."""
+        flat, matrix = self.channels.reshape(len(self.channels), -1).astype(np.float64), self.views.matrix
+        of_views, of_channels = (matrix @ matrix.T).astype(numbers.dtype), (flat @ flat.T).astype(numbers.dtype)
+        seen = np.matmul(of_views, numbers @ of_channels)
+        return float(np.einsum("nrj,nrj->", numbers, seen, dtype=np.float64))
 
 
 @dataclass(frozen=True)
@@ -88,7 +95,7 @@ def forms(sample: NDArray[np.floating], rings: int, sectors: int, allowed: float
         FactorisedViews(_kept(_gram(by_ring, (0, 2, 3)), 0.0), _kept(_gram(by_ring, (0, 1, 3)), 0.0)),
         channels,
     )
-    if bins > MOST_LEARNED_BINS:
+    if bins > MOST_LEARNED_BINS or allowed == 0.0:
         return
     energies, functions = _principal(_gram(flat, (0, 2)))
     for tail in TAILS:
@@ -99,23 +106,31 @@ def forms(sample: NDArray[np.floating], rings: int, sectors: int, allowed: float
         yield Form(f"learned views, {kept}", LearnedViews(codes, scale), channels)
 
 
-def tried(form: Form, sample: NDArray[np.floating], allowed: float) -> Trial | None:
-    """The largest step with which a form's squared error on the sample [n,B,K,C] is `allowed`, or None if none is."""
-    views, channels = form.analysis(np.float32)
-    numbers = np.concatenate(
-        [form.numbers(sample[first : first + 64], (views, channels)) for first in range(0, len(sample), 64)]
-    )
-    width = len(form.channels)
-    numbers = np.ascontiguousarray(numbers.reshape(len(sample), -1).T)
-    energies = np.einsum("pn,pn->p", numbers, numbers, dtype=np.float64)
-    order = np.argsort(-energies, kind="stable")
+def untransformed(rings: int, sectors: int, terms: int, channels: int) -> Form:
+    """The form whose numbers are the coefficients themselves: it meets any error."""
+    last = np.eye(terms * channels, dtype=np.float32).reshape(-1, terms, channels)
+    return Form("no bases", FactorisedViews(np.eye(rings, dtype=np.float32), np.eye(sectors, dtype=np.float32)), last)
+
+
+def tried(form: Form, sample: NDArray[np.floating], allowed: float, kind: Any) -> Trial | None:
+    """The largest step with which a form's squared error on the sample [n,B,K,C] is `allowed`, or None if none is;
+    `kind` is the type of the numbers.
+    """
+    analysis = form.analysis(kind)
+    blocks = [form.numbers(sample[first : first + 64], analysis) for first in range(0, len(sample), 64)]
     total = float(np.square(sample, dtype=np.float64).sum())
-    rest = max(total - float(energies.sum()), 0.0)
+    rest = max(total - sum(form.squares(block) for block in blocks), 0.0)
     if rest >= allowed > 0.0:
         return None
-    order = order[: _count(energies[order], 0.02 * (allowed - rest))]
+    width = len(form.channels)
+    numbers = np.ascontiguousarray(np.concatenate(blocks).reshape(len(sample), -1).T)
+    del blocks
+    energies = np.einsum("pn,pn->p", numbers, numbers, dtype=np.float64)
+    order = np.argsort(-energies, kind="stable")
+    kept = _count(energies[order], 0.02 * (allowed - rest))
+    rest += float(energies[order[kept:]].sum())
+    order = order[:kept]
     numbers = numbers[order]
-    rest = max(total - float(energies[order].sum()), 0.0)
     step, squares = _largest_step(numbers, rest, allowed)
     codes = quantised(numbers, step)
     live = np.flatnonzero(codes.any(axis=1) | (np.arange(len(codes)) == 0))

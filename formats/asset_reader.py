@@ -67,7 +67,7 @@ def check_asset(path: str | os.PathLike[str]) -> list[str]:
         try:
             faults.extend(_faults(file))
             if not faults:
-                faults.extend([] if GROUP in file else _coefficient_faults(file["transfer"]))
+                faults.extend(_coefficient_faults(file))
         except DAMAGE as cause:
             faults.append(f"is damaged: {first_line(cause)}")
     return [f"{path}: {fault}" for fault in faults]
@@ -127,7 +127,11 @@ def _blocks(transfer: Any) -> Iterator[tuple[slice, NDArray[np.floating]]]:
             yield rows, dataset[rows]
 
 
-def _coefficient_faults(transfer: Any) -> Iterator[str]:
+def _coefficient_faults(file: Any) -> Iterator[str]:
+    if GROUP in file:
+        read_compact(file[GROUP])  # every whole number is one; what cannot be unpacked is damage
+        return
+    transfer = file["transfer"]
     valid = transfer["valid"][...].astype(bool)
     for rows, block in _blocks(transfer):
         yield from _unfit_block(rows, block, valid)

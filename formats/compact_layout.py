@@ -63,6 +63,9 @@ def value_faults(group: Any) -> Iterator[str]:
         outside = (group[name][...] < 0) | (group[name][...] >= length)
         if outside.any():
             yield f"/{GROUP}/{name}: {outside.sum()} of {outside.size} name functions that do not exist"
+    falls = np.diff(group["channel_component"][...].astype(np.int64)) < 0
+    if falls.any():
+        yield f"/{GROUP}/channel_component: {falls.sum()} of {len(falls) + 1} fall; expected the components by channel"
     for name in digit_names(group, "digits") + (digit_names(group, "view_digits") if learned else []):
         if group[name].dtype.itemsize != 1:
             yield f"/{GROUP}/{name} has type {group[name].dtype}; expected digits in one byte, int8"

@@ -150,11 +150,14 @@ class CompactCoefficients:
     def decoded(self, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
         """The coefficients [n,B,K,C] of some vertices [n]."""
         _, bins, terms, channels = self.shape
-        core = np.zeros((len(vertices), len(self.view_matrix), len(self.channels)))
+        functions, width = len(self.view_matrix), len(self.channels)
+        place = self.view_component * width + self.channel_component
+        core = np.empty((len(vertices), functions * width))
         for row, vertex in enumerate(vertices.tolist()):
             some = slice(self.starts[vertex], self.starts[vertex + 1])
-            p = self.components[some]
-            core[row, self.view_component[p], self.channel_component[p]] = self.values[some]
-        by_view = core @ self.channels.reshape(len(self.channels), -1).astype(np.float64)
+            core[row] = np.bincount(place[self.components[some]], self.values[some], functions * width)
+        by_view = core.reshape(len(vertices), functions, width) @ self.channels.reshape(len(self.channels), -1).astype(
+            np.float64
+        )
         decoded = self.step * np.matmul(self.view_matrix.T, by_view)
         return np.asarray(decoded.reshape(len(vertices), bins, terms, channels))

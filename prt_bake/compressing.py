@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.compression import Trial, forms, quantised, tried
+from bakers.compression import Trial, forms, quantised, tried, untransformed
 from formats.asset import Asset, read_asset
 from formats.compact_file import coarse, joined, sparse, write_compact
 from formats.compact_record import AddedError, CompactCoefficients
@@ -29,6 +29,8 @@ SAMPLE_NUMBERS = 2**26
 """Coefficients of the vertices that forms are fitted to and tried on."""
 SINGLE_PRECISION = 1e-3
 """From this error on float32 is exact enough to multiply by bases."""
+LEAST_SAMPLE = 64
+"""Vertices, however many coefficients one has."""
 AT_ONCE = 64
 _PASSES = 6
 
@@ -83,10 +85,18 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
     squares = float(np.square(sample, dtype=np.float64).sum())
     trials, table = _trials(asset, sample, error**2 * squares, error, squares, say)
     share = int(np.count_nonzero(asset.valid)) / max(1, len(sample))
+    if not trials:
+        trials.append(_untransformed(asset, error))
     best = min(trials, key=lambda trial: share * trial.size + trial.basis)
     table += [*_trade(best, sample, error, squares, share)]
     del sample
-    compact, original = _within(asset, best, error, say)
+    found = _within(asset, best, error, say)
+    if found is None:  # vertices outside the sample are like none in it
+        best = _untransformed(asset, error)
+        found = _within(asset, best, error, say)
+    if found is None:
+        raise QueryError(f"error: {error:g} is finer than whole numbers in 32 bits can tell; ask for a larger one")
+    compact, original = found
     own = np.square(np.asarray(asset.standard_error, np.float64)).mean(axis=1)
     stated = np.sqrt(own + np.square(compact.added.per_vertex, dtype=np.float64)) * asset.valid
     noise = float(own[asset.valid].sum()) * math.prod(asset.coefficients.shape[1:])
@@ -159,13 +169,18 @@ def raw_bytes(asset: Asset) -> int:
     return 4 * int(math.prod(asset.coefficients.shape))
 
 
+def kind_for(error: float) -> Any:
+    """The type in which coefficients are multiplied by bases."""
+    return np.float32 if error >= SINGLE_PRECISION else np.float64
+
+
 def _sample(asset: Asset) -> NDArray[np.float32]:
     """Valid vertices evenly from all of them, as many as `SAMPLE_NUMBERS` allow."""
     shape = asset.coefficients.shape
     valid = np.flatnonzero(asset.valid)
     if not len(valid):
         raise QueryError("asset: no vertex was baked, there is nothing to compress; bake it again")
-    count = min(len(valid), max(64, SAMPLE_NUMBERS // math.prod(shape[1:])))
+    count = min(len(valid), max(LEAST_SAMPLE, SAMPLE_NUMBERS // math.prod(shape[1:])))
     chosen = valid[np.linspace(0, len(valid) - 1, count).round().astype(np.int64)]
     return np.concatenate([_read(asset, chosen[i : i + AT_ONCE]) for i in range(0, count, AT_ONCE)])
 
@@ -185,7 +200,7 @@ def _trials(
     for form in forms(sample, asset.rings, asset.sectors, allowed):
         say(0.1 + 0.1 * len(table), f"trying {form.name}")
         began = time.monotonic()
-        trial = tried(form, sample, allowed)
+        trial = tried(form, sample, allowed, kind_for(error))
         if trial is None:
             continue
         trials.append(trial)
@@ -198,7 +213,7 @@ def _trade(best: Trial, sample: NDArray[np.float32], error: float, squares: floa
     for factor in (0.5, 2.0, 4.0):
         if factor * error < 1.0:
             began = time.monotonic()
-            trial = tried(best.form, sample, (factor * error) ** 2 * squares)
+            trial = tried(best.form, sample, (factor * error) ** 2 * squares, kind_for(factor * error))
             if trial is not None:
                 yield _row(trial, share, squares, time.monotonic() - began)
 
@@ -208,9 +223,9 @@ def _row(trial: Trial, share: float, squares: float, seconds: float) -> Tried:
     return Tried(trial.form.name, round(share * trial.size) + trial.basis, error, round(seconds, 2))
 
 
-def _within(asset: Asset, trial: Trial, error: float, say: Progress) -> tuple[CompactCoefficients, float]:
+def _within(asset: Asset, trial: Trial, error: float, say: Progress) -> tuple[CompactCoefficients, float] | None:
     """All vertices in the form that was tried, its step made finer until the error is met, and the squares of the
-    original.
+    original; None where what the form leaves out is more than the error.
     """
     step = trial.step
     for attempt in range(_PASSES):
@@ -219,13 +234,25 @@ def _within(asset: Asset, trial: Trial, error: float, say: Progress) -> tuple[Co
         if lost <= error**2 * original:
             return _compact(asset, trial, step, error, encoded), original
         step *= 0.998 * (error**2 * original / lost) ** (1.0 + attempt)
-    raise QueryError(
-        f"error: {error:g} cannot be met by a compact form; ask for a larger one, or keep the asset as it is"
-    )
+    return None
+
+
+def _untransformed(asset: Asset, error: float) -> Trial:
+    """All coefficients by themselves, with a step that meets the error however they are distributed."""
+    _, bins, terms, channels = asset.coefficients.shape
+    rings, sectors = (asset.rings, asset.sectors) if bins > 1 else (1, 1)
+    squares = count = 0.0
+    for first in range(0, len(asset.valid), AT_ONCE):
+        rows = np.arange(first, min(first + AT_ONCE, len(asset.valid)))
+        squares += float(np.square(_read(asset, rows)[asset.valid[rows]], dtype=np.float64).sum())
+        count += float(asset.valid[rows].sum()) * bins * terms * channels
+    form = untransformed(rings, sectors, terms, channels)
+    channel, view = (part.ravel() for part in np.mgrid[: terms * channels, :bins])
+    return Trial(form, view, channel, error * math.sqrt(2.0 * squares / count) or 1.0, 0.0, 0, 0)
 
 
 def _encoded(asset: Asset, trial: Trial, step: float, error: float, say: Callable[[float], None]) -> Encoded:
-    kind: Any = np.float32 if error >= SINGLE_PRECISION else np.float64
+    kind = kind_for(error)
     form = trial.form
     analysis = form.analysis(kind)
     at = trial.view_component, trial.channel_component

@@ -1,0 +1,103 @@
+"""What compaction comes to: bytes against error and seconds, and the time of shading a compact asset and a plain one.
+
+    PYTHONPATH=tests python tests/bench/compression.py ASSET.h5 [--errors 0.005,0.01,0.02]
+    PYTHONPATH=tests python tests/bench/compression.py --model MODEL.pt --mesh MESH [--error 0.01]
+
+An asset is taken as it is, or baked first to an error. Shading is all of `shade_vertices` at every vertex, a new light
+and a new view each time, median of 15; reading is from the file to the asset.
+"""
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from formats.asset import Asset, read_asset
+from prt_bake import sh
+from prt_bake.compressing import compress_file
+from prt_bake.shading import shade_vertices
+
+REPEATS = 15
+
+
+def timed(work: Callable[[], object]) -> float:
+    """Milliseconds, median."""
+    work()
+    taken = []
+    for _ in range(REPEATS):
+        began = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - began)
+    return 1e3 * float(np.median(taken))
+
+
+def shading(asset: Asset) -> float:
+    draw = np.random.default_rng(0)
+    vertices = len(asset.valid)
+
+    def anew() -> None:
+        light = draw.normal(size=(sh.count(asset.degree), 3)) if asset.quantity == "transfer" else None
+        shade_vertices(asset, light, draw.normal(size=(vertices, 3)))
+
+    return timed(anew)
+
+
+def reading(path: Path) -> tuple[Asset, float]:
+    began = time.perf_counter()
+    asset = read_asset(path)
+    return asset, time.perf_counter() - began
+
+
+def measure(path: Path, errors: list[float], folder: Path) -> None:
+    plain, seconds = reading(path)
+    shape = "×".join(map(str, plain.coefficients.shape))
+    print(f"{path.name}: {shape}, read in {seconds:.2f} s, shaded in {shading(plain):.2f} ms")
+    del plain
+    names = ("bytes", 13), ("ratio", 8), ("added", 9), ("p95", 8), ("worst", 8), ("seconds", 9), ("read s", 8)
+    print(f"{'error':>8}" + "".join(f"{name:>{width}}" for name, width in names) + f"{'shade ms':>10}")
+    for error in errors:
+        outcome = compress_file(path, folder / "compact.h5", error)
+        compact, seconds = reading(folder / "compact.h5")
+        if outcome.compact is None:
+            print(f"{error:8.2%}  is not smaller")
+            continue
+        added = outcome.compact.added
+        print(
+            f"{error:8.2%}{outcome.after:13,}{outcome.raw / outcome.after:8.1f}{added.total:9.3%}"
+            f"{added.percentile_95:8.2%}{added.worst:8.2%}{outcome.seconds:9.1f}{seconds:8.2f}{shading(compact):10.2f}",
+            flush=True,
+        )
+    for row in outcome.asset.provenance.get("compression", {}).get("tried", ()):
+        print(f"    {row['form']:<24}{row['size']:13,}  error {row['error']:.3%}, {row['seconds']:.1f} s")
+
+
+def baked(model: Path, mesh: Path, error: float, folder: Path) -> Path:
+    from formats.mesh import read_mesh
+    from prt_bake import bake, load_model
+
+    path = folder / f"{model.stem}.h5"
+    bake(load_model(model), read_mesh(mesh), error=error, out=path).close()
+    return path
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("asset", type=Path, nargs="?")
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--mesh", type=Path)
+    parser.add_argument("--error", type=float, default=0.01, help="of the bake")
+    parser.add_argument("--errors", default="0.005,0.01,0.02", help="of the compaction")
+    given = parser.parse_args()
+    if given.asset is None and (given.model is None or given.mesh is None):
+        parser.error("give an asset, or a model and a mesh")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        path = given.asset or baked(given.model, given.mesh, given.error, folder)
+        measure(path, [float(error) for error in given.errors.split(",")], folder)
+
+
+if __name__ == "__main__":
+    main()
