@@ -6,7 +6,6 @@ by one step for all, which is the best share-out of a total error over orthonorm
 and rounded, a little towards zero. Zeros then pack well.
 """
 
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.compact_file import digit_planes
+from formats.compact_file import deflated, digit_planes
 from formats.compact_record import FactorisedViews, LearnedViews
 
 Array = NDArray[np.float64]
@@ -136,7 +135,7 @@ def tried(form: Form, sample: NDArray[np.floating], allowed: float, kind: Any) -
     live = np.flatnonzero(codes.any(axis=1) | (np.arange(len(codes)) == 0))
     live = live[np.argsort(order[live] % width, kind="stable")]
     components = order[live]
-    size = sum(len(zlib.compress(plane.tobytes(), 6)) for plane in digit_planes(codes[live]))
+    size = sum(len(deflated(plane)) for plane in digit_planes(codes[live]))
     basis = _basis_bytes(form) + 3 * len(components)
     return Trial(form, components // width, components % width, step, squares, size, basis)
 
@@ -147,7 +146,7 @@ def quantised(numbers: NDArray[Any], step: float) -> NDArray[np.int32]:
 
 
 def _largest_step(numbers: NDArray[Any], rest: float, allowed: float) -> tuple[float, float]:
-    """The step with which rounding and `rest` together come to 97 to 100 % of `allowed`, and what they come to."""
+    """The step with which rounding and `rest` together come to 98.5 to 100 % of `allowed`, and what they come to."""
     largest = float(np.abs(numbers).max())
     if largest == 0.0 or allowed <= rest:
         return 1.0, rest
@@ -156,13 +155,13 @@ def _largest_step(numbers: NDArray[Any], rest: float, allowed: float) -> tuple[f
     for _ in range(_STEPS_TRIED):
         step = min(max(step, low), high)
         squares = rest + _rounding(numbers, step)
-        if 0.97 * allowed <= squares <= allowed:
+        if 0.985 * allowed <= squares <= allowed:
             return step, squares
         if squares > allowed:
             high = step
         else:
             low = step
-        guess = step * ((allowed - rest) * 0.985 / max(squares - rest, 1e-300)) ** 0.6
+        guess = step * ((allowed - rest) * 0.993 / max(squares - rest, 1e-300)) ** 0.6
         step = guess if low < guess < high else float(np.sqrt(low * high))
     return low, rest + _rounding(numbers, low)
 
@@ -214,7 +213,5 @@ def _left_inverse(functions: Array) -> Array:
 def _basis_bytes(form: Form) -> int:
     views = form.views
     if isinstance(views, FactorisedViews):
-        stored: list[NDArray[Any]] = [views.rings, views.sectors]
-    else:
-        stored = [*digit_planes(views.codes), views.scale]
-    return sum(len(zlib.compress(array.tobytes(), 6)) for array in (*stored, form.channels))
+        return int(views.rings.nbytes + views.sectors.nbytes + form.channels.nbytes)
+    return sum(len(deflated(plane)) for plane in digit_planes(views.codes)) + int(form.channels.nbytes)
