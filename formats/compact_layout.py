@@ -19,7 +19,7 @@ _ALWAYS: Kinds = {
     "view_component": ("iu", ("P",)),
     "channel_component": ("iu", ("P",)),
 }
-_FACTORISED: Kinds = {"ring_basis": ("f", ("I", "rings|1")), "sector_basis": ("f", ("S", "sectors|1"))}
+_FACTORISED: Kinds = {"ring_basis": ("f", ("I", "rings|1")), "sector_basis": ("f", ("M", "sectors|1"))}
 _LEARNED: Kinds = {"view_scale": ("f", ("R",))}
 
 
@@ -63,6 +63,12 @@ def value_faults(group: Any) -> Iterator[str]:
         outside = (group[name][...] < 0) | (group[name][...] >= length)
         if outside.any():
             yield f"/{GROUP}/{name}: {outside.sum()} of {outside.size} name functions that do not exist"
+    pairs = (
+        group["view_component"][...].astype(np.int64) * len(group["channel_basis"]) + group["channel_component"][...]
+    )
+    if len(np.unique(pairs)) < len(pairs):
+        twice = len(pairs) - len(np.unique(pairs))
+        yield f"/{GROUP}: {twice} components are the product of the same functions as another"
     falls = np.diff(group["channel_component"][...].astype(np.int64)) < 0
     if falls.any():
         yield f"/{GROUP}/channel_component: {falls.sum()} of {len(falls) + 1} fall; expected the components by channel"

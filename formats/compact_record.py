@@ -101,26 +101,6 @@ class CompactCoefficients:
         """The functions of the view at the bins [R,B]."""
         return self.views.matrix
 
-    @cached_property
-    def view_table(self) -> NDArray[np.float32]:
-        """The same by bins [B,R], as shading reads it."""
-        return np.ascontiguousarray(self.view_matrix.T, np.float32)
-
-    @cached_property
-    def view_of_codes(self) -> NDArray[np.unsignedinteger]:
-        """The function of the view that each code belongs to [N]."""
-        narrow: Any = np.uint16 if len(self.view_matrix) <= 2**16 else np.uint32
-        return np.asarray(self.view_component.astype(narrow)[self.components])
-
-    @cached_property
-    def runs(self) -> NDArray[np.int64]:
-        """Codes of vertex v of channel function j are values[runs[v,j]:runs[v,j+1]], [V,J+1]."""
-        ends = np.append(
-            np.searchsorted(self.channel_component, np.arange(len(self.channels))), len(self.channel_component)
-        )
-        keys = np.repeat(np.arange(len(self)), np.diff(self.starts)) * (ends[-1] + 1) + self.components
-        return np.asarray(np.searchsorted(keys, np.arange(len(self))[:, None] * (ends[-1] + 1) + ends), np.int64)
-
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """Lengths of the axes V, B, K and C."""

@@ -33,7 +33,9 @@ def compact_asset(
     else:
         sizes = (1, 1) if views == 1 else (rings, sectors)
         basis = FactorisedViews(*(rng.normal(size=(size, size)).astype(np.float32) for size in sizes))
-    components = 6
+    functions = len(basis.matrix)
+    pairs = np.sort(rng.permutation(functions * width)[:6])
+    components = len(pairs)
     dense = rng.integers(-largest, largest + 1, (components, vertices)) * (rng.random((components, vertices)) < 0.5)
     dense = dense * plain.valid
     starts, which, values = joined([sparse(dense[:, :2]), sparse(dense[:, 2:])], components)
@@ -41,8 +43,8 @@ def compact_asset(
         step=0.01,
         views=basis,
         channels=rng.normal(size=(width, terms, channels)).astype(np.float32),
-        view_component=rng.integers(0, len(basis.matrix), components),
-        channel_component=np.sort(rng.integers(0, width, components)),
+        view_component=pairs % functions,
+        channel_component=pairs // functions,
         starts=starts,
         components=which,
         values=values,
@@ -65,12 +67,13 @@ def assert_same_compact(again: CompactCoefficients, compact: CompactCoefficients
 
 @st.composite
 def legal_compact_assets(draw) -> Asset:
-    vertices = draw(st.integers(3, 7))
+    vertices, degree = draw(st.integers(3, 7)), draw(st.integers(0, 3))
+    terms = (degree + 1) ** 2
     return compact_asset(
         vertices,
         draw(st.integers(1, 3)),
         draw(st.integers(1, 4)),
-        draw(st.integers(0, 3)),
+        degree,
         seed=draw(st.integers(0, 2**32)),
         learned=draw(st.booleans()),
         views=draw(st.sampled_from([None, 1])),
@@ -79,6 +82,14 @@ def legal_compact_assets(draw) -> Asset:
         valid=draw(st.lists(st.booleans(), min_size=vertices, max_size=vertices)),
         quantity=draw(st.sampled_from(["transfer", "radiance"])),
         complete=draw(st.booleans()),
+        selftest={
+            "light": np.ones((terms, 3)),
+            "vertex": np.arange(2),
+            "outgoing": np.eye(3)[:2],
+            "radiance": np.ones((2, 3)),
+        }
+        if draw(st.booleans())
+        else {},
     )
 
 
@@ -191,6 +202,10 @@ CHANGES = {
     "/transfer_compact/added_error: 1 of 5": lambda group: changed(group, "added_error", 1, np.nan),
     "/transfer_compact/view_component: 1 of 6 name functions": lambda group: changed(group, "view_component", 0, 3),
     "/transfer_compact/channel_component: 1 of 6 name": lambda group: changed(group, "channel_component", 5, 4),
+    "1 components are the product of the same": lambda group: (
+        changed(group, "view_component", 1, group["view_component"][0]),
+        changed(group, "channel_component", 1, group["channel_component"][0]),
+    ),
     "/transfer_compact/channel_component: 1 of 6 fall": lambda group: put(
         group, "channel_component", np.array([0, 0, 1, 2, 1, 3])
     ),
