@@ -14,6 +14,7 @@ The file is HDF5 with gzip and shuffle only, little-endian, of format_version 1.
 An axis that was left out has length 1 and is broadcast: B where the view does not matter, C where the channels are
 equal.
 Vertices with valid = 0 were not baked: their chunks are not written and hold 0.
+A compact asset has /transfer_compact in place of /transfer (`formats.compact_file`, docs/compression.md).
 """
 
 from formats.asset_reader import check_asset, read_asset

@@ -98,7 +98,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         raise QueryError(f"error: {error:g} is finer than whole numbers in 32 bits can tell; ask for a larger one")
     compact, original = found
     own = np.square(np.asarray(asset.standard_error, np.float64)).mean(axis=1)
-    stated = np.sqrt(own + np.square(compact.added.per_vertex, dtype=np.float64)) * asset.valid
+    stated = np.where(asset.valid, np.sqrt(own + np.square(compact.added.per_vertex, dtype=np.float64)), 0.0)
     noise = float(own[asset.valid].sum()) * math.prod(asset.coefficients.shape[1:])
     told = {
         "form": best.form.name,
@@ -186,9 +186,13 @@ def _sample(asset: Asset) -> NDArray[np.float32]:
 
 
 def _read(asset: Asset, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Coefficients of ascending vertices."""
+    """Coefficients of ascending vertices, 0 where they are not valid."""
     span = np.asarray(asset.coefficients[int(rows[0]) : int(rows[-1]) + 1])
-    return np.asarray(span[rows - rows[0]], np.float32)
+    block = np.where(asset.valid[rows, None, None, None], span[rows - rows[0]], 0.0).astype(np.float32)
+    wrong = ~np.isfinite(block).all(axis=(1, 2, 3))
+    if wrong.any():
+        raise QueryError(f"asset: coefficients of vertex {rows[wrong.argmax()]} are not finite; bake it again")
+    return block
 
 
 def _trials(
@@ -244,7 +248,7 @@ def _untransformed(asset: Asset, error: float) -> Trial:
     squares = count = 0.0
     for first in range(0, len(asset.valid), AT_ONCE):
         rows = np.arange(first, min(first + AT_ONCE, len(asset.valid)))
-        squares += float(np.square(_read(asset, rows)[asset.valid[rows]], dtype=np.float64).sum())
+        squares += float(np.square(_read(asset, rows), dtype=np.float64).sum())
         count += float(asset.valid[rows].sum()) * bins * terms * channels
     form = untransformed(rings, sectors, terms, channels)
     channel, view = (part.ravel() for part in np.mgrid[: terms * channels, :bins])
@@ -264,7 +268,7 @@ def _encoded(asset: Asset, trial: Trial, step: float, error: float, say: Callabl
         if not asset.valid[rows].any():
             parts.append(sparse(np.zeros((1, len(rows)), np.int32)))
             continue
-        block = _read(asset, rows) * asset.valid[rows, None, None, None]
+        block = _read(asset, rows)
         numbers = form.numbers(block, analysis)
         codes = quantised(numbers[:, at[0], at[1]].T.astype(np.float64), step)
         parts.append(sparse(codes))

@@ -231,6 +231,12 @@ def test_what_cannot_be_compressed_is_refused(tmp_path) -> None:
         compress(compress(asset, 0.1), 0.1)
     with pytest.raises(QueryError, match="no vertex was baked"):
         compress(dataclasses.replace(asset, valid=np.zeros(66, np.bool_)), 0.1)
+    broken = asset.coefficients.copy()
+    broken[17, 3, 2, 1] = np.nan
+    with pytest.raises(QueryError, match="vertex 17 are not finite"):
+        compress(dataclasses.replace(asset, coefficients=broken), 0.1)
+    without = dataclasses.replace(asset, coefficients=broken, valid=np.arange(66) != 17)
+    assert np.isfinite(compress(without, 0.1).coefficients[:]).all()
     write_asset(asset, tmp_path / "a.h5")
     with pytest.raises(QueryError, match="is the asset itself"):
         compress_file(tmp_path / "a.h5", tmp_path / "a.h5", 0.1)
