@@ -22,6 +22,7 @@ FORMULA = (
     "channel_basis[channel_component[p],k,c]; codes = sum over d of 256**d * digits_d; view = kron(ring_basis, "
     "sector_basis), or view_scale[r] * sum over d of 256**d * view_digits_d[r,b]"
 )
+Sparse = tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.int32]]
 _CHUNK_BYTES = 2**18
 _CHUNK_VERTICES = 4096
 _KEPT_BITS = 8  # of the mantissa of error figures: 0.4 %
@@ -90,19 +91,20 @@ def digit_planes(codes: NDArray[np.integer]) -> list[NDArray[np.int8]]:
     return planes
 
 
-def sparse(dense: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+def sparse(dense: NDArray[np.integer]) -> Sparse:
     """How many codes of each vertex are not zero [n], their components, and their values, of codes [P,n]."""
     vertex, component = np.nonzero(dense.T)
-    return np.bincount(vertex, minlength=dense.shape[1]), component, dense[component, vertex].astype(np.int64)
+    counts = np.bincount(vertex, minlength=dense.shape[1])
+    return counts, component.astype(np.uint32), dense[component, vertex].astype(np.int32)
 
 
 def joined(
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]], components: int
+    parts: list[Sparse], components: int
 ) -> tuple[NDArray[np.int64], NDArray[np.unsignedinteger], NDArray[np.signedinteger]]:
     """Blocks of `sparse` in the order of their vertices as starts, components and values, in types that hold them."""
     counts = np.concatenate([part[0] for part in parts])
     starts = np.concatenate([[0], np.cumsum(counts)])
-    narrow = all(abs(part[2]).max(initial=0) < 2**15 for part in parts)
+    narrow = all(np.abs(part[2]).max(initial=0) < 2**15 for part in parts)
     index: Any = np.uint16 if components <= 2**16 else np.uint32
     value: Any = np.int16 if narrow else np.int32
     return (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from bakers.compression import Trial, forms, quantised, tried, untransformed
 from formats.asset import Asset, read_asset
-from formats.compact_file import coarse, joined, sparse, write_compact
+from formats.compact_file import Sparse, coarse, joined, sparse, write_compact
 from formats.compact_record import AddedError, CompactCoefficients
 from formats.errors import QueryError
 from formats.whole import replacing
@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
 
 LEAST_ERROR = 1e-6
-SAMPLE_NUMBERS = 2**26
-"""Coefficients of the vertices that forms are fitted to and tried on."""
+SAMPLE_BYTES = 2**28
+"""Coefficients of the vertices that forms are fitted to and tried on, in the type of the work."""
 SINGLE_PRECISION = 1e-3
 """From this error on float32 is exact enough to multiply by bases."""
 LEAST_SAMPLE = 64
@@ -61,7 +61,7 @@ class Outcome(NamedTuple):
 class Encoded(NamedTuple):
     """All vertices in one form: the parts of compact codes, and the error's squares [V] and the original's [V]."""
 
-    parts: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
+    parts: list[Sparse]
     lost: Array
     original: Array
 
@@ -81,7 +81,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         raise QueryError("asset: is compact already; compress the one that it was made from")
     began = time.monotonic()
     say = progress or (lambda share, words: None)
-    sample = _sample(asset)
+    sample = _sample(asset, SAMPLE_BYTES // np.dtype(kind_for(error)).itemsize)
     squares = float(np.square(sample, dtype=np.float64).sum())
     trials, table = _trials(asset, sample, error**2 * squares, error, squares, say)
     share = int(np.count_nonzero(asset.valid)) / max(1, len(sample))
@@ -174,13 +174,13 @@ def kind_for(error: float) -> Any:
     return np.float32 if error >= SINGLE_PRECISION else np.float64
 
 
-def _sample(asset: Asset) -> NDArray[np.float32]:
-    """Valid vertices evenly from all of them, as many as `SAMPLE_NUMBERS` allow."""
+def _sample(asset: Asset, numbers: int) -> NDArray[np.float32]:
+    """Valid vertices evenly from all of them, as many as have so many coefficients."""
     shape = asset.coefficients.shape
     valid = np.flatnonzero(asset.valid)
     if not len(valid):
         raise QueryError("asset: no vertex was baked, there is nothing to compress; bake it again")
-    count = min(len(valid), max(LEAST_SAMPLE, SAMPLE_NUMBERS // math.prod(shape[1:])))
+    count = min(len(valid), max(LEAST_SAMPLE, numbers // math.prod(shape[1:])))
     chosen = valid[np.linspace(0, len(valid) - 1, count).round().astype(np.int64)]
     return np.concatenate([_read(asset, chosen[i : i + AT_ONCE]) for i in range(0, count, AT_ONCE)])
 

@@ -21,7 +21,7 @@ from prt_bake.sphere import BinCoordinates
 
 _BYTES_AT_ONCE = 64 << 20
 _VERTICES_A_THREAD = 1 << 14
-_COMPACT_VERTICES_A_THREAD = 1 << 11
+_COMPACT_VERTICES_A_THREAD = 1 << 13
 
 
 def reconstruct(

@@ -205,7 +205,7 @@ def test_of_an_open_file_it_is_that_of_the_array_in_it(tmp_path, monkeypatch) ->
     opened = read_asset(tmp_path / "a.h5", load=False)
     np.testing.assert_array_equal(compress(opened, 0.01).coefficients[:], compress(asset, 0.01).coefficients[:])
     opened.close()
-    monkeypatch.setattr("prt_bake.compressing.SAMPLE_NUMBERS", 64)
+    monkeypatch.setattr("prt_bake.compressing.SAMPLE_BYTES", 256)
     monkeypatch.setattr("prt_bake.compressing.LEAST_SAMPLE", 7)
     assert_within(holding(of_rank(20, 0.1)), 0.01, compress(holding(of_rank(20, 0.1)), 0.01))
 
