@@ -26,12 +26,12 @@ class Arranged(NamedTuple):
     """Codes as shading reads them.
 
     table: float32 [B,R], functions of the view at the bins, those that most codes use first.
-    dense: [V,J,D], codes of the first D of them. values, which: the other codes that are not zero [M], and their
+    dense: [V,J,D], codes of the first D of them, large ones 0. values, which: all other codes [M], and their
     functions; those of vertex v and channel function j are runs[v,j] to runs[v,j+1] of them, runs [V,J+1].
     """
 
     table: NDArray[np.float32]
-    dense: NDArray[np.signedinteger]
+    dense: NDArray[np.int8]
     runs: NDArray[np.int64]
     which: NDArray[np.uint32]
     values: NDArray[np.signedinteger]
@@ -62,14 +62,14 @@ def arranged(compact: CompactCoefficients) -> Arranged:
     views, channels = (part[compact.components] for part in (compact.view_component, compact.channel_component))
     used = np.bincount(views, minlength=functions)
     order = np.argsort(-used, kind="stable")
-    most = _DENSE_BYTES // max(1, vertices * width * compact.values.itemsize)
+    most = _DENSE_BYTES // max(1, vertices * width)
     size = min(int((used >= _DENSE_FROM * vertices * width).sum()), most)
     place = np.empty(functions, np.uint32)
     place[order] = np.arange(functions, dtype=np.uint32)
     which = place[views]
     row = np.repeat(np.arange(vertices), np.diff(compact.starts)) * width + channels
-    dense = np.zeros((vertices * width, size), compact.values.dtype)
-    of_dense = which < size
+    dense = np.zeros((vertices * width, size), np.int8)
+    of_dense = (which < size) & (np.abs(compact.values) < 128)
     dense[row[of_dense], which[of_dense]] = compact.values[of_dense]
     others = ~of_dense
     ends = np.concatenate([[0], np.cumsum(np.bincount(row[others], minlength=vertices * width))])
