@@ -10,22 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block
-from bakers.refined import WAYS, Checks, Refined
+from bakers.refined import WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.journal import Journal
 from prt_bake.bake_first_look import Site, first_refinement
-from prt_bake.bake_refined import MANY, Aim, Pass, aimed, coarse, one_pass, tighter
+from prt_bake.bake_refined import COST, MANY, Aim, Pass, aimed, coarse, one_pass, tighter
 from prt_bake.bake_work import Work
 from prt_bake.pared_sink import pared_sink
 
 COARSE = 0.15
 """Error that the first pass over an object of many bins is made for: there is an asset soon."""
 PASSES = 3
-FINER = 2.0
-"""From one pass to the next, of a bake that has a time to run."""
-ALL_THE_TIME = 0.9
+FINER, FINEST = 1.25, 16.0
+"""Times smaller, that the error of a pass must at least and may at most be than that of the one before, in a bake that
+has a time to run.
+"""
+TIME_TO_USE = 0.75
 """Of the time left, what a pass may be foretold to take."""
 
 
@@ -113,33 +115,40 @@ def bake_to_error(run: Run) -> Asset:
                 break
             aim = tighter(aim, done, run.error)
         return _ended(run)
+    began = time.monotonic()
     done = _pass(run, coarse(refinement, max(COARSE, run.error or 0.0)))
-    goal = COARSE
     while done is not None and not (run.error is not None and done.worst <= run.error):
-        following = _next_aim(run, refinement, goal)
+        following = _next_aim(run, refinement, done, time.monotonic() - began)
         if following is None:
             break
-        goal, aim = following
-        done = _pass(run, aim)
+        began = time.monotonic()
+        done = _pass(run, following)
     return _ended(run)
 
 
-def _next_aim(run: Run, refinement: Any, goal: float) -> tuple[float, Aim] | None:
-    """The finest error, and how to get there, that there is time left for; None where there is not for any."""
-    found = None
-    while not run.stopped:
-        goal = max(goal / FINER, run.error or 0.0)
+def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) -> Aim | None:
+    """How to get to the smallest error that there is time left for, after a pass that took so many seconds; None where
+    there is not enough to make it worth while.
+    """
+    reached, vertices = before.worst, len(run.site.vertices)
+    goal, least = reached * (seconds / max(TIME_TO_USE * run.left, 1e-9)) ** (1.0 / COST), run.error or 0.0
+    for _try in range(PASSES):
+        goal = max(goal, reached / FINEST, least)
+        if run.stopped or goal > reached / FINER:
+            return None
         try:
             aim = aimed(run.site, refinement, goal)
         except QueryError:
-            break
+            return None
         run.work.evaluations += aim.evaluations
-        if aim.seconds * len(run.site.vertices) / max(1, run.work.workers) > ALL_THE_TIME * run.left:
-            break
-        found = goal, aim
-        if goal == run.error:
-            break
-    return found
+        # A pilot's blocks are small, and slower than those of a pass.
+        by_pilot = aim.seconds * vertices / max(1, run.work.workers)
+        by_pass = aim.evaluations_per_vertex * vertices * seconds / max(1, before.tally.evaluations)
+        over = min(by_pilot, by_pass) / max(TIME_TO_USE * run.left, 1e-9)
+        if over <= 1.0:
+            return aim
+        goal *= over ** (1.0 / COST)
+    return None
 
 
 @dataclass(frozen=True)
