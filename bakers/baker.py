@@ -1,9 +1,9 @@
-"""The one loop of every bake: blocks of vertices in, coefficients with standard errors out, in order.
+"""The work of every bake in fixed samples: a block of vertices in, coefficients with standard errors out.
 
 A block's numbers depend on its vertices alone, not on where the cuts lie or how many workers there are.
 """
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.error_estimate import Estimator, halves_variance, neighbour_variance
-from bakers.in_order import in_order
 from bakers.path_traced import Account, Walks, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
 from bakers.projection import DirectionPool, project, residual_variance
@@ -63,15 +62,12 @@ class Task:
     sampling: Sampling | Walks
 
 
-def bake_blocks(task: Task, runs: Sequence[range], workers: int = 1) -> Generator[Block, None, None]:
-    """Yields the blocks of runs of vertices in order, computed by `workers` threads, or by those of the walks.
-
-    Whatever the transport raises is raised here. Closing the iterator waits for the blocks under way.
-    """
+def cuts(task: Task, vertices: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First and last + 1 of the blocks that these vertices, in ascending order, are baked in."""
+    runs = np.split(vertices, np.flatnonzero(np.diff(vertices) > 1) + 1)
     size = block_size(task)
-    cuts = ((first, min(first + size, run.stop)) for run in runs for first in range(run.start, run.stop, size))
-    alone = workers <= 1 or isinstance(task.sampling, Walks)
-    yield from in_order(lambda cut: bake_block(task, *cut), cuts, 1 if alone else workers)
+    spans = [(int(run[0]), int(run[-1]) + 1) for run in runs if len(run)]
+    return [(first, min(first + size, end)) for start, end in spans for first in range(start, end, size)]
 
 
 def block_size(task: Task) -> int:

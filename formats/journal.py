@@ -10,13 +10,14 @@ import shutil
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import StorageError
-from formats.whole import replacing, storage_error
+from formats.whole import remove_parts, replacing, storage_error
 
 _IDENTITY = "identity.json"
 
@@ -25,7 +26,10 @@ class Journal:
     """Blocks of named arrays by name, in a folder beside `output`."""
 
     def __init__(self, output: str | os.PathLike[str], identity: Mapping[str, Any], resume: bool) -> None:
-        """Opens the journal of `output`, an empty one unless `resume`.
+        """Opens the journal of `output`, an empty one unless `resume`; the folder is made with the first block.
+
+        Attributes:
+            resumed: whether there are blocks of an earlier run.
 
         Args:
             output: the file that the blocks are for.
@@ -33,21 +37,23 @@ class Journal:
             resume: keep the blocks of an earlier run of the same identity.
 
         Raises:
-            StorageError: the folder cannot be made, or an earlier run was of another identity: says what changed.
+            StorageError: an older folder cannot be removed, or the earlier run was of another identity: says what
+                changed.
         """
         self._output = Path(output)
         self.folder = self._output.with_name(f"{self._output.name}.journal")
-        own = json.loads(json.dumps(dict(identity)))
-        try:
-            if resume and (self.folder / _IDENTITY).is_file():
-                self._refuse_changed(own)
-                return
-            shutil.rmtree(self.folder, ignore_errors=True)
-            self.folder.mkdir()
-        except OSError as cause:
-            raise storage_error(self.folder, cause) from cause
-        with replacing(self.folder / _IDENTITY) as part:
-            part.write_text(json.dumps(own, indent=1), encoding="utf-8")
+        self._identity = json.loads(json.dumps(dict(identity)))
+        self._lock = Lock()
+        self.resumed = resume and (self.folder / _IDENTITY).is_file()
+        if self.resumed:
+            self._refuse_changed()
+            remove_parts(self._output.parent, self._output.name)
+            remove_parts(self.folder)
+        elif self.folder.exists():
+            try:
+                shutil.rmtree(self.folder)
+            except OSError as cause:
+                raise storage_error(self.folder, cause) from cause
 
     def read(self, name: str) -> dict[str, NDArray[Any]] | None:
         """The block of that name, or None where there is none that can be read."""
@@ -59,19 +65,37 @@ class Journal:
 
     def write(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Keeps a block; raises StorageError where the disk is full, and keeps what was there before."""
+        self._begin()
         with replacing(self.folder / f"{name}.npz") as part, open(part, "wb") as file:
             np.savez(file, allow_pickle=False, **dict(arrays))
 
+    def names(self, stage: str) -> list[str]:
+        """Names of the blocks that begin with `stage`."""
+        return sorted(path.stem for path in self.folder.glob(f"{stage}*.npz"))
+
     def forget(self, stage: str) -> None:
         """Removes the blocks whose names begin with `stage`."""
-        for path in self.folder.glob(f"{stage}*.npz"):
-            path.unlink(missing_ok=True)
+        for name in self.names(stage):
+            (self.folder / f"{name}.npz").unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Removes the journal; the work is done."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _refuse_changed(self, own: dict[str, Any]) -> None:
+    def _begin(self) -> None:
+        """Makes the folder with the first block: where nothing was done nothing is left behind."""
+        with self._lock:
+            if (self.folder / _IDENTITY).is_file():
+                return
+            try:
+                self.folder.mkdir(exist_ok=True)
+            except OSError as cause:
+                raise storage_error(self.folder, cause) from cause
+            with replacing(self.folder / _IDENTITY) as part:
+                part.write_text(json.dumps(self._identity, indent=1), encoding="utf-8")
+
+    def _refuse_changed(self) -> None:
+        own = self._identity
         try:
             before = json.loads((self.folder / _IDENTITY).read_text(encoding="utf-8"))
         except ValueError:

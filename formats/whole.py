@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import glob
 import hashlib
 import os
 import secrets
@@ -53,6 +54,13 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def remove_parts(folder: Path, name: str = "") -> None:
+    """Remove what killed processes have left in a folder of files whose names end with `name`, while writing them."""
+    for part in folder.glob(f".*{glob.escape(name[-100:])}.*.part"):
+        with contextlib.suppress(OSError):
+            part.unlink()
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

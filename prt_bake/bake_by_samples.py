@@ -1,10 +1,14 @@
-"""Bakes with the same number of directions, or of random walks, at every view bin."""
+"""Bakes with the same number of directions, or of random walks, at every view bin.
+
+Finished blocks are kept beside the asset while it is written (`prt_bake.bake_shelf`), and when it is only a part.
+"""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from bakers.baker import Block, bake_blocks
+from bakers.baker import Block, bake_block
+from bakers.in_order import in_order
 from bakers.path_traced import Account, Walks
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -12,35 +16,54 @@ from prt_bake.bake_error import ErrorMeter
 from prt_bake.bake_job import Job, resolve
 from prt_bake.bake_output import Sink
 from prt_bake.bake_pilot import reach
+from prt_bake.bake_shelf import Cut, Shelf
+from prt_bake.bake_store import Store
 from prt_bake.bake_work import Work
 from prt_bake.pared_sink import pared_sink
 
 ROWS = 100
+PILOT = "pilot"
 
 
-def bake_by_samples(work: Work, directions: str, samples: int, error: float | None) -> Asset:
+def bake_by_samples(work: Work, store: Store, directions: str, samples: int, error: float | None) -> Asset:
     """Bakes block by block; to an `error`, a pilot finds out how many samples it takes.
 
     Raises QueryError where nothing was done or nothing is finite, or the error is out of reach, NotSo where a vertex
     needs what was to be left out.
     """
+    spent = 0
+    if error is not None and (known := store.read(PILOT)) is not None:
+        samples, spent = int(known["samples"]), int(known["evaluations"])
     rings, sectors = work.head.rings, work.head.sectors
     job = resolve(
         work.transport, work.mesh, work.needs.degree, rings, sectors, directions, samples, work.seed, work.needs
     )
-    if error is not None:
+    if error is not None and not spent:
         job, spent = reach(job, work.needs.left_for_projection(error), directions, work.seed)
-        work.evaluations += spent
+        store.write(PILOT, {"samples": np.asarray(job.resolved.samples), "evaluations": np.asarray(spent)})
+    work.evaluations += spent
     with pared_sink(work.out, work.head, work.storage, work.needs) as sink:
-        return _run(work, job, sink)
+        asset = _run(work, job, sink, Shelf(None if work.out is None else store))
+    if asset.complete:
+        store.remove()
+    return asset
 
 
-def _run(work: Work, job: Job, sink: Sink) -> Asset:
+def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
     """Bakes into the sink, keeps the error figures, and closes the asset, whole or in part."""
     vertices, per_vertex = len(work.needs.vertices), job.task.bins * job.resolved.samples
     meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), Account()
     done = bent = 0
-    blocks = bake_blocks(job.task, _runs(work), work.workers)
+
+    def one(cut: Cut) -> Block:
+        block = shelf.kept(cut)
+        if block is None:
+            block = bake_block(job.task, *cut)
+            shelf.keep(block)
+        return block
+
+    alone = isinstance(job.resolved.sampling, Walks)
+    blocks = in_order(one, shelf.cuts(job.task, work.needs.vertices), 1 if alone else work.workers)
     try:
         for block in _until(work, blocks):
             work.evaluations += len(block.valid) * per_vertex
@@ -77,13 +100,6 @@ def _run(work: Work, job: Job, sink: Sink) -> Asset:
     if isinstance(job.resolved.sampling, Walks):
         report["walks"] = account.as_json()
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
-
-
-def _runs(work: Work) -> list[range]:
-    """The vertices that are baked, as runs of consecutive ones."""
-    vertices = work.needs.vertices
-    runs = np.split(vertices, np.flatnonzero(np.diff(vertices) > 1) + 1)
-    return [range(int(run[0]), int(run[-1]) + 1) for run in runs if len(run)]
 
 
 def _until(work: Work, blocks: Iterator[Block]) -> Iterator[Block]:

@@ -45,6 +45,8 @@ class Site:
     """View bins [B,3] in the local frame."""
     degree: int
     seed: int
+    at_once: int | None = None
+    """Vertices that are baked together, where an earlier run has settled that."""
 
     @property
     def bins(self) -> int:
@@ -59,7 +61,7 @@ class Site:
     @property
     def block_vertices(self) -> int:
         """Vertices that are baked together."""
-        return int(np.clip(BINS_AT_ONCE // self.bins, 1, MOST_AT_ONCE))
+        return self.at_once or int(np.clip(BINS_AT_ONCE // self.bins, 1, MOST_AT_ONCE))
 
     @property
     def blocks(self) -> range:

@@ -3,8 +3,7 @@
 import math
 import time
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +13,9 @@ from bakers.refined import WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
-from formats.journal import Journal
 from prt_bake.bake_first_look import Site, first_refinement
-from prt_bake.bake_refined import COST, MANY, Aim, Pass, aimed, coarse, one_pass, tighter
+from prt_bake.bake_refined import COST, LATTICES, MANY, Aim, Pass, aimed, coarse, one_pass, tighter
+from prt_bake.bake_store import Store
 from prt_bake.bake_work import Work
 from prt_bake.pared_sink import pared_sink
 
@@ -31,46 +30,6 @@ TIME_TO_USE = 0.75
 """Of the time left, what a pass may be foretold to take."""
 
 
-class Store(Protocol):
-    """Keeps named arrays by name: in memory, or `formats.journal.Journal`."""
-
-    def read(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """What was kept under that name."""
-
-    def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keeps arrays."""
-
-    def forget(self, stage: str) -> None:
-        """Drops what is kept under names that begin so."""
-
-    def remove(self) -> None:
-        """Drops everything."""
-
-
-class Memory:
-    """A store in memory."""
-
-    def __init__(self) -> None:
-        self._kept: dict[str, dict[str, NDArray[Any]]] = {}
-
-    def read(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """What was kept under that name."""
-        return self._kept.get(name)
-
-    def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keeps arrays."""
-        self._kept[name] = arrays
-
-    def forget(self, stage: str) -> None:
-        """Drops what is kept under names that begin so."""
-        for name in [name for name in self._kept if name.startswith(stage)]:
-            del self._kept[name]
-
-    def remove(self) -> None:
-        """Drops everything."""
-        self._kept.clear()
-
-
 class Run:
     """A bake under way: where its blocks go, what it is to come to and by when, and what it has come to so far."""
 
@@ -78,10 +37,12 @@ class Run:
         needs = work.needs
         self.work, self.store, self.deadline = work, store, deadline
         self.error = None if error is None else needs.left_for_projection(error)
+        known = [arrays for name in store.names("aim-") if (arrays := store.read(name)) is not None]
+        at_once = int(known[0]["at_once"]) if known else None
         self.site = Site(
-            work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed
+            work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed, at_once
         )
-        self.number = 0
+        self.number = self.passes = 0
         self.asset: Asset | None = None
         self.rows: list[tuple[float, float, float]] = []
 
@@ -105,10 +66,13 @@ def bake_to_error(run: Run) -> Asset:
     refinement, looked = first_refinement(run.site)
     run.work.evaluations += looked
     if run.error is not None and not math.isfinite(run.deadline):
-        if run.site.many >= MANY and run.error < COARSE / 2 and _pass(run, coarse(refinement, COARSE)) is None:
+        large = run.site.many >= MANY and run.error < COARSE / 2
+        if large and not run.store.names("01-") and _pass(run, coarse(refinement, COARSE)) is None:
             return _ended(run)
         aim = aimed(run.site, refinement, run.error)
         run.work.evaluations += aim.evaluations
+        # The numbers of passes to the error must not depend on whether there was a coarse one.
+        run.number = 1
         for _again in range(PASSES):
             done = _pass(run, aim)
             if done is None or done.worst <= run.error:
@@ -173,6 +137,18 @@ class _Shelf:
         assert found is not None
         return found
 
+    def begin(self, aim: Aim, at_once: int) -> None:
+        """Drops what an earlier run has kept of a pass to other tolerances: a bake for minutes is never the same."""
+        how, name = aim.refinement, f"aim-{self.number:02d}"
+        lattices = LATTICES.index(how.lattices)
+        tolerances = np.array([how.light, how.view, how.checked, how.floor, how.begin, lattices], np.float64)
+        known = self.store.read(name)
+        if known is not None and np.array_equal(known["tolerances"], tolerances):
+            return
+        self.store.forget(f"{self.number:02d}-")
+        self.store.forget(f"done-{self.number:02d}")
+        self.store.write(name, {"tolerances": tolerances, "at_once": np.asarray(at_once)})
+
     def forget_before(self) -> None:
         self.store.forget(f"{self.number - 1:02d}-")
 
@@ -180,7 +156,8 @@ class _Shelf:
 def _pass(run: Run, aim: Aim) -> Pass | None:
     """One pass and its asset; None where it was stopped before its end, and an asset then only if it is the first."""
     shelf, vertices = _Shelf(run.store, run.number), len(run.site.vertices)
-    run.number += 1
+    run.number, run.passes = run.number + 1, run.passes + 1
+    shelf.begin(aim, run.site.block_vertices)
 
     def show(done: int, tally: Tally) -> None:
         if run.work.progress is not None:
@@ -197,6 +174,8 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
     run.rows.append((run.work.seconds, float(run.work.evaluations), done.total))
     if not done.tally.done.any():
         if run.asset is None:
+            if not run.store.names(f"{shelf.number:02d}-"):
+                run.store.remove()
             raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
         return None
     if done.tally.invalid[done.tally.done].all():
@@ -251,7 +230,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             "vertices_not_finite": {"count": len(invalid), "first": invalid[:16].tolist()},
             "vertices_baked": int(done.tally.done.sum()),
             "refinement": {
-                "passes": run.number,
+                "passes": run.passes,
                 "bins_by_directions": {str(size): histogram[size] for size in sorted(histogram)},
                 "bins_foretold": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
                 "bins_checked": done.tally.checked,
@@ -283,8 +262,3 @@ def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
     taken = int(arrays["checks_evaluations"])
     own = [arrays[name] for name in ("coefficients", "deviation", "directions", "way")]
     return Refined(own[0], own[1], own[2], own[3], int(arrays["evaluations"]), Checks(evaluations=taken, **checks))
-
-
-def opened_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> Store:
-    """A journal beside the asset, or memory where there is no asset on disk."""
-    return Memory() if out is None else Journal(out, identity, resume)

@@ -28,7 +28,8 @@ from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, re
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
 from prt_bake.bake_refined import aimed
-from prt_bake.bake_to_error import Memory, Run, Store, bake_to_error, opened_store
+from prt_bake.bake_store import Store, opened_store
+from prt_bake.bake_to_error import Run, bake_to_error
 from prt_bake.bake_work import Progress, Work
 from prt_bake.pared_sink import NotSo
 
@@ -77,14 +78,16 @@ def bake(
             and for random walks, a pilot tells how many `samples` it takes.
         minutes: how long to go on making it finer, if `error` is not reached before; a coarse asset is there first.
         seed: keys everything random; equal seeds give equal assets whatever the number of workers.
-        out: asset to write while baking; without it the coefficients are an array in float32.
+        out: asset to write; without it the coefficients are an array in float32. Finished blocks lie beside it, in
+            OUT.journal, until it is whole.
         precision: "float32" or "bfloat16", of a network's matrix work.
         storage: "float16" or "float32", in the file.
         workers: threads, each with a block of vertices of its own; those of random walks share each block.
         device: where a network is evaluated ("cpu", "cuda").
         progress: called after each block.
         stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
-        resume: go on from the finished blocks of a bake to the same `error` and `out` that was killed.
+        resume: go on from the finished blocks of a bake to the same `out` that was stopped or killed, asked for the
+            same of the same transport and mesh: to the same numbers, bit for bit.
         leave_out: of "unseen", "duplicates", "views", "bands" and "channels", what may be left out where the scene does
             not need it (`prt_bake.bake_needs`); `baking.ITEMS` are all of them. Axes that are left out have length 1,
             vertices that are left out are not valid, and `left_out` of the asset names each.
@@ -116,8 +119,8 @@ def bake(
     if error is not None and not 0.0 < error < 1.0:
         raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
     refined = refined and (error is not None or minutes is not None)
-    if resume and not refined:
-        raise QueryError("resume: is for a bake to an error, with fibonacci directions; this one starts anew")
+    if resume and out is None:
+        raise QueryError("resume: finished blocks lie beside the asset; give out, the file that was being written")
     light = as_light(for_light, degree)
     eye = None if for_eye is None else as_point(for_eye)
     asked: dict[str, Any] = {
@@ -133,14 +136,14 @@ def bake(
         "for_light": None if light is None else light.content_hash,
         "for_eye": None if eye is None else eye.tolist(),
     }
-    if refined:
-        asked["minutes"] = minutes
+    # How many directions there are is found out by a bake to an error, and how long it has is no matter of its numbers.
+    asked |= {"minutes": minutes} if refined else {"directions": directions, "samples": samples}
     identity = {**asked, "mesh": mesh.content_hash, "transport": _identity(transport, provenance or {})}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
     report = _settings(transport, mesh, asked, workers) | (provenance or {})
     with limited_threads(transport, workers):
-        store = opened_store(out, identity, resume) if refined else Memory()
+        store = opened_store(out, identity, resume)
         spared, spent = set(leave_out) - _needed_after_all(store), 0
         while True:
             needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, spared, light, eye)
@@ -150,7 +153,7 @@ def bake(
                 if refined:
                     deadline = math.inf if minutes is None else began + 60.0 * minutes
                     return bake_to_error(Run(work, store, error, deadline))
-                return bake_by_samples(work, directions, samples, error)
+                return bake_by_samples(work, store, directions, samples, error)
             except NotSo as wrong:
                 spared, spent = spared - {wrong.item}, work.evaluations
                 report = report | {"needed_after_all": [*report.get("needed_after_all", []), str(wrong)]}

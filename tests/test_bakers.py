@@ -1,5 +1,6 @@
 """Laws of the bakers: exact projection, honest errors, horizons, one loop with three ways in."""
 
+from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,9 +9,10 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from bakers.baker import Sampling, Task, bake_block, bake_blocks, block_size
+from bakers.baker import Block, Sampling, Task, bake_block, block_size, cuts
 from bakers.error_estimate import choose_estimator, halves_variance, neighbour_variance
 from bakers.horizon import LOWEST_COSINE, bend_to_horizon, vertex_faces
+from bakers.in_order import in_order
 from bakers.path_traced import WALKS_AT_ONCE, Walks
 from bakers.plan import plan_bake, vertices_at_once
 from bakers.projection import DirectionPool, direction_pool, project, residual_variance
@@ -214,13 +216,23 @@ def test_walks_are_keyed_by_vertex_and_their_errors_are_kept() -> None:
     np.testing.assert_allclose(block.standard_error, 0.02, rtol=1e-6)
 
 
+def in_blocks(work: Task, vertices: int, workers: int) -> Generator[Block, None, None]:
+    return in_order(lambda cut: bake_block(work, *cut), cuts(work, np.arange(vertices)), workers)
+
+
+def test_cuts_leave_out_what_is_not_baked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
+    assert cuts(task(LobedInBlocks()), np.array([0, 1, 2, 5, 6])) == [(0, 2), (2, 3), (5, 7)]
+    assert cuts(task(LobedInBlocks()), np.zeros(0, np.int64)) == []
+
+
 @pytest.mark.parametrize("workers", [1, 3])
 def test_blocks_come_in_order_and_do_not_depend_on_workers_or_cuts(
     workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = bake_block(task(LobedInBlocks()), 0, 7)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
-    blocks = list(bake_blocks(task(LobedInBlocks()), [range(7)], workers))
+    blocks = list(in_blocks(task(LobedInBlocks()), 7, workers))
     assert [block.first_vertex for block in blocks] == [0, 2, 4, 6]
     np.testing.assert_array_equal(np.concatenate([block.coefficients for block in blocks]), whole.coefficients)
     np.testing.assert_array_equal(np.concatenate([block.standard_error for block in blocks]), whole.standard_error)
@@ -234,7 +246,7 @@ def test_what_a_transport_raises_is_raised(workers: int) -> None:
             raise RuntimeError("lamp is out")
 
     with pytest.raises(RuntimeError, match="lamp is out"):
-        list(bake_blocks(task(Broken()), [range(7)], workers))
+        list(in_blocks(task(Broken()), 7, workers))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
@@ -284,7 +296,7 @@ def test_loop_can_be_left_early() -> None:
             calls.append(len(positions))
             return super().evaluate(incident, positions, outgoing)
 
-    blocks = bake_blocks(task(Counting(), vertices=4, sampling=None), [range(4)])
+    blocks = in_blocks(task(Counting(), vertices=4, sampling=None), 4, 1)
     next(blocks)
     blocks.close()
     assert len(calls) == 1

@@ -369,7 +369,7 @@ def test_a_part_never_takes_the_place_of_a_whole_asset(tmp_path: Path) -> None:
     assert not part.complete
     assert 0 < part.valid.sum() < len(mesh.positions)
     assert out.read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.h5", "partial-ball.h5"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ball.h5", "ball.h5.journal", "partial-ball.h5"]
     bake(Kinked(), mesh, rings=2, sectors=4, samples=20, out=out).close()
     assert out.read_bytes() != before
 

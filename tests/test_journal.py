@@ -29,7 +29,7 @@ import formats.journal as journal
 write, left = journal.Journal.write, [{blocks}]
 def counted(self, name, arrays):
     write(self, name, arrays)
-    left[0] -= 1
+    left[0] -= not name.startswith("aim")
     if left[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
 journal.Journal.write = counted
@@ -63,7 +63,7 @@ def test_killed_and_resumed_is_the_asset_of_one_run(
     killed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     journal = tmp_path / "killed.h5.journal"
-    assert len(list(journal.glob("*.npz"))) == blocks
+    assert sum(not path.name.startswith("aim") for path in journal.glob("*.npz")) == blocks
     monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
     monkeypatch.setattr("prt_bake.bake_to_error.aimed", loosely_aimed)
     asked: list[int] = []
@@ -137,7 +137,7 @@ def test_blocks_that_are_broken_are_not_there(tmp_path: Path) -> None:
     (journal.folder / "identity.json").write_text("{")
     with pytest.raises(StorageError, match="seed was None"):
         Journal(tmp_path / "a.h5", {"seed": 1}, resume=True)
-    Journal(tmp_path / "a.h5", {"seed": 2}, resume=False).remove()
+    Journal(tmp_path / "a.h5", {"seed": 2}, resume=False)
     assert not journal.folder.exists()
 
 

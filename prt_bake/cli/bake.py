@@ -79,7 +79,10 @@ def bake(
     ] = None,
     for_eye: OnlyEye = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with a bake to the same --error that was killed.")
+        bool,
+        typer.Option(
+            "--resume", help="Go on with the same bake, stopped or killed, from the blocks kept beside the asset."
+        ),
     ] = False,
     report: ReportFile = None,
 ) -> None:
@@ -152,7 +155,10 @@ def bake(
     for remark in _remarks(summary):
         print(remark)
     if not asset.complete:
-        raise PrtbakeError(f"{written}: the bake was stopped; what is baked is a valid asset that says so")
+        raise PrtbakeError(
+            f"{written}: the bake was stopped; what is baked is a valid asset that says so; "
+            f"the same command with --resume goes on"
+        )
 
 
 def _but(kept: list[str], items: tuple[str, ...]) -> list[str]:

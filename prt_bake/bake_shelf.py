@@ -1,0 +1,66 @@
+"""Finished blocks of a bake in fixed samples, in a store: what a bake that was stopped or killed goes on from."""
+
+from dataclasses import astuple
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import Block, Task, cuts
+from bakers.path_traced import Account
+from prt_bake.bake_store import Store
+
+Cut = tuple[int, int]
+"""The first vertex of a block, and the one after its last."""
+
+_STAGE = "block-"
+
+
+class Shelf:
+    """Blocks by their vertices; nothing is kept without a store."""
+
+    def __init__(self, store: Store | None) -> None:
+        self._store = store
+
+    def cuts(self, task: Task, vertices: NDArray[np.int64]) -> list[Cut]:
+        """What is there of these vertices, and between it the blocks that are missing, in order."""
+        kept = [] if self._store is None else [_cut(name) for name in self._store.names(_STAGE)]
+        there = [vertices[(vertices >= first) & (vertices < last)] for first, last in kept]
+        missing = np.setdiff1d(vertices, np.concatenate([vertices[:0], *there]))
+        return sorted(kept + cuts(task, missing))
+
+    def keep(self, block: Block) -> None:
+        """Takes a block."""
+        if self._store is None:
+            return
+        arrays: dict[str, NDArray[Any]] = {
+            "coefficients": block.coefficients,
+            "standard_error": block.standard_error,
+            "valid": block.valid,
+            "bent": np.asarray(block.bent),
+        }
+        if block.account is not None:
+            arrays["account"] = np.array(astuple(block.account), np.float64)
+        self._store.write(_name(block.first_vertex, block.first_vertex + len(block.valid)), arrays)
+
+    def kept(self, cut: Cut) -> Block | None:
+        """Gives a block back; None where it is not there, or broken."""
+        arrays = None if self._store is None else self._store.read(_name(*cut))
+        if arrays is None:
+            return None
+        parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
+        return Block(cut[0], *parts, _account(arrays["account"]) if "account" in arrays else None)
+
+
+def _account(numbers: NDArray[np.float64]) -> Account:
+    bins, bent, unreliable = (int(number) for number in numbers[:3])
+    return Account(bins, bent, unreliable, *(float(number) for number in numbers[3:]))
+
+
+def _name(first: int, last: int) -> str:
+    return f"{_STAGE}{first}-{last}"
+
+
+def _cut(name: str) -> Cut:
+    first, last = name.removeprefix(_STAGE).split("-")
+    return int(first), int(last)
