@@ -3,7 +3,6 @@
 `a_lm(x, ωo) = ∫ Ŝ(ωi; x, ωo) Y_lm(ωi) dωi` at every vertex x and every view bin ωo of the hemisphere about its normal.
 """
 
-import hashlib
 import math
 import time
 from collections.abc import Callable, Collection
@@ -24,6 +23,7 @@ from formats.mesh import Mesh
 from prt_bake import sh, sphere
 from prt_bake.bake_by_samples import bake_by_samples
 from prt_bake.bake_first_look import Site, first_refinement
+from prt_bake.bake_identity import identity_of
 from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
@@ -138,13 +138,14 @@ def bake(
     }
     # How many directions there are is found out by a bake to an error, and how long it has is no matter of its numbers.
     asked |= {"minutes": minutes} if refined else {"directions": directions, "samples": samples}
-    identity = {**asked, "mesh": mesh.content_hash, "transport": _identity(transport, provenance or {})}
+    known, spent = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
+    identity = {**asked, "mesh": mesh.content_hash, "transport": known}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
     report = _settings(transport, mesh, asked, workers) | (provenance or {})
     with limited_threads(transport, workers):
         store = opened_store(out, identity, resume)
-        spared, spent = set(leave_out) - _needed_after_all(store), 0
+        spared = set(leave_out) - _needed_after_all(store)
         while True:
             needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, spared, light, eye)
             spent += needs.evaluations
@@ -165,19 +166,6 @@ def _needed_after_all(store: Store) -> set[str]:
     """Items that an earlier run has found out are needed."""
     arrays = store.read("needed")
     return set() if arrays is None else set(arrays["items"].tolist())
-
-
-def _identity(transport: Any, provenance: dict[str, Any]) -> str:
-    """What a resumed bake must have been begun with: the hash of the source file, or what is known of the transport."""
-    if "source_sha256" in provenance:
-        return str(provenance["source_sha256"])
-    network = getattr(transport, "network", transport)
-    if not hasattr(network, "state_dict"):
-        return type(transport).__name__
-    digest = hashlib.sha256()
-    for name, tensor in network.state_dict().items():
-        digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
-    return digest.hexdigest()
 
 
 def plan(

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from transports import Incoherent, icosphere
+from transports import Incoherent, Lobed, icosphere
 
 from bakers.path_traced import Account
 from formats.errors import StorageError
@@ -153,3 +153,18 @@ def test_a_disk_too_full_for_the_asset_loses_no_block(tmp_path: Path, monkeypatc
     monkeypatch.setattr("prt_bake.bake_by_samples.bake_block", _counting(asked))
     assert bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True).complete
     assert asked == []
+
+
+@pytest.mark.parametrize("asked", [{"error": 0.2}, {"samples": 32}])
+def test_another_transport_of_the_same_class_is_refused(
+    tmp_path: Path, asked: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bakers.baker.block_size", lambda task: 8)
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 8 * 32)
+    out, calls = tmp_path / "mixed.h5", iter([False] * 2 + [True] * 100)
+    stopped = bake(Lobed(8.0), icosphere(1), **SMALL, **asked, out=out, stop=lambda: next(calls))  # type: ignore[arg-type]
+    assert not stopped.complete
+    stopped.close()
+    with pytest.raises(StorageError, match="transport was"):
+        bake(Lobed(30.0), icosphere(1), **SMALL, **asked, out=out, resume=True)  # type: ignore[arg-type]
+    assert bake(Lobed(8.0), icosphere(1), **SMALL, **asked, out=out, resume=True).complete  # type: ignore[arg-type]
