@@ -63,11 +63,14 @@ class Row:
 
 
 def by_samples(transport: Any, bins: Bins, kind: str, truth: Array | None, seconds: float, seed: int) -> list[Row]:
-    """Rows of one kind of directions, or of walks where there is no truth, ever more of them for so many seconds."""
+    """Rows of one kind of directions, or of walks where there is no truth, ever more of them for so many seconds, two
+    at least.
+    """
     rows: list[Row] = []
     ends = time.monotonic() + seconds
     for samples in WALKS if truth is None else LADDERS[kind]:
-        if rows and (rows[-1].error < GOOD_ENOUGH or time.monotonic() + _next(rows, bins) > ends):
+        late = len(rows) > 1 and time.monotonic() + _next(rows, bins) > ends
+        if late or (rows and rows[-1].error < GOOD_ENOUGH):
             break
         task = _task(transport, bins, kind, samples, seed)
         if task is None:
@@ -131,9 +134,8 @@ def adaptively(transport: Any, bins: Bins, truth: Array, seconds: float, seed: i
         return rows
     ends = time.monotonic() + seconds
     for error in ERRORS:
-        if rows and (
-            rows[-1].error < GOOD_ENOUGH or time.monotonic() + 3.0 * _all_bins(site, bins) * rows[-1].seconds > ends
-        ):
+        late = len(rows) > 1 and time.monotonic() + 3.0 * _all_bins(site, bins) * rows[-1].seconds > ends
+        if late or (rows and rows[-1].error < GOOD_ENOUGH):
             break
         rows.append(_refined_to(site, _scaled(aim, error), bins, truth))
     return rows
