@@ -11,6 +11,7 @@ from bakers.lattice_pools import Pools
 from bakers.light_noise import LightNoise
 from bakers.nested_lattice import NestedLattice
 from bakers.view_levels import Level
+from bakers.view_survey import ViewSurvey
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -50,6 +51,10 @@ class Refinement:
     """Least root mean square of a vertex's coefficients that errors are held against."""
     begin: int
     """Sizes of the lattice that every evaluated bin has to begin with: enough not to miss the narrowest detail."""
+    always: int
+    """Levels of view bins up to this one are evaluated whole."""
+    survey: ViewSurvey | None
+    """Of all bins of a few vertices; None once `always` allows for it, or where all bins are evaluated anyway."""
     missed: Array
     """What each size of the lattice misses without telling so, over the root mean square coefficient."""
     checks: Callable[[Index], NDArray[np.bool_]]
@@ -62,6 +67,12 @@ class Refinement:
             return 1
         # The first size at which most bins see what there is; with the next one hardly any do not.
         return min(int(missing[-1]) + 3, len(self.missed))
+
+    def for_views(self, error: float, view: float) -> "Refinement":
+        """The same, with as many levels of view bins evaluated whole as it takes for hardly any of that error to be
+        missed untold, where an error of prediction `view` is tolerated.
+        """
+        return self if self.survey is None else replace(self, always=self.survey.always_for(error, view), survey=None)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from bakers.light_noise import LightNoise
 from bakers.refined import Checks, Refined, Refinement
 from bakers.values import values_at
 from bakers.view_levels import STENCIL, Level
+from bakers.view_survey import ALWAYS, DECAY
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -30,16 +31,13 @@ VALUES_AT_ONCE = 1 << 17
 ATTEMPTS = 6
 ALONE, NEARLY = 3, 1.5
 """How often a bin's own lattice is tried, and times the variance allowed that is let pass."""
-DECAY = 0.45
-"""Of the error of prediction, from one level to the next, as it usually is; and how many bins' worth that counts."""
 DECAY_BEFORE = 8.0
+"""How many bins' worth the usual decay of errors of prediction counts."""
 LEAST_DECAY, MOST_DECAY = 0.15, 1.0
 LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
 """Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
 ROUNDING = 2.0**-23
 """Relative error of a coefficient that is never held to be smaller: values and coefficients are kept in float32."""
-ALWAYS = 2
-"""Levels up to this one are evaluated whole: what fewer bins say of the others is not to be relied on."""
 LEAST_SHARE = 0.15
 """Of the tolerated variance, what a bin may always have of its own."""
 
@@ -89,7 +87,7 @@ class _Work:
         """The smallest of the lattices of their own that do not miss what there is."""
         if refinement.lattices == "own":
             return
-        beginning = np.concatenate([level.bins for level in refinement.levels[: ALWAYS + 1]])
+        beginning = np.concatenate([level.bins for level in refinement.levels[: refinement.always + 1]])
         bins_, rows = (axis.ravel() for axis in np.meshgrid(beginning, np.arange(n), indexing="ij"))
         self._grow(rows, bins_, np.full(len(rows), self.how.begin))
 
@@ -101,7 +99,7 @@ class _Work:
             return
         self._foretell(level)
         wanted = np.isfinite(self.scale) & np.ones((len(level.bins), 1), bool)
-        if number > ALWAYS:
+        if number > self.how.always:
             wanted &= ~(self.surprise[level.bins] <= self.how.view**2 * self.scale)
         places, rows = np.nonzero(wanted)
         bins = level.bins[places]
@@ -181,14 +179,14 @@ class _Work:
         """Values, in the first size of the lattice, of bins that were only foretold and are now parents themselves."""
         width, wanted = len(self.positions), [np.empty(0, np.int64)] * number
         missing = np.unique(parents * width + rows[:, None])
-        for below in range(number - 1, ALWAYS, -1):
+        for below in range(number - 1, self.how.always, -1):
             level = self.how.levels[below]
             at, row = np.divmod(missing, width)
             unknown = (level.place[at] >= 0) & (self.known[at, row] == 0)
             wanted[below] = missing[unknown]
             theirs = level.parents[level.place[at[unknown]]] * width + row[unknown][:, None]
             missing = np.union1d(missing, theirs)
-        for below in range(ALWAYS + 1, number):
+        for below in range(self.how.always + 1, number):
             level = self.how.levels[below]
             for some in _lots(wanted[below], self.lattice.sizes[0] * STENCIL):
                 at, row = np.divmod(some, width)

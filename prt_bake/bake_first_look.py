@@ -11,7 +11,8 @@ from bakers.light_noise import USUAL_SLOPE, LightNoise, fitted_noise
 from bakers.nested_lattice import NestedLattice
 from bakers.refined import Refinement
 from bakers.values import values_at
-from bakers.view_levels import view_levels
+from bakers.view_levels import Level, view_levels
+from bakers.view_survey import ALWAYS, ViewSurvey
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
@@ -28,6 +29,8 @@ DARK = 0.01
 """Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
 BINS_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1024
 CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.008, 64, 4096
+SURVEY_SHARE, MOST_SURVEYED = 7, 32
+"""Of how many vertices one is seen in all of its bins before, and at most how many are."""
 MISSED = 20.0
 """Times its stated variance that an error must be before bins are held not to see what there is."""
 
@@ -79,6 +82,7 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
     noise, pool_noise, floor, spent = _noise(site, lattice, pools)
     missed, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
+    survey, surveyed = _survey(site, lattice, levels, DARK * floor)
     share = np.clip(CHECK_SHARE, FEWEST_CHECKS / site.many, MOST_CHECKS / site.many)
     return Refinement(
         levels=levels,
@@ -94,9 +98,11 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
         checked=1.0,
         floor=DARK * floor,
         begin=1,
+        always=ALWAYS,
+        survey=survey,
         missed=missed,
         checks=checked_bins(site.seed, site.bins, float(share)),
-    ), spent + looked
+    ), spent + looked + surveyed
 
 
 def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, int]:
@@ -171,6 +177,24 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
     return missed, len(bins) * lattice.sizes[step]
 
 
+def _survey(site: Site, lattice: NestedLattice, levels: list[Level], floor: float) -> tuple[ViewSurvey | None, int]:
+    """All bins of a few vertices in the fewest directions, where bins are going to be foretold; and evaluations."""
+    if len(levels) <= ALWAYS + 1:
+        return None, 0
+    count = int(np.clip(len(site.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
+    chosen = np.sort(drawn(site.seed + 4, len(site.vertices), count))
+    found, few = [], lattice.sizes[0] // 2
+    fit = np.linalg.pinv(lattice.harmonics[:few])
+    for place in chosen:
+        bins = place * site.bins + np.arange(site.bins)
+        turns = np.broadcast_to(pair_turns(site.seed, few, 3, bins[:1]), (site.bins, 3, 3))
+        values = _values_at_bins(site, lattice.directions[:few], turns, bins)
+        found.append((fit @ values.astype(np.float64)).reshape(site.bins, -1))
+    whole = np.stack(found, axis=1)
+    finite = np.isfinite(whole).all(axis=(0, 2))
+    return ViewSurvey.of(levels, site.local, whole[:, finite], floor), whole[..., 0].size * few
+
+
 def _values_at_bins(site: Site, directions: Array, turns: Array, bins: Index) -> NDArray[np.floating]:
     """Ŝ [M,D,3] at bins [M], numbered through all that are baked, in directions [D,3] turned by turns [M,3,3]."""
     vertices, outgoing = _places(site, bins)
@@ -182,5 +206,6 @@ def _places(site: Site, bins: Index) -> tuple[Index, Array]:
     """The vertices of bins [M], numbered through all that are baked, and their directions to the eye [M,3]."""
     places, local = np.divmod(bins, site.bins)
     vertices = site.vertices[places]
-    outgoing = np.stack([site.views(int(v), int(v) + 1)[0][0, b] for v, b in zip(vertices, local, strict=True)])
-    return vertices, outgoing
+    seen, of_seen = np.unique(vertices, return_inverse=True)
+    views = [site.views(int(vertex), int(vertex) + 1)[0][0] for vertex in seen]
+    return vertices, np.stack([views[number][b] for number, b in zip(of_seen, local, strict=True)])

@@ -90,6 +90,7 @@ class Pass:
 
 def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices, over whichever lattices cost least there."""
+    refinement = refinement.for_views(error, VIEW_RANGE[1] * VIEW_OVER_LIGHT * error)
     ways = [replace(refinement, lattices=which) for which in LATTICES]
     costs = [_untold(site, way, error) for way in ways]
     # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
@@ -157,7 +158,7 @@ def coarse(refinement: Refinement, error: float) -> Aim:
     """Tolerances of about that error, without a pilot."""
     return Aim(
         replace(
-            refinement,
+            refinement.for_views(error, VIEW_OVER_LIGHT * error),
             light=error,
             view=VIEW_OVER_LIGHT * error,
             checked=CHECK_NOISE * error,

@@ -141,7 +141,9 @@ class _Shelf:
         """Drops what an earlier run has kept of a pass to other tolerances: a bake for minutes is never the same."""
         how, name = aim.refinement, f"aim-{self.number:02d}"
         lattices = LATTICES.index(how.lattices)
-        tolerances = np.array([how.light, how.view, how.checked, how.floor, how.begin, lattices], np.float64)
+        tolerances = np.array(
+            [how.light, how.view, how.checked, how.floor, how.begin, how.always, lattices], np.float64
+        )
         known = self.store.read(name)
         if known is not None and np.array_equal(known["tolerances"], tolerances):
             return
