@@ -42,6 +42,8 @@ AIMED = 0.02
 CHECKED = 0.02
 GROWTH = 8.0
 """How much longer the next step of a ladder may take than the last one."""
+APART = 1.3
+"""Times the shortest, that the longest of the times must be that a slope is fitted to."""
 
 
 @dataclass(frozen=True)
@@ -173,9 +175,13 @@ def _refined_to(site: Site, aim: Aim, bins: Bins, truth: Array) -> Row:
 
 
 def slope(rows: list[Row]) -> tuple[float, float]:
-    """Of log error over log time, fitted to all rows but that of the fewest samples; and the log error at 1 s."""
+    """Of log error over log time, fitted to all rows but that of the fewest samples; and the log error at 1 s.
+
+    NaN where the times are too much alike for a slope to say anything.
+    """
     used = rows[1:] if len(rows) > 2 else rows
-    if len(used) < 2:
+    times = [row.seconds for row in used]
+    if len(used) < 2 or max(times) < APART * min(times):
         return float("nan"), float("nan")
     logs = np.log([[row.seconds, max(row.error, 1e-12)] for row in used])
     return cast(tuple[float, float], tuple(np.polyfit(logs[:, 0], logs[:, 1], 1).tolist()))
