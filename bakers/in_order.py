@@ -9,8 +9,14 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def in_order(work: Callable[[Item], Result], items: Iterable[Item], workers: int) -> Generator[Result, None, None]:
-    """Yields work(item) for every item, in order, computed by `workers` threads a little ahead of what is asked for.
+def in_order(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int,
+    ahead: Callable[[], int] | None = None,
+) -> Generator[Result, None, None]:
+    """Yields work(item) for every item, in order, computed by `workers` threads ahead of what is asked for: by as many
+    items as there are threads, or as `ahead()` says.
 
     Whatever the work raises is raised here. Closing the iterator waits for what is under way.
     """
@@ -23,7 +29,7 @@ def in_order(work: Callable[[Item], Result], items: Iterable[Item], workers: int
     try:
         for item in items:
             running.append(executor.submit(work, item))
-            if len(running) > workers:
+            while len(running) > (workers if ahead is None else ahead()):
                 yield running.popleft().result()
         while running:
             yield running.popleft().result()

@@ -8,6 +8,7 @@ that what is foretold from several of them errs less than each does.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +56,12 @@ class Pools:
         three, which = 0, 1, 2, all different, before they are divided by the number of copies.
         """
         self.sizes = sizes
-        self._taken = taken
+        self._made, self._taken = made, taken
         self.of = lru_cache(maxsize=None)(made)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies in other processes make their own pools."""
+        return Pools, (self.sizes, self._made, self._taken)
 
     def copies(self, size: int, vertices: Index, bins: Index, which: int) -> Index:
         """The copies [M] that bins take."""

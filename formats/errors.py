@@ -43,3 +43,7 @@ class QueryError(PrtbakeError, ValueError):
 
 class StorageError(PrtbakeError, OSError):
     """A place that cannot be read from or written to: disk full, permission missing, folder missing."""
+
+
+class ClusterError(PrtbakeError, RuntimeError):
+    """A cluster that cannot be reached, that has gone, or whose workers are not fit for the work."""

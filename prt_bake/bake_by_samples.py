@@ -8,7 +8,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from bakers.baker import Block, bake_block
-from bakers.in_order import in_order
 from bakers.path_traced import Account, Walks
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -58,12 +57,11 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
     def one(cut: Cut) -> Block:
         block = shelf.kept(cut)
         if block is None:
-            block = bake_block(job.task, *cut)
+            block = work.crew.do(bake_block, (job.task,), *cut)
             shelf.keep(block)
         return block
 
-    alone = isinstance(job.resolved.sampling, Walks)
-    blocks = in_order(one, shelf.cuts(job.task, work.needs.vertices), 1 if alone else work.workers)
+    blocks = work.crew.in_order(one, shelf.cuts(job.task, work.needs.vertices))
     try:
         for block in _until(work, blocks):
             work.evaluations += len(block.valid) * per_vertex

@@ -1,6 +1,7 @@
 """Where a refined bake is, and a first look at it: how noisy fits over the lattice are, and what they miss."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -88,7 +89,7 @@ def first_refinement(site: Site) -> tuple[Refinement, int]:
         levels=levels,
         lattice=lattice,
         rotations=vertex_turns(site.seed),
-        rotate=lambda turns: sh.rotations(turns, site.degree),
+        rotate=partial(sh.rotations, degree=site.degree),
         noise=noise,
         pools=pools,
         pool_noise=pool_noise,

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.in_order import in_order
+from bakers.crew import Crew
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
@@ -217,7 +217,7 @@ class Shelf(Protocol):
 def one_pass(
     site: Site,
     aim: Aim,
-    workers: int,
+    crew: Crew,
     shelf: Shelf,
     stop: Callable[[], bool],
     progress: Callable[[int, Tally], None],
@@ -231,11 +231,11 @@ def one_pass(
     def block(first: int) -> tuple[int, Refined]:
         kept = shelf.kept(first)
         if kept is None:
-            kept = _one_block(site, aim, shelf, first)
+            kept = _one_block(site, aim, crew, shelf, first)
             shelf.keep(first, *kept)
         return first, kept[0]
 
-    blocks: Iterator[tuple[int, Refined]] = in_order(block, site.blocks, workers)
+    blocks: Iterator[tuple[int, Refined]] = crew.in_order(block, site.blocks)
     try:
         while not stop():
             following = next(blocks, None)
@@ -253,15 +253,15 @@ def one_pass(
     return Pass(tally, correction, *tally.relative(correction), done == len(site.vertices))
 
 
-def _one_block(site: Site, aim: Aim, shelf: Shelf, first: int) -> tuple[Refined, int]:
-    vertices = site.block(first)
+def _one_block(site: Site, aim: Aim, crew: Crew, shelf: Shelf, first: int) -> tuple[Refined, int]:
+    vertices, shared = site.block(first), (site, aim.refinement)
     if aim.again is None:
-        return refined_block(site, aim.refinement, vertices)
+        return crew.do(refined_block, shared, vertices)
     before, bent = shelf.before(first)
     rows = np.flatnonzero(aim.again[vertices])
     if not len(rows):
         return before.for_nothing(), bent
-    return before.with_rows(rows, refined_block(site, aim.refinement, vertices[rows])[0]), bent
+    return before.with_rows(rows, crew.do(refined_block, shared, vertices[rows])[0]), bent
 
 
 def refined_block(site: Site, refinement: Refinement, vertices: Index) -> tuple[Refined, int]:

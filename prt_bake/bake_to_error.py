@@ -106,7 +106,7 @@ def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) ->
             return None
         run.work.evaluations += aim.evaluations
         # A pilot's blocks are small, and slower than those of a pass.
-        by_pilot = aim.seconds * vertices / max(1, run.work.workers)
+        by_pilot = aim.seconds * vertices / max(1, run.work.crew.workers)
         by_pass = aim.evaluations_per_vertex * vertices * seconds / max(1, before.tally.evaluations)
         over = min(by_pilot, by_pass) / max(TIME_TO_USE * run.left, 1e-9)
         if over <= 1.0:
@@ -169,7 +169,7 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
 
     done = _whole_before(run, aim, shelf)
     if done is None:
-        done = one_pass(run.site, aim, run.work.workers, shelf, lambda: run.stopped, show)
+        done = one_pass(run.site, aim, run.work.crew, shelf, lambda: run.stopped, show)
         if done.whole:
             run.store.write(_summary(shelf), done.tally.as_arrays())
     run.work.evaluations += done.tally.evaluations

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from bakers.crew import Crew
 from formats.asset import AssetHead
 from formats.mesh import Mesh
 from prt_bake.bake_needs import Needs
@@ -27,7 +28,7 @@ class Work:
     """Provenance that is known before the bake."""
     out: str | Path | None
     storage: str
-    workers: int
+    crew: Crew
     seed: int
     progress: Progress | None
     stop: Callable[[], bool] | None

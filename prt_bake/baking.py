@@ -5,7 +5,8 @@
 
 import math
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bakers.baker import bake_block, block_size
+from bakers.crew import Crew, Threads
 from bakers.path_traced import Walks
 from bakers.plan import BakePlan, plan_bake
 from bakers.transport import on_mesh, up_to, way_in
@@ -52,6 +54,7 @@ def bake(
     precision: str = "float32",
     storage: str = "float16",
     workers: int = 1,
+    scheduler: str | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
@@ -83,6 +86,7 @@ def bake(
         precision: "float32" or "bfloat16", of a network's matrix work.
         storage: "float16" or "float32", in the file.
         workers: threads, each with a block of vertices of its own; those of random walks share each block.
+        scheduler: address of a `dask.distributed` scheduler, whose workers do the blocks then (the extra `cluster`).
         device: where a network is evaluated ("cpu", "cuda").
         progress: called after each block.
         stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
@@ -106,6 +110,7 @@ def bake(
             that offers nothing or answers in another shape, an error that cannot be reached, a transport that is finite
             nowhere, a bake that was stopped before its first vertex.
         StorageError: the asset cannot be written.
+        ClusterError: the scheduler cannot be reached or has gone, its workers are not fit, or died over and over.
     """
     began = time.monotonic()
     refuse_foreign(transport, mesh)
@@ -143,13 +148,13 @@ def bake(
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
     report = _settings(transport, mesh, asked, workers) | (provenance or {})
-    with limited_threads(transport, workers):
+    with limited_threads(transport, workers), opened_crew(transport, workers, scheduler) as crew:
         store = opened_store(out, identity, resume)
         spared = set(leave_out) - _needed_after_all(store)
         while True:
             needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, spared, light, eye)
             spent += needs.evaluations
-            work = Work(transport, mesh, needs, head, report, out, storage, workers, seed, progress, stop, began, spent)
+            work = Work(transport, mesh, needs, head, report, out, storage, crew, seed, progress, stop, began, spent)
             try:
                 if refined:
                     deadline = math.inf if minutes is None else began + 60.0 * minutes
@@ -160,6 +165,21 @@ def bake(
                 report = report | {"needed_after_all": [*report.get("needed_after_all", []), str(wrong)]}
                 store.forget("")
                 store.write("needed", {"items": np.array(sorted(set(leave_out) - spared))})
+
+
+@contextmanager
+def opened_crew(transport: Any, workers: int, scheduler: str | None) -> Iterator[Crew]:
+    """Threads, or the workers of a scheduler; random walks share the threads of each process."""
+    alone = way_in(transport) == "coefficients"
+    if scheduler is None:
+        yield Threads(1 if alone else workers)
+        return
+    if workers != 1:
+        raise QueryError("workers: those of the scheduler do the work; give workers or a scheduler")
+    from prt_bake.bake_cluster import opened_cluster
+
+    with opened_cluster(scheduler, alone) as crew:
+        yield crew
 
 
 def _needed_after_all(store: Store) -> set[str]:

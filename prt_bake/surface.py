@@ -67,6 +67,10 @@ class Surface:
         normals_of_chosen(self._grid, of_faces, self._corner_normals[kind], positions, outgoing, normals)
         return normals
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies in other processes build their own grid."""
+        return Surface, (self.mesh,)
+
     def __deepcopy__(self, memo: dict[int, Any]) -> "Surface":
         """Itself: nothing in it ever changes."""
         return self

@@ -54,6 +54,14 @@ def bake(
         int | None,
         typer.Option(min=1, max=1024, help="Threads; 1, or every core for the walks of a scene.", show_default=False),
     ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Of a dask.distributed scheduler, such as tcp://host:8786, whose workers bake.",
+            show_default=False,
+        ),
+    ] = None,
     convention: Annotated[
         str | None,
         typer.Option(help="How the 7 inputs of a TorchScript SOURCE are meant.", show_default=False),
@@ -99,7 +107,8 @@ def bake(
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
     if workers is None:
-        workers = (os.cpu_count() or 1) if source.suffix.lower() == ".toml" else 1
+        walks = source.suffix.lower() == ".toml" and scheduler is None
+        workers = (os.cpu_count() or 1) if walks else 1
     sampling = (degree, rings, sectors, directions, samples)
     needed: Any = {
         "leave_out": _but(keep or [], baking.ITEMS),
@@ -133,6 +142,7 @@ def bake(
             precision=precision,
             storage=storage,
             workers=workers,
+            scheduler=scheduler,
             device=device,
             progress=lambda done, total, row: show(done / total, f"{done} of {total} vertices, error {row[2]:.2%}"),
             stop=stop,

@@ -68,6 +68,10 @@ class FusedNetwork:
         self._lock = Lock()
         self._tables: OrderedDict[int, tuple[ArrayLike, Tensor]] = OrderedDict()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copies in other processes lay out the weights for the processor that they are on."""
+        return FusedNetwork, (self.network, self.precision, str(self._device))
+
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
         """Ŝ [N,D,3] by the plain float32 path: `NeuralBSSRDF.evaluate`."""
         return self.network.evaluate(incident, positions, outgoing)
