@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from formats.asset_head import FORMULAS, write_head
 from formats.asset_record import AssetHead, Storage
 from formats.asset_sink import Sink
+from formats.chunk_writer import LEVEL, ChunkWriter
 
 _CHUNK_BYTES = 2**20
 
@@ -40,6 +41,7 @@ class AssetFile:
             transfer = self.file.create_group("transfer")
             transfer.attrs.update(quantity=head.quantity, formula=FORMULAS[head.quantity], folded_in=head.folded_in)
             self._coefficients = _dataset(transfer, "coefficients", shape, storage)
+            self._rows = ChunkWriter(self._coefficients)
             self._standard_error = _dataset(transfer, "standard_error", shape[:2], "float32")
             self.file.create_group("selftest")
             self.check()
@@ -49,7 +51,7 @@ class AssetFile:
 
     def write(self, rows: slice, values: NDArray[np.floating], errors: NDArray[np.floating]) -> None:
         """Write the coefficients [n,B,K,C] and errors [n,B] of the vertices `rows`."""
-        self._coefficients[rows] = values
+        self._rows.write(rows, values)
         self._standard_error[rows] = errors
         self.check()
 
@@ -64,6 +66,7 @@ class AssetFile:
 
     def close(self) -> None:
         """Write what HDF5 still holds back, and close."""
+        self._rows.finish()
         self.file.close()
         self.check()
         self._sink.close()
@@ -71,6 +74,8 @@ class AssetFile:
     def discard(self) -> None:
         """Close without caring for the contents."""
         self._sink.close()
+        if hasattr(self, "_rows"):
+            self._rows.discard()
         with contextlib.suppress(OSError, RuntimeError, ValueError):
             self.file.close()
 
@@ -82,5 +87,6 @@ def _dataset(group: Any, name: str, shape: tuple[int, ...], storage: Storage) ->
         np.dtype(storage).newbyteorder("<"),
         chunks=(chunk_vertices(shape, storage), *shape[1:]),
         compression="gzip",
+        compression_opts=LEVEL,
         shuffle=True,
     )

@@ -226,7 +226,7 @@ class AssetWriter:
             with h5py.File(narrow_path, "r") as narrow:
                 transfer = narrow["transfer"]
                 for start in range(0, self._shape[0], self.block_vertices):
-                    rows = slice(start, start + self.block_vertices)
+                    rows = slice(start, min(start + self.block_vertices, self._shape[0]))
                     if self._valid[rows].any():
                         self._file.write(rows, transfer["coefficients"][rows], transfer["standard_error"][rows])
         finally:
