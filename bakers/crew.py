@@ -3,6 +3,8 @@
 from collections.abc import Callable, Generator, Iterable
 from typing import Any, Protocol, TypeVar
 
+from numpy.typing import NDArray
+
 from bakers.in_order import in_order
 
 Item = TypeVar("Item")
@@ -25,6 +27,12 @@ class Crew(Protocol):
         """
 
 
+def pieces(whole: NDArray[Any], most: int, crew: Crew) -> list[NDArray[Any]]:
+    """A short piece of work cut so that all of a crew are at it: [n] in pieces of at most `most`."""
+    size = max(1, min(most, -(-len(whole) // crew.workers)))
+    return [whole[first : first + size] for first in range(0, len(whole), size)]
+
+
 class Threads:
     """Threads of this process."""
 
@@ -38,3 +46,7 @@ class Threads:
     def do(self, work: Callable[..., Result], shared: tuple[Any, ...], *own: Any) -> Result:
         """work(*shared, *own), at once."""
         return work(*shared, *own)
+
+
+ALONE = Threads(1)
+"""The thread that asks."""

@@ -32,7 +32,7 @@ AHEAD = 2
 """Blocks under way for each thread of the cluster, so that none waits for the next."""
 MOST_AHEAD = 1024
 OPENED = 8
-"""Shared objects that a worker remembers."""
+"""Shared objects that the scheduler holds, and that each worker remembers."""
 PACKAGES = "prt-bake", "numpy", "torch", "numba"
 """Of which client and workers must have the same version, that the same numbers come of them."""
 
@@ -53,7 +53,7 @@ class Cluster:
         """`alone`: one block at a time in each process, on all of its threads."""
         self._client, self._address, self._alone = client, address, alone
         self._lock = Lock()
-        self._sent: dict[int, tuple[Any, Any]] = {}
+        self._sent: OrderedDict[int, tuple[Any, Any]] = OrderedDict()
         self._threads, self._asked, self._last_seen = 0, 0.0, time.monotonic()
 
     @property
@@ -109,6 +109,9 @@ class Cluster:
                     future = self._client.submit(Packed, packed.name, packed.content, packed.versions, pure=False)
                 # The object is kept, so that no other can take its place in memory.
                 self._sent[id(shared)] = shared, future
+            self._sent.move_to_end(id(shared))
+            while len(self._sent) > OPENED:
+                self._sent.popitem(last=False)
             return self._sent[id(shared)][1]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.crew import ALONE, Crew
 from bakers.lattice_pools import Pools
 from bakers.light_noise import USUAL_SLOPE, LightNoise, fitted_noise
 from bakers.nested_lattice import NestedLattice
@@ -28,7 +29,10 @@ LOOKED_AT, LOOK = 8, 4096
 """Bins that are looked at in that many directions, to see what fewer miss."""
 DARK = 0.01
 """Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
-BINS_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1024
+BINS_AT_ONCE, FEWEST_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1 << 12, 1024
+"""Bins of a block, fewer where there are many workers; and most vertices."""
+BLOCKS_A_WORKER = 4
+"""At least, so that none has long to wait for the others in the end."""
 CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.008, 64, 4096
 SURVEY_SHARE, MOST_SURVEYED = 7, 32
 """Of how many vertices one is seen in all of its bins before, and at most how many are."""
@@ -50,7 +54,7 @@ class Site:
     degree: int
     seed: int
     at_once: int | None = None
-    """Vertices that are baked together, where an earlier run has settled that."""
+    """Vertices that are baked together, where that is settled."""
 
     @property
     def bins(self) -> int:
@@ -65,7 +69,7 @@ class Site:
     @property
     def block_vertices(self) -> int:
         """Vertices that are baked together."""
-        return self.at_once or int(np.clip(BINS_AT_ONCE // self.bins, 1, MOST_AT_ONCE))
+        return self.at_once or vertices_at_once(len(self.vertices), self.bins, 1)
 
     @property
     def blocks(self) -> range:
@@ -77,13 +81,20 @@ class Site:
         return self.vertices[first : first + self.block_vertices]
 
 
-def first_refinement(site: Site) -> tuple[Refinement, int]:
+def vertices_at_once(vertices: int, bins: int, workers: int) -> int:
+    """How many vertices to bake together, for blocks that are large but not too few for so many workers."""
+    largest = int(np.clip(BINS_AT_ONCE // bins, 1, MOST_AT_ONCE))
+    fair = -(-vertices // (BLOCKS_A_WORKER * workers)) if workers > 1 else largest
+    return min(largest, max(fair, FEWEST_AT_ONCE // bins, 1))
+
+
+def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
     """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
     lattice, pools = lattice_for(site.degree), pools_for(site.degree, site.seed)
     noise, pool_noise, floor, spent = _noise(site, lattice, pools)
     missed, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
-    survey, surveyed = _survey(site, lattice, levels, DARK * floor)
+    survey, surveyed = _survey(site, lattice, levels, DARK * floor, crew)
     share = np.clip(CHECK_SHARE, FEWEST_CHECKS / site.many, MOST_CHECKS / site.many)
     return Refinement(
         levels=levels,
@@ -178,22 +189,29 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
     return missed, len(bins) * lattice.sizes[step]
 
 
-def _survey(site: Site, lattice: NestedLattice, levels: list[Level], floor: float) -> tuple[ViewSurvey | None, int]:
+def _survey(
+    site: Site, lattice: NestedLattice, levels: list[Level], floor: float, crew: Crew
+) -> tuple[ViewSurvey | None, int]:
     """All bins of a few vertices in the fewest directions, where bins are going to be foretold; and evaluations."""
     if len(levels) <= ALWAYS + 1:
         return None, 0
     count = int(np.clip(len(site.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
     chosen = np.sort(drawn(site.seed + 4, len(site.vertices), count))
-    found, few = [], lattice.sizes[0] // 2
-    fit = np.linalg.pinv(lattice.harmonics[:few])
-    for place in chosen:
-        bins = place * site.bins + np.arange(site.bins)
-        turns = np.broadcast_to(pair_turns(site.seed, few, 3, bins[:1]), (site.bins, 3, 3))
-        values = _values_at_bins(site, lattice.directions[:few], turns, bins)
-        found.append((fit @ values.astype(np.float64)).reshape(site.bins, -1))
-    whole = np.stack(found, axis=1)
+    found = crew.in_order(lambda place: crew.do(_surveyed, (site, lattice), int(place)), chosen)
+    whole = np.stack(list(found), axis=1)
     finite = np.isfinite(whole).all(axis=(0, 2))
-    return ViewSurvey.of(levels, site.local, whole[:, finite], floor), whole[..., 0].size * few
+    survey = ViewSurvey.of(levels, site.local, whole[:, finite], floor)
+    return survey, whole[..., 0].size * (lattice.sizes[0] // 2)
+
+
+def _surveyed(site: Site, lattice: NestedLattice, place: int) -> Array:
+    """Coefficients [B,K·3] at all bins of one vertex, from half of the smallest lattice."""
+    few = lattice.sizes[0] // 2
+    bins = place * site.bins + np.arange(site.bins)
+    turns = np.broadcast_to(pair_turns(site.seed, few, 3, bins[:1]), (site.bins, 3, 3))
+    values = _values_at_bins(site, lattice.directions[:few], turns, bins)
+    fit = np.linalg.pinv(lattice.harmonics[:few])
+    return np.asarray(fit @ values.astype(np.float64)).reshape(site.bins, -1)
 
 
 def _values_at_bins(site: Site, directions: Array, turns: Array, bins: Index) -> NDArray[np.floating]:

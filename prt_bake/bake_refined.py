@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.crew import Crew
+from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
@@ -88,24 +88,34 @@ class Pass:
         return _worst(self.total, self.percentile_95)
 
 
-def aimed(site: Site, refinement: Refinement, error: float) -> Aim:
+def aimed(site: Site, refinement: Refinement, error: float, crew: Crew = ALONE) -> Aim:
     """Tolerances that lead to the error at a few vertices, over whichever lattices cost least there."""
     refinement = refinement.for_views(error, VIEW_RANGE[1] * VIEW_OVER_LIGHT * error)
     ways = [replace(refinement, lattices=which) for which in LATTICES]
-    costs = [_untold(site, way, error) for way in ways]
+    costs = [_untold(site, way, error, crew) for way in ways]
     # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
     near = ALIKE if site.many >= MANY else 1.0
-    aims = [_calibrated(site, way, error) for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
+    tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
+    aims = [_calibrated(site, way, error, crew) for way in tried]
     best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
     return replace(best, evaluations=sum(costs) + sum(aim.evaluations for aim in aims))
 
 
-def _untold(site: Site, refinement: Refinement, error: float) -> int:
+def _untold(site: Site, refinement: Refinement, error: float, crew: Crew) -> int:
     """Evaluations at the pilot's vertices, without checks."""
     how = replace(coarse(refinement, error).refinement, checks=checked_bins(site.seed, site.bins, 0.0))
-    chosen = _pilot_vertices(site)
-    size = site.block_vertices
-    return sum(refined_block(site, how, chosen[i : i + size])[0].evaluations for i in range(0, len(chosen), size))
+    return sum(refined.evaluations for _some, refined, _seconds in _tried(site, how, crew))
+
+
+def _tried(site: Site, how: Refinement, crew: Crew) -> Iterator[tuple[Index, Refined, float]]:
+    """The pilot's vertices, some at a time, what came of them, and the seconds that they took."""
+    cut = pieces(_pilot_vertices(site), site.block_vertices, crew)
+    return crew.in_order(lambda some: (some, *crew.do(_timed_block, (site, how), some)), cut)
+
+
+def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, float]:
+    began = time.monotonic()
+    return refined_block(site, how, vertices)[0], time.monotonic() - began
 
 
 def _pilot_vertices(site: Site) -> Index:
@@ -113,7 +123,7 @@ def _pilot_vertices(site: Site) -> Index:
     return site.vertices[np.sort(drawn(site.seed, len(site.vertices), count))]
 
 
-def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
+def _calibrated(site: Site, refinement: Refinement, error: float, crew: Crew) -> Aim:
     """Tolerances that lead to the error at a few vertices."""
     chosen = _pilot_vertices(site)
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
@@ -134,11 +144,10 @@ def _calibrated(site: Site, refinement: Refinement, error: float) -> Aim:
         light = tightness * error
         bound = view * VIEW_OVER_LIGHT * light
         trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
-        began, tally = time.monotonic(), Tally(len(site.mesh.positions))
-        for first in range(0, len(chosen), site.block_vertices):
-            some = chosen[first : first + site.block_vertices]
-            tally.add(some, refined_block(site, replace(trial, checks=checks), some)[0])
-        seconds = (time.monotonic() - began) / len(chosen)
+        tally, seconds = Tally(len(site.mesh.positions)), 0.0
+        for some, refined, took in _tried(site, replace(trial, checks=checks), crew):
+            tally.add(some, refined)
+            seconds += took / len(chosen)
         spent += tally.evaluations
         per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
         correction = tally.correction(Correction())

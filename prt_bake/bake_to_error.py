@@ -13,7 +13,7 @@ from bakers.refined import WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.bake_first_look import Site, first_refinement
+from prt_bake.bake_first_look import Site, first_refinement, vertices_at_once
 from prt_bake.bake_refined import COST, LATTICES, MANY, Aim, Pass, aimed, coarse, one_pass, tighter
 from prt_bake.bake_store import Store
 from prt_bake.bake_work import Work
@@ -38,7 +38,9 @@ class Run:
         self.work, self.store, self.deadline = work, store, deadline
         self.error = None if error is None else needs.left_for_projection(error)
         known = [arrays for name in store.names("aim-") if (arrays := store.read(name)) is not None]
-        at_once = int(known[0]["at_once"]) if known else None
+        at_once = vertices_at_once(len(needs.vertices), len(needs.local), work.crew.workers)
+        if known:
+            at_once = int(known[0]["at_once"])
         self.site = Site(
             work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed, at_once
         )
@@ -63,13 +65,13 @@ def bake_to_error(run: Run) -> Asset:
     The asset of the last whole pass is what comes back; where there is none, the part that was done. Raises QueryError
     where nothing was done, where nothing is finite, or where the pilot says that the error is out of reach.
     """
-    refinement, looked = first_refinement(run.site)
+    refinement, looked = first_refinement(run.site, run.work.crew)
     run.work.evaluations += looked
     if run.error is not None and not math.isfinite(run.deadline):
         large = run.site.many >= MANY and run.error < COARSE / 2
         if large and not run.store.names("01-") and _pass(run, coarse(refinement, COARSE)) is None:
             return _ended(run)
-        aim = aimed(run.site, refinement, run.error)
+        aim = aimed(run.site, refinement, run.error, run.work.crew)
         run.work.evaluations += aim.evaluations
         # The numbers of passes to the error must not depend on whether there was a coarse one.
         run.number = 1
@@ -101,7 +103,7 @@ def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) ->
         if run.stopped or goal > reached / FINER:
             return None
         try:
-            aim = aimed(run.site, refinement, goal)
+            aim = aimed(run.site, refinement, goal, run.work.crew)
         except QueryError:
             return None
         run.work.evaluations += aim.evaluations

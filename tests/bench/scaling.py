@@ -1,12 +1,13 @@
-"""Where the serial part of a bake lies: seconds of each stage on one core, and what 64 workers would make of it.
+"""Where the serial part of a bake lies: seconds of each stage on one core, and what many workers would make of it.
 
     python tests/bench/scaling.py --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --error 0.01
 
-The blocks are what workers do; pilot, journal and the writing of the asset are done by the process that asked. Run it
-on cores that do nothing else.
+Blocks, pilot and survey are what workers do; chunks of the asset are packed, and blocks kept in the journal, in threads
+of the process that asked; the rest is serial. Everything is done on one core, which should have nothing else to do.
 """
 
 import argparse
+import os
 import tempfile
 import time
 from collections import Counter
@@ -15,8 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import prt_bake.bake_first_look
-import prt_bake.bake_refined
+import formats.chunk_writer
 import prt_bake.bake_to_error
 import prt_bake.baking
 from bakers.crew import Threads
@@ -25,6 +25,8 @@ from formats.mesh import read_mesh
 from prt_bake.sources import open_source
 
 WORKERS = 1, 2, 8, 16, 64
+NAMES = {"refined_block": "blocks", "_timed_block": "pilot", "_surveyed": "survey"}
+IN_THREADS = "packing", "journal"
 SECONDS: Counter[str] = Counter()
 
 
@@ -32,7 +34,7 @@ class Timed(Threads):
     """One worker, whose time is kept."""
 
     def do(self, work: Callable[..., Any], shared: tuple[Any, ...], *own: Any) -> Any:
-        with timed("blocks"):
+        with timed(NAMES.get(work.__name__, work.__name__)):
             return super().do(work, shared, *own)
 
 
@@ -67,10 +69,12 @@ def main() -> None:
     parser.add_argument("--mesh", type=Path, required=True)
     parser.add_argument("--error", type=float, default=0.01)
     asked = parser.parse_args()
+    os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
     prt_bake.baking.opened_crew = one_worker
     watched("what is needed", prt_bake.baking, "needs_of")
     watched("first look", prt_bake.bake_to_error, "first_refinement")
-    watched("pilot", prt_bake.bake_to_error, "aimed")
+    watched("aim", prt_bake.bake_to_error, "aimed")
+    watched("packing", formats.chunk_writer, "_packed")
     watched("journal", Journal, "write")
     watched("asset written", prt_bake.bake_to_error, "_write")
     mesh = read_mesh(asked.mesh)
@@ -80,15 +84,18 @@ def main() -> None:
             transport, mesh, error=asked.error, out=Path(folder) / "a.h5", leave_out=prt_bake.baking.ITEMS
         )
     whole = SECONDS.pop("in all")
+    for stage, part in (("first look", "survey"), ("aim", "pilot"), ("asset written", "packing")):
+        SECONDS[stage] -= SECONDS[part]
     SECONDS["the rest"] = whole - SECONDS.total()
-    blocks = SECONDS["blocks"]
-    print("| stage | seconds on one core |\n|---|---|")
+    shared = sum(SECONDS[stage] for stage in (*NAMES.values(), *IN_THREADS))
+    print("| stage | seconds on one core | done by |\n|---|---|---|")
     for stage, seconds in SECONDS.most_common():
-        print(f"| {stage} | {seconds:.2f} |")
-    print(f"| in all | {whole:.2f} |\n\n| workers | seconds | of that, serial |\n|---|---|---|")
+        by = "workers" if stage in NAMES.values() else "threads" if stage in IN_THREADS else "serial"
+        print(f"| {stage} | {seconds:.2f} | {by} |")
+    print(f"| in all | {whole:.2f} | |\n\n| workers | seconds | of that, serial |\n|---|---|---|")
     for workers in WORKERS:
-        together = whole - blocks + blocks / workers
-        print(f"| {workers} | {together:.1f} | {(whole - blocks) / together:.0%} |")
+        together = whole - shared + shared / workers
+        print(f"| {workers} | {together:.1f} | {(whole - shared) / together:.0%} |")
 
 
 if __name__ == "__main__":
