@@ -28,6 +28,21 @@ def storage_error(path: str | os.PathLike[str], cause: OSError) -> StorageError:
     return StorageError(f"{path}: cannot be written: {reason}")
 
 
+def refuse_unwritable(path: str | os.PathLike[str]) -> None:
+    """Raise StorageError where no file can be written: the folder is missing or read-only, or `path` is no ordinary
+    file.
+    """
+    target = Path(os.path.realpath(path))
+    if not target.parent.is_dir():
+        raise StorageError(f"{path}: cannot be written: the folder {target.parent} does not exist; create it first")
+    if target.is_dir():
+        raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
+    if target.exists() and not target.is_file():
+        raise StorageError(f"{path}: cannot be written: it is a device or a pipe, not an ordinary file")
+    if not os.access(target.parent, os.W_OK | os.X_OK):
+        raise StorageError(f"{path}: cannot be written: no permission for the folder {target.parent}")
+
+
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path beside `path`; what is written there takes the place of `path` when the block ends well.
@@ -39,7 +54,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         StorageError: the folder is missing, `path` is no ordinary file, the disk is full or not writable.
     """
     target = Path(os.path.realpath(path))
-    _refuse_unusable(target, path)
+    refuse_unwritable(path)
     part = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}.part")
     try:
         with open(part, "xb"):
@@ -56,9 +71,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
-def remove_parts(folder: Path, name: str = "") -> None:
-    """Remove what killed processes have left in a folder of files whose names end with `name`, while writing them."""
-    for part in folder.glob(f".*{glob.escape(name[-100:])}.*.part"):
+def remove_parts(folder: Path, name: str = "*") -> None:
+    """Remove what killed processes have left in a folder while writing the file `name`, or any file."""
+    for part in folder.glob(f".{name if name == '*' else glob.escape(name[:100])}.????????.part"):
         with contextlib.suppress(OSError):
             part.unlink()
 
@@ -67,15 +82,6 @@ def sha256(path: str | os.PathLike[str]) -> str:
     """Return the SHA-256 of a file's bytes as 64 hexadecimal digits."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _refuse_unusable(target: Path, path: str | os.PathLike[str]) -> None:
-    if not target.parent.is_dir():
-        raise StorageError(f"{path}: cannot be written: the folder {target.parent} does not exist; create it first")
-    if target.is_dir():
-        raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
-    if target.exists() and not target.is_file():
-        raise StorageError(f"{path}: cannot be written: it is a device or a pipe, not an ordinary file")
 
 
 def _flush(part: Path) -> None:

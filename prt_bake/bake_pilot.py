@@ -24,6 +24,10 @@ SEEN = 0.3
 """A relative error of walks below which their number is foretold from it."""
 MARGIN = 1.1
 """More walks than foretold, for what a few vertices do not show."""
+STEEPEST = {"uniform": 0.5, "sobol": 1.5}
+"""Power of the number of directions that an error falls with at most."""
+WITHIN = 1.2
+"""Times the error asked for, that a foretold one must exceed to be out of reach: a pilot's is not exact."""
 _PILOT_STREAM = 14
 
 
@@ -32,8 +36,6 @@ def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]
 
     Directions are doubled. The error of walks falls as the root of their number, so that one pilot tells how many.
     """
-    if not 0.0 < error < 1.0:
-        raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
     vertices = _pilot_vertices(job, seed)
     bins, spent = job.task.bins, 0
     walks = isinstance(job.resolved.sampling, Walks)
@@ -45,12 +47,13 @@ def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]
         if meter.total <= error:
             return job, spent
         samples = 2 * job.resolved.samples
+        least = 0.0 if walks else meter.total * min(1.0, job.resolved.samples / limit) ** STEEPEST[directions]
         if walks and meter.total < SEEN:
             samples, foretold = math.ceil(MARGIN * job.resolved.samples * (meter.total / error) ** 2), True
-        if samples > limit:
+        if samples > limit or least > WITHIN * error:
             raise QueryError(
                 f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} {kind} a bin leave "
-                f"{meter.total:.3g}, and more than {limit:,} are not tried; ask for less"
+                f"{meter.total:.3g}, and more than {limit:,} are not tried; ask for a larger one"
             )
         job = resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed, job.needs)
         if foretold:

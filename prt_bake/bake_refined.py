@@ -158,7 +158,7 @@ def _calibrated(site: Site, refinement: Refinement, error: float, crew: Crew) ->
     if reached > OUT_OF_REACH * error:
         raise QueryError(
             f"error: a relative RMSE of {error:g} is out of reach; up to {refinement.lattice.sizes[-1]:,} directions "
-            f"a bin leave {reached:.3g}; ask for less"
+            f"a bin leave {reached:.3g}; ask for a larger one"
         )
     return Aim(trial, correction, reached, seconds, spent, per_vertex)
 

@@ -26,6 +26,9 @@ class Store(Protocol):
     def remove(self) -> None:
         """Drops everything."""
 
+    def close(self) -> None:
+        """Lets go of what is kept."""
+
 
 class Memory:
     """A store in memory."""
@@ -53,6 +56,9 @@ class Memory:
     def remove(self) -> None:
         """Drops everything."""
         self._kept.clear()
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 def opened_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> Store:

@@ -22,9 +22,9 @@ from prt_bake.pared_sink import pared_sink
 COARSE = 0.15
 """Error that the first pass over an object of many bins is made for: there is an asset soon."""
 PASSES = 3
-FINER, FINEST = 1.25, 16.0
+FINER, FINEST, STEP = 1.25, 16.0, 2.5
 """Times smaller, that the error of a pass must at least and may at most be than that of the one before, in a bake that
-has a time to run.
+has a time to run; and what it is to be in one that runs until it is stopped.
 """
 TIME_TO_USE = 0.75
 """Of the time left, what a pass may be foretold to take."""
@@ -99,7 +99,7 @@ def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) ->
     reached, vertices = before.worst, len(run.site.vertices)
     goal, least = reached * (seconds / max(TIME_TO_USE * run.left, 1e-9)) ** (1.0 / COST), run.error or 0.0
     for _try in range(PASSES):
-        goal = max(goal, reached / FINEST, least)
+        goal = max(goal, reached / (FINEST if math.isfinite(run.left) else STEP), least)
         if run.stopped or goal > reached / FINER:
             return None
         try:

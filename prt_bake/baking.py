@@ -6,7 +6,7 @@
 import math
 import time
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,13 +22,16 @@ from bakers.transport import on_mesh, up_to, way_in
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
+from formats.whole import refuse_unwritable
 from prt_bake import sh, sphere
+from prt_bake.bake_arguments import refuse_unusable
 from prt_bake.bake_by_samples import bake_by_samples
 from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_identity import identity_of
 from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
+from prt_bake.bake_pilot import reach
 from prt_bake.bake_refined import aimed
 from prt_bake.bake_store import Store, opened_store
 from prt_bake.bake_to_error import Run, bake_to_error
@@ -80,6 +83,7 @@ def bake(
             directions as it takes, and only where its neighbours do not tell it (`prt_bake.bake_to_error`). Otherwise,
             and for random walks, a pilot tells how many `samples` it takes.
         minutes: how long to go on making it finer, if `error` is not reached before; a coarse asset is there first.
+            math.inf: until it is stopped, or cannot be made finer.
         seed: keys everything random; equal seeds give equal assets whatever the number of workers.
         out: asset to write; without it the coefficients are an array in float32. Finished blocks lie beside it, in
             OUT.journal, until it is whole.
@@ -113,16 +117,19 @@ def bake(
         ClusterError: the scheduler cannot be reached or has gone, its workers are not fit, or died over and over.
     """
     began = time.monotonic()
+    refuse_unusable(
+        mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
+        workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
+    )  # fmt: skip
+    if out is not None:
+        refuse_unwritable(out)
     refuse_foreign(transport, mesh)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     refined = directions == "fibonacci" and way_in(transport) != "coefficients"
-    if minutes is not None and not (refined and minutes > 0.0):
+    if minutes is not None and not refined:
         raise QueryError(
-            "minutes: must be positive, and are for fibonacci directions and transports that answer Ŝ; "
-            "give samples or an error instead"
+            "minutes: they are for fibonacci directions and transports that answer Ŝ; give samples or an error instead"
         )
-    if error is not None and not 0.0 < error < 1.0:
-        raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
     refined = refined and (error is not None or minutes is not None)
     if resume and out is None:
         raise QueryError("resume: finished blocks lie beside the asset; give out, the file that was being written")
@@ -148,8 +155,11 @@ def bake(
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
     report = _settings(transport, mesh, asked, workers) | (provenance or {})
-    with limited_threads(transport, workers), opened_crew(transport, workers, scheduler) as crew:
-        store = opened_store(out, identity, resume)
+    with (
+        limited_threads(transport, workers),
+        closing(opened_store(out, identity, resume)) as store,
+        opened_crew(transport, workers, scheduler) as crew,
+    ):
         spared = set(leave_out) - _needed_after_all(store)
         while True:
             needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, spared, light, eye)
@@ -210,6 +220,10 @@ def plan(
     """What `bake` with these arguments would cost, and what it would leave out; one block, or the pilot of a bake to an
     error, is baked to estimate it. Raises as `bake` does.
     """
+    refuse_unusable(
+        mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=None, seed=seed,
+        workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
+    )  # fmt: skip
     refuse_foreign(transport, mesh)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
@@ -222,6 +236,8 @@ def plan(
             seconds = aim.seconds / max(1, workers)
         else:
             job = resolve(transport, mesh, needs.degree, rings, sectors, directions, samples, seed, needs)
+            if error is not None:
+                job, _spent = reach(job, needs.left_for_projection(error), directions, seed)
             a_bin, seconds = job.resolved.samples, _trial(job, workers)
             a_vertex = float(a_bin * job.task.bins)
     vertices, count = len(needs.vertices), 1 if light is not None else sh.count(needs.kept_degree)

@@ -300,7 +300,7 @@ def test_transport_that_fails_leaves_an_older_file_untouched(tmp_path: Path) -> 
         ({"directions": "random"}, "fibonacci, sobol, uniform"),
         ({"samples": 8}, "degree 2 has 9 coefficients"),
         ({"samples": 0}, "at least 1"),
-        ({"storage": "float64"}, "float16 or float32"),
+        ({"storage": "float64"}, "float16, float32"),
         ({"precision": "bfloat16"}, "only be baked with precision float32"),
         ({"device": "cuda"}, "on the cpu"),
         ({"rings": 0}, "ring"),

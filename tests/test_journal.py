@@ -126,22 +126,18 @@ def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pyte
 
 
 def test_blocks_that_are_broken_are_not_there(tmp_path: Path) -> None:
-    journal = Journal(tmp_path / "a.h5", {"seed": 1}, resume=False)
-    journal.write("00-0", {"numbers": np.arange(5.0)})
-    kept = Journal(tmp_path / "a.h5", {"seed": 1}, resume=True)
-    np.testing.assert_array_equal(kept.read("00-0")["numbers"], np.arange(5.0))  # type: ignore[index]
-    path = journal.folder / "00-0.npz"
-    path.write_bytes(path.read_bytes()[:100])
-    assert kept.read("00-0") is None
-    assert kept.read("00-9") is None
+    with Journal(tmp_path / "a.h5", {"seed": 1}, resume=False) as journal:
+        journal.write("00-0", {"numbers": np.arange(5.0)})
+    with Journal(tmp_path / "a.h5", {"seed": 1}, resume=True) as kept:
+        assert kept.resumed
+        np.testing.assert_array_equal(kept.read("00-0")["numbers"], np.arange(5.0))  # type: ignore[index]
+        path = kept.folder / "00-0.npz"
+        path.write_bytes(path.read_bytes()[:100])
+        assert kept.read("00-0") is None
+        assert kept.read("00-9") is None
     (journal.folder / "identity.json").write_text("{")
     with pytest.raises(StorageError, match="seed was None"):
         Journal(tmp_path / "a.h5", {"seed": 1}, resume=True)
-    Journal(tmp_path / "a.h5", {"seed": 2}, resume=False)
+    with Journal(tmp_path / "a.h5", {"seed": 2}, resume=False) as new:
+        assert not new.names("")
     assert not journal.folder.exists()
-
-
-def test_stopped_before_the_first_block_leaves_nothing_behind(tmp_path: Path) -> None:
-    with pytest.raises(Exception, match="before its first vertex"):
-        bake(Incoherent(), icosphere(0), **BLOCKS, out=tmp_path / "a.h5", stop=lambda: True)
-    assert not (tmp_path / "a.h5").exists()

@@ -1,13 +1,13 @@
 """Options that several commands share, and how their text is read."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
-from formats.errors import FormatError, StorageError
+from formats.errors import FormatError
+from formats.whole import refuse_unwritable
 
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
 
@@ -59,7 +59,7 @@ def output_option(metavar: str, *suffixes: str) -> Any:
     def refuse_unusable(path: Path) -> Path:
         if path.suffix.lower() not in suffixes:
             raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
-        _refuse_unwritable(path)
+        refuse_unwritable(path)
         return path
 
     return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
@@ -76,18 +76,9 @@ def optional_output(name: str, metavar: str, words: str, *suffixes: str) -> Any:
     return typer.Option(name, metavar=metavar, callback=refuse_unusable, help=words, show_default=False)
 
 
-def _refuse_unwritable(path: Path) -> None:
-    if path.is_dir():
-        raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
-    if not path.parent.is_dir():
-        raise StorageError(f"{path}: cannot be written: the folder {path.parent} does not exist; create it first")
-    if not os.access(path.parent, os.W_OK):
-        raise StorageError(f"{path}: cannot be written: no permission for the folder {path.parent}")
-
-
 def _read_report(path: Path | None) -> Path | None:
     if path is not None:
-        _refuse_unwritable(path)
+        refuse_unwritable(path)
     return path
 
 
