@@ -55,6 +55,8 @@ class Refinement:
     """Levels of view bins up to this one are evaluated whole."""
     survey: ViewSurvey | None
     """Of all bins of a few vertices; None once `always` allows for it, or where all bins are evaluated anyway."""
+    finest: float
+    """Relative error that half of the most directions that bins were looked at in leave there."""
     missed: Array
     """What each size of the lattice misses without telling so, over the root mean square coefficient."""
     checks: Callable[[Index], NDArray[np.bool_]]

@@ -1,7 +1,8 @@
 """The record of a baked asset; what each field becomes in a file is told in `formats.asset`."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from types import TracebackType
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,14 @@ class Asset(AssetHead):
     def eta(self) -> float:
         """The absolute index of refraction inside, as the provenance has it; 1 where it says nothing."""
         return float(self.provenance.get("eta", 1.0))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def close(self) -> None:
         """Close the file behind the coefficients, if they are an open dataset; harmless otherwise."""

@@ -6,12 +6,14 @@ Finished blocks are kept beside the asset while it is written (`prt_bake.bake_sh
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bakers.baker import Block, bake_block
 from bakers.path_traced import Account, Walks
 from formats.asset import Asset
 from formats.errors import QueryError
 from prt_bake.bake_error import ErrorMeter
+from prt_bake.bake_forecast import Forecast, Standing
 from prt_bake.bake_job import Job, resolve
 from prt_bake.bake_output import Sink
 from prt_bake.bake_pilot import reach
@@ -61,7 +63,9 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
             shelf.keep(block)
         return block
 
-    blocks = work.crew.in_order(one, shelf.cuts(job.task, work.needs.vertices))
+    cuts = shelf.cuts(job.task, work.needs.vertices)
+    forecast = Forecast(_missing(work.needs.vertices, shelf.there))
+    blocks = work.crew.in_order(one, cuts)
     try:
         for block in _until(work, blocks):
             work.evaluations += len(block.valid) * per_vertex
@@ -74,7 +78,7 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
             if not rows or done * ROWS // vertices > len(rows) or done == vertices:
                 rows.append(row)
             if work.progress is not None:
-                work.progress(done, vertices, row)
+                work.progress(done, vertices, Standing(row, forecast.left(done)))
     except KeyboardInterrupt:
         pass
     finally:
@@ -98,6 +102,14 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
     if isinstance(job.resolved.sampling, Walks):
         report["walks"] = account.as_json()
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
+
+
+def _missing(vertices: NDArray[np.int64], there: list[Cut]) -> NDArray[np.float64]:
+    """1 at the vertices that are to be baked, 0 at those that are there."""
+    missing = np.ones(len(vertices))
+    for first, last in there:
+        missing[(vertices >= first) & (vertices < last)] = 0.0
+    return missing
 
 
 def _until(work: Work, blocks: Iterator[Block]) -> Iterator[Block]:

@@ -36,6 +36,8 @@ BLOCKS_A_WORKER = 4
 CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.008, 64, 4096
 SURVEY_SHARE, MOST_SURVEYED = 7, 32
 """Of how many vertices one is seen in all of its bins before, and at most how many are."""
+HOPELESS = 4.0
+"""Times the error asked for, that a few bins in the most directions may be off."""
 MISSED = 20.0
 """Times its stated variance that an error must be before bins are held not to see what there is."""
 
@@ -92,7 +94,7 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
     """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
     lattice, pools = lattice_for(site.degree), pools_for(site.degree, site.seed)
     noise, pool_noise, floor, spent = _noise(site, lattice, pools)
-    missed, looked = _missed(site, lattice, noise)
+    missed, finest, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
     survey, surveyed = _survey(site, lattice, levels, DARK * floor, crew)
     share = np.clip(CHECK_SHARE, FEWEST_CHECKS / site.many, MOST_CHECKS / site.many)
@@ -112,6 +114,7 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         begin=1,
         always=ALWAYS,
         survey=survey,
+        finest=finest,
         missed=missed,
         checks=checked_bins(site.seed, site.bins, float(share)),
     ), spent + looked + surveyed
@@ -167,9 +170,33 @@ def _both(fits: list[tuple[Array, Array]]) -> Pair:
     return (one + other) / 2.0, (rough + also) / 2.0, ((one - other) ** 2).mean(axis=(1, 2)) / 2.0
 
 
-def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Array, int]:
-    """What each size of the lattice misses at most bins, of the root mean square coefficient, without telling so; and
-    evaluations. A look at a few bins in many directions: of what a lattice has missed it says nothing itself.
+def refuse_out_of_reach(site: Site, refinement: Refinement, error: float) -> int:
+    """Raises QueryError where the most directions there are leave far more at a few bins; evaluations, none where what
+    was looked at before tells enough.
+    """
+    if refinement.finest <= error:
+        return 0
+    size = refinement.pools.sizes[-1]
+    bins = drawn(site.seed + 5, site.many, min(LOOKED_AT, site.many))
+    found, _rough, squared = _pooled_pair(site, refinement.pools, size, bins)
+    left = float(np.sqrt(np.nanmean(squared) / np.nanmean(found**2)))
+    if left > HOPELESS * error:
+        raise out_of_reach(error, size, left)
+    return 2 * len(bins) * size
+
+
+def out_of_reach(error: float, size: int, left: float) -> QueryError:
+    """That so many directions leave more than an error."""
+    return QueryError(
+        f"error: a relative RMSE of {error:g} is out of reach; up to {size:,} directions a bin leave {left:.3g}; ask "
+        f"for a larger one"
+    )
+
+
+def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Array, float, int]:
+    """What each size of the lattice misses at most bins, of the root mean square coefficient, without telling so; the
+    relative error of the largest; and evaluations. A look at a few bins in many directions: of what a lattice has
+    missed it says nothing itself.
     """
     bins = drawn(site.seed + 3, site.many, min(LOOKED_AT, site.many))
     step = next((s for s, size in enumerate(lattice.sizes) if size >= LOOK), len(lattice.sizes) - 1)
@@ -177,7 +204,7 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
         site, lattice.directions[: lattice.sizes[step]], pair_turns(site.seed, LOOK, 2, bins), bins
     )
     all_seen, _rough = lattice.fitted(values, step)
-    missed, signal = np.zeros(len(lattice.sizes)), float(np.nanmean(all_seen**2))
+    missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, float(np.nanmean(all_seen**2))
     for number, size in enumerate(lattice.sizes[:step]):
         found, rough = lattice.fitted(values[:, :size], number)
         off, stated = (
@@ -186,7 +213,8 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
         )
         if np.median(off - MISSED * stated) > 0.0:
             missed[number] = np.sqrt(np.median(off) / signal)
-    return missed, len(bins) * lattice.sizes[step]
+        finest = float(np.sqrt(np.nanmean(off) / signal)) if signal > 0.0 else 0.0
+    return missed, finest, len(bins) * lattice.sizes[step]
 
 
 def _survey(

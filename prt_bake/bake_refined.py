@@ -19,8 +19,8 @@ from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
-from formats.errors import QueryError
-from prt_bake.bake_first_look import FEWEST_CHECKS, MISSED, Site
+from prt_bake.bake_first_look import FEWEST_AT_ONCE, FEWEST_CHECKS, MISSED, Site, out_of_reach
+from prt_bake.bake_forecast import COST
 from prt_bake.bake_light import checked_bins, drawn
 
 Array = NDArray[np.float64]
@@ -50,8 +50,6 @@ CHECK_NOISE = 0.7
 """Of each of the two lattices of a check, over the error asked for."""
 AGAIN = 0.8, 0.6, 0.4, 0.25, 0.15
 """Of their error, what vertices that are done again may come down to."""
-COST = 1.5
-"""Evaluations grow with that power of 1 / error."""
 
 
 @dataclass(frozen=True)
@@ -88,29 +86,57 @@ class Pass:
         return _worst(self.total, self.percentile_95)
 
 
-def aimed(site: Site, refinement: Refinement, error: float, crew: Crew = ALONE) -> Aim:
-    """Tolerances that lead to the error at a few vertices, over whichever lattices cost least there."""
+class Stopped(Exception):
+    """A pilot was asked to end."""
+
+
+def never() -> bool:
+    """Does not stop."""
+    return False
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """Trials at a few vertices of a site: who does them, and whether they are to end."""
+
+    site: Site
+    crew: Crew = ALONE
+    stop: Callable[[], bool] = never
+
+    def tried(self, how: Refinement) -> Iterator[tuple[Index, Refined, float]]:
+        """The pilot's vertices, some at a time, what came of them, and the seconds that they took."""
+        # Small pieces, so that it does not take long to stop one that takes many directions.
+        most = max(1, min(self.site.block_vertices, FEWEST_AT_ONCE // self.site.bins))
+        cut = pieces(_pilot_vertices(self.site), most, self.crew)
+        found = self.crew.in_order(lambda some: (some, *self.crew.do(_timed_block, (self.site, how), some)), cut)
+        for each in found:
+            if self.stop():
+                found.close()
+                raise Stopped
+            yield each
+
+
+def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
+    """Tolerances that lead to the error at a few vertices, over whichever lattices cost least there.
+
+    Raises QueryError where the error is out of reach, Stopped once the pilot is to end.
+    """
     refinement = refinement.for_views(error, VIEW_RANGE[1] * VIEW_OVER_LIGHT * error)
     ways = [replace(refinement, lattices=which) for which in LATTICES]
-    costs = [_untold(site, way, error, crew) for way in ways]
+    costs = [_untold(pilot, way, error) for way in ways]
     # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
-    near = ALIKE if site.many >= MANY else 1.0
+    near = ALIKE if pilot.site.many >= MANY else 1.0
     tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
-    aims = [_calibrated(site, way, error, crew) for way in tried]
+    aims = [_calibrated(pilot, way, error) for way in tried]
     best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
     return replace(best, evaluations=sum(costs) + sum(aim.evaluations for aim in aims))
 
 
-def _untold(site: Site, refinement: Refinement, error: float, crew: Crew) -> int:
+def _untold(pilot: Pilot, refinement: Refinement, error: float) -> int:
     """Evaluations at the pilot's vertices, without checks."""
-    how = replace(coarse(refinement, error).refinement, checks=checked_bins(site.seed, site.bins, 0.0))
-    return sum(refined.evaluations for _some, refined, _seconds in _tried(site, how, crew))
-
-
-def _tried(site: Site, how: Refinement, crew: Crew) -> Iterator[tuple[Index, Refined, float]]:
-    """The pilot's vertices, some at a time, what came of them, and the seconds that they took."""
-    cut = pieces(_pilot_vertices(site), site.block_vertices, crew)
-    return crew.in_order(lambda some: (some, *crew.do(_timed_block, (site, how), some)), cut)
+    checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
+    how = replace(coarse(refinement, error).refinement, checks=checks)
+    return sum(refined.evaluations for _some, refined, _seconds in pilot.tried(how))
 
 
 def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, float]:
@@ -123,8 +149,9 @@ def _pilot_vertices(site: Site) -> Index:
     return site.vertices[np.sort(drawn(site.seed, len(site.vertices), count))]
 
 
-def _calibrated(site: Site, refinement: Refinement, error: float, crew: Crew) -> Aim:
+def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices."""
+    site = pilot.site
     chosen = _pilot_vertices(site)
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
@@ -145,7 +172,7 @@ def _calibrated(site: Site, refinement: Refinement, error: float, crew: Crew) ->
         bound = view * VIEW_OVER_LIGHT * light
         trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
         tally, seconds = Tally(len(site.mesh.positions)), 0.0
-        for some, refined, took in _tried(site, replace(trial, checks=checks), crew):
+        for some, refined, took in pilot.tried(replace(trial, checks=checks)):
             tally.add(some, refined)
             seconds += took / len(chosen)
         spent += tally.evaluations
@@ -156,10 +183,7 @@ def _calibrated(site: Site, refinement: Refinement, error: float, crew: Crew) ->
         if reached <= 0.0 or NEAR[large] * error <= reached <= error or (reached < error and attempt >= PILOTS[large]):
             break
     if reached > OUT_OF_REACH * error:
-        raise QueryError(
-            f"error: a relative RMSE of {error:g} is out of reach; up to {refinement.lattice.sizes[-1]:,} directions "
-            f"a bin leave {reached:.3g}; ask for a larger one"
-        )
+        raise out_of_reach(error, refinement.lattice.sizes[-1], reached)
     return Aim(trial, correction, reached, seconds, spent, per_vertex)
 
 

@@ -22,9 +22,14 @@ class Shelf:
     def __init__(self, store: Store | None) -> None:
         self._store = store
 
+    @property
+    def there(self) -> list[Cut]:
+        """The blocks that an earlier run has done."""
+        return [] if self._store is None else [_cut(name) for name in self._store.names(_STAGE)]
+
     def cuts(self, task: Task, vertices: NDArray[np.int64]) -> list[Cut]:
         """What is there of these vertices, and between it the blocks that are missing, in order."""
-        kept = [] if self._store is None else [_cut(name) for name in self._store.names(_STAGE)]
+        kept = self.there
         there = [vertices[(vertices >= first) & (vertices < last)] for first, last in kept]
         missing = np.setdiff1d(vertices, np.concatenate([vertices[:0], *there]))
         return sorted(kept + cuts(task, missing))

@@ -13,8 +13,9 @@ from bakers.refined import WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.bake_first_look import Site, first_refinement, vertices_at_once
-from prt_bake.bake_refined import COST, LATTICES, MANY, Aim, Pass, aimed, coarse, one_pass, tighter
+from prt_bake.bake_first_look import Site, first_refinement, refuse_out_of_reach, vertices_at_once
+from prt_bake.bake_forecast import COST, Forecast, Standing, power_of_error
+from prt_bake.bake_refined import LATTICES, MANY, Aim, Pass, Pilot, Stopped, aimed, coarse, one_pass, tighter
 from prt_bake.bake_store import Store
 from prt_bake.bake_work import Work
 from prt_bake.pared_sink import pared_sink
@@ -26,6 +27,9 @@ FINER, FINEST, STEP = 1.25, 16.0, 2.5
 """Times smaller, that the error of a pass must at least and may at most be than that of the one before, in a bake that
 has a time to run; and what it is to be in one that runs until it is stopped.
 """
+PILOT_UNASKED = 5.0
+"""Seconds from which on a pilot is stopped in the middle: a short one is not asked about, as no block is."""
+NOTHING_DONE = "the bake was stopped before its first vertex was done; nothing was written"
 TIME_TO_USE = 0.75
 """Of the time left, what a pass may be foretold to take."""
 
@@ -44,6 +48,7 @@ class Run:
         self.site = Site(
             work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed, at_once
         )
+        self.pilot = Pilot(self.site, work.crew, lambda: work.seconds > PILOT_UNASKED and self.stopped)
         self.number = self.passes = 0
         self.asset: Asset | None = None
         self.rows: list[tuple[float, float, float]] = []
@@ -68,16 +73,22 @@ def bake_to_error(run: Run) -> Asset:
     refinement, looked = first_refinement(run.site, run.work.crew)
     run.work.evaluations += looked
     if run.error is not None and not math.isfinite(run.deadline):
+        run.work.evaluations += refuse_out_of_reach(run.site, refinement, run.error)
         large = run.site.many >= MANY and run.error < COARSE / 2
         if large and not run.store.names("01-") and _pass(run, coarse(refinement, COARSE)) is None:
             return _ended(run)
-        aim = aimed(run.site, refinement, run.error, run.work.crew)
+        try:
+            aim = aimed(run.pilot, refinement, run.error)
+        except Stopped:
+            return _ended(run, unfinished=True)
         run.work.evaluations += aim.evaluations
         # The numbers of passes to the error must not depend on whether there was a coarse one.
         run.number = 1
         for _again in range(PASSES):
             done = _pass(run, aim)
-            if done is None or done.worst <= run.error:
+            if done is None:
+                return _ended(run, unfinished=True)
+            if done.worst <= run.error:
                 break
             aim = tighter(aim, done, run.error)
         return _ended(run)
@@ -103,8 +114,9 @@ def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) ->
         if run.stopped or goal > reached / FINER:
             return None
         try:
-            aim = aimed(run.site, refinement, goal, run.work.crew)
-        except QueryError:
+            run.work.evaluations += refuse_out_of_reach(run.site, refinement, goal)
+            aim = aimed(run.pilot, refinement, goal)
+        except (QueryError, Stopped):
             return None
         run.work.evaluations += aim.evaluations
         # A pilot's blocks are small, and slower than those of a pass.
@@ -124,7 +136,7 @@ class _Shelf:
     store: Store
     number: int
 
-    def name(self, first: int) -> str:
+    def name(self, first: int | str) -> str:
         return f"{self.number:02d}-{first}"
 
     def keep(self, first: int, refined: Refined, bent: int) -> None:
@@ -163,11 +175,13 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
     run.number, run.passes = run.number + 1, run.passes + 1
     shelf.begin(aim, run.site.block_vertices)
 
+    forecast = _forecast(run, aim, shelf)
+
     def show(done: int, tally: Tally) -> None:
         if run.work.progress is not None:
             estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
             spent = run.work.seconds, float(run.work.evaluations + tally.evaluations), estimate
-            run.work.progress(done, vertices, spent)
+            run.work.progress(done, vertices, Standing(spent, forecast.left(done)))
 
     done = _whole_before(run, aim, shelf)
     if done is None:
@@ -180,7 +194,7 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
         if run.asset is None:
             if not run.store.names(f"{shelf.number:02d}-"):
                 run.store.remove()
-            raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
+            raise QueryError(NOTHING_DONE)
         return None
     if done.tally.invalid[done.tally.done].all():
         raise QueryError(
@@ -191,6 +205,25 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
     if done.whole and shelf.number:
         shelf.forget_before()
     return done if done.whole else None
+
+
+def _forecast(run: Run, aim: Aim, shelf: _Shelf) -> Forecast:
+    """How long this pass takes, and those that lead from it to the error asked for: the slope between them is measured
+    where there were two.
+    """
+    site = run.site
+    work = np.ones(len(site.vertices)) if aim.again is None else aim.again[site.vertices].astype(np.float64)
+    for name in run.store.names(shelf.name("")):
+        first = int(name.removeprefix(shelf.name("")))
+        work[first : first + site.block_vertices] = 0.0
+    foretold = aim.seconds * len(site.vertices) / max(1, run.work.crew.workers) if aim.seconds else None
+    if run.error is None:
+        after = math.inf
+    elif aim.error <= FINER * run.error:
+        after = 0.0
+    else:
+        after = (aim.error / run.error) ** power_of_error(run.rows)
+    return Forecast(work, foretold, after, run.deadline)
 
 
 def _whole_before(run: Run, aim: Aim, shelf: _Shelf) -> Pass | None:
@@ -248,9 +281,13 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
         run.asset = sink.finish(run.work.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
 
 
-def _ended(run: Run) -> Asset:
-    assert run.asset is not None
-    if run.asset.complete:
+def _ended(run: Run, unfinished: bool = False) -> Asset:
+    """The asset of the last whole pass, or the part that was done; `unfinished`: what is kept of a finer pass that was
+    stopped stays, for the same bake to go on with.
+    """
+    if run.asset is None:
+        raise QueryError(NOTHING_DONE)
+    if run.asset.complete and not unfinished:
         run.store.remove()
     return run.asset
 

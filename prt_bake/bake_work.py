@@ -9,10 +9,13 @@ from typing import Any
 from bakers.crew import Crew
 from formats.asset import AssetHead
 from formats.mesh import Mesh
+from prt_bake.bake_forecast import Standing
 from prt_bake.bake_needs import Needs
 
-Progress = Callable[[int, int, tuple[float, float, float]], None]
-"""progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error))."""
+Progress = Callable[[int, int, Standing], None]
+"""progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error)); the last one's attribute
+`left` is the seconds that are left, as they are foretold, or None.
+"""
 
 
 @dataclass

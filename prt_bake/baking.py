@@ -26,13 +26,13 @@ from formats.whole import refuse_unwritable
 from prt_bake import sh, sphere
 from prt_bake.bake_arguments import refuse_unusable
 from prt_bake.bake_by_samples import bake_by_samples
-from prt_bake.bake_first_look import Site, first_refinement
+from prt_bake.bake_first_look import Site, first_refinement, refuse_out_of_reach
 from prt_bake.bake_identity import identity_of
 from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
 from prt_bake.bake_pilot import reach
-from prt_bake.bake_refined import aimed
+from prt_bake.bake_refined import Pilot, aimed
 from prt_bake.bake_store import Store, opened_store
 from prt_bake.bake_to_error import Run, bake_to_error
 from prt_bake.bake_work import Progress, Work
@@ -231,7 +231,9 @@ def plan(
         needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, leave_out, light, eye)
         if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
             site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed)
-            aim = aimed(site, first_refinement(site)[0], needs.left_for_projection(error))
+            refinement, goal = first_refinement(site)[0], needs.left_for_projection(error)
+            refuse_out_of_reach(site, refinement, goal)
+            aim = aimed(Pilot(site), refinement, goal)
             a_bin, a_vertex = math.ceil(aim.evaluations_per_vertex / site.bins), aim.evaluations_per_vertex
             seconds = aim.seconds / max(1, workers)
         else:

@@ -18,6 +18,8 @@ from prt_bake.renderer.state import relative_noise
 if TYPE_CHECKING:
     from prt_bake.camera import Camera
 
+REACHED = 1.02
+"""Times the error asked for, that is told as reached."""
 _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
 """A list without lists, objects or texts in indented JSON, whose texts hold no line breaks."""
 
@@ -26,10 +28,14 @@ def bake_report(asset: Asset) -> dict[str, Any]:
     """What a bake did and how exact it is, as plain JSON values: provenance, completeness and error against time.
 
     `model_error` is what the baked network itself said of its coefficients when it was trained, where it did.
+    `error_reached` is whether an error that was asked for was, of the object and of 95 % of its vertices.
     """
     trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
+    asked, told = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
+    worst = max(told["total"], told["percentile_95_over_vertices"])
     return {
         **({"model_error": trained["coefficients"]} if "coefficients" in trained else {}),
+        **({} if asked is None else {"error_reached": asset.complete and worst <= REACHED * asked}),
         "complete": asset.complete,
         "vertices": len(asset.mesh.positions),
         "left_out": asset.left_out,

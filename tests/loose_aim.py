@@ -2,14 +2,12 @@
 
 from dataclasses import replace
 
-from bakers.crew import Crew
 from bakers.refined import Refinement
-from prt_bake.bake_first_look import Site
-from prt_bake.bake_refined import Aim, aimed
+from prt_bake.bake_refined import Aim, Pilot, aimed
 
 
-def loosely_aimed(site: Site, refinement: Refinement, error: float, crew: Crew) -> Aim:
+def loosely_aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     """`aimed`, its tolerances twice as wide."""
-    aim = aimed(site, refinement, error, crew)
+    aim = aimed(pilot, refinement, error)
     wide = replace(aim.refinement, light=2.0 * aim.refinement.light, view=2.0 * aim.refinement.view)
     return replace(aim, refinement=wide)

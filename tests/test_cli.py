@@ -12,7 +12,8 @@ from command_line import Run
 
 from formats.asset import read_asset
 from formats.image import read_image, write_image
-from prt_bake import demonstration
+from formats.mesh import read_mesh
+from prt_bake import baking, demonstration, load_model
 from prt_bake.renderer.loop import SHOWS_REFLECTION
 from prt_bake.renderer.network import SHOWS as SHOWS_NETWORK
 from prt_bake.rendering import SHOWS, SHOWS_ROUGH
@@ -129,6 +130,62 @@ def test_a_dry_run_writes_nothing(prtbake: Run, tmp_path: Path) -> None:
     outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--samples", 18, "--dry-run")
     assert json.loads(outcome.out)["evaluations"] == 42 * 1024 * 18
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_is_read_on_a_terminal(folder: Path) -> None:
+    from prt_bake.cli.plan import plan_lines
+
+    plan = baking.plan(
+        load_model(folder / "model.pt"), read_mesh(folder / "sphere.ply"), samples=18, leave_out=["unseen"]
+    )
+    lines = list(plan_lines(plan))
+    assert lines[0] == "42 vertices × 1,024 view bins, 9 harmonics"
+    assert "774,144 evaluations, 18.0 a bin" in lines
+    assert lines[3].startswith("about ")
+    assert any(line.startswith("kept: unseen: 0 of 42 vertices") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "sentence"),
+    [
+        ("--error", 0, "0 is not between 0 and 1"),
+        ("--error", 1, "1 is not between 0 and 1"),
+        ("--error", "nan", "nan is not between 0 and 1"),
+        ("--minutes", 0, "0 is not above 0"),
+        ("--samples", 0, "greater than or equal to 1"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_wrong_usage(prtbake: Run, option: str, value: object, sentence: str) -> None:
+    outcome = prtbake("bake", "nothing.pt", "nothing.ply", "-o", "a.h5", option, value)
+    assert outcome.code == 2
+    assert sentence in outcome.err
+
+
+def test_a_scheduler_that_nobody_runs_is_one_sentence(prtbake: Run, tmp_path: Path) -> None:
+    address = "tcp://127.0.0.1:9"
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--scheduler", address)
+    assert outcome.code == 1
+    assert f"--scheduler {address}: no scheduler of dask.distributed answers there" in outcome.err
+    assert "Traceback" not in outcome.err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_resuming_what_was_never_begun_says_so_and_begins(prtbake: Run, tmp_path: Path) -> None:
+    options = ["--rings", 1, "--sectors", 2, "--samples", 18, "--resume"]
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *options)
+    assert outcome.code == 0
+    assert "a.h5.journal: there is nothing to go on from; the bake begins at its beginning" in outcome.err
+
+
+def test_an_error_that_was_reached_is_told_and_one_that_was_not(prtbake: Run, tmp_path: Path) -> None:
+    options = ["--rings", 1, "--sectors", 2, "--report", tmp_path / "r.json"]
+    for error, minutes, reached in ((0.5, [], True), (1e-5, ["--minutes", 0.001], False)):
+        outcome = prtbake(
+            "bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--error", error, *minutes, *options
+        )
+        assert outcome.code == 0, outcome.err
+        assert json.loads((tmp_path / "r.json").read_text())["error_reached"] is reached
+        assert ("was not reached" in outcome.out) is not reached
 
 
 @pytest.mark.parametrize("suffix", [".png", ".exr"])

@@ -4,6 +4,7 @@ import errno
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -168,3 +169,30 @@ def test_another_transport_of_the_same_class_is_refused(
     with pytest.raises(StorageError, match="transport was"):
         bake(Lobed(30.0), icosphere(1), **SMALL, **asked, out=out, resume=True)  # type: ignore[arg-type]
     assert bake(Lobed(8.0), icosphere(1), **SMALL, **asked, out=out, resume=True).complete  # type: ignore[arg-type]
+
+
+def test_a_finer_pass_that_is_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """There is a coarse asset by then: it is whole, but not what was asked for."""
+    out, whole, asked = tmp_path / "a.h5", tmp_path / "whole.h5", {"rings": 4, "sectors": 16, "error": 0.05}
+    bake(Incoherent(), icosphere(1), **asked, out=whole).close()
+    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.bake_to_error.MANY", 1)
+
+    def kept(stage: str) -> int:
+        return len(list((tmp_path / "a.h5.journal").glob(f"{stage}*.npz")))
+
+    def stopped(stop: Callable[[], bool]) -> float:
+        with bake(Incoherent(), icosphere(1), **asked, out=out, stop=stop, resume=True) as coarse:
+            assert coarse.complete
+            assert coarse.valid.all()
+            return float(coarse.provenance["estimated_relative_rmse"]["total"])
+
+    assert stopped(lambda: kept("done-00") > 0) > 0.05
+    assert kept("00-") > 0
+    assert kept("01-") == 0
+    assert stopped(lambda: kept("01-") >= 4) > 0.05
+    assert 4 <= kept("01-") < 9
+    with bake(Incoherent(), icosphere(1), **asked, out=out, resume=True) as resumed:
+        assert resumed.provenance["estimated_relative_rmse"]["total"] <= 0.05
+    same(out, whole)
+    assert not (tmp_path / "a.h5.journal").exists()

@@ -16,7 +16,7 @@ from prt_bake import sphere
 from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import views_of
 from prt_bake.bake_light import checked_bins
-from prt_bake.bake_refined import CHECK_NOISE, Aim, aimed, refined_block
+from prt_bake.bake_refined import CHECK_NOISE, Aim, Pilot, aimed, refined_block
 from prt_bake.bake_report.bins import Bins, relative
 from prt_bake.bake_sampling import resolve_sampling
 
@@ -131,7 +131,7 @@ def adaptively(transport: Any, bins: Bins, truth: Array, seconds: float, seed: i
     refinement = replace(refinement, checks=checked_bins(seed, site.bins, CHECKED))
     rows: list[Row] = []
     try:
-        aim = aimed(site, refinement, AIMED)
+        aim = aimed(Pilot(site), refinement, AIMED)
     except QueryError:
         return rows
     ends = time.monotonic() + seconds

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.progress import reporting, stopping
+from prt_bake.cli.progress import bake_progress, reporting, stopping
 
 
 def demo(
@@ -28,7 +28,7 @@ def demo(
             out,
             settings,
             workers or os.cpu_count() or 1,
-            progress=lambda done, total, row: show(done / total, f"{done} of {total} vertices, error {row[2]:.2%}"),
+            progress=bake_progress(show),
             stop=stop,
         )
     for file in result.files:

@@ -1,5 +1,7 @@
 """Options that several commands share, and how their text is read."""
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -51,6 +53,18 @@ def _read_point(text: str | Point) -> Point:
     except ValueError:
         raise typer.BadParameter(f"{text!r} is not x,y,z in scene units, such as 0,1.5,3") from None
     return Point(x, y, z)
+
+
+def within(low: float, high: float) -> Callable[[float | None], float | None]:
+    """A callback that refuses a number at `low` or below it, above `high`, and at `high` if that is finite."""
+
+    def refuse_outside(value: float | None) -> float | None:
+        if value is not None and not (low < value < high or value == high == math.inf):
+            expected = f"above {low:g}" if high == math.inf else f"between {low:g} and {high:g}"
+            raise typer.BadParameter(f"{value:g} is not {expected}")
+        return value
+
+    return refuse_outside
 
 
 def output_option(metavar: str, *suffixes: str) -> Any:

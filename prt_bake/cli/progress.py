@@ -6,12 +6,20 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from prt_bake.bake_forecast import Standing
 
 PLAIN_INTERVAL = 5.0
 """Seconds between two lines where there is no terminal."""
 
-Report = Callable[[float, str], None]
-"""report(share done in [0, 1], a few words)."""
+
+class Report(Protocol):
+    """Shows how far the work is."""
+
+    def __call__(self, share: float, words: str, left: float | None = None) -> None:
+        """share: done, in [0, 1]. left: seconds that it still takes; as the share has grown so far, by default."""
 
 
 def say(sentence: str) -> None:
@@ -20,10 +28,42 @@ def say(sentence: str) -> None:
 
 
 @contextmanager
-def reporting(label: str) -> Iterator[Report]:
-    """Yield a function that shows how far the work is: as a bar on a terminal, in a line now and then elsewhere."""
-    with _bar(label) if sys.stderr.isatty() else _lines(label) as report:
+def reporting(label: str, first: str = "") -> Iterator[Report]:
+    """Yield a function that shows how far the work is: as a bar on a terminal, in a line now and then elsewhere.
+
+    first: what the bar says is done before there is anything to tell.
+    """
+    began = time.monotonic()
+    with _bar(label, first) if sys.stderr.isatty() else _lines(label) as show:
+
+        def report(share: float, words: str, left: float | None = None) -> None:
+            if left is None and share > 0.0:
+                left = (time.monotonic() - began) * (1.0 - share) / share
+            show(share, words, "" if left is None else f"{in_words(left)} left")
+
         yield report
+
+
+def bake_progress(show: Report) -> Callable[[int, int, "Standing"], None]:
+    """What a bake tells, shown as its share of the time to its target."""
+
+    def told(done: int, total: int, standing: "Standing") -> None:
+        seconds, _evaluations, error = standing
+        left = standing.left
+        share = done / total if left is None else seconds / max(seconds + left, 1e-9)
+        show(share, f"{done} of {total} vertices, error {error:.2%}", left)
+
+    return told
+
+
+def in_words(seconds: float) -> str:
+    """A time as people say it: 42 s, 3:20 min, 2:05 h."""
+    whole = round(seconds)
+    if whole < 100:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    return f"{whole // 3600}:{whole % 3600 // 60:02d} h"
 
 
 @contextmanager
@@ -46,30 +86,32 @@ def stopping() -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
-def _bar(label: str) -> Iterator[Report]:
+def _bar(label: str, first: str) -> Iterator[Callable[[float, str, str], None]]:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
     columns = (
         TextColumn(label, markup=False),
         BarColumn(),
         TaskProgressColumn(),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[left]}", markup=False),
         TextColumn("{task.fields[words]}", markup=False),
     )
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task(label, total=1.0, words="")
-        yield lambda share, words: progress.update(task, completed=share, words=words)
+        task = progress.add_task(label, total=1.0, words=first, left="")
+        yield lambda share, words, left: progress.update(task, completed=share, words=words, left=left)
 
 
 @contextmanager
-def _lines(label: str) -> Iterator[Report]:
+def _lines(label: str) -> Iterator[Callable[[float, str, str], None]]:
     last = time.monotonic()
 
-    def report(share: float, words: str) -> None:
+    def report(share: float, words: str, left: str) -> None:
         nonlocal last
         if time.monotonic() - last >= PLAIN_INTERVAL:
             last = time.monotonic()
-            print(f"{label}: {share:.0%} {words}", file=sys.stderr, flush=True)
+            print(
+                f"{label}: {share:.0%} {', '.join(part for part in (words, left) if part)}", file=sys.stderr, flush=True
+            )
 
     yield report

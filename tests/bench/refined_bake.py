@@ -22,7 +22,7 @@ from formats.mesh import read_mesh
 from prt_bake import bake, sh, sphere
 from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import limited_threads, prepared, views_of
-from prt_bake.bake_refined import aimed, refined_block
+from prt_bake.bake_refined import Pilot, aimed, refined_block
 from prt_bake.network import load_model
 
 PLAIN_DIRECTIONS, PLAIN_BINS = 1024, 192
@@ -81,7 +81,7 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
     chosen = np.sort(np.random.default_rng(5).permutation(len(mesh.positions))[:vertices])
     site = Site(transport, mesh, np.arange(len(mesh.positions)), views, sphere.view_bins(16, 64), 2, 0)
     with limited_threads(transport, 1):
-        aim = aimed(site, first_refinement(site)[0], error)
+        aim = aimed(Pilot(site), first_refinement(site)[0], error)
         began = time.perf_counter()
         cuts = range(0, len(chosen), site.block_vertices)
         parts = [refined_block(site, aim.refinement, chosen[first : first + site.block_vertices])[0] for first in cuts]
