@@ -180,7 +180,7 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(monkeypatch: py
     monkeypatch.setattr(prt_bake.bake_cluster, "PATIENCE", 0.2)
     monkeypatch.setattr(prt_bake.bake_cluster, "ASKED_EVERY", 0.1)
     with (
-        LocalCluster(n_workers=0, dashboard_address=None, processes=False) as none,
+        LocalCluster(n_workers=0, dashboard_address=":0", processes=False) as none,
         pytest.raises(ClusterError, match="no worker"),
     ):
         bake(Incoherent(), icosphere(0), **SMALL, scheduler=none.scheduler_address)
