@@ -179,7 +179,7 @@ def test_resuming_what_was_never_begun_says_so_and_begins(prtbake: Run, tmp_path
 
 def test_an_error_that_was_reached_is_told_and_one_that_was_not(prtbake: Run, tmp_path: Path) -> None:
     options = ["--rings", 1, "--sectors", 2, "--report", tmp_path / "r.json"]
-    for error, minutes, reached in ((0.5, [], True), (1e-5, ["--minutes", 0.001], False)):
+    for error, minutes, reached in ((0.5, [], True), (1e-5, ["--minutes", 0.05], False)):
         outcome = prtbake(
             "bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--error", error, *minutes, *options
         )
