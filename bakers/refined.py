@@ -1,6 +1,6 @@
 """What a refined bake is told, and what comes of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -16,8 +16,10 @@ from bakers.view_survey import ViewSurvey
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-WAYS = "foretold", "shared", "alone"
-"""How bins are come by: from their neighbours; over the lattice that all of a vertex share; over one of their own."""
+WAYS = "foretold", "shared", "alone", "nearby"
+"""How bins are come by: from their neighbours; over the lattice that all of a vertex share; over one of their own; from
+those of the vertices around.
+"""
 MISSED_OF_ERROR = 0.3
 Lattices = Literal["own", "shared", "both"]
 
@@ -135,3 +137,23 @@ class Refined:
             parts.append(whole)
         checks = self.checks.with_rows(rows, other.checks)
         return Refined(parts[0], parts[1], parts[2], parts[3], other.evaluations, checks)
+
+
+def joined(count: int, parts: Sequence[tuple[Index, Refined]]) -> Refined:
+    """A block of `count` vertices from parts of it, each with the places [m] of its vertices."""
+    some = parts[0][1]
+    arrays: list[NDArray[Any]] = []
+    for name in ("coefficients", "deviation", "directions", "way"):
+        whole = np.zeros((count, *getattr(some, name).shape[1:]), getattr(some, name).dtype)
+        for rows, part in parts:
+            whole[rows] = getattr(part, name)
+        arrays.append(whole)
+    rows = np.concatenate([rows[part.checks.rows] for rows, part in parts])
+    order = np.argsort(rows, kind="stable")
+    held = [np.concatenate([getattr(part.checks, name) for _rows, part in parts])[order] for name in _HELD]
+    checks = Checks(rows[order], held[0], held[1], held[2], sum(part.checks.evaluations for _rows, part in parts))
+    taken = sum(part.evaluations for _rows, part in parts)
+    return Refined(arrays[0], arrays[1], arrays[2], arrays[3], taken, checks)
+
+
+_HELD = "way", "stated", "squared"

@@ -13,13 +13,14 @@ A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on 
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bakers.lattice_pools import Pools
 from bakers.light_noise import LightNoise
-from bakers.refined import Checks, Refined, Refinement
+from bakers.refined import WAYS, Checks, Refined, Refinement
 from bakers.values import values_at
 from bakers.view_levels import STENCIL, Level
 from bakers.view_survey import ALWAYS, DECAY
@@ -52,6 +53,28 @@ def refine(transport: object, refinement: Refinement, vertices: Index, positions
         for number, level in enumerate(refinement.levels):
             work.add(number, level)
         return work.finished()
+
+
+def held_against(
+    transport: object,
+    refinement: Refinement,
+    vertices: Index,
+    positions: Array,
+    outgoing: Array,
+    coefficients: Array,
+    variance: Array,
+) -> Checks:
+    """Some bins of vertices that were foretold from those around them, coefficients [n,B,K,3] of that variance [n,B],
+    held against independent directions, as those are that `refine` evaluates.
+    """
+    work = _Work(transport, replace(refinement, lattices="own"), vertices, positions, outgoing)
+    work.scale = np.maximum((coefficients**2).mean(axis=(1, 2, 3)), refinement.floor**2)
+    rows, bins = np.nonzero(refinement.checks(vertices))
+    _found, work.rough[bins, rows] = work._alone(rows, bins, np.full(len(rows), work.fewest), 1)
+    begun = work.evaluations
+    checks = work._check(variance, coefficients)
+    way = np.full(len(checks.rows), WAYS.index("nearby"), np.uint8)
+    return replace(checks, way=way, evaluations=checks.evaluations + begun)
 
 
 class _Work:

@@ -39,13 +39,14 @@ class Correction:
     foretold: float = 1.0
     shared: float = 1.0
     alone: float = 1.0
+    nearby: float = 1.0
     bound: float = 1.0
     """Factor on standard errors beside: with it 1.96 of them hold the errors of 95 % of the bins."""
 
     @property
     def by_way(self) -> Array:
-        """The factors [3], in the order of `bakers.refined.WAYS`."""
-        return np.array([self.foretold, self.shared, self.alone])
+        """The factors [4], in the order of `bakers.refined.WAYS`."""
+        return np.array([self.foretold, self.shared, self.alone, self.nearby])
 
     def standard_error(self, deviation: NDArray[np.floating], way: NDArray[np.integer]) -> Array:
         """Standard errors from stated ones [...], such that 1.96 of them are a 95 % bound."""
@@ -53,7 +54,7 @@ class Correction:
 
 
 class Tally:
-    """Adds up blocks: sums [V] over the bins of each vertex, variances by way [3,V], and all checks."""
+    """Adds up blocks: sums [V] over the bins of each vertex, variances by way [4,V], and all checks."""
 
     def __init__(self, vertices: int) -> None:
         self.variance, self.signal = np.zeros((len(WAYS), vertices)), np.zeros(vertices)
@@ -64,7 +65,7 @@ class Tally:
 
     def add(self, rows: NDArray[np.int64], refined: Refined) -> None:
         """Takes in the vertices `rows` [n] of a block; those that are not finite count for nothing."""
-        finite, was = refined.valid, refined.way > 0
+        finite, was = refined.valid, refined.directions > 0
         variance = np.where(finite[:, None], refined.deviation.astype(np.float64) ** 2, 0.0)
         for way in range(len(WAYS)):
             self.variance[way, rows] = (variance * (refined.way == way)).sum(axis=1)

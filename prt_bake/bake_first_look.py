@@ -33,6 +33,8 @@ BINS_AT_ONCE, FEWEST_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1 << 12, 1024
 """Bins of a block, fewer where there are many workers; and most vertices."""
 BLOCKS_A_WORKER = 4
 """At least, so that none has long to wait for the others in the end."""
+MANY = 1 << 18
+"""Bins of an object from which on a pilot is a small part of it all."""
 CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.008, 64, 4096
 SURVEY_SHARE, MOST_SURVEYED = 7, 32
 """Of how many vertices one is seen in all of its bins before, and at most how many are."""
@@ -55,6 +57,8 @@ class Site:
     """View bins [B,3] in the local frame."""
     degree: int
     seed: int
+    grid: tuple[int, int] | None = None
+    """Rings and sectors, where `local` are the bins of them all."""
     at_once: int | None = None
     """Vertices that are baked together, where that is settled."""
 

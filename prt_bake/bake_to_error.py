@@ -13,9 +13,10 @@ from bakers.refined import WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.bake_first_look import Site, first_refinement, refuse_out_of_reach, vertices_at_once
+from prt_bake.bake_aim import LATTICES, Aim, Pilot, Stopped, aimed, coarse
+from prt_bake.bake_first_look import MANY, Site, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.bake_forecast import COST, Forecast, Standing, power_of_error
-from prt_bake.bake_refined import LATTICES, MANY, Aim, Pass, Pilot, Stopped, aimed, coarse, one_pass, tighter
+from prt_bake.bake_refined import Pass, one_pass, tighter
 from prt_bake.bake_store import Store
 from prt_bake.bake_work import Work
 from prt_bake.pared_sink import pared_sink
@@ -29,6 +30,9 @@ has a time to run; and what it is to be in one that runs until it is stopped.
 """
 PILOT_UNASKED = 5.0
 """Seconds from which on a pilot is stopped in the middle: a short one is not asked about, as no block is."""
+NEARBY = WAYS.index("nearby")
+EVALUATED = "evaluated-"
+"""Before the names of blocks of vertices that others are foretold from."""
 NOTHING_DONE = "the bake was stopped before its first vertex was done; nothing was written"
 TIME_TO_USE = 0.75
 """Of the time left, what a pass may be foretold to take."""
@@ -45,9 +49,18 @@ class Run:
         at_once = vertices_at_once(len(needs.vertices), len(needs.local), work.crew.workers)
         if known:
             at_once = int(known[0]["at_once"])
+        grid = (work.head.rings, work.head.sectors) if needs.views == "all" else None
         self.site = Site(
-            work.transport, work.mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, work.seed, at_once
-        )
+            work.transport,
+            work.mesh,
+            needs.vertices,
+            needs.outgoing,
+            needs.local,
+            needs.degree,
+            work.seed,
+            grid,
+            at_once,
+        )  # fmt: skip
         self.pilot = Pilot(self.site, work.crew, lambda: work.seconds > PILOT_UNASKED and self.stopped)
         self.number = self.passes = 0
         self.asset: Asset | None = None
@@ -151,17 +164,32 @@ class _Shelf:
         assert found is not None
         return found
 
+    def keep_evaluated(self, first: int, refined: Refined, bent: int) -> None:
+        self.store.write(EVALUATED + self.name(first), _as_arrays(refined, bent))
+
+    def evaluated(self, first: int) -> tuple[Refined, int] | None:
+        arrays = self.store.read(EVALUATED + self.name(first))
+        return None if arrays is None else (_as_refined(arrays), int(arrays["bent"]))
+
+    def begun(self, kind: str) -> list[int]:
+        """Where the blocks begin that are there already, of all vertices or of those that are evaluated first."""
+        before = kind + self.name("")
+        return [int(name.removeprefix(before)) for name in self.store.names(before)]
+
     def begin(self, aim: Aim, at_once: int) -> None:
         """Drops what an earlier run has kept of a pass to other tolerances: a bake for minutes is never the same."""
         how, name = aim.refinement, f"aim-{self.number:02d}"
         lattices = LATTICES.index(how.lattices)
+        near = aim.foretelling
+        cells = [] if near is None else [near.spacing, near.tolerated, float(near.bins)]
         tolerances = np.array(
-            [how.light, how.view, how.checked, how.floor, how.begin, how.always, lattices], np.float64
+            [how.light, how.view, how.checked, how.floor, how.begin, how.always, lattices, *cells], np.float64
         )
         known = self.store.read(name)
         if known is not None and np.array_equal(known["tolerances"], tolerances):
             return
         self.store.forget(f"{self.number:02d}-")
+        self.store.forget(EVALUATED + self.name(""))
         self.store.forget(f"done-{self.number:02d}")
         self.store.write(name, {"tolerances": tolerances, "at_once": np.asarray(at_once)})
 
@@ -188,11 +216,12 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
         done = one_pass(run.site, aim, run.work.crew, shelf, lambda: run.stopped, show)
         if done.whole:
             run.store.write(_summary(shelf), done.tally.as_arrays())
+            run.store.forget(EVALUATED + shelf.name(""))
     run.work.evaluations += done.tally.evaluations
     run.rows.append((run.work.seconds, float(run.work.evaluations), done.total))
     if not done.tally.done.any():
         if run.asset is None:
-            if not run.store.names(f"{shelf.number:02d}-"):
+            if not run.store.names(f"{shelf.number:02d}-") + run.store.names(EVALUATED):
                 run.store.remove()
             raise QueryError(NOTHING_DONE)
         return None
@@ -212,11 +241,15 @@ def _forecast(run: Run, aim: Aim, shelf: _Shelf) -> Forecast:
     where there were two.
     """
     site = run.site
-    work = np.ones(len(site.vertices)) if aim.again is None else aim.again[site.vertices].astype(np.float64)
-    for name in run.store.names(shelf.name("")):
-        first = int(name.removeprefix(shelf.name("")))
-        work[first : first + site.block_vertices] = 0.0
-    foretold = aim.seconds * len(site.vertices) / max(1, run.work.crew.workers) if aim.seconds else None
+    vertices, step = len(site.vertices), site.block_vertices
+    work = np.ones(vertices) if aim.again is None else aim.again[site.vertices].astype(np.float64)
+    ahead = 0.0 if aim.foretelling is None else aim.foretelling.ahead
+    for first in shelf.begun(""):
+        begin, end = (round(vertices * ahead + (1.0 - ahead) * at) for at in (first, min(first + step, vertices)))
+        work[begin:end] = 0.0
+    for first in shelf.begun("") + shelf.begun(EVALUATED):
+        work[round(ahead * first) : round(ahead * min(first + step, vertices))] = 0.0
+    foretold = aim.seconds * vertices / max(1, run.work.crew.workers) if aim.seconds else None
     if run.error is None:
         after = math.inf
     elif aim.error <= FINER * run.error:
@@ -242,7 +275,7 @@ def _summary(shelf: _Shelf) -> str:
 
 def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
     """The asset of a pass, its standard errors corrected by the checks."""
-    bent, histogram = 0, dict[int, int]()
+    bent, foretold, histogram = 0, 0, dict[int, int]()
     site = run.site
     with pared_sink(run.work.out, run.work.head, run.work.storage, run.work.needs) as sink:
         for first in site.blocks:
@@ -250,6 +283,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             if kept is None or not done.tally.done[vertices[0]]:
                 break
             refined, bent = kept[0], bent + kept[1]
+            foretold += int((refined.way == NEARBY).all(axis=1).sum())
             valid = refined.valid
             for size, many in zip(*np.unique(refined.directions, return_counts=True), strict=True):
                 histogram[int(size)] = histogram.get(int(size), 0) + int(many)
@@ -270,6 +304,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
                 "passes": run.passes,
                 "bins_by_directions": {str(size): histogram[size] for size in sorted(histogram)},
                 "bins_foretold": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
+                "vertices_foretold": foretold,
                 "bins_checked": done.tally.checked,
                 "checked_over_stated_variance": {
                     name: float(factor) for name, factor in zip(WAYS, done.correction.by_way, strict=True)

@@ -24,6 +24,7 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from formats.whole import refuse_unwritable
 from prt_bake import sh, sphere
+from prt_bake.bake_aim import Pilot, aimed
 from prt_bake.bake_arguments import refuse_unusable
 from prt_bake.bake_by_samples import bake_by_samples
 from prt_bake.bake_first_look import Site, first_refinement, refuse_out_of_reach
@@ -32,7 +33,6 @@ from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, re
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
 from prt_bake.bake_pilot import reach
-from prt_bake.bake_refined import Pilot, aimed
 from prt_bake.bake_store import Store, opened_store
 from prt_bake.bake_to_error import Run, bake_to_error
 from prt_bake.bake_work import Progress, Work
@@ -230,7 +230,8 @@ def plan(
     with limited_threads(transport, workers):
         needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, leave_out, light, eye)
         if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
-            site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed)
+            grid = (rings, sectors) if needs.views == "all" else None
+            site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed, grid)
             refinement, goal = first_refinement(site)[0], needs.left_for_projection(error)
             refuse_out_of_reach(site, refinement, goal)
             aim = aimed(Pilot(site), refinement, goal)

@@ -12,9 +12,10 @@ from bakers.verdict import Correction, Tally
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake, sh, sphere
+from prt_bake.bake_aim import coarse
 from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import views_of
-from prt_bake.bake_refined import Pass, coarse, tighter
+from prt_bake.bake_refined import Pass, tighter
 from prt_bake.network import load_model
 
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"

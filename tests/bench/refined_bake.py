@@ -20,9 +20,9 @@ from transports import Array, Chequered, Counting, Edged, Incoherent, Lobed, exa
 from bakers.transport import on_mesh, up_to
 from formats.mesh import read_mesh
 from prt_bake import bake, sh, sphere
+from prt_bake.bake_aim import Pilot, aimed, refined_block
 from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import limited_threads, prepared, views_of
-from prt_bake.bake_refined import Pilot, aimed, refined_block
 from prt_bake.network import load_model
 
 PLAIN_DIRECTIONS, PLAIN_BINS = 1024, 192

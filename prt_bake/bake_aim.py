@@ -1,0 +1,202 @@
+"""A pilot at a few vertices: how noisy fits are there, and which tolerances lead to the error that is asked for."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.crew import ALONE, Crew, pieces
+from bakers.refined import Lattices, Refined, Refinement
+from bakers.refinement import refine
+from bakers.verdict import Correction, Tally
+from prt_bake.bake_first_look import FEWEST_AT_ONCE, FEWEST_CHECKS, MANY, MISSED, Site, out_of_reach
+from prt_bake.bake_forecast import COST
+from prt_bake.bake_light import checked_bins, drawn
+from prt_bake.nearby_choice import Nearby, nearby_for
+
+Index = NDArray[np.int64]
+
+AIM = 0.92
+"""Of the error asked for, what tolerances are chosen for: what a few vertices say of all is not exact."""
+VIEW_OVER_LIGHT = 2.0
+VIEW_RANGE = 0.3, 2.0
+PILOTS, MOST_PILOTS = (3, 5), 6
+"""Trials of few bins, and of many, after which any error below the one asked for will do; and most trials."""
+RESPONSE = 0.75
+"""Tolerances change with that power of the error that they are to lead to."""
+OUT_OF_REACH = 1.5
+"""Times the error asked for, which a pilot must come down to."""
+PILOT_VERTICES, PILOT_SHARE = 24, 12
+"""Most vertices of the pilot, and of how many vertices it takes one."""
+PILOT_CHECKS = 128
+NEAR = 0.7, 0.85
+"""Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
+LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
+ALIKE = 1.3
+"""Times the least evaluations that a way may take to be tried out with checks."""
+CHECK_NOISE = 0.7
+"""Of each of the two lattices of a check, over the error asked for."""
+
+
+@dataclass(frozen=True)
+class Aim:
+    """How to bake to an error, as the pilot has it."""
+
+    refinement: Refinement
+    correction: Correction
+    error: float
+    """What the pilot came to: the larger of the object's relative RMSE and its 95th percentile over vertices."""
+    seconds: float
+    """Of one worker for one vertex."""
+    evaluations: int
+    """That the pilot took."""
+    evaluations_per_vertex: float
+    """Of a pass, checks apart."""
+    nearby: Nearby | None = None
+    """How most vertices are foretold from others, where they are."""
+    again: NDArray[np.bool_] | None = None
+    """Vertices [V] to be done; the others stay as the pass before left them. None: all."""
+
+    @property
+    def foretelling(self) -> Nearby | None:
+        """How vertices are foretold in this pass: those that are done again are all evaluated."""
+        return self.nearby if self.again is None else None
+
+
+class Stopped(Exception):
+    """A pilot was asked to end."""
+
+
+def never() -> bool:
+    """Does not stop."""
+    return False
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """Trials at a few vertices of a site: who does them, and whether they are to end."""
+
+    site: Site
+    crew: Crew = ALONE
+    stop: Callable[[], bool] = never
+
+    def tried(self, how: Refinement) -> Iterator[tuple[Index, Refined, float]]:
+        """The pilot's vertices, some at a time, what came of them, and the seconds that they took."""
+        # Small pieces, so that it does not take long to stop one that takes many directions.
+        most = max(1, min(self.site.block_vertices, FEWEST_AT_ONCE // self.site.bins))
+        cut = pieces(_pilot_vertices(self.site), most, self.crew)
+        found = self.crew.in_order(lambda some: (some, *self.crew.do(_timed_block, (self.site, how), some)), cut)
+        for each in found:
+            if self.stop():
+                found.close()
+                raise Stopped
+            yield each
+
+
+def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
+    """Tolerances that lead to the error at a few vertices, over whichever lattices cost least there.
+
+    Raises QueryError where the error is out of reach, Stopped once the pilot is to end.
+    """
+    refinement = refinement.for_views(error, VIEW_RANGE[1] * VIEW_OVER_LIGHT * error)
+    ways = [replace(refinement, lattices=which) for which in LATTICES]
+    costs = [_untold(pilot, way, error) for way in ways]
+    # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
+    near = ALIKE if pilot.site.many >= MANY else 1.0
+    tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
+    aims = [_calibrated(pilot, way, error) for way in tried]
+    best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
+    nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex)
+    spent = sum(costs) + sum(aim.evaluations for aim in aims) + looked
+    if nearby is None:
+        return replace(best, evaluations=spent)
+    seconds = best.seconds * nearby.on_average / best.evaluations_per_vertex
+    return replace(best, nearby=nearby, evaluations=spent, evaluations_per_vertex=nearby.on_average, seconds=seconds)
+
+
+def _untold(pilot: Pilot, refinement: Refinement, error: float) -> int:
+    """Evaluations at the pilot's vertices, without checks."""
+    checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
+    how = replace(coarse(refinement, error).refinement, checks=checks)
+    return sum(refined.evaluations for _some, refined, _seconds in pilot.tried(how))
+
+
+def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, float]:
+    began = time.monotonic()
+    return refined_block(site, how, vertices)[0], time.monotonic() - began
+
+
+def _pilot_vertices(site: Site) -> Index:
+    count = int(np.clip(len(site.vertices) // PILOT_SHARE, 1, PILOT_VERTICES))
+    return site.vertices[np.sort(drawn(site.seed, len(site.vertices), count))]
+
+
+def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
+    """Tolerances that lead to the error at a few vertices."""
+    site = pilot.site
+    chosen = _pilot_vertices(site)
+    share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
+    checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
+    noise, pool_noise, view, tightness = refinement.noise, refinement.pool_noise, 1.0, 1.0
+    begin, most, large = refinement.begin_for(error), len(refinement.lattice.sizes), int(site.many >= MANY)
+    spent, correction, reached, seconds, per_vertex, attempt = 0, Correction(), 0.0, 0.0, 0.0, 0
+    while attempt < MOST_PILOTS:
+        if max(correction.shared, correction.alone) > MISSED and begin < most:
+            # Most bins do not see what some do: what they say of their error is worth nothing.
+            begin, attempt = min(begin + 2, most), 0
+        elif attempt:
+            # The noise of differences and the error of prediction as they were seen, and then what is tolerated.
+            noise = replace(noise, of_differences=noise.of_differences * correction.shared)
+            pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(correction.alone))
+            view = float(np.clip(view / np.sqrt(correction.foretold), *VIEW_RANGE))
+            tightness *= float(np.clip((AIM * error / reached) ** RESPONSE, 0.5, 1.6)) if attempt > 1 else 1.0
+        light = tightness * error
+        bound = view * VIEW_OVER_LIGHT * light
+        trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
+        tally, seconds = Tally(len(site.mesh.positions)), 0.0
+        for some, refined, took in pilot.tried(replace(trial, checks=checks)):
+            tally.add(some, refined)
+            seconds += took / len(chosen)
+        spent += tally.evaluations
+        per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
+        correction = tally.correction(Correction())
+        reached = worst_of(*tally.relative(correction))
+        attempt += 1
+        if reached <= 0.0 or NEAR[large] * error <= reached <= error or (reached < error and attempt >= PILOTS[large]):
+            break
+    if reached > OUT_OF_REACH * error:
+        raise out_of_reach(error, refinement.lattice.sizes[-1], reached)
+    return Aim(trial, correction, reached, seconds, spent, per_vertex)
+
+
+def coarse(refinement: Refinement, error: float) -> Aim:
+    """Tolerances of about that error, without a pilot."""
+    return Aim(
+        replace(
+            refinement.for_views(error, VIEW_OVER_LIGHT * error),
+            light=error,
+            view=VIEW_OVER_LIGHT * error,
+            checked=CHECK_NOISE * error,
+            begin=refinement.begin_for(error),
+        ),
+        Correction(),
+        error,
+        0.0,
+        0,
+        0.0,
+    )
+
+
+def refined_block(site: Site, refinement: Refinement, vertices: Index) -> tuple[Refined, int]:
+    """A block, and how many of its bins were bent to the horizon."""
+    views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
+    outgoing = np.concatenate([directions for directions, _bent in views])
+    refined = refine(site.transport, refinement, vertices, site.mesh.positions[vertices], outgoing)
+    return refined, sum(bent for _directions, bent in views)
+
+
+def worst_of(total: float, percentile_95: float) -> float:
+    """The larger of the two figures of an error."""
+    return max(total, percentile_95)

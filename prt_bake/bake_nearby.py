@@ -1,0 +1,130 @@
+"""Vertices foretold from those around them, where a mesh is finer than what is seen on it.
+
+One vertex of each cell is evaluated first; the others follow from those (`bakers.nearby_vertices`), each held against
+the transport at a few bins, in the same directions as its parents, so that no noise of the light hides what is amiss.
+Those that fail are evaluated.
+"""
+
+from dataclasses import replace
+from threading import Lock
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.crew import Crew
+from bakers.nearby_vertices import Parents, foretold
+from bakers.refined import WAYS, Checks, Refined, Refinement, joined
+from bakers.refinement import held_against, refine
+from prt_bake.bake_first_look import Site
+from prt_bake.nearby_choice import Nearby, held
+from prt_bake.nearby_kernel import all_turned
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+class Kept(Protocol):
+    """Where the evaluated vertices of each block lie until all that are foretold from them are."""
+
+    def keep_evaluated(self, first: int, refined: Refined, bent: int) -> None:
+        """Takes the evaluated vertices of a block."""
+
+    def evaluated(self, first: int) -> tuple[Refined, int] | None:
+        """Gives them back."""
+
+
+class Library:
+    """Coefficients of evaluated vertices by their place among them, read block by block as they are needed."""
+
+    def __init__(self, site: Site, nearby: Nearby, kept: Kept, most_bytes: int = 1 << 28) -> None:
+        self._kept, self._lock, self._most = kept, Lock(), most_bytes
+        places = np.flatnonzero(nearby.evaluated)
+        block = places // site.block_vertices
+        self._first = block * site.block_vertices
+        self._row = np.arange(len(places)) - np.searchsorted(block, block)
+        self._read: dict[int, NDArray[np.float32]] = {}
+
+    def of(self, places: Index) -> NDArray[np.float32]:
+        """Coefficients [G,B,K,3] of these evaluated vertices."""
+        found = [self._block(int(self._first[place]))[self._row[place]] for place in places]
+        return np.stack(found)
+
+    def _block(self, first: int) -> NDArray[np.float32]:
+        with self._lock:
+            if first in self._read:
+                self._read[first] = self._read.pop(first)
+                return self._read[first]
+        there = self._kept.evaluated(first)
+        assert there is not None
+        with self._lock:
+            self._read[first] = there[0].coefficients
+            while sum(each.nbytes for each in self._read.values()) > self._most and len(self._read) > 1:
+                del self._read[next(iter(self._read))]
+            return there[0].coefficients
+
+
+def block_from_nearby(
+    site: Site, refinement: Refinement, nearby: Nearby, crew: Crew, kept: Kept, library: Library, first: int
+) -> tuple[Refined, int]:
+    """A block: its evaluated vertices as they are kept, the others foretold from those around, or evaluated after all;
+    and how many of its bins were bent to the horizon.
+    """
+    vertices = site.block(first)
+    here = nearby.evaluated[first : first + len(vertices)]
+    parts, bent = list[tuple[Index, Refined]](), 0
+    if here.any():
+        there = kept.evaluated(first)
+        assert there is not None
+        parts, bent = [(np.flatnonzero(here), there[0])], there[1]
+    rest = np.flatnonzero(~here)
+    if len(rest):
+        parents = nearby.parents(site, vertices[rest])
+        sound = np.flatnonzero(parents.sound)
+        wanted = np.unique(parents.of[sound])
+        known = library.of(wanted) if len(wanted) else np.zeros((0, site.bins, 0, 3), np.float32)
+        found, more = crew.do(_foretold_block, (site, refinement, nearby), vertices[rest], parents, wanted, known)
+        parts.append((rest, found))
+        bent += more
+    return joined(len(vertices), parts), bent
+
+
+def _foretold_block(
+    site: Site, refinement: Refinement, nearby: Nearby, vertices: Index, parents: Parents, wanted: Index, known: Any
+) -> tuple[Refined, int]:
+    views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
+    outgoing, bent = np.concatenate([view for view, _bent in views]), sum(many for _view, many in views)
+    positions = site.mesh.positions[vertices]
+    sound = np.flatnonzero(parents.sound)
+    (off,), spent = held(site, refinement, nearby, parents, vertices, sound, nearby.bins)
+    good, parts = list[int](), list[tuple[Index, Refined]]()
+    coefficients, variance = list[Array](), list[Array]()
+    assert site.grid is not None
+    by_view = np.ascontiguousarray(known).reshape(len(known), *site.grid, -1)
+    for row, each in zip(sound, off, strict=True):
+        if not np.sqrt((each**2).mean()) <= nearby.tolerated:
+            continue
+        places = np.searchsorted(wanted, parents.of[row])
+        values, told = foretold(all_turned(by_view, places, parents.turn[row]), parents, int(row))
+        scale = max(float((values**2).mean()), refinement.floor**2)
+        if told.mean() <= nearby.error**2 * scale:
+            good.append(int(row))
+            coefficients.append(values.reshape(site.bins, -1, 3))
+            variance.append(told)
+    if good:
+        rows = np.array(good)
+        found, told = np.stack(coefficients), np.stack(variance)
+        checks = held_against(site.transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, told)
+        parts.append((rows, _as_refined(found, told, checks)))
+    if len(others := np.setdiff1d(np.arange(len(vertices)), good)):
+        evaluated = refine(site.transport, refinement, vertices[others], positions[others], outgoing[others])
+        parts.append((others, evaluated))
+    whole = joined(len(vertices), parts)
+    return replace(whole, evaluations=whole.evaluations + spent), bent
+
+
+def _as_refined(found: Array, variance: Array, checks: Checks) -> Refined:
+    directions = np.zeros(variance.shape, np.uint16)
+    way = np.full(variance.shape, WAYS.index("nearby"), np.uint8)
+    deviation = np.sqrt(variance).astype(np.float32)
+    return Refined(found.astype(np.float32), deviation, directions, way, checks.evaluations, checks)

@@ -1,0 +1,96 @@
+"""Vertices foretold from those around them: what that saves on fine meshes, and what it leaves of the truth.
+
+    PYTHONPATH=tests python tests/bench/fine_meshes.py --subdivisions 5
+    PYTHONPATH=tests python tests/bench/fine_meshes.py --subdivisions 2 \
+        --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj
+
+Spheres with analytic transports, or a network's mesh, subdivided (Loop) so many times. Each is baked twice, with every
+vertex evaluated and with most foretold; the truth is a fit over 4096 directions at bins drawn from all.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from transports import Edged, Lobed, icosphere
+
+import prt_bake.bake_aim
+from bakers.transport import on_mesh, up_to
+from bakers.values import values_at
+from formats.mesh import Mesh, build_mesh, read_mesh
+from prt_bake import bake, sh, sphere
+from prt_bake.bake_job import prepared, views_of
+from prt_bake.network import load_model
+
+VERTICES, BINS, DIRECTIONS = 150, 4, 4096
+NONE = "every vertex evaluated"
+
+
+def subdivided(path: Path, times: int) -> Mesh:
+    mesh = read_mesh(path)
+    fine = trimesh.Trimesh(mesh.positions, mesh.faces).subdivide_loop(times)
+    return build_mesh(np.asarray(fine.vertices), np.asarray(fine.faces))
+
+
+def true_errors(transport: Any, mesh: Mesh, rings: int, sectors: int, asset: Any) -> tuple[float, float, float]:
+    """Relative RMSE, its 95th percentile over vertices, and the share of bins within 1.96 standard errors."""
+    random, lattice, views = np.random.default_rng(1), sphere.fibonacci(DIRECTIONS), views_of(mesh, rings, sectors)[1]
+    fit = np.linalg.pinv(sh.evaluate(lattice, 2))
+    off, signal, stated = [], [], []
+    for vertex in random.choice(len(mesh.positions), VERTICES, replace=False):
+        bins = np.sort(random.choice(rings * sectors, BINS, replace=False))
+        outgoing = views(int(vertex), int(vertex) + 1)[0][0][bins]
+        x = np.tile(mesh.positions[vertex], (BINS, 1))
+        answers = values_at(transport, lattice[None], np.zeros(BINS, np.int64), x, outgoing).astype(np.float64)
+        truth = (fit @ answers).reshape(BINS, -1, 3)
+        off.append(((asset.coefficients[vertex, bins] - truth) ** 2).mean(axis=(1, 2)))
+        signal.append((truth**2).mean(axis=(1, 2)))
+        stated.append(asset.standard_error[vertex, bins])
+    squared, squares, told = np.array(off), np.array(signal), np.array(stated)
+    by_vertex = np.sqrt(squared.sum(axis=1) / squares.sum(axis=1))
+    within = (np.sqrt(squared) <= 1.96 * told).mean()
+    return float(np.sqrt(squared.sum() / squares.sum())), float(np.percentile(by_vertex, 95)), float(within)
+
+
+def one(name: str, transport: Any, mesh: Mesh, error: float, rings: int, sectors: int) -> None:
+    chosen = prt_bake.bake_aim.nearby_for
+    for way in (NONE, "most foretold"):
+        prt_bake.bake_aim.nearby_for = (lambda *_all: (None, 0)) if way == NONE else chosen
+        began = time.perf_counter()
+        with bake(transport, mesh, error=error, rings=rings, sectors=sectors) as asset:
+            seconds, told = time.perf_counter() - began, asset.provenance
+            bins = len(mesh.positions) * rings * sectors
+            exact = prepared(up_to(on_mesh(transport, mesh), 2), "float32", "cpu")
+            true, worst, within = true_errors(exact, mesh, rings, sectors, asset)
+        print(
+            f"{name}, {len(mesh.positions)} vertices, {error:.1%}, {way}: {told['evaluations'] / bins:.2f} evaluations "
+            f"a bin, {seconds:.0f} s, {told['refinement']['vertices_foretold'] / len(mesh.positions):.0%} foretold, "
+            f"told {told['estimated_relative_rmse']['total']:.2%}, true {true:.2%}, 95 % of the vertices {worst:.2%}, "
+            f"{within:.1%} within",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--error", type=float, default=0.01)
+    parser.add_argument("--rings", type=int, default=16)
+    parser.add_argument("--sectors", type=int, default=64)
+    parser.add_argument("--subdivisions", type=int, default=5)
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--mesh", type=Path)
+    given = parser.parse_args()
+    if given.model is not None:
+        mesh = subdivided(given.mesh, given.subdivisions)
+        one(given.model.name, load_model(given.model), mesh, given.error, given.rings, given.sectors)
+        return
+    cases: dict[str, Any] = {"lobed": Lobed(), "edged": Edged()}
+    for name, transport in cases.items():
+        one(name, transport, icosphere(given.subdivisions), given.error, given.rings, given.sectors)
+
+
+if __name__ == "__main__":
+    main()

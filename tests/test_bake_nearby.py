@@ -1,0 +1,183 @@
+"""Fine meshes: most vertices are foretold from those around them, what that saves, and that it hides nothing."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_resume import same
+from transports import Array, Counting, icosphere
+
+from formats.asset import Asset
+from prt_bake import bake, sh, sphere
+from prt_bake.bake_job import views_of
+from prt_bake.baking import plan
+from prt_bake.nearby_choice import Nearby, cells
+
+ERROR, RINGS, SECTORS = 0.02, 4, 32
+SMALL = {"error": ERROR, "rings": RINGS, "sectors": SECTORS}
+MESH = icosphere(4)
+POLE = np.array([0.48, 0.6, 0.64])
+
+
+class Ringed:
+    """Rings in the view of which none foretells another, over light that changes slowly along the surface.
+
+    `patch`: radius of a spot that is three times as bright. `sharp`: stripes of the world in their place, and no
+    vertex foretells another. `blind`: a vertex where nothing is finite.
+    """
+
+    def __init__(self, patch: float = 0.0, sharp: bool = False, blind: int | None = None) -> None:
+        self.patch, self.sharp, self.blind = patch, sharp, blind
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        rings = 1.0 + 0.5 * np.sin(40.0 * (outgoing * positions).sum(axis=-1))
+        if self.sharp:
+            rings = 1.0 + 0.5 * np.sign(np.sin(40.0 * outgoing[:, 0]))
+        lit = np.exp(12.0 * (np.einsum("ndi,ni->nd", incident, positions) - 1.0)) * rings[:, None]
+        if self.patch:
+            lit[patched(positions, self.patch)] *= 3.0
+        if self.blind is not None:
+            lit[(np.abs(positions - MESH.positions[self.blind]) < 1e-9).all(axis=1)] = np.nan
+        return lit[..., None] * np.array([1.0, 0.8, 0.5])
+
+
+def patched(positions: Array, radius: float) -> np.ndarray:
+    return positions @ POLE > np.cos(radius)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("nearby") / "whole.h5"
+
+
+@pytest.fixture(scope="module")
+def whole(path: Path) -> Iterator[Asset]:
+    with bake(Ringed(), MESH, **SMALL, out=path) as asset:
+        yield asset
+
+
+def true_errors(asset: Asset, transport: Ringed, vertices: Array) -> tuple[Array, Array]:
+    """Squared errors [n,B] and squares [n,B] of coefficients, mean over them, against a fit over many directions."""
+    lattice, views = sphere.fibonacci(1024), views_of(MESH, RINGS, SECTORS)[1]
+    fit = np.linalg.pinv(sh.evaluate(lattice, 2))
+    off, signal = [], []
+    for vertex in vertices:
+        outgoing = views(int(vertex), int(vertex) + 1)[0][0]
+        count = len(outgoing)
+        answers = transport.evaluate(
+            np.broadcast_to(lattice, (count, *lattice.shape)), np.tile(MESH.positions[vertex], (count, 1)), outgoing
+        )
+        truth = np.einsum("kd,bdc->bkc", fit, answers)
+        off.append(((asset.coefficients[vertex] - truth) ** 2).mean(axis=(1, 2)))
+        signal.append((truth**2).mean(axis=(1, 2)))
+    return np.array(off), np.array(signal)
+
+
+def some_vertices(count: int = 150) -> Array:
+    return np.random.default_rng(0).choice(len(MESH.positions), count, replace=False)
+
+
+def foretold(asset: Asset) -> int:
+    return int(asset.provenance["refinement"]["vertices_foretold"])
+
+
+def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(
+    whole: Asset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    off, signal = true_errors(whole, Ringed(), some_vertices())
+    true = np.sqrt(off.sum() / signal.sum())
+    told = whole.provenance["estimated_relative_rmse"]["total"]
+    assert foretold(whole) > 0.6 * len(MESH.positions)
+    assert true < 1.1 * ERROR
+    assert 0.8 < told / true < 1.25
+    standard_error = np.asarray(whole.standard_error)[some_vertices()]
+    assert 0.92 < (np.sqrt(off) <= 1.96 * standard_error).mean() < 0.99
+    monkeypatch.setattr("prt_bake.bake_aim.nearby_for", lambda *_all: (None, 0))
+    with bake(Ringed(), MESH, **SMALL) as plain:
+        assert foretold(plain) == 0
+        assert plain.provenance["evaluations"] > 2.0 * whole.provenance["evaluations"]
+
+
+def test_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
+    foreseen = plan(Ringed(), MESH, **SMALL).evaluations
+    monkeypatch.setattr("prt_bake.baking.Site.grid", None)
+    monkeypatch.setattr("prt_bake.bake_aim.nearby_for", lambda *_all: (None, 0))
+    assert foreseen < 0.6 * plan(Ringed(), MESH, **SMALL).evaluations
+
+
+def test_a_patch_between_the_vertices_that_were_tried_is_seen() -> None:
+    transport = Ringed(patch=0.15)
+    with bake(transport, MESH, **SMALL) as asset:
+        edge = np.flatnonzero(patched(MESH.positions, 0.25) & ~patched(MESH.positions, 0.08))
+        off, signal = true_errors(asset, transport, edge)
+        assert foretold(asset) > 0.5 * len(MESH.positions)
+        assert np.sqrt(off.sum() / signal.sum()) < 1.5 * ERROR
+        assert np.sqrt((off.sum(axis=1) / signal.sum(axis=1)).max()) < 6.0 * ERROR
+
+
+def test_where_no_vertex_foretells_another_none_does() -> None:
+    transport = Ringed(sharp=True)
+    with bake(transport, MESH, **SMALL) as asset:
+        off, signal = true_errors(asset, transport, some_vertices())
+        assert foretold(asset) == 0
+        assert np.sqrt(off.sum() / signal.sum()) < 1.1 * ERROR
+
+
+def test_a_vertex_where_nothing_is_finite_spoils_no_other() -> None:
+    with bake(Ringed(blind=7), MESH, **SMALL) as asset:
+        assert asset.provenance["vertices_not_finite"] == {"count": 1, "first": [7]}
+        assert np.flatnonzero(~np.asarray(asset.valid)).tolist() == [7]
+        assert foretold(asset) > 0.5 * len(MESH.positions)
+
+
+def test_numbers_depend_neither_on_workers_nor_on_the_cut(
+    whole: Asset, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prt_bake.bake_to_error.vertices_at_once", lambda *_all: 77)
+    bake(Ringed(), MESH, **SMALL, workers=2, out=tmp_path / "cut.h5").close()
+    same(tmp_path / "cut.h5", path)
+
+
+@pytest.mark.parametrize("asked", [14, 20])
+def test_stopped_between_the_vertices_that_come_first_and_gone_on_with(
+    whole: Asset, path: Path, tmp_path: Path, asked: int
+) -> None:
+    out, calls = tmp_path / "stopped.h5", iter([False] * asked + [True] * 1000)
+    with bake(Ringed(), MESH, **SMALL, out=out, stop=lambda: next(calls)) as part:
+        assert part.complete
+        assert part.provenance["estimated_relative_rmse"]["total"] > ERROR
+    kept = {path.name[:9] for path in (tmp_path / "stopped.h5.journal").iterdir()}
+    assert "evaluated" in kept
+    bake(Ringed(), MESH, **SMALL, out=out, resume=True).close()
+    same(out, path)
+    assert [path.name for path in tmp_path.iterdir()] == ["stopped.h5"]
+
+
+def test_progress_never_goes_back_and_all_that_is_asked_is_counted() -> None:
+    seen: list[tuple[int, float | None]] = []
+    counted = Counting(Ringed())
+    with bake(counted, MESH, **SMALL, progress=lambda done, _of, row: seen.append((done, row.left))) as asset:
+        assert counted.evaluations == asset.provenance["evaluations"]
+    done = [count for count, _left in seen]
+    ends = [place for place, count in enumerate(done) if count == len(MESH.positions)]
+    assert len(ends) >= 2
+    last = done[ends[-2] + 1 :]
+    assert last == sorted(last)
+    assert 0 < last[0] < len(MESH.positions) / 3
+    assert all(left is None or left >= 0.0 for _done, left in seen)
+
+
+def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() -> None:
+    from prt_bake.bake_first_look import Site
+
+    views = views_of(MESH, RINGS, SECTORS)[1]
+    site = Site(
+        Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
+    )
+    found: list[Nearby] = [cells(site, spacing, ERROR, 1, 1e5) for spacing in (0.1, 0.2, 0.4)]
+    shares = [len(each.numbers) / len(MESH.positions) for each in found]
+    assert shares == sorted(shares, reverse=True)
+    for each, share in zip(found, shares, strict=True):
+        assert 1e5 * share < each.on_average < 1e5
+        assert each.ahead == pytest.approx(1e5 * share / each.on_average)
