@@ -20,6 +20,8 @@ WAYS = "foretold", "shared", "alone", "nearby"
 """How bins are come by: from their neighbours; over the lattice that all of a vertex share; over one of their own; from
 those of the vertices around.
 """
+HELD = "way", "stated", "squared", "noise"
+"""What there is of every bin that is held against others."""
 MISSED_OF_ERROR = 0.3
 Lattices = Literal["own", "shared", "both"]
 
@@ -91,6 +93,8 @@ class Checks:
     """Variance as it was estimated."""
     squared: Array
     """Squared error, mean over K and channels, without bias for the noise of the check: at times negative."""
+    noise: Array
+    """Numbers of zero mean that vary as the noise in `squared` does."""
     evaluations: int
     """That these took."""
 
@@ -98,10 +102,8 @@ class Checks:
         """These checks, those of the vertices in these places [m] from `other`."""
         stay = ~np.isin(self.rows, rows)
         order = np.argsort(np.concatenate([self.rows[stay], rows[other.rows]]), kind="stable")
-        own: list[NDArray[Any]] = [self.rows[stay], self.way[stay], self.stated[stay], self.squared[stay]]
-        theirs: list[NDArray[Any]] = [rows[other.rows], other.way, other.stated, other.squared]
-        parts = [np.concatenate(pair)[order] for pair in zip(own, theirs, strict=True)]
-        return Checks(parts[0], parts[1], parts[2], parts[3], other.evaluations)
+        held = [np.concatenate([getattr(self, name)[stay], getattr(other, name)])[order] for name in HELD]
+        return Checks(np.concatenate([self.rows[stay], rows[other.rows]])[order], *held, evaluations=other.evaluations)
 
 
 @dataclass(frozen=True)
@@ -150,10 +152,7 @@ def joined(count: int, parts: Sequence[tuple[Index, Refined]]) -> Refined:
         arrays.append(whole)
     rows = np.concatenate([rows[part.checks.rows] for rows, part in parts])
     order = np.argsort(rows, kind="stable")
-    held = [np.concatenate([getattr(part.checks, name) for _rows, part in parts])[order] for name in _HELD]
-    checks = Checks(rows[order], held[0], held[1], held[2], sum(part.checks.evaluations for _rows, part in parts))
+    held = [np.concatenate([getattr(part.checks, name) for _rows, part in parts])[order] for name in HELD]
+    checks = Checks(rows[order], *held, evaluations=sum(part.checks.evaluations for _rows, part in parts))
     taken = sum(part.evaluations for _rows, part in parts)
     return Refined(arrays[0], arrays[1], arrays[2], arrays[3], taken, checks)
-
-
-_HELD = "way", "stated", "squared"

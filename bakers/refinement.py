@@ -354,7 +354,8 @@ class _Work:
 
     def _check(self, variance: Array, turned: Array) -> Checks:
         """Holds some bins against two lattices of their own each. What both of them say a bin is off, one times the
-        other, has its squared error for a mean, however noisy they are.
+        other, has its squared error for a mean, however noisy they are; and half the difference of their squares,
+        whose mean is zero, varies as the noise of that does.
         """
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
         # A bin that seems smoother than its vertex may have missed what others have seen.
@@ -365,8 +366,9 @@ class _Work:
         steps = np.maximum(steps, self.fewest)
         before = self.evaluations
         one, other = (self._alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
-        squared = (one * other).mean(axis=(1, 2))
-        return Checks(rows, self._way()[bins, rows], variance[rows, bins], squared, self.evaluations - before)
+        squared, noise = (one * other).mean(axis=(1, 2)), (one**2 - other**2).mean(axis=(1, 2)) / 2.0
+        way, taken = self._way()[bins, rows], self.evaluations - before
+        return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
 
 
 def _unit(noise: LightNoise, shares: Sequence[float], sizes: Sequence[int]) -> Array:

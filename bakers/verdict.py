@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from bakers.refined import WAYS, Checks, Refined
+from bakers.refined import HELD, WAYS, Checks, Refined
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ stated of a vertex is right to a tenth or so.
 """
 SCATTERED = 1 << 17
 """About how many errors that vertices may have the percentile is taken of."""
-_CHECKED: dict[str, type] = {"rows": np.int64, "way": np.uint8, "stated": np.float64, "squared": np.float64}
+_CHECKED: dict[str, type] = {"rows": np.int64, "way": np.uint8, **dict.fromkeys(HELD[1:], np.float64)}
 
 
 @dataclass(frozen=True)
@@ -85,12 +85,12 @@ class Tally:
 
     def correction(self, before: Correction) -> Correction:
         """What the checks say of the stated variances, `before` known."""
-        way, stated, squared = (self._all_checks(name) for name in ("way", "stated", "squared"))
+        way, stated, squared, noise = (self._all_checks(name) for name in HELD)
         sound = np.isfinite(stated) & np.isfinite(squared)
-        way, stated, squared = way[sound], stated[sound], squared[sound]
+        way, stated, squared, noise = way[sound], stated[sound], squared[sound], noise[sound]
         factors = [_ratio(stated[way == w], squared[way == w], was) for w, was in enumerate(before.by_way)]
         found = Correction(*factors)
-        return replace(found, bound=_bound(found.by_way[way] * stated, squared))
+        return replace(found, bound=_bound(found.by_way[way] * stated, squared, noise))
 
     def relative(self, correction: Correction, smaller: Array | float = 1.0) -> tuple[float, float]:
         """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one;
@@ -145,13 +145,18 @@ def _scatter(freedom: Array) -> Array:
     return np.asarray(np.maximum(1.0 - ninth + ndtri((np.arange(many) + 0.5) / many) * np.sqrt(ninth), 0.0) ** 1.5)
 
 
-def _bound(variance: Array, squared: Array) -> float:
-    """The factor on sigma with which 1.96 of it holds 95 % of these errors, as far as their number tells."""
+def _bound(variance: Array, squared: Array, noise: Array) -> float:
+    """The factor on sigma with which 1.96 of it holds 95 % of these errors, as far as their number tells.
+
+    Their own noise spreads them. What as much of it once more makes of the percentile tells what it has made of it
+    already (Cook and Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994).
+    """
     known = variance > 0.0
-    if not known.any():
+    over, more = squared[known] / variance[known], noise[known] / variance[known]
+    if not len(over):
         return 1.0
-    over = np.sqrt(np.maximum(squared[known], 0.0) / variance[known])
-    factor = float(np.percentile(over, 95.0)) / BOUND
+    seen, noisier = (float(np.percentile(each, 95.0)) for each in (over, np.concatenate([over + more, over - more])))
+    factor = max(seen, 0.0) / np.sqrt(max(seen, noisier, 1e-300)) / BOUND
     weight = len(over) / (len(over) + BOUND_BEFORE)
     return float(np.clip(factor, 0.5, 2.0) ** weight)
 

@@ -11,7 +11,16 @@ from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
-from prt_bake.bake_first_look import FEWEST_AT_ONCE, FEWEST_CHECKS, MANY, MISSED, Site, out_of_reach
+from prt_bake.bake_first_look import (
+    FEWEST_AT_ONCE,
+    FEWEST_CHECKS,
+    MANY,
+    MISSED,
+    MOST_CHECKS,
+    Site,
+    fewest_checks,
+    out_of_reach,
+)
 from prt_bake.bake_forecast import COST
 from prt_bake.bake_light import checked_bins, drawn
 from prt_bake.nearby_choice import Nearby, nearby_for
@@ -36,8 +45,10 @@ NEAR = 0.7, 0.85
 LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
 ALIKE = 1.3
 """Times the least evaluations that a way may take to be tried out with checks."""
-CHECK_NOISE = 0.7
-"""Of each of the two lattices of a check, over the error asked for."""
+CHECK_NOISE, LEAST_CHECK_NOISE = 0.7, 0.25
+"""Of each of the two lattices of a check, over the error asked for; and where as many are made as are of use."""
+CHECK_COST = 0.2
+"""Of the evaluations of a pass, what more checks than the fewest, or less noisy ones, may come to."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +65,7 @@ class Aim:
     """That the pilot took."""
     evaluations_per_vertex: float
     """Of a pass, checks apart."""
+    evaluations_per_check: float = 0.0
     nearby: Nearby | None = None
     """How most vertices are foretold from others, where they are."""
     again: NDArray[np.bool_] | None = None
@@ -109,11 +121,21 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     aims = [_calibrated(pilot, way, error) for way in tried]
     best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
     nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex)
-    spent = sum(costs) + sum(aim.evaluations for aim in aims) + looked
-    if nearby is None:
-        return replace(best, evaluations=spent)
-    seconds = best.seconds * nearby.on_average / best.evaluations_per_vertex
-    return replace(best, nearby=nearby, evaluations=spent, evaluations_per_vertex=nearby.on_average, seconds=seconds)
+    best = replace(best, evaluations=sum(costs) + sum(aim.evaluations for aim in aims) + looked)
+    if nearby is not None:
+        seconds = best.seconds * nearby.on_average / best.evaluations_per_vertex
+        best = replace(best, nearby=nearby, evaluations_per_vertex=nearby.on_average, seconds=seconds)
+    return _checked(pilot.site, best, error)
+
+
+def _checked(site: Site, aim: Aim, error: float) -> Aim:
+    """The same, with as many checks as cost a small part of it all, and less noisy ones where that allows for it."""
+    affordable = CHECK_COST * aim.evaluations_per_vertex * len(site.vertices) / max(aim.evaluations_per_check, 1.0)
+    many = float(np.clip(affordable, fewest_checks(site), MOST_CHECKS))
+    quieter = max(affordable / many, 1.0) ** -(0.5 + aim.refinement.pool_noise.slope)
+    noise = error * max(CHECK_NOISE * quieter, LEAST_CHECK_NOISE)
+    checks = checked_bins(site.seed, site.bins, min(many / site.many, 1.0))
+    return replace(aim, refinement=replace(aim.refinement, checks=checks, checked=noise))
 
 
 def _untold(pilot: Pilot, refinement: Refinement, error: float) -> int:
@@ -142,6 +164,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     noise, pool_noise, view, tightness = refinement.noise, refinement.pool_noise, 1.0, 1.0
     begin, most, large = refinement.begin_for(error), len(refinement.lattice.sizes), int(site.many >= MANY)
     spent, correction, reached, seconds, per_vertex, attempt = 0, Correction(), 0.0, 0.0, 0.0, 0
+    per_check = 0.0
     while attempt < MOST_PILOTS:
         if max(correction.shared, correction.alone) > MISSED and begin < most:
             # Most bins do not see what some do: what they say of their error is worth nothing.
@@ -161,6 +184,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
             seconds += took / len(chosen)
         spent += tally.evaluations
         per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
+        per_check = tally.check_evaluations / max(1, tally.checked)
         correction = tally.correction(Correction())
         reached = worst_of(*tally.relative(correction))
         attempt += 1
@@ -168,7 +192,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
             break
     if reached > OUT_OF_REACH * error:
         raise out_of_reach(error, refinement.lattice.sizes[-1], reached)
-    return Aim(trial, correction, reached, seconds, spent, per_vertex)
+    return Aim(trial, correction, reached, seconds, spent, per_vertex, per_check)
 
 
 def coarse(refinement: Refinement, error: float) -> Aim:

@@ -101,7 +101,6 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
     missed, finest, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
     survey, surveyed = _survey(site, lattice, levels, DARK * floor, crew)
-    share = np.clip(CHECK_SHARE, FEWEST_CHECKS / site.many, MOST_CHECKS / site.many)
     return Refinement(
         levels=levels,
         lattice=lattice,
@@ -120,8 +119,13 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         survey=survey,
         finest=finest,
         missed=missed,
-        checks=checked_bins(site.seed, site.bins, float(share)),
+        checks=checked_bins(site.seed, site.bins, fewest_checks(site) / site.many),
     ), spent + looked + surveyed
+
+
+def fewest_checks(site: Site) -> float:
+    """How many bins are held against others at least."""
+    return float(np.clip(CHECK_SHARE * site.many, FEWEST_CHECKS, MOST_CHECKS))
 
 
 def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, int]:
