@@ -22,6 +22,8 @@ those of the vertices around.
 """
 HELD = "way", "stated", "squared", "noise"
 """What there is of every bin that is held against others."""
+OF_VERTICES = "coefficients", "deviation", "directions", "way", "together"
+"""What there is of every vertex of a block."""
 MISSED_OF_ERROR = 0.3
 Lattices = Literal["own", "shared", "both"]
 
@@ -103,7 +105,14 @@ class Checks:
         stay = ~np.isin(self.rows, rows)
         order = np.argsort(np.concatenate([self.rows[stay], rows[other.rows]]), kind="stable")
         held = [np.concatenate([getattr(self, name)[stay], getattr(other, name)])[order] for name in HELD]
-        return Checks(np.concatenate([self.rows[stay], rows[other.rows]])[order], *held, evaluations=other.evaluations)
+        return Checks(
+            np.concatenate([self.rows[stay], rows[other.rows]])[order],
+            held[0],
+            held[1],
+            held[2],
+            held[3],
+            other.evaluations,
+        )
 
 
 @dataclass(frozen=True)
@@ -118,6 +127,8 @@ class Refined:
     """[n,B], in how many each bin was evaluated; 0 where it is foretold from its neighbours."""
     way: NDArray[np.uint8]
     """[n,B], how each bin was come by: places in WAYS."""
+    together: NDArray[np.float32]
+    """[n], share of the stated variance that the bins of a vertex have from one lattice, and so in common."""
     evaluations: int
     checks: Checks
 
@@ -132,27 +143,28 @@ class Refined:
 
     def with_rows(self, rows: Index, other: "Refined") -> "Refined":
         """This block with the vertices in these places [m] as `other` has them; it took what `other` took."""
-        parts = []
-        for name in ("coefficients", "deviation", "directions", "way"):
+        parts = dict[str, NDArray[Any]]()
+        for name in OF_VERTICES:
             whole = getattr(self, name).copy()
             whole[rows] = getattr(other, name)
-            parts.append(whole)
+            parts[name] = whole
         checks = self.checks.with_rows(rows, other.checks)
-        return Refined(parts[0], parts[1], parts[2], parts[3], other.evaluations, checks)
+        return Refined(**parts, evaluations=other.evaluations, checks=checks)
 
 
 def joined(count: int, parts: Sequence[tuple[Index, Refined]]) -> Refined:
     """A block of `count` vertices from parts of it, each with the places [m] of its vertices."""
     some = parts[0][1]
-    arrays: list[NDArray[Any]] = []
-    for name in ("coefficients", "deviation", "directions", "way"):
+    arrays = dict[str, NDArray[Any]]()
+    for name in OF_VERTICES:
         whole = np.zeros((count, *getattr(some, name).shape[1:]), getattr(some, name).dtype)
         for rows, part in parts:
             whole[rows] = getattr(part, name)
-        arrays.append(whole)
+        arrays[name] = whole
     rows = np.concatenate([rows[part.checks.rows] for rows, part in parts])
     order = np.argsort(rows, kind="stable")
     held = [np.concatenate([getattr(part.checks, name) for _rows, part in parts])[order] for name in HELD]
-    checks = Checks(rows[order], *held, evaluations=sum(part.checks.evaluations for _rows, part in parts))
+    checked = sum(part.checks.evaluations for _rows, part in parts)
+    checks = Checks(rows[order], held[0], held[1], held[2], held[3], checked)
     taken = sum(part.evaluations for _rows, part in parts)
-    return Refined(arrays[0], arrays[1], arrays[2], arrays[3], taken, checks)
+    return Refined(**arrays, evaluations=taken, checks=checks)

@@ -169,7 +169,9 @@ class _Work:
         turned = self.turn[:, None] @ own
         checks = self._check(variance, turned)
         rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
-        return Refined(*rounded, self.spent.T.astype(np.uint16), self._way().T, self.evaluations, checks)
+        together = (np.maximum(self.noise - self.alone, 0.0).sum(axis=0) / variance.sum(axis=1)).astype(np.float32)
+        spent = self.spent.T.astype(np.uint16)
+        return Refined(*rounded, spent, self._way().T, together, self.evaluations, checks)
 
     def _way(self) -> NDArray[np.uint8]:
         """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from bakers.refined import HELD, WAYS, Checks, Refined
+from bakers.vertex_scatter import UNKNOWN, Scatter, measured, possible, usual
 
 Array = NDArray[np.float64]
 
@@ -22,13 +22,6 @@ BEFORE = 6.0
 LEAST, MOST = 0.05, 1e4
 BOUND, BOUND_BEFORE = 1.96, 20.0
 """Sigmas that 95 % of the errors lie within, and how many checks weigh as much as that being so already."""
-FREEDOM, FREEDOM_ALONE, MOST_FREEDOM = 8.0, 0.1, 40.0
-"""Independent numbers that the error of one vertex is made of: its bins share a lattice and err together; those that
-have one of their own do not, but are a few of many, the others foretold from them. However many they are, what is
-stated of a vertex is right to a tenth or so.
-"""
-SCATTERED = 1 << 17
-"""About how many errors that vertices may have the percentile is taken of."""
 _CHECKED: dict[str, type] = {"rows": np.int64, "way": np.uint8, **dict.fromkeys(HELD[1:], np.float64)}
 
 
@@ -42,6 +35,7 @@ class Correction:
     nearby: float = 1.0
     bound: float = 1.0
     """Factor on standard errors beside: with it 1.96 of them hold the errors of 95 % of the bins."""
+    scatter: Scatter = UNKNOWN
 
     @property
     def by_way(self) -> Array:
@@ -54,12 +48,14 @@ class Correction:
 
 
 class Tally:
-    """Adds up blocks: sums [V] over the bins of each vertex, variances by way [4,V], and all checks."""
+    """Adds up blocks: sums [V] over the bins of each vertex, variances by way [4,V], and all checks, their rows being
+    numbers of vertices.
+    """
 
     def __init__(self, vertices: int) -> None:
         self.variance, self.signal = np.zeros((len(WAYS), vertices)), np.zeros(vertices)
         self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
-        self.alone = np.zeros(vertices, np.int64)
+        self.together = np.zeros(vertices)
         self.evaluations = self.check_evaluations = self.evaluated_bins = self.bins = 0
         self._checks: list[Checks] = []
 
@@ -69,14 +65,14 @@ class Tally:
         variance = np.where(finite[:, None], refined.deviation.astype(np.float64) ** 2, 0.0)
         for way in range(len(WAYS)):
             self.variance[way, rows] = (variance * (refined.way == way)).sum(axis=1)
-        self.alone[rows] = (refined.way == WAYS.index("alone")).sum(axis=1)
+        self.together[rows] = np.where(finite, refined.together, 0.0)
         sound = np.where(finite[:, None, None, None], refined.coefficients.astype(np.float64), 0.0)
         self.signal[rows] = (sound**2).mean(axis=(2, 3)).sum(axis=1)
         self.done[rows], self.invalid[rows] = True, ~finite
         self.evaluated_bins, self.bins = self.evaluated_bins + int(was.sum()), self.bins + was.size
         self.evaluations += refined.evaluations
         self.check_evaluations += refined.checks.evaluations
-        self._checks.append(refined.checks)
+        self._checks.append(replace(refined.checks, rows=rows[refined.checks.rows]))
 
     @property
     def checked(self) -> int:
@@ -85,12 +81,15 @@ class Tally:
 
     def correction(self, before: Correction) -> Correction:
         """What the checks say of the stated variances, `before` known."""
-        way, stated, squared, noise = (self._all_checks(name) for name in HELD)
+        vertices, way, stated, squared, noise = (self._all_checks(name) for name in ("rows", *HELD))
         sound = np.isfinite(stated) & np.isfinite(squared)
-        way, stated, squared, noise = way[sound], stated[sound], squared[sound], noise[sound]
+        vertices, way, stated, squared, noise = (each[sound] for each in (vertices, way, stated, squared, noise))
         factors = [_ratio(stated[way == w], squared[way == w], was) for w, was in enumerate(before.by_way)]
-        found = Correction(*factors)
-        return replace(found, bound=_bound(found.by_way[way] * stated, squared, noise))
+        found = Correction(factors[0], factors[1], factors[2], factors[3])
+        corrected = found.by_way[way] * stated
+        beforehand = float(usual(self.together[vertices]).mean()) if len(vertices) else 0.0
+        scatter = measured(vertices, corrected, squared, beforehand)
+        return replace(found, bound=_bound(corrected, squared, noise), scatter=scatter)
 
     def relative(self, correction: Correction, smaller: Array | float = 1.0) -> tuple[float, float]:
         """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one;
@@ -104,9 +103,7 @@ class Tally:
         total = float(np.sqrt(error.sum() / signal.sum())) if signal.sum() > 0.0 else 0.0
         if not by_vertex.size:
             return total, 0.0
-        scattered = by_vertex[:, None] * _scatter(
-            np.minimum(FREEDOM + FREEDOM_ALONE * self.alone[self.done], MOST_FREEDOM)
-        )
+        scattered = possible(by_vertex, correction.scatter.variance(self.together[self.done]))
         return total, float(np.percentile(scattered, 95, method="higher"))
 
     def worst_first(self, correction: Correction) -> NDArray[np.int64]:
@@ -134,15 +131,6 @@ class Tally:
 
     def _all_checks(self, name: str) -> NDArray[Any]:
         return np.concatenate([np.zeros(0, _CHECKED[name]), *(getattr(check, name) for check in self._checks)])
-
-
-def _scatter(freedom: Array) -> Array:
-    """Evenly spaced quantiles [V,Q] of sqrt(χ²/k), k = freedom [V] (Wilson and Hilferty, "The distribution of
-    chi-square", 1931).
-    """
-    many = int(np.clip(SCATTERED // max(1, len(freedom)), 4, 32))
-    ninth = (2.0 / 9.0 / freedom)[:, None]
-    return np.asarray(np.maximum(1.0 - ninth + ndtri((np.arange(many) + 0.5) / many) * np.sqrt(ninth), 0.0) ** 1.5)
 
 
 def _bound(variance: Array, squared: Array, noise: Array) -> float:

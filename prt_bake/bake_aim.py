@@ -129,7 +129,7 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
 
 
 def _checked(site: Site, aim: Aim, error: float) -> Aim:
-    """The same, with as many checks as cost a small part of it all, and less noisy ones where that allows for it."""
+    """The same, with as many checks as cost a small part of it all, and less noisy ones where that allows for more."""
     affordable = CHECK_COST * aim.evaluations_per_vertex * len(site.vertices) / max(aim.evaluations_per_check, 1.0)
     many = float(np.clip(affordable, fewest_checks(site), MOST_CHECKS))
     quieter = max(affordable / many, 1.0) ** -(0.5 + aim.refinement.pool_noise.slope)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block
-from bakers.refined import HELD, WAYS, Checks, Refined, Refinement
+from bakers.refined import HELD, OF_VERTICES, WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -336,5 +336,5 @@ def _as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
 def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
     checks = {name: arrays[f"checks_{name}"] for name in ("rows", *HELD)}
     taken = int(arrays["checks_evaluations"])
-    own = [arrays[name] for name in ("coefficients", "deviation", "directions", "way")]
-    return Refined(own[0], own[1], own[2], own[3], int(arrays["evaluations"]), Checks(evaluations=taken, **checks))
+    own = {name: arrays[name] for name in OF_VERTICES}
+    return Refined(**own, evaluations=int(arrays["evaluations"]), checks=Checks(evaluations=taken, **checks))
