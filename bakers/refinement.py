@@ -13,14 +13,13 @@ A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on 
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bakers.lattice_pools import Pools
 from bakers.light_noise import LightNoise
-from bakers.refined import WAYS, Checks, Refined, Refinement
+from bakers.refined import Checks, Refined, Refinement
 from bakers.values import values_at
 from bakers.view_levels import STENCIL, Level
 from bakers.view_survey import ALWAYS, DECAY
@@ -49,35 +48,13 @@ def refine(transport: object, refinement: Refinement, vertices: Index, positions
     A vertex at which the transport answers something that is not finite has coefficients that are not finite.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        work = _Work(transport, refinement, vertices, positions, outgoing)
+        work = Work(transport, refinement, vertices, positions, outgoing)
         for number, level in enumerate(refinement.levels):
             work.add(number, level)
         return work.finished()
 
 
-def held_against(
-    transport: object,
-    refinement: Refinement,
-    vertices: Index,
-    positions: Array,
-    outgoing: Array,
-    coefficients: Array,
-    variance: Array,
-) -> Checks:
-    """Some bins of vertices that were foretold from those around them, coefficients [n,B,K,3] of that variance [n,B],
-    held against independent directions, as those are that `refine` evaluates.
-    """
-    work = _Work(transport, replace(refinement, lattices="own"), vertices, positions, outgoing)
-    work.scale = np.maximum((coefficients**2).mean(axis=(1, 2, 3)), refinement.floor**2)
-    rows, bins = np.nonzero(refinement.checks(vertices))
-    _found, work.rough[bins, rows] = work._alone(rows, bins, np.full(len(rows), work.fewest), 1)
-    begun = work.evaluations
-    checks = work._check(variance, coefficients)
-    way = np.full(len(checks.rows), WAYS.index("nearby"), np.uint8)
-    return replace(checks, way=way, evaluations=checks.evaluations + begun)
-
-
-class _Work:
+class Work:
     """The state of a block between levels: arrays [B,n,…]; coefficients are those in the lattice's own frame."""
 
     def __init__(
@@ -128,7 +105,7 @@ class _Work:
         bins = level.bins[places]
         foretold, carried, expected = (part[bins, rows] for part in (self.coefficients, self.noise, self.surprise))
         if self.how.lattices == "own":
-            self._integrate(rows, bins, tolerated * self.scale[rows])
+            self.integrate(rows, bins, tolerated * self.scale[rows])
         else:
             self._grow(rows, bins, np.full(len(rows), self.how.begin))
             self._foretell_values(rows, level.parents[places], number)
@@ -156,18 +133,19 @@ class _Work:
             self._measure(0)
             self._settle(rows, bins, None, tolerated)
             return
-        self._integrate(rows, bins, np.full(len(rows), np.inf))
+        self.integrate(rows, bins, np.full(len(rows), np.inf))
         self._measure(0)
         noisy = np.flatnonzero(self.noise[bins, rows] > tolerated * self.scale[rows])
-        self._integrate(rows[noisy], bins[noisy], tolerated * self.scale[rows[noisy]])
+        self.integrate(rows[noisy], bins[noisy], tolerated * self.scale[rows[noisy]])
 
     def finished(self) -> Refined:
+        """What came of it all, a few bins held against independent directions."""
         variance = self.noise + np.where(self.spent > 0, 0.0, self.surprise) + ROUNDING**2 * self.scale
         variance = np.ascontiguousarray(variance.T)
         n, bins = variance.shape
         own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
         turned = self.turn[:, None] @ own
-        checks = self._check(variance, turned)
+        checks = self.check(variance, turned)
         rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
         together = (np.maximum(self.noise - self.alone, 0.0).sum(axis=0) / variance.sum(axis=1)).astype(np.float32)
         spent = self.spent.T.astype(np.uint16)
@@ -254,11 +232,11 @@ class _Work:
             lacking = grown > self.evaluated[b, r]
             alone = lacking & ~better & (self.how.lattices == "both")
             further = lacking & ~alone
-            self._integrate(r[alone], b[alone], allowed[alone])
+            self.integrate(r[alone], b[alone], allowed[alone])
             here = here[further]
             self._grow(rows[here], bins[here], grown[further])
 
-    def _integrate(self, rows: Index, bins: Index, allowed: Array) -> None:
+    def integrate(self, rows: Index, bins: Index, allowed: Array) -> None:
         """Integrates bins over lattices of their own, as large as it takes for the variance allowed [M]."""
         rough, least = self.rough[bins, rows], np.full(len(rows), self.fewest)
         self.apart[bins, rows] = True
@@ -268,7 +246,7 @@ class _Work:
             enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
             steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
             steps = np.maximum(steps, least)
-            found, rough = self._alone(rows, bins, steps, 0)
+            found, rough = self.fit_alone(rows, bins, steps, 0)
             self.coefficients[bins, rows] = (self.turn[rows].transpose(0, 2, 1) @ found).reshape(len(rows), -1)
             noise = rough * self.pool_unit[steps]
             self.noise[bins, rows] = self.alone[bins, rows] = noise
@@ -278,7 +256,7 @@ class _Work:
             rows, bins, least = rows[again], bins[again], steps[again] + 1
             allowed, rough = allowed[again], rough[again]
 
-    def _alone(self, rows: Index, bins: Index, steps: Index, which: int) -> tuple[Array, Array]:
+    def fit_alone(self, rows: Index, bins: Index, steps: Index, which: int) -> tuple[Array, Array]:
         """Coefficients [M,K,3], in the world's frame, of bins over lattices of their own, and squared roughness."""
         found, rough = np.empty((len(rows), self.lattice.count, 3)), np.empty(len(rows))
         pools = self.how.pools
@@ -354,7 +332,7 @@ class _Work:
             self.spent[b, r] += end - begin
             self.evaluations += len(missing) * (end - begin)
 
-    def _check(self, variance: Array, turned: Array) -> Checks:
+    def check(self, variance: Array, turned: Array) -> Checks:
         """Holds some bins against two lattices of their own each. What both of them say a bin is off, one times the
         other, has its squared error for a mean, however noisy they are; and half the difference of their squares,
         whose mean is zero, varies as the noise of that does.
@@ -367,7 +345,7 @@ class _Work:
         steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
         steps = np.maximum(steps, self.fewest)
         before = self.evaluations
-        one, other = (self._alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
+        one, other = (self.fit_alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
         squared, noise = (one * other).mean(axis=(1, 2)), (one**2 - other**2).mean(axis=(1, 2)) / 2.0
         way, taken = self._way()[bins, rows], self.evaluations - before
         return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)

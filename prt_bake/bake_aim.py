@@ -27,14 +27,17 @@ from prt_bake.nearby_choice import Nearby, nearby_for
 
 Index = NDArray[np.int64]
 
-AIM = 0.92
-"""Of the error asked for, what tolerances are chosen for: what a few vertices say of all is not exact."""
+AIM, AIM_BY_FEW = 0.92, 0.82
+"""Of the error asked for, what tolerances are chosen for, and by a pilot of few bins: what it says of all is not exact.
+"""
 VIEW_OVER_LIGHT = 2.0
 VIEW_RANGE = 0.3, 2.0
 PILOTS, MOST_PILOTS = (3, 5), 6
 """Trials of few bins, and of many, after which any error below the one asked for will do; and most trials."""
 RESPONSE = 0.75
 """Tolerances change with that power of the error that they are to lead to."""
+OVER = 4.0
+"""Power of the error asked for, over which a trial's is counted as dearer by that."""
 OUT_OF_REACH = 1.5
 """Times the error asked for, which a pilot must come down to."""
 PILOT_VERTICES, PILOT_SHARE = 24, 12
@@ -120,7 +123,9 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
     aims = [_calibrated(pilot, way, error) for way in tried]
     best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
-    nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex)
+    nearby, looked = nearby_for(
+        pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check / 2.0
+    )
     best = replace(best, evaluations=sum(costs) + sum(aim.evaluations for aim in aims) + looked)
     if nearby is not None:
         seconds = best.seconds * nearby.on_average / best.evaluations_per_vertex
@@ -156,43 +161,86 @@ def _pilot_vertices(site: Site) -> Index:
 
 
 def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
-    """Tolerances that lead to the error at a few vertices."""
-    site = pilot.site
-    chosen = _pilot_vertices(site)
+    """Tolerances that lead to the error at a few vertices: of those tried, the cheapest that do, or what comes nearest.
+
+    Raises QueryError where that is still far from it.
+    """
+    few, most = int(pilot.site.many < MANY), len(refinement.lattice.sizes)
+    dials = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
+    trials, spent, before = list[Aim](), 0, Tally(0)
+    while len(trials) < MOST_PILOTS:
+        aim, tally = _trial(pilot, dials.refinement(), error)
+        spent += tally.evaluations
+        trials.append(aim)
+        enough = len(trials) >= PILOTS[1 - few] or aim.error >= NEAR[1 - few] * error
+        if aim.error <= 0.0 or (aim.error <= error and (enough or np.array_equal(tally.variance, before.variance))):
+            break
+        if max(aim.correction.shared, aim.correction.alone) > MISSED and dials.begin < most:
+            # Most bins do not see what some do: what they say of their error is worth nothing.
+            dials, trials = dials.beginning(min(dials.begin + 2, most)), []
+        else:
+            dials = dials.turned(tally, aim)
+        before = tally
+    best = min(trials, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** OVER)
+    if best.error > OUT_OF_REACH * error:
+        raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
+    return replace(best, evaluations=spent)
+
+
+@dataclass(frozen=True)
+class _Dials:
+    """What is turned between trials."""
+
+    begun: Refinement
+    asked: float
+    aim: float
+    view: float = 1.0
+    """The error of prediction tolerated, over what is usual beside that of directions."""
+    tightness: float = 1.0
+    """The error of directions tolerated, over the error asked for."""
+
+    @property
+    def begin(self) -> int:
+        return self.begun.begin
+
+    def refinement(self) -> Refinement:
+        light = self.tightness * self.asked
+        bound = self.view * VIEW_OVER_LIGHT * light
+        return replace(self.begun, light=light, view=bound, checked=CHECK_NOISE * self.asked)
+
+    def beginning(self, begin: int) -> "_Dials":
+        return replace(self, begun=replace(self.begun, begin=begin))
+
+    def turned(self, tally: Tally, aim: Aim) -> "_Dials":
+        """The noise and the error of prediction as they were seen; and what is tolerated, by what that alone would lead
+        to.
+        """
+        seen, noise, pool_noise = aim.correction, self.begun.noise, self.begun.pool_noise
+        noise = replace(noise, of_differences=noise.of_differences * seen.shared)
+        pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(seen.alone))
+        view = float(np.clip(self.view / np.sqrt(seen.foretold), *VIEW_RANGE))
+        variance = seen.by_way @ tally.variance.sum(axis=1)
+        alike = tally.variance.sum(axis=1) @ [seen.foretold * (view / self.view) ** 2, 1.0, 1.0, seen.nearby]
+        expected = aim.error * np.sqrt(alike / variance)
+        tightness = self.tightness * float(np.clip((self.aim * self.asked / expected) ** RESPONSE, 0.5, 1.6))
+        begun = replace(self.begun, noise=noise, pool_noise=pool_noise)
+        return replace(self, begun=begun, view=view, tightness=tightness)
+
+
+def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
+    """What such a refinement leads to at the pilot's vertices."""
+    site, chosen = pilot.site, _pilot_vertices(pilot.site)
     share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
-    noise, pool_noise, view, tightness = refinement.noise, refinement.pool_noise, 1.0, 1.0
-    begin, most, large = refinement.begin_for(error), len(refinement.lattice.sizes), int(site.many >= MANY)
-    spent, correction, reached, seconds, per_vertex, attempt = 0, Correction(), 0.0, 0.0, 0.0, 0
-    per_check = 0.0
-    while attempt < MOST_PILOTS:
-        if max(correction.shared, correction.alone) > MISSED and begin < most:
-            # Most bins do not see what some do: what they say of their error is worth nothing.
-            begin, attempt = min(begin + 2, most), 0
-        elif attempt:
-            # The noise of differences and the error of prediction as they were seen, and then what is tolerated.
-            noise = replace(noise, of_differences=noise.of_differences * correction.shared)
-            pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(correction.alone))
-            view = float(np.clip(view / np.sqrt(correction.foretold), *VIEW_RANGE))
-            tightness *= float(np.clip((AIM * error / reached) ** RESPONSE, 0.5, 1.6)) if attempt > 1 else 1.0
-        light = tightness * error
-        bound = view * VIEW_OVER_LIGHT * light
-        trial = replace(refinement, noise=noise, light=light, view=bound, checked=CHECK_NOISE * error, begin=begin)
-        tally, seconds = Tally(len(site.mesh.positions)), 0.0
-        for some, refined, took in pilot.tried(replace(trial, checks=checks)):
-            tally.add(some, refined)
-            seconds += took / len(chosen)
-        spent += tally.evaluations
-        per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
-        per_check = tally.check_evaluations / max(1, tally.checked)
-        correction = tally.correction(Correction())
-        reached = worst_of(*tally.relative(correction))
-        attempt += 1
-        if reached <= 0.0 or NEAR[large] * error <= reached <= error or (reached < error and attempt >= PILOTS[large]):
-            break
-    if reached > OUT_OF_REACH * error:
-        raise out_of_reach(error, refinement.lattice.sizes[-1], reached)
-    return Aim(trial, correction, reached, seconds, spent, per_vertex, per_check)
+    tally, seconds = Tally(len(site.mesh.positions)), 0.0
+    for some, refined, took in pilot.tried(replace(how, checks=checks)):
+        tally.add(some, refined)
+        seconds += took / len(chosen)
+    correction = tally.correction(Correction())
+    reached = worst_of(*tally.relative(correction))
+    per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
+    per_check = tally.check_evaluations / max(1, tally.checked)
+    return Aim(how, correction, reached, seconds, tally.evaluations, per_vertex, per_check), tally
 
 
 def coarse(refinement: Refinement, error: float) -> Aim:

@@ -1,8 +1,7 @@
 """Vertices foretold from those around them, where a mesh is finer than what is seen on it.
 
 One vertex of each cell is evaluated first; the others follow from those (`bakers.nearby_vertices`), each held against
-the transport at a few bins, in the same directions as its parents, so that no noise of the light hides what is amiss.
-Those that fail are evaluated.
+the transport at a few bins. Those that fail are evaluated.
 """
 
 from dataclasses import replace
@@ -13,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.crew import Crew
+from bakers.foretold_vertices import checked, held_against
 from bakers.nearby_vertices import Parents, foretold
 from bakers.refined import WAYS, Checks, Refined, Refinement, joined
-from bakers.refinement import held_against, refine
+from bakers.refinement import refine
 from prt_bake.bake_first_look import Site
-from prt_bake.nearby_choice import Nearby, held
+from prt_bake.nearby_choice import Nearby, held_bins
 from prt_bake.nearby_kernel import all_turned
 
 Array = NDArray[np.float64]
@@ -95,15 +95,31 @@ def _foretold_block(
     views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
     outgoing, bent = np.concatenate([view for view, _bent in views]), sum(many for _view, many in views)
     positions = site.mesh.positions[vertices]
-    sound = np.flatnonzero(parents.sound)
-    (off,), spent = held(site, refinement, nearby, parents, vertices, sound, nearby.bins)
-    good, parts = list[int](), list[tuple[Index, Refined]]()
-    coefficients, variance = list[Array](), list[Array]()
+    rows, found, told = _all_foretold(site, refinement, nearby, parents, wanted, known)
+    transport, spent, parts = site.transport, 0, list[tuple[Index, Refined]]()
+    if len(rows):
+        bins = held_bins(site, vertices[rows], nearby.bins)
+        off, spent = held_against(transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, bins)
+        good = off.mean(axis=1) <= nearby.error**2
+        rows, found, told = rows[good], found[good], told[good]
+    if len(rows):
+        checks = checked(transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, told)
+        parts.append((rows, _as_refined(found, told, checks)))
+    if len(others := np.setdiff1d(np.arange(len(vertices)), rows)):
+        evaluated = refine(transport, refinement, vertices[others], positions[others], outgoing[others])
+        parts.append((others, evaluated))
+    whole = joined(len(vertices), parts)
+    return replace(whole, evaluations=whole.evaluations + spent), bent
+
+
+def _all_foretold(
+    site: Site, refinement: Refinement, nearby: Nearby, parents: Parents, wanted: Index, known: Any
+) -> tuple[Index, Array, Array]:
+    """Rows [m] of those that can be, by what their fits leave over; coefficients [m,B,K,C] and variances [m,B]."""
     assert site.grid is not None
     by_view = np.ascontiguousarray(known).reshape(len(known), *site.grid, -1)
-    for row, each in zip(sound, off, strict=True):
-        if not np.sqrt((each**2).mean()) <= nearby.tolerated:
-            continue
+    good, coefficients, variance = list[int](), list[Array](), list[Array]()
+    for row in np.flatnonzero(parents.sound):
         places = np.searchsorted(wanted, parents.of[row])
         values, told = foretold(all_turned(by_view, places, parents.turn[row]), parents, int(row))
         scale = max(float((values**2).mean()), refinement.floor**2)
@@ -111,16 +127,9 @@ def _foretold_block(
             good.append(int(row))
             coefficients.append(values.reshape(site.bins, -1, 3))
             variance.append(told)
-    if good:
-        rows = np.array(good)
-        found, told = np.stack(coefficients), np.stack(variance)
-        checks = held_against(site.transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, told)
-        parts.append((rows, _as_refined(found, told, checks)))
-    if len(others := np.setdiff1d(np.arange(len(vertices)), good)):
-        evaluated = refine(site.transport, refinement, vertices[others], positions[others], outgoing[others])
-        parts.append((others, evaluated))
-    whole = joined(len(vertices), parts)
-    return replace(whole, evaluations=whole.evaluations + spent), bent
+    if not good:
+        return np.zeros(0, np.int64), np.zeros((0, site.bins, 0, 3)), np.zeros((0, site.bins))
+    return np.array(good), np.stack(coefficients), np.stack(variance)
 
 
 def _as_refined(found: Array, variance: Array, checks: Checks) -> Refined:

@@ -181,7 +181,7 @@ class _Shelf:
         how, name = aim.refinement, f"aim-{self.number:02d}"
         lattices = LATTICES.index(how.lattices)
         near = aim.foretelling
-        cells = [] if near is None else [near.spacing, near.tolerated, float(near.bins)]
+        cells = [] if near is None else [near.spacing, float(near.bins)]
         tolerances = np.array(
             [how.light, how.view, how.checked, how.floor, how.begin, how.always, lattices, *cells], np.float64
         )

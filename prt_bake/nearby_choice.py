@@ -20,23 +20,19 @@ FEWEST_VERTICES, FEWEST_SECTORS = 1500, 32
 """Fewer sectors tell too little of what is seen at azimuths between them, where frames are turned."""
 SPACINGS = 2.0, 3.0, 4.0, 6.0, 8.0
 """Of the distance to the nearest vertex, cells that are tried."""
-TRIED, TRIED_BINS, TRIED_DIRECTIONS, TRIED_SHARE = 24, 4, 1024, 0.03
-"""Vertices, and at how many bins and in how many directions cells of all sizes are tried there, or as few as come to
-that share of the whole bake.
+TRIED, TRIED_BINS, TRIED_DIRECTIONS, TRIED_SHARE = 24, 8, (64, 1024), 0.03
+"""Vertices, and at how many bins and in how many directions cells of all sizes are tried there: as few as come to that
+share of the whole bake.
 """
-HELD_DIRECTIONS, MOST_HELD_BINS, HELD_SHARE = 64, 2, 0.125
-"""A foretold vertex is held against the transport in these directions of the light, at one bin or as many as a vertex's
-evaluation spends that share on.
+HELD_BINS, HELD_SHARE = 4, 0.05
+"""A foretold vertex is held against the transport at so many bins, or as few as come to that share of what evaluating
+it takes.
 """
-WORTH = 0.7
+WORTH = 0.8
 """Of the evaluations without, those with foretelling must come down to, at most, for it to be done."""
-GOOD = 0.6
+GOOD = 0.7
 """Of the error asked for, what foretelling may be off by in rms at vertices that pass, at other bins than those where
 they do: the noise of their parents, that comes on top, is a third in variance of what it is at those.
-"""
-USUAL, MOST_TOLERATED = 0.9, 3.0
-"""Of the vertices that are foretold to the error asked for, the share that is to pass in few directions; and the most,
-of that error, that these may make of it: few see more of an edge of the light than there is.
 """
 _SPREAD_STREAM, _HELD_STREAM = 41, 42
 
@@ -48,8 +44,8 @@ class Nearby:
     Attributes:
         spacing: size of the cells of each of which one vertex is evaluated.
         error: relative error that foretold vertices may have.
-        tolerated: the same, in the few directions that they are held against.
-        bins: at which they are.
+        bins: at which they are held against the transport.
+        each: directions at each of those, about.
         passing: share of them that is thought to pass.
         per_vertex: evaluations that an evaluated vertex is thought to take, checks apart.
         evaluated: [n] of the baked vertices.
@@ -58,8 +54,8 @@ class Nearby:
 
     spacing: float
     error: float
-    tolerated: float
     bins: int
+    each: float
     passing: float
     per_vertex: float
     evaluated: NDArray[np.bool_]
@@ -69,7 +65,7 @@ class Nearby:
     @property
     def on_average(self) -> float:
         """Evaluations that a vertex takes, checks apart."""
-        other = for_each(self.bins) + (1.0 - self.passing) * self.per_vertex
+        other = self.bins * self.each + (1.0 - self.passing) * self.per_vertex
         return self._share * self.per_vertex + (1.0 - self._share) * other
 
     @property
@@ -87,25 +83,22 @@ class Nearby:
         return self.surroundings.parents(site.mesh.positions[vertices], normals, sphere.tangent_frame(normals))
 
 
-def for_each(bins: int) -> float:
-    """Evaluations that it takes to hold a foretold vertex against the transport."""
-    return float(bins * (PARENTS + 1) * HELD_DIRECTIONS)
-
-
-def nearby_for(site: Site, refinement: Refinement, error: float, per_vertex: float) -> tuple[Nearby | None, int]:
+def nearby_for(
+    site: Site, refinement: Refinement, error: float, per_vertex: float, each: float
+) -> tuple[Nearby | None, int]:
     """The cells that come cheapest at that error, by what they do at a few vertices, or None where evaluating all, at
-    `per_vertex` evaluations, is hardly dearer; and the evaluations that it took to find out.
+    `per_vertex` evaluations, is hardly dearer; and the evaluations that it took to find out. A bin is held against the
+    transport in about `each` directions.
     """
     few = len(site.vertices) < FEWEST_VERTICES or site.many < MANY
-    if few or site.grid is None or site.grid[1] < FEWEST_SECTORS or for_each(1) > WORTH * per_vertex:
+    if few or site.grid is None or site.grid[1] < FEWEST_SECTORS:
         return None, 0
-    bins = int(np.clip(HELD_SHARE * per_vertex / for_each(1), 1, min(MOST_HELD_BINS, site.bins)))
+    bins = int(np.clip(HELD_SHARE * per_vertex / max(each, 1.0), 1, min(HELD_BINS, site.bins)))
     for_one = len(SPACINGS) * TRIED * TRIED_BINS * (PARENTS + 1)
-    affordable = TRIED_SHARE * per_vertex * len(site.vertices) / for_one
-    directions = int(np.clip(affordable, HELD_DIRECTIONS, TRIED_DIRECTIONS))
+    directions = int(np.clip(TRIED_SHARE * per_vertex * len(site.vertices) / for_one, *TRIED_DIRECTIONS))
     apart, tried, spent = _apart(site), list[Nearby](), 0
     for spacing in SPACINGS if apart > 0.0 else ():
-        nearby = cells(site, spacing * apart, error, bins, per_vertex)
+        nearby = cells(site, spacing * apart, error, bins, each, per_vertex)
         # Others cannot be cheaper, however good they are.
         if nearby.on_average < WORTH * per_vertex:
             found, taken = _tried(site, refinement, nearby, directions)
@@ -115,14 +108,14 @@ def nearby_for(site: Site, refinement: Refinement, error: float, per_vertex: flo
     return (best if best is not None and best.on_average < WORTH * per_vertex else None), spent
 
 
-def cells(site: Site, spacing: float, error: float, bins: int, per_vertex: float) -> Nearby:
+def cells(site: Site, spacing: float, error: float, bins: int, each: float, per_vertex: float) -> Nearby:
     """One vertex evaluated of each cell of that size, and the others thought to pass."""
     some = site.vertices
     positions, normals = site.mesh.positions[some], site.mesh.normals[some]
     evaluated = spread_out(positions, normals, spacing, hashed(_SPREAD_STREAM, site.seed, some))
     parts = positions[evaluated], normals[evaluated]
     around = Surroundings(*parts, sphere.tangent_frame(parts[1]))
-    return Nearby(spacing, error, error, bins, 1.0, per_vertex, evaluated, some[evaluated], around)
+    return Nearby(spacing, error, bins, each, 1.0, per_vertex, evaluated, some[evaluated], around)
 
 
 def _apart(site: Site) -> float:
@@ -135,55 +128,44 @@ def _apart(site: Site) -> float:
 
 
 def _tried(site: Site, refinement: Refinement, nearby: Nearby, directions: int) -> tuple[Nearby, int]:
-    """What is tolerated in few directions, and how many pass, by a few vertices seen in many; and evaluations."""
+    """How many of a few vertices pass, were they held against many directions at their bins; and evaluations."""
     rest = site.vertices[~nearby.evaluated]
     tried = rest[drawn(site.seed + 7, len(rest), min(TRIED, len(rest)))]
     parents = nearby.parents(site, tried)
-    sound, sizes = np.flatnonzero(parents.sound), (HELD_DIRECTIONS, directions)
-    by_bin, spent = held(site, refinement, nearby, parents, tried, sound, TRIED_BINS, sizes)
-    seen, off = np.sqrt((by_bin[0, :, : nearby.bins] ** 2).mean(axis=-1)), np.sqrt((by_bin[1] ** 2).mean(axis=-1))
-    good = off <= nearby.error
-    if not good.any():
-        return replace(nearby, passing=0.0), spent
-    tolerated = float(np.clip(np.quantile(seen[good], USUAL), nearby.error, MOST_TOLERATED * nearby.error))
-    passing = seen <= tolerated
-    elsewhere = by_bin[1, passing, nearby.bins :]
+    off, spent = _off(site, refinement, nearby, parents, tried, directions)
+    passing = (off[:, : nearby.bins] ** 2).mean(axis=1) <= nearby.error**2
+    elsewhere = off[passing, nearby.bins :]
     well = elsewhere.size and np.sqrt((elsewhere**2).mean()) <= GOOD * nearby.error
-    return replace(nearby, tolerated=tolerated, passing=float(passing.sum() / len(tried)) if well else 0.0), spent
+    return replace(nearby, passing=float(passing.sum() / len(tried)) if well else 0.0), spent
 
 
-def held(
-    site: Site,
-    refinement: Refinement,
-    nearby: Nearby,
-    parents: Parents,
-    vertices: Index,
-    rows: Index,
-    bins: int,
-    sizes: tuple[int, ...] = (HELD_DIRECTIONS,),
+def _off(
+    site: Site, refinement: Refinement, nearby: Nearby, parents: Parents, vertices: Index, directions: int
 ) -> tuple[Array, int]:
-    """What vertices[rows] are off by [len(sizes),m,bins], relative to the vertex, when foretold from what their parents
-    answer in the same directions, as many as `sizes` says, at bins that are drawn; and evaluations.
+    """What sound ones of these vertices are off by [m,bins], relative to the vertex, when foretold from what their
+    parents answer in the same directions, at bins that are drawn: without noise of the light. And evaluations.
     """
-    few = min(max(sizes), len(refinement.lattice.directions))
-    lattice = refinement.lattice.directions[:few]
-    fits = [np.linalg.pinv(refinement.lattice.harmonics[:size]) for size in sizes]
-    off = np.zeros((len(sizes), len(rows), bins))
+    few, rows = min(directions, len(refinement.lattice.directions)), np.flatnonzero(parents.sound)
+    lattice, fit = refinement.lattice.directions[:few], np.linalg.pinv(refinement.lattice.harmonics[:few])
+    off, normals, spent = np.zeros((len(rows), TRIED_BINS)), site.mesh.normals, 0
     for place, row in enumerate(rows):
-        vertex = vertices[row]
-        chosen = (hashed(_HELD_STREAM, site.seed, vertex, np.arange(bins)) % np.uint64(site.bins)).astype(np.int64)
-        outgoing = site.views(int(vertex), int(vertex) + 1)[0][0][chosen]
-        used = np.flatnonzero(parents.weights[row] != 0.0)
+        vertex, used = vertices[row], np.flatnonzero(parents.weights[row] != 0.0)
+        outgoing = site.views(int(vertex), int(vertex) + 1)[0][0][held_bins(site, vertex, TRIED_BINS)]
         family = nearby.numbers[parents.of[row][used]]
-        normals = site.mesh.normals
         carried = carried_along(outgoing[None], normals[vertex][None, None], normals[family][:, None])
         seen = np.concatenate([carried, outgoing[None]]).reshape(-1, 3)
-        where = np.repeat(site.mesh.positions[np.append(family, vertex)], bins, axis=0)
+        where = np.repeat(site.mesh.positions[np.append(family, vertex)], TRIED_BINS, axis=0)
         answers = values_at(site.transport, lattice[None], np.zeros(len(seen), np.int64), where, seen)
-        for which, fit in enumerate(fits):
-            a = (fit @ answers[:, : fit.shape[1]].astype(np.float64)).reshape(len(family) + 1, bins, -1)
-            with np.errstate(invalid="ignore", over="ignore"):
-                left = np.tensordot(parents.weights[row][used], a[:-1], axes=1) - a[-1]
-                scale = np.maximum((a**2).mean(), refinement.floor**2)
-                off[which, place] = np.sqrt((left**2).mean(axis=-1) / scale)
-    return off, sum(1 + int((parents.weights[row] != 0.0).sum()) for row in rows) * bins * few
+        a = (fit @ answers.astype(np.float64)).reshape(len(family) + 1, TRIED_BINS, -1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            left = np.tensordot(parents.weights[row][used], a[:-1], axes=1) - a[-1]
+            scale = np.maximum((a**2).mean(), refinement.floor**2)
+            off[place] = np.sqrt((left**2).mean(axis=-1) / scale)
+        spent += len(seen) * few
+    return off, spent
+
+
+def held_bins(site: Site, vertices: NDArray[np.integer], bins: int) -> Index:
+    """The bins [...,bins] at which vertices [...] are held against the transport."""
+    keys = hashed(_HELD_STREAM, site.seed, np.asarray(vertices)[..., None], np.arange(bins))
+    return np.asarray((keys % np.uint64(site.bins)).astype(np.int64))

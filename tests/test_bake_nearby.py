@@ -175,7 +175,7 @@ def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() 
     site = Site(
         Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
     )
-    found: list[Nearby] = [cells(site, spacing, ERROR, 1, 1e5) for spacing in (0.1, 0.2, 0.4)]
+    found: list[Nearby] = [cells(site, spacing, ERROR, 1, 64.0, 1e5) for spacing in (0.1, 0.2, 0.4)]
     shares = [len(each.numbers) / len(MESH.positions) for each in found]
     assert shares == sorted(shares, reverse=True)
     for each, share in zip(found, shares, strict=True):
