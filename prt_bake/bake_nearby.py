@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from bakers.crew import Crew
 from bakers.foretold_vertices import checked, held_against
-from bakers.nearby_vertices import Parents, foretold
+from bakers.nearby_vertices import Parents
 from bakers.refined import WAYS, Checks, Refined, Refinement, joined
 from bakers.refinement import refine
 from prt_bake.bake_first_look import Site
 from prt_bake.nearby_choice import Nearby, held_bins
-from prt_bake.nearby_kernel import all_turned
+from prt_bake.nearby_kernel import foretold_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -121,7 +121,7 @@ def _all_foretold(
     good, coefficients, variance = list[int](), list[Array](), list[Array]()
     for row in np.flatnonzero(parents.sound):
         places = np.searchsorted(wanted, parents.of[row])
-        values, told = foretold(all_turned(by_view, places, parents.turn[row]), parents, int(row))
+        values, told = foretold_from(by_view, places, parents, int(row))
         scale = max(float((values**2).mean()), refinement.floor**2)
         if told.mean() <= nearby.error**2 * scale:
             good.append(int(row))

@@ -6,7 +6,7 @@ from transports import icosphere
 
 from bakers.nearby_vertices import Surroundings, carried_along, foretold, spread_out, turned
 from prt_bake import sphere
-from prt_bake.nearby_kernel import all_turned
+from prt_bake.nearby_kernel import foretold_from
 from prt_bake.randomness import hashed
 
 Array = np.ndarray
@@ -138,10 +138,16 @@ def test_vectors_are_carried_along_the_shortest_turn() -> None:
 
 
 @pytest.mark.parametrize("grid", [(4, 16), (2, 1), (1, 3)])
-def test_turning_all_at_once_is_turning_each(grid: tuple[int, int]) -> None:
-    rng = np.random.default_rng(4)
-    values, places = rng.normal(size=(5, *grid, 6)).astype(np.float32), np.array([3, 0, 4, 3])
-    turns = np.array([-3.0, 0.0, 0.1, 3.1])
-    expected = [turned(values[p].astype(float), t) for p, t in zip(places, turns, strict=True)]
-    found = all_turned(values, places, turns)
-    np.testing.assert_allclose(found, np.stack(expected).reshape(found.shape), rtol=1e-12, atol=1e-12)
+def test_the_sweep_is_turning_and_foretelling(grid: tuple[int, int]) -> None:
+    known, wanted = plane(60), plane(6, seed=1)
+    parents = Surroundings(*known).parents(*wanted)
+    values = np.random.default_rng(4).normal(size=(60, *grid, 6)).astype(np.float32)
+    rows = np.flatnonzero(parents.sound)
+    assert len(rows)
+    for row in rows:
+        pairs = zip(parents.of[row], parents.turn[row], strict=True)
+        own = np.stack([turned(values[p].astype(float), t) for p, t in pairs])
+        expected, variance = foretold(own.reshape(len(own), -1, 6), parents, row)
+        found, told = foretold_from(values, parents.of[row], parents, row)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+        np.testing.assert_allclose(told, variance, rtol=1e-10)
