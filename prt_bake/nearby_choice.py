@@ -28,11 +28,12 @@ HELD_BINS, HELD_SHARE = 4, 0.05
 """A foretold vertex is held against the transport at so many bins, or as few as come to that share of what evaluating
 it takes.
 """
-WORTH = 0.8
+WORTH = 0.7
 """Of the evaluations without, those with foretelling must come down to, at most, for it to be done."""
-GOOD = 0.7
-"""Of the error asked for, what foretelling may be off by in rms at vertices that pass, at other bins than those where
-they do: the noise of their parents, that comes on top, is a third in variance of what it is at those.
+FORETOLD, GOOD = 0.8, 0.7
+"""Of the error asked for, what a foretold vertex may be off by where it is held against the transport; and of this,
+what foretelling may be off by in rms at vertices that pass, at other bins than those where they do: the noise of their
+parents, that comes on top, is a third in variance of what it is at those.
 """
 _SPREAD_STREAM, _HELD_STREAM = 41, 42
 
@@ -98,7 +99,7 @@ def nearby_for(
     directions = int(np.clip(TRIED_SHARE * per_vertex * len(site.vertices) / for_one, *TRIED_DIRECTIONS))
     apart, tried, spent = _apart(site), list[Nearby](), 0
     for spacing in SPACINGS if apart > 0.0 else ():
-        nearby = cells(site, spacing * apart, error, bins, each, per_vertex)
+        nearby = cells(site, spacing * apart, FORETOLD * error, bins, each, per_vertex)
         # Others cannot be cheaper, however good they are.
         if nearby.on_average < WORTH * per_vertex:
             found, taken = _tried(site, refinement, nearby, directions)
