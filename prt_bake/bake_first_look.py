@@ -36,7 +36,7 @@ BLOCKS_A_WORKER = 4
 MANY = 1 << 18
 """Bins of an object from which on a pilot is a small part of it all."""
 CHECK_SHARE, FEWEST_CHECKS, MOST_CHECKS = 0.008, 64, 4096
-SURVEY_SHARE, MOST_SURVEYED = 7, 32
+SURVEY_SHARE, MOST_SURVEYED = 10, 32
 """Of how many vertices one is seen in all of its bins before, and at most how many are."""
 HOPELESS = 4.0
 """Times the error asked for, that a few bins in the most directions may be off."""

@@ -23,7 +23,7 @@ from prt_bake.pared_sink import pared_sink
 
 COARSE = 0.15
 """Error that the first pass over an object of many bins is made for: there is an asset soon."""
-PASSES = 3
+PASSES = 4
 FINER, FINEST, STEP = 1.25, 16.0, 2.5
 """Times smaller, that the error of a pass must at least and may at most be than that of the one before, in a bake that
 has a time to run; and what it is to be in one that runs until it is stopped.
