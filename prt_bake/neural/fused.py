@@ -24,6 +24,7 @@ from torch import Tensor
 from formats.errors import QueryError
 from prt_bake.neural.late_layers import LateLayers
 from prt_bake.neural.lobes import Bands, Lobes, bands_of, in_bands, in_directions
+from prt_bake.neural.product_kernel import product_rows
 
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
@@ -63,7 +64,7 @@ class FusedNetwork:
         self._biases = [layer.bias.detach().to(self._dtype) for layer in layers]
         self._linear: Linear = _onednn_linear if _onednn_answers(self._weights[-1]) else _plain_linear
         self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
-        if self._late is None:
+        if self._late is None and self._device.type != "cpu":
             self._weights[0] = _interleave(self._weights[0], settings.features)
         self._lock = Lock()
         self._tables: OrderedDict[int, tuple[ArrayLike, Tensor]] = OrderedDict()
@@ -104,7 +105,9 @@ class FusedNetwork:
             for first, last in pairwise(bounds):
                 towards = light[:, first:last]
                 table = self._light_table(incident, towards, whole=last - first == directions)
-                if self._late is None:
+                if self._late is None and self._device.type == "cpu":
+                    self._fill_swept(answer[:, first:last], table, chosen, view)
+                elif self._late is None:
                     self._fill(answer[:, first:last], table, chosen, view)
                 else:
                     between = _float32(towards, self._device), eye, frame
@@ -169,6 +172,20 @@ class FusedNetwork:
             return of_bins, Lobes(*_together(lobes, tile))
         return of_bins, Bands(*_together([bands_of(some_lobes, self.network.band) for some_lobes in lobes], tile))
 
+    def _fill_swept(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
+        """As `_fill`, features in one sweep: bins by their copy, so that what they share is still in cache."""
+        directions, width = table.shape[1:]
+        tile = max(1, self._rows // directions)
+        swept = np.zeros((tile * directions, width), np.float32 if self._dtype is torch.float32 else np.uint16)
+        rows = torch.from_numpy(swept).view(self._dtype)
+        light, seen, copies = table.numpy(), view.numpy(), chosen.numpy()
+        order = np.argsort(copies, kind="stable")
+        for first in range(0, len(order), tile):
+            some = order[first : first + tile]
+            product_rows(light, copies[some], seen[some], swept)
+            radiance = self._layers(rows).view(tile, directions, 3)[: len(some)].float() * self.network.output_scale
+            answer[some] = radiance.numpy()
+
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
         directions, features = table.shape[1:]
@@ -201,9 +218,9 @@ class FusedNetwork:
         if self.network.view is None:
             exponentials = self._view_exponentials(positions, outgoing)
             none = torch.empty((len(exponentials), 0, 3), device=self._device)
-            if self._late is None:
+            if self._late is None and self._device.type != "cpu":
                 return exponentials, none
-            return torch.cat((exponentials.real, exponentials.imag), dim=1), none
+            return _planes(exponentials), none
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
@@ -248,7 +265,8 @@ class FusedNetwork:
 
     def _of_light(self, light: NDArray[Any]) -> Tensor:
         if self._late is None:
-            return _exponential(self.network.cycles("incident", light))
+            exponentials = _exponential(self.network.cycles("incident", light))
+            return _planes(exponentials) if self._device.type == "cpu" else exponentials
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
         rows, parts = directions.reshape(-1, 3), []
         for first in range(0, len(rows), LIGHTS_AT_ONCE):
@@ -278,6 +296,11 @@ def _float32(directions: Any, device: torch.device) -> Tensor:
 
 def _exponential(cycles: Tensor) -> Tensor:
     return torch.polar(torch.ones_like(cycles), (2.0 * torch.pi) * cycles)
+
+
+def _planes(exponentials: Tensor) -> Tensor:
+    """Cosines, then sines."""
+    return torch.cat((exponentials.real, exponentials.imag), dim=-1)
 
 
 def _interleave(weight: Tensor, features: int) -> Tensor:
