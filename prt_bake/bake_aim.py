@@ -42,7 +42,8 @@ OUT_OF_REACH = 1.5
 """Times the error asked for, which a pilot must come down to."""
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
-PILOT_CHECKS = 128
+PILOT_CHECKS = 128, 640
+"""Bins that a pilot of few bins, and of many, is held against others at."""
 NEAR = 0.7, 0.85
 """Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
 LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
@@ -230,7 +231,7 @@ class _Dials:
 def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
     """What such a refinement leads to at the pilot's vertices."""
     site, chosen = pilot.site, _pilot_vertices(pilot.site)
-    share = max(PILOT_CHECKS / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
+    share = max(PILOT_CHECKS[int(site.many >= MANY)] / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     tally, seconds = Tally(len(site.mesh.positions)), 0.0
     for some, refined, took in pilot.tried(replace(how, checks=checks)):

@@ -43,10 +43,8 @@ class Incoherent:
     """Kinks and lobes that have nothing to do with those of the vertices beside, and a kink in the view."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        key = np.round(positions * 1e6).astype(np.int64)
-        numbers = uniforms((1, key[:, 0], key[:, 1], key[:, 2]), 7)
-        axes = numbers[:, :6].reshape(-1, 2, 3) - 0.5
-        axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+        numbers = _of_places(positions)
+        axes = _units(numbers[:, :6].reshape(-1, 2, 3) - 0.5)
         kinked = np.abs(np.einsum("ndi,ni->nd", incident, axes[:, 0]))
         kinked *= (np.maximum((outgoing * axes[:, 1]).sum(-1), 0.0) + 0.2)[:, None]
         sharpness = 3.0 + 20.0 * numbers[:, 6:]
@@ -61,6 +59,90 @@ class Chequered:
         chequer = np.sign(np.sin(40.0 * outgoing[:, 0]) * np.sin(40.0 * outgoing[:, 1]))
         cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
         return (cosine * (1.0 + 0.5 * chequer[:, None]))[..., None] * np.array([1.0, 0.8, 0.5])
+
+
+class Clamped:
+    """A clamped cosine, darker towards grazing views as light behind an interface is."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        view = 1.0 - 0.8 * (1.0 - np.clip((positions * outgoing).sum(-1), 0.0, 1.0)) ** 5
+        return _coloured(_facing(incident, positions) * view[:, None])
+
+
+class Phased:
+    """Henyey and Greenstein's phase function about −ωo, and what is diffuse."""
+
+    def __init__(self, g: float = 0.8) -> None:
+        self.g = g
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        g, cosine = self.g, -np.einsum("ndi,ni->nd", incident, outgoing)
+        phase = (1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5 / (4.0 * np.pi)
+        return _coloured(0.3 * (phase + 0.2 + _facing(incident, positions)))
+
+
+class Kinked:
+    """A kink across an axis that turns with the place and with the view."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        x, y, z = positions.T
+        axes = _units(np.stack([np.sin(2.0 * x), np.cos(2.0 * y), np.sin(z + 1.0)], -1) + 0.5 * outgoing)
+        return _coloured(np.abs(np.einsum("ndi,ni->nd", incident, axes)) + 0.1)
+
+
+class TwoLobed:
+    """Lobes about the mirrored view and about −ωo, of different colours."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        mirrored = 2.0 * (positions * outgoing).sum(-1, keepdims=True) * positions - outgoing
+        back = np.exp(10.0 * (np.einsum("ndi,ni->nd", incident, mirrored) - 1.0))
+        forward = np.exp(6.0 * (-np.einsum("ndi,ni->nd", incident, outgoing) - 1.0))
+        return np.stack([back, 0.5 * (back + forward), forward], -1) + 0.3 * _facing(incident, positions)[..., None]
+
+
+class KinkedApart:
+    """A kink at every vertex that has nothing to do with those of the vertices beside."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        numbers = _of_places(positions) - 0.5
+        kinked = np.maximum(np.einsum("ndi,ni->nd", incident, _units(numbers[:, :3])), 0.0)
+        return _coloured(kinked * (1.3 + (outgoing * _units(numbers[:, 3:6])).sum(-1))[:, None] + 0.05)
+
+
+class LobedApart:
+    """Forward lobes of which every vertex has its own width and strength."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        numbers = _of_places(positions)
+        sharpness, strength, floor = 3.0 + 10.0 * numbers[:, :1], 0.3 + numbers[:, 1:2], 0.3 * numbers[:, 2:3]
+        forward = np.exp(sharpness * (-np.einsum("ndi,ni->nd", incident, outgoing) - 1.0))
+        return _coloured(strength * forward + floor * _facing(incident, positions))
+
+
+class Shadowed:
+    """A clamped cosine cut off to nothing by a horizon that wanders with the place."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        lit = incident[..., 1] > 0.3 * np.sin(3.0 * positions[:, :1])
+        return _coloured(_facing(incident, positions) * lit + 0.1)
+
+
+def _coloured(values: Array) -> Array:
+    return np.asarray(values[..., None] * np.array([1.0, 0.7, 0.5]))
+
+
+def _facing(incident: Array, normals: Array) -> Array:
+    return np.asarray(np.maximum(np.einsum("ndi,ni->nd", incident, normals), 0.0))
+
+
+def _units(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+def _of_places(positions: Array) -> Array:
+    """Uniform numbers [N,7] of each place."""
+    key = np.round(positions * 1e6).astype(np.int64)
+    return np.asarray(uniforms((1, key[:, 0], key[:, 1], key[:, 2]), 7))
 
 
 class Counting:

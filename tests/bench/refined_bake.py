@@ -1,9 +1,10 @@
 """Bakes to an error against plain Monte Carlo: evaluations, time, and whether what they say of their error is true.
 
-    PYTHONPATH=tests python tests/bench/refined_bake.py [--error 0.01] [--seeds 6]
+    PYTHONPATH=tests python tests/bench/refined_bake.py [--error 0.01] [--seeds 6] [--others] [--subdivisions 1]
     PYTHONPATH=tests python tests/bench/refined_bake.py --model MODEL.pt --mesh MESH [--vertices 64]
 
-Without a model: analytic transports on 42 vertices, 16×64 bins, all evaluations counted from outside. With one: some
+Without a model: analytic transports on 42 vertices (162, …), 16×64 bins, all evaluations counted from outside;
+`--others` are those that nothing was chosen by. With one: some
 vertices of its mesh, refined to the error, against a bake as one would write it in plain PyTorch: uniform directions,
 bin by bin, default threads; timed at 1024 directions on bins drawn at random and carried to the error by its own law.
 """
@@ -15,7 +16,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from transports import Array, Chequered, Counting, Edged, Incoherent, Lobed, exact, icosphere, uniform_needs
+import transports as known
+from transports import Array, Counting, exact, icosphere, uniform_needs
 
 from bakers.transport import on_mesh, up_to
 from formats.mesh import read_mesh
@@ -25,15 +27,25 @@ from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import limited_threads, prepared, views_of
 from prt_bake.network import load_model
 
+TUNED = known.Edged(), known.Lobed(), known.Incoherent(), known.Chequered()
+OTHERS = (
+    known.Clamped(),
+    known.Phased(),
+    known.Kinked(),
+    known.TwoLobed(),
+    known.KinkedApart(),
+    known.LobedApart(),
+    known.Shadowed(),
+)
 PLAIN_DIRECTIONS, PLAIN_BINS = 1024, 192
 TRUE_DIRECTIONS = 1 << 13
 
 
-def analytic(error: float, seeds: int) -> None:
-    mesh = icosphere(1)
+def analytic(transports: tuple[Any, ...], subdivisions: int, error: float, seeds: int) -> None:
+    mesh = icosphere(subdivisions)
     bins = len(mesh.positions) * 1024
     print(f"{'':12}{'uniform':>9}{'ours':>8}{'fewer':>8}{'true':>8}{'told':>8}{'p95':>8}{'told':>8}{'within':>8}")
-    for transport in (Edged(), Lobed(), Incoherent(), Chequered()):
+    for transport in transports:
         truth = exact(transport, mesh, 16, 64)
         needs = uniform_needs(transport, mesh, truth, 16, 64, error)
         for seed in range(seeds):
@@ -125,13 +137,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--error", type=float, default=0.01)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--others", action="store_true")
+    parser.add_argument("--subdivisions", type=int, default=1)
     parser.add_argument("--model", type=Path)
     parser.add_argument("--mesh", type=Path)
     parser.add_argument("--vertices", type=int, default=64)
     parser.add_argument("--precision", default="float32")
     given = parser.parse_args()
     if given.model is None:
-        analytic(given.error, given.seeds)
+        analytic(OTHERS if given.others else TUNED, given.subdivisions, given.error, given.seeds)
     else:
         of_network(given.model, given.mesh, given.error, given.vertices, given.precision)
 
