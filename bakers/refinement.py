@@ -147,7 +147,8 @@ class Work:
         turned = self.turn[:, None] @ own
         checks = self.check(variance, turned)
         rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
-        together = (np.maximum(self.noise - self.alone, 0.0).sum(axis=0) / variance.sum(axis=1)).astype(np.float32)
+        shared = 0.0 if self.how.lattices == "own" else np.maximum(self.noise - self.alone, 0.0).sum(axis=0)
+        together = (shared / variance.sum(axis=1)).astype(np.float32)
         spent = self.spent.T.astype(np.uint16)
         return Refined(*rounded, spent, self._way().T, together, self.evaluations, checks)
 

@@ -18,6 +18,8 @@ TOGETHER, APART = 0.6, 0.04
 err apart, as they were seen on spheres.
 """
 LEAST, MOST = 0.01, 2.0
+DOUBT = 0.1
+"""How far off what is usual may be at least."""
 FARTHEST = 10.0
 """Times its stated variance, which the squared error of one bin counts for at most."""
 QUANTILES = 1 << 17
@@ -61,7 +63,10 @@ def measured(vertices: NDArray[np.integer], stated: Array, squared: Array, befor
         return UNKNOWN
     found = float(products.sum() / expected.sum())
     uncertain = float(((products - found * expected) ** 2).sum()) / float(expected.sum()) ** 2
-    return Scatter(found - 1.0, beforehand**2 / (beforehand**2 + uncertain))
+    # Few vertices may agree by chance: so many products of independent numbers know no better than this.
+    least = ((over**2).mean() ** 2 / over.mean() ** 4 - 1.0) / float((many * (many - 1.0)).sum() / 2.0)
+    doubt = (DOUBT + beforehand) ** 2
+    return Scatter(found - 1.0, float(doubt / (doubt + max(uncertain, least))))
 
 
 def possible(errors: Array, variance: Array) -> Array:

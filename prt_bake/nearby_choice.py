@@ -28,8 +28,10 @@ HELD_BINS, HELD_SHARE = 4, 0.05
 """A foretold vertex is held against the transport at so many bins, or as few as come to that share of what evaluating
 it takes.
 """
-WORTH = 0.7
-"""Of the evaluations without, those with foretelling must come down to, at most, for it to be done."""
+SWEPT, WORTH = 2.0, 0.7
+"""Evaluations of a network a bin that foretelling takes as long as; and of what it takes without, what it must come
+down to, at most, for it to be done.
+"""
 FORETOLD, GOOD = 0.8, 0.7
 """Of the error asked for, what a foretold vertex may be off by where it is held against the transport; and of this,
 what foretelling may be off by in rms at vertices that pass, at other bins than those where they do: the noise of their
@@ -67,15 +69,16 @@ class Nearby:
     def on_average(self) -> float:
         """Evaluations that a vertex takes, checks apart."""
         other = self.bins * self.each + (1.0 - self.passing) * self.per_vertex
-        return self._share * self.per_vertex + (1.0 - self._share) * other
+        return self.share * self.per_vertex + (1.0 - self.share) * other
 
     @property
     def ahead(self) -> float:
         """Share of the work that is done once all vertices are that others are foretold from."""
-        return self._share * self.per_vertex / self.on_average
+        return self.share * self.per_vertex / self.on_average
 
     @property
-    def _share(self) -> float:
+    def share(self) -> float:
+        """Of the vertices, those that are evaluated first."""
         return float(self.evaluated.mean())
 
     def parents(self, site: Site, vertices: Index) -> Parents:
@@ -101,12 +104,17 @@ def nearby_for(
     for spacing in SPACINGS if apart > 0.0 else ():
         nearby = cells(site, spacing * apart, FORETOLD * error, bins, each, per_vertex)
         # Others cannot be cheaper, however good they are.
-        if nearby.on_average < WORTH * per_vertex:
+        if _cost(site, nearby) < WORTH * per_vertex:
             found, taken = _tried(site, refinement, nearby, directions)
             tried.append(found)
             spent += taken
-    best = min(tried, key=lambda nearby: nearby.on_average, default=None)
-    return (best if best is not None and best.on_average < WORTH * per_vertex else None), spent
+    best = min(tried, key=lambda nearby: _cost(site, nearby), default=None)
+    return (best if best is not None and _cost(site, best) < WORTH * per_vertex else None), spent
+
+
+def _cost(site: Site, nearby: Nearby) -> float:
+    """What a vertex takes, in evaluations, foretelling itself included."""
+    return nearby.on_average + SWEPT * site.bins * (1.0 - nearby.share)
 
 
 def cells(site: Site, spacing: float, error: float, bins: int, each: float, per_vertex: float) -> Nearby:

@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_resume import same
-from transports import Array, Counting, icosphere
+from transports import Array, Counting, Lobed, exact, icosphere
 
+from bakers.foretold_vertices import held_against
 from formats.asset import Asset
 from prt_bake import bake, sh, sphere
+from prt_bake.bake_aim import coarse
+from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import views_of
 from prt_bake.baking import plan
 from prt_bake.nearby_choice import Nearby, cells
@@ -169,8 +172,6 @@ def test_progress_never_goes_back_and_all_that_is_asked_is_counted() -> None:
 
 
 def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() -> None:
-    from prt_bake.bake_first_look import Site
-
     views = views_of(MESH, RINGS, SECTORS)[1]
     site = Site(
         Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
@@ -181,3 +182,19 @@ def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() 
     for each, share in zip(found, shares, strict=True):
         assert 1e5 * share < each.on_average < 1e5
         assert each.ahead == pytest.approx(1e5 * share / each.on_average)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03])
+def test_foretold_vertices_are_held_against_the_transport_less_the_noise_of_that(scale: float) -> None:
+    mesh, transport = icosphere(1), Lobed()
+    views = views_of(mesh, 4, 16)[1]
+    site = Site(transport, mesh, np.arange(42), views, sphere.view_bins(4, 16), 2, 0, (4, 16))
+    how = coarse(first_refinement(site)[0], ERROR).refinement
+    outgoing = np.concatenate([views(vertex, vertex + 1)[0] for vertex in range(42)])
+    foretold = scale * exact(transport, mesh, 4, 16, directions=1024)
+    bins = np.tile(np.arange(64), (42, 1))
+    off, spent = held_against(transport, how, np.arange(42), mesh.positions, outgoing, foretold, bins)
+    # The noise is half of the squared error asked for, and without a pilot known to half of that.
+    assert off.mean() == pytest.approx((1.0 - 1.0 / scale) ** 2, abs=0.25 * ERROR**2)
+    assert off.shape == (42, 64)
+    assert spent >= off.size * how.lattice.sizes[0]

@@ -1,0 +1,96 @@
+"""What a pilot makes of its trials, and how much a bake spends on checks."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from transports import Chequered, Edged, Lobed, icosphere
+
+from bakers.refined import Refined, Refinement
+from bakers.verdict import Tally
+from formats.errors import QueryError
+from prt_bake import bake_aim, sphere
+from prt_bake.bake_aim import CHECK_COST, CHECK_NOISE, Aim, Pilot, aimed, coarse, refined_block
+from prt_bake.bake_first_look import MOST_CHECKS, Site, fewest_checks, first_refinement
+from prt_bake.bake_job import views_of
+
+MESH, ERROR = icosphere(1), 0.01
+
+
+def site_of(transport: object, rings: int = 16, sectors: int = 64) -> Site:
+    vertices = np.arange(len(MESH.positions))
+    return Site(transport, MESH, vertices, views_of(MESH, rings, sectors)[1], sphere.view_bins(rings, sectors), 2, 0)
+
+
+def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch) -> list[Refinement]:
+    """Trials come to these errors, each cheaper than the one before; what was tried is in the list."""
+    tried: list[Refinement] = []
+
+    def trial(_pilot: Pilot, how: Refinement, _error: float) -> tuple[Aim, Tally]:
+        tried.append(how)
+        tally = Tally(1)
+        tally.variance[:], tally.done[:] = errors[len(tried) - 1], True
+        per_vertex = 1000.0 / len(tried)
+        return replace(coarse(how, ERROR), error=errors[len(tried) - 1], evaluations_per_vertex=per_vertex), tally
+
+    monkeypatch.setattr(bake_aim, "_trial", trial)
+    return tried
+
+
+@pytest.fixture(scope="module")
+def refinement() -> Refinement:
+    return first_refinement(site_of(Lobed()))[0]
+
+
+@pytest.mark.parametrize(
+    ("errors", "best", "trials"),
+    [
+        ([0.008], 0, 1),
+        ([0.004, 0.0075], 1, 2),
+        # The same twice: nothing is cheaper.
+        ([0.004, 0.004], 1, 2),
+        # The last is far off, and an earlier one was good enough.
+        ([0.0115, 0.012, 0.013, 0.011, 0.012, 0.03], 3, 6),
+        ([0.02, 0.0099], 1, 2),
+    ],
+)
+def test_the_best_of_the_trials_is_kept(
+    errors: list[float], best: int, trials: int, refinement: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = scripted(errors, monkeypatch)
+    aim = bake_aim._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    assert len(tried) == trials
+    assert aim.error == errors[best]
+
+
+def test_trials_that_are_all_far_off_are_out_of_reach(refinement: Refinement, monkeypatch: pytest.MonkeyPatch) -> None:
+    scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02], monkeypatch)
+    with pytest.raises(QueryError, match="out of reach"):
+        bake_aim._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+
+
+def test_errors_that_are_too_small_loosen_what_is_tolerated(
+    refinement: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = scripted([0.002, 0.003, 0.008], monkeypatch)
+    bake_aim._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    assert tried[0].light < tried[1].light < tried[2].light
+
+
+@pytest.mark.parametrize("transport", [Edged(), Chequered()])
+def test_checks_are_as_many_as_cost_little(transport: object) -> None:
+    site = site_of(transport)
+    aim = aimed(Pilot(site), first_refinement(site)[0], ERROR)
+    share = aim.refinement.checks(site.vertices).mean()
+    cost = aim.evaluations_per_check * share * site.bins / aim.evaluations_per_vertex
+    least, most = fewest_checks(site) / site.many, MOST_CHECKS / site.many
+    assert share == pytest.approx(np.clip(CHECK_COST * share / cost, least, most), rel=0.15)
+    assert aim.refinement.checked <= 1.0001 * CHECK_NOISE * ERROR
+
+
+@pytest.mark.parametrize(("lattices", "least", "most"), [("own", 0.0, 0.01), ("shared", 0.6, 1.0)])
+def test_what_bins_have_in_common_is_the_lattice_that_they_share(lattices: str, least: float, most: float) -> None:
+    site = site_of(Edged(), 4, 16)
+    how = replace(coarse(first_refinement(site)[0], 0.05).refinement, lattices=lattices)
+    refined: Refined = refined_block(site, how, site.vertices[:4])[0]
+    assert ((refined.together >= least) & (refined.together <= most)).all()
