@@ -21,7 +21,6 @@ from prt_bake.bake_first_look import (
     fewest_checks,
     out_of_reach,
 )
-from prt_bake.bake_forecast import COST
 from prt_bake.bake_light import checked_bins, drawn
 from prt_bake.nearby_choice import Nearby, nearby_for
 
@@ -123,7 +122,9 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     near = ALIKE if pilot.site.many >= MANY else 1.0
     tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
     aims = [_calibrated(pilot, way, error) for way in tried]
-    best = min(aims, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** COST)
+    best = min(aims, key=lambda aim: _dearness(aim, error))
+    if best.error > OUT_OF_REACH * error:
+        raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
     nearby, looked = nearby_for(
         pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check / 2.0
     )
@@ -162,10 +163,7 @@ def _pilot_vertices(site: Site) -> Index:
 
 
 def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
-    """Tolerances that lead to the error at a few vertices: of those tried, the cheapest that do, or what comes nearest.
-
-    Raises QueryError where that is still far from it.
-    """
+    """Tolerances that lead to the error at a few vertices, the cheapest of those tried, or what comes nearest."""
     few, most = int(pilot.site.many < MANY), len(refinement.lattice.sizes)
     dials = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
     trials, spent, before = list[Aim](), 0, Tally(0)
@@ -182,10 +180,12 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
         else:
             dials = dials.turned(tally, aim)
         before = tally
-    best = min(trials, key=lambda aim: aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** OVER)
-    if best.error > OUT_OF_REACH * error:
-        raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
-    return replace(best, evaluations=spent)
+    return replace(min(trials, key=lambda aim: _dearness(aim, error)), evaluations=spent)
+
+
+def _dearness(aim: Aim, error: float) -> float:
+    """Evaluations, more where they do not lead to the error."""
+    return float(aim.evaluations_per_vertex * max(aim.error / error, 1.0) ** OVER)
 
 
 @dataclass(frozen=True)
