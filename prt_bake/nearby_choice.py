@@ -20,7 +20,7 @@ FEWEST_VERTICES, FEWEST_SECTORS = 1500, 32
 """Fewer sectors tell too little of what is seen at azimuths between them, where frames are turned."""
 SPACINGS = 2.0, 3.0, 4.0, 6.0, 8.0
 """Of the distance to the nearest vertex, cells that are tried."""
-TRIED, TRIED_BINS, TRIED_DIRECTIONS, TRIED_SHARE = 24, 8, (64, 1024), 0.03
+TRIED, TRIED_BINS, TRIED_DIRECTIONS, TRIED_SHARE = 48, 8, (64, 512), 0.03
 """Vertices, and at how many bins and in how many directions cells of all sizes are tried there: as few as come to that
 share of the whole bake.
 """
@@ -28,14 +28,14 @@ HELD_BINS, HELD_SHARE = 4, 0.05
 """A foretold vertex is held against the transport at so many bins, or as few as come to that share of what evaluating
 it takes.
 """
-SWEPT, WORTH = 2.0, 0.7
+SWEPT, WORTH = 2.0, 0.5
 """Evaluations of a network a bin that foretelling takes as long as; and of what it takes without, what it must come
 down to, at most, for it to be done.
 """
-FORETOLD, GOOD = 0.8, 0.7
-"""Of the error asked for, what a foretold vertex may be off by where it is held against the transport; and of this,
-what foretelling may be off by in rms at vertices that pass, at other bins than those where they do: the noise of their
-parents, that comes on top, is a third in variance of what it is at those.
+FORETOLD, ALONE, GOOD = 0.8, 0.85, 0.7
+"""Of the error asked for, what a foretold vertex may be off by where it is held against the transport. Of this, what
+foretelling alone may be off by at a vertex that is thought to pass, and in rms at all that are, at other bins than
+those where they are held: the noise of their parents, that comes on top, is a third in variance of what it is at those.
 """
 _SPREAD_STREAM, _HELD_STREAM = 41, 42
 
@@ -100,14 +100,16 @@ def nearby_for(
     bins = int(np.clip(HELD_SHARE * per_vertex / max(each, 1.0), 1, min(HELD_BINS, site.bins)))
     for_one = len(SPACINGS) * TRIED * TRIED_BINS * (PARENTS + 1)
     directions = int(np.clip(TRIED_SHARE * per_vertex * len(site.vertices) / for_one, *TRIED_DIRECTIONS))
-    apart, tried, spent = _apart(site), list[Nearby](), 0
+    apart, tried, spent, most = _apart(site), list[Nearby](), 0, 1.0
     for spacing in SPACINGS if apart > 0.0 else ():
         nearby = cells(site, spacing * apart, FORETOLD * error, bins, each, per_vertex)
         # Others cannot be cheaper, however good they are.
         if _cost(site, nearby) < WORTH * per_vertex:
-            found, taken = _tried(site, refinement, nearby, directions)
-            tried.append(found)
-            spent += taken
+            passing, well, taken = _tried(site, refinement, nearby, directions)
+            # In larger cells no more are foretold: what seems so is chance.
+            most, spent = min(most, passing), spent + taken
+            if well:
+                tried.append(replace(nearby, passing=most))
     best = min(tried, key=lambda nearby: _cost(site, nearby), default=None)
     return (best if best is not None and _cost(site, best) < WORTH * per_vertex else None), spent
 
@@ -136,16 +138,19 @@ def _apart(site: Site) -> float:
     return float(np.median(cKDTree(positions).query(positions[some], 2)[0][:, 1]))
 
 
-def _tried(site: Site, refinement: Refinement, nearby: Nearby, directions: int) -> tuple[Nearby, int]:
-    """How many of a few vertices pass, were they held against many directions at their bins; and evaluations."""
+def _tried(site: Site, refinement: Refinement, nearby: Nearby, directions: int) -> tuple[float, bool, int]:
+    """What share of a few vertices passes, were they held against many directions at their bins, less one sigma of
+    that; whether those are as good at other bins; and evaluations.
+    """
     rest = site.vertices[~nearby.evaluated]
     tried = rest[drawn(site.seed + 7, len(rest), min(TRIED, len(rest)))]
     parents = nearby.parents(site, tried)
     off, spent = _off(site, refinement, nearby, parents, tried, directions)
-    passing = (off[:, : nearby.bins] ** 2).mean(axis=1) <= nearby.error**2
+    passing = (off[:, : nearby.bins] ** 2).mean(axis=1) <= (ALONE * nearby.error) ** 2
     elsewhere = off[passing, nearby.bins :]
-    well = elsewhere.size and np.sqrt((elsewhere**2).mean()) <= GOOD * nearby.error
-    return replace(nearby, passing=float(passing.sum() / len(tried)) if well else 0.0), spent
+    well = elsewhere.size > 0 and bool(np.sqrt((elsewhere**2).mean()) <= GOOD * nearby.error)
+    share = float(passing.sum() / len(tried))
+    return max(share - float(np.sqrt(share * (1.0 - share) / len(tried))), 0.0), well, spent
 
 
 def _off(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from test_resume import same
-from transports import Array, Counting, Lobed, exact, icosphere
+from transports import Array, Counting, Lobed, Ringed, exact, icosphere, patched
 
 from bakers.foretold_vertices import held_against
 from formats.asset import Asset
@@ -20,33 +20,6 @@ from prt_bake.nearby_choice import Nearby, cells
 ERROR, RINGS, SECTORS = 0.02, 4, 32
 SMALL = {"error": ERROR, "rings": RINGS, "sectors": SECTORS}
 MESH = icosphere(4)
-POLE = np.array([0.48, 0.6, 0.64])
-
-
-class Ringed:
-    """Rings in the view of which none foretells another, over light that changes slowly along the surface.
-
-    `patch`: radius of a spot that is three times as bright. `sharp`: stripes of the world in their place, and no
-    vertex foretells another. `blind`: a vertex where nothing is finite.
-    """
-
-    def __init__(self, patch: float = 0.0, sharp: bool = False, blind: int | None = None) -> None:
-        self.patch, self.sharp, self.blind = patch, sharp, blind
-
-    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        rings = 1.0 + 0.5 * np.sin(40.0 * (outgoing * positions).sum(axis=-1))
-        if self.sharp:
-            rings = 1.0 + 0.5 * np.sign(np.sin(40.0 * outgoing[:, 0]))
-        lit = np.exp(12.0 * (np.einsum("ndi,ni->nd", incident, positions) - 1.0)) * rings[:, None]
-        if self.patch:
-            lit[patched(positions, self.patch)] *= 3.0
-        if self.blind is not None:
-            lit[(np.abs(positions - MESH.positions[self.blind]) < 1e-9).all(axis=1)] = np.nan
-        return lit[..., None] * np.array([1.0, 0.8, 0.5])
-
-
-def patched(positions: Array, radius: float) -> np.ndarray:
-    return positions @ POLE > np.cos(radius)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +101,7 @@ def test_where_no_vertex_foretells_another_none_does() -> None:
 
 
 def test_a_vertex_where_nothing_is_finite_spoils_no_other() -> None:
-    with bake(Ringed(blind=7), MESH, **SMALL) as asset:
+    with bake(Ringed(blind=MESH.positions[7]), MESH, **SMALL) as asset:
         assert asset.provenance["vertices_not_finite"] == {"count": 1, "first": [7]}
         assert np.flatnonzero(~np.asarray(asset.valid)).tolist() == [7]
         assert foretold(asset) > 0.5 * len(MESH.positions)

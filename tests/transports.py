@@ -61,6 +61,32 @@ class Chequered:
         return (cosine * (1.0 + 0.5 * chequer[:, None]))[..., None] * np.array([1.0, 0.8, 0.5])
 
 
+class Ringed:
+    """Rings in the view of which none foretells another, over light that changes slowly along the surface.
+
+    `patch`: radius of a spot that is three times as bright. `sharp`: stripes of the world in their place, and no
+    vertex foretells another. `blind`: a place where nothing is finite.
+    """
+
+    def __init__(self, patch: float = 0.0, sharp: bool = False, blind: Array | None = None) -> None:
+        self.patch, self.sharp, self.blind = patch, sharp, blind
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        rings = 1.0 + 0.5 * np.sin(40.0 * (outgoing * positions).sum(axis=-1))
+        if self.sharp:
+            rings = 1.0 + 0.5 * np.sign(np.sin(40.0 * outgoing[:, 0]))
+        lit = np.exp(12.0 * (np.einsum("ndi,ni->nd", incident, positions) - 1.0)) * rings[:, None]
+        if self.patch:
+            lit[patched(positions, self.patch)] *= 3.0
+        if self.blind is not None:
+            lit[(np.abs(positions - self.blind) < 1e-9).all(axis=1)] = np.nan
+        return lit[..., None] * np.array([1.0, 0.8, 0.5])
+
+
+def patched(positions: Array, radius: float) -> NDArray[np.bool_]:
+    return positions @ np.array([0.48, 0.6, 0.64]) > np.cos(radius)
+
+
 class Clamped:
     """A clamped cosine, darker towards grazing views as light behind an interface is."""
 

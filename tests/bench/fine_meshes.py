@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from transports import Edged, Lobed, icosphere
+from transports import Edged, Lobed, Ringed, icosphere
 
 import prt_bake.bake_aim
 from bakers.transport import on_mesh, up_to
@@ -87,7 +87,7 @@ def main() -> None:
         mesh = subdivided(given.mesh, given.subdivisions)
         one(given.model.name, load_model(given.model), mesh, given.error, given.rings, given.sectors)
         return
-    cases: dict[str, Any] = {"lobed": Lobed(), "edged": Edged()}
+    cases: dict[str, Any] = {"ringed": Ringed(), "lobed": Lobed(), "edged": Edged()}
     for name, transport in cases.items():
         one(name, transport, icosphere(given.subdivisions), given.error, given.rings, given.sectors)
 
