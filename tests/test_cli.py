@@ -130,6 +130,14 @@ def test_a_dry_run_writes_nothing(prtbake: Run, tmp_path: Path) -> None:
     outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--samples", 18, "--dry-run")
     assert json.loads(outcome.out)["evaluations"] == 42 * 1024 * 18
     assert list(tmp_path.iterdir()) == []
+    without = prtbake("bake", "model.pt", "sphere.ply", "--samples", 18, "--dry-run")
+    assert json.loads(without.out)["evaluations"] == 42 * 1024 * 18
+
+
+def test_a_bake_without_an_output_is_wrong_usage(prtbake: Run) -> None:
+    outcome = prtbake("bake", "model.pt", "sphere.ply")
+    assert outcome.code == 2
+    assert "Missing option '--output' / '-o'" in outcome.err
 
 
 def test_a_plan_is_read_on_a_terminal(folder: Path) -> None:

@@ -20,7 +20,7 @@ def bake(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Its vertices are baked.")],
-    output: Annotated[Path, output_option("ASSET.h5", ".h5", ".hdf5")],
+    output: Annotated[Path | None, output_option("ASSET.h5", ".h5", ".hdf5")] = None,
     rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins over the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
     degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree of the harmonics.")] = 2,
@@ -104,6 +104,8 @@ def bake(
     At every vertex and view bin the transport is projected on spherical harmonics. Ctrl-C stops the bake and keeps what
     is done as a valid asset that says so.
     """
+    if output is None and not dry_run:
+        raise typer.BadParameter("Missing option '--output' / '-o'; --dry-run alone does without.")
     from formats.journal import journal_folder
     from formats.mesh import read_mesh
     from prt_bake import baking
@@ -136,6 +138,7 @@ def bake(
         )
         print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else json.dumps(plan.as_json(), indent=2))
         return
+    assert output is not None
     if resume and not (journal := journal_folder(output)).is_dir():
         say(f"{journal}: there is nothing to go on from; the bake begins at its beginning")
     with reporting("bake", "looking at a few vertices first") as show, stopping() as stop:

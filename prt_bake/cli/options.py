@@ -70,7 +70,9 @@ def within(low: float, high: float) -> Callable[[float | None], float | None]:
 def output_option(metavar: str, *suffixes: str) -> Any:
     """Declare `--output`, refused at once, not after an hour's work, where no file of this kind can be written."""
 
-    def refuse_unusable(path: Path) -> Path:
+    def refuse_unusable(path: Path | None) -> Path | None:
+        if path is None:
+            return None
         if path.suffix.lower() not in suffixes:
             raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
         refuse_unwritable(path)
