@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.answers import NOTHING, Answers
 from bakers.lattice_pools import Pools
 from bakers.light_noise import LightNoise
 from bakers.nested_lattice import NestedLattice
@@ -67,6 +68,8 @@ class Refinement:
     """What each size of the lattice misses without telling so, over the root mean square coefficient."""
     checks: Callable[[Index], NDArray[np.bool_]]
     """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
+    answers: Answers = NOTHING
+    """What was evaluated before."""
 
     def begin_for(self, error: float) -> int:
         """How many sizes to begin with so that hardly any of that error is missed without telling."""
@@ -130,6 +133,8 @@ class Refined:
     together: NDArray[np.float32]
     """[n], share of the stated variance that the bins of a vertex have from one lattice, and so in common."""
     evaluations: int
+    recalled: int
+    """Evaluations that were known from before."""
     checks: Checks
 
     @property
@@ -139,7 +144,7 @@ class Refined:
 
     def for_nothing(self) -> "Refined":
         """The same, from an earlier pass: it took nothing."""
-        return replace(self, evaluations=0, checks=replace(self.checks, evaluations=0))
+        return replace(self, evaluations=0, recalled=0, checks=replace(self.checks, evaluations=0))
 
     def with_rows(self, rows: Index, other: "Refined") -> "Refined":
         """This block with the vertices in these places [m] as `other` has them; it took what `other` took."""
@@ -149,7 +154,7 @@ class Refined:
             whole[rows] = getattr(other, name)
             parts[name] = whole
         checks = self.checks.with_rows(rows, other.checks)
-        return Refined(**parts, evaluations=other.evaluations, checks=checks)
+        return Refined(**parts, evaluations=other.evaluations, recalled=other.recalled, checks=checks)
 
 
 def joined(count: int, parts: Sequence[tuple[Index, Refined]]) -> Refined:
@@ -166,5 +171,5 @@ def joined(count: int, parts: Sequence[tuple[Index, Refined]]) -> Refined:
     held = [np.concatenate([getattr(part.checks, name) for _rows, part in parts])[order] for name in HELD]
     checked = sum(part.checks.evaluations for _rows, part in parts)
     checks = Checks(rows[order], held[0], held[1], held[2], held[3], checked)
-    taken = sum(part.evaluations for _rows, part in parts)
-    return Refined(**arrays, evaluations=taken, checks=checks)
+    taken, recalled = (sum(getattr(part, name) for _rows, part in parts) for name in ("evaluations", "recalled"))
+    return Refined(**arrays, evaluations=taken, recalled=recalled, checks=checks)

@@ -13,11 +13,12 @@ A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on 
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.lattice_pools import Pools
+from bakers.lattice_pools import Pool, Pools
 from bakers.light_noise import LightNoise
 from bakers.refined import Checks, Refined, Refinement
 from bakers.values import values_at
@@ -62,7 +63,9 @@ class Work:
     ) -> None:
         n, bins = outgoing.shape[:2]
         self.transport, self.how, self.positions, self.outgoing = transport, refinement, positions, outgoing
-        self.lattice, self.vertices, self.evaluations = refinement.lattice, vertices, 0
+        self.lattice, self.vertices = refinement.lattice, vertices
+        self.evaluations = self.recalled = 0
+        """What it took, and how much of that was known from before."""
         self.rotations = refinement.rotations(vertices)
         self.coefficients = np.zeros((bins, n, self.lattice.count * 3))
         self.noise, self.surprise, self.rough = np.zeros((3, bins, n))
@@ -150,7 +153,7 @@ class Work:
         shared = 0.0 if self.how.lattices == "own" else np.maximum(self.noise - self.alone, 0.0).sum(axis=0)
         together = (shared / variance.sum(axis=1)).astype(np.float32)
         spent = self.spent.T.astype(np.uint16)
-        return Refined(*rounded, spent, self._way().T, together, self.evaluations, checks)
+        return Refined(*rounded, spent, self._way().T, together, self.evaluations, self.recalled, checks)
 
     def _way(self) -> NDArray[np.uint8]:
         """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""
@@ -266,14 +269,22 @@ class Work:
             pool = pools.of(size)
             for some in _lots(np.flatnonzero(steps == step), size):
                 r, b = rows[some], bins[some]
-                copies = pools.copies(size, self.vertices[r], b, which)
-                values = values_at(self.transport, pool.incident, copies, self.positions[r], self.outgoing[r, b])
-                found[some], rough[some] = pool.fitted(values, copies)
+                ask = partial(self._fit_alone, pool, r, b, pools.copies(size, self.vertices[r], b, which))
+                fits, known = self.how.answers.given((size, which), self.vertices[r], b, ask)
+                found[some], rough[some] = fits[:, :-1].reshape(len(some), -1, 3), fits[:, -1]
+                self.recalled += known * size
         taken = np.array(pools.sizes, np.int64)[steps]
         self.evaluations += int(taken.sum())
         if which == 0:
             self.spent[bins, rows] += taken
         return found, rough
+
+    def _fit_alone(self, pool: Pool, rows: Index, bins: Index, copies: Index, some: Index) -> Array:
+        """Some of these bins: coefficients and squared roughness [m,K·3+1]."""
+        r, b = rows[some], bins[some]
+        values = values_at(self.transport, pool.incident, copies[some], self.positions[r], self.outgoing[r, b])
+        found, rough = pool.fitted(values, copies[some])
+        return np.column_stack([found.reshape(len(some), -1), rough])
 
     def _steps(self, rough: Array, allowed: Array) -> Index:
         """How many sizes of the lattice it takes [M] until bins of this squared roughness have the variance allowed;
@@ -325,13 +336,19 @@ class Work:
             incident = self.lattice.directions[begin:end] @ self.rotations.transpose(0, 2, 1)
             for some in _lots(missing, end - begin):
                 r, b = rows[some], bins[some]
-                self.values[size - 1][b, r] = values_at(
-                    self.transport, incident, r, self.positions[r], self.outgoing[r, b]
-                )
+                ask = partial(self._values_of, incident, r, b)
+                self.values[size - 1][b, r], known = self.how.answers.given(size, self.vertices[r], b, ask)
+                self.recalled += known * (end - begin)
             r, b = rows[missing], bins[missing]
             self.evaluated[b, r], self.known[b, r] = size, np.maximum(self.known[b, r], size)
             self.spent[b, r] += end - begin
             self.evaluations += len(missing) * (end - begin)
+
+    def _values_of(self, incident: Array, rows: Index, bins: Index, some: Index) -> NDArray[np.float32]:
+        """Ŝ [m,D,3] at some of these bins, each in its vertex's directions [n,D,3]."""
+        r, b = rows[some], bins[some]
+        values = values_at(self.transport, incident, r, self.positions[r], self.outgoing[r, b])
+        return values.astype(np.float32, copy=False)
 
     def check(self, variance: Array, turned: Array) -> Checks:
         """Holds some bins against two lattices of their own each. What both of them say a bin is off, one times the

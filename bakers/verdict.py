@@ -56,7 +56,7 @@ class Tally:
         self.variance, self.signal = np.zeros((len(WAYS), vertices)), np.zeros(vertices)
         self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
         self.together = np.zeros(vertices)
-        self.evaluations = self.check_evaluations = self.evaluated_bins = self.bins = 0
+        self.evaluations = self.recalled = self.check_evaluations = self.evaluated_bins = self.bins = 0
         self._checks: list[Checks] = []
 
     def add(self, rows: NDArray[np.int64], refined: Refined) -> None:
@@ -71,8 +71,14 @@ class Tally:
         self.done[rows], self.invalid[rows] = True, ~finite
         self.evaluated_bins, self.bins = self.evaluated_bins + int(was.sum()), self.bins + was.size
         self.evaluations += refined.evaluations
+        self.recalled += refined.recalled
         self.check_evaluations += refined.checks.evaluations
         self._checks.append(replace(refined.checks, rows=rows[refined.checks.rows]))
+
+    @property
+    def asked(self) -> int:
+        """Evaluations that were not known from before."""
+        return self.evaluations - self.recalled
 
     @property
     def checked(self) -> int:

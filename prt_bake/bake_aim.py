@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.answers import Answers
 from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
@@ -64,8 +65,8 @@ class Aim:
     """What the pilot came to: the larger of the object's relative RMSE and its 95th percentile over vertices."""
     seconds: float
     """Of one worker for one vertex."""
-    evaluations: int
-    """That the pilot took."""
+    spent: "Spent"
+    """By the pilot."""
     evaluations_per_vertex: float
     """Of a pass, checks apart."""
     evaluations_per_check: float = 0.0
@@ -78,6 +79,24 @@ class Aim:
     def foretelling(self) -> Nearby | None:
         """How vertices are foretold in this pass: those that are done again are all evaluated."""
         return self.nearby if self.again is None else None
+
+
+@dataclass(frozen=True)
+class Spent:
+    """By trials: evaluations, those that were recalled apart, and seconds of one worker."""
+
+    evaluations: int = 0
+    recalled: int = 0
+    seconds: float = 0.0
+
+    def __add__(self, other: "Spent") -> "Spent":
+        recalled = self.recalled + other.recalled
+        return Spent(self.evaluations + other.evaluations, recalled, self.seconds + other.seconds)
+
+    @property
+    def wanted(self) -> int:
+        """Evaluations, those that were recalled among them."""
+        return self.evaluations + self.recalled
 
 
 class Stopped(Exception):
@@ -97,11 +116,11 @@ class Pilot:
     crew: Crew = ALONE
     stop: Callable[[], bool] = never
 
-    def tried(self, how: Refinement) -> Iterator[tuple[Index, Refined, float]]:
-        """The pilot's vertices, some at a time, what came of them, and the seconds that they took."""
+    def tried(self, how: Refinement) -> Iterator[tuple[Index, Refined, Spent]]:
+        """The pilot's vertices, some at a time, what came of them, and what they took."""
         # Small pieces, so that it does not take long to stop one that takes many directions.
         most = max(1, min(self.site.block_vertices, FEWEST_AT_ONCE // self.site.bins))
-        cut = pieces(_pilot_vertices(self.site), most, self.crew)
+        cut = pieces(pilot_vertices(self.site), most, self.crew)
         found = self.crew.in_order(lambda some: (some, *self.crew.do(_timed_block, (self.site, how), some)), cut)
         for each in found:
             if self.stop():
@@ -116,8 +135,11 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     Raises QueryError where the error is out of reach, Stopped once the pilot is to end.
     """
     refinement = refinement.for_views(error, VIEW_RANGE[1] * VIEW_OVER_LIGHT * error)
-    ways = [replace(refinement, lattices=which) for which in LATTICES]
-    costs = [_untold(pilot, way, error) for way in ways]
+    # Trials are much alike, and the passes after them begin with what they have found out.
+    answers = Answers(pilot_vertices(pilot.site), pilot.site.bins)
+    ways = [replace(refinement, lattices=which, answers=answers) for which in LATTICES]
+    beforehand = [_untold(pilot, way, error) for way in ways]
+    costs = [spent.wanted for spent in beforehand]
     # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
     near = ALIKE if pilot.site.many >= MANY else 1.0
     tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
@@ -128,36 +150,43 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     nearby, looked = nearby_for(
         pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check / 2.0
     )
-    best = replace(best, evaluations=sum(costs) + sum(aim.evaluations for aim in aims) + looked)
+    spent = sum([*beforehand, *(aim.spent for aim in aims)], Spent())
+    best = replace(best, spent=spent + Spent(looked))
     if nearby is not None:
-        seconds = best.seconds * nearby.on_average / best.evaluations_per_vertex
-        best = replace(best, nearby=nearby, evaluations_per_vertex=nearby.on_average, seconds=seconds)
-    return _checked(pilot.site, best, error)
+        best = replace(best, nearby=nearby, evaluations_per_vertex=nearby.on_average)
+    return _checked(pilot.site, best, error, spent.seconds / max(spent.evaluations, 1))
 
 
-def _checked(site: Site, aim: Aim, error: float) -> Aim:
-    """The same, with as many checks as cost a small part of it all, and less noisy ones where that allows for more."""
+def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
+    """The same, with as many checks as cost a small part of it all, and less noisy ones where that allows for more.
+
+    An evaluation takes so many seconds.
+    """
     affordable = CHECK_COST * aim.evaluations_per_vertex * len(site.vertices) / max(aim.evaluations_per_check, 1.0)
     many = float(np.clip(affordable, fewest_checks(site), MOST_CHECKS))
     quieter = max(affordable / many, 1.0) ** -(0.5 + aim.refinement.pool_noise.slope)
     noise = error * max(CHECK_NOISE * quieter, LEAST_CHECK_NOISE)
     checks = checked_bins(site.seed, site.bins, min(many / site.many, 1.0))
-    return replace(aim, refinement=replace(aim.refinement, checks=checks, checked=noise))
+    refinement = replace(aim.refinement, checks=checks, checked=noise)
+    of_checks = max(many * aim.evaluations_per_check / len(site.vertices), CHECK_COST * aim.evaluations_per_vertex)
+    return replace(aim, refinement=refinement, seconds=seconds * (aim.evaluations_per_vertex + of_checks))
 
 
-def _untold(pilot: Pilot, refinement: Refinement, error: float) -> int:
-    """Evaluations at the pilot's vertices, without checks."""
+def _untold(pilot: Pilot, refinement: Refinement, error: float) -> Spent:
+    """What the pilot's vertices take, without checks."""
     checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
     how = replace(coarse(refinement, error).refinement, checks=checks)
-    return sum(refined.evaluations for _some, refined, _seconds in pilot.tried(how))
+    return sum((spent for _some, _refined, spent in pilot.tried(how)), Spent())
 
 
-def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, float]:
+def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, Spent]:
     began = time.monotonic()
-    return refined_block(site, how, vertices)[0], time.monotonic() - began
+    found = refined_block(site, how, vertices)[0]
+    return found, Spent(found.evaluations - found.recalled, found.recalled, time.monotonic() - began)
 
 
-def _pilot_vertices(site: Site) -> Index:
+def pilot_vertices(site: Site) -> Index:
+    """The vertices [P] that a pilot tries everything at."""
     count = int(np.clip(len(site.vertices) // PILOT_SHARE, 1, PILOT_VERTICES))
     return site.vertices[np.sort(drawn(site.seed, len(site.vertices), count))]
 
@@ -166,10 +195,10 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices, the cheapest of those tried, or what comes nearest."""
     few, most = int(pilot.site.many < MANY), len(refinement.lattice.sizes)
     dials = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
-    trials, spent, before = list[Aim](), 0, Tally(0)
+    trials, spent, before = list[Aim](), Spent(), Tally(0)
     while len(trials) < MOST_PILOTS:
         aim, tally = _trial(pilot, dials.refinement(), error)
-        spent += tally.evaluations
+        spent += aim.spent
         trials.append(aim)
         enough = len(trials) >= PILOTS[1 - few] or aim.error >= NEAR[1 - few] * error
         if aim.error <= 0.0 or (aim.error <= error and (enough or np.array_equal(tally.variance, before.variance))):
@@ -180,7 +209,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
         else:
             dials = dials.turned(tally, aim)
         before = tally
-    return replace(min(trials, key=lambda aim: _dearness(aim, error)), evaluations=spent)
+    return replace(min(trials, key=lambda aim: _dearness(aim, error)), spent=spent)
 
 
 def _dearness(aim: Aim, error: float) -> float:
@@ -230,18 +259,18 @@ class _Dials:
 
 def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
     """What such a refinement leads to at the pilot's vertices."""
-    site, chosen = pilot.site, _pilot_vertices(pilot.site)
+    site, chosen = pilot.site, pilot_vertices(pilot.site)
     share = max(PILOT_CHECKS[int(site.many >= MANY)] / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
-    tally, seconds = Tally(len(site.mesh.positions)), 0.0
+    tally, spent = Tally(len(site.mesh.positions)), Spent()
     for some, refined, took in pilot.tried(replace(how, checks=checks)):
         tally.add(some, refined)
-        seconds += took / len(chosen)
+        spent += took
     correction = tally.correction(Correction())
     reached = worst_of(*tally.relative(correction))
     per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
     per_check = tally.check_evaluations / max(1, tally.checked)
-    return Aim(how, correction, reached, seconds, tally.evaluations, per_vertex, per_check), tally
+    return Aim(how, correction, reached, 0.0, spent, per_vertex, per_check), tally
 
 
 def coarse(refinement: Refinement, error: float) -> Aim:
@@ -257,7 +286,7 @@ def coarse(refinement: Refinement, error: float) -> Aim:
         Correction(),
         error,
         0.0,
-        0,
+        Spent(),
         0.0,
     )
 

@@ -137,4 +137,4 @@ def _as_refined(found: Array, variance: Array, checks: Checks) -> Refined:
     way = np.full(variance.shape, WAYS.index("nearby"), np.uint8)
     deviation = np.sqrt(variance).astype(np.float32)
     together = np.ones(len(variance), np.float32)
-    return Refined(found.astype(np.float32), deviation, directions, way, together, checks.evaluations, checks)
+    return Refined(found.astype(np.float32), deviation, directions, way, together, checks.evaluations, 0, checks)

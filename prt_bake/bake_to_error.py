@@ -94,7 +94,7 @@ def bake_to_error(run: Run) -> Asset:
             aim = aimed(run.pilot, refinement, run.error)
         except Stopped:
             return _ended(run, unfinished=True)
-        run.work.evaluations += aim.evaluations
+        run.work.evaluations += aim.spent.evaluations
         # The numbers of passes to the error must not depend on whether there was a coarse one.
         run.number = 1
         for _again in range(PASSES):
@@ -131,7 +131,7 @@ def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) ->
             aim = aimed(run.pilot, refinement, goal)
         except (QueryError, Stopped):
             return None
-        run.work.evaluations += aim.evaluations
+        run.work.evaluations += aim.spent.evaluations
         # A pilot's blocks are small, and slower than those of a pass.
         by_pilot = aim.seconds * vertices / max(1, run.work.crew.workers)
         by_pass = aim.evaluations_per_vertex * vertices * seconds / max(1, before.tally.evaluations)
@@ -208,7 +208,7 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
     def show(done: int, tally: Tally) -> None:
         if run.work.progress is not None:
             estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
-            spent = run.work.seconds, float(run.work.evaluations + tally.evaluations), estimate
+            spent = run.work.seconds, float(run.work.evaluations + tally.asked), estimate
             run.work.progress(done, vertices, Standing(spent, forecast.left(done)))
 
     done = _whole_before(run, aim, shelf)
@@ -217,7 +217,7 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
         if done.whole:
             run.store.write(_summary(shelf), done.tally.as_arrays())
             run.store.forget(EVALUATED + shelf.name(""))
-    run.work.evaluations += done.tally.evaluations
+    run.work.evaluations += done.tally.asked
     run.rows.append((run.work.seconds, float(run.work.evaluations), done.total))
     if not done.tally.done.any():
         if run.asset is None:
@@ -337,4 +337,5 @@ def _as_refined(arrays: dict[str, NDArray[Any]]) -> Refined:
     checks = {name: arrays[f"checks_{name}"] for name in ("rows", *HELD)}
     taken = int(arrays["checks_evaluations"])
     own = {name: arrays[name] for name in OF_VERTICES}
-    return Refined(**own, evaluations=int(arrays["evaluations"]), checks=Checks(evaluations=taken, **checks))
+    evaluations, recalled = int(arrays["evaluations"]), int(arrays["recalled"])
+    return Refined(**own, evaluations=evaluations, recalled=recalled, checks=Checks(evaluations=taken, **checks))

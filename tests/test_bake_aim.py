@@ -10,7 +10,7 @@ from bakers.refined import Refined, Refinement
 from bakers.verdict import Tally
 from formats.errors import QueryError
 from prt_bake import bake_aim, sphere
-from prt_bake.bake_aim import CHECK_COST, CHECK_NOISE, Aim, Pilot, aimed, coarse, refined_block
+from prt_bake.bake_aim import CHECK_COST, CHECK_NOISE, Aim, Pilot, Spent, aimed, coarse, refined_block
 from prt_bake.bake_first_look import MOST_CHECKS, Site, fewest_checks, first_refinement
 from prt_bake.bake_job import views_of
 
@@ -65,7 +65,7 @@ def test_the_best_of_the_trials_is_kept(
 
 def test_trials_that_are_all_far_off_are_out_of_reach(refinement: Refinement, monkeypatch: pytest.MonkeyPatch) -> None:
     scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02], monkeypatch)
-    monkeypatch.setattr(bake_aim, "_untold", lambda _pilot, way, _error: 1 if way.lattices == "own" else 2)
+    monkeypatch.setattr(bake_aim, "_untold", lambda _pilot, way, _error: Spent(1 if way.lattices == "own" else 2))
     with pytest.raises(QueryError, match="out of reach"):
         aimed(Pilot(site_of(Lobed())), refinement, ERROR)
 

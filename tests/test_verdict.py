@@ -30,7 +30,7 @@ def tallied(stated: Array, squared: Array, noise: Array, vertices: NDArray[np.in
     one, rows = np.ones((count, 1), np.float32), np.arange(count)
     way, share = np.full((count, 1), WAYS.index("alone"), np.uint8), np.full(count, together, np.float32)
     coefficients = np.ones((count, 1, 9, 3), np.float32)
-    tally.add(rows, Refined(coefficients, one, one.astype(np.uint16), way, share, 0, checks))
+    tally.add(rows, Refined(coefficients, one, one.astype(np.uint16), way, share, 0, 0, checks))
     return tally
 
 

@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.answers import NOTHING
 from bakers.baker import Task, bake_block
 from bakers.path_traced import Walks
 from bakers.verdict import Tally
@@ -156,6 +157,7 @@ def _scaled(aim: Aim, error: float) -> Aim:
         view=by * aim.refinement.view,
         checked=CHECK_NOISE * error,
         begin=aim.refinement.begin_for(error),
+        answers=NOTHING,
     )
     return replace(aim, refinement=how, error=error)
 

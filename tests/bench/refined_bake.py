@@ -11,6 +11,7 @@ bin by bin, default threads; timed at 1024 directions on bins drawn at random an
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import torch
 import transports as known
 from transports import Array, Counting, exact, icosphere, uniform_needs
 
+from bakers.answers import NOTHING
 from bakers.transport import on_mesh, up_to
 from formats.mesh import read_mesh
 from prt_bake import bake, sh, sphere
@@ -94,9 +96,11 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
     site = Site(transport, mesh, np.arange(len(mesh.positions)), views, sphere.view_bins(16, 64), 2, 0)
     with limited_threads(transport, 1):
         aim = aimed(Pilot(site), first_refinement(site)[0], error)
+        # What the pilot has found out is of no use here: every bin is timed.
+        how = replace(aim.refinement, answers=NOTHING)
         began = time.perf_counter()
         cuts = range(0, len(chosen), site.block_vertices)
-        parts = [refined_block(site, aim.refinement, chosen[first : first + site.block_vertices])[0] for first in cuts]
+        parts = [refined_block(site, how, chosen[first : first + site.block_vertices])[0] for first in cuts]
         ours = (time.perf_counter() - began) / (len(chosen) * 1024)
     coefficients = np.concatenate([part.coefficients for part in parts]).astype(np.float64)
     spent = sum(part.evaluations for part in parts) / (len(chosen) * 1024)
