@@ -52,8 +52,8 @@ class Pools:
     def __init__(
         self, sizes: tuple[int, ...], made: Callable[[int], Pool], taken: Callable[[Index, Index, int], Index]
     ) -> None:
-        """`made` makes the pool of a size; `taken` (vertices [M], bins [M], which) says what copy a bin takes: up to
-        three, which = 0, 1, 2, all different, before they are divided by the number of copies.
+        """`made` makes the pool of a size, of four copies or more; `taken` (vertices [M], bins [M], which) says what copy
+        a bin takes, before it is divided by how many there are.
         """
         self.sizes = sizes
         self._made, self._taken = made, taken
@@ -64,17 +64,14 @@ class Pools:
         return Pools, (self.sizes, self._made, self._taken)
 
     def copies(self, size: int, vertices: Index, bins: Index, which: int) -> Index:
-        """The copies [M] that bins take."""
+        """The copies [M] that bins take: which = 0 of the first half of them, 1 and 2 different ones of the second.
+
+        What is foretold of a bin is made of those that others took: it is held against copies that none has taken.
+        """
         many = len(self.of(size).incident)
-        first = self._taken(vertices, bins, 0) % many
-        step = 1 + self._taken(vertices, bins, 1) % (many - 1)
+        half = many // 2
         if which == 0:
-            return np.asarray(first)
-        other = (first + step) % many
-        if which == 1:
-            return np.asarray(other)
-        # The third is any but those two.
-        low, high = np.minimum(first, other), np.maximum(first, other)
-        third = self._taken(vertices, bins, 2) % (many - 2)
-        third = third + (third >= low)
-        return np.asarray(third + (third >= high))
+            return np.asarray(self._taken(vertices, bins, 0) % half)
+        one, rest = self._taken(vertices, bins, 1), many - half
+        step = 1 + self._taken(vertices, bins, 2) % (rest - 1)
+        return np.asarray(half + (one + (which - 1) * step) % rest)

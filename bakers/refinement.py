@@ -352,8 +352,7 @@ class Work:
 
     def check(self, variance: Array, turned: Array) -> Checks:
         """Holds some bins against two lattices of their own each. What both of them say a bin is off, one times the
-        other, has its squared error for a mean, however noisy they are; and half the difference of their squares,
-        whose mean is zero, varies as the noise of that does.
+        other, has its squared error for a mean, however noisy they are.
         """
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
         # A bin that seems smoother than its vertex may have missed what others have seen.
@@ -364,9 +363,21 @@ class Work:
         steps = np.maximum(steps, self.fewest)
         before = self.evaluations
         one, other = (self.fit_alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
-        squared, noise = (one * other).mean(axis=(1, 2)), (one**2 - other**2).mean(axis=(1, 2)) / 2.0
+        squared, noise = (one * other).mean(axis=(1, 2)), _noise_of_checks(rows, one, other)
         way, taken = self._way()[bins, rows], self.evaluations - before
         return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
+
+
+def _noise_of_checks(rows: Index, one: Array, other: Array) -> Array:
+    """Numbers [M] of no mean that vary as the noise does of one times the other, each [M,K,3]; rows ascend.
+
+    What both say of a bin times what they differ by at the next of its vertex: at the same bin that would tell as well
+    how much nearer one of the two lattices is than the other.
+    """
+    following = np.arange(1, len(rows) + 1)
+    ends = np.flatnonzero(np.append(rows[1:], -1) != rows) if len(rows) else following
+    following[ends] = np.searchsorted(rows, rows[ends])
+    return np.asarray(((one + other) * (one - other)[following]).mean(axis=(1, 2)) / 2.0)
 
 
 def _unit(noise: LightNoise, shares: Sequence[float], sizes: Sequence[int]) -> Array:

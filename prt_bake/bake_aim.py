@@ -27,12 +27,12 @@ from prt_bake.nearby_choice import Nearby, nearby_for
 
 Index = NDArray[np.int64]
 
-AIM, AIM_BY_FEW = 0.92, 0.82
+AIM, AIM_BY_FEW = 0.92, 0.88
 """Of the error asked for, what tolerances are chosen for, and by a pilot of few bins: what it says of all is not exact.
 """
 VIEW_OVER_LIGHT = 2.0
 VIEW_RANGE = 0.3, 2.0
-PILOTS, MOST_PILOTS = (3, 5), 6
+PILOTS, MOST_PILOTS = (5, 5), 8
 """Trials of few bins, and of many, after which any error below the one asked for will do; and most trials."""
 RESPONSE = 0.75
 """Tolerances change with that power of the error that they are to lead to."""
@@ -42,16 +42,18 @@ OUT_OF_REACH = 1.5
 """Times the error asked for, which a pilot must come down to."""
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
+COMPARED = 2
+"""Of how many of the pilot's vertices one is enough to compare lattices at."""
 PILOT_CHECKS = 128, 640
 """Bins that a pilot of few bins, and of many, is held against others at."""
-NEAR = 0.7, 0.85
+NEAR = 0.8, 0.85
 """Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
 LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
 ALIKE = 1.3
 """Times the least evaluations that a way may take to be tried out with checks."""
 CHECK_NOISE, LEAST_CHECK_NOISE = 0.7, 0.25
 """Of each of the two lattices of a check, over the error asked for; and where as many are made as are of use."""
-CHECK_COST = 0.2
+CHECK_COST = 0.3
 """Of the evaluations of a pass, what more checks than the fewest, or less noisy ones, may come to."""
 
 
@@ -116,11 +118,11 @@ class Pilot:
     crew: Crew = ALONE
     stop: Callable[[], bool] = never
 
-    def tried(self, how: Refinement) -> Iterator[tuple[Index, Refined, Spent]]:
-        """The pilot's vertices, some at a time, what came of them, and what they took."""
+    def tried(self, how: Refinement, vertices: Index) -> Iterator[tuple[Index, Refined, Spent]]:
+        """These vertices, some at a time, what came of them, and what they took."""
         # Small pieces, so that it does not take long to stop one that takes many directions.
         most = max(1, min(self.site.block_vertices, FEWEST_AT_ONCE // self.site.bins))
-        cut = pieces(pilot_vertices(self.site), most, self.crew)
+        cut = pieces(vertices, most, self.crew)
         found = self.crew.in_order(lambda some: (some, *self.crew.do(_timed_block, (self.site, how), some)), cut)
         for each in found:
             if self.stop():
@@ -165,7 +167,7 @@ def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
     affordable = CHECK_COST * aim.evaluations_per_vertex * len(site.vertices) / max(aim.evaluations_per_check, 1.0)
     many = float(np.clip(affordable, fewest_checks(site), MOST_CHECKS))
     quieter = max(affordable / many, 1.0) ** -(0.5 + aim.refinement.pool_noise.slope)
-    noise = error * max(CHECK_NOISE * quieter, LEAST_CHECK_NOISE)
+    noise = min(error, aim.error) * max(CHECK_NOISE * quieter, LEAST_CHECK_NOISE)
     checks = checked_bins(site.seed, site.bins, min(many / site.many, 1.0))
     refinement = replace(aim.refinement, checks=checks, checked=noise)
     of_checks = max(many * aim.evaluations_per_check / len(site.vertices), CHECK_COST * aim.evaluations_per_vertex)
@@ -173,10 +175,11 @@ def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
 
 
 def _untold(pilot: Pilot, refinement: Refinement, error: float) -> Spent:
-    """What the pilot's vertices take, without checks."""
+    """What some of the pilot's vertices take, without checks."""
+    vertices = pilot_vertices(pilot.site)
     checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
     how = replace(coarse(refinement, error).refinement, checks=checks)
-    return sum((spent for _some, _refined, spent in pilot.tried(how)), Spent())
+    return sum((spent for _some, _refined, spent in pilot.tried(how, vertices[::COMPARED])), Spent())
 
 
 def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, Spent]:
@@ -263,7 +266,7 @@ def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
     share = max(PILOT_CHECKS[int(site.many >= MANY)] / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     tally, spent = Tally(len(site.mesh.positions)), Spent()
-    for some, refined, took in pilot.tried(replace(how, checks=checks)):
+    for some, refined, took in pilot.tried(replace(how, checks=checks), chosen):
         tally.add(some, refined)
         spent += took
     correction = tally.correction(Correction())

@@ -19,6 +19,7 @@ Index = NDArray[np.int64]
 
 SMALLEST_LATTICE = 16
 COPIES = 4, 256
+GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 POOL_DIRECTIONS = 1 << 14
 """In all copies of a lattice: as many as a network holds tables for."""
 _TURN_STREAM, _CHECK_STREAM, _POOL_STREAM, _PILOT_STREAM, _PAIR_STREAM, _COPY_STREAM = 21, 22, 23, 24, 25, 27
@@ -73,9 +74,18 @@ def pair_turns(seed: int, size: int, which: int, bins: Index) -> NDArray[np.floa
 
 
 def checked_bins(seed: int, bins: int, share: float) -> Callable[[Index], NDArray[np.bool_]]:
-    """Vertices [n] → bins [n,B] that are drawn, each with the probability `share`."""
-    limit = np.uint64(min(int(share * 2.0**64), 2**64 - 1))
-    return lambda vertices: hashed(_CHECK_STREAM, seed, vertices[:, None], np.arange(bins)) < limit
+    """Vertices [n] → bins [n,B] that are drawn, each with the probability `share`.
+
+    They are spread evenly over the bins of each vertex and, begun elsewhere at the next, over all rings and sectors:
+    errors are larger at some views than at others, and a few bins that are drawn apart may meet too few of those.
+    """
+    steps, first = np.arange(bins + 1) * share, uniforms((_CHECK_STREAM, seed), 1)[0]
+
+    def chosen(vertices: Index) -> NDArray[np.bool_]:
+        begin = (first + vertices * GOLDEN) % 1.0
+        return np.diff(np.floor(begin[:, None] + steps), axis=1) > 0.0
+
+    return chosen
 
 
 def drawn(seed: int, many: int, count: int) -> Index:
