@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.answers import NOTHING
 from bakers.refined import WAYS, Checks, Refinement
 from bakers.refinement import Work
 
@@ -22,17 +23,15 @@ def held_against(
     bins: Index,
 ) -> tuple[Array, int]:
     """What vertices are off by that were foretold from those around them, coefficients [n,B,K,3], at these bins [n,m]:
-    squared errors [n,m], mean over K and channels, over the mean square of the vertex, less what of that is noise of
-    the directions that they are held against; and evaluations.
+    squared errors [n,m], mean over K and channels, over the mean square of the vertex, without bias for the noise of
+    the directions that they are held against, and so at times negative; and evaluations.
     """
     work = _foretold(transport, refinement, vertices, positions, outgoing, coefficients)
     rows = np.repeat(np.arange(len(bins)), bins.shape[1])
-    where = bins.ravel(), rows
-    work.integrate(rows, where[0], refinement.checked**2 * work.scale[rows])
-    own = work.coefficients[where].reshape(len(rows), -1, 3)
-    left = work.turn[rows] @ own - coefficients[rows, where[0]]
-    squared = (left**2).mean(axis=(1, 2)) - work.noise[where]
-    return (squared / work.scale[rows]).reshape(bins.shape), work.evaluations
+    _look(work, rows, bins.ravel())
+    one, other = work.held(rows, bins.ravel(), coefficients)
+    squared = (one * other).mean(axis=(1, 2)) / work.scale[rows]
+    return squared.reshape(bins.shape), work.evaluations
 
 
 def checked(
@@ -49,16 +48,21 @@ def checked(
     """
     work = _foretold(transport, refinement, vertices, positions, outgoing, coefficients)
     rows, bins = np.nonzero(refinement.checks(vertices))
-    _found, work.rough[bins, rows] = work.fit_alone(rows, bins, np.full(len(rows), work.fewest), 1)
+    _look(work, rows, bins)
     begun = work.evaluations
     checks = work.check(variance, coefficients)
     way = np.full(len(checks.rows), WAYS.index("nearby"), np.uint8)
     return replace(checks, way=way, evaluations=checks.evaluations + begun)
 
 
+def _look(work: Work, rows: Index, bins: Index) -> None:
+    """Sees how rough Ŝ is at these bins."""
+    _found, work.rough[bins, rows] = work.fit_alone(rows, bins, np.full(len(rows), work.fewest), 1)
+
+
 def _foretold(
     transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array, coefficients: Array
 ) -> Work:
-    work = Work(transport, replace(refinement, lattices="own"), vertices, positions, outgoing)
+    work = Work(transport, replace(refinement, lattices="own", answers=NOTHING), vertices, positions, outgoing)
     work.scale = np.maximum((coefficients**2).mean(axis=(1, 2, 3)), refinement.floor**2)
     return work

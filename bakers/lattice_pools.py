@@ -52,8 +52,8 @@ class Pools:
     def __init__(
         self, sizes: tuple[int, ...], made: Callable[[int], Pool], taken: Callable[[Index, Index, int], Index]
     ) -> None:
-        """`made` makes the pool of a size, of four copies or more; `taken` (vertices [M], bins [M], which) says what copy
-        a bin takes, before it is divided by how many there are.
+        """`made` makes the pool of a size, of four copies or more; `taken` (vertices [M], bins [M], which) says what
+        copy a bin takes, before it is divided by how many there are.
         """
         self.sizes = sizes
         self._made, self._taken = made, taken

@@ -351,21 +351,26 @@ class Work:
         return values.astype(np.float32, copy=False)
 
     def check(self, variance: Array, turned: Array) -> Checks:
-        """Holds some bins against two lattices of their own each. What both of them say a bin is off, one times the
-        other, has its squared error for a mean, however noisy they are.
-        """
+        """Holds some bins against two lattices of their own each."""
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
+        before = self.evaluations
+        one, other = self.held(rows, bins, turned)
+        squared, noise = (one * other).mean(axis=(1, 2)), _noise_of_checks(rows, one, other)
+        way, taken = self._way()[bins, rows], self.evaluations - before
+        return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
+
+    def held(self, rows: Index, bins: Index, turned: Array) -> tuple[Array, Array]:
+        """What two lattices, which none of the coefficients `turned` [n,B,K,3] were fitted over, say that bins are off
+        [M,K,3]: one times the other has the squared error for a mean, however noisy they are.
+        """
         # A bin that seems smoother than its vertex may have missed what others have seen.
         rough = np.maximum(self.rough[bins, rows], self.rough.mean(axis=0)[rows])
         allowed = self.how.checked**2 * self.scale[rows]
         enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
         steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
         steps = np.maximum(steps, self.fewest)
-        before = self.evaluations
         one, other = (self.fit_alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
-        squared, noise = (one * other).mean(axis=(1, 2)), _noise_of_checks(rows, one, other)
-        way, taken = self._way()[bins, rows], self.evaluations - before
-        return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
+        return one, other
 
 
 def _noise_of_checks(rows: Index, one: Array, other: Array) -> Array:

@@ -149,9 +149,7 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     best = min(aims, key=lambda aim: _dearness(aim, error))
     if best.error > OUT_OF_REACH * error:
         raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
-    nearby, looked = nearby_for(
-        pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check / 2.0
-    )
+    nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check)
     spent = sum([*beforehand, *(aim.spent for aim in aims)], Spent())
     best = replace(best, spent=spent + Spent(looked))
     if nearby is not None:

@@ -83,7 +83,7 @@ def checked_bins(seed: int, bins: int, share: float) -> Callable[[Index], NDArra
 
     def chosen(vertices: Index) -> NDArray[np.bool_]:
         begin = (first + vertices * GOLDEN) % 1.0
-        return np.diff(np.floor(begin[:, None] + steps), axis=1) > 0.0
+        return np.asarray(np.diff(np.floor(begin[:, None] + steps), axis=1) > 0.0)
 
     return chosen
 

@@ -24,7 +24,7 @@ TRIED, TRIED_BINS, TRIED_DIRECTIONS, TRIED_SHARE = 48, 8, (64, 512), 0.03
 """Vertices, and at how many bins and in how many directions cells of all sizes are tried there: as few as come to that
 share of the whole bake.
 """
-HELD_BINS, HELD_SHARE = 4, 0.05
+HELD_BINS, HELD_SHARE = 4, 0.06
 """A foretold vertex is held against the transport at so many bins, or as few as come to that share of what evaluating
 it takes.
 """
@@ -48,7 +48,7 @@ class Nearby:
         spacing: size of the cells of each of which one vertex is evaluated.
         error: relative error that foretold vertices may have.
         bins: at which they are held against the transport.
-        each: directions at each of those, about.
+        each: directions at each of those, about, of both lattices.
         passing: share of them that is thought to pass.
         per_vertex: evaluations that an evaluated vertex is thought to take, checks apart.
         evaluated: [n] of the baked vertices.
@@ -92,7 +92,7 @@ def nearby_for(
 ) -> tuple[Nearby | None, int]:
     """The cells that come cheapest at that error, by what they do at a few vertices, or None where evaluating all, at
     `per_vertex` evaluations, is hardly dearer; and the evaluations that it took to find out. A bin is held against the
-    transport in about `each` directions.
+    transport in about `each` directions, half of them for each of two lattices.
     """
     few = len(site.vertices) < FEWEST_VERTICES or site.many < MANY
     if few or site.grid is None or site.grid[1] < FEWEST_SECTORS:

@@ -7,6 +7,7 @@ import pytest
 from transports import Lobed
 
 from bakers.light_noise import LightNoise, fitted_noise
+from bakers.refinement import _noise_of_checks
 from bakers.verdict import Correction, Tally
 from bakers.view_levels import view_levels
 from prt_bake import sh, sphere
@@ -79,7 +80,39 @@ def test_bins_are_drawn_by_the_seed_with_their_share() -> None:
     assert some.mean() == pytest.approx(0.02, abs=0.003)
     np.testing.assert_array_equal(checked_bins(1, 1024, 0.02)(np.array([7])), some[7:8])
     assert checked_bins(1, 8, 1.0)(np.arange(9)).all()
+    assert not checked_bins(1, 8, 0.0)(np.arange(9)).any()
     assert len(set(drawn(1, 100, 30).tolist())) == 30
+
+
+@pytest.mark.parametrize("share", [0.3 / 1024, 0.003, 0.02])
+def test_checked_bins_are_spread_over_vertices_and_views(share: float) -> None:
+    drawn_there = np.array([checked_bins(seed, 1024, share)(np.arange(400)) for seed in range(40)])
+    each, ring = drawn_there.sum(axis=2), drawn_there.reshape(40, 400, 16, 64).sum(axis=(1, 3))
+    expected = 400 * 64 * share
+    assert each.max() - each.min() <= 1
+    # A tenth of what bins that are drawn apart scatter by, in variance; without bias, to five sigma of those.
+    assert ring.var(axis=0).mean() < 0.1 * expected
+    assert np.abs(drawn_there.mean(axis=(0, 1)) - share).max() < 5.0 * np.sqrt(share / (40 * 400))
+
+
+@pytest.mark.parametrize("kind", ["of many numbers", "of one number", "of lattices of which some are better"])
+def test_the_noise_of_checks_is_told_as_it_is(kind: str) -> None:
+    numbers = np.random.default_rng(3)
+    rows = np.repeat(np.arange(2000), 5)
+    shape = (len(rows), 9, 1 if kind != "of many numbers" else 3)
+    off = 0.5 * numbers.normal(size=shape)
+    errors = numbers.normal(size=(2, *shape))
+    if kind == "of one number":
+        errors = numbers.normal(size=(2, len(rows), 1, 1)) * np.ones((9, 1))
+    if kind == "of lattices of which some are better":
+        errors *= np.exp(numbers.normal(size=(2, len(rows), 1, 1)))
+    one, other = errors[0] - off, errors[1] - off
+    truly = (one * other).mean(axis=(1, 2)) - (off**2).mean(axis=(1, 2))
+    told = _noise_of_checks(rows, one, other)
+    assert abs(told.mean()) < 5.0 * told.std() / np.sqrt(len(told))
+    assert told.std() == pytest.approx(truly.std(), rel=0.1)
+    first = slice(0, 5)
+    np.testing.assert_array_equal(_noise_of_checks(rows[first], one[first], other[first]), told[first])
 
 
 def test_noise_of_fits_is_found_from_pairs() -> None:
@@ -113,20 +146,20 @@ def test_pools_recover_what_is_in_the_band_in_every_copy(degree: int) -> None:
         assert (found**2).mean() == pytest.approx(pool.variance_share, rel=0.1)
 
 
-def test_a_bin_and_its_two_checks_take_three_copies_evenly() -> None:
+def test_bins_and_their_two_checks_take_copies_apart_and_evenly() -> None:
     pools = pools_for(2, 4)
     for size in (pools.sizes[0], pools.sizes[-1]):
-        many = len(pools.of(size).incident)
+        half = len(pools.of(size).incident) // 2
         vertices, bins = np.divmod(np.arange(20_000), 64)
         taken = np.array([pools.copies(size, vertices, bins, which) for which in range(3)])
-        for one, other in ((0, 1), (0, 2), (1, 2)):
-            assert (taken[one] != taken[other]).all()
-        for row in taken:
-            counts = np.bincount(row, minlength=many)
-            expected = taken.shape[1] / many
-            # Chi-square with many − 1 degrees of freedom: once in 3e7 runs above six sigma.
+        assert taken[0].max() < half <= taken[1:].min()
+        assert (taken[1] != taken[2]).all()
+        for row in (taken[0], taken[1] - half, taken[2] - half):
+            counts = np.bincount(row, minlength=half)
+            expected = taken.shape[1] / half
+            # Chi-square with half − 1 degrees of freedom: once in 1e5 runs above ten sigma where there is but one.
             off = ((counts - expected) ** 2 / expected).sum()
-            assert abs(off - (many - 1)) < 6.0 * np.sqrt(2.0 * (many - 1))
+            assert abs(off - (half - 1)) < 10.0 * np.sqrt(2.0 * (half - 1))
         np.testing.assert_array_equal(pools.copies(size, vertices[7:9], bins[7:9], 2), taken[2, 7:9])
 
 
