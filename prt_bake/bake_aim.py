@@ -13,7 +13,6 @@ from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
 from prt_bake.bake_first_look import (
-    FEWEST_AT_ONCE,
     FEWEST_CHECKS,
     MANY,
     MISSED,
@@ -40,6 +39,8 @@ OVER = 4.0
 """Power of the error asked for, over which a trial's is counted as dearer by that."""
 OUT_OF_REACH = 1.5
 """Times the error asked for, which a pilot must come down to."""
+PILOT_AT_ONCE = 1 << 14
+"""Bins of a piece of a pilot: it cannot be stopped in the middle of one."""
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
 COMPARED = 2
@@ -120,8 +121,7 @@ class Pilot:
 
     def tried(self, how: Refinement, vertices: Index) -> Iterator[tuple[Index, Refined, Spent]]:
         """These vertices, some at a time, what came of them, and what they took."""
-        # Small pieces, so that it does not take long to stop one that takes many directions.
-        most = max(1, min(self.site.block_vertices, FEWEST_AT_ONCE // self.site.bins))
+        most = max(1, min(self.site.block_vertices, PILOT_AT_ONCE // self.site.bins))
         cut = pieces(vertices, most, self.crew)
         found = self.crew.in_order(lambda some: (some, *self.crew.do(_timed_block, (self.site, how), some)), cut)
         for each in found:
@@ -150,11 +150,20 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     if best.error > OUT_OF_REACH * error:
         raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
     nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check)
-    spent = sum([*beforehand, *(aim.spent for aim in aims)], Spent())
-    best = replace(best, spent=spent + Spent(looked))
+    trials = [*beforehand, *(aim.spent for aim in aims)]
+    best = replace(best, spent=sum(trials, Spent(looked)))
     if nearby is not None:
         best = replace(best, nearby=nearby, evaluations_per_vertex=nearby.on_average)
-    return _checked(pilot.site, best, error, spent.seconds / max(spent.evaluations, 1))
+    return _checked(pilot.site, best, error, _seconds_each(trials))
+
+
+def _seconds_each(trials: list[Spent]) -> float:
+    """Seconds of one evaluation, and of what is done with it, by trials of which some recalled more than others."""
+    from scipy.optimize import nnls
+
+    counts = np.array([[trial.evaluations, trial.wanted] for trial in trials], np.float64)
+    largest = max(counts.max(), 1.0)
+    return float(nnls(counts / largest, [trial.seconds for trial in trials])[0].sum() / largest)
 
 
 def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
@@ -164,11 +173,11 @@ def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
     """
     affordable = CHECK_COST * aim.evaluations_per_vertex * len(site.vertices) / max(aim.evaluations_per_check, 1.0)
     many = float(np.clip(affordable, fewest_checks(site), MOST_CHECKS))
-    quieter = max(affordable / many, 1.0) ** -(0.5 + aim.refinement.pool_noise.slope)
-    noise = min(error, aim.error) * max(CHECK_NOISE * quieter, LEAST_CHECK_NOISE)
+    falling = 0.5 + aim.refinement.pool_noise.slope
+    noise = max(CHECK_NOISE * max(affordable / many, 1.0) ** -falling, LEAST_CHECK_NOISE)
+    of_checks = many * aim.evaluations_per_check * (CHECK_NOISE / noise) ** (1.0 / falling) / len(site.vertices)
     checks = checked_bins(site.seed, site.bins, min(many / site.many, 1.0))
-    refinement = replace(aim.refinement, checks=checks, checked=noise)
-    of_checks = max(many * aim.evaluations_per_check / len(site.vertices), CHECK_COST * aim.evaluations_per_vertex)
+    refinement = replace(aim.refinement, checks=checks, checked=noise * min(error, aim.error))
     return replace(aim, refinement=refinement, seconds=seconds * (aim.evaluations_per_vertex + of_checks))
 
 
