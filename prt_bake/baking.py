@@ -24,19 +24,19 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from formats.whole import refuse_unwritable
 from prt_bake import sh, sphere
-from prt_bake.bake_aim import Pilot, aimed
 from prt_bake.bake_arguments import refuse_unusable
 from prt_bake.bake_by_samples import bake_by_samples
-from prt_bake.bake_first_look import Site, first_refinement, refuse_out_of_reach
 from prt_bake.bake_identity import identity_of
 from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
 from prt_bake.bake_pilot import reach
 from prt_bake.bake_store import Store, opened_store
-from prt_bake.bake_to_error import Run, bake_to_error
 from prt_bake.bake_work import Progress, Work
 from prt_bake.pared_sink import NotSo
+from prt_bake.to_error.aim import Pilot, aimed
+from prt_bake.to_error.first_look import Site, first_refinement, refuse_out_of_reach
+from prt_bake.to_error.run import Run, bake_to_error
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]
 
@@ -80,7 +80,7 @@ def bake(
             is raised to 2K where that is more.
         error: estimated relative RMSE of the coefficients to reach, of the object and of the 95th percentile of its
             vertices. With "fibonacci" directions `samples` is not used then: each view bin is evaluated in as many
-            directions as it takes, and only where its neighbours do not tell it (`prt_bake.bake_to_error`). Otherwise,
+            directions as it takes, and only where its neighbours do not tell it (`prt_bake.to_error.run`). Otherwise,
             and for random walks, a pilot tells how many `samples` it takes.
         minutes: how long to go on making it finer, if `error` is not reached before; a coarse asset is there first.
             math.inf: until it is stopped, or cannot be made finer.

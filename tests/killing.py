@@ -18,7 +18,7 @@ from typing import Any
 from transports import Array, Incoherent, icosphere
 
 import bakers.baker
-import prt_bake.bake_first_look
+import prt_bake.to_error.first_look
 from prt_bake import bake
 
 KILLS = 6
@@ -42,7 +42,7 @@ def process(out: Path, kind: str, workers: int, block: int) -> int:
     child = os.fork()
     if child:
         return child
-    prt_bake.bake_first_look.BINS_AT_ONCE = block * 32
+    prt_bake.to_error.first_look.BINS_AT_ONCE = block * 32
     bakers.baker.vertices_at_once = lambda bins, directions: block
     bake(Slow(), icosphere(1), rings=2, sectors=16, **KINDS[kind], out=out, workers=workers, resume=True)
     os._exit(0)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from bakers.refined import Refinement
-from prt_bake.bake_aim import Aim, Pilot, aimed
+from prt_bake.to_error.aim import Aim, Pilot, aimed
 
 
 def loosely_aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:

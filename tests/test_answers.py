@@ -9,7 +9,8 @@ from transports import Array, Clamped, Counting, icosphere
 
 from bakers import answers
 from bakers.answers import Answers
-from prt_bake import bake, bake_aim
+from prt_bake import bake
+from prt_bake.to_error import aim
 
 BINS = 8
 
@@ -75,7 +76,7 @@ def test_copies_begin_empty() -> None:
 def test_a_bake_is_the_same_bits_with_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh, counted, forgetful = icosphere(1), Counting(Clamped()), Counting(Clamped())
     asset = bake(counted, mesh, rings=8, sectors=32, error=0.02)
-    monkeypatch.setattr(bake_aim, "Answers", lambda _vertices, _bins: answers.NOTHING)
+    monkeypatch.setattr(aim, "Answers", lambda _vertices, _bins: answers.NOTHING)
     other = bake(forgetful, mesh, rings=8, sectors=32, error=0.02)
     np.testing.assert_array_equal(asset.coefficients, other.coefficients)
     np.testing.assert_array_equal(asset.standard_error, other.standard_error)

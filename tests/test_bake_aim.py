@@ -9,10 +9,11 @@ from transports import Chequered, Edged, Lobed, icosphere
 from bakers.refined import Refined, Refinement
 from bakers.verdict import Tally
 from formats.errors import QueryError
-from prt_bake import bake_aim, sphere
-from prt_bake.bake_aim import CHECK_COST, CHECK_NOISE, Aim, Pilot, Spent, aimed, coarse, refined_block
-from prt_bake.bake_first_look import MOST_CHECKS, Site, fewest_checks, first_refinement
+from prt_bake import sphere
 from prt_bake.bake_job import views_of
+from prt_bake.to_error import aim as pilots
+from prt_bake.to_error.aim import CHECK_COST, CHECK_NOISE, Aim, Pilot, Spent, aimed, coarse, refined_block
+from prt_bake.to_error.first_look import MOST_CHECKS, Site, fewest_checks, first_refinement
 
 MESH, ERROR = icosphere(1), 0.01
 
@@ -33,7 +34,7 @@ def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch) -> list[Refin
         per_vertex = 1000.0 / len(tried)
         return replace(coarse(how, ERROR), error=errors[len(tried) - 1], evaluations_per_vertex=per_vertex), tally
 
-    monkeypatch.setattr(bake_aim, "_trial", trial)
+    monkeypatch.setattr(pilots, "_trial", trial)
     return tried
 
 
@@ -58,14 +59,14 @@ def test_the_best_of_the_trials_is_kept(
     errors: list[float], best: int, trials: int, refinement: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted(errors, monkeypatch)
-    aim = bake_aim._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    aim = pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
     assert len(tried) == trials
     assert aim.error == errors[best]
 
 
 def test_trials_that_are_all_far_off_are_out_of_reach(refinement: Refinement, monkeypatch: pytest.MonkeyPatch) -> None:
     scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02, 0.02, 0.02], monkeypatch)
-    monkeypatch.setattr(bake_aim, "_untold", lambda _pilot, way, _error: Spent(1 if way.lattices == "own" else 2))
+    monkeypatch.setattr(pilots, "_untold", lambda _pilot, way, _error: Spent(1 if way.lattices == "own" else 2))
     with pytest.raises(QueryError, match="out of reach"):
         aimed(Pilot(site_of(Lobed())), refinement, ERROR)
 
@@ -74,7 +75,7 @@ def test_errors_that_are_too_small_loosen_what_is_tolerated(
     refinement: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted([0.002, 0.003, 0.0085], monkeypatch)
-    bake_aim._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
     assert tried[0].light < tried[1].light < tried[2].light
 
 

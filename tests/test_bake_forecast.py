@@ -67,7 +67,7 @@ def test_one_pass_has_no_slope() -> None:
 
 @pytest.mark.parametrize("asked", [{"samples": 36}, {"error": 0.05}])
 def test_a_bake_tells_what_is_left_until_nothing_is(asked: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
     told: list[tuple[int, Standing]] = []
     bake(
         Incoherent(),

@@ -12,11 +12,11 @@ from transports import Array, Counting, Lobed, Ringed, exact, icosphere, patched
 from bakers.foretold_vertices import held_against
 from formats.asset import Asset
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_aim import Pilot, aimed
-from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import views_of
 from prt_bake.baking import plan
-from prt_bake.nearby_choice import Nearby, cells
+from prt_bake.to_error.aim import Pilot, aimed
+from prt_bake.to_error.first_look import Site, first_refinement
+from prt_bake.to_error.nearby_choice import Nearby, cells
 
 ERROR, RINGS, SECTORS = 0.02, 4, 32
 SMALL = {"error": ERROR, "rings": RINGS, "sectors": SECTORS}
@@ -70,7 +70,7 @@ def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(
     assert 0.8 < told / true < 1.25
     standard_error = np.asarray(whole.standard_error)[some_vertices()]
     assert 0.92 < (np.sqrt(off) <= 1.96 * standard_error).mean() < 0.99
-    monkeypatch.setattr("prt_bake.bake_aim.nearby_for", lambda *_all: (None, 0))
+    monkeypatch.setattr("prt_bake.to_error.aim.nearby_for", lambda *_all: (None, 0))
     with bake(Ringed(), MESH, **SMALL) as plain:
         assert foretold(plain) == 0
         assert plain.provenance["evaluations"] > 1.5 * whole.provenance["evaluations"]
@@ -79,7 +79,7 @@ def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(
 def test_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
     foreseen = plan(Ringed(), MESH, **SMALL).evaluations
     monkeypatch.setattr("prt_bake.baking.Site.grid", None)
-    monkeypatch.setattr("prt_bake.bake_aim.nearby_for", lambda *_all: (None, 0))
+    monkeypatch.setattr("prt_bake.to_error.aim.nearby_for", lambda *_all: (None, 0))
     assert foreseen < 0.6 * plan(Ringed(), MESH, **SMALL).evaluations
 
 
@@ -111,7 +111,7 @@ def test_a_vertex_where_nothing_is_finite_spoils_no_other() -> None:
 def test_numbers_depend_neither_on_workers_nor_on_the_cut(
     whole: Asset, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("prt_bake.bake_to_error.vertices_at_once", lambda *_all: 77)
+    monkeypatch.setattr("prt_bake.to_error.run.vertices_at_once", lambda *_all: 77)
     bake(Ringed(), MESH, **SMALL, workers=2, out=tmp_path / "cut.h5").close()
     same(tmp_path / "cut.h5", path)
 

@@ -102,7 +102,7 @@ def alike(one: Asset, other: Asset) -> None:
 def test_a_cluster_bakes_the_same_bits_though_a_worker_is_killed(
     cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 32)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 32)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 5)
     mesh = icosphere(1)
     for kind in ({"error": 0.08}, {"samples": 32}):

@@ -33,10 +33,10 @@ def counted(self, name, arrays):
     if left[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
 journal.Journal.write = counted
-import prt_bake.bake_first_look as refined
+import prt_bake.to_error.first_look as refined
 refined.BINS_AT_ONCE = 5 * 64
 import loose_aim
-import prt_bake.bake_to_error as passes
+import prt_bake.to_error.run as passes
 passes.aimed = loose_aim.loosely_aimed
 bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.05, out={out!r})
 """
@@ -64,8 +64,8 @@ def test_killed_and_resumed_is_the_asset_of_one_run(
     assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     journal = tmp_path / "killed.h5.journal"
     assert sum(not path.name.startswith("aim") for path in journal.glob("*.npz")) == blocks
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
-    monkeypatch.setattr("prt_bake.bake_to_error.aimed", loosely_aimed)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.to_error.run.aimed", loosely_aimed)
     asked: list[int] = []
 
     class Asked(Incoherent):
@@ -89,7 +89,7 @@ def test_a_changed_bake_is_not_resumed_and_what_changed_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "asset.h5"
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
     calls = iter([False] * 2 + [True] * 100)
     part = bake(Incoherent(), icosphere(1), **BLOCKS, out=out, stop=lambda: next(calls))
     assert not part.complete
@@ -106,7 +106,7 @@ def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pyte
     out = tmp_path / "asset.h5"
     bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.2, out=out)
     before = out.read_bytes()
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
     save, left = np.savez, [4]
 
     def full(file: object, **arrays: object) -> None:

@@ -6,8 +6,8 @@ from transports import icosphere
 
 from bakers.nearby_vertices import Surroundings, carried_along, foretold, spread_out, turned
 from prt_bake import sphere
-from prt_bake.nearby_kernel import foretold_from
 from prt_bake.randomness import hashed
+from prt_bake.to_error.nearby_kernel import foretold_from
 
 Array = np.ndarray
 

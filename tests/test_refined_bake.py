@@ -12,11 +12,11 @@ from bakers.verdict import Correction, Tally
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_aim import coarse
-from prt_bake.bake_first_look import Site, first_refinement
 from prt_bake.bake_job import views_of
-from prt_bake.bake_refined import Pass, tighter
 from prt_bake.network import load_model
+from prt_bake.to_error.aim import coarse
+from prt_bake.to_error.first_look import Site, first_refinement
+from prt_bake.to_error.passes import Pass, tighter
 
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 
@@ -157,7 +157,7 @@ def test_numbers_do_not_depend_on_workers_or_on_the_cut(monkeypatch: pytest.Monk
     mesh = icosphere(1)
     whole = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     threads = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05, workers=3)
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
     cut = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     for other in (threads, cut):
         np.testing.assert_array_equal(other.coefficients, whole.coefficients)
@@ -173,7 +173,7 @@ def test_numbers_of_a_network_do_not_depend_on_them_either(precision: str, monke
     network = load_model(SHIPPED / "spot.pt")
     asked = {"rings": 4, "sectors": 8, "error": 0.1, "precision": precision}
     whole = bake(network, mesh, **asked)
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 3 * 32)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 3 * 32)
     cut = bake(network, mesh, **asked, workers=2)
     np.testing.assert_array_equal(cut.coefficients, whole.coefficients)
     np.testing.assert_array_equal(cut.standard_error, whole.standard_error)
@@ -181,7 +181,7 @@ def test_numbers_of_a_network_do_not_depend_on_them_either(precision: str, monke
 
 def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh, transport = icosphere(1), Incoherent()
-    monkeypatch.setattr("prt_bake.bake_to_error.aimed", loosely_aimed)
+    monkeypatch.setattr("prt_bake.to_error.run.aimed", loosely_aimed)
     counted = Counting(transport)
     asset = bake(counted, mesh, error=ERROR, seed=1)
     assert asset.provenance["refinement"]["passes"] == 2

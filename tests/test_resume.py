@@ -161,7 +161,7 @@ def test_another_transport_of_the_same_class_is_refused(
     tmp_path: Path, asked: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bakers.baker.block_size", lambda task: 8)
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 8 * 32)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 8 * 32)
     out, calls = tmp_path / "mixed.h5", iter([False] * 2 + [True] * 100)
     stopped = bake(Lobed(8.0), icosphere(1), **SMALL, **asked, out=out, stop=lambda: next(calls))  # type: ignore[arg-type]
     assert not stopped.complete
@@ -175,8 +175,8 @@ def test_a_finer_pass_that_is_stopped_keeps_what_is_done(tmp_path: Path, monkeyp
     """There is a coarse asset by then: it is whole, but not what was asked for."""
     out, whole, asked = tmp_path / "a.h5", tmp_path / "whole.h5", {"rings": 4, "sectors": 16, "error": 0.05}
     bake(Incoherent(), icosphere(1), **asked, out=whole).close()
-    monkeypatch.setattr("prt_bake.bake_first_look.BINS_AT_ONCE", 5 * 64)
-    monkeypatch.setattr("prt_bake.bake_to_error.MANY", 1)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.to_error.run.MANY", 1)
 
     def kept(stage: str) -> int:
         return len(list((tmp_path / "a.h5.journal").glob(f"{stage}*.npz")))

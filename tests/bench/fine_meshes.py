@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 from transports import Edged, Lobed, Ringed, icosphere
 
-import prt_bake.bake_aim
+import prt_bake.to_error.aim
 from bakers.transport import on_mesh, up_to
 from bakers.values import values_at
 from formats.mesh import Mesh, build_mesh, read_mesh
@@ -56,9 +56,9 @@ def true_errors(transport: Any, mesh: Mesh, rings: int, sectors: int, asset: Any
 
 
 def one(name: str, transport: Any, mesh: Mesh, error: float, rings: int, sectors: int) -> None:
-    chosen = prt_bake.bake_aim.nearby_for
+    chosen = prt_bake.to_error.aim.nearby_for
     for way in (NONE, "most foretold"):
-        prt_bake.bake_aim.nearby_for = (lambda *_all: (None, 0)) if way == NONE else chosen
+        prt_bake.to_error.aim.nearby_for = (lambda *_all: (None, 0)) if way == NONE else chosen
         began = time.perf_counter()
         with bake(transport, mesh, error=error, rings=rings, sectors=sectors) as asset:
             seconds, told = time.perf_counter() - began, asset.provenance

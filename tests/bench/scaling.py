@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import formats.chunk_writer
-import prt_bake.bake_to_error
 import prt_bake.baking
+import prt_bake.to_error.run
 from bakers.crew import Threads
 from formats.journal import Journal
 from formats.mesh import read_mesh
@@ -72,11 +72,11 @@ def main() -> None:
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
     prt_bake.baking.opened_crew = one_worker
     watched("what is needed", prt_bake.baking, "needs_of")
-    watched("first look", prt_bake.bake_to_error, "first_refinement")
-    watched("aim", prt_bake.bake_to_error, "aimed")
+    watched("first look", prt_bake.to_error.run, "first_refinement")
+    watched("aim", prt_bake.to_error.run, "aimed")
     watched("packing", formats.chunk_writer, "_packed")
     watched("journal", Journal, "write")
-    watched("asset written", prt_bake.bake_to_error, "_write")
+    watched("asset written", prt_bake.to_error.run, "_write")
     mesh = read_mesh(asked.mesh)
     transport = open_source(asked.model, mesh, "cpu", None)
     with tempfile.TemporaryDirectory() as folder, timed("in all"):

@@ -12,7 +12,8 @@ from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
-from prt_bake.bake_first_look import (
+from prt_bake.bake_light import checked_bins, drawn
+from prt_bake.to_error.first_look import (
     FEWEST_CHECKS,
     MANY,
     MISSED,
@@ -21,8 +22,7 @@ from prt_bake.bake_first_look import (
     fewest_checks,
     out_of_reach,
 )
-from prt_bake.bake_light import checked_bins, drawn
-from prt_bake.nearby_choice import Nearby, nearby_for
+from prt_bake.to_error.nearby_choice import Nearby, nearby_for
 
 Index = NDArray[np.int64]
 

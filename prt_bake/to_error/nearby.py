@@ -16,9 +16,9 @@ from bakers.foretold_vertices import checked, held_against
 from bakers.nearby_vertices import Parents
 from bakers.refined import WAYS, Checks, Refined, Refinement, joined
 from bakers.refinement import refine
-from prt_bake.bake_first_look import Site
-from prt_bake.nearby_choice import Nearby, held_bins
-from prt_bake.nearby_kernel import foretold_from
+from prt_bake.to_error.first_look import Site
+from prt_bake.to_error.nearby_choice import Nearby, held_bins
+from prt_bake.to_error.nearby_kernel import foretold_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from bakers.crew import Crew
 from bakers.refined import Refined
 from bakers.verdict import Correction, Tally
-from prt_bake.bake_aim import AIM, Aim, refined_block, worst_of
-from prt_bake.bake_first_look import Site
 from prt_bake.bake_forecast import COST
-from prt_bake.bake_nearby import Library, block_from_nearby
-from prt_bake.nearby_choice import Nearby
+from prt_bake.to_error.aim import AIM, Aim, refined_block, worst_of
+from prt_bake.to_error.first_look import Site
+from prt_bake.to_error.nearby import Library, block_from_nearby
+from prt_bake.to_error.nearby_choice import Nearby
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
