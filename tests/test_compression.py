@@ -264,7 +264,7 @@ def test_the_command_says_what_it_came_to(tmp_path, prtbake: Run) -> None:
         ((tmp_path / "a.compact.h5",), "is compact already"),
         ((tmp_path / "a.h5", "--error", "2"), "must be a relative RMSE"),
         ((tmp_path / "none.h5",), "no such file"),
-        ((tmp_path / "a.h5", "--out", tmp_path / "a.h5"), "is the asset itself"),
+        ((tmp_path / "a.h5", "-o", tmp_path / "a.h5"), "is the asset itself"),
         ((tmp_path / "a.h5", "--out", tmp_path / "a.png"), "expected a name that ends in .h5"),
     ):
         failed = prtbake("compress", *words)

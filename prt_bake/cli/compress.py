@@ -18,7 +18,7 @@ def compress(
     out: Annotated[
         Path | None,
         optional_output(
-            "--out", "FILE", "Asset to write; NAME.compact.h5 beside the asset by default.", ".h5", ".hdf5"
+            "--output --out -o", "FILE", "Asset to write; NAME.compact.h5 beside the asset by default.", ".h5", ".hdf5"
         ),
     ] = None,
 ) -> None:

@@ -81,15 +81,15 @@ def output_option(metavar: str, *suffixes: str) -> Any:
     return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
 
 
-def optional_output(name: str, metavar: str, words: str, *suffixes: str) -> Any:
-    """Declare an option `name` of a further file to write, refused at once as `output_option` does."""
+def optional_output(names: str, metavar: str, words: str, *suffixes: str) -> Any:
+    """Declare an option, by its `names` between blanks, of a further file to write, refused at once as `output_option` does."""
 
     def refuse_unusable(path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() not in suffixes:
             raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
         return _read_report(path)
 
-    return typer.Option(name, metavar=metavar, callback=refuse_unusable, help=words, show_default=False)
+    return typer.Option(*names.split(), metavar=metavar, callback=refuse_unusable, help=words, show_default=False)
 
 
 def _read_report(path: Path | None) -> Path | None:
