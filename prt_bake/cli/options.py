@@ -82,7 +82,7 @@ def output_option(metavar: str, *suffixes: str) -> Any:
 
 
 def optional_output(names: str, metavar: str, words: str, *suffixes: str) -> Any:
-    """Declare an option, by its `names` between blanks, of a further file to write, refused at once as `output_option` does."""
+    """Declare an option, by its `names` between blanks, of a further file to write: refused at once like `--output`."""
 
     def refuse_unusable(path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() not in suffixes:
