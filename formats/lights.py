@@ -29,6 +29,7 @@ _EXPECTED = {
     "file": "the name of a lat-long picture",
     "rotate": "degrees",
     "exposure": "stops from -64 to 64",
+    "tint": "three finite numbers [r, g, b] of 0 or more",
 }
 _SUN = "sun:x,y,z[:r,g,b][:degrees]"
 
@@ -50,11 +51,12 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class SkyLight:
-    """A lat-long picture `path`, turned by `rotate` degrees about up, its radiance multiplied by 2^exposure."""
+    """A lat-long picture `path`, turned by `rotate` degrees about up, its radiance times 2^exposure and `tint` [3]."""
 
     path: Path
     rotate: float
     exposure: float
+    tint: tuple[float, float, float]
 
 
 class _Table(BaseModel):
@@ -71,6 +73,7 @@ class _SkyTable(_Table):
     file: str = Field(min_length=1)
     rotate: float = Field(default=0.0, allow_inf_nan=False)
     exposure: float = Field(default=0.0, ge=-64, le=64)
+    tint: _Colour = (1.0, 1.0, 1.0)
 
 
 class _LightsFile(_Table):
@@ -106,7 +109,7 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | SkyLig
         _directional(f"{path}: directional.{i}", light.direction, light.irradiance, light.angular_diameter)
         for i, light in enumerate(lights.directional)
     )
-    return (*directional, *(SkyLight(path.parent / sky.file, sky.rotate, sky.exposure) for sky in lights.sky))
+    return (*directional, *(SkyLight(path.parent / sky.file, sky.rotate, sky.exposure, sky.tint) for sky in lights.sky))
 
 
 def parse_sun(text: str) -> DirectionalLight:

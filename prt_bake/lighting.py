@@ -87,10 +87,10 @@ def read_lighting(
     """
     skies, suns = list[Sky](), list[DirectionalLight]()
 
-    def add_sky(path: Path, degrees: float, stops: float) -> None:
+    def add_sky(path: Path, degrees: float, factor: float | Array) -> None:
         image = environment.read_environment(path, mend, say)
         with np.errstate(over="ignore"):  # what no longer fits is told by the check
-            exposed = np.asarray(image * np.float64(2.0) ** stops, np.float32)
+            exposed = np.asarray(image * np.float64(factor), np.float32)
         environment.check(exposed, path)
         skies.append(Sky(exposed, up, environment.rotation(degrees, up)))
 
@@ -103,9 +103,9 @@ def read_lighting(
                     suns.append(one)
                 else:
                     with named_by(Path(light), "sky.file"):
-                        add_sky(one.path, one.rotate, one.exposure)
+                        add_sky(one.path, one.rotate, 2.0**one.exposure * np.asarray(one.tint))
         else:
-            add_sky(Path(light), 0.0, 0.0)
+            add_sky(Path(light), 0.0, 1.0)
     return Lighting(tuple(skies), tuple(suns)).turned(rotate, up)
 
 

@@ -11,8 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake import environment, sh, sphere
+from prt_bake import sh, sphere
 from prt_bake.camera import Camera, Hits, Visibility, directions, refuse_eye_in_object
+from prt_bake.light_harmonics import project_lighting
+from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.reconstruction import reconstruct
 
 Array = NDArray[np.float64]
@@ -84,7 +86,7 @@ def shade_vertices(
 
 def render_picture(
     asset: Asset,
-    sky: NDArray[np.float32],
+    light: ArrayLike | Lighting,
     camera: Camera,
     *,
     up: str | None = None,
@@ -92,11 +94,11 @@ def render_picture(
     samples: int = 3,
     background: bool = True,
 ) -> Picture:
-    """A picture of the asset under a lat-long sky [H,W,3]: samples² rays a pixel, only vertices that are seen are
-    shaded.
+    """A picture of the asset under lights, or under one lat-long sky [H,W,3]: samples² rays a pixel, only vertices that
+    are seen are shaded.
 
     `up` overrides the asset's up axis, `rotate` turns the light (degrees, counter-clockwise seen from above). Without
-    `background` the sky is black. The light reflected at the surface itself is not in the picture.
+    `background` there is nothing behind the object. The light reflected at the surface itself is not in the picture.
 
     Raises QueryError where nothing could be shown: no vertex is valid, the camera misses the object, or the eye is
     inside it.
@@ -105,14 +107,13 @@ def render_picture(
     if samples < 1:
         raise QueryError(f"samples: {samples} where at least 1 a pixel side is expected")
     axis = up or asset.up
-    light = None
-    if asset.quantity == "transfer":
-        light = environment.rotate_light(environment.project(sky, asset.degree, axis), rotate, axis)
+    lighting = as_lighting(light, axis, rotate)
+    harmonics = project_lighting(lighting, asset.degree) if asset.quantity == "transfer" else None
     pixels, hits = _cast(asset.mesh, camera, _grid_offsets(samples))
     corners = asset.mesh.faces[hits.faces]
     visible = np.zeros(len(asset.valid), np.bool_)
     visible[corners] = True
-    shading = shade_vertices(asset, light, camera.eye, visible)
+    shading = shade_vertices(asset, harmonics, camera.eye, visible)
     seen, unlit = _interpolate(asset, shading.radiance, corners, hits.barycentric)
     shape = (camera.height, camera.width)
     coverage, *channels = (
@@ -120,7 +121,7 @@ def render_picture(
     )
     picture = np.stack(channels, axis=-1)
     if background:
-        _add_sky(picture, 1.0 - coverage, sky, camera, samples, rotate, axis)
+        _add_sky(picture, 1.0 - coverage, lighting, camera, samples)
     return Picture(
         picture.astype(np.float32),
         coverage.astype(np.float32),
@@ -208,19 +209,18 @@ def _interpolate(asset: Asset, radiance: Array, corners: NDArray[np.int32], bary
     return np.einsum("nk,nkc->nc", weights, radiance[corners]), float((total <= 0.0).mean())
 
 
-def _add_sky(
-    picture: Array, share: Array, sky: NDArray[np.float32], camera: Camera, samples: int, rotate: float, up: str
-) -> None:
-    """Add the sky to the `share` [H,W] of each pixel that the object leaves open.
+def _add_sky(picture: Array, share: Array, lighting: Lighting, camera: Camera, samples: int) -> None:
+    """Add the skies, and lights with a size, to the `share` [H,W] of each pixel that the object leaves open.
 
-    As many samples a pixel side as it has texels of the sky along it, so that a sky finer than the picture does not
-    flicker, and at most `samples`.
+    As many samples a pixel side as it has texels of the finest sky along it, so that a sky finer than the picture does
+    not flicker, and at most `samples`; all of them where a disc has an edge.
     """
-    texels = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / camera.height * len(sky) / math.pi
-    offsets = _grid_offsets(max(1, min(samples, math.ceil(texels))))
-    turn = environment.rotation(rotate, up)
+    finest = max((len(sky.image) for sky in lighting.skies), default=1)
+    texels = 2.0 * math.tan(math.radians(camera.fov) / 2.0) / camera.height * finest / math.pi
+    edges = any(sun.angular_diameter > 0.0 for sun in lighting.suns)
+    offsets = _grid_offsets(samples if edges else max(1, min(samples, math.ceil(texels))))
     for rows in _row_blocks(camera, len(offsets)):
         shown = share[rows] > 0.0
         rays = directions(camera, rows, offsets)[shown]
-        radiance = environment.lookup(sky, rays @ turn, up).mean(axis=1)
+        radiance = lighting.radiance(rays.reshape(-1, 3)).reshape(rays.shape).mean(axis=1)
         picture[rows][shown] += share[rows][shown][:, None] * radiance

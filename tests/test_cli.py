@@ -208,6 +208,26 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
     np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
 
 
+def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
+    """A sky, a sun in one word, and a lights file: the picture is the sum of those under each, less what rings."""
+    (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 0.5, 0.2]\n")
+    given = ["sky.exr", "sun:0,0,1:2,2,2", str(tmp_path / "lights.toml")]
+    pictures = []
+    for number, lights in enumerate([[one] for one in given] + [given]):
+        output = tmp_path / f"{number}.exr"
+        words = [word for light in lights for word in ("--light", light)]
+        assert prtbake("shade", "asset.h5", *words, "-o", output, "--size", "16x12").code == 0
+        pictures.append(read_image(output))
+    # Negative radiance is cut off: of the sum there may be less left to cut off than of its parts.
+    apart = sum(pictures[:3])
+    assert (pictures[3] <= apart + 1e-4).all()
+    assert np.isclose(pictures[3], apart, rtol=1e-4).mean() > 0.7
+    assert all(picture[6, 8].min() > 0.05 for picture in pictures[:2])
+    none = prtbake("shade", "asset.h5", "--light", "sun:0,0,0", "-o", tmp_path / "x.png")
+    assert none.code == 1
+    assert "sun:0,0,0: direction: expected" in none.err
+
+
 def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:
     output = tmp_path / "reference.exr"
     options = ["-o", output, "--size", "16x12", "--spp", 4]

@@ -11,7 +11,7 @@ def test_a_file_of_every_kind_of_light(tmp_path):
     (tmp_path / "a.toml").write_text(
         "[[directional]]\ndirection = [0, 3, 4]\nirradiance = [3, 2.5, 2]\nangular_diameter = 0.53\n"
         "[[directional]]\ndirection = [-1e-200, 0, 0]\n"
-        '[[sky]]\nfile = "night.hdr"\nrotate = 90\nexposure = -2\n[[sky]]\nfile = "day.exr"\n'
+        '[[sky]]\nfile = "night.hdr"\nrotate = 90\nexposure = -2\ntint = [1, 0.5, 0]\n[[sky]]\nfile = "day.exr"\n'
     )
     sun, second, night, day = read_lights(tmp_path / "a.toml")
     assert isinstance(sun, DirectionalLight)
@@ -19,8 +19,8 @@ def test_a_file_of_every_kind_of_light(tmp_path):
     np.testing.assert_allclose(sun.direction, [0, 0.6, 0.8], rtol=1e-15)
     assert (sun.irradiance.tolist(), sun.angular_diameter) == ([3, 2.5, 2], 0.53)
     assert (second.direction.tolist(), second.irradiance.tolist(), second.angular_diameter) == ([-1, 0, 0], [1] * 3, 0)
-    assert night == SkyLight(tmp_path / "night.hdr", 90.0, -2.0)
-    assert day == SkyLight(tmp_path / "day.exr", 0.0, 0.0)
+    assert night == SkyLight(tmp_path / "night.hdr", 90.0, -2.0, (1.0, 0.5, 0.0))
+    assert day == SkyLight(tmp_path / "day.exr", 0.0, 0.0, (1.0, 1.0, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -75,6 +75,7 @@ def test_a_word_that_is_no_sun_is_one_sentence(text, sentence):
         ("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, -1, 1]", "irradiance: expected three"),
         ("[[directional]]\ndirection = [0, 1, 0]\nirradiance = 3.0", "irradiance: expected three"),
         ("[[directional]]\ndirection = [0, 1, 0]\nangular_diameter = -1", "expected degrees from 0 to 180, found -1"),
+        ('[[sky]]\nfile = "a.hdr"\ntint = [1, -1, 1]', "sky.0.tint: expected three finite numbers"),
         ('[[sky]]\nfile = "a.hdr"\nexposure = "much"', "sky.0.exposure: expected stops from -64 to 64, found 'much'"),
         ("[[sky]]\nrotate = 3", "sky.0.file: is missing"),
         ("no toml", "is not TOML"),

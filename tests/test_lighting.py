@@ -222,7 +222,8 @@ def test_all_kinds_of_light_are_read_and_turned_together(tmp_path: Path) -> None
     image = sky(8, 16).image
     write_image(tmp_path / "sky.exr", image)
     (tmp_path / "lights.toml").write_text(
-        '[[sky]]\nfile = "sky.exr"\nrotate = 90\nexposure = 1\n[[directional]]\ndirection = [1, 0, 0]\n'
+        '[[sky]]\nfile = "sky.exr"\nrotate = 90\nexposure = 1\ntint = [1, 2, 0.5]\n'
+        "[[directional]]\ndirection = [1, 0, 0]\n"
     )
     given = [tmp_path / "sky.exr", tmp_path / "lights.toml", "sun:0,0,1:2,2,2:3"]
     lighting = read_lighting([str(light) for light in given], up="y", rotate=90.0)
@@ -230,7 +231,7 @@ def test_all_kinds_of_light_are_read_and_turned_together(tmp_path: Path) -> None
     np.testing.assert_allclose([light.direction for light in lighting.suns], [[0, 0, -1], [1, 0, 0]], atol=1e-15)
     d = environment.direction_of([0.3, 0.55, 0.8], [0.2, 0.5, 0.9])
     first = environment.lookup(image, d @ environment.rotation(90.0))
-    second = 2 * environment.lookup(image, d @ environment.rotation(180.0))
+    second = 2 * environment.lookup(image, d @ environment.rotation(180.0)) * [1.0, 2.0, 0.5]
     np.testing.assert_allclose(lighting.radiance(d), first + second, rtol=1e-6)
 
 

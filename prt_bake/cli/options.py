@@ -133,7 +133,15 @@ Mend = Annotated[
     typer.Option("--mend", help="Replace NaN, infinite and negative pixels of the environment, and say how many."),
 ]
 Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of every random number.")]
-Light = Annotated[Path, typer.Option(metavar="ENVIRONMENT", help="Lat-long sky, .exr or .hdr.")]
+Lights = Annotated[
+    list[str],
+    typer.Option(
+        "--light",
+        metavar="LIGHT",
+        help="Lat-long sky (.exr, .hdr, .png), lights file (.toml), or sun:x,y,z[:r,g,b][:degrees], a directional "
+        "light (direction to it, irradiance, angular diameter); may be given several times.",
+    ),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where the network runs.")]
 ReportFile = Annotated[

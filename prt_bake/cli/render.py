@@ -12,6 +12,7 @@ from prt_bake.cli.options import (
     Device,
     Exposure,
     Eye,
+    Lights,
     Mend,
     PictureSize,
     ReportFile,
@@ -39,14 +40,7 @@ def render(
             metavar="MESH", help="The model's own object; for a scene, what the camera is set up for, as in shade."
         ),
     ],
-    light: Annotated[
-        list[str],
-        typer.Option(
-            metavar="LIGHT",
-            help="Lat-long sky (.exr, .hdr, .png), lights file (.toml), or sun:x,y,z[:r,g,b][:degrees], a directional "
-            "light (direction to it, irradiance, angular diameter); may be given several times.",
-        ),
-    ],
+    light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
     spp: Annotated[
         int | None,

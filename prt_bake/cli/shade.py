@@ -10,7 +10,7 @@ from prt_bake.cli.options import (
     IMAGE_SUFFIXES,
     Exposure,
     Eye,
-    Light,
+    Lights,
     Mend,
     PictureSize,
     Rotate,
@@ -23,7 +23,7 @@ from prt_bake.cli.progress import say
 
 def shade(
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
-    light: Light,
+    light: Lights,
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
@@ -35,17 +35,19 @@ def shade(
 ) -> None:
     """Relight a baked asset and write the picture.
 
-    It shows the light from under the surface, with the sky behind the object.
+    It shows the light from under the surface, with the sky, and lights that have a size, behind the object.
     """
     from formats.asset import read_asset
     from formats.image import write_image
     from prt_bake import camera
-    from prt_bake.environment import read_environment
+    from prt_bake.lighting import read_lighting
     from prt_bake.shading import render_picture
 
-    baked, sky = read_asset(asset), read_environment(light, mend, say)
-    view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=up or baked.up)
-    picture = render_picture(baked, sky, view, up=up, rotate=rotate, samples=samples)
+    baked = read_asset(asset)
+    axis = up or baked.up
+    lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
+    view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=axis)
+    picture = render_picture(baked, lighting, view, up=axis, samples=samples)
     write_image(output, picture.image, exposure=exposure)
     for remark in _shown_otherwise(baked, light, rotate, view.eye):
         say(f"{asset}: {remark}")
@@ -57,14 +59,19 @@ def shade(
     )
 
 
-def _shown_otherwise(baked: Any, light: Path, rotate: float, eye: Any) -> Iterator[str]:
+def _shown_otherwise(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:
     """What an asset made for one light or one eye alone cannot show of what was asked for."""
-    from formats.whole import sha256
-
     reasons = {item["item"]: item["reason"] for item in baked.left_out}
-    if "other lights" in reasons and (rotate % 360.0 or baked.folded_in != f"light {sha256(light)}"):
+    if "other lights" in reasons and (rotate % 360.0 or not _same_light(baked, lights)):
         turned = f" turned by {rotate:g} degrees" if rotate % 360.0 else ""
-        yield f"{reasons['other lights']}: the object is shown under that, not under {light.name}{turned}"
+        names = " and ".join(Path(light).name for light in lights)
+        yield f"{reasons['other lights']}: the object is shown under that, not under {names}{turned}"
     made_for = baked.provenance.get("settings", {}).get("for_eye")
     if made_for is not None and any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
         yield f"{reasons.get('other views', 'made for one eye')}: from elsewhere its colours are wrong"
+
+
+def _same_light(baked: Any, lights: list[str]) -> bool:
+    from formats.whole import sha256
+
+    return len(lights) == 1 and Path(lights[0]).is_file() and baked.folded_in == f"light {sha256(Path(lights[0]))}"
