@@ -10,7 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.error_estimate import Estimator, halves_variance, neighbour_variance
+from bakers.error_estimate import (
+    Estimator,
+    halves_variance,
+    held_against,
+    neighbour_variance,
+    pairs_variance,
+    suspect,
+)
 from bakers.path_traced import Account, Walks, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
 from bakers.projection import DirectionPool, project, residual_variance
@@ -34,6 +41,8 @@ class Block:
     """Bins whose direction lay below the horizon."""
     account: Account | None = None
     """What random walks say beside the coefficients."""
+    more: int = 0
+    """Evaluations beyond `samples` at every bin."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +53,10 @@ class Sampling:
     rotation: Callable[[int, int], NDArray[np.int64]]
     """(first vertex, last vertex) → which set of the pool each bin takes, [n,B]."""
     second_rotation: Callable[[int, int], NDArray[np.int64]] | None
-    """Another set for each bin, where the error comes from two half-size sets."""
+    """Another set for each bin, where the error comes from two sets, of all bins or of some."""
     estimator: Estimator
+    held: Callable[[int, int], NDArray[np.int64]] | None = None
+    """(first vertex, last vertex) → bins [n,m] that are evaluated on that other set where neighbours do not tell."""
 
 
 @dataclass(frozen=True)
@@ -80,47 +91,59 @@ def block_size(task: Task) -> int:
 def bake_block(task: Task, first: int, last: int) -> Block:
     """Bakes vertices first … last − 1."""
     outgoing, bent = task.outgoing(first, last)
-    account = None
+    account, more = None, 0
     if isinstance(task.sampling, Walks):
         positions = task.positions[first:last]
         coefficients, variance, account = walk_block(task.transport, task.sampling, positions, outgoing, first)
         bent += account.bent
     else:
-        coefficients, variance = _sample(task, task.sampling, outgoing, first, last)
+        coefficients, variance, more = _sample(task, task.sampling, outgoing, first, last)
     with np.errstate(over="ignore"):
         rounded = coefficients.astype(np.float32)
     valid = np.asarray(np.isfinite(rounded).all(axis=(1, 2, 3)) & np.isfinite(variance).all(axis=1))
     rounded[~valid] = 0.0
     standard_error = np.sqrt(np.where(valid[:, None], variance, 0.0)).astype(np.float32)
-    return Block(first, rounded, standard_error, valid, bent, account)
+    return Block(first, rounded, standard_error, valid, bent, account, more)
 
 
-def _sample(task: Task, sampling: Sampling, outgoing: Array, first: int, last: int) -> tuple[Array, Array]:
-    """Coefficients and their variance from values of Ŝ."""
-    rotation = sampling.rotation(first, last)
-    values = _values(task, sampling.pool, rotation, outgoing, first, last)
+def _sample(task: Task, sampling: Sampling, outgoing: Array, first: int, last: int) -> tuple[Array, Array, int]:
+    """Coefficients and their variance from values of Ŝ, and evaluations beyond those of every bin."""
+    rotation, vertices = sampling.rotation(first, last), np.arange(first, last)
+    values = _values(task, sampling.pool, rotation, outgoing, vertices)
     # Answers that are not finite are found, and named, by their vertex afterwards.
     with np.errstate(invalid="ignore", over="ignore"):
         coefficients = project(values, sampling.pool, rotation)
-        if sampling.second_rotation is not None:
+        if sampling.estimator == "halves" and sampling.second_rotation is not None:
             again = sampling.second_rotation(first, last)
-            other = project(_values(task, sampling.pool, again, outgoing, first, last), sampling.pool, again)
-            return (coefficients + other) / 2.0, halves_variance(coefficients, other, task.sectors)
-        if sampling.estimator == "neighbours":
-            return coefficients, neighbour_variance(coefficients, task.sectors)
-        return coefficients, residual_variance(values, coefficients, sampling.pool, rotation)
+            other = project(_values(task, sampling.pool, again, outgoing, vertices), sampling.pool, again)
+            return (coefficients + other) / 2.0, halves_variance(coefficients, other, task.sectors), 0
+        rough = residual_variance(values, coefficients, sampling.pool, rotation)
+        if sampling.estimator == "residual":
+            return coefficients, rough, 0
+        variance = neighbour_variance(coefficients, task.sectors)
+        view = suspect(variance, rough, 0 if sampling.pool.harmonics is None else values.shape[2])
+        if not len(view) or sampling.held is None or sampling.second_rotation is None:
+            return coefficients, variance, 0
+        at = sampling.held(first, last)[view]
+        again = np.take_along_axis(sampling.second_rotation(first, last)[view], at, axis=1)
+        seen_from = np.take_along_axis(outgoing[view], at[:, :, None], axis=1)
+        values = _values(task, sampling.pool, again, seen_from, vertices[view])
+        own = np.take_along_axis(coefficients[view], at[:, :, None, None], axis=1)
+        pairs = pairs_variance(own, project(values, sampling.pool, again))
+        variance[view] = held_against(pairs, variance[view], rough[view], at)
+        return coefficients, variance, at.size * sampling.pool.incident.shape[1]
 
 
 def _values(
-    task: Task, pool: DirectionPool, rotation: NDArray[np.int64], outgoing: Array, first: int, last: int
+    task: Task, pool: DirectionPool, rotation: NDArray[np.int64], outgoing: Array, vertices: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """Ŝ [n,B,D,3] on the direction sets that `rotation` names."""
-    positions = task.positions[first:last]
+    """Ŝ [n,B,D,3] of vertices [n] seen along outgoing [n,B,3], on the direction sets that `rotation` [n,B] names."""
+    positions = task.positions[vertices]
     directions = pool.incident.shape[1]
     expected = (*rotation.shape, directions, 3)
     if way_in(task.transport) == "block":
         answer = task.transport.evaluate_block(pool.incident, rotation, positions, outgoing)
         return as_radiance(answer, expected, "evaluate_block")
     incident = pool.incident[rotation].reshape(-1, directions, 3)
-    answer = task.transport.evaluate(incident, np.repeat(positions, task.bins, axis=0), outgoing.reshape(-1, 3))
+    answer = task.transport.evaluate(incident, np.repeat(positions, rotation.shape[1], axis=0), outgoing.reshape(-1, 3))
     return as_radiance(answer, (len(incident), directions, 3), "evaluate").reshape(expected)

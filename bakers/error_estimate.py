@@ -11,8 +11,9 @@ directions and degree 2 on shadow-edged and lobed transports and on a trained ne
 An rms over many numbers scatters less than one number does, so that more than 95 % may lie within.
 
 `neighbours` takes the fourth difference (1, −4, 6, −4, 1)/√70 along the sectors of a ring: the coefficients
-vary smoothly there and drop out to fourth order, while the errors of the five bins are independent. What does not drop
-out makes the estimate too large, never too small. Below 32 sectors too much remains.
+vary smoothly there and drop out to fourth order, while the errors of the five bins are independent. Below 32 sectors
+too much remains; and behind polished glass at any number, up to 14 times the error. Where the residual makes that seem
+possible, a few bins of the vertex are evaluated once more, on other sets of directions (`held_against`).
 """
 
 from typing import Literal
@@ -26,6 +27,13 @@ Estimator = Literal["neighbours", "halves", "residual"]
 FEWEST_SECTORS = 32
 COMFORTABLE_HALF = 1.5
 """Least directions per coefficient in each half-size set."""
+FEWEST_HELD, SHARE_HELD = 4, 64
+"""Bins of a vertex that are evaluated twice: at least, and one of how many."""
+SUSPECT, FALLING, PLAIN_SUSPECT = 0.3, 1.4, 1.5
+"""Times the residual's variance, from which on what neighbours differ by may be view: of lattices of 64 directions that
+are fitted, and with which power of their number that falls beyond; and of plain sums, whose residual is no larger."""
+BELIEVED = 0.5
+"""Times that, which pairs must be less than to be believed instead: sixteen of them scatter by a third."""
 _FOURTH_DIFFERENCE = (1.0, -4.0, 6.0, -4.0, 1.0)
 
 
@@ -60,3 +68,30 @@ def halves_variance(first: Array, second: Array, sectors: int) -> Array:
     if sectors < 3:
         return np.asarray(own)
     return np.asarray((np.roll(rings, 1, axis=2) + rings + np.roll(rings, -1, axis=2)) / 3.0).reshape(own.shape)
+
+
+def how_many_held(bins: int) -> int:
+    """How many of its bins a vertex is evaluated at twice."""
+    return min(bins, max(FEWEST_HELD, bins // SHARE_HELD))
+
+
+def pairs_variance(first: Array, second: Array) -> Array:
+    """Variance [n], mean over bins, of either of two independent estimates [n,m,K,3] of some bins of each vertex."""
+    return np.asarray(((first - second) ** 2).mean(axis=(1, 2, 3)) / 2.0)
+
+
+def suspect(neighbours: Array, rough: Array, fitted: int) -> NDArray[np.int64]:
+    """Vertices [m] at which what neighbouring bins differ by [n,B] may be more than noise, by their residuals [n,B];
+    `fitted`: over how many directions, 0 where values were only summed.
+    """
+    times = SUSPECT * min(1.0, 64 / fitted) ** FALLING if fitted else PLAIN_SUSPECT
+    return np.flatnonzero(neighbours.mean(axis=1) > times * rough.mean(axis=1))
+
+
+def held_against(pairs: Array, neighbours: Array, rough: Array, at: NDArray[np.int64]) -> Array:
+    """Variance [n,B]: that of neighbours [n,B], or where pairs [n] of the bins `at` [n,m] say far less, theirs, in
+    proportion to the roughness [n,B] of each bin.
+    """
+    there = np.take_along_axis(rough, at, axis=1).mean(axis=1)
+    scaled = rough * np.divide(pairs, there, out=np.zeros_like(pairs), where=there > 0.0)[:, None]
+    return np.where((pairs < BELIEVED * neighbours.mean(axis=1))[:, None], scaled, neighbours)

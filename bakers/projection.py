@@ -65,13 +65,14 @@ def project(values: NDArray[np.floating], pool: DirectionPool, rotation: NDArray
 def residual_variance(
     values: NDArray[np.floating], coefficients: Array, pool: DirectionPool, rotation: NDArray[np.int64]
 ) -> Array:
-    """Variance [n,B] of the fitted coefficients (mean over K and channels) from what the fit leaves over.
+    """Variance [n,B] of coefficients (mean over K and channels) from what the fit leaves over.
 
     The textbook estimate of a linear fit, s² (YᵀY)⁻¹ with s² = Σ r² / (D − K), as if the residuals were independent.
     A lattice does better than that, so it errs on the safe side. With D = K nothing is left over and the squared
-    coefficients themselves are returned: the error is not known.
+    coefficients themselves are returned: the error is not known. Of plain sums, all is left over.
     """
-    assert pool.harmonics is not None
+    if pool.harmonics is None:
+        return np.asarray(np.square(values, dtype=np.float64).mean(axis=(-1, -2)) * pool.variance_share)
     directions, count = pool.harmonics.shape[1:]
     if directions == count:
         return np.asarray((coefficients**2).mean(axis=(-1, -2)))

@@ -68,7 +68,7 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
     blocks = work.crew.in_order(one, cuts)
     try:
         for block in _until(work, blocks):
-            work.evaluations += len(block.valid) * per_vertex
+            work.evaluations += len(block.valid) * per_vertex + block.more
             sink.write(block)
             done, bent = done + len(block.valid), bent + block.bent
             invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()

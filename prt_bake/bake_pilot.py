@@ -42,8 +42,8 @@ def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]
     limit, kind = (MOST_SAMPLES, "walks") if walks else (PILOT_LIMIT, "directions")
     foretold = False
     while True:
-        meter = _baked(job, vertices)
-        spent += len(vertices) * bins * job.resolved.samples
+        meter, more = _baked(job, vertices)
+        spent += len(vertices) * bins * job.resolved.samples + more
         if meter.total <= error:
             return job, spent
         samples = 2 * job.resolved.samples
@@ -86,7 +86,7 @@ def error_ladder(
             vertices = _pilot_vertices(job, seed)
             bake_block(job.task, 0, 1)
             began = time.monotonic()
-            error = _baked(job, vertices).total
+            error = _baked(job, vertices)[0].total
             share = len(mesh.positions) / len(vertices)
             seconds = (time.monotonic() - began) * share / max(1, workers)
             rows.append((seconds, float(len(mesh.positions) * rings * sectors * job.resolved.samples), error))
@@ -98,8 +98,11 @@ def _pilot_vertices(job: Job, seed: int) -> list[int]:
     return [int(vertex) for vertex in job.vertices[order[:PILOT_VERTICES]]]
 
 
-def _baked(job: Job, vertices: list[int]) -> ErrorMeter:
-    meter = ErrorMeter()
+def _baked(job: Job, vertices: list[int]) -> tuple[ErrorMeter, int]:
+    """The error at these vertices, and evaluations beyond `samples` at every bin."""
+    meter, more = ErrorMeter(), 0
     for vertex in vertices:
-        meter.add(bake_block(job.task, vertex, vertex + 1))
-    return meter
+        block = bake_block(job.task, vertex, vertex + 1)
+        meter.add(block)
+        more += block.more
+    return meter, more

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Sampling
-from bakers.error_estimate import choose_estimator
+from bakers.error_estimate import choose_estimator, how_many_held
 from bakers.path_traced import Walks
 from bakers.projection import direction_pool
 from bakers.transport import way_in
 from formats.errors import QueryError
 from prt_bake import sh, sphere
-from prt_bake.randomness import hashed
+from prt_bake.randomness import hashed, uniforms
 
 DirectionKind = Literal["fibonacci", "sobol", "uniform"]
 
@@ -24,7 +24,7 @@ POOL_SIZE = 256
 SMALLEST_POOL = 32
 POOL_DIRECTIONS = 1 << 14
 """Most directions in a pool, as many as a network holds tables for: larger sets come in fewer copies."""
-_POOL_STREAM, _BIN_STREAM, _WALK_STREAM = 11, 12, 13
+_POOL_STREAM, _BIN_STREAM, _WALK_STREAM, _HELD_STREAM = 11, 12, 13, 15
 
 
 @dataclass(frozen=True)
@@ -74,10 +74,11 @@ def resolve_sampling(
     incident = direction_sets(cast(DirectionKind, directions), size, seed)
     pool = direction_pool(incident, sh.evaluate(incident, degree), fitted)
     taken = _taken_by_bin(bins, len(incident), seed)
-    second = (lambda a, b: (taken(a, b) + len(incident) // 2) % len(incident)) if estimator == "halves" else None
+    second = None if estimator == "residual" else lambda a, b: (taken(a, b) + len(incident) // 2) % len(incident)
+    held = _held(bins, seed) if estimator == "neighbours" else None
     total = 2 * size if estimator == "halves" else size
     return Resolved(
-        Sampling(pool, taken, second, estimator), directions, total, estimator, pool.condition if fitted else None
+        Sampling(pool, taken, second, estimator, held), directions, total, estimator, pool.condition if fitted else None
     )
 
 
@@ -112,3 +113,14 @@ def _taken_by_bin(bins: int, copies: int, seed: int) -> Callable[[int, int], NDA
         return ((start[:, None] + stride[:, None] * steps) % np.uint64(copies)).astype(np.int64)
 
     return taken
+
+
+def _held(bins: int, seed: int) -> Callable[[int, int], NDArray[np.int64]]:
+    """The bins that a vertex is evaluated at twice: spread evenly, begun elsewhere at each."""
+    many = how_many_held(bins)
+
+    def held(first: int, last: int) -> NDArray[np.int64]:
+        begin = uniforms((_HELD_STREAM, seed, np.arange(first, last)), 1)
+        return ((np.arange(many) + begin) * (bins / many)).astype(np.int64)
+
+    return held

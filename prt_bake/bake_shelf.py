@@ -43,6 +43,7 @@ class Shelf:
             "standard_error": block.standard_error,
             "valid": block.valid,
             "bent": np.asarray(block.bent),
+            "more": np.asarray(block.more),
         }
         if block.account is not None:
             arrays["account"] = np.array(astuple(block.account), np.float64)
@@ -54,7 +55,8 @@ class Shelf:
         if arrays is None:
             return None
         parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
-        return Block(cut[0], *parts, _account(arrays["account"]) if "account" in arrays else None)
+        account = _account(arrays["account"]) if "account" in arrays else None
+        return Block(cut[0], *parts, account, int(arrays["more"]))
 
 
 def _account(numbers: NDArray[np.float64]) -> Account:

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from bakers.baker import Block, Sampling, Task, bake_block, block_size, cuts
-from bakers.error_estimate import choose_estimator, halves_variance, neighbour_variance
+from bakers.error_estimate import choose_estimator, halves_variance, held_against, neighbour_variance, suspect
 from bakers.horizon import LOWEST_COSINE, bend_to_horizon, vertex_faces
 from bakers.in_order import in_order
 from bakers.path_traced import WALKS_AT_ONCE, Walks
@@ -94,6 +94,23 @@ def test_neighbour_variance_sees_the_noise_and_not_the_signal(sectors: int) -> N
     assert estimate.shape == (50, 2 * sectors)
     assert estimate.mean() == pytest.approx(1e-4, rel=0.03)
     assert neighbour_variance(signal, sectors).max() < 1e-6
+
+
+def test_what_neighbours_differ_by_is_held_against_pairs_where_it_may_be_view() -> None:
+    rng = np.random.default_rng(7)
+    rough = np.full((3, 64), 4.0) * rng.uniform(0.5, 2.0, (3, 64))
+    neighbours = np.outer([0.1, 3.0, 3.0], np.ones(64)) * rough.mean(axis=1, keepdims=True)
+    assert suspect(neighbours, rough, 64).tolist() == [1, 2]
+    assert suspect(neighbours, rough, 256).tolist() == [0, 1, 2]
+    assert suspect(neighbours / 2.5, rough, 0).tolist() == []
+    at = np.tile(np.arange(0, 64, 16), (3, 1))
+    # The first two pairs say as much as neighbours do; the third a hundredth of the residual.
+    pairs = np.array([neighbours[0].mean(), neighbours[1].mean(), 0.04])
+    found = held_against(pairs, neighbours, rough, at)
+    np.testing.assert_array_equal(found[:2], neighbours[:2])
+    assert found[2, at[2]].mean() == pytest.approx(0.04)
+    np.testing.assert_allclose(found[2] / rough[2], found[2, 0] / rough[2, 0])
+    assert (held_against(np.zeros(3), neighbours, 0.0 * rough, at) == 0.0).all()
 
 
 @pytest.mark.parametrize("sectors", [1, 2, 8])
