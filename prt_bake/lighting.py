@@ -89,10 +89,12 @@ def read_lighting(
 
     def add_sky(path: Path, degrees: float, factor: float | Array) -> None:
         image = environment.read_environment(path, mend, say)
-        with np.errstate(over="ignore"):  # what no longer fits is told by the check
-            exposed = np.asarray(image * np.float64(factor), np.float32)
-        environment.check(exposed, path)
-        skies.append(Sky(exposed, up, environment.rotation(degrees, up)))
+        # A large sky is not copied for nothing.
+        if not np.all(np.equal(factor, 1.0)):
+            with np.errstate(over="ignore"):  # what no longer fits is told by the check
+                image = image * np.asarray(factor, np.float32)
+        environment.check(image, path)
+        skies.append(Sky(image, up, environment.rotation(degrees, up)))
 
     for light in lights:
         if str(light).startswith("sun:"):
