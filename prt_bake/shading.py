@@ -41,7 +41,8 @@ class Picture:
     """A picture [H,W,3] in linear radiance, the object's coverage [H,W], and what it took.
 
     clamped: as in `Shading`. shaded: vertices worked on. unlit: share of the object's samples whose face has no valid
-    vertex; they are black.
+    vertex; they are black. error: one sigma [H,W,3] of the object's part, by the asset's standard errors; of what the
+    model itself is off they know nothing. relative_error: its rms over that of the object's part.
     """
 
     image: NDArray[np.float32]
@@ -50,6 +51,8 @@ class Picture:
     shaded: int
     unlit: float
     seconds: float
+    error: NDArray[np.float32]
+    relative_error: float
 
 
 def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike) -> Array:
@@ -73,15 +76,30 @@ def shade_vertices(
         )
     weights = _light(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    outgoing = _towards_eye(asset, eye, vertices)
-    local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
-    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    at = _between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))
     radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
     negative = -float(radiance[radiance < 0.0].sum())
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
     return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices))
+
+
+def radiance_error(
+    asset: Asset, light: ArrayLike | None, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
+) -> Array:
+    """One sigma [V,3] of what `shade` gives, by the asset's standard errors: that of a coefficient, between bins as
+    radiance is, times the length of the light's coefficients.
+
+    Errors of the bins that a direction lies between are taken to be alike: where they are not, it is less. Of what the
+    model itself is off it knows nothing. Arguments and errors as those of `shade_vertices`.
+    """
+    length = np.sqrt((_light(asset, light) ** 2).sum(axis=0))
+    vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
+    at, sigma = _between_bins(asset, eye, vertices), asset.standard_error[:, :, None, None]
+    error = np.zeros((len(asset.valid), 3))
+    error[vertices] = length * reconstruct(sigma, vertices, at, asset.sectors, np.ones((1, 3)))
+    return error
 
 
 def render_picture(
@@ -114,12 +132,17 @@ def render_picture(
     visible = np.zeros(len(asset.valid), np.bool_)
     visible[corners] = True
     shading = shade_vertices(asset, harmonics, camera.eye, visible)
-    seen, unlit = _interpolate(asset, shading.radiance, corners, hits.barycentric)
+    # As directions: where the eye stands has been looked at already.
+    sigma = radiance_error(asset, harmonics, camera.eye - asset.mesh.positions, visible)
+    shown = np.concatenate([shading.radiance, sigma], axis=1)
+    seen, unlit = _interpolate(asset, shown, corners, hits.barycentric)
     shape = (camera.height, camera.width)
     coverage, *channels = (
         np.bincount(pixels, share, math.prod(shape)).reshape(shape) / samples**2 for share in (None, *seen.T)
     )
-    picture = np.stack(channels, axis=-1)
+    picture, error = np.stack(channels[:3], axis=-1), np.stack(channels[3:], axis=-1)
+    signal = float((picture**2).sum())
+    relative_error = math.sqrt(float((error**2).sum()) / signal) if signal > 0.0 else 0.0
     if background:
         _add_sky(picture, 1.0 - coverage, lighting, camera, samples)
     return Picture(
@@ -129,7 +152,16 @@ def render_picture(
         shading.shaded,
         unlit,
         time.perf_counter() - begun,
+        error.astype(np.float32),
+        relative_error,
     )
+
+
+def _between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
+    """Where the direction to the eye lies between the view bins of each vertex."""
+    outgoing = _towards_eye(asset, eye, vertices)
+    local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
+    return sphere.bin_coordinates(local, asset.rings, asset.sectors)
 
 
 def _light(asset: Asset, light: ArrayLike | None) -> Array:

@@ -11,7 +11,7 @@ import pytest
 from command_line import Run
 
 from formats.asset import read_asset
-from formats.image import read_image, write_image
+from formats.image import read_image, read_layers, write_image
 from formats.mesh import read_mesh
 from prt_bake import baking, demonstration, load_model
 from prt_bake.renderer.loop import SHOWS_REFLECTION
@@ -206,6 +206,11 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
     assert image.shape == (30, 40, 3)
     assert np.isfinite(image).all()
     np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
+    assert "error of the projection" in outcome.out
+    if suffix == ".exr":
+        layers = read_layers(output).layers
+        assert layers["error"][15, 20].min() > 0.0
+        assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
 
 
 def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:

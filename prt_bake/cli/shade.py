@@ -35,7 +35,8 @@ def shade(
 ) -> None:
     """Relight a baked asset and write the picture.
 
-    It shows the light from under the surface, with the sky, and lights that have a size, behind the object.
+    It shows the light from under the surface, with the sky, and lights that have a size, behind the object. An .exr has
+    the error that the bake has left (error.R, error.G, error.B, one sigma) and the object's coverage (coverage.Y).
     """
     from formats.asset import read_asset
     from formats.image import write_image
@@ -48,14 +49,16 @@ def shade(
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
     view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=axis)
     picture = render_picture(baked, lighting, view, up=axis, samples=samples)
-    write_image(output, picture.image, exposure=exposure)
+    layers = {"error": picture.error, "coverage": picture.coverage}
+    write_image(output, picture.image, exposure=exposure, layers=layers)
     for remark in _shown_otherwise(baked, light, rotate, view.eye):
         say(f"{asset}: {remark}")
     if not baked.complete:
         say(f"{asset}: is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black")
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
-        f"{abs(picture.clamped):.3%} of the energy"
+        f"{abs(picture.clamped):.3%} of the energy, error of the projection {picture.relative_error:.2%} of "
+        f"the object's radiance"
     )
 
 
