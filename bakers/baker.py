@@ -124,14 +124,25 @@ def _sample(task: Task, sampling: Sampling, outgoing: Array, first: int, last: i
         view = suspect(variance, rough, 0 if sampling.pool.harmonics is None else values.shape[2])
         if not len(view) or sampling.held is None or sampling.second_rotation is None:
             return coefficients, variance, 0
-        at = sampling.held(first, last)[view]
-        again = np.take_along_axis(sampling.second_rotation(first, last)[view], at, axis=1)
-        seen_from = np.take_along_axis(outgoing[view], at[:, :, None], axis=1)
-        values = _values(task, sampling.pool, again, seen_from, vertices[view])
-        own = np.take_along_axis(coefficients[view], at[:, :, None, None], axis=1)
-        pairs = pairs_variance(own, project(values, sampling.pool, again))
+        at, again = sampling.held(first, last)[view], sampling.second_rotation(first, last)[view]
+        pairs = _pairs(task, sampling.pool, again, outgoing[view], vertices[view], coefficients[view], at)
         variance[view] = held_against(pairs, variance[view], rough[view], at)
-        return coefficients, variance, at.size * sampling.pool.incident.shape[1]
+        return coefficients, variance, at.size * values.shape[2]
+
+
+def _pairs(
+    task: Task,
+    pool: DirectionPool,
+    again: NDArray[np.int64],
+    outgoing: Array,
+    vertices: NDArray[np.int64],
+    coefficients: Array,
+    at: NDArray[np.int64],
+) -> Array:
+    """Variance [n] of the coefficients [n,B,K,3] of some bins `at` [n,m], evaluated on other sets `again` [n,B]."""
+    sets = np.take_along_axis(again, at, axis=1)
+    values = _values(task, pool, sets, np.take_along_axis(outgoing, at[:, :, None], axis=1), vertices)
+    return pairs_variance(np.take_along_axis(coefficients, at[:, :, None, None], axis=1), project(values, pool, sets))
 
 
 def _values(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bakers.lattice_pools import Pool, Pools
 from bakers.light_noise import LightNoise
-from bakers.refined import Checks, Refined, Refinement
+from bakers.refined import Checks, Refined, Refinement, noise_of_checks
 from bakers.values import values_at
 from bakers.view_levels import STENCIL, Level
 from bakers.view_survey import ALWAYS, DECAY
@@ -355,7 +355,7 @@ class Work:
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
         before = self.evaluations
         one, other = self.held(rows, bins, turned)
-        squared, noise = (one * other).mean(axis=(1, 2)), _noise_of_checks(rows, one, other)
+        squared, noise = (one * other).mean(axis=(1, 2)), noise_of_checks(rows, one, other)
         way, taken = self._way()[bins, rows], self.evaluations - before
         return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
 
@@ -371,18 +371,6 @@ class Work:
         steps = np.maximum(steps, self.fewest)
         one, other = (self.fit_alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
         return one, other
-
-
-def _noise_of_checks(rows: Index, one: Array, other: Array) -> Array:
-    """Numbers [M] of no mean that vary as the noise does of one times the other, each [M,K,3]; rows ascend.
-
-    What both say of a bin times what they differ by at the next of its vertex: at the same bin that would tell as well
-    how much nearer one of the two lattices is than the other.
-    """
-    following = np.arange(1, len(rows) + 1)
-    ends = np.flatnonzero(np.append(rows[1:], -1) != rows) if len(rows) else following
-    following[ends] = np.searchsorted(rows, rows[ends])
-    return np.asarray(((one + other) * (one - other)[following]).mean(axis=(1, 2)) / 2.0)
 
 
 def _unit(noise: LightNoise, shares: Sequence[float], sizes: Sequence[int]) -> Array:

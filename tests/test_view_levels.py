@@ -7,7 +7,7 @@ import pytest
 from transports import Lobed
 
 from bakers.light_noise import LightNoise, fitted_noise
-from bakers.refinement import _noise_of_checks
+from bakers.refined import noise_of_checks
 from bakers.verdict import Correction, Tally
 from bakers.view_levels import view_levels
 from prt_bake import sh, sphere
@@ -108,11 +108,11 @@ def test_the_noise_of_checks_is_told_as_it_is(kind: str) -> None:
         errors *= np.exp(numbers.normal(size=(2, len(rows), 1, 1)))
     one, other = errors[0] - off, errors[1] - off
     truly = (one * other).mean(axis=(1, 2)) - (off**2).mean(axis=(1, 2))
-    told = _noise_of_checks(rows, one, other)
+    told = noise_of_checks(rows, one, other)
     assert abs(told.mean()) < 5.0 * told.std() / np.sqrt(len(told))
     assert told.std() == pytest.approx(truly.std(), rel=0.1)
     first = slice(0, 5)
-    np.testing.assert_array_equal(_noise_of_checks(rows[first], one[first], other[first]), told[first])
+    np.testing.assert_array_equal(noise_of_checks(rows[first], one[first], other[first]), told[first])
 
 
 def test_noise_of_fits_is_found_from_pairs() -> None:
