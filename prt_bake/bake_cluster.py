@@ -99,7 +99,8 @@ class Cluster:
                 try:
                     done: Result = task.result(timeout=ASKED_EVERY)
                     return done
-                except NotYet:
+                # The other is what `distributed` makes of a question that was cancelled while it ran out of time.
+                except (NotYet, UnboundLocalError):
                     if task.status == "error":
                         raise
                     _any = self.workers
