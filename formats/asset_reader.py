@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from formats.asset_layout import layout_faults, transfer_group
 from formats.asset_record import Asset
+from formats.chunk_reader import read_chunks, unpacks
 from formats.compact_file import read_compact
 from formats.compact_layout import GROUP, value_faults
 from formats.errors import AssetError
@@ -134,13 +135,13 @@ def _coefficient_faults(file: Any) -> Iterator[str]:
     transfer = file["transfer"]
     valid = transfer["valid"][...].astype(bool)
     for rows, block in _blocks(transfer):
-        yield from _unfit_block(rows, block, valid)
+        yield from _unfit(valid[rows] & ~np.isfinite(block).all(axis=(1, 2, 3)), rows.start)
 
 
-def _unfit_block(rows: slice, block: NDArray[np.floating], valid: NDArray[np.bool_]) -> Iterator[str]:
-    wrong = valid[rows] & ~np.isfinite(block).all(axis=(1, 2, 3))
+def _unfit(wrong: NDArray[np.bool_], first_row: int = 0) -> Iterator[str]:
+    """The fault of vertices [n], the first of which is `first_row`, that are wrong."""
     if wrong.any():
-        first = rows.start + int(wrong.argmax())
+        first = first_row + int(wrong.argmax())
         yield f"/transfer/coefficients: {wrong.sum()} vertices have NaN or infinite values, the first is vertex {first}"
 
 
@@ -193,10 +194,20 @@ def _mesh(group: Any) -> Mesh:
 
 
 def _loaded(path: str, transfer: Any, valid: NDArray[np.bool_]) -> NDArray[np.floating]:
-    kind = np.float16 if transfer["coefficients"].dtype.itemsize == 2 else np.float32
-    coefficients = np.zeros(transfer["coefficients"].shape, kind)
-    for rows, block in _blocks(transfer):
-        for fault in _unfit_block(rows, block, valid):
-            raise AssetError(f"{path}: {fault}")
-        coefficients[rows] = block
+    dataset = transfer["coefficients"]
+    kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
+    coefficients = np.zeros(dataset.shape, kind)
+    finite = np.ones(len(valid), np.bool_)
+
+    def look(rows: slice) -> None:
+        finite[rows] = np.isfinite(coefficients[rows]).all(axis=(1, 2, 3))
+
+    if unpacks(dataset):
+        read_chunks(dataset, coefficients, look)
+    else:
+        for rows, block in _blocks(transfer):
+            coefficients[rows] = block
+            look(rows)
+    for fault in _unfit(valid & ~finite):
+        raise AssetError(f"{path}: {fault}")
     return coefficients

@@ -1,0 +1,68 @@
+"""Rows of a chunked HDF5 dataset, unpacked on several threads: what `formats.chunk_writer` packs, read back.
+
+HDF5 itself unpacks one chunk after the other, and that is the most of what opening an asset takes.
+"""
+
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_GZIP_AND_SHUFFLE = (1, 2)
+"""The numbers of HDF5's filters."""
+
+
+def unpacks(dataset: Any) -> bool:
+    """Whether it is split along its first axis alone, and packed with shuffle and gzip and nothing else."""
+    if dataset.chunks is None or dataset.chunks[1:] != dataset.shape[1:] or not dataset.dtype.isnative:
+        return False
+    filters = dataset.id.get_create_plist()
+    numbers = [filters.get_filter(place)[0] for place in range(filters.get_nfilters())]
+    return sorted(numbers) == list(_GZIP_AND_SHUFFLE)
+
+
+def read_chunks(dataset: Any, rows: NDArray[np.floating], look: Callable[[slice], None]) -> None:
+    """Fill `rows`, an array of zeros of the dataset's shape and type, and `look` at each part once it is there.
+
+    Chunks that were never written stay 0. `look` is called on several threads. Raises OSError for a chunk that is
+    damaged.
+    """
+    threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+    def fill(chunk: tuple[int, bytes]) -> None:
+        first, packed = chunk
+        part = slice(first, min(first + dataset_rows, len(rows)))
+        rows[part] = _unpacked(packed, shape, rows.dtype)[: part.stop - part.start]
+        look(part)
+
+    dataset_rows, shape = dataset.chunks[0], dataset.chunks
+    with ThreadPoolExecutor(threads) as executor:
+        chunks = _written(dataset)
+        # Few at a time: what is packed need not be in memory as a whole.
+        while some := list(islice(chunks, 4 * threads)):
+            list(executor.map(fill, some))
+
+
+def _written(dataset: Any) -> Iterator[tuple[int, bytes]]:
+    """The first row of each chunk that was written, and its bytes."""
+    for number in range(dataset.id.get_num_chunks()):
+        corner = dataset.id.get_chunk_info(number).chunk_offset
+        left_out, packed = dataset.id.read_direct_chunk(corner)
+        if left_out:
+            raise OSError(f"the chunk at row {corner[0]} lacks filters that the dataset has")
+        yield corner[0], packed
+
+
+def _unpacked(packed: bytes, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
+    try:
+        by_byte = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(kind.itemsize, -1)
+        values = np.empty(shape, kind)
+        values.reshape(-1).view(np.uint8).reshape(-1, kind.itemsize)[...] = by_byte.T
+    except (zlib.error, ValueError) as cause:
+        raise OSError(f"a chunk cannot be unpacked: {cause}") from cause
+    return values
