@@ -1,0 +1,101 @@
+"""The lights of a preview: each is read from what the command line names, and again when its file has changed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import PrtbakeError
+from formats.lights import SkyLight, read_lights
+from prt_bake import environment
+from prt_bake.light_harmonics import project_lighting
+from prt_bake.lighting import Lighting, read_lighting
+from prt_bake.preview.mirrored import shrunk
+
+_MOST_ROWS = 2048
+_ROWS_OF_DISCS = 512
+"""Rows of the picture behind the object where it is made of several lights."""
+
+Stamp = tuple[tuple[str, int, int], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ShownLight:
+    """A light, its coefficients [K,3], and a lat-long picture of all of it that has a size; None where nothing has."""
+
+    lighting: Lighting
+    harmonics: NDArray[np.float64]
+    picture: NDArray[np.float32] | None
+
+
+class LightSource:
+    """A sky, a lights file or a sun, as the command line names it: one light of a preview.
+
+    Attributes:
+        name: what it is called in the window.
+        shown: as it was read last; a file that cannot be read leaves it as it was.
+    """
+
+    def __init__(self, text: str, up: str, degree: int, mend: bool = False) -> None:
+        """Read it; raises as `prt_bake.lighting.read_lighting`."""
+        self._text, self._up, self._degree, self._mend = text, up, degree, mend
+        self.name = text if text.startswith("sun:") else Path(text).name
+        self._stamp = self._stamped()
+        self.shown = self._read()
+
+    def reread(self) -> str | None:
+        """Read it again if a file of it has changed; what to say about it, or None where nothing has changed."""
+        stamp = self._stamped()
+        if stamp == self._stamp:
+            return None
+        # Noted before reading: a file that is written meanwhile is read once more.
+        self._stamp = stamp
+        try:
+            self.shown = self._read()
+        except PrtbakeError as fault:
+            return f"{fault} (still showing what {self.name} was before)"
+        return f"{self.name} has changed and was read again"
+
+    def _read(self) -> ShownLight:
+        lighting = read_lighting([self._text], self._up, mend=self._mend, say=lambda sentence: None)
+        return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
+
+    def _stamped(self) -> Stamp:
+        return tuple(_stamp(path) for path in self._files())
+
+    def _files(self) -> Iterator[Path]:
+        if self._text.startswith("sun:"):
+            return
+        yield Path(self._text)
+        if self._text.lower().endswith(".toml"):
+            try:
+                lights = read_lights(self._text)
+            except PrtbakeError:
+                return  # told when it is read
+            yield from (one.path for one in lights if isinstance(one, SkyLight))
+
+
+def _stamp(path: Path) -> tuple[str, int, int]:
+    try:
+        found = path.stat()
+    except OSError:
+        return str(path), 0, -1
+    return str(path), found.st_mtime_ns, found.st_size
+
+
+def _picture(lighting: Lighting, up: str) -> NDArray[np.float32] | None:
+    skies = lighting.skies
+    discs = any(sun.angular_diameter > 0.0 for sun in lighting.suns)
+    if not skies and not discs:
+        return None
+    if len(skies) == 1 and not discs and np.array_equal(skies[0].turn, np.eye(3)):
+        image = skies[0].image
+        return image if len(image) <= _MOST_ROWS else shrunk(image, _MOST_ROWS).astype(np.float32)
+    rows = min(max([_ROWS_OF_DISCS, *(len(sky.image) for sky in skies)]), _MOST_ROWS)
+    u, v = (np.arange(2 * rows) + 0.5) / (2 * rows), (np.arange(rows) + 0.5) / rows
+    picture = np.empty((rows, 2 * rows, 3), np.float32)
+    for row in range(rows):
+        picture[row] = lighting.radiance(environment.direction_of(u, v[row], up))
+    return picture

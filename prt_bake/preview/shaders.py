@@ -1,0 +1,57 @@
+"""What the graphics card runs: pictures are linear until the last line, which is that of `formats.png`."""
+
+ENCODE = """
+vec3 encoded(vec3 linear) {
+  vec3 value = clamp(linear * gain, 0.0, 1.0);
+  return mix(12.92 * value, 1.055 * pow(max(value, vec3(1e-9)), vec3(1.0 / 2.4)) - 0.055, step(0.0031308, value));
+}
+"""
+"""Uniform: gain, 2 to the power of the exposure."""
+
+LOOK_UP = """
+vec3 fromSky(vec3 direction) {
+  vec3 polar = toSky * direction;
+  float u = atan(polar.y, polar.x) / 6.283185307179586 + 0.5;
+  float v = atan(length(polar.xy), polar.z) / 3.141592653589793;
+  return texture(actortexture, vec2(u, clamp(v, halfRow, 1.0 - halfRow))).rgb;
+}
+"""
+"""As `prt_bake.environment.lookup`. Uniforms: toSky, and halfRow, half of a row of the picture."""
+
+FULL_SCREEN = "gl_Position = vec4(vertexMC.xy, 1.0, 1.0);\n"
+
+SKY = """
+vec2 place = 2.0 * tcoordVCVSOutput - 1.0;
+gl_FragData[0] = vec4(encoded(fromSky(forward + place.x * across + place.y * above)), 1.0);
+"""
+"""Uniforms: forward, across and above, so that their sum is a direction through the window's corner."""
+
+PICTURE = """
+vec2 inside = (2.0 * tcoordVCVSOutput - 1.0) / extent;
+if (max(abs(inside.x), abs(inside.y)) > 1.0) discard;
+gl_FragData[0] = vec4(encoded(texture(actortexture, 0.5 + 0.5 * inside * vec2(1.0, -1.0)).rgb), 1.0);
+"""
+"""Uniform: extent, the share of the window that the picture takes, in width and height."""
+
+OBJECT_VERTEX_NAMES = "in vec4 shownMC;\nin vec3 bentMC;\nout vec4 shown;\nout vec3 bent;\nout vec3 placeMC;\n"
+OBJECT_VERTEX = "shown = shownMC;\nbent = bentMC;\nplaceMC = vertexMC.xyz;\n"
+OBJECT_NAMES = "in vec4 shown;\nin vec3 bent;\nin vec3 placeMC;\n"
+
+REFLECTANCE = """
+float reflectance(float cosine) {
+  float inner = sqrt(max(1.0 - (1.0 - cosine * cosine) / (eta * eta), 0.0));
+  float parallel = (eta * cosine - inner) / (eta * cosine + inner);
+  float crossed = (cosine - eta * inner) / (cosine + eta * inner);
+  return 0.5 * (parallel * parallel + crossed * crossed);
+}
+"""
+"""Fresnel, unpolarised. Uniform: eta."""
+
+OBJECT = "vec3 light = shown.a > 0.0 ? shown.rgb / shown.a : vec3(0.0);\n"
+OBJECT_MIRRORS = """
+vec3 towards = normalize(eyeMC - placeMC);
+vec3 normal = normalize(bent);
+light += reflectance(clamp(dot(towards, normal), 0.001, 1.0)) * fromSky(reflect(-towards, normal));
+"""
+"""Uniform: eyeMC, where the eye is."""
+OBJECT_SHOWN = "gl_FragData[0] = vec4(encoded(light), 1.0);\n"

@@ -1,0 +1,273 @@
+"""What a preview shows, without a window: colours at the vertices for a mode, a light, its rotation and an eye."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from prt_bake import environment, sh
+from prt_bake.frames import Frames
+from prt_bake.preview import colours
+from prt_bake.preview.lights import LightSource, ShownLight
+from prt_bake.preview.mirrored import mirrored_sky
+from prt_bake.shading import radiance_error
+
+MOST_EXPOSURE = 10.0
+_SAME_INDEX = 1e-9
+_MOST_OF_SCALE = 0.98
+"""Quantile of what is shown in false colours that their scale ends at."""
+
+
+class Mode(Enum):
+    """What is shown of the object."""
+
+    RADIANCE = "radiance"
+    ERROR = "error"
+    VALID = "valid vertices"
+    COEFFICIENT = "coefficient"
+
+
+class Scale(NamedTuple):
+    """What false colours mean: the values of the first and of the last, and of what."""
+
+    low: float
+    high: float
+    words: str
+
+
+@dataclass(frozen=True, eq=False)
+class Gloss:
+    """The surface's reflection: relative index `eta`, roughness `alpha`."""
+
+    eta: float
+    alpha: float
+
+
+class Preview:
+    """An asset, the lights it may be seen under, and what is chosen to be shown.
+
+    Attributes:
+        asset: up is the axis in use.
+        lights: those to go through; may be empty for an asset made for one light.
+        which: the one that shines.
+        rotation: of the light, degrees, counter-clockwise seen from above, within ±180.
+        exposure: EV.
+        mode: what is shown of the object.
+        gloss: what the surface reflects by, None where the index is 1: there is nothing to reflect.
+        reflecting: whether that is shown.
+        background: whether the sky is shown behind the object.
+        harmonic: index l(l+1)+m of the coefficient that is shown.
+        message: what there is to say, "" where nothing is.
+        changes: rises with every change but those of the eye.
+    """
+
+    def __init__(
+        self,
+        asset: Asset,
+        lights: Sequence[LightSource],
+        *,
+        up: str | None = None,
+        rotation: float = 0.0,
+        exposure: float = 0.0,
+    ) -> None:
+        """Raises QueryError where there is nothing to show: no vertex was baked, or no light for an asset to relight."""
+        if not asset.valid.any():
+            raise QueryError("asset: no vertex was baked, there is nothing to show; finish the bake with --resume")
+        self.asset = dataclasses.replace(asset, up=up or asset.up)
+        self.lights = list(lights)
+        if not self.lights and self.relightable:
+            raise QueryError("light: there is none; give at least one")
+        self.which = 0
+        self.rotation = self.exposure = 0.0
+        self.mode = Mode.RADIANCE
+        self.gloss = _gloss(asset)
+        self.reflecting, self.background, self.harmonic = False, True, 0
+        self.message = ""
+        self.changes = 0
+        self._frames = Frames(self.asset)
+        self._shown = np.zeros((len(asset.valid), 4), np.float32)
+        self._top: float | None = None
+        self._mirrored: tuple[ShownLight, NDArray[np.float32]] | None = None
+        self._relight()
+        self.turn_to(rotation)
+        self.expose(exposure)
+
+    @property
+    def relightable(self) -> bool:
+        """False for an asset made for one light: no other light and no rotation is of any meaning to it."""
+        return self.asset.quantity == "transfer"
+
+    @property
+    def light(self) -> ShownLight | None:
+        """The light that shines."""
+        return self.lights[self.which].shown if self.lights else None
+
+    @property
+    def sky(self) -> NDArray[np.float32] | None:
+        """The lat-long picture behind the object, None where there is none to be shown."""
+        if self.light is None or not self.background or self.mode is not Mode.RADIANCE:
+            return None
+        return self.light.picture
+
+    @property
+    def mirrored(self) -> NDArray[np.float32] | None:
+        """The lat-long picture that the surface mirrors, None where it mirrors nothing now."""
+        light = self.light
+        if self.gloss is None or not self.reflecting or self.mode is not Mode.RADIANCE:
+            return None
+        if light is None or light.picture is None:
+            return None
+        if self._mirrored is None or self._mirrored[0] is not light:
+            self._mirrored = light, mirrored_sky(light.picture, self.gloss.alpha)
+        return self._mirrored[1]
+
+    @property
+    def to_sky(self) -> NDArray[np.float64]:
+        """Matrix [3,3] from object space to the frame of the lat-long pictures, whose +z is row 0."""
+        return environment.FROM_POLAR[self.asset.up].T @ environment.rotation(self.rotation, self.asset.up).T
+
+    @property
+    def scale(self) -> Scale | None:
+        """Of the false colours that were drawn last, None where colours are light."""
+        if self.mode is Mode.ERROR:
+            return Scale(0.0, self._top or 0.0, "standard error, share of the object's radiance")
+        if self.mode is Mode.COEFFICIENT:
+            top = self._top or 0.0
+            l, m = self.degree_and_order
+            return Scale(-top, top, f"a({l}, {m})")
+        return None
+
+    @property
+    def degree_and_order(self) -> tuple[int, int]:
+        """(l, m) of the coefficient that is shown."""
+        l = math.isqrt(self.harmonic)
+        return l, self.harmonic - l * (l + 1)
+
+    @property
+    def shown_exposure(self) -> float:
+        """EV to show the colours with: false ones are shown as they are."""
+        return self.exposure if self.mode is Mode.RADIANCE else 0.0
+
+    def step_light(self, step: int = 1) -> None:
+        """The next light, or the one before."""
+        self.which = (self.which + step) % len(self.lights)
+        self._relight()
+
+    def turn_to(self, degrees: float) -> None:
+        """Turn the light to a rotation; whole turns are taken off."""
+        self.rotation = math.remainder(degrees, 360.0)
+        self._frames.turn(self.rotation)
+        self._changed()
+
+    def expose(self, exposure: float) -> None:
+        """Set the exposure, as far as it goes."""
+        self.exposure = min(max(exposure, -MOST_EXPOSURE), MOST_EXPOSURE)
+        self.changes += 1
+
+    def show(self, mode: Mode) -> None:
+        """Show this of the object; radiance again where it is shown already."""
+        self.mode = Mode.RADIANCE if mode is self.mode else mode
+        self._relight()
+
+    def step_harmonic(self, step: int) -> None:
+        """Show the next coefficient, or the one before."""
+        self.harmonic = (self.harmonic + step) % self._harmonics
+        self.mode = Mode.COEFFICIENT
+        self._relight()
+
+    def flip_reflection(self) -> None:
+        """With the surface's reflection, or without; says why where there is none."""
+        if self.gloss is None:
+            self.message = "no reflection: the object's index of refraction is 1"
+        else:
+            self.reflecting = not self.reflecting
+        self.changes += 1
+
+    def flip_background(self) -> None:
+        """With the sky behind the object, or without."""
+        self.background = not self.background
+        self.changes += 1
+
+    def reread_lights(self) -> bool:
+        """Read again what has changed on disk; whether anything had, which `message` then tells."""
+        said = [words for source in self.lights if (words := source.reread()) is not None]
+        if said:
+            self.message = said[-1]
+            self._relight()
+        return bool(said)
+
+    def colours(self, eye: ArrayLike) -> NDArray[np.float32]:
+        """Linear colours times a share, and the share, [V,4], for an eye in object space; a buffer that the next call
+        writes over. The share is 1 where a vertex has something to show, else 0: between vertices the colour is the
+        first three over the last.
+
+        Raises QueryError for an eye from which nothing can be shown, such as one inside the object.
+        """
+        shown, valid = self._shown, self.asset.valid
+        if self.mode is Mode.VALID:
+            shown[:, :3] = colours.as_light(np.where(valid[:, None], colours.VALID, colours.NOT_VALID))
+            shown[:, 3] = 1.0
+            return shown
+        shown[:, 3] = valid
+        if self.mode is Mode.RADIANCE:
+            shown[:, :3] = self._frames.draw(eye)
+            return shown
+        values = self._error(eye) if self.mode is Mode.ERROR else self._coefficient(eye)
+        if self._top is None:  # a scale that stays while the eye moves
+            self._top = float(np.quantile(np.abs(values[valid]), _MOST_OF_SCALE)) or 1.0
+        ramp = colours.from_zero if self.mode is Mode.ERROR else colours.about_zero
+        shown[:, :3] = colours.as_light(ramp(values / self._top)) * valid[:, None]
+        return shown
+
+    def _error(self, eye: ArrayLike) -> NDArray[np.float64]:
+        """One sigma over the rms radiance of all vertices [V]."""
+        radiance = self._frames.draw(eye).astype(np.float64)
+        signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))
+        sigma = radiance_error(self.asset, self._turned(), eye)
+        return np.asarray(np.sqrt((sigma**2).mean(axis=1)) / (signal or 1.0))
+
+    def _coefficient(self, eye: ArrayLike) -> NDArray[np.float64]:
+        """Its mean over channels [V], as seen from the eye."""
+        # What is drawn has no sign: the coefficient is what a light of this harmonic alone gives, less its opposite.
+        one = np.zeros((self._harmonics, 3))
+        one[self.harmonic] = 1.0
+        if not self.relightable:
+            return self._frames.draw(eye).mean(axis=1).astype(np.float64)
+        self._frames.light(one)
+        above = self._frames.draw(eye).mean(axis=1).astype(np.float64)
+        self._frames.light(-one)
+        return np.asarray(above - self._frames.draw(eye).mean(axis=1))
+
+    @property
+    def _harmonics(self) -> int:
+        return sh.count(self.asset.degree) if self.relightable else 1
+
+    def _turned(self) -> NDArray[np.float64] | None:
+        if self.light is None or not self.relightable:
+            return None
+        return environment.rotate_light(self.light.harmonics, self.rotation, self.asset.up)
+
+    def _relight(self) -> None:
+        light = self.light
+        self._frames.light(light.harmonics if light is not None and self.relightable else None)
+        if self.mode is not Mode.COEFFICIENT:
+            self._frames.turn(self.rotation)
+        self._changed()
+
+    def _changed(self) -> None:
+        self._top = None
+        self.changes += 1
+
+
+def _gloss(asset: Asset) -> Gloss | None:
+    if abs(asset.eta - 1.0) < _SAME_INDEX:
+        return None
+    said = asset.provenance
+    return Gloss(asset.eta, float(said.get("roughness", said.get("model", {}).get("roughness", 0.0))))

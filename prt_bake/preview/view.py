@@ -1,0 +1,153 @@
+"""What is in the window: the object under its light, drawn anew for the eye whenever VTK draws."""
+
+from typing import Any
+
+import numpy as np
+import pyvista
+from numpy.typing import NDArray
+
+from formats.errors import QueryError
+from prt_bake import camera
+from prt_bake.preview.actors import Object, Reference, Sky
+from prt_bake.preview.state import Preview
+
+_PLAIN = (0.13, 0.13, 0.14)
+"""Behind an object without a sky, sRGB."""
+_SAMPLES = 4
+
+
+class View:
+    """A preview drawn by a PyVista plotter.
+
+    Attributes:
+        plotter: the window, or a picture in memory.
+        showing_reference: whether the picture to compare with is shown.
+    """
+
+    def __init__(
+        self,
+        preview: Preview,
+        plotter: pyvista.Plotter,
+        start: camera.Camera,
+        reference: NDArray[np.float32] | None = None,
+    ) -> None:
+        """start: the camera to begin with; its size is that of the plotter."""
+        self.preview, self.plotter = preview, plotter
+        self._start = start
+        self._object, self._sky = Object(preview.asset.mesh, preview.gloss), Sky()
+        self._reference = None if reference is None else Reference(reference)
+        self.showing_reference = False
+        self._drawn: tuple[Any, ...] = ()
+        self._changes = -1
+        self._pictures: dict[str, NDArray[np.float32] | None] = {}
+        renderer = plotter.renderer
+        renderer.RemoveCuller(renderer.GetCullers().GetLastItem())
+        renderer.SetBackground(*_PLAIN)
+        # The object first: what it hides of the sky is then never looked up.
+        for part in (self._object, self._sky, self._reference):
+            if part is not None:
+                renderer.AddActor(part.actor)
+        self.reset_camera()
+        plotter.renderer.camera_set = True  # else PyVista looks for one of its own
+        plotter.render_window.AddObserver("StartEvent", lambda *_: self.prepare())
+
+    @property
+    def eye(self) -> NDArray[np.float64]:
+        """Where the camera is, in object space."""
+        return self._object.center + self._object.radius * np.array(self._camera.GetPosition())
+
+    @property
+    def at_start(self) -> bool:
+        """Whether the camera is where it began."""
+        return bool(np.allclose(self._camera.GetPosition(), self._place(self._start.eye), rtol=1e-6))
+
+    @property
+    def _camera(self) -> Any:
+        return self.plotter.renderer.GetActiveCamera()
+
+    def reset_camera(self) -> None:
+        """See the object as at the beginning."""
+        camera = self._camera
+        camera.SetPosition(*self._place(self._start.eye))
+        camera.SetFocalPoint(*self._place(self._start.target))
+        camera.SetViewUp(*self._start.up)
+        camera.SetViewAngle(self._start.fov)
+
+    def flip(self) -> None:
+        """Show the picture to compare with, or the object again."""
+        self.showing_reference = self._reference is not None and not self.showing_reference
+
+    def prepare(self) -> None:
+        """Bring all that is drawn up to date with the camera and the preview; nothing where neither has changed."""
+        preview = self.preview
+        size = tuple(self.plotter.render_window.GetSize())
+        now = (preview.changes, size, self.showing_reference, *self._camera.GetPosition(), *self._camera.GetFocalPoint())
+        now = (*now, *self._camera.GetViewUp())
+        if now == self._drawn:
+            return
+        self._drawn = now
+        self._show_parts(size)
+        if self.showing_reference:
+            return
+        self._colour()
+        self._look(size)
+
+    def shade(self) -> NDArray[np.float32] | None:
+        """The colours for the eye as it is; None where there are none, which the preview's message then says."""
+        try:
+            return self.preview.colours(self.eye)
+        except QueryError as fault:
+            self.preview.message = str(fault)
+            return None
+
+    def upload(self, colours: NDArray[np.float32]) -> None:
+        """Hand them to VTK."""
+        self._object.colour(colours)
+
+    def _colour(self) -> None:
+        colours = self.shade()
+        if colours is not None:
+            self.upload(colours)
+        self.plotter.renderer.ResetCameraClippingRange()
+
+    def _show_parts(self, size: tuple[int, ...]) -> None:
+        preview, reference = self.preview, self._reference
+        sky = preview.sky
+        self._object.actor.SetVisibility(not self.showing_reference)
+        self._sky.actor.SetVisibility(sky is not None and not self.showing_reference)
+        self._object.expose(preview.shown_exposure)
+        self._sky.expose(preview.exposure)
+        if sky is not None and self._new("sky", sky):
+            self._sky.look_up(sky)
+        if preview.gloss is not None:
+            mirrored = preview.mirrored
+            if self._new("mirrored", mirrored):
+                self._object.mirror(mirrored)
+        if reference is not None:
+            reference.actor.SetVisibility(self.showing_reference)
+            reference.expose(preview.exposure)
+            reference.fit(size[0], size[1])
+
+    def _look(self, size: tuple[int, ...]) -> None:
+        camera, to_sky = self._camera, self.preview.to_sky
+        matrix = camera.GetViewTransformMatrix()
+        view = np.array([[matrix.GetElement(row, column) for column in range(3)] for row in range(3)])
+        self._sky.look_from(view, camera.GetViewAngle(), size[0] / size[1], to_sky)
+        if self.preview.gloss is not None:
+            self._object.look_from(np.array(camera.GetPosition()), to_sky)
+
+    def _new(self, name: str, picture: NDArray[np.float32] | None) -> bool:
+        """Whether this is another picture than the one handed over before."""
+        known = name in self._pictures and self._pictures[name] is picture
+        self._pictures[name] = picture
+        return not known
+
+    def _place(self, point: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray((point - self._object.center) / self._object.radius)
+
+
+def make_plotter(width: int, height: int, off_screen: bool) -> pyvista.Plotter:
+    """An empty plotter: no light of VTK's, no tone mapping, edges smoothed."""
+    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(width, height), lighting="none", title="prtbake")
+    plotter.enable_anti_aliasing("msaa", multi_samples=_SAMPLES)
+    return plotter
