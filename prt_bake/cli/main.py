@@ -22,6 +22,7 @@ from prt_bake.cli.report import report
 from prt_bake.cli.sample import sample
 from prt_bake.cli.shade import shade
 from prt_bake.cli.train import train
+from prt_bake.cli.view import view
 
 # Help in plain text: the styled one loads rich, which takes longer than everything else.
 app = typer.Typer(
@@ -41,6 +42,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "compress": compress,
     "light": light,
     "shade": shade,
+    "view": view,
     "render": render,
     "compare": compare,
     "info": describe,

@@ -33,7 +33,7 @@ class Point(NamedTuple):
     z: float
 
 
-def _read_size(text: str | Size) -> Size:
+def read_size(text: str | Size) -> Size:
     if isinstance(text, Size):  # the default passes through here too
         return text
     try:
@@ -108,7 +108,7 @@ Rotate = Annotated[
 ]
 PictureSize = Annotated[
     Size,
-    typer.Option("--size", parser=_read_size, metavar="WxH", help="Pixels of the picture."),
+    typer.Option("--size", parser=read_size, metavar="WxH", help="Pixels of the picture."),
 ]
 Eye = Annotated[
     Point | None,

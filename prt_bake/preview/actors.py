@@ -130,15 +130,9 @@ class Object(Actor):
         self.mapper.MapDataArrayToVertexAttribute("shownMC", "shown", points, -1)
         self.mapper.MapDataArrayToVertexAttribute("bentMC", "bent", points, -1)
         self._replace_vertex(shaders.OBJECT_VERTEX_NAMES, shaders.OBJECT_VERTEX)
-        names, code = shaders.OBJECT_NAMES + shaders.ENCODE, shaders.OBJECT + shaders.OBJECT_SHOWN
-        if gloss is not None:
-            names += shaders.LOOK_UP + shaders.REFLECTANCE
-            code = shaders.OBJECT + f"if (mirrors > 0.5) {{{shaders.OBJECT_MIRRORS}}}\n" + shaders.OBJECT_SHOWN
-            self._uniforms.SetUniformf("eta", gloss.eta)
-            self.mirror(None)
-            self.look_up(np.zeros((1, 1, 3), np.float32))
-            self.look_from(np.zeros(3), np.eye(3))
-        self._replace_fragment(names, code)
+        self._uniforms.SetUniformf("eta", 1.0 if gloss is None else gloss.eta)
+        self._mirrors = False
+        self._write()
 
     def colour(self, shown: NDArray[np.float32]) -> None:
         """Give the vertices colours times shares, and shares [V,4]."""
@@ -147,14 +141,25 @@ class Object(Actor):
 
     def mirror(self, picture: NDArray[np.float32] | None) -> None:
         """Reflect this sky at the surface, or none."""
-        self._uniforms.SetUniformf("mirrors", float(picture is not None))
         if picture is not None:
             self.look_up(picture)
+        if self._mirrors is not (picture is not None):
+            self._mirrors = picture is not None
+            self._write()
 
     def look_from(self, eye: NDArray[np.float64], to_sky: NDArray[np.float64]) -> None:
         """Reflect the sky, turned by `to_sky` [3,3], to this eye, in units of the object."""
         self._set_vector("eyeMC", eye)
         self._turn_sky(to_sky)
+
+    def _write(self) -> None:
+        """Another program with reflection than without: what is not wanted is not worked out for each pixel."""
+        self._shader.ClearAllFragmentShaderReplacements()
+        names = shaders.OBJECT_NAMES + shaders.ENCODE
+        if self._mirrors:
+            names += shaders.LOOK_UP + shaders.REFLECTANCE
+        mirrors = shaders.OBJECT_MIRRORS if self._mirrors else ""
+        self._replace_fragment(names, shaders.OBJECT + mirrors + shaders.OBJECT_SHOWN)
 
 
 def _triangles(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> vtkPolyData:

@@ -5,6 +5,8 @@ from typing import Any
 import numpy as np
 import pyvista
 from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from formats.errors import QueryError
 from prt_bake import camera
@@ -47,6 +49,7 @@ class View:
         for part in (self._object, self._sky, self._reference):
             if part is not None:
                 renderer.AddActor(part.actor)
+        self.smooth(True)
         self.reset_camera()
         plotter.renderer.camera_set = True  # else PyVista looks for one of its own
         plotter.render_window.AddObserver("StartEvent", lambda *_: self.prepare())
@@ -76,6 +79,29 @@ class View:
     def flip(self) -> None:
         """Show the picture to compare with, or the object again."""
         self.showing_reference = self._reference is not None and not self.showing_reference
+
+    def smooth(self, edges: bool) -> None:
+        """Draw smooth edges from now on, which takes several times as long."""
+        self.plotter.render_window.SetMultiSamples(_SAMPLES if edges else 0)
+
+    @property
+    def smooth_edges(self) -> bool:
+        """Whether edges are drawn smooth."""
+        return bool(self.plotter.render_window.GetMultiSamples())
+
+    def picture(self) -> NDArray[np.uint8]:
+        """What the window shows, sRGB [H,W,3], row 0 on top."""
+        window = self.plotter.render_window
+        window.Render()
+        grab = vtkWindowToImageFilter()
+        grab.SetInput(window)
+        grab.ReadFrontBufferOff()
+        grab.ShouldRerenderOff()
+        grab.Update()
+        image = grab.GetOutput()
+        width, height, _ = image.GetDimensions()
+        pixels = vtk_to_numpy(image.GetPointData().GetScalars()).reshape(height, width, -1)
+        return np.array(pixels[::-1, :, :3], np.uint8)
 
     def prepare(self) -> None:
         """Bring all that is drawn up to date with the camera and the preview; nothing where neither has changed."""
@@ -119,10 +145,9 @@ class View:
         self._sky.expose(preview.exposure)
         if sky is not None and self._new("sky", sky):
             self._sky.look_up(sky)
-        if preview.gloss is not None:
-            mirrored = preview.mirrored
-            if self._new("mirrored", mirrored):
-                self._object.mirror(mirrored)
+        mirrored = preview.mirrored
+        if self._new("mirrored", mirrored):
+            self._object.mirror(mirrored)
         if reference is not None:
             reference.actor.SetVisibility(self.showing_reference)
             reference.expose(preview.exposure)
@@ -133,7 +158,7 @@ class View:
         matrix = camera.GetViewTransformMatrix()
         view = np.array([[matrix.GetElement(row, column) for column in range(3)] for row in range(3)])
         self._sky.look_from(view, camera.GetViewAngle(), size[0] / size[1], to_sky)
-        if self.preview.gloss is not None:
+        if self.preview.mirrored is not None:
             self._object.look_from(np.array(camera.GetPosition()), to_sky)
 
     def _new(self, name: str, picture: NDArray[np.float32] | None) -> bool:
@@ -147,7 +172,5 @@ class View:
 
 
 def make_plotter(width: int, height: int, off_screen: bool) -> pyvista.Plotter:
-    """An empty plotter: no light of VTK's, no tone mapping, edges smoothed."""
-    plotter = pyvista.Plotter(off_screen=off_screen, window_size=(width, height), lighting="none", title="prtbake")
-    plotter.enable_anti_aliasing("msaa", multi_samples=_SAMPLES)
-    return plotter
+    """An empty plotter: no light of VTK's, no tone mapping."""
+    return pyvista.Plotter(off_screen=off_screen, window_size=(width, height), lighting="none", title="prtbake")

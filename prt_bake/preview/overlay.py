@@ -1,0 +1,123 @@
+"""What lies over the picture: the keys, what is shown, a message, the scale of false colours."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
+
+from prt_bake.preview import colours
+from prt_bake.preview.state import Scale
+
+_INK, _PAPER = (0.96, 0.96, 0.96), (0.05, 0.05, 0.06)
+SLIDERS = (0.56, 0.75), (0.78, 0.97)
+"""Left and right ends of the sliders, shares of the window."""
+_TEXT = 14
+_STEPS = 64
+_BAR = (0.3, 0.7, 0.915, 0.935)
+"""Left, right, lower and upper edge of the scale, shares of the window."""
+
+
+class Overlay:
+    """Texts over a renderer; empty ones are not drawn."""
+
+    def __init__(self, renderer: Any) -> None:
+        self.legend = _text(renderer, (0.015, 0.98), top=True, fixed_width=True)
+        self.status = _text(renderer, (0.015, 0.02))
+        self.message = _text(renderer, (0.5, 0.98), top=True, centred=True)
+        self.rotation, self.exposure = (_text(renderer, (left, 0.02)) for left, _ in SLIDERS)
+        left, right, low, high = _BAR
+        self._bar = _Bar(renderer)
+        self._low, self._high = (_text(renderer, (x, low - 0.01), top=True, centred=True) for x in (left, right))
+        self._of = _text(renderer, (0.5 * (left + right), high + 0.01), centred=True)
+        texts = (self.legend, self.status, self.message, self.rotation, self.exposure, self._low, self._high, self._of)
+        self._parts = (*texts, self._bar.actor)
+
+    def write(self, text: Any, words: str) -> None:
+        """Change one of the texts."""
+        text.SetInput(words)
+        text.SetVisibility(bool(words))
+
+    def show_scale(self, scale: Scale | None) -> None:
+        """Show what false colours mean, or nothing."""
+        self._bar.actor.SetVisibility(scale is not None)
+        form = "{:.2%}" if scale is not None and scale.low == 0.0 else "{:.2g}"
+        self.write(self._low, "" if scale is None else form.format(scale.low))
+        self.write(self._high, "" if scale is None else form.format(scale.high))
+        self.write(self._of, "" if scale is None else scale.words)
+        if scale is not None:
+            steps = np.linspace(scale.low, scale.high, _STEPS) / scale.high
+            self._bar.paint(colours.about_zero(steps) if scale.low < 0.0 else colours.from_zero(steps))
+
+    def hide(self) -> list[Any]:
+        """Take all of it off the picture; what `bring_back` is handed."""
+        shown = [part for part in self._parts if part.GetVisibility()]
+        for part in shown:
+            part.VisibilityOff()
+        return shown
+
+    def bring_back(self, shown: list[Any]) -> None:
+        """Draw again what `hide` took off."""
+        for part in shown:
+            part.VisibilityOn()
+
+
+def _text(
+    renderer: Any, place: tuple[float, float], top: bool = False, centred: bool = False, fixed_width: bool = False
+) -> Any:
+    text = vtkTextActor()
+    text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
+    text.SetPosition(*place)
+    _letter(text.GetTextProperty(), fixed_width)
+    if top:
+        text.GetTextProperty().SetVerticalJustificationToTop()
+    if centred:
+        text.GetTextProperty().SetJustificationToCentered()
+    text.VisibilityOff()
+    renderer.AddViewProp(text)
+    return text
+
+
+class _Bar:
+    """A row of colours."""
+
+    def __init__(self, renderer: Any) -> None:
+        left, right, low, high = _BAR
+        x, y = np.meshgrid(np.linspace(left, right, _STEPS), [low, high])
+        corners = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+        first = np.arange(_STEPS - 1)
+        quads = np.stack([first, first + 1, first + 1 + _STEPS, first + _STEPS], axis=1)
+        points, cells, self._strip = vtkPoints(), vtkCellArray(), vtkPolyData()
+        points.SetData(numpy_to_vtk(corners, deep=True))
+        for quad in quads.tolist():
+            cells.InsertNextCell(4, quad)
+        self._strip.SetPoints(points)
+        self._strip.SetPolys(cells)
+        mapper, place = vtkPolyDataMapper2D(), vtkCoordinate()
+        place.SetCoordinateSystemToNormalizedViewport()
+        mapper.SetTransformCoordinate(place)
+        mapper.SetInputData(self._strip)
+        self.actor = vtkActor2D()
+        self.actor.SetMapper(mapper)
+        self.actor.VisibilityOff()
+        renderer.AddViewProp(self.actor)
+
+    def paint(self, colours: NDArray[np.float64]) -> None:
+        """Give it these colours, sRGB [steps,3], from left to right."""
+        bytes_of = np.rint(255.0 * np.concatenate([colours, colours])).astype(np.uint8)
+        self._strip.GetPointData().SetScalars(numpy_to_vtk(bytes_of, deep=True))
+
+
+def _letter(style: Any, fixed_width: bool = False) -> None:
+    if fixed_width:
+        style.SetFontFamilyToCourier()
+    else:
+        style.SetFontFamilyToArial()
+    style.SetFontSize(_TEXT)
+    style.SetColor(*_INK)
+    style.SetBackgroundColor(*_PAPER)
+    style.SetBackgroundOpacity(0.7)
+    style.SetLineSpacing(1.15)

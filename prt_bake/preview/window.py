@@ -1,0 +1,216 @@
+"""The window: keys, sliders, and a timer that looks for skies that have changed."""
+
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvista
+from numpy.typing import NDArray
+
+from formats.image import write_image
+from formats.png import to_linear
+from prt_bake.preview import legend
+from prt_bake.preview.overlay import SLIDERS, Overlay
+from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview
+from prt_bake.preview.view import View, make_plotter
+
+TICK = 100
+"""Milliseconds between two looks at the files."""
+_TURN, _EXPOSE = 5.0, 0.5
+_SAID_FOR = 6.0
+"""Seconds that a message stays."""
+_STILL = 0.2
+"""Seconds after the last movement until edges are drawn smooth again."""
+
+
+class Window:
+    """A view with all that one drives it by; `run` hands it to the user.
+
+    Attributes:
+        view: what is drawn.
+        overlay: what is written over it.
+        rotation, exposure: the sliders; rotation is None for an asset made for one light.
+    """
+
+    def __init__(self, view: View, name: str, reference: str | None = None) -> None:
+        """name: of the asset. reference: the name of the picture to compare with."""
+        self.view, self._name, self._reference = view, name, reference
+        self._preview: Preview = view.preview
+        self.overlay = Overlay(view.plotter.renderer)
+        self._legend = False
+        self._moved = self._said = -math.inf
+        self._interactor: Any = view.plotter.iren
+        self._drive()
+        self.rotation = self._slider((-180.0, 180.0), 0, self._preview.turn_to)
+        self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.expose)
+        if not self._preview.relightable:
+            self.rotation.Off()
+        self.overlay.write(self.overlay.message, "")
+        self._tell()
+
+    def run(self) -> None:
+        """Show it until the user closes it."""
+        interactor = self._interactor.interactor
+        self._interactor.initialize()
+        self.render()
+        interactor.CreateRepeatingTimer(TICK)
+        interactor.Start()
+
+    def render(self) -> None:
+        """Bring words and sliders up to date, and draw."""
+        self._tell()
+        self.view.plotter.render_window.Render()
+        self._tell_after()
+
+    def tick(self) -> None:
+        """What the timer does: reads skies that have changed, takes off old messages, and smooths what stands still."""
+        now = time.monotonic()
+        changed = self._preview.reread_lights()
+        if not changed and self._preview.message and now - self._said > _SAID_FOR:
+            self._preview.message = ""
+            changed = True
+        if not self.view.smooth_edges and now - self._moved > _STILL:
+            self.view.smooth(True)
+            changed = True
+        if changed:
+            self.render()
+
+    def save(self, path: Path) -> None:
+        """Write the picture alone, without words and sliders, as PNG."""
+        shown, sliders = self.overlay.hide(), [each for each in (self.rotation, self.exposure) if each.GetEnabled()]
+        for slider in sliders:
+            slider.Off()
+        self.view.smooth(True)
+        write_picture(path, self.view.picture())
+        self.overlay.bring_back(shown)
+        for slider in sliders:
+            slider.On()
+
+    def _drive(self) -> None:
+        self._interactor.clear_key_event_callbacks()
+        self._interactor.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
+        style = self._interactor.interactor.GetInteractorStyle()
+        style.AddObserver("CharEvent", lambda *_: None)  # in place of VTK's own keys
+        style.AddObserver("StartInteractionEvent", lambda *_: self._move())
+        style.AddObserver("InteractionEvent", lambda *_: self._move())
+        self._interactor.interactor.AddObserver("TimerEvent", lambda *_: self.tick())
+        for names, action in self._actions():
+            for name in names.split():
+                self.view.plotter.add_key_event(name, self._doing(action))
+
+    def _actions(self) -> list[tuple[str, Callable[[], None]]]:
+        preview = self._preview
+        actions: list[tuple[str, Callable[[], None]]] = [
+            ("h question", self._flip_legend),
+            ("0 Home", self.view.reset_camera),
+            ("Up", lambda: preview.expose(preview.exposure + _EXPOSE)),
+            ("Down", lambda: preview.expose(preview.exposure - _EXPOSE)),
+            ("r", preview.flip_reflection),
+            ("b", preview.flip_background),
+            ("e", lambda: preview.show(Mode.ERROR)),
+            ("v", lambda: preview.show(Mode.VALID)),
+            ("c", lambda: preview.show(Mode.COEFFICIENT)),
+            ("period greater", lambda: preview.step_harmonic(1)),
+            ("comma less", lambda: preview.step_harmonic(-1)),
+            ("space", self.view.flip),
+            ("s", self._save_anew),
+            ("q Escape", self._quit),
+        ]
+        if preview.relightable:
+            actions.append(("Left", lambda: preview.turn_to(preview.rotation - _TURN)))
+            actions.append(("Right", lambda: preview.turn_to(preview.rotation + _TURN)))
+        if len(preview.lights) > 1:
+            actions.append(("n", preview.step_light))
+            actions.append(("N", lambda: preview.step_light(-1)))
+        return actions
+
+    def _doing(self, action: Callable[[], None]) -> Callable[[], None]:
+        def do() -> None:
+            self._preview.message = ""
+            action()
+            self.render()
+
+        return do
+
+    def _move(self) -> None:
+        """Draw fast while something moves."""
+        self._moved = time.monotonic()
+        if self.view.smooth_edges:
+            self.view.smooth(False)
+
+    def _slider(self, span: tuple[float, float], place: int, change: Callable[[float], None]) -> Any:
+        def slide(value: float) -> None:
+            if value != wanted():
+                self._move()
+                change(value)
+                self.render()
+
+        def wanted() -> float:
+            return self._preview.exposure if place else self._preview.rotation
+
+        left, right = SLIDERS[place]
+        slider = self.view.plotter.add_slider_widget(
+            slide,
+            span,
+            value=wanted(),
+            title="",
+            pointa=(left, 0.07),
+            pointb=(right, 0.07),
+            color="white",
+            interaction_event="always",
+            slider_width=0.02,
+            tube_width=0.003,
+        )
+        shape = slider.GetRepresentation()
+        shape.ShowSliderLabelOff()  # its format is another one from version to version of VTK
+        shape.SetSliderLength(0.01)
+        shape.SetEndCapLength(0.0)
+        return slider
+
+    def _tell(self) -> None:
+        preview, overlay = self._preview, self.overlay
+        reference = self._reference if self.view.showing_reference else None
+        overlay.write(overlay.status, legend.status(preview, self._name, reference))
+        overlay.write(overlay.legend, legend.legend(preview, self._reference) if self._legend else "h   keys")
+        self.rotation.GetRepresentation().SetValue(preview.rotation)
+        self.exposure.GetRepresentation().SetValue(preview.exposure)
+        overlay.write(overlay.rotation, f"light {preview.rotation:+.0f}°" if preview.relightable else "")
+        overlay.write(overlay.exposure, f"exposure {preview.exposure:+.1f} EV")
+
+    def _tell_after(self) -> None:
+        """What is known only once it is drawn; drawn again where it is news."""
+        message, scale = self._preview.message, None if self.view.showing_reference else self._preview.scale
+        if message != self.overlay.message.GetInput() or scale != self._scale:
+            self._said = time.monotonic()
+            self._scale = scale
+            self.overlay.write(self.overlay.message, message)
+            self.overlay.show_scale(scale)
+            self.view.plotter.render_window.Render()
+
+    _scale: Any = None
+
+    def _flip_legend(self) -> None:
+        self._legend = not self._legend
+
+    def _save_anew(self) -> None:
+        numbers = iter(range(1, 10**6))
+        stem = Path(self._name).stem
+        path = next(path for number in numbers if not (path := Path(f"{stem}_{number}.png")).exists())
+        self.save(path)
+        self._preview.message = f"saved as {path}"
+
+    def _quit(self) -> None:
+        self._interactor.interactor.TerminateApp()
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write what a window showed, sRGB [H,W,3]."""
+    write_image(path, to_linear(picture / 255.0))
+
+
+def has_display(plotter: pyvista.Plotter) -> bool:
+    """Whether the plotter's window can be seen: VTK makes one in memory where it finds no display."""
+    return not plotter.render_window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
