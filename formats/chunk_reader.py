@@ -3,7 +3,9 @@
 HDF5 itself unpacks one chunk after the other, and that is the most of what opening an asset takes.
 """
 
+import math
 import os
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +21,8 @@ _GZIP_AND_SHUFFLE = (1, 2)
 
 def unpacks(dataset: Any) -> bool:
     """Whether it is split along its first axis alone, and packed with shuffle and gzip and nothing else."""
-    if dataset.chunks is None or dataset.chunks[1:] != dataset.shape[1:] or not dataset.dtype.isnative:
+    native = dataset.dtype.isnative and sys.byteorder == "little"
+    if dataset.chunks is None or dataset.chunks[1:] != dataset.shape[1:] or not native:
         return False
     filters = dataset.id.get_create_plist()
     numbers = [filters.get_filter(place)[0] for place in range(filters.get_nfilters())]
@@ -36,11 +39,10 @@ def read_chunks(dataset: Any, rows: NDArray[np.floating], look: Callable[[slice]
 
     def fill(chunk: tuple[int, bytes]) -> None:
         first, packed = chunk
-        part = slice(first, min(first + dataset_rows, len(rows)))
-        rows[part] = _unpacked(packed, shape, rows.dtype)[: part.stop - part.start]
+        part = slice(first, min(first + dataset.chunks[0], len(rows)))
+        _unpack(packed, math.prod(dataset.chunks), rows[part])
         look(part)
 
-    dataset_rows, shape = dataset.chunks[0], dataset.chunks
     with ThreadPoolExecutor(threads) as executor:
         chunks = _written(dataset)
         # Few at a time: what is packed need not be in memory as a whole.
@@ -58,11 +60,15 @@ def _written(dataset: Any) -> Iterator[tuple[int, bytes]]:
         yield corner[0], packed
 
 
-def _unpacked(packed: bytes, shape: tuple[int, ...], kind: np.dtype[Any]) -> NDArray[Any]:
+def _unpack(packed: bytes, count: int, rows: NDArray[np.floating]) -> None:
+    """Fill the first rows of a chunk of `count` values."""
+    kind = rows.dtype.itemsize
+    bits = rows.reshape(-1).view(f"u{kind}")
     try:
-        by_byte = np.frombuffer(zlib.decompress(packed), np.uint8).reshape(kind.itemsize, -1)
-        values = np.empty(shape, kind)
-        values.reshape(-1).view(np.uint8).reshape(-1, kind.itemsize)[...] = by_byte.T
+        by_byte = np.frombuffer(zlib.decompress(packed, bufsize=count * kind), np.uint8).reshape(kind, count)
     except (zlib.error, ValueError) as cause:
         raise OSError(f"a chunk cannot be unpacked: {cause}") from cause
-    return values
+    # Shifted into place, which is many times as fast as copying bytes that lie apart.
+    bits[...] = by_byte[0, : len(bits)]
+    for place in range(1, kind):
+        bits |= np.left_shift(by_byte[place, : len(bits)], 8 * place, dtype=bits.dtype)

@@ -34,6 +34,7 @@ class Point(NamedTuple):
 
 
 def read_size(text: str | Size) -> Size:
+    """The size that a text such as 640x480 stands for."""
     if isinstance(text, Size):  # the default passes through here too
         return text
     try:

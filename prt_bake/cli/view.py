@@ -126,7 +126,9 @@ def _show(
     reference: Any,
     compare: Path | None,
 ) -> None:
-    drawn = window.View(preview, window.make_plotter(start.width, start.height, screenshot is not None), start, reference)
+    drawn = window.View(
+        preview, window.make_plotter(start.width, start.height, screenshot is not None), start, reference
+    )
     if screenshot is not None:
         window.write_picture(screenshot, drawn.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")

@@ -77,7 +77,7 @@ class Preview:
         rotation: float = 0.0,
         exposure: float = 0.0,
     ) -> None:
-        """Raises QueryError where there is nothing to show: no vertex was baked, or no light for an asset to relight."""
+        """Raises QueryError where there is nothing to show: no vertex was baked, or no light is there to relight by."""
         if not asset.valid.any():
             raise QueryError("asset: no vertex was baked, there is nothing to show; finish the bake with --resume")
         self.asset = dataclasses.replace(asset, up=up or asset.up)

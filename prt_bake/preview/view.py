@@ -1,14 +1,18 @@
 """What is in the window: the object under its light, drawn anew for the eye whenever VTK draws."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyvista
 from numpy.typing import NDArray
 from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from formats.errors import QueryError
+from formats.image import write_image
+from formats.png import to_linear
 from prt_bake import camera
 from prt_bake.preview.actors import Object, Reference, Sky
 from prt_bake.preview.state import Preview
@@ -107,7 +111,13 @@ class View:
         """Bring all that is drawn up to date with the camera and the preview; nothing where neither has changed."""
         preview = self.preview
         size = tuple(self.plotter.render_window.GetSize())
-        now = (preview.changes, size, self.showing_reference, *self._camera.GetPosition(), *self._camera.GetFocalPoint())
+        now = (
+            preview.changes,
+            size,
+            self.showing_reference,
+            *self._camera.GetPosition(),
+            *self._camera.GetFocalPoint(),
+        )
         now = (*now, *self._camera.GetViewUp())
         if now == self._drawn:
             return
@@ -173,4 +183,16 @@ class View:
 
 def make_plotter(width: int, height: int, off_screen: bool) -> pyvista.Plotter:
     """An empty plotter: no light of VTK's, no tone mapping."""
+    # That there is no display is told in a sentence of our own, or does not matter.
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
     return pyvista.Plotter(off_screen=off_screen, window_size=(width, height), lighting="none", title="prtbake")
+
+
+def has_display(plotter: pyvista.Plotter) -> bool:
+    """Whether the plotter's window can be seen: VTK makes one in memory where it finds no display."""
+    return not plotter.render_window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
+
+
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Write what a window showed, sRGB [H,W,3], as PNG."""
+    write_image(path, to_linear(picture / 255.0))

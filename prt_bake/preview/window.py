@@ -6,16 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import pyvista
-from numpy.typing import NDArray
-
-from formats.image import write_image
-from formats.png import to_linear
 from prt_bake.preview import legend
 from prt_bake.preview.overlay import SLIDERS, Overlay
 from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview
-from prt_bake.preview.view import View, make_plotter
+from prt_bake.preview.view import View, has_display, make_plotter, write_picture
+
+__all__ = ["View", "Window", "has_display", "make_plotter", "write_picture"]
 
 TICK = 100
 """Milliseconds between two looks at the files."""
@@ -204,13 +200,3 @@ class Window:
 
     def _quit(self) -> None:
         self._interactor.interactor.TerminateApp()
-
-
-def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write what a window showed, sRGB [H,W,3]."""
-    write_image(path, to_linear(picture / 255.0))
-
-
-def has_display(plotter: pyvista.Plotter) -> bool:
-    """Whether the plotter's window can be seen: VTK makes one in memory where it finds no display."""
-    return not plotter.render_window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
