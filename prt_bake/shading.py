@@ -74,7 +74,7 @@ def shade_vertices(
         raise QueryError(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
         )
-    weights = _light(asset, light)
+    weights = light_of(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     at = _between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))
@@ -94,7 +94,7 @@ def radiance_error(
     Errors of the bins that a direction lies between are taken to be alike: where they are not, it is less. Of what the
     model itself is off it knows nothing. Arguments and errors as those of `shade_vertices`.
     """
-    length = np.sqrt((_light(asset, light) ** 2).sum(axis=0))
+    length = np.sqrt((light_of(asset, light) ** 2).sum(axis=0))
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     at, sigma = _between_bins(asset, eye, vertices), asset.standard_error[:, :, None, None]
     error = np.zeros((len(asset.valid), 3))
@@ -164,7 +164,8 @@ def _between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> 
     return sphere.bin_coordinates(local, asset.rings, asset.sectors)
 
 
-def _light(asset: Asset, light: ArrayLike | None) -> Array:
+def light_of(asset: Asset, light: ArrayLike | None) -> Array:
+    """The light's coefficients [K,3], [1,3] of ones for an asset made for one; raises QueryError for any that do not fit."""
     if asset.quantity == "radiance":
         if light is not None:
             raise QueryError("light: the asset was made for one light and cannot be relit; hand in None to see it so")
