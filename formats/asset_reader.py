@@ -147,12 +147,11 @@ def _unfit(wrong: NDArray[np.bool_], first_row: int = 0) -> Iterator[str]:
 
 def _finite(block: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Whether all of a vertex is finite, of a block [n,B,K,C]."""
-    kind = np.uint16 if block.dtype.itemsize == 2 else np.uint32
-    infinity = np.array(np.inf, block.dtype.newbyteorder("=")).view(kind)
+    native = block.dtype.newbyteorder("=")
+    infinity = np.array(np.inf, native).view(f"u{native.itemsize}")
     # By the bits below the sign: NumPy has no fast way for half floats.
-    magnitudes = np.ascontiguousarray(block, block.dtype.newbyteorder("=")).view(kind) & kind(
-        2 ** (8 * block.dtype.itemsize - 1) - 1
-    )
+    bits: Any = np.ascontiguousarray(block, native).view(infinity.dtype)
+    magnitudes = bits & infinity.dtype.type(2 ** (8 * native.itemsize - 1) - 1)
     return np.asarray(magnitudes.reshape(len(block), -1).max(axis=1, initial=0) < infinity)
 
 

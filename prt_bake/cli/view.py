@@ -126,9 +126,8 @@ def _show(
     reference: Any,
     compare: Path | None,
 ) -> None:
-    drawn = window.View(
-        preview, window.make_plotter(start.width, start.height, screenshot is not None), start, reference
-    )
+    plotter = window.make_plotter(start.width, start.height, screenshot is not None)
+    drawn = window.View(preview, plotter, start, reference)
     if screenshot is not None:
         window.write_picture(screenshot, drawn.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")
@@ -136,7 +135,7 @@ def _show(
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     else:
         window.Window(drawn, name, None if compare is None else compare.name).run()
-    drawn.plotter.close()
+    plotter.close()
 
 
 def _remarks(preview: "Preview") -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.util import numpy_support
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkDataObject, vtkImageData, vtkPolyData
 from vtkmodules.vtkCommonMath import vtkMatrix3x3
@@ -18,6 +18,7 @@ from formats.mesh import Mesh
 from prt_bake.preview import shaders
 from prt_bake.preview.state import Gloss
 
+numpy_to_vtk: Any = numpy_support.numpy_to_vtk
 _LEAST_GAIN = -126.0
 
 

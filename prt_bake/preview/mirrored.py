@@ -19,7 +19,7 @@ def mirrored_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float
     the lobe allows, and the picture itself where the surface is smooth.
     """
     if alpha < _SHARPEST:
-        return picture
+        return np.asarray(picture)
     rows = min(max(math.ceil(_ROWS_TIMES_ALPHA / alpha), _LEAST_ROWS), _MOST_ROWS)
     coarse = shrunk(picture, rows)
     # A lobe about a direction is the same for all azimuths: a convolution along rows, for each two of them.
@@ -31,7 +31,7 @@ def mirrored_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float
     waves = np.fft.rfft(coarse, axis=1)
     spread = np.fft.irfft(np.einsum("abk,bkc->akc", kernel, waves, optimize=True), 2 * rows, axis=1)
     weight = kernel[:, :, 0].real.sum(axis=1)
-    return np.maximum(spread / weight[:, None, None], 0.0).astype(np.float32)
+    return np.asarray(np.maximum(spread / weight[:, None, None], 0.0), np.float32)
 
 
 def shrunk(picture: NDArray[np.float32], rows: int) -> NDArray[np.float64]:
@@ -52,7 +52,7 @@ def _overlaps(count: int, fewer: int) -> NDArray[np.float64]:
     edges, others = np.arange(count + 1) / count, np.arange(fewer + 1) / fewer
     low = np.maximum(edges[None, :-1], others[:-1, None])
     high = np.minimum(edges[None, 1:], others[1:, None])
-    return np.maximum(high - low, 0.0)
+    return np.asarray(np.maximum(high - low, 0.0))
 
 
 def _lobe(cosine: NDArray[np.float64], alpha: float) -> NDArray[np.float64]:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from vtkmodules.util.numpy_support import numpy_to_vtk
+from vtkmodules.util import numpy_support
 from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMapper2D, vtkTextActor
@@ -12,6 +12,7 @@ from vtkmodules.vtkRenderingCore import vtkActor2D, vtkCoordinate, vtkPolyDataMa
 from prt_bake.preview import colours
 from prt_bake.preview.state import Scale
 
+numpy_to_vtk: Any = numpy_support.numpy_to_vtk
 _INK, _PAPER = (0.96, 0.96, 0.96), (0.05, 0.05, 0.06)
 SLIDERS = (0.56, 0.75), (0.78, 0.97)
 """Left and right ends of the sliders, shares of the window."""

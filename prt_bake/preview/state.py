@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake import environment, sh
+from prt_bake import camera, environment, sh
 from prt_bake.frames import Frames
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
@@ -163,7 +163,8 @@ class Preview:
     def turn_to(self, degrees: float) -> None:
         """Turn the light to a rotation; whole turns are taken off."""
         self.rotation = math.remainder(degrees, 360.0)
-        self._frames.turn(self.rotation)
+        if self.relightable:
+            self._frames.turn(self.rotation)
         self._changed()
 
     def expose(self, exposure: float) -> None:
@@ -215,6 +216,7 @@ class Preview:
             shown[:, :3] = colours.as_light(np.where(valid[:, None], colours.VALID, colours.NOT_VALID))
             shown[:, 3] = 1.0
             return shown
+        camera.refuse_eye_in_object(self.asset.mesh, np.asarray(eye, np.float64))
         shown[:, 3] = valid
         if self.mode is Mode.RADIANCE:
             shown[:, :3] = self._frames.draw(eye)
@@ -239,11 +241,11 @@ class Preview:
         one = np.zeros((self._harmonics, 3))
         one[self.harmonic] = 1.0
         if not self.relightable:
-            return self._frames.draw(eye).mean(axis=1).astype(np.float64)
+            return np.asarray(self._frames.draw(eye).mean(axis=1), np.float64)
         self._frames.light(one)
-        above = self._frames.draw(eye).mean(axis=1).astype(np.float64)
+        above = self._frames.draw(eye).mean(axis=1)  # another array than the one that is drawn on
         self._frames.light(-one)
-        return np.asarray(above - self._frames.draw(eye).mean(axis=1))
+        return np.asarray(above - self._frames.draw(eye).mean(axis=1), np.float64)
 
     @property
     def _harmonics(self) -> int:
@@ -255,9 +257,10 @@ class Preview:
         return environment.rotate_light(self.light.harmonics, self.rotation, self.asset.up)
 
     def _relight(self) -> None:
-        light = self.light
-        self._frames.light(light.harmonics if light is not None and self.relightable else None)
-        if self.mode is not Mode.COEFFICIENT:
+        if not self.relightable:
+            self._frames.light(None)
+        elif self.light is not None:
+            self._frames.light(self.light.harmonics)
             self._frames.turn(self.rotation)
         self._changed()
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pyvista
 from numpy.typing import NDArray
-from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.util import numpy_support
 from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
@@ -17,6 +17,7 @@ from prt_bake import camera
 from prt_bake.preview.actors import Object, Reference, Sky
 from prt_bake.preview.state import Preview
 
+vtk_to_numpy: Any = numpy_support.vtk_to_numpy
 _PLAIN = (0.13, 0.13, 0.14)
 """Behind an object without a sky, sRGB."""
 _SAMPLES = 4
@@ -27,6 +28,7 @@ class View:
 
     Attributes:
         plotter: the window, or a picture in memory.
+        window: the plotter's, as VTK has it.
         showing_reference: whether the picture to compare with is shown.
     """
 
@@ -39,6 +41,7 @@ class View:
     ) -> None:
         """start: the camera to begin with; its size is that of the plotter."""
         self.preview, self.plotter = preview, plotter
+        self.window: Any = plotter.render_window
         self._start = start
         self._object, self._sky = Object(preview.asset.mesh, preview.gloss), Sky()
         self._reference = None if reference is None else Reference(reference)
@@ -56,7 +59,7 @@ class View:
         self.smooth(True)
         self.reset_camera()
         plotter.renderer.camera_set = True  # else PyVista looks for one of its own
-        plotter.render_window.AddObserver("StartEvent", lambda *_: self.prepare())
+        self.window.AddObserver("StartEvent", lambda *_: self.prepare())
 
     @property
     def eye(self) -> NDArray[np.float64]:
@@ -86,19 +89,18 @@ class View:
 
     def smooth(self, edges: bool) -> None:
         """Draw smooth edges from now on, which takes several times as long."""
-        self.plotter.render_window.SetMultiSamples(_SAMPLES if edges else 0)
+        self.window.SetMultiSamples(_SAMPLES if edges else 0)
 
     @property
     def smooth_edges(self) -> bool:
         """Whether edges are drawn smooth."""
-        return bool(self.plotter.render_window.GetMultiSamples())
+        return bool(self.window.GetMultiSamples())
 
     def picture(self) -> NDArray[np.uint8]:
         """What the window shows, sRGB [H,W,3], row 0 on top."""
-        window = self.plotter.render_window
-        window.Render()
+        self.window.Render()
         grab = vtkWindowToImageFilter()
-        grab.SetInput(window)
+        grab.SetInput(self.window)
         grab.ReadFrontBufferOff()
         grab.ShouldRerenderOff()
         grab.Update()
@@ -110,7 +112,7 @@ class View:
     def prepare(self) -> None:
         """Bring all that is drawn up to date with the camera and the preview; nothing where neither has changed."""
         preview = self.preview
-        size = tuple(self.plotter.render_window.GetSize())
+        size = tuple(self.window.GetSize())
         now = (
             preview.changes,
             size,
@@ -185,12 +187,13 @@ def make_plotter(width: int, height: int, off_screen: bool) -> pyvista.Plotter:
     """An empty plotter: no light of VTK's, no tone mapping."""
     # That there is no display is told in a sentence of our own, or does not matter.
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    return pyvista.Plotter(off_screen=off_screen, window_size=(width, height), lighting="none", title="prtbake")
+    return pyvista.Plotter(off_screen=off_screen, window_size=[width, height], lighting="none", title="prtbake")
 
 
 def has_display(plotter: pyvista.Plotter) -> bool:
     """Whether the plotter's window can be seen: VTK makes one in memory where it finds no display."""
-    return not plotter.render_window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
+    window: Any = plotter.render_window
+    return not window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:

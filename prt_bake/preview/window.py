@@ -38,6 +38,7 @@ class Window:
         self.overlay = Overlay(view.plotter.renderer)
         self._legend = False
         self._moved = self._said = -math.inf
+        self._plotter: Any = view.plotter
         self._interactor: Any = view.plotter.iren
         self._drive()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.turn_to)
@@ -58,7 +59,7 @@ class Window:
     def render(self) -> None:
         """Bring words and sliders up to date, and draw."""
         self._tell()
-        self.view.plotter.render_window.Render()
+        self.view.window.Render()
         self._tell_after()
 
     def tick(self) -> None:
@@ -95,7 +96,7 @@ class Window:
         self._interactor.interactor.AddObserver("TimerEvent", lambda *_: self.tick())
         for names, action in self._actions():
             for name in names.split():
-                self.view.plotter.add_key_event(name, self._doing(action))
+                self._plotter.add_key_event(name, self._doing(action))
 
     def _actions(self) -> list[tuple[str, Callable[[], None]]]:
         preview = self._preview
@@ -148,7 +149,7 @@ class Window:
             return self._preview.exposure if place else self._preview.rotation
 
         left, right = SLIDERS[place]
-        slider = self.view.plotter.add_slider_widget(
+        slider = self._plotter.add_slider_widget(
             slide,
             span,
             value=wanted(),
@@ -184,7 +185,7 @@ class Window:
             self._scale = scale
             self.overlay.write(self.overlay.message, message)
             self.overlay.show_scale(scale)
-            self.view.plotter.render_window.Render()
+            self.view.window.Render()
 
     _scale: Any = None
 
