@@ -32,14 +32,19 @@ class PrefilteredSky(NamedTuple):
     turn: Array
 
 
-def prefilter(sky: Sky) -> PrefilteredSky:
-    """Average `sky` over texels as fine as its own at the horizon, up to 1024 along a side, and all coarser ones."""
+def prefilter(sky: Sky, finest: float = 0.0) -> PrefilteredSky:
+    """Average `sky` over texels of at most `finest` steradians, if it has such detail, and over all coarser ones.
+
+    They are never finer than 1024 along a side.
+    """
     image = np.ascontiguousarray(sky.image, np.float32)
-    wanted = math.sqrt(2.0 / math.pi * image.shape[0] * image.shape[1])
-    size = 1 << max(0, min(round(math.log2(wanted)), int(math.log2(_LARGEST))))
-    finest = np.zeros((size, size, 3), np.float32)
-    _average(_reduced(image, size), finest)
-    levels = [finest]
+    # Twice as fine as the picture, whose tents they are to resolve; and fine enough not to step over its columns.
+    detail = 2.0 * math.sqrt(2.0 / math.pi * image.shape[0] * image.shape[1])
+    wanted = min(detail, math.sqrt(4.0 * math.pi / finest)) if finest > 0.0 else detail
+    size = min(_LARGEST, 1 << math.ceil(math.log2(max(wanted, _places(image.shape[1]), 1.0))))
+    texels = np.zeros((size, size, 3), np.float32)
+    _average(_reduced(image, size), texels)
+    levels = [texels]
     while len(levels[-1]) > 1:
         last = levels[-1]
         levels.append(0.25 * (last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2]))
@@ -60,11 +65,16 @@ def radiance(sky: PrefilteredSky, directions: Array, solid_angles: Array) -> Arr
 def _reduced(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """The picture, or means of blocks of it where it is finer than the places that a level of `size` looks up."""
     height, width = image.shape[:2]
-    wanted = math.ceil(width / (2.0 * math.pi) * math.sqrt(4.0 * math.pi) / (_ALONG * size))
+    wanted = math.ceil(_places(width) / size)
     step = next((side for side in range(wanted, 4 * wanted) if height % side == 0 and width % side == 0), 1)
     if step == 1:
         return image
     return np.ascontiguousarray(image.reshape(height // step, step, width // step, step, 3).mean(axis=(1, 3)))
+
+
+def _places(width: int) -> float:
+    """Texels along a side whose places are as far apart as the columns of a picture are on the horizon."""
+    return width / (2.0 * math.pi) * math.sqrt(4.0 * math.pi) / _ALONG
 
 
 @compiled(parallel=True, error_model="numpy")

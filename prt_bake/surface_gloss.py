@@ -70,7 +70,9 @@ class SurfaceGloss:
         self._rays = 1 if self._mirror else max(2, math.ceil(RAYS_A_PIXEL / points))
         self._points = points
         self._lighting = lighting
-        self._skies = [] if self._mirror else [prefilter(sky) for sky in lighting.skies if sky.image.any()]
+        self._skies = (
+            [] if self._mirror else [prefilter(sky, self._finest()) for sky in lighting.skies if sky.image.any()]
+        )
         # A mirror sees discs where it looks.
         suns = () if self._mirror else lighting.suns
         self._suns = Reflector(asset.mesh, Lighting((), suns), asset.eta, visibility) if suns else None
@@ -100,6 +102,10 @@ class SurfaceGloss:
             halves /= np.array([(self._rays + 1) // 2, self._rays // 2])[:, None, None]
         total = halves.mean(axis=0) + self._of_suns(faces, barycentric, normals, outgoing, alpha, keys)
         return total, _OF_HALVES * (halves[0] - halves[1])
+
+    def _finest(self) -> float:
+        """The least solid angle that a ray stands for: of the facet's own normal, seen from straight above."""
+        return 4.0 * math.pi * self._finish.alpha**2 * _FILTER / (self._rays * self._points)
 
     def _along_one_ray(self, points: Points, starts: Array, numbers: Array) -> Array:
         """What one facet of each point reflects [P,3], drawn by numbers [P,2]."""
