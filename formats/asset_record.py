@@ -81,6 +81,12 @@ class Asset(AssetHead):
         """The absolute index of refraction inside, as the provenance has it; 1 where it says nothing."""
         return float(self.provenance.get("eta", 1.0))
 
+    @property
+    def roughness(self) -> float | None:
+        """The GGX alpha of the surface, the mean of a texture, as the provenance has it; None where it says nothing."""
+        said = self.provenance.get("roughness", self.provenance.get("model", {}).get("roughness"))
+        return None if said is None else float(said)
+
     def __enter__(self) -> Self:
         return self
 

@@ -96,16 +96,20 @@ def write_exr(
     image: NDArray[np.floating],
     layers: Mapping[str, NDArray[np.floating]] | None = None,
     attributes: Mapping[str, str] | None = None,
+    alpha: NDArray[np.floating] | None = None,
 ) -> None:
     """Write [H,W,3] as float32 scan lines, ZIP compressed; raises OSError if the disk does not take it.
 
     layers: beside R, G, B: an array [H,W,3] named `error` becomes error.R, error.G, error.B, an array [H,W] named
-    `coverage` becomes coverage.Y. attributes: texts for the header.
+    `coverage` becomes coverage.Y. attributes: texts for the header. alpha [H,W]: what the image is weighted by,
+    becomes A.
     """
     import OpenEXR
 
     # OpenEXR writes wrong pixels without a word if an array is not contiguous, and alters the header it is given.
     channels = {"RGB": np.ascontiguousarray(image, np.float32)}
+    if alpha is not None:
+        channels["A"] = np.ascontiguousarray(alpha, np.float32)
     for name, pixels in (layers or {}).items():
         channels[name if np.ndim(pixels) == 3 else f"{name}.Y"] = np.ascontiguousarray(pixels, np.float32)
     header = {**(attributes or {}), "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}

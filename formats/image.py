@@ -65,16 +65,18 @@ def write_image(
     exposure: float = 0.0,
     layers: Mapping[str, NDArray[np.floating]] | None = None,
     attributes: Mapping[str, str] | None = None,
+    alpha: NDArray[np.floating] | None = None,
 ) -> None:
     """Write a linear image [H,W,3], whole or not at all.
 
     `.exr` (float32) and `.hdr` (RGBE) keep radiance and ignore `exposure`; `.png` is multiplied by 2^exposure, clipped
     to [0,1] and encoded as sRGB. layers ([H,W,3] or [H,W] by name) and attributes (texts) go beside the colour of an
-    `.exr`, where `read_layers` finds them; other kinds of file have no place for them and leave them out.
+    `.exr`, where `read_layers` finds them; other kinds of file have no place for them and leave them out. alpha [H,W]:
+    what the image is weighted by, written as the alpha channel of `.exr` and `.png`.
 
     Raises:
         ImageError: another suffix, another shape, a layer of another size, pixels that the kind of file cannot hold
-            (NaN in `.png` and `.hdr`).
+            (NaN in `.png` and `.hdr`), alpha for `.hdr`.
         StorageError: the disk is full or not writable.
     """
     suffix = _suffix(path, "written", _WRITTEN)
@@ -85,16 +87,20 @@ def write_image(
         if np.shape(pixels) not in (shape, shape[:2]):
             expected = f"{list(shape)} or {list(shape[:2])}"
             raise ImageError(f"{path}: layer {name}: expected {expected}, found {list(np.shape(pixels))}")
+    if alpha is not None and (suffix == ".hdr" or np.shape(alpha) != shape[:2]):
+        raise ImageError(
+            f"{path}: alpha of shape {list(np.shape(alpha))}; expected {list(shape[:2])}, in an .exr or .png"
+        )
     if suffix == ".png" and np.isnan(image).any():
         row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
         raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to look at them")
     with replacing(path) as part:
         if suffix == ".exr":
-            write_exr(part, image, layers, attributes)
+            write_exr(part, image, layers, attributes, alpha)
         elif suffix == ".hdr":
             write_rgbe(part, image)
         else:
-            write_png(part, image, exposure)
+            write_png(part, image, exposure, alpha)
 
 
 def _suffix(path: str | os.PathLike[str], verb: str, known: tuple[str, ...]) -> str:

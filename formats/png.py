@@ -62,14 +62,29 @@ def _pixels(path: str | os.PathLike[str], kind: str, mode: str | None) -> NDArra
         raise ImageError(f"{path}: cannot be read as {kind}, it is truncated, damaged or of another kind") from cause
 
 
-def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposure: float) -> None:
-    """Write linear [H,W,3] as sRGB after multiplication by 2^exposure; the exposure is kept in a text chunk."""
+def write_png(
+    path: str | os.PathLike[str],
+    image: NDArray[np.floating],
+    exposure: float,
+    alpha: NDArray[np.floating] | None = None,
+) -> None:
+    """Write linear [H,W,3] as sRGB after multiplication by 2^exposure; the exposure is kept in a text chunk.
+
+    With `alpha` [H,W] the image is weighted by it, as pictures without background are, and written beside it.
+    """
     from PIL import Image, PngImagePlugin
 
     note = PngImagePlugin.PngInfo()
     note.add_text("exposure", f"{exposure:g} EV")
+    linear = np.asarray(image, np.float64)
+    if alpha is not None:
+        share = np.asarray(alpha, np.float64)[..., None]
+        linear = np.divide(linear, share, out=np.zeros_like(linear), where=share > 0.0)
     # Bounded before the curve: a peak times 2^exposure may exceed float64.
-    exposed = np.minimum(np.asarray(image, np.float64), 2.0 ** min(-exposure, 1000.0)) * 2.0**exposure
-    pixels = np.rint(255.0 * to_srgb(exposed)).astype(np.uint8)
+    exposed = np.minimum(linear, 2.0 ** min(-exposure, 1000.0)) * 2.0**exposure
+    shown = to_srgb(exposed)
+    if alpha is not None:
+        shown = np.concatenate([shown, np.clip(share, 0.0, 1.0)], axis=2)
+    pixels = np.rint(255.0 * shown).astype(np.uint8)
     with open(path, "wb") as file:
         Image.fromarray(pixels).save(file, format="PNG", pnginfo=note)

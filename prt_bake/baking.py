@@ -275,8 +275,10 @@ def _settings(transport: Any, mesh: Mesh, asked: dict[str, Any], workers: int) -
 
 
 def _said_of(transport: Any) -> dict[str, Any]:
+    roughness = said_by(transport, "roughness", None)
     return {
         "transport": type(transport).__name__,
         "eta": float(said_by(transport, "eta", 1.0)),
+        **({} if roughness is None else {"roughness": float(np.mean(roughness))}),
         "model": dict(getattr(transport, "metadata", None) or {}),
     }

@@ -1,12 +1,12 @@
-"""A perspective camera, what its rays meet first, and where its eye may not stand.
+"""A camera, perspective or orthographic, what its rays meet first, and where its eye may not stand.
 
 Rays are begun where they enter the ball around the object, in float64, and cast by Embree relative to the middle of the
 bounding box in units of that ball: a camera a million units away sees as sharply as one that is near, and an object far
 from the origin as well as one at it.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,10 +26,12 @@ _CONTACT = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A perspective camera in object space.
+    """A camera in object space.
 
     eye, target: points [3], in scene units. up: a direction [3], made unit; where the view runs straight along it
-    another is taken. fov: the vertical field of view in degrees. width, height: in pixels, which are square.
+    another is taken. fov: the vertical field of view in degrees. width, height: in pixels, which are square. extent:
+    scene units from the lower to the upper edge of an orthographic picture, whose rays are parallel and begin in the
+    plane through the eye; None is perspective.
 
     Raises QueryError where these make no picture.
     """
@@ -40,6 +42,7 @@ class Camera:
     fov: float
     width: int
     height: int
+    extent: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("eye", "target", "up"):
@@ -55,6 +58,32 @@ class Camera:
             raise QueryError(f"camera: {self.width}x{self.height} pixels where at least 1x1 is expected")
         if not 0.0 < self.fov < 180.0:
             raise QueryError(f"camera: a field of view of {self.fov:g} degrees where one between 0 and 180 is expected")
+        if self.extent is not None and not 0.0 < self.extent < np.inf:
+            raise QueryError(f"camera: an extent of {self.extent:g} scene units where a finite one above 0 is expected")
+
+    @property
+    def forward(self) -> Array:
+        """The unit direction [3] of the view."""
+        along = self.target - self.eye
+        return np.asarray(along / np.linalg.norm(along))
+
+    def towards(self, positions: ArrayLike) -> Array:
+        """Directions [N,3] from points [N,3] to the eye, of any length; all the same where rays are parallel."""
+        points = np.asarray(positions, np.float64)
+        return self.eye - points if self.extent is None else np.broadcast_to(-self.forward, points.shape)
+
+
+class Rays(NamedTuple):
+    """Rays [...]: origins [3] or [...,3], and unit directions [...,3]."""
+
+    origins: Array
+    directions: Array
+
+    def rows(self) -> "Rays":
+        """The same in one row: origins [3] or [R,3], directions [R,3]."""
+        return Rays(
+            self.origins if self.origins.ndim == 1 else self.origins.reshape(-1, 3), self.directions.reshape(-1, 3)
+        )
 
 
 @dataclass(frozen=True)
@@ -72,45 +101,64 @@ def fit(
     eye: ArrayLike | None = None,
     up: str = "y",
     fov: float = 30.0,
+    *,
+    target: ArrayLike | None = None,
+    orthographic: bool = False,
+    extent: float | None = None,
 ) -> Camera:
-    """A camera that looks at the middle of the mesh; without an `eye` it stands where the whole object just fits.
+    """A camera that looks at `target`, by default the middle of the mesh.
 
-    Raises QueryError for sizes, angles, axes or eyes that make no picture.
+    Without an `eye` it stands where the whole object just fits, as far as the target lets it. An `orthographic` one
+    frames the object from wherever it stands, unless it is given its `extent`.
+
+    Raises QueryError for sizes, angles, axes, extents or eyes that make no picture.
     """
     if up not in _AXES:
         raise QueryError(f'camera: up is {up!r} where "y" or "z" is expected')
-    target, above = mesh.center, np.array(_AXES[up])
+    aim, above = mesh.center if target is None else _point(target, "target"), np.array(_AXES[up])
     view = _VIEW[up] / np.linalg.norm(_VIEW[up])
-    camera = Camera(target + view if eye is None else _point(eye, "eye"), target, above, fov, width, height)
+    camera = Camera(aim + view if eye is None else _point(eye, "eye"), aim, above, fov, width, height, extent)
+    relative, aspect = mesh.positions - aim, width / height
+    if orthographic and extent is None:
+        camera = replace(camera, extent=_extent_to_fit(relative, -camera.forward, above, aspect))
     if eye is not None:
         return camera
-    distance = _distance_to_fit(mesh.positions - target, view, above, fov, width / height)
-    return Camera(target + view * distance, target, above, fov, width, height)
+    if camera.extent is not None:
+        # Where it stands does not matter, if all of the object lies before it.
+        return replace(camera, eye=aim + view * (float(np.max(relative @ view)) + mesh.diagonal))
+    return replace(camera, eye=aim + view * _distance_to_fit(relative, view, above, fov, aspect))
 
 
-def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
-    """Unit directions [R,W,S,3] of rays through the pixels of some rows, from the eye.
+def rays(camera: Camera, rows: slice, offsets: Array) -> Rays:
+    """Rays [R,W,S] through the pixels of some rows.
 
     offsets [S,2], or [R,W,S,2] of each pixel's own, say where in a pixel, in [0,1)²: x to the right, y down.
     """
     return _through(camera, np.arange(camera.height)[rows, None, None], np.arange(camera.width)[:, None], offsets)
 
 
-def pixel_directions(camera: Camera, pixels: NDArray[np.int64], offsets: Array) -> Array:
-    """Unit directions [N,S,3] of rays through `pixels` [N], numbered row by row; offsets [N,S,2] as in `directions`."""
+def pixel_rays(camera: Camera, pixels: NDArray[np.int64], offsets: Array) -> Rays:
+    """Rays [N,S] through `pixels` [N], numbered row by row; offsets [N,S,2] as in `rays`."""
     rows, columns = np.divmod(pixels, camera.width)
     return _through(camera, rows[:, None], columns[:, None], offsets)
 
 
-def _through(camera: Camera, rows: NDArray[np.int64], columns: NDArray[np.int64], offsets: Array) -> Array:
-    forward = camera.target - camera.eye
-    forward = forward / np.linalg.norm(forward)
+def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
+    """Of `rays` the unit directions [R,W,S,3] alone."""
+    return rays(camera, rows, offsets).directions
+
+
+def _through(camera: Camera, rows: NDArray[np.int64], columns: NDArray[np.int64], offsets: Array) -> Rays:
+    forward = camera.forward
     right, above = _across(forward, camera.up)
-    half = np.tan(np.radians(camera.fov) / 2.0)
+    half = np.tan(np.radians(camera.fov) / 2.0) if camera.extent is None else camera.extent / 2.0
     y = 1.0 - 2.0 * (rows + offsets[..., 1]) / camera.height
     x = (2.0 * (columns + offsets[..., 0]) / camera.width - 1.0) * camera.width / camera.height
-    rays = forward + half * (x[..., None] * right + y[..., None] * above)
-    return np.asarray(rays / np.sqrt(np.einsum("...i,...i->...", rays, rays))[..., None])
+    across = half * (x[..., None] * right + y[..., None] * above)
+    if camera.extent is not None:
+        return Rays(camera.eye + across, np.broadcast_to(forward, across.shape))
+    towards = forward + across
+    return Rays(camera.eye, np.asarray(towards / np.sqrt(np.einsum("...i,...i->...", towards, towards))[..., None]))
 
 
 class Visibility:
@@ -168,6 +216,12 @@ def _point(value: ArrayLike, name: str) -> Array:
     if point.shape != (3,) or not np.isfinite(point).all():
         raise QueryError(f"camera: {name} is {point.tolist()} where three finite numbers are expected")
     return point
+
+
+def _extent_to_fit(positions: Array, view: Array, up: Array, aspect: float) -> float:
+    """The extent that all positions (about the target) lie in, with a margin."""
+    right, above = _across(-view, up)
+    return float(2.0 * _MARGIN * np.maximum(np.abs(positions @ above), np.abs(positions @ right) / aspect).max())
 
 
 def _distance_to_fit(positions: Array, view: Array, up: Array, fov: float, aspect: float) -> float:

@@ -14,8 +14,8 @@ from formats.mesh import Mesh
 from prt_bake import frame_codes, frame_kernels
 from prt_bake.environment import rotate_light
 from prt_bake.frame_batches import BATCH, GEOMETRY, LANE
-from prt_bake.shading import light_of
 from prt_bake.vectors import laid_out
+from prt_bake.vertex_shading import light_weights
 
 _FARTHEST = 1e100
 _VERTICES_A_THREAD = 1 << 10
@@ -67,7 +67,7 @@ class Frames:
         """The light of the next frames: [K,3] of the asset's degree, None for an asset made for one light (quantity
         "radiance"). Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot hold.
         """
-        light = light_of(self._asset, coefficients)
+        light = light_weights(self._asset, coefficients)
         if np.abs(light).max() > np.finfo(np.float32).max:
             raise QueryError(f"light: a coefficient of {np.abs(light).max():.3g} where float32 is expected to hold it")
         self._light, self._waves = light, None

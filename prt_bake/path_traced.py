@@ -41,6 +41,7 @@ class PathTraced:
             "unit": scene.unit,
             "eta": scene.eta,
             "roughness": float(np.mean(scene.roughness)),
+            "normals": scene.normals,
         }
 
     def estimate_coefficients(

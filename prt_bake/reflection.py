@@ -16,38 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.camera import Visibility
 from prt_bake.lighting import Lighting
-from prt_bake.microfacet import fresnel, half_vectors, masking, mirrored, reflection_density, visible_facets
+from prt_bake.microfacet import half_vectors, mirrored, reflection_density, visible_facets
 from prt_bake.randomness import uniforms
 from prt_bake.reflected_light import LightSource, light_sources
-from prt_bake.sphere import tangent_frame, to_local, to_world
+from prt_bake.reflecting_surface import SMOOTHEST, Points, ReflectingSurface
+from prt_bake.sphere import to_local, to_world
 
 Array = NDArray[np.float64]
 
-SMOOTHEST = 1e-4
-"""Below this alpha an interface is a mirror, for walks as well."""
-SAME_INDEX = 1e-9
-"""An index closer to 1 than this reflects nothing, for walks as well."""
-_CLEARANCE = 1e-6
-"""Of the diagonal: how far in front of its face a ray starts, some ten roundings of a position."""
-_LEAST_COSINE = 1e-9
 _FACET_STREAM, _LIGHT_STREAM = 0xA0, 0xA1
-
-
-class _Points(NamedTuple):
-    """Points of the surface with an eye above their faces each: which of those asked for, the faces' normals, the
-    interface's normals, and the direction to the eye `towards` in the frame of those and `tangents`.
-    """
-
-    rows: NDArray[np.int64]
-    outwards: Array
-    normals: Array
-    tangents: Array
-    towards: Array
-    alpha: Array
 
 
 class _Arrivals(NamedTuple):
@@ -68,11 +48,8 @@ class Reflector:
 
         Raises QueryError for an index that is not above 0.
         """
-        if not (eta > 0.0 and math.isfinite(eta)):
-            raise QueryError(f"eta: {eta:g} where a finite index of refraction above 0 is expected")
-        self._mesh, self._eta = mesh, float(eta)
-        self._matched = abs(eta - 1.0) < SAME_INDEX
-        if not self._matched:
+        self._surface = ReflectingSurface(mesh, eta)
+        if not self._surface.matched:
             self._lights = light_sources(lighting)
             self._visibility = visibility or Visibility(mesh)
 
@@ -94,13 +71,13 @@ class Reflector:
         below its face sees nothing reflected.
         """
         total = np.zeros((len(faces), 3))
-        if self._matched or not len(faces) or not self._lights:
+        if self._surface.matched or not len(faces) or not self._lights:
             return total
-        points = self._points(faces, normals, outgoing, np.asarray(alpha, np.float64))
+        points = self._surface.points(faces, normals, outgoing, np.asarray(alpha, np.float64))
         arrivals = [self._by_facets(points, uniforms((_FACET_STREAM, seed, keys[points.rows]), 2))]
         rough = points.alpha >= SMOOTHEST
         if rough.any():
-            points = _Points._make(part[rough] for part in points)
+            points = Points._make(part[rough] for part in points)
             for i, light in enumerate(self._lights):
                 arrivals.append(self._by_light(points, light, uniforms((_LIGHT_STREAM, seed, i, keys[points.rows]), 3)))
         for arriving in arrivals:
@@ -108,16 +85,7 @@ class Reflector:
             total[arriving.rows[free]] += arriving.radiance[free]
         return total
 
-    def _points(self, faces: NDArray[np.int64], normals: Array, outgoing: Array, alpha: Array) -> _Points:
-        above = np.flatnonzero(_dot(self._mesh.face_normals[faces], outgoing) > 0.0)
-        outwards, outgoing, normals = self._mesh.face_normals[faces[above]], outgoing[above], normals[above]
-        normals = np.where(_dot(normals, outgoing)[:, None] > _LEAST_COSINE, normals, outwards)
-        tangents = tangent_frame(normals)
-        towards = to_local(outgoing, normals, tangents)
-        towards[:, 2] = np.maximum(towards[:, 2], _LEAST_COSINE)
-        return _Points(above, outwards, normals, tangents, towards, alpha[above])
-
-    def _by_facets(self, points: _Points, numbers: Array) -> _Arrivals:
+    def _by_facets(self, points: Points, numbers: Array) -> _Arrivals:
         """What a visible facet of each point reflects, drawn by numbers [N,2]."""
         rough = points.alpha >= SMOOTHEST
         facets = np.zeros_like(points.towards)
@@ -125,7 +93,7 @@ class Reflector:
         facets[rough] = visible_facets(points.towards[rough], points.alpha[rough], numbers[rough])
         local = mirrored(points.towards, facets)
         directions = to_world(local, points.normals, points.tangents)
-        share = self._share(points, facets, local, directions)
+        share = self._surface.share(points, facets, local, directions)
         density = reflection_density(points.towards, facets, np.maximum(points.alpha, SMOOTHEST))
         density[~rough] = math.inf
         chosen = np.flatnonzero(share > 0.0)
@@ -136,40 +104,20 @@ class Reflector:
             light += radiance / (1.0 + other / density)[:, None]
         return _Arrivals(points.rows[chosen], directions, share[chosen, None] * light)
 
-    def _by_light(self, points: _Points, light: LightSource, numbers: Array) -> _Arrivals:
+    def _by_light(self, points: Points, light: LightSource, numbers: Array) -> _Arrivals:
         """What each point reflects of one direction of a light, drawn by numbers [N,3]."""
         directions, weight, density = light.draw(numbers)
         local = to_local(directions, points.normals, points.tangents)
         facets = half_vectors(points.towards, local)
-        share = self._share(points, facets, local, directions)
+        share = self._surface.share(points, facets, local, directions)
         chosen = np.flatnonzero((share > 0.0) & (density > 0.0))
         by_facets = reflection_density(points.towards[chosen], facets[chosen], points.alpha[chosen])
         share = share[chosen] * by_facets / (1.0 + by_facets / density[chosen])
         return _Arrivals(points.rows[chosen], directions[chosen], share[:, None] * weight[chosen])
 
-    def _share(self, points: _Points, facets: Array, local: Array, directions: Array) -> Array:
-        """Of the light that comes along `directions` to facets, what they reflect and the microsurface lets by [N].
-
-        Nothing comes from below the interface, nor from below the face.
-        """
-        above = (local[:, 2] > 0.0) & (_dot(directions, points.outwards) > 0.0)
-        cosine = np.clip(_dot(points.towards, facets), 0.0, 1.0)
-        seen = np.where(points.alpha >= SMOOTHEST, masking(local[:, 2], points.alpha), 1.0)
-        return np.where(above, fresnel(cosine, self._eta) * seen, 0.0)
-
     def _reaches(self, faces: NDArray[np.int64], barycentric: Array, arriving: _Arrivals) -> NDArray[np.int64]:
         """Which of the arrivals carry light and pass the object."""
         lit = np.flatnonzero(arriving.radiance.any(axis=1))
         rows = arriving.rows[lit]
-        own = faces[rows]
-        starts = self._places(own, barycentric[rows]) + _CLEARANCE * self._mesh.diagonal * self._mesh.face_normals[own]
+        starts = self._surface.starts(faces[rows], barycentric[rows])
         return lit[self._visibility.first_hits(starts, arriving.directions[lit]).faces < 0]
-
-    def _places(self, faces: NDArray[np.int64], barycentric: Array) -> Array:
-        corners = self._mesh.positions[self._mesh.faces[faces]]
-        weights = np.concatenate([1.0 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
-        return np.asarray(np.einsum("nk,nkc->nc", weights, corners))
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("ni,ni->n", a, b))

@@ -5,7 +5,7 @@ from scipy import stats
 from shapes import ball
 
 from prt_bake import directions
-from prt_bake.camera import Camera, Visibility, pixel_directions
+from prt_bake.camera import Camera, Visibility, pixel_rays
 from prt_bake.lighting import Lighting
 from prt_bake.lobe import Lobe
 from prt_bake.network import NetworkSettings, NeuralBSSRDF
@@ -50,7 +50,7 @@ def close_up(size: int = 4) -> Camera:
 def quadrature(network, lighting: Lighting, camera: Camera, count: int = 20_000) -> np.ndarray:
     """The pixels [H,W,3], of which the middles are taken, by `count` directions of a lattice."""
     pixels = np.arange(camera.width * camera.height)
-    rays = pixel_directions(camera, pixels, np.full((len(pixels), 1, 2), 0.5))[:, 0]
+    rays = pixel_rays(camera, pixels, np.full((len(pixels), 1, 2), 0.5)).directions[:, 0]
     hits = Visibility(MESH).first_hits(camera.eye, rays)
     assert (hits.faces >= 0).all()
     corners = MESH.positions[MESH.faces[hits.faces]]

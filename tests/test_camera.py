@@ -6,16 +6,15 @@ from shapes import ball, ring
 
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
-from prt_bake.camera import Camera, Visibility, directions, fit, refuse_eye_in_object
+from prt_bake.camera import Camera, Visibility, directions, fit, pixel_rays, rays, refuse_eye_in_object
 
 MIDDLE = np.array([[0.5, 0.5]])
 
 
 def seen_from(mesh: Mesh, camera: Camera) -> np.ndarray:
     """Where the mesh covers the picture, one ray a pixel: bool [H,W]."""
-    rays = directions(camera, slice(None), MIDDLE)
-    hits = Visibility(mesh).first_hits(camera.eye, rays.reshape(-1, 3))
-    return (hits.faces >= 0).reshape(rays.shape[:2])
+    hits = Visibility(mesh).first_hits(*rays(camera, slice(None), MIDDLE).rows())
+    return (hits.faces >= 0).reshape(camera.height, camera.width)
 
 
 def test_the_middle_ray_goes_to_the_target_and_the_edges_lie_half_the_field_of_view_off():
@@ -159,3 +158,52 @@ def test_an_eye_in_line_with_an_edge_is_not_on_it():
     assert len(within_box) > 5
     for eye in within_box:
         refuse_eye_in_object(mesh, eye)
+
+
+def test_orthographic_rays_are_parallel_and_begin_in_the_plane_through_the_eye() -> None:
+    view = Camera(np.array([3.0, 1.0, -4.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 30.0, 6, 4, 2.0)
+    origins, towards = rays(view, slice(None), np.array([[0.5, 0.5], [0.0, 0.0]]))
+    np.testing.assert_allclose(towards, np.broadcast_to(view.forward, towards.shape))
+    np.testing.assert_allclose((origins - view.eye) @ view.forward, 0.0, atol=1e-14)
+    # Two units from the lower to the upper edge, square pixels, x to the right and y down.
+    np.testing.assert_allclose(np.linalg.norm(origins[0, 0, 0] - origins[3, 0, 0]), 1.5)
+    np.testing.assert_allclose(np.linalg.norm(origins[0, 0, 0] - origins[0, 5, 0]), 2.5)
+    assert (origins[0, 0, 1] - origins[3, 0, 1])[1] > 0.0
+    assert (origins[0, 5, 1] - origins[0, 0, 1]) @ np.cross(view.forward, view.up) > 0.0
+    pixels = np.arange(24)
+    by_pixel = pixel_rays(view, pixels, np.full((24, 1, 2), 0.5))
+    np.testing.assert_allclose(by_pixel.origins[:, 0], origins[:, :, 0].reshape(-1, 3))
+
+
+@pytest.mark.parametrize("eye", [None, [5.0, 1.0, 2.0], [0.0, -7.0, 0.01]])
+@pytest.mark.parametrize(("width", "height"), [(64, 64), (96, 32), (32, 96)])
+def test_an_orthographic_camera_frames_the_object_from_wherever_it_stands(eye, width, height) -> None:
+    mesh = ring()
+    view = fit(mesh, width, height, eye, orthographic=True)
+    seen = seen_from(mesh, view)
+    assert seen.any()
+    assert not np.concatenate([seen[[0, -1]].ravel(), seen[:, [0, -1]].ravel()]).any()
+    assert max(seen.any(axis=0).mean(), seen.any(axis=1).mean()) > 0.8
+
+
+def test_what_is_seen_of_a_far_orthographic_camera_is_what_a_far_perspective_one_sees() -> None:
+    mesh = ring()
+    far = 1e5 * np.array([0.3, 0.4, -0.8])
+    parallel = fit(mesh, 48, 48, far, orthographic=True)
+    distance = np.linalg.norm(far - parallel.target)
+    fov = 2.0 * np.degrees(np.arctan(0.5 * parallel.extent / distance))
+    perspective = fit(mesh, 48, 48, far, fov=fov)
+    assert (seen_from(mesh, parallel) != seen_from(mesh, perspective)).mean() < 0.01
+    np.testing.assert_allclose(parallel.towards(mesh.positions) @ parallel.forward, -1.0)
+
+
+def test_a_camera_looks_where_it_is_told_to() -> None:
+    mesh = ball(3)
+    view = fit(mesh, 33, 33, [0.0, 0.0, 5.0], target=[1.0, 0.0, 0.0], fov=60.0)
+    seen = seen_from(mesh, view)
+    columns = np.flatnonzero(seen.any(axis=0))
+    assert columns.mean() < 14
+    assert seen_from(mesh, fit(mesh, 33, 33, target=[0.5, 0.0, 0.0])).any()
+    for wrong in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(QueryError, match="extent"):
+            fit(mesh, 8, 8, extent=wrong)

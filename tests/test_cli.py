@@ -11,7 +11,7 @@ import pytest
 from command_line import Run
 
 from formats.asset import read_asset
-from formats.image import read_image, read_layers, write_image
+from formats.image import read_image, write_image
 from formats.mesh import read_mesh
 from prt_bake import baking, demonstration, load_model
 from prt_bake.renderer.loop import SHOWS_REFLECTION
@@ -194,43 +194,6 @@ def test_an_error_that_was_reached_is_told_and_one_that_was_not(prtbake: Run, tm
         assert outcome.code == 0, outcome.err
         assert json.loads((tmp_path / "r.json").read_text())["error_reached"] is reached
         assert ("was not reached" in outcome.out) is not reached
-
-
-@pytest.mark.parametrize("suffix", [".png", ".exr"])
-def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> None:
-    output = tmp_path / f"picture{suffix}"
-    outcome = prtbake("shade", "asset.h5", "--light", "sky.exr", "-o", output, "--size", "40x30", "--rotate", 30)
-    assert outcome.code == 0
-    assert "clamped" in outcome.out
-    image = read_image(output)
-    assert image.shape == (30, 40, 3)
-    assert np.isfinite(image).all()
-    np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
-    assert "error of the projection" in outcome.out
-    if suffix == ".exr":
-        layers = read_layers(output).layers
-        assert layers["error"][15, 20].min() > 0.0
-        assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
-
-
-def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
-    """A sky, a sun in one word, and a lights file: the picture is the sum of those under each, less what rings."""
-    (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 0.5, 0.2]\n")
-    given = ["sky.exr", "sun:0,0,1:2,2,2", str(tmp_path / "lights.toml")]
-    pictures = []
-    for number, lights in enumerate([[one] for one in given] + [given]):
-        output = tmp_path / f"{number}.exr"
-        words = [word for light in lights for word in ("--light", light)]
-        assert prtbake("shade", "asset.h5", *words, "-o", output, "--size", "16x12").code == 0
-        pictures.append(read_image(output))
-    # Negative radiance is cut off: of the sum there may be less left to cut off than of its parts.
-    apart = sum(pictures[:3])
-    assert (pictures[3] <= apart + 1e-4).all()
-    assert np.isclose(pictures[3], apart, rtol=1e-4).mean() > 0.7
-    assert all(picture[6, 8].min() > 0.05 for picture in pictures[:2])
-    none = prtbake("shade", "asset.h5", "--light", "sun:0,0,0", "-o", tmp_path / "x.png")
-    assert none.code == 1
-    assert "sun:0,0,0: direction: expected" in none.err
 
 
 def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from shapes import ring
 from formats.errors import QueryError
 from formats.lights import DirectionalLight
 from formats.mesh import Mesh, build_mesh
-from prt_bake import environment, reflection
+from prt_bake import environment, reflecting_surface, reflection
 from prt_bake.camera import Visibility
 from prt_bake.emitters import BrightSky, Disc
 from prt_bake.lighting import Lighting, Sky, solid_angle
@@ -309,8 +309,8 @@ def test_samples_depend_on_their_keys_and_the_seed_alone(ball: Mesh, blotchy: Sk
 
 
 def test_limits_are_those_of_the_walks() -> None:
-    assert reflection.SMOOTHEST == boundary.SMOOTHEST
-    assert reflection.SAME_INDEX == boundary.SAME_INDEX
+    assert reflecting_surface.SMOOTHEST == boundary.SMOOTHEST
+    assert reflecting_surface.SAME_INDEX == boundary.SAME_INDEX
 
 
 def test_black_lights_reflect_nothing(ball: Mesh) -> None:

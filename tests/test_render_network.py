@@ -11,7 +11,7 @@ from sampling import SphereCells
 
 from formats.errors import FormatError, QueryError
 from formats.lights import DirectionalLight
-from prt_bake.camera import Visibility, pixel_directions
+from prt_bake.camera import Visibility, pixel_rays
 from prt_bake.emitters import LightSampler
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.lobe import Lobe
@@ -169,7 +169,7 @@ def test_the_pilot_looks_at_pixels_that_show_nothing_but_the_object() -> None:
     tracer = NetworkTracer(PairNetwork(NETWORK), MESH, dark, Mixture((1,), (0,)), None)
     found = PassTracer(MESH, dark, camera, False, tracer).covered()
     fine = np.stack(np.meshgrid(*2 * [(np.arange(8) + 0.5) / 8]), axis=-1).reshape(1, 64, 2)
-    rays = pixel_directions(camera, np.arange(576), np.repeat(fine, 576, axis=0))
+    rays = pixel_rays(camera, np.arange(576), np.repeat(fine, 576, axis=0)).directions
     coverage = (Visibility(MESH).first_hits(camera.eye, rays.reshape(-1, 3)).faces >= 0).reshape(576, 64).mean(axis=1)
     assert (coverage[found] == 1.0).all()
     assert len(found) > 0.95 * np.sum(coverage == 1.0) > 100

@@ -146,8 +146,8 @@ def seen_points(mesh: Mesh, view: cameras.Camera, points: int, seed: int) -> See
     """Points drawn by the seed among those that the camera sees; raises QueryError where it sees nothing."""
     numbers = uniforms((_POINT_STREAM, seed, np.arange(TRIES * points)), 3)
     pixels = (numbers[:, 0] * view.width * view.height).astype(np.int64)
-    rays = cameras.pixel_directions(view, pixels, numbers[:, None, 1:]).reshape(-1, 3)
-    hits = cameras.Visibility(mesh).first_hits(view.eye, rays)
+    origins, rays = cameras.pixel_rays(view, pixels, numbers[:, None, 1:]).rows()
+    hits = cameras.Visibility(mesh).first_hits(origins, rays)
     facing = (rays * mesh.face_normals[hits.faces]).sum(axis=1) < 0.0
     met = np.flatnonzero((hits.faces >= 0) & facing)[:points]
     if not len(met):

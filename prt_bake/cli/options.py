@@ -115,6 +115,31 @@ Eye = Annotated[
     Point | None,
     typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default the whole object is framed."),
 ]
+LookAt = Annotated[
+    Point | None,
+    typer.Option(
+        parser=_read_point,
+        metavar="x,y,z",
+        help="Where the camera looks; by default the middle of the object.",
+        show_default=False,
+    ),
+]
+Fov = Annotated[
+    float,
+    typer.Option(callback=within(0.0, 180.0), metavar="DEG", help="Vertical field of view of a perspective camera."),
+]
+Orthographic = Annotated[
+    bool, typer.Option("--orthographic", help="Parallel rays; the object is framed, or what --extent says.")
+]
+Extent = Annotated[
+    float | None,
+    typer.Option(
+        callback=within(0.0, math.inf),
+        metavar="H",
+        help="Scene units from the lower to the upper edge of an orthographic picture.",
+        show_default=False,
+    ),
+]
 OnlyEye = Annotated[
     Point | None,
     typer.Option(

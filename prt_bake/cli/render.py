@@ -11,9 +11,13 @@ from prt_bake.cli.options import (
     IMAGE_SUFFIXES,
     Device,
     Exposure,
+    Extent,
     Eye,
+    Fov,
     Lights,
+    LookAt,
     Mend,
+    Orthographic,
     PictureSize,
     ReportFile,
     Rotate,
@@ -98,6 +102,10 @@ def render(
     every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between two previews.")] = 10.0,
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
+    look_at: LookAt = None,
+    fov: Fov = 30.0,
+    orthographic: Orthographic = False,
+    extent: Extent = None,
     up: Up = None,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
@@ -120,7 +128,7 @@ def render(
     are honest. Ctrl-C ends the work early: the picture so far is written, and --resume goes on from it.
     """
     from formats.mesh import read_mesh
-    from prt_bake import camera
+    from prt_bake.cli.viewing import camera_for
     from prt_bake.lighting import read_lighting
     from prt_bake.renderer.state import asked_of, checkpoint_path
 
@@ -131,7 +139,7 @@ def render(
     opened = _open(source, surface, device)
     sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say)
-    view = camera.fit(surface, size.width, size.height, eye=eye, up=sky_up)
+    view = camera_for(surface, size, sky_up, eye, look_at, fov, orthographic, extent)
     checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:
         asked = asked_of(checkpoint)

@@ -9,9 +9,13 @@ import typer
 from prt_bake.cli.options import (
     IMAGE_SUFFIXES,
     Exposure,
+    Extent,
     Eye,
+    Fov,
     Lights,
+    LookAt,
     Mend,
+    Orthographic,
     PictureSize,
     Rotate,
     Size,
@@ -20,6 +24,8 @@ from prt_bake.cli.options import (
 )
 from prt_bake.cli.progress import say
 
+_LAYERS = "position, normal, vertex, radiance, subsurface, reflection"
+
 
 def shade(
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
@@ -27,39 +33,110 @@ def shade(
     output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
+    look_at: LookAt = None,
+    fov: Fov = 30.0,
+    orthographic: Orthographic = False,
+    extent: Extent = None,
     up: Up = None,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
+    reflection: Annotated[
+        bool,
+        typer.Option(
+            "--reflection/--no-reflection",
+            help="Add the light that the surface itself reflects: GGX of the asset's index and roughness.",
+        ),
+    ] = False,
+    roughness: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="GGX alpha of the reflection; the asset's own.", show_default=False),
+    ] = None,
+    transparent: Annotated[
+        bool, typer.Option("--transparent", help="Nothing behind the object: an alpha channel (.exr, .png).")
+    ] = False,
+    layers: Annotated[
+        str,
+        typer.Option(
+            metavar="NAMES", help=f"Also into an .exr, with commas between: {_LAYERS}; or all.", show_default=False
+        ),
+    ] = "",
     samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
     mend: Mend = False,
 ) -> None:
     """Relight a baked asset and write the picture.
 
-    It shows the light from under the surface, with the sky, and lights that have a size, behind the object. An .exr has
-    the error that the bake has left (error.R, error.G, error.B, one sigma) and the object's coverage (coverage.Y).
+    It shows the light from under the surface, with the sky, and lights that have a size, behind the object; on request
+    what the surface reflects. An .exr has the error that the bake has left (error.R, error.G, error.B, one sigma) and
+    the object's coverage (coverage.Y).
     """
     from formats.asset import read_asset
     from formats.image import write_image
-    from prt_bake import camera
+    from prt_bake.cli.viewing import camera_for
     from prt_bake.lighting import read_lighting
     from prt_bake.shading import render_picture
 
+    _refuse_useless(output, transparent, layers)
     baked = read_asset(asset)
     axis = up or baked.up
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
-    view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=axis)
-    picture = render_picture(baked, lighting, view, up=axis, samples=samples)
-    layers = {"error": picture.error, "coverage": picture.coverage}
-    write_image(output, picture.image, exposure=exposure, layers=layers)
-    for remark in _shown_otherwise(baked, light, rotate, view.eye):
+    view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent)
+    options: dict[str, Any] = {
+        "up": axis,
+        "samples": samples,
+        "background": not transparent,
+        "reflection": reflection,
+        "roughness": roughness,
+        "layers": _names(layers),
+    }
+    picture = render_picture(baked, lighting, view, **options)
+    write_image(
+        output,
+        picture.image,
+        exposure=exposure,
+        layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
+        attributes={"prtbake.shows": _shows(picture)},
+        alpha=picture.coverage if transparent else None,
+    )
+    for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
-    if not baked.complete:
-        say(f"{asset}: is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black")
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
         f"{abs(picture.clamped):.3%} of the energy, error of the projection {picture.relative_error:.2%} of "
         f"the object's radiance"
     )
+
+
+def _refuse_useless(output: Path, transparent: bool, layers: str) -> None:
+    """Wrong usage: what the kind of file that was asked for cannot hold."""
+    suffix = output.suffix.lower()
+    if transparent and suffix not in (".exr", ".png"):
+        raise typer.BadParameter(f"--transparent: {suffix} has no alpha channel; write .exr or .png")
+    if layers and suffix != ".exr":
+        raise typer.BadParameter(f"--layers: {suffix} holds a picture alone; write .exr")
+
+
+def _names(layers: str) -> tuple[str, ...]:
+    from prt_bake.picture_layers import LAYERS
+
+    return tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
+
+
+def _shows(picture: Any) -> str:
+    """In the words of `prtbake render`, for `prtbake compare` to find what one of two pictures lacks."""
+    reflected = ", light reflected at the surface" if picture.reflects else ""
+    return f"subsurface light, unscattered light left out{reflected}"
+
+
+def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: Any, reflection: bool) -> Iterator[str]:
+    from prt_bake.surface_gloss import reflects
+
+    yield from _shown_otherwise(baked, lights, rotate, eye)
+    if not baked.complete:
+        yield f"is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black"
+    if reflection and not picture.reflects:
+        yield "its index of refraction is 1, its surface reflects nothing"
+    if not reflection and reflects(baked):
+        yield f"what its surface reflects (index {baked.eta:g}) is left out; --reflection adds it"
 
 
 def _shown_otherwise(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:

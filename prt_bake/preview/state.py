@@ -17,7 +17,7 @@ from prt_bake.frames import Frames
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
-from prt_bake.shading import radiance_error
+from prt_bake.vertex_shading import radiance_error
 
 MOST_EXPOSURE = 10.0
 _SAME_INDEX = 1e-9
@@ -272,5 +272,4 @@ class Preview:
 def _gloss(asset: Asset) -> Gloss | None:
     if abs(asset.eta - 1.0) < _SAME_INDEX:
         return None
-    said = asset.provenance
-    return Gloss(asset.eta, float(said.get("roughness", said.get("model", {}).get("roughness", 0.0))))
+    return Gloss(asset.eta, asset.roughness or 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.mesh import Mesh
-from prt_bake.camera import Camera, Visibility, pixel_directions
+from prt_bake.camera import Camera, Visibility, pixel_rays
 from prt_bake.lobe import Lobe
 
 Array = NDArray[np.float64]
@@ -39,8 +39,8 @@ class PixelLobes:
         known = 0
         for first in range(0, pixels, _PIXELS_AT_ONCE):
             numbers = np.arange(first, min(first + _PIXELS_AT_ONCE, pixels))
-            rays = pixel_directions(camera, numbers, np.full((len(numbers), 1, 2), 0.5))[:, 0]
-            hits = visibility.first_hits(camera.eye, rays)
+            origins, rays = pixel_rays(camera, numbers, np.full((len(numbers), 1, 2), 0.5)).rows()
+            hits = visibility.first_hits(origins, rays)
             met = np.flatnonzero(hits.faces >= 0)
             if not len(met):
                 continue

@@ -128,7 +128,8 @@ def picture_identity(
     lighting: Lighting, camera: Camera, seed: int, background: bool, reflection: bool, **further: Any
 ) -> dict[str, Any]:
     """What decides the numbers of every pass: the view, the light, the seed, and what else is given."""
-    view = [camera.eye.tolist(), camera.target.tolist(), camera.up.tolist(), camera.fov]
+    view: list[Any] = [camera.eye.tolist(), camera.target.tolist(), camera.up.tolist(), camera.fov]
+    view += [] if camera.extent is None else [camera.extent]
     return {
         "light": lighting.content_hash(),
         "size": [camera.width, camera.height],

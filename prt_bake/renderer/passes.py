@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.mesh import Mesh
-from prt_bake.camera import Camera, Hits, Visibility, pixel_directions
+from prt_bake.camera import Camera, Hits, Visibility, pixel_rays
 from prt_bake.lighting import Lighting
 from prt_bake.randomness import hashed, uniforms
 from prt_bake.renderer.surface_reflection import SurfaceReflection
@@ -119,17 +119,17 @@ class PassTracer:
     def covered(self) -> NDArray[np.int64]:
         """The pixels that show the object in their middle and corners, or in their middle where there are none."""
         pixels = np.arange(self._camera.width * self._camera.height)
-        rays = pixel_directions(self._camera, pixels, np.broadcast_to(_MIDDLE_AND_CORNERS, (len(pixels), 5, 2)))
-        met = self._visibility.first_hits(self._camera.eye, rays.reshape(-1, 3)).faces.reshape(-1, 5) >= 0
+        rays = pixel_rays(self._camera, pixels, np.broadcast_to(_MIDDLE_AND_CORNERS, (len(pixels), 5, 2)))
+        met = self._visibility.first_hits(*rays.rows()).faces.reshape(-1, 5) >= 0
         whole = met.all(axis=1)
         return np.flatnonzero(whole if whole.any() else met[:, 0])
 
     def points(self, pixels: NDArray[np.int64], seed: int) -> PixelPoints:
         """The points of `pixels` [N] in the pass of this seed."""
         points = self._tracer.points
-        rays = pixel_directions(self._camera, pixels, _offsets(pixels, points, seed)).reshape(-1, 3)
+        origins, rays = pixel_rays(self._camera, pixels, _offsets(pixels, points, seed)).rows()
         keys = (pixels[:, None] * points + np.arange(points)).ravel().astype(np.uint64)
-        hits = self._visibility.first_hits(self._camera.eye, rays)
+        hits = self._visibility.first_hits(origins, rays)
         return PixelPoints(rays, hits, keys, np.flatnonzero(hits.faces >= 0), points)
 
     def _trace_rows(self, rows: slice, seed: int) -> tuple[Array, Array, int]:

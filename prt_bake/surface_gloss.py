@@ -1,0 +1,189 @@
+"""What a baked object's surface reflects, without noise: skies, directional lights, and the object itself once.
+
+The microsurface is that of walks (`prt_bake.microfacet`). Each point sends a few rays from facets of a fixed pattern,
+the points of a pixel different ones of one lattice, and a ray sees the sky averaged over the share of the lobe that it
+stands for (Křivánek and Colbert 2008, "Real-time shading with filtered importance sampling"). Where it meets the object
+again it sees the radiance that the asset sends along it: one bounce. What such a place reflects itself is left out.
+Directional lights are connected to, as `prt_bake.reflection` does it.
+"""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from prt_bake import prefiltered_sky
+from prt_bake.camera import Visibility
+from prt_bake.lighting import Lighting
+from prt_bake.microfacet import mirrored, reflection_density, visible_facets
+from prt_bake.prefiltered_sky import prefilter
+from prt_bake.reflecting_surface import SMOOTHEST, Points, ReflectingSurface
+from prt_bake.reflection import Reflector
+from prt_bake.sphere import to_world
+from prt_bake.surface_finish import interface_normals
+from prt_bake.vertex_shading import surface_radiance
+
+Array = NDArray[np.float64]
+
+RAYS_A_PIXEL = 64
+"""Of a rough surface, over all points of a pixel."""
+_FILTER = 1.5
+"""Solid angle that a ray stands for, over its share of the lobe."""
+_OF_HALVES = 0.25
+"""What a lattice is off, over the difference of its halves: they are off by more than twice as much as the whole."""
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_SUN_SEED = 0x5B
+_IN_MEMORY = 2 << 30
+
+
+class _Finish(NamedTuple):
+    """GGX alpha, and whether the interface has interpolated normals."""
+
+    alpha: float
+    interpolated: bool
+
+
+class SurfaceGloss:
+    """An asset under a lighting, ready to be asked what its surface reflects."""
+
+    def __init__(
+        self,
+        asset: Asset,
+        lighting: Lighting,
+        weights: Array,
+        visibility: Visibility,
+        points: int,
+        roughness: float | None = None,
+    ) -> None:
+        """Prepare for `points` points a pixel; weights: the light's coefficients as `light_weights` has them.
+
+        roughness: the GGX alpha in place of the asset's. Raises QueryError where neither says it.
+        """
+        self._finish = _finish_of(asset, roughness)
+        self._asset, self._weights, self._visibility = _in_memory(asset), weights, visibility
+        self._surface = ReflectingSurface(asset.mesh, asset.eta)
+        self._mirror = self._finish.alpha < SMOOTHEST
+        self._rays = 1 if self._mirror else max(2, math.ceil(RAYS_A_PIXEL / points))
+        self._points = points
+        self._lighting = lighting
+        self._skies = (
+            [] if self._mirror else [prefilter(sky, self._finest()) for sky in lighting.skies if sky.image.any()]
+        )
+        # A mirror sees discs where it looks.
+        suns = () if self._mirror else lighting.suns
+        self._suns = Reflector(asset.mesh, Lighting((), suns), asset.eta, visibility) if suns else None
+        self._discs = any(sun.angular_diameter > 0.0 for sun in suns)
+
+    def radiance(
+        self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.int64]
+    ) -> tuple[Array, Array]:
+        """Radiance [N,3] reflected at (u, v) [N,2] of faces [N] towards `outgoing` [N,3], and a share of what one half
+        of the rays finds more than the other [N,3]: averaged over a pixel's points, its size is one sigma to two.
+
+        keys [N]: pixel · points + point of the pixel.
+        """
+        halves = np.zeros((2, len(faces), 3))
+        normals = interface_normals(
+            self._asset.mesh, faces, barycentric, "vertex" if self._finish.interpolated else "face"
+        )
+        alpha = np.full(len(faces), self._finish.alpha)
+        points = self._surface.points(faces, normals, outgoing, alpha)
+        starts = self._surface.starts(faces[points.rows], barycentric[points.rows])
+        for ray in range(self._rays):
+            numbers = _lattice(self._points * ray + keys[points.rows] % self._points, self._points * self._rays)
+            halves[ray % 2, points.rows] += self._along_one_ray(points, starts, numbers)
+        if self._rays == 1:
+            halves[1] = halves[0]
+        else:
+            halves /= np.array([(self._rays + 1) // 2, self._rays // 2])[:, None, None]
+        total = halves.mean(axis=0) + self._of_suns(faces, barycentric, normals, outgoing, alpha, keys)
+        return total, _OF_HALVES * (halves[0] - halves[1])
+
+    def _finest(self) -> float:
+        """The least solid angle that a ray stands for: of the facet's own normal, seen from straight above."""
+        return 4.0 * math.pi * self._finish.alpha**2 * _FILTER / (self._rays * self._points)
+
+    def _along_one_ray(self, points: Points, starts: Array, numbers: Array) -> Array:
+        """What one facet of each point reflects [P,3], drawn by numbers [P,2]."""
+        facets = np.zeros_like(points.towards)
+        facets[:, 2] = 1.0
+        if not self._mirror:
+            facets = visible_facets(points.towards, points.alpha, numbers)
+        local = mirrored(points.towards, facets)
+        directions = to_world(local, points.normals, points.tangents)
+        share = self._surface.share(points, facets, local, directions)
+        sent = np.zeros((len(share), 3))
+        lit = np.flatnonzero(share > 0.0)
+        if not len(lit):
+            return sent
+        hits = self._visibility.first_hits(starts[lit], directions[lit])
+        free, met = hits.faces < 0, hits.faces >= 0
+        open_sky = lit[free]
+        sent[open_sky] = self._sky(
+            Points._make(part[open_sky] for part in points), facets[open_sky], directions[open_sky]
+        )
+        if met.any():
+            sent[lit[met]] = surface_radiance(
+                self._asset, self._weights, hits.faces[met], hits.barycentric[met], -directions[lit[met]]
+            )
+        return np.asarray(share[:, None] * sent)
+
+    def _sky(self, points: Points, facets: Array, directions: Array) -> Array:
+        if self._mirror:
+            return self._lighting.radiance(directions)
+        density = reflection_density(points.towards, facets, points.alpha)
+        solid_angles = _FILTER / (self._rays * self._points * density)
+        total = np.zeros(directions.shape)
+        for sky in self._skies:
+            total += prefiltered_sky.radiance(sky, directions, solid_angles)
+        return total
+
+    def _of_suns(
+        self,
+        faces: NDArray[np.int64],
+        barycentric: Array,
+        normals: Array,
+        outgoing: Array,
+        alpha: Array,
+        keys: NDArray[np.int64],
+    ) -> Array:
+        total = np.zeros((len(faces), 3))
+        if self._suns is None:
+            return total
+        rounds = self._rays if self._discs else 1
+        for number in range(rounds):
+            total += self._suns.reflected(
+                faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), _SUN_SEED + number
+            )
+        return total / rounds
+
+
+def reflects(asset: Asset) -> bool:
+    """Whether the surface of an asset reflects anything: its index differs from 1."""
+    return not ReflectingSurface(asset.mesh, asset.eta).matched
+
+
+def _finish_of(asset: Asset, roughness: float | None) -> _Finish:
+    said = asset.roughness if roughness is None else roughness
+    if said is None:
+        raise QueryError("reflection: the asset does not say how rough its surface is; give the roughness (GGX alpha)")
+    if not 0.0 <= said <= 1.0:
+        raise QueryError(f"reflection: a roughness of {said:g} where a GGX alpha from 0 to 1 is expected")
+    return _Finish(float(said), asset.provenance.get("model", {}).get("normals") == "vertex")
+
+
+def _in_memory(asset: Asset) -> Asset:
+    """Reflected rays meet vertices everywhere, time and again: coefficients of moderate size are read once."""
+    stored = asset.coefficients
+    if not hasattr(stored, "file") or math.prod(stored.shape) * stored.dtype.itemsize > _IN_MEMORY:
+        return asset
+    return replace(asset, coefficients=stored[:])
+
+
+def _lattice(numbers: NDArray[np.int64], count: int) -> Array:
+    """Of `count` points of a Fibonacci lattice in the unit square those with `numbers` [N], [N,2]."""
+    return np.stack([(numbers + 0.5) / count, (numbers * _GOLDEN) % 1.0], axis=1)

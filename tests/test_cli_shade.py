@@ -1,0 +1,120 @@
+"""`prtbake shade`, as a user types it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Run
+from PIL import Image
+from shapes import ball
+from test_surface_gloss import glossy
+
+from formats.asset import write_asset
+from formats.image import read_image, read_layers
+
+
+@pytest.fixture(scope="module")
+def polished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An asset of index 1.5 and roughness 0.3."""
+    path = tmp_path_factory.mktemp("polished") / "polished.h5"
+    write_asset(glossy(ball(3)), path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> None:
+    output = tmp_path / f"picture{suffix}"
+    outcome = prtbake("shade", "asset.h5", "--light", "sky.exr", "-o", output, "--size", "40x30", "--rotate", 30)
+    assert outcome.code == 0
+    assert "clamped" in outcome.out
+    image = read_image(output)
+    assert image.shape == (30, 40, 3)
+    assert np.isfinite(image).all()
+    np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
+    assert "error of the projection" in outcome.out
+    if suffix == ".exr":
+        layers = read_layers(output).layers
+        assert layers["error"][15, 20].min() > 0.0
+        assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
+
+
+def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
+    """A sky, a sun in one word, and a lights file: the picture is the sum of those under each, less what rings."""
+    (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 0.5, 0.2]\n")
+    given = ["sky.exr", "sun:0,0,1:2,2,2", str(tmp_path / "lights.toml")]
+    pictures = []
+    for number, lights in enumerate([[one] for one in given] + [given]):
+        output = tmp_path / f"{number}.exr"
+        words = [word for light in lights for word in ("--light", light)]
+        assert prtbake("shade", "asset.h5", *words, "-o", output, "--size", "16x12").code == 0
+        pictures.append(read_image(output))
+    # Negative radiance is cut off: of the sum there may be less left to cut off than of its parts.
+    apart = sum(pictures[:3])
+    assert (pictures[3] <= apart + 1e-4).all()
+    assert np.isclose(pictures[3], apart, rtol=1e-4).mean() > 0.7
+    assert all(picture[6, 8].min() > 0.05 for picture in pictures[:2])
+    none = prtbake("shade", "asset.h5", "--light", "sun:0,0,0", "-o", tmp_path / "x.png")
+    assert none.code == 1
+    assert "sun:0,0,0: direction: expected" in none.err
+
+
+def test_reflection_is_added_on_request_and_missed_where_it_is_left_out(
+    prtbake: Run, tmp_path: Path, polished: Path
+) -> None:
+    options = ["--light", "sky.exr", "--size", "24x24", "-o"]
+    plain = prtbake("shade", polished, *options, tmp_path / "plain.exr")
+    assert "what its surface reflects (index 1.5) is left out; --reflection adds it" in plain.err
+    shiny = prtbake("shade", polished, *options, tmp_path / "shiny.exr", "--reflection", "--layers", "all")
+    assert (shiny.code, shiny.err) == (0, "")
+    ours, layered = read_image(tmp_path / "plain.exr"), read_layers(tmp_path / "shiny.exr")
+    np.testing.assert_allclose(layered.image - layered.layers["reflection"], ours, atol=1e-6)
+    assert set(layered.layers) == {
+        *("position", "normal", "vertex", "radiance", "subsurface", "reflection", "error", "coverage")
+    }
+    assert "light reflected at the surface" in layered.attributes["prtbake.shows"]
+    told = prtbake("compare", tmp_path / "plain.exr", tmp_path / "shiny.exr").err
+    assert "plain.exr does not: it is in the figures" in told
+    matched = prtbake("shade", "asset.h5", *options, tmp_path / "matched.exr", "--reflection")
+    assert "its index of refraction is 1, its surface reflects nothing" in matched.err
+
+
+def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    shown = {}
+    for name, options in {
+        "fitted": [],
+        "parallel": ["--orthographic"],
+        "wide": ["--extent", 8],
+        "aside": ["--eye", "0,0,6", "--look-at", "1,0,0", "--fov", 50],
+    }.items():
+        output = tmp_path / f"{name}.exr"
+        words = ["--light", "sun:0,0,1", "-o", output, "--size", "32x32", *options]
+        assert prtbake("shade", polished, *words).code == 0
+        shown[name] = read_layers(output).layers["coverage"]
+    assert shown["parallel"].mean() == pytest.approx(np.pi / 4 / 1.08**2, rel=0.02)
+    assert shown["wide"].mean() == pytest.approx(np.pi / 64, rel=0.05)
+    assert np.flatnonzero(shown["aside"].any(axis=0)).mean() < 14
+    for wrong in (["--fov", 180], ["--extent", 0], ["--look-at", "1,2"]):
+        assert prtbake("shade", polished, "--light", "sun:0,0,1", "-o", tmp_path / "x.png", *wrong).code == 2
+
+
+def test_a_transparent_picture_has_an_alpha_channel(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    words = ["--light", "sky.exr", "--size", "24x24", "--transparent", "-o"]
+    assert prtbake("shade", polished, *words, tmp_path / "a.png").code == 0
+    stored = np.asarray(Image.open(tmp_path / "a.png"))
+    assert stored.shape == (24, 24, 4)
+    assert (stored[0, 0] == 0).all()
+    assert stored[12, 12, 3] == 255
+    refused = prtbake("shade", polished, *words, tmp_path / "a.hdr")
+    assert refused.code == 2
+    assert ".hdr has no alpha channel; write .exr or .png" in refused.err
+
+
+def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    words = ["--light", "sky.exr", "--size", "8x8", "-o"]
+    outcome = prtbake("shade", polished, *words, tmp_path / "a.png", "--layers", "normal")
+    assert outcome.code == 2
+    assert ".png holds a picture alone; write .exr" in outcome.err
+    outcome = prtbake("shade", polished, *words, tmp_path / "a.exr", "--layers", "normal, depth")
+    assert outcome.code == 1
+    assert "layers: 'depth' where some of position, normal, vertex" in outcome.err
+    assert not list(tmp_path.iterdir())

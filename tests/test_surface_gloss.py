@@ -1,0 +1,214 @@
+"""What a baked surface reflects: furnaces with and without a bounce, suns, mirrors, agreement with unbiased samples."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scenes import lumpy, sphere
+from shapes import ring
+from test_shading import constant, front, make_asset
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from formats.lights import DirectionalLight
+from formats.mesh import Mesh, build_mesh
+from prt_bake import environment
+from prt_bake.camera import Hits, Visibility
+from prt_bake.lighting import Lighting, Sky
+from prt_bake.microfacet import fresnel, mirrored
+from prt_bake.reflection import Reflector
+from prt_bake.shading import render_picture
+from prt_bake.surface_gloss import SurfaceGloss, reflects
+
+POINTS = 9
+DARK = np.zeros((9, 3))
+
+
+def glossy(mesh: Mesh, roughness=0.3, eta=1.5, sent=1.0, normals="face") -> Asset:
+    """An asset that sends `sent` everywhere, whatever the light of unit radiance comes from."""
+    asset = make_asset(mesh, provenance={"eta": eta, "roughness": roughness, "model": {"normals": normals}})
+    coefficients = np.zeros_like(asset.coefficients)
+    coefficients[:, :, 0] = sent / math.sqrt(4 * math.pi)
+    return dataclasses.replace(asset, coefficients=coefficients)
+
+
+def white_weights() -> np.ndarray:
+    weights = np.zeros((9, 3))
+    weights[0] = math.sqrt(4 * math.pi)
+    return weights
+
+
+def blotchy(seed=1) -> Sky:
+    image = np.random.default_rng(seed).random((16, 32, 3)).astype(np.float32) ** 4
+    return Sky(image, "y", environment.rotation(30.0, "y"))
+
+
+def places(mesh: Mesh, count: int, seed=0):
+    """Faces, (u, v), directions to an eye above them, and the keys of as many whole pixels."""
+    generator = np.random.default_rng(seed)
+    faces = np.repeat(generator.integers(0, len(mesh.faces), count), POINTS)
+    barycentric = generator.dirichlet([1, 1, 1], len(faces))[:, :2]
+    outgoing = mesh.face_normals[faces] + 0.7 * np.repeat(generator.normal(size=(count, 3)), POINTS, axis=0)
+    outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
+    return faces, barycentric, outgoing, np.arange(len(faces))
+
+
+def pixels(values: np.ndarray) -> np.ndarray:
+    return values.reshape(-1, POINTS, 3).mean(axis=1)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.02, 0.3, 1.0])
+def test_in_a_white_furnace_the_bounce_hides_where_the_object_is(roughness: float) -> None:
+    """A ring that sends what the sky sends reflects as much as it would alone: its directional albedo."""
+    mesh = ring()
+    asset = glossy(mesh, roughness)
+    white = Lighting((Sky(np.ones((8, 16, 3), np.float32), "y", np.eye(3)),))
+    where = places(mesh, 400)
+    seen = Visibility(mesh)
+    whole, without = (
+        pixels(SurfaceGloss(asset, white, weights, seen, POINTS).radiance(*where)[0])
+        for weights in (white_weights(), DARK)
+    )
+    assert (without <= whole + 1e-12).all()
+    assert (without < 0.9 * whole).any()
+
+    class Free:
+        def first_hits(self, _origins, rays):
+            return Hits(np.full(len(rays), -1), np.zeros((len(rays), 2)))
+
+    alone = SurfaceGloss(asset, white, DARK, Free(), POINTS).radiance(*where)[0]
+    np.testing.assert_allclose(whole, pixels(alone), rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
+def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float) -> None:
+    """Without a bounce, as the path tracer's pictures have it."""
+    mesh = lumpy(2)
+    asset, lighting = glossy(mesh, roughness), Lighting((blotchy(),))
+    faces, barycentric, outgoing, keys = places(mesh, 300)
+    seen = Visibility(mesh)
+    ours, differing = SurfaceGloss(asset, lighting, DARK, seen, POINTS).radiance(faces, barycentric, outgoing, keys)
+    reflector, normals, alpha = Reflector(mesh, lighting, 1.5, seen), mesh.face_normals[faces], np.full(2700, roughness)
+    rounds = 120
+    samples = [
+        pixels(reflector.reflected(faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), seed))
+        for seed in range(rounds)
+    ]
+    truth, noise = np.mean(samples, axis=0), np.var(samples, axis=0).sum() / rounds
+    squared = ((pixels(ours) - truth) ** 2).sum()
+    signal = (truth**2).sum()
+    error = math.sqrt(max(0.0, squared - noise) / signal)
+    told = math.sqrt((pixels(differing) ** 2).sum() / signal)
+    assert error < 0.08
+    assert error < 1.3 * told < 6.0 * max(error, 0.01)
+    assert pixels(ours).sum() == pytest.approx(truth.sum(), rel=0.02)
+
+
+def test_a_sun_without_size_is_connected_to() -> None:
+    mesh = sphere(2)
+    sun = DirectionalLight(np.array([0.0, 0.6, 0.8]), np.array([3.0, 2.0, 1e5]), 0.0)
+    faces, barycentric, outgoing, keys = places(mesh, 200)
+    lighting = Lighting((), (sun,))
+    gloss = SurfaceGloss(glossy(mesh), lighting, DARK, Visibility(mesh), POINTS)
+    ours, differing = gloss.radiance(faces, barycentric, outgoing, keys)
+    reflector = Reflector(mesh, lighting, 1.5)
+    due = reflector.reflected(
+        faces, barycentric, mesh.face_normals[faces], outgoing, np.full(1800, 0.3), keys.astype(np.uint64), 0
+    )
+    np.testing.assert_allclose(ours, due, rtol=1e-9)
+    assert ours.any()
+    assert not differing.any()
+
+
+def test_a_mirror_shows_the_sky_as_it_is() -> None:
+    mesh = sphere(2)
+    lighting = Lighting((blotchy(),), (DirectionalLight(np.array([0.0, 1.0, 0.0]), np.full(3, 2.0), 60.0),))
+    faces, barycentric, outgoing, keys = places(mesh, 200)
+    gloss = SurfaceGloss(glossy(mesh, 0.0), lighting, DARK, Visibility(mesh), POINTS)
+    normals = mesh.face_normals[faces]
+    towards = mirrored(outgoing, normals)
+    due = fresnel((outgoing * normals).sum(axis=1), 1.5)[:, None] * lighting.radiance(towards)
+    above = ((outgoing * normals).sum(axis=1) > 1e-6) & ((towards * normals).sum(axis=1) > 1e-6)
+    np.testing.assert_allclose(
+        gloss.radiance(faces, barycentric, outgoing, keys)[0][above], due[above], rtol=1e-9, atol=1e-12
+    )
+
+
+def test_turning_object_sky_and_eye_together_changes_nothing() -> None:
+    turn = environment.rotation(50.0, "y")
+    mesh = lumpy(2)
+    turned = build_mesh(mesh.positions @ turn.T, mesh.faces)
+    sky = blotchy()
+    faces, barycentric, outgoing, keys = places(mesh, 200)
+    still = SurfaceGloss(glossy(mesh), Lighting((sky,)), white_weights(), Visibility(mesh), POINTS)
+    other = SurfaceGloss(
+        glossy(turned), Lighting((sky,)).turned(50.0, "y"), white_weights(), Visibility(turned), POINTS
+    )
+    ours = pixels(still.radiance(faces, barycentric, outgoing, keys)[0])
+    theirs = pixels(other.radiance(faces, barycentric, outgoing @ turn.T, keys)[0])
+    # Single rays may graze the object here and miss it there.
+    assert (abs(ours - theirs).max(axis=1) < 1e-5).mean() > 0.98
+    assert abs(ours - theirs).mean() < 1e-5
+
+
+def test_it_is_linear_in_the_light() -> None:
+    mesh = lumpy(2)
+    asset, where = glossy(mesh), places(mesh, 60)
+    first, second = blotchy(1), blotchy(2)
+    sun = DirectionalLight(np.array([0.6, 0.0, 0.8]), np.array([1e5, 1e4, 1.0]), 0.5)
+    seen = Visibility(mesh)
+
+    def reflected(*lights: Sky | DirectionalLight, weights: np.ndarray) -> np.ndarray:
+        skies = tuple(light for light in lights if isinstance(light, Sky))
+        suns = tuple(light for light in lights if isinstance(light, DirectionalLight))
+        return SurfaceGloss(asset, Lighting(skies, suns), weights, seen, POINTS).radiance(*where)[0]
+
+    parts = [reflected(light, weights=DARK) for light in (first, second, sun)]
+    together = reflected(first, second, sun, weights=DARK)
+    np.testing.assert_allclose(together, sum(parts), rtol=1e-6, atol=1e-9)
+
+
+def test_pictures_are_the_sum_of_their_parts_and_an_index_of_1_reflects_nothing() -> None:
+    mesh = ring()
+    picture = render_picture(
+        glossy(mesh), constant(), front(), reflection=True, layers=("radiance", "subsurface", "reflection")
+    )
+    layers = picture.layers
+    np.testing.assert_allclose(layers["radiance"], layers["subsurface"] + layers["reflection"], atol=1e-6)
+    assert layers["reflection"].max() > 0.03
+    assert picture.reflects
+    without = render_picture(glossy(mesh), constant(), front(), layers=("reflection",))
+    assert not without.layers["reflection"].any()
+    np.testing.assert_allclose(picture.image - without.image, layers["reflection"], atol=1e-6)
+    matched = render_picture(glossy(mesh, eta=1.0), constant(), front(), reflection=True)
+    assert not matched.reflects
+    np.testing.assert_array_equal(matched.image, without.image)
+    assert not reflects(glossy(mesh, eta=1.0))
+
+
+def test_interpolated_normals_reflect_smoothly() -> None:
+    mesh = sphere(2)
+    sky = np.zeros((64, 128, 3), np.float32)
+    sky[:32] = 1.0
+    flat, smooth = (
+        render_picture(
+            glossy(mesh, 0.05, normals=normals, sent=0.0), sky, front(64, 64), reflection=True, background=False
+        )
+        for normals in ("face", "vertex")
+    )
+    assert abs(flat.image - smooth.image).max() > 0.01
+
+
+def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
+    asset = glossy(ring())
+    bare = dataclasses.replace(asset, provenance={"eta": 1.5})
+    with pytest.raises(QueryError, match="does not say how rough"):
+        render_picture(bare, constant(), front(), reflection=True)
+    assert render_picture(bare, constant(), front(), reflection=True, roughness=0.2).reflects
+    with pytest.raises(QueryError, match="a GGX alpha from 0 to 1"):
+        render_picture(bare, constant(), front(), reflection=True, roughness=1.5)
+    with pytest.raises(QueryError, match="finite index"):
+        render_picture(
+            dataclasses.replace(asset, provenance={"eta": -1.0, "roughness": 0.1}), constant(), front(), reflection=True
+        )
