@@ -1,7 +1,7 @@
 """What is in the window: the object under its light, drawn anew for the eye whenever VTK draws."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyvista
@@ -41,7 +41,7 @@ class View:
     ) -> None:
         """start: the camera to begin with; its size is that of the plotter."""
         self.preview, self.plotter = preview, plotter
-        self.window: Any = plotter.render_window
+        self.window = cast(Any, plotter.render_window)
         self._start = start
         self._object, self._sky = Object(preview.asset.mesh, preview.gloss), Sky()
         self._reference = None if reference is None else Reference(reference)
