@@ -61,7 +61,7 @@ class Actor:
 
     def _turn_sky(self, to_sky: NDArray[np.float64]) -> None:
         matrix = vtkMatrix3x3()
-        matrix.DeepCopy(to_sky.ravel().tolist())
+        matrix.DeepCopy(to_sky.T.ravel().tolist())  # GLSL counts by columns
         self._uniforms.SetUniformMatrix("toSky", matrix)
 
     def _replace_vertex(self, names: str, code: str) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 _SHARPEST = 0.02
 """Below this alpha the sky itself is what is mirrored."""
-_LEAST_ROWS, _MOST_ROWS = 16, 128
+_LEAST_ROWS, _MOST_ROWS = 48, 128
 _ROWS_TIMES_ALPHA = 12.0
 
 

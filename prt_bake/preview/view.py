@@ -75,6 +75,16 @@ class View:
     def _camera(self) -> Any:
         return self.plotter.renderer.GetActiveCamera()
 
+    @property
+    def radius(self) -> float:
+        """A unit of VTK's space, in scene units."""
+        return self._object.radius
+
+    @property
+    def shown(self) -> NDArray[np.float32]:
+        """What the vertices were given last, as `Preview.colours` has it [V,4]."""
+        return self._object.shown
+
     def reset_camera(self) -> None:
         """See the object as at the beginning."""
         camera = self._camera

@@ -1,0 +1,210 @@
+"""The preview driven as a user drives it: keys, mouse, sliders, files that change, a picture to flip to."""
+
+import dataclasses
+import os
+
+import numpy as np
+import pytest
+from preview_windows import bare_picture, drag, encoded, open_window, press, slide, write_sky
+from shapes import ball
+from test_shading import constant, make_asset, painted_sky
+
+from formats.image import read_image
+from prt_bake.camera import Camera
+from prt_bake.lighting import as_lighting
+from prt_bake.preview import window as windows
+from prt_bake.preview.state import Mode
+from prt_bake.preview.window import Window
+from prt_bake.shading import render_picture
+
+SKY = 0.2 * painted_sky()
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def opened(tmp_path):
+    """A window on a ball under two skies, the second of them white."""
+    lights = [write_sky(tmp_path / "sky.exr", SKY), write_sky(tmp_path / "white.exr", 0.3 * constant())]
+    window = open_window(make_asset(ball(2), provenance={"eta": 1.5}), lights)
+    yield window
+    window.view.plotter.close()
+
+
+def said(window: Window) -> str:
+    overlay = window.overlay
+    return "\n".join(text.GetInput() for text in (overlay.legend, overlay.status, overlay.message))
+
+
+def camera_of(window: Window) -> Camera:
+    """The window's camera in object space."""
+    view = window.view
+    camera = view.plotter.renderer.GetActiveCamera()
+    target = view.preview.asset.mesh.center + view.radius * np.array(camera.GetFocalPoint())
+    width, height = view.window.GetSize()
+    return Camera(view.eye, target, np.array(camera.GetViewUp()), camera.GetViewAngle(), width, height)
+
+
+def test_orbiting_shades_for_the_eye_as_it_moves(opened) -> None:
+    before, eye = opened.view.shown.copy(), opened.view.eye
+    drag(opened, (60, 45), (90, 52))
+    assert np.linalg.norm(opened.view.eye - eye) > 0.3
+    assert np.linalg.norm(opened.view.eye) == pytest.approx(np.linalg.norm(eye), rel=1e-5)
+    assert np.abs(opened.view.shown - before).max() > 1e-3  # drawn while the mouse moved, not after
+    picture = render_picture(opened.view.preview.asset, as_lighting(SKY, "y", 0.0), camera_of(opened), samples=4)
+    off = np.abs(bare_picture(opened) - encoded(picture.image)).max(axis=2)
+    assert np.quantile(off[(picture.coverage == 1.0) | (picture.coverage == 0.0)], 0.98) <= 1.0
+    press(opened, "0")
+    np.testing.assert_allclose(opened.view.eye, eye, rtol=1e-6)
+    np.testing.assert_array_equal(opened.view.shown, before)
+
+
+def test_edges_are_smooth_but_while_it_moves(opened, monkeypatch) -> None:
+    assert opened.view.smooth_edges
+    drag(opened, (60, 45), (90, 52))
+    assert not opened.view.smooth_edges
+    monkeypatch.setattr(windows, "_STILL", 0.0)
+    opened.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
+    assert opened.view.smooth_edges
+
+
+def test_keys_show_what_they_say(opened) -> None:
+    preview = opened.view.preview
+    press(opened, "n")
+    assert preview.which == 1
+    assert "white.exr" in said(opened)
+    press(opened, "N")
+    assert preview.which == 0
+    press(opened, "Up", "Up", "Down", "Left")
+    assert (preview.exposure, preview.rotation) == (0.5, -5.0)
+    assert opened.exposure.GetRepresentation().GetValue() == pytest.approx(0.5)
+    assert opened.rotation.GetRepresentation().GetValue() == pytest.approx(-5.0)
+    press(opened, "e")
+    assert preview.mode is Mode.ERROR
+    press(opened, "v")
+    assert preview.mode is Mode.VALID
+    assert "all valid" in said(opened)
+    press(opened, "period", "period")
+    assert preview.degree_and_order == (1, 0)
+    assert "l = 1, m = 0" in said(opened)
+    press(opened, "comma", "c")
+    assert preview.mode is Mode.RADIANCE
+    press(opened, "r")
+    assert preview.reflecting
+    assert "with reflection" in said(opened)
+
+
+def test_every_mode_and_every_key_changes_the_picture(opened) -> None:
+    press(opened, "Down", "Down", "Down")
+    seen = [bare_picture(opened)]
+    for key in ("e", "v", "c", "period", "c", "b", "b", "r", "r", "Up", "Down", "n", "n", "Right", "Left"):
+        press(opened, key)
+        seen.append(bare_picture(opened))
+        assert np.abs(seen[-1] - seen[-2]).mean() > 0.01, key
+    np.testing.assert_array_equal(seen[0], seen[-1])
+
+
+@pytest.mark.parametrize("key", ["h", "question"])
+def test_the_legend_opens_and_closes(opened, key) -> None:
+    assert said(opened).startswith("h ")
+    press(opened, key)
+    for words in ("orbit", "next light, of 2", "reflection", "standard error", "valid", "coefficients", "quit"):
+        assert words in said(opened)
+    assert "flip" not in said(opened)
+    press(opened, key)
+    assert "orbit" not in said(opened)
+
+
+def test_no_key_of_vtk_itself_does_anything(opened) -> None:
+    before = bare_picture(opened)
+    press(opened, "w", "3", "f", "p", "i", "t", "j", "l", "plus")
+    np.testing.assert_array_equal(bare_picture(opened), before)
+
+
+def test_sliders_turn_the_light_and_expose(opened) -> None:
+    preview = opened.view.preview
+    slide(opened.rotation, 90.0)
+    slide(opened.exposure, -2.0)
+    assert (preview.rotation, preview.exposure) == (90.0, -2.0)
+    assert "light +90°" in opened.overlay.rotation.GetInput()
+    picture = render_picture(preview.asset, as_lighting(SKY, "y", 90.0), camera_of(opened), samples=4)
+    off = np.abs(bare_picture(opened) - encoded(picture.image, -2.0)).max(axis=2)
+    assert np.quantile(off[(picture.coverage == 1.0) | (picture.coverage == 0.0)], 0.98) <= 1.0
+
+
+def tick_after(window: Window, path, content: bytes) -> None:
+    before = path.stat().st_mtime_ns
+    path.write_bytes(content)
+    os.utime(path, ns=(before + 10_000_000, before + 10_000_000))
+    window.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
+
+
+def test_a_sky_that_changes_on_disk_is_seen_at_once(opened, tmp_path, monkeypatch) -> None:
+    first, path = bare_picture(opened), tmp_path / "sky.exr"
+    whole, white = path.read_bytes(), (tmp_path / "white.exr").read_bytes()
+    tick_after(opened, path, white[:300])
+    np.testing.assert_array_equal(bare_picture(opened), first)
+    assert "sky.exr" in opened.overlay.message.GetInput()
+    assert "still showing" in opened.overlay.message.GetInput()
+    tick_after(opened, path, white)
+    assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.3)), abs=1.0)
+    tick_after(opened, path, whole)
+    np.testing.assert_array_equal(bare_picture(opened), first)
+    assert "was read again" in opened.overlay.message.GetInput()
+    monkeypatch.setattr(windows, "_SAID_FOR", 0.0)
+    opened.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
+    assert not opened.overlay.message.GetVisibility()
+
+
+def test_flipping_to_a_reference_shows_it_pixel_by_pixel(tmp_path) -> None:
+    reference = np.random.default_rng(0).random((90, 120, 3)).astype(np.float32)
+    asset, lights = make_asset(ball(2)), [write_sky(tmp_path / "sky.exr", SKY)]
+    window = open_window(asset, lights, reference=reference)
+    ours = bare_picture(window)
+    press(window, "space")
+    assert np.abs(bare_picture(window) - encoded(reference)).max() <= 1.0
+    assert "reference.exr" in said(window)
+    press(window, "Up")
+    assert np.abs(bare_picture(window) - encoded(reference, 0.5)).max() <= 1.0
+    press(window, "Down", "space")
+    np.testing.assert_array_equal(bare_picture(window), ours)
+    window.view.plotter.close()
+    large = open_window(asset, lights, (60, 60), reference=reference)
+    press(large, "space")
+    shown = bare_picture(large)
+    assert shown[:7].std(axis=(0, 1)).max() == shown[-7:].std(axis=(0, 1)).max() == 0.0  # what its shape leaves over
+    assert shown[10:50].std() > 20.0
+
+
+def test_an_eye_inside_the_object_is_told_and_the_colours_stay(opened) -> None:
+    before = opened.view.shown.copy()
+    camera = opened.view.plotter.renderer.GetActiveCamera()
+    camera.SetPosition(0.0, 0.05, 0.1)
+    opened.render()
+    assert "inside the object" in opened.overlay.message.GetInput()
+    np.testing.assert_array_equal(opened.view.shown, before)
+    press(opened, "0")
+    assert not opened.overlay.message.GetVisibility()
+
+
+def test_a_saved_picture_has_no_words_on_it_and_replaces_no_other(opened, tmp_path) -> None:
+    press(opened, "h", "s", "s")
+    names = sorted(path.name for path in tmp_path.glob("*.png"))
+    assert names == ["ball_1.png", "ball_2.png"]
+    np.testing.assert_array_equal(read_image("ball_1.png"), read_image("ball_2.png"))
+    assert "orbit" in said(opened)
+    assert opened.overlay.legend.GetVisibility()
+    assert opened.exposure.GetEnabled()
+
+
+def test_an_asset_made_for_one_light_has_no_slider_to_turn_it() -> None:
+    asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
+    window = open_window(asset, [])
+    assert not window.rotation.GetEnabled()
+    assert window.exposure.GetEnabled()
+    before = bare_picture(window)
+    press(window, "Left", "n")
+    np.testing.assert_array_equal(bare_picture(window), before)
