@@ -62,7 +62,7 @@ def test_skies_in_a_lights_file_are_watched_too(tmp_path) -> None:
 
 
 def test_a_light_that_is_none_is_refused_at_the_start(tmp_path) -> None:
-    with pytest.raises(PrtbakeError, match="none.exr"):
+    with pytest.raises(PrtbakeError, match=r"none\.exr"):
         LightSource(str(tmp_path / "none.exr"), "y", 2)
 
 

@@ -65,7 +65,7 @@ def test_vertices_that_are_not_valid_leave_their_faces_to_the_others(tmp_path) -
 @pytest.mark.parametrize("away", [0.0, 1e4])
 def test_objects_of_any_size_anywhere(tmp_path, scale, away) -> None:
     mesh = ring()
-    mesh = build_mesh(scale * (mesh.positions + [away, 0.0, -away]), mesh.faces)
+    mesh = build_mesh(scale * (mesh.positions + np.array([away, 0.0, -away])), mesh.faces)
     agree(*both(make_asset(mesh), 0.2 * painted_sky(), tmp_path / "sky.exr"))
 
 
