@@ -8,6 +8,7 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
+from numba import get_num_threads, set_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
@@ -17,10 +18,10 @@ from prt_bake.frames import Frames
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
-from prt_bake.vertex_shading import radiance_error
 
 MOST_EXPOSURE = 10.0
 _SAME_INDEX = 1e-9
+_VERTICES_A_THREAD = 1 << 16
 _MOST_OF_SCALE = 0.98
 """Quantile of what is shown in false colours that their scale ends at."""
 
@@ -92,6 +93,10 @@ class Preview:
         self.message = ""
         self.changes = 0
         self._frames = Frames(self.asset)
+        self._errors: Frames | None = None
+        low, high = self.asset.mesh.bounds
+        reach = 1e-3 * self.asset.mesh.diagonal
+        self._box = low - reach, high + reach
         self._shown = np.zeros((len(asset.valid), 4), np.float32)
         self._top: float | None = None
         self._mirrored: tuple[ShownLight, NDArray[np.float32]] | None = None
@@ -216,10 +221,10 @@ class Preview:
             shown[:, :3] = colours.as_light(np.where(valid[:, None], colours.VALID, colours.NOT_VALID))
             shown[:, 3] = 1.0
             return shown
-        camera.refuse_eye_in_object(self.asset.mesh, np.asarray(eye, np.float64))
+        self._refuse_inside(np.asarray(eye, np.float64))
         shown[:, 3] = valid
         if self.mode is Mode.RADIANCE:
-            shown[:, :3] = self._frames.draw(eye)
+            shown[:, :3] = self._draw(self._frames, eye)
             return shown
         values = self._error(eye) if self.mode is Mode.ERROR else self._coefficient(eye)
         if self._top is None:  # a scale that stays while the eye moves
@@ -228,12 +233,34 @@ class Preview:
         shown[:, :3] = colours.as_light(ramp(values / self._top)) * valid[:, None]
         return shown
 
+    def _draw(self, frames: Frames, eye: ArrayLike) -> NDArray[np.float32]:
+        """Radiance [V,3] by one thread for all but the largest objects, which takes it a millisecond: to wait for one
+        more takes longer where others, such as VTK's own, are at work.
+        """
+        most = get_num_threads()
+        set_num_threads(min(most, 1 + len(self._shown) // _VERTICES_A_THREAD))
+        try:
+            return frames.draw(eye)
+        finally:
+            set_num_threads(most)
+
+    def _refuse_inside(self, eye: NDArray[np.float64]) -> None:
+        low, high = self._box
+        if ((eye >= low) & (eye <= high)).all():
+            camera.refuse_eye_in_object(self.asset.mesh, eye)
+
     def _error(self, eye: ArrayLike) -> NDArray[np.float64]:
-        """One sigma over the rms radiance of all vertices [V]."""
-        radiance = self._frames.draw(eye).astype(np.float64)
+        """One sigma, rms over channels, over the rms radiance of all vertices [V]: as `radiance_error` has it, a
+        coefficient's between view bins times the length of the light's coefficients.
+        """
+        radiance = self._draw(self._frames, eye).astype(np.float64)
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))
-        sigma = radiance_error(self.asset, self._turned(), eye)
-        return np.asarray(np.sqrt((sigma**2).mean(axis=1)) / (signal or 1.0))
+        if self._errors is None:
+            sigma = self.asset.standard_error[:, :, None, None]
+            self._errors = Frames(dataclasses.replace(self.asset, coefficients=sigma, degree=0, quantity="radiance"))
+        light = self.light.harmonics if self.light is not None and self.relightable else np.ones((1, 3))
+        length = math.sqrt(float((light**2).sum()) / 3.0)
+        return np.asarray(self._draw(self._errors, eye)[:, 0] * (length / (signal or 1.0)), np.float64)
 
     def _coefficient(self, eye: ArrayLike) -> NDArray[np.float64]:
         """Its mean over channels [V], as seen from the eye."""
@@ -241,20 +268,15 @@ class Preview:
         one = np.zeros((self._harmonics, 3))
         one[self.harmonic] = 1.0
         if not self.relightable:
-            return np.asarray(self._frames.draw(eye).mean(axis=1), np.float64)
+            return np.asarray(self._draw(self._frames, eye).mean(axis=1), np.float64)
         self._frames.light(one)
-        above = self._frames.draw(eye).mean(axis=1)  # another array than the one that is drawn on
+        above = self._draw(self._frames, eye).mean(axis=1)  # another array than the one that is drawn on
         self._frames.light(-one)
-        return np.asarray(above - self._frames.draw(eye).mean(axis=1), np.float64)
+        return np.asarray(above - self._draw(self._frames, eye).mean(axis=1), np.float64)
 
     @property
     def _harmonics(self) -> int:
         return sh.count(self.asset.degree) if self.relightable else 1
-
-    def _turned(self) -> NDArray[np.float64] | None:
-        if self.light is None or not self.relightable:
-            return None
-        return environment.rotate_light(self.light.harmonics, self.rotation, self.asset.up)
 
     def _relight(self) -> None:
         if not self.relightable:
