@@ -11,8 +11,7 @@ from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from formats.errors import QueryError
-from formats.image import write_image
-from formats.png import to_linear
+from formats.whole import replacing
 from prt_bake import camera
 from prt_bake.preview.actors import Object, Reference, Sky
 from prt_bake.preview.state import Preview
@@ -207,5 +206,8 @@ def has_display(plotter: pyvista.Plotter) -> bool:
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Write what a window showed, sRGB [H,W,3], as PNG."""
-    write_image(path, to_linear(picture / 255.0))
+    """Write what a window showed, sRGB [H,W,3], as PNG, whole or not at all."""
+    from PIL import Image
+
+    with replacing(path) as part:
+        Image.fromarray(picture).save(part, format="PNG")

@@ -1,0 +1,110 @@
+"""`prtbake view`, as far as it goes without a display."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Run
+
+from formats.image import read_image, write_image
+from formats.png import to_srgb
+from prt_bake.preview import view as views
+from prt_bake.preview.window import Window
+
+COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
+
+
+@pytest.mark.parametrize("options", [[], ["--rotate", 60, "--exposure", -1], ["--up", "y"], ["--eye", "2,3,1"]])
+def test_a_screenshot_is_the_picture_that_shade_writes(prtbake: Run, tmp_path: Path, options: list[object]) -> None:
+    sky = np.random.default_rng(1).random((16, 32, 3)).astype(np.float32)
+    write_image(tmp_path / "sky.hdr", sky)
+    light = ["--light", tmp_path / "sky.hdr", "--size", "64x48", *options]
+    shot, shaded = tmp_path / "shot.png", tmp_path / "shade.png"
+    outcome = prtbake("view", "asset.h5", *light, "--screenshot", shot)
+    assert (outcome.code, outcome.err) == (0, "")
+    assert "64x48 pixels" in outcome.out
+    assert prtbake("shade", "asset.h5", *light, "-o", shaded).code == 0
+    off = 255.0 * np.abs(to_srgb(read_image(shot)) - to_srgb(read_image(shaded))).max(axis=2)
+    assert np.median(off) <= 1.0
+    assert (off > 3.0).mean() < 0.15  # edges of a ball of 80 faces
+
+
+def test_the_size_is_that_of_the_reference(prtbake: Run, tmp_path: Path) -> None:
+    write_image(tmp_path / "reference.exr", np.ones((30, 50, 3), np.float32))
+    compare = ["--compare", tmp_path / "reference.exr", "--screenshot", tmp_path / "shot.png"]
+    assert prtbake(*COMMAND, *compare).code == 0
+    assert read_image(tmp_path / "shot.png").shape == (30, 50, 3)
+    assert prtbake(*COMMAND, *compare, "--size", "20x10").code == 0
+    assert read_image(tmp_path / "shot.png").shape == (10, 20, 3)
+
+
+def test_without_a_light_it_takes_the_sky_that_comes_along(prtbake: Run, tmp_path: Path) -> None:
+    assert prtbake("view", "asset.h5", "--size", "32x24", "--screenshot", tmp_path / "shot.png").code == 0
+    assert read_image(tmp_path / "shot.png")[0].std() > 0.0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
+@pytest.mark.parametrize("display", [None, "", ":4711"])
+def test_without_a_display_it_says_so(prtbake: Run, monkeypatch: pytest.MonkeyPatch, display: str | None) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    if display is not None:
+        monkeypatch.setenv("DISPLAY", display)
+    outcome = prtbake(*COMMAND)
+    assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
+    assert "no display" in outcome.err
+    assert "--screenshot" in outcome.err
+
+
+WITHOUT = """
+import sys
+sys.modules["pyvista"] = None
+from prt_bake.cli.main import main
+code = main(sys.argv[1:])
+assert "torch" not in sys.modules
+sys.exit(code)
+"""
+
+
+def test_without_pyvista_it_says_what_to_install(folder: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", WITHOUT, *COMMAND, "--screenshot", str(tmp_path / "shot.png")]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
+    assert "pip install 'prt-bake[preview]'" in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--eye", "0,0.1,0"], "inside the object"),
+        (["--light", "none.exr"], "none.exr"),
+        (["--light", "sphere.ply"], "sphere.ply"),
+        (["--compare", "scene.toml"], "scene.toml"),
+    ],
+)
+def test_what_it_cannot_show_it_refuses_in_a_sentence(
+    prtbake: Run, tmp_path: Path, options: list[str], words: str
+) -> None:
+    outcome = prtbake("view", "asset.h5", *options, "--screenshot", tmp_path / "shot.png")
+    assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
+    assert words in outcome.err
+    assert not (tmp_path / "shot.png").exists()
+
+
+def test_a_screenshot_of_another_kind_is_refused_at_once(prtbake: Run) -> None:
+    assert "ends in .png" in prtbake(*COMMAND, "--screenshot", "shot.jpg").err
+
+
+def test_a_window_is_handed_to_the_user(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a display that only seems to be one: the window is in memory, and its loop ends at once."""
+    from prt_bake.preview import window
+
+    seen = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(window, "has_display", lambda plotter: True)
+    monkeypatch.setattr(Window, "run", lambda self: seen.append(self))
+    make = views.make_plotter
+    monkeypatch.setattr(window, "make_plotter", lambda width, height, off_screen: make(width, height, True))
+    assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
+    assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]
