@@ -36,7 +36,8 @@ def opened(tmp_path):
 
 def said(window: Window) -> str:
     overlay = window.overlay
-    return "\n".join(text.GetInput() for text in (overlay.legend, overlay.status, overlay.message))
+    texts = (overlay.legend, overlay.status, overlay.message)
+    return "\n".join(" ".join(text.GetInput().split("\n")) for text in texts if text.GetVisibility())
 
 
 def camera_of(window: Window) -> Camera:
@@ -109,7 +110,7 @@ def test_every_mode_and_every_key_changes_the_picture(opened) -> None:
 
 @pytest.mark.parametrize("key", ["h", "question"])
 def test_the_legend_opens_and_closes(opened, key) -> None:
-    assert said(opened).startswith("h ")
+    assert "h: keys" in said(opened)
     press(opened, key)
     for words in ("orbit", "next light, of 2", "reflection", "standard error", "valid", "coefficients", "quit"):
         assert words in said(opened)
@@ -147,13 +148,13 @@ def test_a_sky_that_changes_on_disk_is_seen_at_once(opened, tmp_path, monkeypatc
     whole, white = path.read_bytes(), (tmp_path / "white.exr").read_bytes()
     tick_after(opened, path, white[:300])
     np.testing.assert_array_equal(bare_picture(opened), first)
-    assert "sky.exr" in opened.overlay.message.GetInput()
-    assert "still showing" in opened.overlay.message.GetInput()
+    assert "sky.exr" in said(opened)
+    assert "still showing" in said(opened)
     tick_after(opened, path, white)
     assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.3)), abs=1.0)
     tick_after(opened, path, whole)
     np.testing.assert_array_equal(bare_picture(opened), first)
-    assert "was read again" in opened.overlay.message.GetInput()
+    assert "was read again" in said(opened)
     monkeypatch.setattr(windows, "_SAID_FOR", 0.0)
     opened.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
     assert not opened.overlay.message.GetVisibility()
@@ -184,7 +185,7 @@ def test_an_eye_inside_the_object_is_told_and_the_colours_stay(opened) -> None:
     camera = opened.view.plotter.renderer.GetActiveCamera()
     camera.SetPosition(0.0, 0.05, 0.1)
     opened.render()
-    assert "inside the object" in opened.overlay.message.GetInput()
+    assert "inside the object" in said(opened)
     np.testing.assert_array_equal(opened.view.shown, before)
     press(opened, "0")
     assert not opened.overlay.message.GetVisibility()

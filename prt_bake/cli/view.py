@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from formats.errors import QueryError, StorageError
-from prt_bake.cli.options import Exposure, Eye, Mend, Rotate, Size, Up, optional_output, read_size
+from prt_bake.cli.options import Exposure, Eye, Fov, LookAt, Mend, Rotate, Size, Up, optional_output, read_size
 from prt_bake.cli.progress import say
 
 if TYPE_CHECKING:
@@ -50,6 +50,8 @@ def view(
         ),
     ] = None,
     eye: Eye = None,
+    look_at: LookAt = None,
+    fov: Fov = 30.0,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
     up: Up = None,
@@ -62,6 +64,7 @@ def view(
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     from prt_bake import camera
+    from prt_bake.cli.viewing import camera_for
 
     with ThreadPoolExecutor(1) as reading:
         # Meanwhile VTK is loaded: both take most of a second.
@@ -71,7 +74,7 @@ def view(
     reference = None if compare is None else _read(compare)
     shape = size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
     mesh, axis = preview.asset.mesh, preview.asset.up
-    start = camera.fit(mesh, shape.width, shape.height, eye=eye, up=axis)
+    start = camera_for(mesh, shape, axis, eye, look_at, fov, False, None)
     camera.refuse_eye_in_object(mesh, start.eye)
     for remark in _remarks(preview):
         say(f"{asset}: {remark}")

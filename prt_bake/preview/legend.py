@@ -1,6 +1,11 @@
 """Words of the window: which keys there are, and what is shown."""
 
+import textwrap
+
 from prt_bake.preview.state import Mode, Preview
+
+_LETTER = 8
+"""Pixels that a letter takes, about."""
 
 Key = tuple[str, str]
 
@@ -28,6 +33,11 @@ def legend(preview: Preview, reference: str | None) -> str:
     rows = keys(preview, reference)
     width = max(len(name) for name, _ in rows)
     return "\n".join(f"{name:<{width}}  {words}" for name, words in rows)
+
+
+def wrapped(words: str, width: int) -> str:
+    """A sentence in lines that a window of this width in pixels has room for."""
+    return "\n".join(textwrap.wrap(words, max(20, width // _LETTER)))
 
 
 def status(preview: Preview, name: str, reference: str | None = None) -> str:

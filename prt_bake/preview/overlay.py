@@ -16,24 +16,27 @@ numpy_to_vtk: Any = numpy_support.numpy_to_vtk
 _INK, _PAPER = (0.96, 0.96, 0.96), (0.05, 0.05, 0.06)
 SLIDERS = (0.56, 0.75), (0.78, 0.97)
 """Left and right ends of the sliders, shares of the window."""
-_TEXT = 14
 _STEPS = 64
-_BAR = (0.3, 0.7, 0.915, 0.935)
+_BAR = (0.05, 0.45, 0.065, 0.085)
 """Left, right, lower and upper edge of the scale, shares of the window."""
 
 
 class Overlay:
     """Texts over a renderer; empty ones are not drawn."""
 
-    def __init__(self, renderer: Any) -> None:
-        self.legend = _text(renderer, (0.015, 0.98), top=True, fixed_width=True)
-        self.status = _text(renderer, (0.015, 0.02))
-        self.message = _text(renderer, (0.5, 0.98), top=True, centred=True)
-        self.rotation, self.exposure = (_text(renderer, (left, 0.02)) for left, _ in SLIDERS)
+    def __init__(self, renderer: Any, width: int) -> None:
+        """width: of the window in pixels, which letters follow where it is small."""
+        letters = min(max(round(width / 50), 9), 14)
+        self.status = _text(renderer, (0.015, 0.98), letters, top=True)
+        self.message = _text(renderer, (0.015, 0.93), letters, top=True)
+        self.legend = _text(renderer, (0.015, 0.87), letters, top=True, fixed_width=True)
+        self.rotation, self.exposure = (_text(renderer, (left, 0.02), letters) for left, _ in SLIDERS)
         left, right, low, high = _BAR
         self._bar = _Bar(renderer)
-        self._low, self._high = (_text(renderer, (x, low - 0.01), top=True, centred=True) for x in (left, right))
-        self._of = _text(renderer, (0.5 * (left + right), high + 0.01), centred=True)
+        self._low, self._high = (
+            _text(renderer, (x, low - 0.01), letters, top=True, centred=True) for x in (left, right)
+        )
+        self._of = _text(renderer, (0.5 * (left + right), high + 0.01), letters, centred=True)
         texts = (self.legend, self.status, self.message, self.rotation, self.exposure, self._low, self._high, self._of)
         self._parts = (*texts, self._bar.actor)
 
@@ -67,12 +70,17 @@ class Overlay:
 
 
 def _text(
-    renderer: Any, place: tuple[float, float], top: bool = False, centred: bool = False, fixed_width: bool = False
+    renderer: Any,
+    place: tuple[float, float],
+    letters: int,
+    top: bool = False,
+    centred: bool = False,
+    fixed_width: bool = False,
 ) -> Any:
     text = vtkTextActor()
     text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     text.SetPosition(*place)
-    _letter(text.GetTextProperty(), fixed_width)
+    _letter(text.GetTextProperty(), letters, fixed_width)
     if top:
         text.GetTextProperty().SetVerticalJustificationToTop()
     if centred:
@@ -112,12 +120,12 @@ class _Bar:
         self._strip.GetPointData().SetScalars(numpy_to_vtk(bytes_of, deep=True))
 
 
-def _letter(style: Any, fixed_width: bool = False) -> None:
+def _letter(style: Any, size: int, fixed_width: bool) -> None:
     if fixed_width:
         style.SetFontFamilyToCourier()
     else:
         style.SetFontFamilyToArial()
-    style.SetFontSize(_TEXT)
+    style.SetFontSize(size)
     style.SetColor(*_INK)
     style.SetBackgroundColor(*_PAPER)
     style.SetBackgroundOpacity(0.7)

@@ -35,7 +35,7 @@ class Window:
         """name: of the asset. reference: the name of the picture to compare with."""
         self.view, self._name, self._reference = view, name, reference
         self._preview: Preview = view.preview
-        self.overlay = Overlay(view.plotter.renderer)
+        self.overlay = Overlay(view.plotter.renderer, view.window.GetSize()[0])
         self._legend = False
         self._moved = self._said = -math.inf
         self._plotter: Any = view.plotter
@@ -170,16 +170,18 @@ class Window:
     def _tell(self) -> None:
         preview, overlay = self._preview, self.overlay
         reference = self._reference if self.view.showing_reference else None
-        overlay.write(overlay.status, legend.status(preview, self._name, reference))
-        overlay.write(overlay.legend, legend.legend(preview, self._reference) if self._legend else "h   keys")
+        hint = "" if self._legend else "      h: keys"
+        overlay.write(overlay.status, legend.status(preview, self._name, reference) + hint)
+        overlay.write(overlay.legend, legend.legend(preview, self._reference) if self._legend else "")
         self.rotation.GetRepresentation().SetValue(preview.rotation)
         self.exposure.GetRepresentation().SetValue(preview.exposure)
         overlay.write(overlay.rotation, f"light {preview.rotation:+.0f}°" if preview.relightable else "")
-        overlay.write(overlay.exposure, f"exposure {preview.exposure:+.1f} EV")
+        overlay.write(overlay.exposure, f"{preview.exposure:+.1f} EV")
 
     def _tell_after(self) -> None:
         """What is known only once it is drawn; drawn again where it is news."""
         message, scale = self._preview.message, None if self.view.showing_reference else self._preview.scale
+        message = legend.wrapped(message, self.view.window.GetSize()[0])
         if message != self.overlay.message.GetInput() or scale != self._scale:
             self._said = time.monotonic()
             self._scale = scale
