@@ -187,8 +187,10 @@ def test_an_eye_inside_the_object_is_told_and_the_colours_stay(opened) -> None:
     opened.render()
     assert "inside the object" in said(opened)
     np.testing.assert_array_equal(opened.view.shown, before)
-    press(opened, "0")
+    camera.SetPosition(0.0, 0.05, 5.0)
+    opened.render()
     assert not opened.overlay.message.GetVisibility()
+    assert np.abs(opened.view.shown - before).max() > 1e-3
 
 
 def test_a_saved_picture_has_no_words_on_it_and_replaces_no_other(opened, tmp_path) -> None:

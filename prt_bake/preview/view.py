@@ -45,8 +45,8 @@ class View:
         self._object, self._sky = Object(preview.asset.mesh, preview.gloss), Sky()
         self._reference = None if reference is None else Reference(reference)
         self.showing_reference = False
+        self._complaint = ""
         self._drawn: tuple[Any, ...] = ()
-        self._changes = -1
         self._pictures: dict[str, NDArray[np.float32] | None] = {}
         renderer = plotter.renderer
         renderer.RemoveCuller(renderer.GetCullers().GetLastItem())
@@ -141,11 +141,15 @@ class View:
 
     def shade(self) -> NDArray[np.float32] | None:
         """The colours for the eye as it is; None where there are none, which the preview's message then says."""
+        preview = self.preview
         try:
-            return self.preview.colours(self.eye)
+            colours = preview.colours(self.eye)
         except QueryError as fault:
-            self.preview.message = str(fault)
+            self._complaint = preview.message = str(fault)
             return None
+        if preview.message == self._complaint:
+            preview.message = ""
+        return colours
 
     def upload(self, colours: NDArray[np.float32]) -> None:
         """Hand them to VTK."""
