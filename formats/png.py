@@ -68,8 +68,12 @@ def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposur
 
     note = PngImagePlugin.PngInfo()
     note.add_text("exposure", f"{exposure:g} EV")
+    with open(path, "wb") as file:
+        Image.fromarray(encoded(image, exposure)).save(file, format="PNG", pnginfo=note)
+
+
+def encoded(image: NDArray[np.floating], exposure: float) -> NDArray[np.uint8]:
+    """Linear radiance in 8 bits of sRGB after multiplication by 2^exposure."""
     # Bounded before the curve: a peak times 2^exposure may exceed float64.
     exposed = np.minimum(np.asarray(image, np.float64), 2.0 ** min(-exposure, 1000.0)) * 2.0**exposure
-    pixels = np.rint(255.0 * to_srgb(exposed)).astype(np.uint8)
-    with open(path, "wb") as file:
-        Image.fromarray(pixels).save(file, format="PNG", pnginfo=note)
+    return np.rint(255.0 * to_srgb(exposed)).astype(np.uint8)

@@ -15,6 +15,8 @@ from prt_bake.flip import Exposures, evaluate_extra, exposures_between, flip_map
 
 Array = NDArray[np.float64]
 
+Names = tuple[str, str, str]
+NAMES: Names = ("the image", "the reference", "the mask")
 RELATIVE_FLOOR = 1e-2
 _SSIM_WINDOW = 11
 _MOST_STOPS = 100.0
@@ -63,17 +65,19 @@ def compare(
     exposure: float = 0.0,
     *,
     hdr: bool | tuple[float, float] = False,
+    names: Names = NAMES,
 ) -> Comparison:
     """Compare linear pictures [H,W,3], both multiplied by 2^exposure first.
 
     `mask`, [H,W] or [H,W,3], chooses the pixels that count: those above 0.5 in the mean of its channels. Windows of
     SSIM and FLIP about such a pixel reach beyond the mask. `hdr` asks for HDR-FLIP too: over the exposures that its
-    paper takes for the reference, or over those from a first to a last, in stops on top of `exposure`.
+    paper takes for the reference, or over those from a first to a last, in stops on top of `exposure`. `names` are
+    what messages call the pictures and the mask.
 
     Raises QueryError for shapes that do not match, a mask without pixels, pixels or exposures out of their domain;
     PrtbakeError where the extra `evaluate` is not installed.
     """
-    ours, theirs, chosen = checked(image, reference, mask, exposure)
+    ours, theirs, chosen = checked(image, reference, mask, exposure, names)
     squared = (ours - theirs) ** 2
     signal = float((theirs[chosen] ** 2).sum())
     map_of_flip = flip_map(displayed(ours), displayed(theirs))
@@ -95,17 +99,17 @@ def compare(
 
 
 def checked(
-    image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None, exposure: float
+    image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None, exposure: float, names: Names = NAMES
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Both pictures [H,W,3] times 2^exposure and the pixels [H,W] that count; raises QueryError as `compare`."""
     if not abs(exposure) <= _MOST_STOPS:
         raise QueryError(f"compare: an exposure of {exposure:g} where one between ±{_MOST_STOPS:g} stops is expected")
-    ours, theirs = (_picture(part, name) * 2.0**exposure for part, name in ((image, "image"), (reference, "reference")))
+    ours, theirs = (
+        _picture(part, name) * 2.0**exposure for part, name in zip((image, reference), names[:2], strict=True)
+    )
     if ours.shape != theirs.shape:
-        raise QueryError(
-            f"compare: the image is {_size(ours)}, the reference {_size(theirs)}; both must be of one size"
-        )
-    return ours, theirs, np.ones(ours.shape[:2], np.bool_) if mask is None else _chosen(mask, ours)
+        raise QueryError(f"compare: {names[0]} is {_size(ours)}, {names[1]} {_size(theirs)}; both must be of one size")
+    return ours, theirs, np.ones(ours.shape[:2], np.bool_) if mask is None else _chosen(mask, ours, names[2])
 
 
 def ssims(shown: Array, wanted: Array, chosen: NDArray[np.bool_]) -> tuple[float, float]:
@@ -124,28 +128,28 @@ def displayed(image: Array) -> Array:
 def _picture(image: ArrayLike, name: str) -> Array:
     pixels = np.asarray(image, np.float64)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size:
-        raise QueryError(f"compare: the {name} is of shape {list(pixels.shape)} where [H, W, 3] is expected")
+        raise QueryError(f"compare: {name} is of shape {list(pixels.shape)} where [H, W, 3] is expected")
     wrong = np.argwhere(~np.isfinite(pixels).all(axis=2))
     if len(wrong):
         row, column = wrong[0].tolist()
         raise QueryError(
-            f"compare: {len(wrong)} of {pixels[..., 0].size} pixels of the {name} are not finite, the first at row "
+            f"compare: {len(wrong)} of {pixels[..., 0].size} pixels of {name} are not finite, the first at row "
             f"{row}, column {column}; render it again or mend it"
         )
     return pixels
 
 
-def _chosen(mask: ArrayLike, image: Array) -> NDArray[np.bool_]:
+def _chosen(mask: ArrayLike, image: Array, name: str) -> NDArray[np.bool_]:
     values = np.asarray(mask, np.float64)
     values = values.mean(axis=2) if values.ndim == 3 else values
     if values.shape != image.shape[:2]:
         raise QueryError(
-            f"compare: the mask is of shape {list(values.shape)}, the pictures are {_size(image)}; both must "
+            f"compare: {name} is of shape {list(values.shape)}, the pictures are {_size(image)}; both must "
             "be of one size"
         )
     chosen = values > 0.5
     if not chosen.any():
-        raise QueryError("compare: the mask chooses no pixel; what counts is white, above 0.5")
+        raise QueryError(f"compare: {name} chooses no pixel; what counts is white, above 0.5")
     return np.asarray(chosen)
 
 

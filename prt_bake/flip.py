@@ -1,8 +1,8 @@
 """FLIP and HDR-FLIP, maps of the difference that one sees when two pictures are shown in turn.
 
 FLIP (Andersson et al., "FLIP: A difference evaluator for alternating images", 2020) is of pictures as they are shown.
-HDR-FLIP (Andersson et al., "Visualizing errors in rendered high dynamic range images", Eurographics 2021) is the largest
-FLIP of a pixel over a range of exposures, each shown through the ACES curve: no highlight and no shadow hides in it.
+HDR-FLIP (Andersson et al., "Visualizing errors in rendered high dynamic range images", Eurographics 2021) is the
+largest FLIP of a pixel over a range of exposures, each shown through the ACES curve: no highlight and no shadow hides.
 """
 
 import math
@@ -29,11 +29,11 @@ _LARGEST = 1e15
 
 
 class Exposures(NamedTuple):
-    """The stops that HDR-FLIP looks at: `count` of them from `start` to `stop`, both included."""
+    """The stops that HDR-FLIP looks at: `steps` of them from `start` to `stop`, both included."""
 
     start: float
     stop: float
-    count: int
+    steps: int
 
 
 def flip_map(image: Array, reference: Array) -> NDArray[np.float32]:
@@ -49,10 +49,10 @@ def hdr_flip_map(image: Array, reference: Array, exposures: Exposures) -> NDArra
 
     Raises as `flip_map`.
     """
-    start, stop, count = exposures
+    start, stop, steps = exposures
     largest = _LARGEST * 2.0 ** -max(stop, 0.0)
     ours, theirs = (np.clip(part, 0.0, largest) for part in (image, reference))
-    return _evaluated(ours, theirs, "HDR", {"startExposure": start, "stopExposure": stop, "numExposures": count})
+    return _evaluated(ours, theirs, "HDR", {"startExposure": start, "stopExposure": stop, "numExposures": steps})
 
 
 def paper_exposures(reference: Array) -> Exposures:
