@@ -22,11 +22,14 @@ from prt_bake.noise_free import Interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
-_PANEL, _DOTS = 2.6, 150
-"""Inches of a panel, dots an inch."""
+_PANEL, _GAP, _HEAD, _SCALE, _LINE = 2.6, 0.1, 0.28, 0.4, 0.165
+"""Inches: a panel's width, between panels, above them for titles, below them for scales, a line of the table."""
+_DOTS = 150
+"""An inch."""
 _SHARE = 99.0
 """Percentile of the differences that the colours of the sheet reach to."""
 _TITLES = {
@@ -82,29 +85,49 @@ def write_sheet(
     lifted = [np.asarray(part, np.float64) * 2.0**exposure for part in (image, reference)]
     difference = (lifted[0] - lifted[1]).mean(axis=2)
     maps = [found.flip_map] + ([] if found.hdr_flip_map is None else [found.hdr_flip_map])
-    panels = 3 + len(maps)
-    height, width = difference.shape
-    tall = _PANEL * min(max(height / width, 0.25), 3.0)
-    rows = [name for name in _TITLES if getattr(found, name) is not None]
-    below = 0.16 * (len(rows) + 1.5)
-    figure = Figure(figsize=(panels * (_PANEL + 0.1), tall + 0.75 + below), dpi=_DOTS, layout="constrained")
-    parts: Any = figure.subfigures(2, 1, height_ratios=[tall + 0.75, below])
-    above, under = parts
-    axes = np.atleast_1d(above.subplots(1, panels))
-    for place, picture, name in zip(axes, lifted, names, strict=False):
-        _plain(place, name).imshow(displayed(picture), interpolation=_interpolation(width))
-    reach = _reach(difference)
-    _mapped(above, axes[2], difference, "RdBu_r", (-reach, reach), "difference, image − reference", mask)
-    _one_degree(axes[3], width)
     titles = ["FLIP", "HDR-FLIP"]
     if found.hdr_exposures is not None:
         titles[1] += f", {found.hdr_exposures.start:.1f} to {found.hdr_exposures.stop:.1f} EV"
+    rows = [name for name in _TITLES if getattr(found, name) is not None]
+    layout = _Layout(3 + len(maps), difference.shape, len(rows))
+    figure = Figure(figsize=layout.size, dpi=_DOTS)
+    for number, (picture, name) in enumerate(zip(lifted, names, strict=True)):
+        _plain(layout.panel(figure, number), name).imshow(displayed(picture), interpolation=layout.interpolation)
+    reach = _reach(difference)
+    _mapped(layout, figure, 2, difference, "RdBu_r", (-reach, reach), "difference, image − reference", mask)
     most = _round_up(max(float(np.percentile(each, 99.9)) for each in maps))
-    for place, values, title in zip(axes[3:], maps, titles, strict=False):
-        _mapped(above, place, values, "magma", (0.0, most), title, mask)
-    _figures(under, found, rows, without_noise or {}, exposure)
+    for number, (values, title) in enumerate(zip(maps, titles, strict=False), start=3):
+        axes = _mapped(layout, figure, number, values, "magma", (0.0, most), title, mask)
+        _one_degree(axes, values.shape[1])
+    _figures(layout.table(figure), found, rows, without_noise or {}, exposure)
     with replacing(path) as part:
         figure.savefig(part, dpi=_DOTS, format="png", facecolor="white")
+
+
+class _Layout:
+    """Where panels, their scales and the table of figures lie, in inches."""
+
+    def __init__(self, panels: int, shape: tuple[int, ...], rows: int) -> None:
+        self.tall = _PANEL * min(max(shape[0] / shape[1], 0.25), 3.0)
+        self.below = _LINE * (rows + 1)
+        self.size = panels * (_PANEL + _GAP) + _GAP, _HEAD + self.tall + _SCALE + self.below + _GAP
+        self.interpolation = "nearest" if shape[1] <= 2 * _PANEL * _DOTS else "antialiased"
+
+    def panel(self, figure: "Figure", number: int) -> "Axes":
+        """The axes of a panel, counted from the left."""
+        return self._axes(figure, _GAP + number * (_PANEL + _GAP), _HEAD, _PANEL, self.tall)
+
+    def scale(self, figure: "Figure", number: int) -> "Axes":
+        """The axes of a panel's scale of colours."""
+        return self._axes(figure, _GAP + number * (_PANEL + _GAP), _HEAD + self.tall + 0.06, _PANEL, 0.09)
+
+    def table(self, figure: "Figure") -> "Axes":
+        """The axes of the table below."""
+        return self._axes(figure, _GAP, _HEAD + self.tall + _SCALE, self.size[0] - 2.0 * _GAP, self.below)
+
+    def _axes(self, figure: "Figure", left: float, top: float, width: float, height: float) -> "Axes":
+        wide, high = self.size
+        return figure.add_axes((left / wide, 1.0 - (top + height) / high, width / wide, height / high))
 
 
 def _plain(axes: "Axes", title: str) -> "Axes":
@@ -117,28 +140,24 @@ def _plain(axes: "Axes", title: str) -> "Axes":
 
 
 def _mapped(
-    figure: Any,
-    axes: "Axes",
+    layout: _Layout,
+    figure: "Figure",
+    number: int,
     values: NDArray[np.floating],
     colours: str,
     limits: tuple[float, float],
     title: str,
     mask: NDArray[np.bool_] | None,
-) -> None:
-    strength = None if mask is None else np.where(mask, 1.0, 0.25)
-    drawn = _plain(axes, title).imshow(
-        values,
-        cmap=colours,
-        vmin=limits[0],
-        vmax=limits[1],
-        alpha=strength,
-        interpolation=_interpolation(values.shape[1]),
-    )
-    if strength is not None:
-        axes.set_facecolor("0.5")
-    bar = figure.colorbar(drawn, ax=axes, location="bottom", shrink=0.9, pad=0.02, aspect=30)
+) -> "Axes":
+    axes, strength = _plain(layout.panel(figure, number), title), None if mask is None else np.where(mask, 1.0, 0.25)
+    axes.set_facecolor("0.5")
+    low, high = limits
+    shown: dict[str, Any] = {"cmap": colours, "vmin": low, "vmax": high, "interpolation": layout.interpolation}
+    drawn = axes.imshow(values, alpha=strength, **shown)
+    bar = figure.colorbar(drawn, cax=layout.scale(figure, number), orientation="horizontal")
     bar.ax.tick_params(labelsize=7, width=0.4)
     bar.outline.set_linewidth(0.4)
+    return axes
 
 
 def _one_degree(axes: "Axes", width: int) -> None:
@@ -152,25 +171,24 @@ def _one_degree(axes: "Axes", width: int) -> None:
 
 
 def _figures(
-    figure: Any, found: Comparison, rows: list[str], without_noise: Mapping[str, Interval], exposure: float
+    axes: "Axes", found: Comparison, rows: list[str], without_noise: Mapping[str, Interval], exposure: float
 ) -> None:
     """The figures in columns: name, value, and without noise."""
-    axes = figure.subplots()
     axes.set_axis_off()
-    columns = [("", [_TITLES[name] for name in rows]), ("as it is", [f"{getattr(found, name):.4g}" for name in rows])]
+    columns = [(0.0, "", [_TITLES[name] for name in rows])]
+    columns.append((1.4, "as it is", [f"{getattr(found, name):.4g}" for name in rows]))
     if without_noise:
-        columns.append(("without noise (95 %)", [_between(without_noise.get(name)) for name in rows]))
-    step = 1.0 / (len(rows) + 1.5)
-    for number, (head, cells) in enumerate(columns):
-        left = (0.0, 0.16, 0.26)[number]
-        axes.text(left, 1.0 - 0.5 * step, head, fontsize=8, fontweight="bold", verticalalignment="center")
+        columns.append((2.4, "without noise (95 %)", [_between(without_noise.get(name)) for name in rows]))
+    figure: Any = axes.figure
+    wide, high = figure.get_size_inches() * axes.get_position().size
+    axes.set(xlim=(0.0, wide), ylim=(high, 0.0))
+    style: dict[str, Any] = {"fontsize": 8, "verticalalignment": "center"}
+    for left, head, cells in columns:
+        axes.text(left, 0.5 * _LINE, head, fontweight="bold", **style)
         for row, cell in enumerate(cells, start=1):
-            axes.text(left, 1.0 - (row + 0.5) * step, cell, fontsize=8, verticalalignment="center")
+            axes.text(left, (row + 0.5) * _LINE, cell, **style)
     if exposure:
-        axes.text(
-            1.0, 1.0 - 0.5 * step, f"exposure {exposure:+g} EV", fontsize=8, horizontalalignment="right", va="center"
-        )
-    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
+        axes.text(wide, 0.5 * _LINE, f"exposure {exposure:+g} EV", horizontalalignment="right", **style)
 
 
 def _between(interval: Interval | None) -> str:
@@ -179,10 +197,6 @@ def _between(interval: Interval | None) -> str:
     if not math.isfinite(interval.low):
         return f"{interval.value:.4g} (cannot be told)"
     return f"{interval.value:.4g} ({interval.low:.4g} to {interval.high:.4g})"
-
-
-def _interpolation(width: int) -> str:
-    return "nearest" if width <= 2 * _PANEL * _DOTS else "antialiased"
 
 
 def _reach(difference: Array) -> float:
