@@ -80,19 +80,19 @@ def compare(
     ours, theirs, chosen = checked(image, reference, mask, exposure, names)
     squared = (ours - theirs) ** 2
     signal = float((theirs[chosen] ** 2).sum())
-    map_of_flip = flip_map(displayed(ours), displayed(theirs))
-    similar, similar_quarter = ssims(displayed(ours), displayed(theirs), chosen)
+    shown, wanted = displayed(ours), displayed(theirs)
+    map_of_flip = flip_map(shown, wanted)
     exposures = None if hdr is False else paper_exposures(theirs) if hdr is True else exposures_between(*hdr)
     map_of_hdr = None if exposures is None else hdr_flip_map(ours, theirs, exposures)
     return Comparison(
         mse=float(squared[chosen].mean()),
         relative_mse=float((squared / (theirs**2 + RELATIVE_FLOOR**2))[chosen].mean()),
         relative_rmse=float(np.sqrt(squared[chosen].sum() / signal)) if signal > 0.0 else float("nan"),
-        ssim=similar,
-        ssim_quarter=similar_quarter,
-        flip=float(map_of_flip[chosen].mean(dtype=np.float64)),
+        ssim=_mean(ssim_map(shown, wanted), chosen),
+        ssim_quarter=_mean(ssim_map(quartered(shown), quartered(wanted)), quarter_mask(chosen)),
+        flip=_mean(map_of_flip, chosen),
         flip_map=map_of_flip,
-        hdr_flip=None if map_of_hdr is None else float(map_of_hdr[chosen].mean(dtype=np.float64)),
+        hdr_flip=None if map_of_hdr is None else _mean(map_of_hdr, chosen),
         hdr_exposures=exposures,
         hdr_flip_map=map_of_hdr,
     )
@@ -112,10 +112,32 @@ def checked(
     return ours, theirs, np.ones(ours.shape[:2], np.bool_) if mask is None else _chosen(mask, ours, names[2])
 
 
-def ssims(shown: Array, wanted: Array, chosen: NDArray[np.bool_]) -> tuple[float, float]:
-    """SSIM of pictures as they are shown [H,W,3], and of their means over 4×4 pixels, over the pixels chosen [H,W]."""
-    chosen_quarter = _quarter(chosen[..., None].astype(np.float64))[..., 0] > 0.5
-    return _ssim(shown, wanted, chosen), _ssim(_quarter(shown), _quarter(wanted), chosen_quarter)
+def ssim_map(image: Array, reference: Array) -> Array:
+    """SSIM [H,W] of pictures as they are shown [H,W,3], the mean over channels; nan for those below its window."""
+    if min(image.shape[:2]) < _SSIM_WINDOW:
+        return np.full(image.shape[:2], np.nan)
+    _mean, similarity = evaluate_extra("skimage.metrics").structural_similarity(
+        image,
+        reference,
+        channel_axis=2,
+        data_range=1.0,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+        full=True,
+    )
+    return np.asarray(similarity.mean(axis=2))
+
+
+def quartered(image: Array) -> Array:
+    """The mean of blocks of 4×4 pixels [H/4,W/4,3]; what does not fill a block is left out."""
+    h, w = image.shape[0] // 4, image.shape[1] // 4
+    return np.asarray(image[: 4 * h, : 4 * w].reshape(h, 4, w, 4, image.shape[2]).mean(axis=(1, 3)))
+
+
+def quarter_mask(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The blocks of 4×4 pixels of which more than half are chosen."""
+    return np.asarray(quartered(chosen[..., None].astype(np.float64))[..., 0] > 0.5)
 
 
 def displayed(image: Array) -> Array:
@@ -157,23 +179,5 @@ def _size(image: Array) -> str:
     return f"{image.shape[1]}x{image.shape[0]}"
 
 
-def _quarter(image: Array) -> Array:
-    """The mean of blocks of 4×4 pixels; what does not fill a block is left out."""
-    h, w = image.shape[0] // 4, image.shape[1] // 4
-    return np.asarray(image[: 4 * h, : 4 * w].reshape(h, 4, w, 4, image.shape[2]).mean(axis=(1, 3)))
-
-
-def _ssim(image: Array, reference: Array, chosen: NDArray[np.bool_]) -> float:
-    if min(image.shape[:2]) < _SSIM_WINDOW or not chosen.any():
-        return float("nan")
-    _mean, similarity = evaluate_extra("skimage.metrics").structural_similarity(
-        image,
-        reference,
-        channel_axis=2,
-        data_range=1.0,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-        full=True,
-    )
-    return float(similarity[chosen].mean())
+def _mean(values: NDArray[np.floating], chosen: NDArray[np.bool_]) -> float:
+    return float(values[chosen].mean(dtype=np.float64)) if chosen.any() else float("nan")

@@ -93,9 +93,10 @@ def write_sheet(
     figure = Figure(figsize=layout.size, dpi=_DOTS)
     for number, (picture, name) in enumerate(zip(lifted, names, strict=True)):
         _plain(layout.panel(figure, number), name).imshow(displayed(picture), interpolation=layout.interpolation)
-    reach = _reach(difference)
+    counts = np.ones(difference.shape, np.bool_) if mask is None else mask
+    reach = _reach(difference[counts])
     _mapped(layout, figure, 2, difference, "RdBu_r", (-reach, reach), "difference, image − reference", mask)
-    most = _round_up(max(float(np.percentile(each, 99.9)) for each in maps))
+    most = _round_up(max(float(np.percentile(each[counts], 99.9)) for each in maps))
     for number, (values, title) in enumerate(zip(maps, titles, strict=False), start=3):
         axes = _mapped(layout, figure, number, values, "magma", (0.0, most), title, mask)
         _one_degree(axes, values.shape[1])
@@ -119,7 +120,8 @@ class _Layout:
 
     def scale(self, figure: "Figure", number: int) -> "Axes":
         """The axes of a panel's scale of colours."""
-        return self._axes(figure, _GAP + number * (_PANEL + _GAP), _HEAD + self.tall + 0.06, _PANEL, 0.09)
+        left = _GAP + number * (_PANEL + _GAP) + 0.05 * _PANEL
+        return self._axes(figure, left, _HEAD + self.tall + 0.06, 0.9 * _PANEL, 0.09)
 
     def table(self, figure: "Figure") -> "Axes":
         """The axes of the table below."""

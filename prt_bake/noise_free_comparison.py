@@ -8,9 +8,12 @@ FLIP and SSIM are no squares: noise is seen as difference. Noise like that of th
 (`prt_bake.picture_noise`), and two ways lead back to none. *Renoised* (simulation and extrapolation, Cook and Stefanski
 1994): with noise added once more its variance is doubled, and a line through both leads to none. *Floor*: what two
 equal pictures would have of such noise alone is taken off. Both are done where the figure grows about linearly with the
-variance: FLIP^(1/0.35); of SSIM 1/SSIM and its logarithm, which err to opposite sides. The value is the mean of all
-ways; the interval spans them, how far single draws scatter, and a fifth of what the noise alone makes, since that is
-known no better.
+variance: FLIP^(1/0.35), and of SSIM 1/SSIM and its logarithm, which err to opposite sides; and both for the mean of the
+whole picture, which is right where the pictures differ by about as much everywhere, and for means over blocks of 8×8
+pixels, which is right where they differ here and there: noise adds little to FLIP where the difference is large, and
+all of itself elsewhere. (What comes out below nothing in a block stays so in their mean, or noise would never come out
+as none.) The value is the mean of all ways; the interval spans them, how far single draws scatter, and a fifth of what
+noise alone makes, known no better.
 """
 
 from collections.abc import Callable
@@ -22,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from formats.errors import QueryError
-from prt_bake.comparison import RELATIVE_FLOOR, checked, displayed, ssims
+from prt_bake.comparison import RELATIVE_FLOOR, checked, displayed, quarter_mask, quartered, ssim_map
 from prt_bake.flip import Exposures, flip_map, hdr_flip_map
 from prt_bake.noise_free import Interval, ratio
 from prt_bake.picture_noise import NoiseLike, PixelErrors
@@ -42,6 +45,8 @@ _SIGMAS = 1.96
 _BLUR = 1.5
 """Pixels: what stands for a picture without noise where the floor is measured."""
 _LEAST_SSIM = 1e-3
+_BLOCK = 8
+"""Pixels along a side."""
 _FLOOR_KNOWN = 0.2
 """Relative uncertainty of what noise alone makes, where it grows linearly with the variance; measured as a tenth."""
 
@@ -163,28 +168,40 @@ def _seen(
     """FLIP and SSIM without noise, and of noise alone."""
     noise = NoiseLike(ours, theirs, errors, seed)
     smooth = _smooth(ours, theirs, errors)
-    found = _figures(ours, theirs, chosen, hdr)
+    found = _blocks(ours, theirs, chosen, hdr)
     doubled, alone = [], []
     for _ in range(DRAWS):
         first, second = noise.draw()
-        doubled.append(_figures(ours + first, theirs + second, chosen, hdr))
-        alone.append(_figures(smooth + first, smooth + second, chosen, hdr))
+        doubled.append(_blocks(ours + first, theirs + second, chosen, hdr))
+        alone.append(_blocks(smooth + first, smooth + second, chosen, hdr))
     figures, floors = {}, {}
-    for name, value in found.items():
-        of_doubled, of_noise = np.array([d[name] for d in doubled]), np.array([a[name] for a in alone])
-        figures[name] = _to_none(value, of_doubled, of_noise, _FLIP if "flip" in name else _SSIM)
-        floors[name] = float(of_noise.mean())
+    for name, (means, shares) in found.items():
+        of_doubled, of_noise = (np.stack([d[name][0] for d in draws]) for draws in (doubled, alone))
+        figures[name] = _to_none(means, of_doubled, of_noise, shares, _FLIP if "flip" in name else _SSIM)
+        floors[name] = float((of_noise @ shares).mean()) if shares.size else float("nan")
     return figures, floors
 
 
-def _figures(ours: Array, theirs: Array, chosen: Mask, hdr: Exposures | None) -> dict[str, float]:
+def _blocks(ours: Array, theirs: Array, chosen: Mask, hdr: Exposures | None) -> dict[str, tuple[Array, Array]]:
+    """Means of each figure over the chosen pixels of blocks, and the blocks' shares of those pixels."""
     shown, wanted = displayed(ours), displayed(theirs)
-    similar, similar_quarter = ssims(shown, wanted, chosen)
-    maps = {"flip": flip_map(shown, wanted)}
+    figures = {
+        "ssim": _in_blocks(ssim_map(shown, wanted), chosen, _BLOCK),
+        "ssim_quarter": _in_blocks(ssim_map(quartered(shown), quartered(wanted)), quarter_mask(chosen), _BLOCK // 4),
+        "flip": _in_blocks(flip_map(shown, wanted), chosen, _BLOCK),
+    }
     if hdr is not None:
-        maps["hdr_flip"] = hdr_flip_map(ours, theirs, hdr)
-    means = {name: float(values[chosen].mean(dtype=np.float64)) for name, values in maps.items()}
-    return {"ssim": similar, "ssim_quarter": similar_quarter, **means}
+        figures["hdr_flip"] = _in_blocks(hdr_flip_map(ours, theirs, hdr), chosen, _BLOCK)
+    return figures
+
+
+def _in_blocks(values: NDArray[np.floating], chosen: Mask, side: int) -> tuple[Array, Array]:
+    rows, columns = np.nonzero(chosen)
+    block = (rows // side) * (values.shape[1] // side + 1) + columns // side
+    counts = np.bincount(block)
+    sums = np.bincount(block, values[chosen])
+    filled = counts > 0
+    return sums[filled] / counts[filled], counts[filled] / max(counts.sum(), 1)
 
 
 def _smooth(ours: Array, theirs: Array, errors: PixelErrors) -> Array:
@@ -197,24 +214,41 @@ def _smooth(ours: Array, theirs: Array, errors: PixelErrors) -> Array:
 class _Straight(NamedTuple):
     """A measure of a figure that grows about linearly with the noise's variance, 0 at no difference; and back."""
 
-    to: Callable[[Any], Any]
-    back: Callable[[Any], Any]
+    to: Callable[[Array], Array]
+    back: Callable[[Array], Array]
 
 
-_FLIP = (_Straight(lambda flip: np.asarray(flip) ** (1.0 / _POWER), lambda power: max(power, 0.0) ** _POWER),)
+_FLIP = (
+    _Straight(
+        lambda flip: np.maximum(flip, 0.0) ** (1.0 / _POWER), lambda power: np.sign(power) * np.abs(power) ** _POWER
+    ),
+)
 _SSIM = (
-    _Straight(lambda ssim: 1.0 / np.maximum(ssim, _LEAST_SSIM) - 1.0, lambda inverse: 1.0 / (1.0 + max(inverse, 0.0))),
-    _Straight(lambda ssim: -np.log(np.maximum(ssim, _LEAST_SSIM)), lambda less: np.exp(-max(less, 0.0))),
+    _Straight(
+        lambda ssim: 1.0 / np.maximum(ssim, _LEAST_SSIM) - 1.0, lambda inverse: 1.0 / (1.0 + np.maximum(inverse, -0.5))
+    ),
+    _Straight(lambda ssim: -np.log(np.maximum(ssim, _LEAST_SSIM)), lambda less: np.exp(-less)),
 )
 
 
-def _to_none(value: float, doubled: Array, alone: Array, measures: tuple[_Straight, ...]) -> Interval:
-    """A figure without noise from what it is, what it is with its noise once more, and what noise alone makes."""
-    values, ends = [], []
+def _to_none(means: Array, doubled: Array, alone: Array, shares: Array, measures: tuple[_Straight, ...]) -> Interval:
+    """A figure without noise from its means over blocks [n], those with its noise once more and those of noise alone
+    [draws,n], and the blocks' shares [n] of the pixels.
+    """
+    if not shares.size or np.isnan(means).any():
+        return Interval(float("nan"), float("nan"), float("nan"))
+    values: list[float] = []
+    ends: list[float] = []
     for to, back in measures:
-        here, twice, floor = to(value), to(doubled), to(alone)
-        ways = 2.0 * here - twice.mean(), here - floor.mean()
-        reach = np.hypot(_SIGMAS * twice.std(ddof=1), _FLOOR_KNOWN * floor.mean())
-        values += [back(way) for way in ways]
-        ends += [back(min(ways) - reach), back(max(*ways, 0.0) + reach)]
-    return Interval(float(np.mean(values)), float(min(ends)), float(max(ends)))
+        for whole in (False, True):
+            here, twice, floor = (to(each @ shares[:, None] if whole else each) for each in (means, doubled, alone))
+            weights = np.ones(1) if whole else shares
+            unsure = _FLOOR_KNOWN * floor.mean(axis=0)
+            for noise in (twice - here, floor):
+                less = here - noise.mean(axis=0)
+                scatter = _SIGMAS * float((back(here - noise) @ weights).std(ddof=1))
+                values.append(float(back(less) @ weights))
+                bounds = [float(back(less + way * unsure) @ weights) for way in (-1.0, 1.0)]
+                ends += [min(bounds) - scatter, max(bounds) + scatter]
+    value, low, high = np.clip([np.mean(values), min(ends), max(ends)], 0.0, 1.0).tolist()
+    return Interval(value, low, high)
