@@ -13,10 +13,10 @@ whole picture, which is right where the pictures differ by about as much everywh
 pixels, which is right where they differ here and there: noise adds little to FLIP where the difference is large, and
 all of itself elsewhere. (What comes out below nothing in a block stays so in their mean, or noise would never come out
 as none.) The value is the mean of all ways; the interval spans them, how far single draws scatter, and a fifth of what
-noise alone makes, known no better.
+noise alone makes, known no better, but not more difference than is seen with the noise.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -237,18 +237,39 @@ def _to_none(means: Array, doubled: Array, alone: Array, shares: Array, measures
     """
     if not shares.size or np.isnan(means).any():
         return Interval(float("nan"), float("nan"), float("nan"))
-    values: list[float] = []
-    ends: list[float] = []
-    for to, back in measures:
-        for whole in (False, True):
-            here, twice, floor = (to(each @ shares[:, None] if whole else each) for each in (means, doubled, alone))
-            weights = np.ones(1) if whole else shares
-            unsure = _FLOOR_KNOWN * floor.mean(axis=0)
-            for noise in (twice - here, floor):
-                less = here - noise.mean(axis=0)
-                scatter = _SIGMAS * float((back(here - noise) @ weights).std(ddof=1))
-                values.append(float(back(less) @ weights))
-                bounds = [float(back(less + way * unsure) @ weights) for way in (-1.0, 1.0)]
-                ends += [min(bounds) - scatter, max(bounds) + scatter]
-    value, low, high = np.clip([np.mean(values), min(ends), max(ends)], 0.0, 1.0).tolist()
-    return Interval(value, low, high)
+    whole = float(means @ shares), doubled @ shares, alone @ shares
+    ways = np.array(
+        [
+            way
+            for measure in measures
+            for way in (*_by_block(means, doubled, alone, shares, measure), *_as_a_whole(*whole, measure))
+        ]
+    )
+    value, low, high = ways[:, 0].mean(), ways[:, 1].min(), ways[:, 2].max()
+    # On average noise adds difference: what is seen with it bounds what there is without.
+    seen, scatter = whole[0], _SIGMAS * float(whole[1].std(ddof=1))
+    low, high = (low, min(high, seen + scatter)) if measures is _FLIP else (max(low, seen - scatter), high)
+    return Interval(*np.clip([value, low, high], 0.0, 1.0).tolist())
+
+
+def _by_block(
+    means: Array, doubled: Array, alone: Array, shares: Array, measure: _Straight
+) -> Iterator[tuple[float, float, float]]:
+    """Renoised and from the floor in each block: value, low and high of the mean."""
+    here, twice, floor = (measure.to(part) for part in (means, doubled, alone))
+    unsure = _FLOOR_KNOWN * floor.mean(axis=0)
+    for noise in (twice - here, floor):
+        less = here - noise.mean(axis=0)
+        value, *bounds = (float(measure.back(less + by * unsure) @ shares) for by in (0.0, -1.0, 1.0))
+        scatter = _SIGMAS * float((measure.back(here - noise) @ shares).std(ddof=1))
+        yield value, min(bounds) - scatter, max(bounds) + scatter
+
+
+def _as_a_whole(mean: float, doubled: Array, alone: Array, measure: _Straight) -> Iterator[tuple[float, float, float]]:
+    """The same of the means over all pixels."""
+    here, twice, floor = measure.to(np.array([mean])), measure.to(doubled), measure.to(alone)
+    unsure = np.hypot(_FLOOR_KNOWN * floor.mean(), _SIGMAS * twice.std(ddof=1))
+    for noise in (twice - here, floor):
+        less = here - noise.mean()
+        value, *bounds = (float(measure.back(less + by * unsure)[0]) for by in (0.0, -1.0, 1.0))
+        yield value, min(bounds), max(bounds)

@@ -134,7 +134,7 @@ def _remarks(image: Path, reference: Path, layered: "Layers", layered_reference:
     for path, pixels in ((image, layered.image), (reference, layered_reference.image)):
         negative = int((pixels < 0.0).any(axis=2).sum())
         if negative:
-            yield f"{path}: {negative} of {pixels[..., 0].size} pixels hold negative radiance, which SSIM and FLIP see as black"
+            yield f"{path}: {negative} of {pixels[..., 0].size} pixels hold negative radiance, seen as black"
 
 
 def _unlike(image: Path, reference: Path, shows: str, reference_shows: str) -> Iterator[str]:
