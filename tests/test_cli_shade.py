@@ -15,9 +15,11 @@ from formats.image import read_image, read_layers
 
 @pytest.fixture(scope="module")
 def polished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An asset of index 1.5 and roughness 0.3."""
+    """An asset of index 1.5 and roughness 0.3 that sends more where light comes along +x."""
     path = tmp_path_factory.mktemp("polished") / "polished.h5"
-    write_asset(glossy(ball(3)), path)
+    asset = glossy(ball(3))
+    asset.coefficients[:, :, 3] = 0.1
+    write_asset(asset, path)
     return path
 
 
@@ -118,3 +120,37 @@ def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp
     assert outcome.code == 1
     assert "layers: 'depth' where some of position, normal, vertex" in outcome.err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("turning", ["eye", "light"])
+def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
+    """Turning the eye shows another side of the sky; turning the light by half a turn is the third of four frames."""
+    words = ["--light", "sun:1,0,0:3,3,3", "--size", "16x16"]
+    turned = prtbake("shade", polished, *words, "-o", tmp_path / "t_%d.exr", "--turntable", turning, "--frames", 4)
+    assert turned.code == 0, turned.err
+    frames = [read_image(tmp_path / f"t_{number}.exr") for number in range(4)]
+    assert prtbake("shade", polished, *words, "-o", tmp_path / "first.exr").code == 0
+    np.testing.assert_array_equal(frames[0], read_image(tmp_path / "first.exr"))
+    if turning == "light":
+        assert prtbake("shade", polished, *words, "--rotate", 180, "-o", tmp_path / "half.exr").code == 0
+        np.testing.assert_allclose(frames[2], read_image(tmp_path / "half.exr"), atol=1e-6)
+    assert (
+        prtbake(*("shade", polished, *words, "-o", tmp_path / "t.webp", "--turntable", turning, "--frames", 3)).code
+        == 0
+    )
+    with Image.open(tmp_path / "t.webp") as animation:
+        assert (animation.n_frames, animation.size) == (3, (16, 16))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
+        (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
+        (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background and no layers"),
+    ],
+)
+def test_a_turntable_and_its_file_belong_together(prtbake: Run, polished: Path, words, sentence) -> None:
+    outcome = prtbake("shade", polished, "--light", "sky.exr", *words)
+    assert outcome.code == 2
+    assert sentence in outcome.err
