@@ -125,7 +125,7 @@ def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp
 @pytest.mark.parametrize("turning", ["eye", "light"])
 def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
     """Turning the eye shows another side of the sky; turning the light by half a turn is the third of four frames."""
-    words = ["--light", "sun:1,0,0:3,3,3", "--size", "16x16"]
+    words = ["--light", "sun:1,0,0.5:3,3,3", "--size", "16x16"]
     turned = prtbake("shade", polished, *words, "-o", tmp_path / "t_%d.exr", "--turntable", turning, "--frames", 4)
     assert turned.code == 0, turned.err
     frames = [read_image(tmp_path / f"t_{number}.exr") for number in range(4)]
