@@ -21,6 +21,7 @@ from prt_bake.cli.options import (
     Rotate,
     Size,
     Up,
+    optional_output,
     output_option,
     within,
 )
@@ -62,6 +63,10 @@ def shade(
             metavar="NAMES", help=f"Also into an .exr, with commas between: {_LAYERS}; or all.", show_default=False
         ),
     ] = "",
+    error_picture: Annotated[
+        Path | None,
+        optional_output("--error-picture", "E.png", "Also show the error of each pixel, in colours.", ".png"),
+    ] = None,
     turntable: Annotated[
         Literal["eye", "light"] | None,
         typer.Option(
@@ -85,7 +90,7 @@ def shade(
     from prt_bake.cli.viewing import camera_for
     from prt_bake.lighting import read_lighting
 
-    _refuse_useless(output, transparent, layers, turntable)
+    _refuse_useless(output, transparent, layers, turntable, error_picture)
     baked = read_asset(asset)
     axis = up or baked.up
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
@@ -96,12 +101,16 @@ def shade(
         "background": not transparent,
         "reflection": reflection,
         "roughness": roughness,
-        "layers": _names(layers),
+        "layers": _names(layers, error_picture is not None),
     }
     if turntable is None:
         picture = _write(output, baked, lighting, view, options, exposure)
     else:
         picture = _turn(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
+    if error_picture is not None:
+        from prt_bake.error_picture import write_error_picture
+
+        write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
     print(
@@ -158,7 +167,9 @@ def _turn(
     return last[0]
 
 
-def _refuse_useless(output: Path, transparent: bool, layers: str, turntable: str | None) -> None:
+def _refuse_useless(
+    output: Path, transparent: bool, layers: str, turntable: str | None, error_picture: Path | None
+) -> None:
     """Wrong usage: what the kind of file that was asked for cannot hold."""
     suffix = output.suffix.lower()
     if turntable is None and suffix not in IMAGE_SUFFIXES:
@@ -167,18 +178,19 @@ def _refuse_useless(output: Path, transparent: bool, layers: str, turntable: str
         raise typer.BadParameter(
             f"--output: one {suffix} holds no turntable; write .webp, .gif, .png, or numbered pictures (turn_%03d.exr)"
         )
-    if turntable is not None and (transparent or layers):
-        raise typer.BadParameter("--turntable: its pictures have a background and no layers")
+    if turntable is not None and (transparent or layers or error_picture is not None):
+        raise typer.BadParameter("--turntable: its pictures have a background, no layers and no error picture")
     if transparent and suffix not in (".exr", ".png"):
         raise typer.BadParameter(f"--transparent: {suffix} has no alpha channel; write .exr or .png")
     if layers and suffix != ".exr":
         raise typer.BadParameter(f"--layers: {suffix} holds a picture alone; write .exr")
 
 
-def _names(layers: str) -> tuple[str, ...]:
+def _names(layers: str, with_error_picture: bool) -> tuple[str, ...]:
     from prt_bake.picture_layers import LAYERS
 
-    return tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
+    asked = tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
+    return asked if not with_error_picture or "radiance" in asked else (*asked, "radiance")
 
 
 def _shows(picture: Any) -> str:
