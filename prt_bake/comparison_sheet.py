@@ -157,6 +157,7 @@ def _mapped(
     shown: dict[str, Any] = {"cmap": colours, "vmin": low, "vmax": high, "interpolation": layout.interpolation}
     drawn = axes.imshow(values, alpha=strength, **shown)
     bar = figure.colorbar(drawn, cax=layout.scale(figure, number), orientation="horizontal")
+    bar.ax.locator_params(nbins=5)
     bar.ax.tick_params(labelsize=7, width=0.4)
     bar.outline.set_linewidth(0.4)
     return axes

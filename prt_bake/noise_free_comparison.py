@@ -33,8 +33,8 @@ from prt_bake.picture_noise import NoiseLike, PixelErrors
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-DRAWS = 8
-"""Of noise, for FLIP and SSIM."""
+_MOST_DRAWS, _FEWEST_DRAWS, _PIXELS_DRAWN = 8, 3, 1 << 18
+"""Of noise, for FLIP and SSIM: fewer of larger pictures, whose means scatter less, towards so many pixels in all."""
 _SIDE = 16
 """Subsets of pixels along each axis."""
 _TOO_NOISY = 0.15
@@ -170,7 +170,7 @@ def _seen(
     smooth = _smooth(ours, theirs, errors)
     found = _blocks(ours, theirs, chosen, hdr)
     doubled, alone = [], []
-    for _ in range(DRAWS):
+    for _ in range(int(np.clip(_PIXELS_DRAWN // chosen.size, _FEWEST_DRAWS, _MOST_DRAWS))):
         first, second = noise.draw()
         doubled.append(_blocks(ours + first, theirs + second, chosen, hdr))
         alone.append(_blocks(smooth + first, smooth + second, chosen, hdr))
