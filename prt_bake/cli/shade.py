@@ -130,7 +130,7 @@ def _write(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str
         picture.image,
         exposure=exposure,
         layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
-        attributes={"prtbake.shows": _shows(picture)},
+        attributes={"prtbake.shows": _shows(picture), "prtbake.error": "projection"},
         alpha=None if options["background"] else picture.coverage,
     )
     return picture
