@@ -76,6 +76,16 @@ def write_png(
 
     note = PngImagePlugin.PngInfo()
     note.add_text("exposure", f"{exposure:g} EV")
+    with open(path, "wb") as file:
+        Image.fromarray(encoded(image, exposure, alpha)).save(file, format="PNG", pnginfo=note)
+
+
+def encoded(
+    image: NDArray[np.floating], exposure: float, alpha: NDArray[np.floating] | None = None
+) -> NDArray[np.uint8]:
+    """Linear radiance [H,W,3] in 8 bits of sRGB after multiplication by 2^exposure, [H,W,4] with `alpha`, by which the
+    image is then weighted.
+    """
     linear = np.asarray(image, np.float64)
     if alpha is not None:
         share = np.asarray(alpha, np.float64)[..., None]
@@ -85,6 +95,4 @@ def write_png(
     shown = to_srgb(exposed)
     if alpha is not None:
         shown = np.concatenate([shown, np.clip(share, 0.0, 1.0)], axis=2)
-    pixels = np.rint(255.0 * shown).astype(np.uint8)
-    with open(path, "wb") as file:
-        Image.fromarray(pixels).save(file, format="PNG", pnginfo=note)
+    return np.rint(255.0 * shown).astype(np.uint8)

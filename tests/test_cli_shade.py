@@ -11,13 +11,17 @@ from test_surface_gloss import glossy
 
 from formats.asset import write_asset
 from formats.image import read_image, read_layers
+from prt_bake.error_picture import relative_errors
+from prt_bake.shading import Picture
 
 
 @pytest.fixture(scope="module")
 def polished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An asset of index 1.5 and roughness 0.3."""
+    """An asset of index 1.5 and roughness 0.3 that sends more where light comes along +x."""
     path = tmp_path_factory.mktemp("polished") / "polished.h5"
-    write_asset(glossy(ball(3)), path)
+    asset = glossy(ball(3))
+    asset.coefficients[:, :, 3] = 0.1
+    write_asset(asset, path)
     return path
 
 
@@ -118,3 +122,59 @@ def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp
     assert outcome.code == 1
     assert "layers: 'depth' where some of position, normal, vertex" in outcome.err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("turning", ["eye", "light"])
+def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
+    """Turning the eye shows another side of the sky; turning the light by half a turn is the third of four frames."""
+    words = ["--light", "sun:1,0,0.5:3,3,3", "--size", "16x16"]
+    turned = prtbake("shade", polished, *words, "-o", tmp_path / "t_%d.exr", "--turntable", turning, "--frames", 4)
+    assert turned.code == 0, turned.err
+    frames = [read_image(tmp_path / f"t_{number}.exr") for number in range(4)]
+    assert prtbake("shade", polished, *words, "-o", tmp_path / "first.exr").code == 0
+    np.testing.assert_array_equal(frames[0], read_image(tmp_path / "first.exr"))
+    if turning == "light":
+        assert prtbake("shade", polished, *words, "--rotate", 180, "-o", tmp_path / "half.exr").code == 0
+        np.testing.assert_allclose(frames[2], read_image(tmp_path / "half.exr"), atol=1e-6)
+    assert (
+        prtbake(*("shade", polished, *words, "-o", tmp_path / "t.webp", "--turntable", turning, "--frames", 3)).code
+        == 0
+    )
+    with Image.open(tmp_path / "t.webp") as animation:
+        assert (animation.n_frames, animation.size) == (3, (16, 16))
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
+        (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
+        (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background, no layers and no error picture"),
+    ],
+)
+def test_a_turntable_and_its_file_belong_together(prtbake: Run, polished: Path, words, sentence) -> None:
+    outcome = prtbake("shade", polished, "--light", "sky.exr", *words)
+    assert outcome.code == 2
+    assert sentence in outcome.err
+
+
+def test_the_error_of_every_pixel_is_shown(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    words = ["--light", "sky.exr", "--size", "40x30", "-o", tmp_path / "a.png"]
+    outcome = prtbake("shade", polished, *words, "--error-picture", tmp_path / "error.png")
+    assert outcome.code == 0, outcome.err
+    shown = np.asarray(Image.open(tmp_path / "error.png").convert("RGB")).reshape(-1, 3)
+    assert len(np.unique(shown, axis=0)) > 20
+    assert prtbake("shade", polished, *words, "--error-picture", tmp_path / "error.exr").code == 1
+
+
+def test_relative_errors_are_sigma_over_radiance_and_dark_pixels_are_held_against_the_mean() -> None:
+    radiance = np.zeros((2, 2, 3))
+    radiance[0] = [[2.0, 2.0, 2.0], [1e-6, 0.0, 0.0]]
+    coverage = np.array([[1.0, 1.0], [0.0, 0.0]], np.float32)
+    error = np.zeros((2, 2, 3), np.float32)
+    error[0] = 0.1
+    picture = Picture(radiance.astype(np.float32), coverage, 0.0, 1, 0.0, 0.0, error, 0.05)
+    relative = relative_errors(picture, radiance)
+    assert relative[0, 0] == pytest.approx(0.05)
+    assert relative[0, 1] == pytest.approx(0.1 / 0.01, rel=0.01)
+    assert np.isnan(relative[1]).all()

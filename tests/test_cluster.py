@@ -167,9 +167,11 @@ class Faulty(Incoherent):
         return np.asarray(len(positions) / 0)
 
 
-def test_schedulers_that_are_none_and_workers_that_are_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_schedulers_that_are_none_and_workers_that_are_not_there(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     import dask
-    from distributed import LocalCluster
+    import distributed  # noqa: F401 - its own settings are there before one of them is changed
 
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         for address in ("tcp://127.0.0.1:9", "nonsense://nowhere", ""):
@@ -179,11 +181,12 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(monkeypatch: py
         bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
     monkeypatch.setattr(prt_bake.bake_cluster, "PATIENCE", 0.2)
     monkeypatch.setattr(prt_bake.bake_cluster, "ASKED_EVERY", 0.1)
-    with (
-        LocalCluster(n_workers=0, dashboard_address=":0", processes=False) as none,
-        pytest.raises(ClusterError, match="no worker"),
-    ):
-        bake(Incoherent(), icosphere(0), **SMALL, scheduler=none.scheduler_address)
+    none = Processes(tmp_path)
+    try:
+        with pytest.raises(ClusterError, match="no worker"):
+            bake(Incoherent(), icosphere(0), **SMALL, scheduler=none.address)
+    finally:
+        none.end()
 
 
 def test_other_versions_at_a_worker_are_refused() -> None:

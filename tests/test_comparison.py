@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-import prt_bake.comparison
+import prt_bake.flip
 from formats.errors import PrtbakeError, QueryError
 from formats.png import to_srgb
 from prt_bake.comparison import compare, displayed
@@ -134,7 +134,7 @@ def test_an_exposure_that_shows_nothing_is_refused(exposure):
 
 def test_figures_are_plain_numbers_for_json():
     figures = compare(picture(), picture(seed=1)).as_json()
-    assert list(figures) == ["mse", "relative_mse", "ssim", "ssim_quarter", "flip"]
+    assert list(figures) == ["mse", "relative_mse", "relative_rmse", "ssim", "ssim_quarter", "flip"]
     assert {type(value) for value in figures.values()} == {float}
 
 
@@ -173,7 +173,7 @@ def test_a_missing_extra_is_named(missing, monkeypatch):
             raise ImportError(name)
         return __import__("importlib").import_module(name)
 
-    monkeypatch.setattr(prt_bake.comparison, "import_module", import_module)
+    monkeypatch.setattr(prt_bake.flip, "import_module", import_module)
     with pytest.raises(PrtbakeError, match=rf"{missing.partition('.')[0]} is not installed.*prt-bake\[evaluate\]"):
         compare(picture(), picture())
 

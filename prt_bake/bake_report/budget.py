@@ -18,8 +18,11 @@ from formats.mesh import Mesh
 from prt_bake import camera as cameras
 from prt_bake import environment, sh, sphere
 from prt_bake.bake_job import views_of
+from prt_bake.bake_output import said_by
 from prt_bake.bake_report.bins import fitted, relative
+from prt_bake.bake_report.reflected import noise_free_rms, reflected_at
 from prt_bake.randomness import uniforms
+from prt_bake.reflecting_surface import ReflectingSurface
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -53,6 +56,12 @@ class Seen:
     shares: Array
     """Of these in the point."""
     outgoing: Array
+    faces: Index
+
+    @property
+    def barycentric(self) -> Array:
+        """(u, v) [N,2] in the face."""
+        return self.shares[:, 1:]
 
 
 @dataclass(frozen=True)
@@ -121,9 +130,26 @@ def error_budget(
         parts.append(
             Part("the network", float(np.sqrt(off / (whole**2).sum())), f"against {WALKS} walks, their noise out")
         )
+    parts += _reflected(network, mesh, sky, up, seen, whole, seed)
     parts.sort(key=lambda part: -part.radiance)
     whole_bake = relative(_at(seen, together) - whole, whole)
     return [*parts, Part("all but the network together", whole_bake, "the picture of a bake, against every texel")]
+
+
+def _reflected(
+    network: Any, mesh: Mesh, sky: NDArray[np.float32], up: str, seen: Seen, whole: Array, seed: int
+) -> list[Part]:
+    """What pictures lack of the light that the surface reflects; nothing where it reflects none."""
+    eta, roughness = said_by(network, "eta", 1.0), said_by(network, "roughness", None)
+    if roughness is None or ReflectingSurface(mesh, eta).matched:
+        return []
+    once, twice = reflected_at(
+        mesh, sky, up, eta, float(np.mean(roughness)), seen.faces, seen.barycentric, seen.outgoing, seed
+    )
+    return [
+        Part("reflected light, without --reflection", noise_free_rms(once, whole), "once, by samples"),
+        Part("reflected twice, with --reflection", noise_free_rms(twice, whole), "by samples, their noise out"),
+    ]
 
 
 def texels_of(sky: NDArray[np.float32], up: str) -> Texels:
@@ -154,7 +180,7 @@ def seen_points(mesh: Mesh, view: cameras.Camera, points: int, seed: int) -> See
         raise QueryError("the camera sees nothing of the object")
     corners, u = mesh.faces[hits.faces[met]].astype(np.int64), hits.barycentric[met]
     shares = np.concatenate([1.0 - u.sum(axis=1, keepdims=True), u], axis=1)
-    return Seen(np.einsum("nk,nki->ni", shares, mesh.positions[corners]), corners, shares, -rays[met])
+    return Seen(np.einsum("nk,nki->ni", shares, mesh.positions[corners]), corners, shares, -rays[met], hits.faces[met])
 
 
 def _under(network: Any, seen: Seen, texels: Texels) -> Array:

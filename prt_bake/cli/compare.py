@@ -2,55 +2,139 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from prt_bake.cli.options import AsJson, Exposure
+from prt_bake.cli.bounds import Bounds, FailAbove, FailBelow
+from prt_bake.cli.options import AsJson, Exposure, optional_output
 from prt_bake.cli.progress import say
+
+if TYPE_CHECKING:
+    from formats.exr import Layers
+    from prt_bake.noise_free_comparison import NoiseFree
+    from prt_bake.picture_noise import PixelErrors
+
+_MAPS = (".png", ".exr")
+
+
+def _read_range(text: str | tuple[float, float]) -> tuple[float, float]:
+    if isinstance(text, tuple):
+        return text
+    try:
+        start, stop = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is not START,STOP in stops, such as -4,2") from None
+    return start, stop
 
 
 def compare(
-    image: Annotated[Path, typer.Argument(metavar="IMAGE", help=".exr, .hdr or .png.")],
+    image: Annotated[Path, typer.Argument(metavar="IMAGE", help=".exr, .hdr, .png or .jpg.")],
     reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="What it should be, of the same size.")],
     mask: Annotated[
         Path | None, typer.Option(metavar="M", help="Picture that is white where it counts.", show_default=False)
     ] = None,
     exposure: Exposure = 0.0,
+    hdr_exposures: Annotated[
+        Any,
+        typer.Option(
+            parser=_read_range,
+            metavar="START,STOP",
+            help="Stops that HDR-FLIP looks at, after --exposure; by default those of its paper for the reference.",
+            show_default=False,
+        ),
+    ] = None,
+    keep_noise: Annotated[
+        bool, typer.Option("--keep-noise", help="Do not estimate the figures without the noise of error layers.")
+    ] = False,
     picture: Annotated[
         Path | None,
-        typer.Option(metavar="P.png", help="Also write image, reference and FLIP side by side.", show_default=False),
+        optional_output(
+            "--picture --sheet",
+            "P.png",
+            "Also write image, reference, signed difference, FLIP and HDR-FLIP side by side, with scales and figures.",
+            ".png",
+        ),
     ] = None,
+    difference_map: Annotated[
+        Path | None,
+        optional_output("--difference-map", "D.png", "Also write image − reference (.exr: numbers).", *_MAPS),
+    ] = None,
+    flip_map: Annotated[
+        Path | None, optional_output("--flip-map", "F.png", "Also write the map of FLIP (.exr: numbers).", *_MAPS)
+    ] = None,
+    hdr_flip_map: Annotated[
+        Path | None,
+        optional_output("--hdr-flip-map", "F.png", "Also write the map of HDR-FLIP (.exr: numbers).", *_MAPS),
+    ] = None,
+    fail_above: FailAbove = None,
+    fail_below: FailBelow = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print MSE, SSIM (full and quarter size) and FLIP.
+    """Print MSE, relative MSE and RMSE, SSIM (full and quarter size), FLIP and HDR-FLIP.
 
-    Says so where only one of two pictures by `prtbake render` holds unscattered or reflected light.
+    Where pictures have an error layer, as those of `prtbake render` and `prtbake shade` (.exr), the figures are also
+    estimated as they would be without that noise, each with the interval that holds it 95 times in 100. Says so where
+    only one of two pictures by `prtbake render` holds unscattered or reflected light.
     """
-    from formats.errors import QueryError
     from formats.image import read_image, read_layers
+    from prt_bake import comparison_sheet as sheet
+    from prt_bake.comparison import checked
     from prt_bake.comparison import compare as measure
-    from prt_bake.report import as_text, write_side_by_side
+    from prt_bake.report import as_text
 
+    bounds = Bounds.of(fail_above or [], fail_below or [])
     layered, layered_reference = read_layers(image), read_layers(reference)
     ours, theirs = layered.image, layered_reference.image
-    if ours.shape != theirs.shape:
-        (h, w), (height, width) = ours.shape[:2], theirs.shape[:2]
-        raise QueryError(
-            f"{image}: {w}x{h} where {reference} is {width}x{height}; pictures are compared pixel by pixel, so bring "
-            "both to one size"
-        )
-    contents = [str(each.attributes.get("prtbake.shows", "")) for each in (layered, layered_reference)]
-    for words in _unlike(image, reference, *contents):
+    chosen = None if mask is None else read_image(mask)
+    _refuse_other_sizes(image, ours, (reference, theirs), *([] if chosen is None else [(mask, chosen)]))
+    for words in _remarks(image, reference, layered, layered_reference):
         say(words)
-    figures = measure(ours, theirs, None if mask is None else read_image(mask), exposure)
+    names = (str(image), str(reference), str(mask))
+    found = measure(ours, theirs, chosen, exposure, hdr=True if hdr_exposures is None else hdr_exposures, names=names)
+    errors = None if keep_noise else _errors(image, reference, layered, layered_reference)
+    without = None if errors is None else _without_noise(ours, theirs, errors, chosen, exposure, found.hdr_exposures)
+    lifted, target, counts = checked(ours, theirs, chosen, exposure)
     if picture is not None:
-        write_side_by_side(ours, theirs, figures.flip_map, picture, exposure)
+        intervals = None if without is None else without.figures
+        dimmed = None if chosen is None else counts
+        sheet.write_sheet(picture, ours, theirs, found, (image.name, reference.name), exposure, dimmed, intervals)
+    if difference_map is not None:
+        sheet.write_difference_map(difference_map, lifted - target)
+    for path, values in ((flip_map, found.flip_map), (hdr_flip_map, found.hdr_flip_map)):
+        if path is not None and values is not None:
+            sheet.write_flip_map(path, values)
+    told = {**found.as_json(), "pixels": int(counts.sum()), "exposure": exposure}
+    if without is not None:
+        told["noise_free"] = without.as_json()
     if as_json:
-        print(as_text(figures.as_json()))
-        return
-    for name, value in figures.as_json().items():
-        print(f"{name:<13} {value:.6g}")
+        print(as_text(told))
+    else:
+        for line in _lines(told):
+            print(line)
+    bounds.hold(image, told)
+
+
+def _refuse_other_sizes(image: Path, pixels: Any, *others: Any) -> None:
+    from formats.errors import QueryError
+
+    h, w = pixels.shape[:2]
+    for path, found in others:
+        if found.shape[:2] != (h, w):
+            height, width = found.shape[:2]
+            raise QueryError(
+                f"{image}: {w}x{h} where {path} is {width}x{height}; pictures are compared pixel by pixel, so bring "
+                "both to one size"
+            )
+
+
+def _remarks(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> Iterator[str]:
+    contents = [str(each.attributes.get("prtbake.shows", "")) for each in (layered, layered_reference)]
+    yield from _unlike(image, reference, *contents)
+    for path, pixels in ((image, layered.image), (reference, layered_reference.image)):
+        negative = int((pixels < 0.0).any(axis=2).sum())
+        if negative:
+            yield f"{path}: {negative} of {pixels[..., 0].size} pixels hold negative radiance, seen as black"
 
 
 def _unlike(image: Path, reference: Path, shows: str, reference_shows: str) -> Iterator[str]:
@@ -65,3 +149,56 @@ def _unlike(image: Path, reference: Path, shows: str, reference_shows: str) -> I
         if holding[0] != holding[1]:
             held, lacking = (image, reference) if holding[0] else (reference, image)
             yield f"{held} holds {light}, {lacking} does not: it is in the figures ({option} leaves it out)"
+
+
+def _errors(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> "PixelErrors | None":
+    """What the pictures say of their errors; None, with a word, where that cannot be used."""
+    from prt_bake.picture_noise import errors_of, same_numbers, unusable
+
+    reasons = [unusable(path, each) for path, each in ((image, layered), (reference, layered_reference))]
+    for reason in filter(None, reasons):
+        say(reason)
+    errors = None if any(reasons) else errors_of(layered, layered_reference)
+    if errors is not None and same_numbers(layered, layered_reference):
+        say(
+            f"{image} and {reference} were drawn from the same random numbers, so that their noise is alike and cannot "
+            "be taken out; render one of them with another --seed"
+        )
+        return None
+    if errors is not None and errors.shared.any():
+        say(
+            "the error that a bake has left is alike in neighbouring pixels: it is taken out of squared differences "
+            "alone, their intervals are wider for it, and FLIP and SSIM keep it"
+        )
+    return errors
+
+
+def _without_noise(
+    ours: Any, theirs: Any, errors: "PixelErrors", mask: Any, exposure: float, exposures: Any
+) -> "NoiseFree":
+    from prt_bake.noise_free_comparison import compare_without_noise
+
+    found = compare_without_noise(ours, theirs, errors, mask, exposure, hdr=exposures)
+    if found.figures["mse"].high < 0.0:
+        say(
+            "the pictures differ by less than their noise: it is not independent, or the error layers are of other "
+            "pictures; the figures without noise mean nothing"
+        )
+    return found
+
+
+def _lines(told: dict[str, Any]) -> Iterator[str]:
+    free = told.get("noise_free", {})
+    for name, value in told.items():
+        if name == "hdr_exposures":
+            yield f"{name:<13} {value['start']:.3g} to {value['stop']:.3g} EV, {value['steps']} of them"
+        elif isinstance(value, float) and name != "exposure":
+            yield f"{name:<13} {value:<12.6g}{_interval(free.get(name))}".rstrip()
+
+
+def _interval(free: dict[str, float] | None) -> str:
+    if free is None:
+        return ""
+    if free["low"] != free["low"]:
+        return f" without noise {free['value']:.4g} (how far that is off cannot be told)"
+    return f" without noise {free['value']:.4g} ({free['low']:.4g} to {free['high']:.4g})"

@@ -12,6 +12,7 @@ from formats.errors import FormatError
 from formats.whole import refuse_unwritable
 
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
+ANIMATION_SUFFIXES = (".png", ".webp", ".gif")
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from prt_bake.cli.options import (
+    ANIMATION_SUFFIXES,
     IMAGE_SUFFIXES,
     Exposure,
     Extent,
@@ -20,9 +21,11 @@ from prt_bake.cli.options import (
     Rotate,
     Size,
     Up,
+    optional_output,
     output_option,
+    within,
 )
-from prt_bake.cli.progress import say
+from prt_bake.cli.progress import Report, reporting, say
 
 _LAYERS = "position, normal, vertex, radiance, subsurface, reflection"
 
@@ -30,7 +33,7 @@ _LAYERS = "position, normal, vertex, radiance, subsurface, reflection"
 def shade(
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
     light: Lights,
-    output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES)],
+    output: Annotated[Path, output_option("IMAGE", *IMAGE_SUFFIXES, *ANIMATION_SUFFIXES)],
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
     look_at: LookAt = None,
@@ -60,6 +63,20 @@ def shade(
             metavar="NAMES", help=f"Also into an .exr, with commas between: {_LAYERS}; or all.", show_default=False
         ),
     ] = "",
+    error_picture: Annotated[
+        Path | None,
+        optional_output("--error-picture", "E.png", "Also show the error of each pixel, in colours.", ".png"),
+    ] = None,
+    turntable: Annotated[
+        Literal["eye", "light"] | None,
+        typer.Option(
+            help="All the way round the object, by the eye or by the light: an animation (.png, .webp, .gif), or "
+            "numbered pictures where the name has a number in it (turn_%03d.png).",
+            show_default=False,
+        ),
+    ] = None,
+    frames: Annotated[int, typer.Option(min=1, max=3600, help="Of a turntable.")] = 36,
+    seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="That one turn of it takes.")] = 3.0,
     samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
     mend: Mend = False,
 ) -> None:
@@ -70,12 +87,10 @@ def shade(
     the object's coverage (coverage.Y).
     """
     from formats.asset import read_asset
-    from formats.image import write_image
     from prt_bake.cli.viewing import camera_for
     from prt_bake.lighting import read_lighting
-    from prt_bake.shading import render_picture
 
-    _refuse_useless(output, transparent, layers)
+    _refuse_useless(output, transparent, layers, turntable, error_picture)
     baked = read_asset(asset)
     axis = up or baked.up
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
@@ -86,17 +101,16 @@ def shade(
         "background": not transparent,
         "reflection": reflection,
         "roughness": roughness,
-        "layers": _names(layers),
+        "layers": _names(layers, error_picture is not None),
     }
-    picture = render_picture(baked, lighting, view, **options)
-    write_image(
-        output,
-        picture.image,
-        exposure=exposure,
-        layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
-        attributes={"prtbake.shows": _shows(picture)},
-        alpha=picture.coverage if transparent else None,
-    )
+    if turntable is None:
+        picture = _write(output, baked, lighting, view, options, exposure)
+    else:
+        picture = _turn(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
+    if error_picture is not None:
+        from prt_bake.error_picture import write_error_picture
+
+        write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
     print(
@@ -106,19 +120,77 @@ def shade(
     )
 
 
-def _refuse_useless(output: Path, transparent: bool, layers: str) -> None:
+def _write(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:
+    from formats.image import write_image
+    from prt_bake.shading import render_picture
+
+    picture = render_picture(baked, lighting, view, **options)
+    write_image(
+        output,
+        picture.image,
+        exposure=exposure,
+        layers={"error": picture.error, "coverage": picture.coverage, **picture.layers},
+        attributes={"prtbake.shows": _shows(picture), "prtbake.error": "projection"},
+        alpha=None if options["background"] else picture.coverage,
+    )
+    return picture
+
+
+def _turn(
+    output: Path,
+    baked: Any,
+    lighting: Any,
+    view: Any,
+    options: dict[str, Any],
+    exposure: float,
+    turning: Literal["eye", "light"],
+    frames: int,
+    seconds: float,
+) -> Any:
+    """Write a turntable; its last picture."""
+    from formats.animation import write_animation, write_sequence
+    from prt_bake.turntable import turntable
+
+    last: list[Any] = []
+
+    def shown(show: Report) -> Iterator[Any]:
+        for number, picture in enumerate(turntable(baked, lighting, view, frames, turning, **options), start=1):
+            last[:] = [picture]
+            show(number / frames, f"{number} of {frames} pictures")
+            yield picture.image
+
+    with reporting("turn") as show:
+        if "%" in output.name:
+            write_sequence(output, shown(show), exposure=exposure)
+        else:
+            write_animation(output, shown(show), exposure=exposure, seconds_a_frame=seconds / frames)
+    return last[0]
+
+
+def _refuse_useless(
+    output: Path, transparent: bool, layers: str, turntable: str | None, error_picture: Path | None
+) -> None:
     """Wrong usage: what the kind of file that was asked for cannot hold."""
     suffix = output.suffix.lower()
+    if turntable is None and suffix not in IMAGE_SUFFIXES:
+        raise typer.BadParameter(f"--output: {suffix} is for turntables; add --turntable eye, or write .png or .exr")
+    if turntable is not None and "%" not in output.name and suffix not in ANIMATION_SUFFIXES:
+        raise typer.BadParameter(
+            f"--output: one {suffix} holds no turntable; write .webp, .gif, .png, or numbered pictures (turn_%03d.exr)"
+        )
+    if turntable is not None and (transparent or layers or error_picture is not None):
+        raise typer.BadParameter("--turntable: its pictures have a background, no layers and no error picture")
     if transparent and suffix not in (".exr", ".png"):
         raise typer.BadParameter(f"--transparent: {suffix} has no alpha channel; write .exr or .png")
     if layers and suffix != ".exr":
         raise typer.BadParameter(f"--layers: {suffix} holds a picture alone; write .exr")
 
 
-def _names(layers: str) -> tuple[str, ...]:
+def _names(layers: str, with_error_picture: bool) -> tuple[str, ...]:
     from prt_bake.picture_layers import LAYERS
 
-    return tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
+    asked = tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
+    return asked if not with_error_picture or "radiance" in asked else (*asked, "radiance")
 
 
 def _shows(picture: Any) -> str:

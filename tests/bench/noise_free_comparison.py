@@ -1,0 +1,78 @@
+"""Whether figures without noise are the same however noisy the pictures: Spot at 16, 64 and 256 walks a pixel.
+
+    python tests/bench/noise_free_comparison.py [--size 96] [--seeds 2] [--reference 2048]
+
+Each picture is path traced and held against a reference of other random numbers, over the pixels that Spot covers:
+as it is (what is left without noise is nothing), and multiplied by waves of 30 % and a tint, whose figures without
+noise are those of the reference times the same against itself. Prints each figure as it is and without noise with its
+interval, an asterisk where the interval misses, and the seconds that taking the noise out took.
+"""
+
+import argparse
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.mesh import read_mesh
+from formats.scene import read_scene
+from prt_bake import camera
+from prt_bake.comparison import compare
+from prt_bake.demonstration import MESH, SKY
+from prt_bake.environment import read_environment
+from prt_bake.noise_free_comparison import compare_without_noise
+from prt_bake.picture_noise import PixelErrors
+from prt_bake.renderer.loop import Rendering
+from prt_bake.rendering import render_scene
+
+SPP = (16, 64, 256)
+FIGURES = ("mse", "relative_mse", "relative_rmse", "ssim", "ssim_quarter", "flip", "hdr_flip")
+EXPOSURES = (-1.0, 3.0)
+
+
+def picture(spp: int, size: int, seed: int) -> Rendering:
+    """Spot under the shipped sky."""
+    scene = read_scene(MESH.with_suffix(".toml"))
+    return render_scene(scene, read_environment(SKY), camera.fit(read_mesh(MESH), size, size), spp, seed)
+
+
+def waves(size: int) -> NDArray[np.float64]:
+    """Factors [H,W,3] of 0.7 to 1.3, and a tint."""
+    y, x = np.mgrid[:size, :size] / size
+    return (1.0 + 0.3 * np.sin(9.0 * x + 4.0 * y))[..., None] * np.array([1.0, 1.1, 0.9])
+
+
+def main() -> None:
+    """Print a row a picture and figure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--size", type=int, default=96)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--reference", type=int, default=2048)
+    asked = parser.parse_args()
+    reference = picture(asked.reference, asked.size, 1000)
+    mask, target = reference.coverage >= 1.0, reference.image.astype(np.float64)
+    for name, factor in (("as it is", np.ones_like(target)), ("waves", waves(asked.size))):
+        exact = compare(factor * target, target, mask, hdr=EXPOSURES)
+        print(f"{name}: truth " + ", ".join(f"{figure} {getattr(exact, figure):.4g}" for figure in FIGURES))
+        for spp in SPP:
+            for seed in range(asked.seeds):
+                seen = picture(spp, asked.size, spp + seed)
+                image, sigma = factor * seen.image, factor * seen.standard_error
+                found = compare(image, target, mask, hdr=EXPOSURES)
+                errors = PixelErrors(sigma, reference.standard_error.astype(np.float64), np.zeros_like(target))
+                begun = time.perf_counter()
+                free = compare_without_noise(image, target, errors, mask, hdr=found.hdr_exposures)
+                seconds = time.perf_counter() - begun
+                print(f"  {spp} walks a pixel, seed {spp + seed}, {seconds:.1f} s")
+                for figure in FIGURES:
+                    at, true = free.figures[figure], getattr(exact, figure)
+                    missed = "" if not np.isfinite(at.low) or at.low <= true <= at.high else " *"
+                    print(
+                        f"    {figure:<14} {getattr(found, figure):<10.4g} without noise {at.value:.4g} "
+                        f"({at.low:.4g} to {at.high:.4g}){missed}",
+                        flush=True,
+                    )
+
+
+if __name__ == "__main__":
+    main()
