@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from preview_windows import bare_picture, drag, encoded, open_window, press, sli
 from shapes import ball
 from test_shading import constant, make_asset, painted_sky
 
+from formats.errors import StorageError
 from formats.image import read_image
 from prt_bake.camera import Camera
 from prt_bake.lighting import as_lighting
@@ -200,6 +202,17 @@ def test_a_saved_picture_has_no_words_on_it_and_replaces_no_other(opened, tmp_pa
     np.testing.assert_array_equal(read_image("ball_1.png"), read_image("ball_2.png"))
     assert "orbit" in said(opened)
     assert opened.overlay.legend.GetVisibility()
+    assert opened.exposure.GetEnabled()
+
+
+def test_a_picture_that_cannot_be_saved_is_told_and_the_window_stays(opened, monkeypatch) -> None:
+    def full(path: Path, picture: np.ndarray) -> None:
+        raise StorageError(f"{path}: cannot be written: the disk is full")
+
+    monkeypatch.setattr(windows, "write_picture", full)
+    press(opened, "s")
+    assert "the disk is full" in said(opened)
+    assert opened.overlay.status.GetVisibility()
     assert opened.exposure.GetEnabled()
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from formats.errors import PrtbakeError
 from prt_bake.preview import legend
 from prt_bake.preview.overlay import SLIDERS, Overlay
 from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview
@@ -81,10 +82,12 @@ class Window:
         for slider in sliders:
             slider.Off()
         self.view.smooth(True)
-        write_picture(path, self.view.picture())
-        self.overlay.bring_back(shown)
-        for slider in sliders:
-            slider.On()
+        try:
+            write_picture(path, self.view.picture())
+        finally:
+            self.overlay.bring_back(shown)
+            for slider in sliders:
+                slider.On()
 
     def _drive(self) -> None:
         self._interactor.clear_key_event_callbacks()
@@ -127,7 +130,10 @@ class Window:
     def _doing(self, action: Callable[[], None]) -> Callable[[], None]:
         def do() -> None:
             self._preview.message = ""
-            action()
+            try:
+                action()
+            except PrtbakeError as fault:  # a window that is open has better things to do than to end
+                self._preview.message = str(fault)
             self.render()
 
         return do
