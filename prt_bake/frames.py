@@ -130,8 +130,8 @@ class Frames:
             raise QueryError(f"eye: {np.asarray(eye).tolist()} where a point of three finite numbers is expected")
         np.subtract(place, self._centre, out=self._eye)
         self._ask(visible)
-        threads = min(get_num_threads(), len(self._sums), 1 + np.count_nonzero(self._asked) // _VERTICES_A_THREAD)
-        most = get_num_threads()
+        most = int(get_num_threads())
+        threads = min(most, len(self._sums), 1 + int(np.count_nonzero(self._asked)) // _VERTICES_A_THREAD)
         set_num_threads(threads)
         try:
             self._draw(self._sums[threads - 1], bool(cull))
@@ -190,7 +190,7 @@ class Frames:
 
     def _prepare_desks(self) -> None:
         """What each thread works with; `_sums[n - 1]` is for n threads."""
-        threads = get_num_threads()
+        threads = int(get_num_threads())
         weights = np.zeros((threads, 5, BATCH), np.float32)
         weights[:, 0] = 1.0
         self._desks = (

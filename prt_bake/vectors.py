@@ -25,6 +25,11 @@ WIDEST = 16
 _DECODED_ROWS = 4
 
 
+def _intrinsic(generator: Any) -> Any:
+    """numba's own, which carries no types."""
+    return intrinsic(generator)
+
+
 def width_for(size: int) -> int:
     """How many numbers of a row of `size` are taken at a time."""
     return WIDEST if size >= WIDEST else 4 if size >= 4 else 1
@@ -45,7 +50,7 @@ def laid_out(light: NDArray[np.floating]) -> NDArray[np.float32]:
     return runs
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
     """Ask the memory for the cache line of array[index]; array is flat and contiguous. Anywhere is harmless."""
 
@@ -79,13 +84,13 @@ def _lit_rows(width: int) -> Any:
         places, shares = [types.intp] * 5, [types.float32] * 4
         return types.UniTuple(types.float32, 3)(rows, *places, *shares, light), generate
 
-    return intrinsic(lit_rows)
+    return _intrinsic(lit_rows)
 
 
 lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (16, 4, 1))
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights: Any, light: Any) -> Any:
     """(red, green, blue) of Σ weights[r] · row of `count` rows, a multiple of 4, of `size` numbers, at least 16, one
     after the other from rows[start].
@@ -130,7 +135,9 @@ def _under_light(
         offset = builder.select(builder.icmp_signed("<", begin, last), begin, last)
         numbers = row(offset)
         for channel, total in enumerate(totals):
-            place = builder.gep(shares, [builder.mul(builder.add(builder.mul(run.index, _LONG(3)), _LONG(channel)), _LONG(width))])
+            place = builder.gep(
+                shares, [builder.mul(builder.add(builder.mul(run.index, _LONG(3)), _LONG(channel)), _LONG(width))]
+            )
             lit = builder.fmul(numbers, _load(builder, place, _FLOAT, width), flags=_FUSED)
             builder.store(builder.fadd(builder.load(total), lit, flags=_FUSED), total)
     return target.make_tuple(builder, signature.return_type, [_sum(builder, builder.load(total)) for total in totals])
