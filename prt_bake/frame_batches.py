@@ -23,7 +23,7 @@ FAST: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", 
 
 
 def part(function: Kernel) -> Kernel:
-    """For what kernels call at each vertex, where a call takes as long as the work: built into each of them. One that is
+    """For what kernels call at each vertex, where a call takes as long as the work: built into each of them. What is
     kept on disk by itself could only be called.
     """
     return cast(Kernel, njit(forceinline=True, **FAST)(function))

@@ -1,4 +1,4 @@
-"""Drawing an asset many times: radiance at its vertices, a frame at a time, at the speed of memory. Never loads torch."""
+"""Drawing an asset many times: radiance at its vertices, a frame at a time, at the speed of memory; without torch."""
 
 import math
 from typing import Any

@@ -17,6 +17,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+# They carry no types.
+_untyped: Any = cgutils
+_several: Any = types.UniTuple
 _FLOAT, _HALF, _BYTE = ir.FloatType(), ir.HalfType(), ir.IntType(8)
 _SHORT, _INT, _LONG = ir.IntType(16), ir.IntType(32), ir.IntType(64)
 _FUSED = ("contract",)
@@ -82,7 +85,7 @@ def _lit_rows(width: int) -> Any:
             return _under_light(target, builder, signature, arguments[1], arguments[10], weighted, width)
 
         places, shares = [types.intp] * 5, [types.float32] * 4
-        return types.UniTuple(types.float32, 3)(rows, *places, *shares, light), generate
+        return _several(types.float32, 3)(rows, *places, *shares, light), generate
 
     return _intrinsic(lit_rows)
 
@@ -101,10 +104,10 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
         first = _element(target, builder, signature, arguments, 0, arguments[2])
 
         def weighted(offset: Any) -> Any:
-            total = cgutils.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
+            total = _untyped.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
             builder.store(_constant(_FLOAT, WIDEST, 0.0), total)
             steps = builder.udiv(arguments[3], _LONG(_DECODED_ROWS))
-            with cgutils.for_range(builder, steps) as step:
+            with _untyped.for_range(builder, steps) as step:
                 row = builder.mul(step.index, _LONG(_DECODED_ROWS))
                 numbers = [builder.add(row, _LONG(r)) for r in range(_DECODED_ROWS)]
                 places = [builder.gep(first, [builder.add(builder.mul(r, length), offset)]) for r in numbers]
@@ -119,18 +122,18 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
         return _under_light(target, builder, signature, length, arguments[5], weighted, WIDEST)
 
     counts = (types.intp,) * 3
-    return types.UniTuple(types.float32, 3)(rows, *counts, weights, light), generate
+    return _several(types.float32, 3)(rows, *counts, weights, light), generate
 
 
 def _under_light(
     target: Any, builder: Any, signature: Any, size: Any, light: Any, row: Callable[[Any], Any], width: int
 ) -> Any:
     """Σ row(offset) · light for each channel, `width` numbers at a time."""
-    totals = [cgutils.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
+    totals = [_untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
     shares = target.make_array(signature.args[-1])(target, builder, light).data
     runs = builder.udiv(builder.add(size, _LONG(width - 1)), _LONG(width))
     last = builder.sub(size, _LONG(width))
-    with cgutils.for_range(builder, runs) as run:
+    with _untyped.for_range(builder, runs) as run:
         begin = builder.mul(run.index, _LONG(width))
         offset = builder.select(builder.icmp_signed("<", begin, last), begin, last)
         numbers = row(offset)
