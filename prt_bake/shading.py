@@ -165,7 +165,7 @@ def _between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> 
 
 
 def light_of(asset: Asset, light: ArrayLike | None) -> Array:
-    """The light's coefficients [K,3]; ones [1,3] if the asset is for one light. Raises QueryError if they do not fit."""
+    """The light's coefficients [K,3]; ones [1,3] if the asset is for one. Raises QueryError if they do not fit."""
     if asset.quantity == "radiance":
         if light is not None:
             raise QueryError("light: the asset was made for one light and cannot be relit; hand in None to see it so")
