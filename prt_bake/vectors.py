@@ -1,0 +1,209 @@
+"""What numba has no words for, as LLVM: a hint to the memory, and weighted sums of stored rows, many numbers at a time.
+
+Rows are float32, whole numbers of 8 bits, or the bits of float16 as uint16. Those are widened by the processor where it
+can (F16C; every 64-bit ARM), otherwise by integer arithmetic: with the bits of a half shifted to where float32 has
+them, what is missing is a factor of 2^112, subnormal halves included. A table of all halves is slower than either.
+"""
+
+import platform
+from collections.abc import Callable
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+# They carry no types.
+_untyped: Any = cgutils
+_several: Any = types.UniTuple
+_FLOAT, _HALF, _BYTE = ir.FloatType(), ir.HalfType(), ir.IntType(8)
+_SHORT, _INT, _LONG = ir.IntType(16), ir.IntType(32), ir.IntType(64)
+_FUSED = ("contract",)
+WIDEST = 16
+"""Numbers at a time of rows that have as many; rows of at least 4 are taken 4 at a time, others one by one."""
+_DECODED_ROWS = 4
+
+
+def _intrinsic(generator: Any) -> Any:
+    """numba's own, which carries no types."""
+    return intrinsic(generator)
+
+
+def width_for(size: int) -> int:
+    """How many numbers of a row of `size` are taken at a time."""
+    return WIDEST if size >= WIDEST else 4 if size >= 4 else 1
+
+
+def laid_out(light: NDArray[np.floating]) -> NDArray[np.float32]:
+    """What each number of a row gives to each of three channels, light [size,3], as rows are read: [runs,3,width].
+
+    The last run of a row ends with the row, and what the one before it has read too counts 0.
+    """
+    size = len(light)
+    width = width_for(size)
+    runs = np.zeros((-(-size // width), 3, width), np.float32)
+    for run in range(len(runs)):
+        first = min(run * width, size - width)
+        new = run * width - first
+        runs[run, :, new:] = light[first + new : first + width].T
+    return runs
+
+
+@_intrinsic
+def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
+    """Ask the memory for the cache line of array[index]; array is flat and contiguous. Anywhere is harmless."""
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = builder.bitcast(_element(target, builder, signature, arguments, 0, arguments[1]), _BYTE.as_pointer())
+        form = ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT])
+        hint = builder.module.declare_intrinsic("llvm.prefetch", [_BYTE.as_pointer()], form)
+        # To read, to be kept in all caches, data.
+        builder.call(hint, [place, _INT(0), _INT(3), _INT(1)])
+        return target.get_dummy_value()
+
+    return types.void(array, types.intp), generate
+
+
+def _lit_rows(width: int) -> Any:
+    def lit_rows(
+        context: Any, rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any,
+        light: Any,
+    ) -> Any:  # fmt: skip
+        """(red, green, blue) of Σ weight · row of the rows of `size` numbers that start at a, b, c and d of `rows`."""
+
+        def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            starts = [_element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
+            weights = [_all_alike(builder, weight, width) for weight in arguments[6:10]]
+
+            def weighted(offset: Any) -> Any:
+                return _weighted(builder, rows.dtype, [builder.gep(start, [offset]) for start in starts], weights)
+
+            return _under_light(target, builder, signature, arguments[1], arguments[10], weighted, width)
+
+        places, shares = [types.intp] * 5, [types.float32] * 4
+        return _several(types.float32, 3)(rows, *places, *shares, light), generate
+
+    return _intrinsic(lit_rows)
+
+
+lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (16, 4, 1))
+
+
+@_intrinsic
+def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights: Any, light: Any) -> Any:
+    """(red, green, blue) of Σ weights[r] · row of `count` rows, a multiple of 4, of `size` numbers, at least 16, one
+    after the other from rows[start].
+    """
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        length = arguments[1]
+        first = _element(target, builder, signature, arguments, 0, arguments[2])
+
+        def weighted(offset: Any) -> Any:
+            total = _untyped.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
+            builder.store(_constant(_FLOAT, WIDEST, 0.0), total)
+            steps = builder.udiv(arguments[3], _LONG(_DECODED_ROWS))
+            with _untyped.for_range(builder, steps) as step:
+                row = builder.mul(step.index, _LONG(_DECODED_ROWS))
+                numbers = [builder.add(row, _LONG(r)) for r in range(_DECODED_ROWS)]
+                places = [builder.gep(first, [builder.add(builder.mul(r, length), offset)]) for r in numbers]
+                shares = [
+                    _all_alike(builder, builder.load(_element(target, builder, signature, arguments, 4, r)), WIDEST)
+                    for r in numbers
+                ]
+                four = _weighted(builder, rows.dtype, places, shares)
+                builder.store(builder.fadd(builder.load(total), four, flags=_FUSED), total)
+            return builder.load(total)
+
+        return _under_light(target, builder, signature, length, arguments[5], weighted, WIDEST)
+
+    counts = (types.intp,) * 3
+    return _several(types.float32, 3)(rows, *counts, weights, light), generate
+
+
+def _under_light(
+    target: Any, builder: Any, signature: Any, size: Any, light: Any, row: Callable[[Any], Any], width: int
+) -> Any:
+    """Σ row(offset) · light for each channel, `width` numbers at a time."""
+    totals = [_untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
+    shares = target.make_array(signature.args[-1])(target, builder, light).data
+    runs = builder.udiv(builder.add(size, _LONG(width - 1)), _LONG(width))
+    last = builder.sub(size, _LONG(width))
+    with _untyped.for_range(builder, runs) as run:
+        begin = builder.mul(run.index, _LONG(width))
+        offset = builder.select(builder.icmp_signed("<", begin, last), begin, last)
+        numbers = row(offset)
+        for channel, total in enumerate(totals):
+            place = builder.gep(
+                shares, [builder.mul(builder.add(builder.mul(run.index, _LONG(3)), _LONG(channel)), _LONG(width))]
+            )
+            lit = builder.fmul(numbers, _load(builder, place, _FLOAT, width), flags=_FUSED)
+            builder.store(builder.fadd(builder.load(total), lit, flags=_FUSED), total)
+    return target.make_tuple(builder, signature.return_type, [_sum(builder, builder.load(total)) for total in totals])
+
+
+def _weighted(builder: Any, kind: Any, places: list[Any], weights: list[Any]) -> Any:
+    """Σ weight · what stands at place, as a balanced tree: a long chain would wait for each sum."""
+    terms = [
+        builder.fmul(_widened(builder, kind, place, weight.type.count), weight, flags=_FUSED)
+        for place, weight in zip(places, weights, strict=True)
+    ]
+    one, two = (builder.fadd(terms[i], terms[i + 1], flags=_FUSED) for i in (0, 2))
+    return builder.fadd(one, two, flags=_FUSED)
+
+
+def _widened(builder: Any, kind: Any, place: Any, width: int) -> Any:
+    """The `width` numbers at `place`, as float32."""
+    if kind == types.float32:
+        return _load(builder, place, _FLOAT, width)
+    if kind == types.int8:
+        return builder.sitofp(_load(builder, place, _BYTE, width), ir.VectorType(_FLOAT, width))
+    bits = _load(builder, place, _SHORT, width)
+    if _processor_widens():
+        return builder.fpext(builder.bitcast(bits, ir.VectorType(_HALF, width)), ir.VectorType(_FLOAT, width))
+    shifted = builder.shl(builder.sext(bits, ir.VectorType(_INT, width)), _constant(_INT, width, 13))
+    # The sign was drawn out over three bits of the exponent.
+    kept = builder.and_(shifted, _constant(_INT, width, 0x8FFFE000))
+    return builder.fmul(builder.bitcast(kept, ir.VectorType(_FLOAT, width)), _constant(_FLOAT, width, 2.0**112))
+
+
+def _processor_widens() -> bool:
+    return platform.machine() in ("aarch64", "arm64") or bool(llvm.get_host_cpu_features().get("f16c", False))
+
+
+def _element(target: Any, builder: Any, signature: Any, arguments: Any, which: int, index: Any) -> Any:
+    array = target.make_array(signature.args[which])(target, builder, arguments[which])
+    return builder.gep(array.data, [index])
+
+
+def _load(builder: Any, place: Any, kind: Any, width: int) -> Any:
+    numbers = builder.load(builder.bitcast(place, ir.VectorType(kind, width).as_pointer()))
+    numbers.align = {_FLOAT: 4, _SHORT: 2, _BYTE: 1}[kind]
+    return numbers
+
+
+def _constant(kind: Any, width: int, value: float) -> Any:
+    return ir.Constant(ir.VectorType(kind, width), [ir.Constant(kind, value)] * width)
+
+
+def _all_alike(builder: Any, value: Any, width: int) -> Any:
+    one = builder.insert_element(ir.Constant(ir.VectorType(value.type, width), ir.Undefined), value, _INT(0))
+    return builder.shuffle_vector(one, one, _constant(_INT, width, 0))
+
+
+def _sum(builder: Any, numbers: Any) -> Any:
+    """Halves onto halves."""
+    width = numbers.type.count
+    while width > 1:
+        width //= 2
+        low, high = (
+            ir.Constant(ir.VectorType(_INT, width), [_INT(first + i) for i in range(width)]) for first in (0, width)
+        )
+        numbers = builder.fadd(
+            builder.shuffle_vector(numbers, numbers, low), builder.shuffle_vector(numbers, numbers, high), flags=_FUSED
+        )
+    return builder.extract_element(numbers, _INT(0))
