@@ -323,10 +323,11 @@ def _samples_faults(path: Path) -> list[str]:
 
 
 def _sky_faults(path: Path) -> list[str]:
-    from formats.image import read_image
-    from prt_bake.environment import check
+    from formats.image_rows import open_image
+    from prt_bake.sky_pixels import checked
 
-    check(read_image(path), path)
+    for _ in checked(open_image(path)).blocks():
+        pass
     return []
 
 

@@ -130,7 +130,7 @@ def render(
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
     sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
-    lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say)
+    lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say, mesh=surface)
     view = camera.fit(surface, size.width, size.height, eye=eye, up=sky_up)
     checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:

@@ -43,11 +43,15 @@ def shade(
     from prt_bake import camera
     from prt_bake.lighting import read_lighting
     from prt_bake.shading import render_picture
+    from prt_bake.smaller_sky import rows_shown
 
     baked = read_asset(asset)
     axis = up or baked.up
-    lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
     view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=axis)
+    rows = rows_shown(view.height, view.fov)
+    lighting = read_lighting(
+        light, axis, rotate, mend=mend, say=say, mesh=baked.mesh, most_rows=rows, degree=baked.degree
+    )
     picture = render_picture(baked, lighting, view, up=axis, samples=samples)
     layers = {"error": picture.error, "coverage": picture.coverage}
     write_image(output, picture.image, exposure=exposure, layers=layers)
