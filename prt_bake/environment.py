@@ -44,11 +44,15 @@ def project(image: ArrayLike | image_rows.ImageRows, degree: int = 2, up: str = 
     opened = image if isinstance(image, image_rows.ImageRows) else _in_blocks(_picture(image), degree)
     azimuth = _azimuth_integrals(opened.width, degree).T
     m = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
+    plane = np.empty((0, opened.width))
     for start, block in opened.blocks():
+        if len(plane) != len(block):
+            plane = np.empty((len(block), opened.width))
         zenith = _zenith_integrals(np.arange(start, start + len(block)), opened.height, degree)
         for channel in range(3):
             # [rows, 2·degree + 1]: the Fourier coefficients of each row, m from −degree to degree.
-            waves = block[..., channel].astype(np.float64) @ azimuth
+            plane[:] = block[..., channel]
+            waves = plane @ azimuth
             # That of m = 0 is a sum with positive weights, which what is not finite leaves not finite.
             if not np.isfinite(waves[:, degree]).all():
                 raise sky_pixels.refusal(opened, negative=True)

@@ -38,12 +38,16 @@ def shrink(rows: ImageRows, height: int, degree: int, up: str) -> tuple[NDArray[
     across = _means(rows.width, width, np.subtract).T.tocsr()
 
     def folding() -> Iterator[Block]:
+        planes = np.empty((3, 0, rows.width))
         for first, block in rows.blocks():
             begin, end = first * height // rows.height, -(-(first + len(block)) * height // rows.height)
             share = down[begin:end, first : first + len(block)]
-            for channel in range(3):
-                image[begin:end, :, channel] += (share @ block[..., channel].astype(np.float64)) @ across
-            yield block
+            if planes.shape[1] != len(block):
+                planes = np.empty((3, len(block), rows.width))
+            for channel, plane in enumerate(planes):
+                plane[:] = block[..., channel]
+                image[begin:end, :, channel] += (share @ plane) @ across
+            yield np.moveaxis(planes, 0, 2)
 
     whole = environment.project(replace(rows, open_blocks=folding), degree, up)
     return image, whole - environment.project(image, degree, up)
