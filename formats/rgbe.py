@@ -60,7 +60,7 @@ class RgbeRows:
             for first in range(0, self.height, _ROWS):
                 pixels = np.empty((min(_ROWS, self.height - first), self.width, 4), np.uint8)
                 # A row has at most 4 bytes of mark and for each byte a count.
-                content, at = content[at:], 0
+                content = content[at:]
                 content += file.read(max(0, len(pixels) * (4 + 8 * self.width) - len(content)))
                 at = _scanlines(content, pixels, first, self)
                 scale = np.ldexp(np.float32(1), pixels[..., 3].astype(np.int32) - 136)
