@@ -9,7 +9,7 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,11 +71,9 @@ def _read_colour_part(
     """Header, channels and names of the three colour channels of the first part that has colour."""
     import OpenEXR
 
-    with open(path, "rb") as file:
-        if file.read(4) != b"\x76\x2f\x31\x01":
-            raise ImageError(f"{path}: is not an OpenEXR picture: it does not begin with the magic number 76 2f 31 01")
+    refuse_other_kinds(path)
     try:
-        with _silenced(), OpenEXR.File(os.fspath(path), separate_channels=True) as picture:
+        with silenced(), OpenEXR.File(os.fspath(path), separate_channels=True) as picture:
             parts = [
                 (dict(picture.header(i)), {name: channel.pixels for name, channel in picture.channels(i).items()})
                 for i in range(len(picture.parts))
@@ -85,7 +83,7 @@ def _read_colour_part(
     if not parts:
         raise ImageError(f"{path}: the OpenEXR picture is truncated or damaged")
     for header, channels in parts:
-        if names := _colour(channels):
+        if names := colour_names(channels):
             return header, channels, names
     found = ", ".join(sorted(name for _, channels in parts for name in channels))
     raise ImageError(f"{path}: has no colour: expected channels R, G, B or Y, found {found or 'none'}")
@@ -114,7 +112,7 @@ def write_exr(
         channels[name if np.ndim(pixels) == 3 else f"{name}.Y"] = np.ascontiguousarray(pixels, np.float32)
     header = {**(attributes or {}), "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     try:
-        with _silenced():
+        with silenced():
             OpenEXR.File(header, channels).write(os.fspath(path))
     except RuntimeError as cause:
         code = errno.ENOSPC if "No space left" in str(cause) else errno.EIO
@@ -125,7 +123,15 @@ def _stacked(channels: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> ND
     return np.stack([channels[name] for name in names], axis=2).astype(np.float32)
 
 
-def _colour(channels: Mapping[str, NDArray[Any]]) -> tuple[str, str, str] | None:
+def refuse_other_kinds(path: str | os.PathLike[str]) -> None:
+    """Raise ImageError for a file that does not begin as OpenEXR does."""
+    with open(path, "rb") as file:
+        if file.read(4) != b"\x76\x2f\x31\x01":
+            raise ImageError(f"{path}: is not an OpenEXR picture: it does not begin with the magic number 76 2f 31 01")
+
+
+def colour_names(channels: Collection[str]) -> tuple[str, str, str] | None:
+    """The names for red, green and blue among those of `channels`, None where there is no colour."""
     layers = sorted({name.rpartition(".")[0] for name in channels})
     prefixes = [f"{layer}." if layer else "" for layer in layers]
     for prefix in prefixes:
@@ -154,7 +160,7 @@ def _framed(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[n
 
 
 @contextlib.contextmanager
-def _silenced() -> Iterator[None]:
+def silenced() -> Iterator[None]:
     """Keep the OpenEXR library from writing to standard output and error; what it has to say is said by our errors."""
     sys.stdout.flush()
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Lights: a TOML file of directional lights and skies, and a directional light in one word (`sun:x,y,z`)."""
+"""Lights: a TOML file of suns, spheres and skies, and one light in a word (`sun:x,y,z`, `sphere:x,y,z:radius`)."""
 
 import difflib
 import math
@@ -22,16 +22,21 @@ _Colour = Annotated[tuple[_Irradiance, _Irradiance, _Irradiance], Strict(False)]
 
 _EXPECTED = {
     "directional": "tables [[directional]]",
+    "sphere": "tables [[sphere]]",
     "sky": "tables [[sky]]",
     "direction": "three finite numbers [x, y, z], not all 0, that point to the light",
     "irradiance": "three finite numbers [r, g, b] of 0 or more",
     "angular_diameter": "degrees from 0 to 180",
+    "position": "three finite numbers [x, y, z] in scene units",
+    "radius": "a number above 0, in scene units",
+    "radiance": "three finite numbers [r, g, b] of 0 or more",
     "file": "the name of a lat-long picture",
     "rotate": "degrees",
     "exposure": "stops from -64 to 64",
     "tint": "three finite numbers [r, g, b] of 0 or more",
 }
 _SUN = "sun:x,y,z[:r,g,b][:degrees]"
+_SPHERE = "sphere:x,y,z:radius[:r,g,b]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +52,21 @@ class DirectionalLight:
     direction: NDArray[np.float64]
     irradiance: NDArray[np.float64]
     angular_diameter: float
+
+
+@dataclass(frozen=True, eq=False)
+class SphereLight:
+    """A sphere that shines evenly, of power 4π² radius² radiance.
+
+    Attributes:
+        position: of its middle, object space [3].
+        radius: in the same units.
+        radiance: linear RGB [3], the same from everywhere.
+    """
+
+    position: NDArray[np.float64]
+    radius: float
+    radiance: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -69,6 +89,12 @@ class _DirectionalTable(_Table):
     angular_diameter: float = Field(default=0.0, ge=0, le=180)
 
 
+class _SphereTable(_Table):
+    position: _Vector
+    radius: float = Field(gt=0, allow_inf_nan=False)
+    radiance: _Colour = (1.0, 1.0, 1.0)
+
+
 class _SkyTable(_Table):
     file: str = Field(min_length=1)
     rotate: float = Field(default=0.0, allow_inf_nan=False)
@@ -78,15 +104,19 @@ class _SkyTable(_Table):
 
 class _LightsFile(_Table):
     directional: Annotated[tuple[_DirectionalTable, ...], Strict(False)] = ()
+    sphere: Annotated[tuple[_SphereTable, ...], Strict(False)] = ()
     sky: Annotated[tuple[_SkyTable, ...], Strict(False)] = ()
 
 
-_TABLES: dict[str, type[_Table]] = {"": _LightsFile, "directional": _DirectionalTable, "sky": _SkyTable}
+_TABLES: dict[str, type[_Table]] = {
+    **{"": _LightsFile, "directional": _DirectionalTable},
+    **{"sphere": _SphereTable, "sky": _SkyTable},
+}
 
 
-def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | SkyLight, ...]:
-    """Read a lights file: its [[directional]] lights, then its [[sky]] pictures, named relative to itself and not
-    opened.
+def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | SphereLight | SkyLight, ...]:
+    """Read a lights file: its [[directional]] lights, its [[sphere]] lights, then its [[sky]] pictures, named relative
+    to itself and not opened.
 
     Raises:
         LightError: no TOML, an unknown or missing key, a value out of range, no light at all.
@@ -103,13 +133,17 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | SkyLig
         lights = _LightsFile.model_validate(tables)
     except ValidationError as cause:
         raise LightError(f"{path}: {_sentence(cause, tables)}") from cause
-    if not lights.directional and not lights.sky:
-        raise LightError(f"{path}: holds no light; expected [[directional]] or [[sky]]")
+    if not (lights.directional or lights.sphere or lights.sky):
+        raise LightError(f"{path}: holds no light; expected [[directional]], [[sphere]] or [[sky]]")
     directional = tuple(
         _directional(f"{path}: directional.{i}", light.direction, light.irradiance, light.angular_diameter)
         for i, light in enumerate(lights.directional)
     )
-    return (*directional, *(SkyLight(path.parent / sky.file, sky.rotate, sky.exposure, sky.tint) for sky in lights.sky))
+    spheres = (
+        SphereLight(np.array(sphere.position), sphere.radius, np.array(sphere.radiance)) for sphere in lights.sphere
+    )
+    skies = (SkyLight(path.parent / sky.file, sky.rotate, sky.exposure, sky.tint) for sky in lights.sky)
+    return (*directional, *spheres, *skies)
 
 
 def parse_sun(text: str) -> DirectionalLight:
@@ -117,11 +151,7 @@ def parse_sun(text: str) -> DirectionalLight:
 
     Raises LightError for any other text and for values out of range.
     """
-    words = text.removeprefix("sun:").split(":")
-    try:
-        numbers = [[float(number) for number in word.split(",")] for word in words]
-    except ValueError:
-        raise LightError(f"--light {text}: expected {_SUN}, such as sun:0,1,0.5:3,3,2.8:0.53") from None
+    numbers = _numbers(text)
     if [len(word) for word in numbers] not in ([3], [3, 3], [3, 1], [3, 3, 1]):
         raise LightError(f"--light {text}: expected {_SUN}, such as sun:0,1,0.5:3,3,2.8:0.53")
     irradiance = numbers[1] if len(numbers) > 1 and len(numbers[1]) == 3 else [1.0, 1.0, 1.0]
@@ -131,6 +161,32 @@ def parse_sun(text: str) -> DirectionalLight:
     if not 0 <= diameter <= 180:
         raise LightError(f"--light {text}: the angular diameter: expected degrees from 0 to 180, found {diameter:g}")
     return _directional(f"--light {text}", numbers[0], irradiance, diameter)
+
+
+def parse_sphere(text: str) -> SphereLight:
+    """A sphere light from `sphere:x,y,z:radius[:r,g,b]`; the radiance is 1 where it is left out.
+
+    Raises LightError for any other text and for values out of range.
+    """
+    numbers = _numbers(text)
+    if [len(word) for word in numbers] not in ([3, 1], [3, 1, 3]):
+        raise LightError(f"--light {text}: expected {_SPHERE}, such as sphere:0,3,1:0.25:40,36,30")
+    position, (radius,), radiance = numbers if len(numbers) == 3 else (*numbers, [1.0, 1.0, 1.0])
+    if not all(math.isfinite(value) for value in position):
+        raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")
+    if not (radius > 0 and math.isfinite(radius)):
+        raise LightError(f"--light {text}: radius: expected {_EXPECTED['radius']}, found {radius:g}")
+    if not all(value >= 0 and math.isfinite(value) for value in radiance):
+        raise LightError(f"--light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")
+    return SphereLight(np.array(position), radius, np.array(radiance))
+
+
+def _numbers(text: str) -> list[list[float]]:
+    """The numbers of a light in one word, by colons; none where a part of it is no number."""
+    try:
+        return [[float(number) for number in word.split(",")] for word in text.split(":")[1:]]
+    except ValueError:
+        return []
 
 
 def _directional(where: str, direction: Any, irradiance: Any, diameter: float) -> DirectionalLight:

@@ -7,6 +7,8 @@ black. The EXPOSURE line is passed over, as other readers of sky maps do.
 
 import os
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,8 @@ from numpy.typing import NDArray
 from formats.errors import ImageError
 
 _RESOLUTION = re.compile(rb"^([+-])Y (\d+) ([+-])X (\d+)$")
+_ROWS = 32
+_LONGEST_HEADER = 1 << 20
 _LARGEST = 255 * 2.0**119  # mantissa 255 at the highest exponent
 
 
@@ -23,17 +27,57 @@ def read_rgbe(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     Raises:
         ImageError: no Radiance picture, in XYZ colours, stored by columns, or truncated.
     """
+    picture = open_rgbe_rows(path)
+    return np.concatenate(list(picture.blocks()))[:: -1 if picture.upward else 1]
+
+
+@dataclass(frozen=True)
+class RgbeRows:
+    """A Radiance picture to be read in blocks of rows.
+
+    Attributes:
+        path: of the file.
+        height, width: in pixels.
+        upward: whether its last row is on top.
+        leftward: whether rows run from right to left.
+        start: where in the file the pixels start.
+    """
+
+    path: str | os.PathLike[str]
+    height: int
+    width: int
+    upward: bool
+    leftward: bool
+    start: int
+
+    def blocks(self) -> Iterator[NDArray[np.float32]]:
+        """Its rows as they follow each other in the file, columns from the left, float32 [R,W,3]; raises ImageError
+        where it is truncated or damaged.
+        """
+        with open(self.path, "rb") as file:
+            file.seek(self.start)
+            content, at = b"", 0
+            for first in range(0, self.height, _ROWS):
+                pixels = np.empty((min(_ROWS, self.height - first), self.width, 4), np.uint8)
+                # A row has at most 4 bytes of mark and for each byte a count.
+                content = content[at:]
+                content += file.read(max(0, len(pixels) * (4 + 8 * self.width) - len(content)))
+                at = _scanlines(content, pixels, first, self)
+                scale = np.ldexp(np.float32(1), pixels[..., 3].astype(np.int32) - 136)
+                scale[pixels[..., 3] == 0] = 0
+                radiance = pixels[..., :3].astype(np.float32) * scale[..., None]
+                yield radiance[:, ::-1] if self.leftward else radiance
+
+
+def open_rgbe_rows(path: str | os.PathLike[str]) -> RgbeRows:
+    """Read the header of a Radiance picture; raises ImageError as `read_rgbe`."""
     with open(path, "rb") as file:
-        content = file.read()
-    (upward, height, leftward, width), start = _header(content, path)
-    pixels = _scanlines(content, start, height, width, path)
-    if upward:
-        pixels = pixels[::-1]
-    if leftward:
-        pixels = pixels[:, ::-1]
-    scale = np.ldexp(np.float32(1), pixels[..., 3].astype(np.int32) - 136)
-    scale[pixels[..., 3] == 0] = 0
-    return pixels[..., :3].astype(np.float32) * scale[..., None]
+        (upward, height, leftward, width), start = _header(file.read(_LONGEST_HEADER), path)
+        # A coded row takes at least 4 bytes of mark and 2 a run of 127: a file this short cannot hold the picture.
+        size = file.seek(0, os.SEEK_END)
+    if height * (width // 32 if 8 <= width < 32768 else 1) > size:
+        raise ImageError(f"{path}: the file is truncated: {size} bytes cannot hold {width}x{height} pixels")
+    return RgbeRows(path, height, width, upward, leftward, start)
 
 
 def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
@@ -89,21 +133,20 @@ def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[tuple[bool, i
     return (match[1] == b"+", height, match[3] == b"-", width), line_end + 1
 
 
-def _scanlines(content: bytes, at: int, height: int, width: int, path: str | os.PathLike[str]) -> NDArray[np.uint8]:
+def _scanlines(content: bytes, pixels: NDArray[np.uint8], first: int, picture: RgbeRows) -> int:
+    """Decode rows [R,W,4], the picture's from `first` on, from `content`, and return where they end in it."""
+    width, at = picture.width, 0
     mark = bytes([2, 2, width >> 8, width & 255]) if 8 <= width < 32768 else None
-    # A coded row takes at least 4 bytes of mark and 2 a run of 127: a file this short cannot hold the picture.
-    if height * (width // 32 if mark else 1) > len(content):
-        raise ImageError(f"{path}: the file is truncated: {len(content)} bytes cannot hold {width}x{height} pixels")
-    pixels = np.empty((height, width, 4), np.uint8)
-    for row in range(height):
+    for row in range(len(pixels)):
         try:
             if mark and content[at : at + 4] == mark:
                 at = _coded_row(content, at + 4, pixels[row])
             else:
                 at = _plain_row(content, at, pixels[row])
         except (IndexError, ValueError) as cause:
-            raise ImageError(f"{path}: the file is truncated or damaged in row {row} of {height}") from cause
-    return pixels
+            place = f"row {first + row} of {picture.height}"
+            raise ImageError(f"{picture.path}: the file is truncated or damaged in {place}") from cause
+    return at
 
 
 def _coded_row(content: bytes, at: int, row: NDArray[np.uint8]) -> int:

@@ -9,13 +9,15 @@ Rec.709, channels RGB. Turning the light by R means L'(d) = L(R⁻¹ d), on its 
 import math
 import warnings
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from formats import image_rows
 from formats.errors import ImageError, QueryError
-from prt_bake import sh
+from prt_bake import sh, sky_pixels, sky_shape
 
 BLOCK_BYTES = 8 << 20  # float64 copies of rows, and Legendre profiles, stay below about this size
 
@@ -26,33 +28,35 @@ FROM_POLAR = {
 }
 
 
-def project(image: ArrayLike, degree: int = 2, up: str = "y") -> NDArray[np.float64]:
+def project(image: ArrayLike | image_rows.ImageRows, degree: int = 2, up: str = "y") -> NDArray[np.float64]:
     """Coefficients b_lm = ∫ L Y_lm dω [K, 3] of the light of a lat-long picture `image` [H, W, 3], K = (degree + 1)².
 
     The picture is taken as constant over each pixel, and every harmonic is integrated over the pixel's exact extent,
     to rounding: ∫ cos mφ dφ and ∫ sin mφ dφ in closed form, ∫ P̂_l^m(cosθ) sinθ dθ by Gauss–Legendre with enough
-    nodes for each row. Sums are float64, rows are read in blocks. Any width and height from 1 will do, and negative
+    nodes for each row. Sums are float64; the picture is read in blocks of rows, and may be one that is open
+    (`open_environment`), of which no more than a block is held. Any width and height from 1 will do, and negative
     radiance is summed like any other. Nothing is convolved with a cosine. Raises ImageError if the shape is not [H,
     W, 3] or a pixel is not finite (their count and the first one's place), QueryError if `up` is neither "y" nor "z"
     or the degree is negative.
     """
     from_polar = _from_polar(up)
     polar = np.zeros((sh.count(degree), 3))
-    pixels = _picture(image)
-    height, width = pixels.shape[:2]
-    azimuth = _azimuth_integrals(width, degree)
+    opened = image if isinstance(image, image_rows.ImageRows) else _in_blocks(_picture(image), degree)
+    azimuth = _azimuth_integrals(opened.width, degree).T
     m = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
-    row_elements = max(3 * width, len(polar) * _node_count(height, degree))
-    step = max(1, BLOCK_BYTES // (8 * row_elements))
-    for start in range(0, height, step):
-        stop = min(start + step, height)
-        radiance = pixels[start:stop].astype(np.float64)
-        if not np.isfinite(radiance).all():
-            _require(np.isfinite(pixels), pixels, "finite values", "image")
-        # [rows, 2·degree + 1, 3]: the Fourier coefficients of each row, m from −degree to degree.
-        waves = np.matmul(azimuth, radiance)
-        zenith = _zenith_integrals(np.arange(start, stop), height, degree)
-        polar += np.einsum("hk,hkc->kc", zenith, waves[:, m + degree])
+    plane = np.empty((0, opened.width))
+    for start, block in opened.blocks():
+        if len(plane) != len(block):
+            plane = np.empty((len(block), opened.width))
+        zenith = _zenith_integrals(np.arange(start, start + len(block)), opened.height, degree)
+        for channel in range(3):
+            # [rows, 2·degree + 1]: the Fourier coefficients of each row, m from −degree to degree.
+            plane[:] = block[..., channel]
+            waves = plane @ azimuth
+            # That of m = 0 is a sum with positive weights, which what is not finite leaves not finite.
+            if not np.isfinite(waves[:, degree]).all():
+                raise sky_pixels.refusal(opened, negative=True)
+            polar[:, channel] += np.einsum("hk,hk->k", zenith, waves[:, m + degree])
     return sh.rotation(from_polar, degree) @ polar
 
 
@@ -122,24 +126,35 @@ def read_environment(
     """Read a lat-long picture: radiance, float32 [H, W, 3], finite and not negative.
 
     With `mend` bad pixels are repaired (see the function of that name) and `say` is told what was done; without it
-    they are refused. Raises ImageError as `check` and `formats.image.read_image` do.
+    they are refused. Raises ImageError as `open_environment` and `formats.image.read_image` do.
     """
-    from formats.image import read_image
+    return open_environment(path, mend, say).whole()
 
-    image = read_image(path)
-    if not mend:
-        check(image, path)
-        return image
-    mended, sentence = _mended(image)
-    if sentence:
+
+def open_environment(
+    path: str | Path, mend: bool = False, say: Callable[[str], None] = warnings.warn
+) -> image_rows.ImageRows:
+    """Open a lat-long picture to be read in blocks of rows, as radiance: what `read_environment` reads, of which memory
+    need not hold more than a block.
+
+    `say` is told of a shape other than 2:1 at once, and of what was mended and of a black picture once the last block
+    is through. Raises ImageError for cube maps; blocks raise it for bad pixels.
+    """
+
+    @cache  # a picture that is read twice has one story
+    def tell(sentence: str) -> None:
         say(f"{path}: {sentence}")
-    return mended
+
+    rows = image_rows.open_image(path)
+    sky_shape.refuse_cube_maps(rows)
+    sky_shape.tell_stretching(rows, tell)
+    return sky_pixels.telling_black(sky_pixels.mended(rows, tell) if mend else sky_pixels.checked(rows), tell)
 
 
 def check(image: NDArray[np.floating], path: str | Path) -> None:
     """Raise ImageError (count, first place) if a pixel of `image` [H, W, 3], read from `path`, is not radiance."""
-    pixels = _picture(image, path)
-    _require(np.isfinite(pixels) & (pixels >= 0), pixels, "finite values of 0 or more", path)
+    for _ in sky_pixels.checked(image_rows.rows_of(_picture(image, path), path)).blocks():
+        pass
 
 
 def mend(image: NDArray[np.floating]) -> tuple[NDArray[np.float32], str]:
@@ -147,46 +162,8 @@ def mend(image: NDArray[np.floating]) -> tuple[NDArray[np.float32], str]:
 
     NaN, negative and −∞ become 0; +∞ becomes the largest finite value of the picture (0 if there is none).
     """
-    return _mended(image)
-
-
-def _mended(image: NDArray[np.floating]) -> tuple[NDArray[np.float32], str]:
-    pixels = _picture(image)
-    finite = np.isfinite(pixels)
-    bright = pixels == np.inf
-    dark = ~bright & ~(finite & (pixels >= 0))
-    if not (bright.any() or dark.any()):
-        return pixels.astype(np.float32), ""
-    largest = max(0.0, float(pixels[finite].max(initial=0)))
-    mended = np.where(bright, largest, np.where(dark, 0, pixels)).astype(np.float32)
-    deeds = []
-    if dark.any():
-        deeds.append(f"{_kinds(pixels, dark)} set to 0")
-    if bright.any():
-        deeds.append(f"{_kinds(pixels, bright)} set to {largest:g}, the largest finite one")
-    return mended, f"mended {int((bright | dark).sum())} values: {', '.join(deeds)}"
-
-
-def _require(good: NDArray[np.bool_], pixels: NDArray[np.floating], expected: str, source: str | Path) -> None:
-    if good.all():
-        return
-    bad = ~good.all(axis=-1)
-    row, column = (int(index) for index in np.argwhere(bad)[0])
-    value = ", ".join(f"{channel:g}" for channel in pixels[row, column].tolist())
-    raise ImageError(
-        f"{source}: expected {expected}, found {int(bad.sum())} of {bad.size} pixels with others "
-        f"({_kinds(pixels, ~good)}), the first at row {row}, column {column}: ({value}); repair the picture or mend it"
-    )
-
-
-def _kinds(pixels: NDArray[np.floating], chosen: NDArray[np.bool_]) -> str:
-    values = pixels[chosen].astype(np.float64)
-    counts = {
-        "NaN": int(np.isnan(values).sum()),
-        "infinite": int((values == np.inf).sum()),
-        "negative": int((values < 0).sum()),
-    }
-    return ", ".join(f"{count} {kind}" for kind, count in counts.items() if count)
+    told: list[str] = []
+    return sky_pixels.mended(image_rows.rows_of(_picture(image)), told.append).whole(), "".join(told)
 
 
 def _from_polar(up: str) -> NDArray[np.float64]:
@@ -200,6 +177,13 @@ def _picture(image: ArrayLike, source: str | Path = "image") -> NDArray[np.float
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape or pixels.dtype.kind not in "fiu":
         raise ImageError(f"{source}: expected numbers [H, W, 3], found {pixels.dtype} of shape {list(pixels.shape)}")
     return pixels
+
+
+def _in_blocks(pixels: NDArray[np.floating], degree: int) -> image_rows.ImageRows:
+    """A picture in memory, in blocks of whose size the projection's arrays stay below BLOCK_BYTES."""
+    height, width = pixels.shape[:2]
+    row_elements = max(3 * width, sh.count(degree) * _node_count(height, degree))
+    return image_rows.rows_of(pixels, rows=max(1, BLOCK_BYTES // (8 * row_elements)))
 
 
 def _azimuth_integrals(width: int, degree: int) -> NDArray[np.float64]:

@@ -3,11 +3,12 @@ time, in float64, eight vertices to an instruction where the processor can.
 """
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numba import njit
 
-from prt_bake.compilation import compiled
+from prt_bake.compilation import Kernel
 
 BATCH = 256
 LANE = 8
@@ -19,6 +20,13 @@ _SPAN = 64
 _EIGHTH = math.tan(math.pi / 8.0)
 # No number here is infinite or NaN: what comes in has been looked at.
 FAST: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc", "arcp", "nnan", "ninf"}}
+
+
+def part(function: Kernel) -> Kernel:
+    """For what kernels call at each vertex, where a call takes as long as the work: built into each of them. What is
+    kept on disk by itself could only be called.
+    """
+    return cast(Kernel, njit(forceinline=True, **FAST)(function))
 
 
 def _arctangent(terms: int) -> tuple[float, ...]:
@@ -33,7 +41,7 @@ def _arctangent(terms: int) -> tuple[float, ...]:
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10 = _arctangent(11)
 
 
-@compiled(**FAST)
+@part
 def _angle(y: Any, x: Any) -> Any:
     """atan2(y, x) without a branch."""
     width, height = abs(x), abs(y)
@@ -50,7 +58,7 @@ def _angle(y: Any, x: Any) -> Any:
     return -angle if y < 0.0 else angle
 
 
-@compiled(**FAST)
+@part
 def next_batch(lane: Any, threads: Any, scene: Any, radiance: Any, batch: Any) -> Any:
     """Fill `batch` with vertices that are asked for, from `lane` on; how many, and the lane after. What was shown last
     and is no longer asked for becomes 0.
@@ -73,7 +81,7 @@ def next_batch(lane: Any, threads: Any, scene: Any, radiance: Any, batch: Any) -
     return count, lane
 
 
-@compiled(**FAST)
+@part
 def towards(scene: Any, eye: Any, cull: Any, radiance: Any, batch: Any, count: Any, local: Any) -> Any:
     """Set local [3,n]: x and y of any length, and cosθ, of the direction to the eye; how many vertices stay in the
     batch: with `cull` those that turn a face to the eye.
@@ -103,13 +111,15 @@ def towards(scene: Any, eye: Any, cull: Any, radiance: Any, batch: Any, count: A
     return kept
 
 
-@compiled(**FAST)
+@part
 def between(local: Any, count: Any, rings: Any, sectors: Any, bins: Any, weights: Any) -> None:
     """`sphere.bin_coordinates`: bins [4,n] and weights [5,n], the last that of the mean of ring 0."""
     turns, last = sectors / (2.0 * math.pi), sectors - 1.0
     x, y, cosine = local[0], local[1], local[2]
     low_low, low_high, high_low, high_high = bins[0], bins[1], bins[2], bins[3]
-    of_low_low, of_low_high, of_high_low, of_high_high, of_pole = weights
+    # Not unpacked at once: the check of the length would keep the loop from being vectorised.
+    of_low_low, of_low_high, of_high_low, of_high_high = weights[0], weights[1], weights[2], weights[3]
+    of_pole = weights[4]
     for n in range(count):
         depth = (1.0 - min(max(cosine[n], -1.0), 1.0)) * rings - 0.5
         ring = min(max(depth, 0.0), rings - 1.0)

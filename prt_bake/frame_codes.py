@@ -61,7 +61,9 @@ def arranged(compact: CompactCoefficients, sectors: int) -> Codes:
     return Codes(table, poles, dense.reshape(vertices, -1), size, runs, *others)
 
 
-def under_light(compact: CompactCoefficients, lit: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
+def under_light(
+    compact: CompactCoefficients, lit: NDArray[np.float64]
+) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
     """Vertices [n], and their radiance [n,B,3] at all view bins, a few at a time; lit [J,3]: each function of harmonics
     and channels under the light, and times the step.
     """
@@ -73,7 +75,7 @@ def under_light(compact: CompactCoefficients, lit: NDArray[np.float64]) -> Itera
         row = np.repeat(np.arange(len(vertices)), np.diff(compact.starts[first : first + len(vertices) + 1]))
         place = row * functions + compact.view_component[components]
         shares = values[:, None] * lit[compact.channel_component[components]]
-        folded = np.stack([np.bincount(place, shares[:, c], len(vertices) * functions) for c in range(3)])
+        folded = np.array([np.bincount(place, share, len(vertices) * functions) for share in shares.T], np.float64)
         yield vertices, _at_bins(compact, folded.reshape(3, len(vertices), functions)).transpose(1, 2, 0)
 
 

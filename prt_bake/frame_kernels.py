@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from prt_bake.compilation import compiled
-from prt_bake.frame_batches import FAST, between, next_batch, towards
+from prt_bake.frame_batches import FAST, between, next_batch, part, towards
 from prt_bake.vectors import fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
 
 _AHEAD = 16
@@ -22,8 +22,10 @@ _FOLDED = 6
 _LINE = 64
 
 
-@compiled(**FAST)
-def _look(t: Any, lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, radiance: Any) -> Any:
+@part
+def _look(
+    t: Any, lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, radiance: Any
+) -> Any:
     """The next batch of thread t: how many of it are shown, and the lane after."""
     batches, locals_, bins, weights = desks
     count, lane = next_batch(lane, threads, scene, radiance, batches[t])
@@ -34,16 +36,16 @@ def _look(t: Any, lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, grid
     return count, lane
 
 
-@compiled(**FAST)
-def _show(radiance: Any, v: Any, red: Any, green: Any, blue: Any, sums: Any) -> None:
+@part
+def _show(radiance: Any, v: Any, red: Any, green: Any, blue: Any) -> Any:
+    """Keep what is not negative; the sum of it, and of all."""
     none = np.float32(0.0)
     r, g, b = max(red, none), max(green, none), max(blue, none)
     radiance[v, 0], radiance[v, 1], radiance[v, 2] = r, g, b
-    sums[0] -= min(red, none) + min(green, none) + min(blue, none)
-    sums[1] += r + g + b
+    return r + g + b, red + green + blue
 
 
-@compiled(**FAST)
+@part
 def _lit(rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, weights: Any, light: Any) -> Any:
     of_a, of_b, of_c, of_d = weights
     if size >= 16:
@@ -53,7 +55,7 @@ def _lit(rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, weights: Any, lig
     return lit_rows_by_1(rows, size, a * size, b * size, c * size, d * size, of_a, of_b, of_c, of_d, light)
 
 
-@compiled(**FAST)
+@part
 def _fetch_rows(rows: Any, size: Any, first: Any, bins: Any, n: Any) -> None:
     """Both ends of all four rows; neighbouring sectors lie side by side."""
     fetch_ahead(rows, (first + bins[0, n]) * size)
@@ -64,13 +66,13 @@ def _fetch_rows(rows: Any, size: Any, first: Any, bins: Any, n: Any) -> None:
     fetch_ahead(rows, (first + bins[3, n]) * size + size - 1)
 
 
-@compiled(**FAST)
+@part
 def _show_rows(
     stored: Any, size: Any, per_vertex: Any, light: Any, batch: Any, count: Any, bins: Any, weights: Any, radiance: Any,
     sums: Any,
 ) -> None:  # fmt: skip
     rows, poles = stored
-    none = np.float32(0.0)
+    none, kept, cut = np.float32(0.0), 0.0, 0.0
     for n in range(min(_AHEAD, count)):
         _fetch_rows(rows, size, batch[n] * per_vertex, bins, n)
     for n in range(count):
@@ -85,7 +87,11 @@ def _show_rows(
         if weights[4, n] > none:
             r, g, b = _lit(poles, size, v, v, v, v, (weights[4, n], none, none, none), light)
             red, green, blue = red + r, green + g, blue + b
-        _show(radiance, v, red, green, blue, sums)
+        more, whole = _show(radiance, v, red, green, blue)
+        kept += more
+        cut += more - whole
+    sums[0] += cut
+    sums[1] += kept
 
 
 @compiled(parallel=True, **FAST)
@@ -104,17 +110,18 @@ def draw_rows(
             _show_rows(stored, size, per_vertex, light, batch, count, bins, weights, radiance, sums[t])
 
 
-@compiled(**FAST)
+@part
 def _fetch_folded(pairs: Any, first: Any, bins: Any, n: Any) -> None:
     fetch_ahead(pairs, (first + bins[0, n]) * _FOLDED)
     fetch_ahead(pairs, (first + bins[1, n]) * _FOLDED + _FOLDED - 1)
 
 
-@compiled(**FAST)
+@part
 def _show_folded(
     stored: Any, per_vertex: Any, batch: Any, count: Any, bins: Any, weights: Any, radiance: Any, sums: Any
 ) -> None:
     pairs, poles = stored
+    kept, cut = 0.0, 0.0
     for n in range(min(_AHEAD, count)):
         _fetch_folded(pairs, batch[n] * per_vertex, bins, n)
     for n in range(count):
@@ -131,13 +138,15 @@ def _show_folded(
             red += of_pole * poles[v, 0]
             green += of_pole * poles[v, 1]
             blue += of_pole * poles[v, 2]
-        _show(radiance, v, red, green, blue, sums)
+        more, whole = _show(radiance, v, red, green, blue)
+        kept += more
+        cut += more - whole
+    sums[0] += cut
+    sums[1] += kept
 
 
 @compiled(parallel=True, **FAST)
-def draw_folded(
-    stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, radiance: Any, sums: Any
-) -> None:
+def draw_folded(stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, radiance: Any, sums: Any) -> None:
     """Radiance of each bin: stored, that of a bin and of the one below it in the next ring side by side, flat, so that
     the four that a view lies between are one place in memory, and the means of ring 0 [V,3].
     """
@@ -173,7 +182,7 @@ def pair_up(radiance: Any, grid: Any, vertices: Any, pairs: Any) -> None:
             _keep_pair(pairs, row, j, rings, sectors, radiance[n, j, 0], radiance[n, j, 1], radiance[n, j, 2])
 
 
-@compiled(**FAST)
+@part
 def _keep_pair(pairs: Any, row: Any, j: Any, rings: Any, sectors: Any, red: Any, green: Any, blue: Any) -> None:
     place = row * _FOLDED
     pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
@@ -185,7 +194,7 @@ def _keep_pair(pairs: Any, row: Any, j: Any, rings: Any, sectors: Any, red: Any,
         pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
 
 
-@compiled(**FAST)
+@part
 def _interpolate(table: Any, bins: Any, weights: Any, poles: Any, n: Any, view: Any) -> None:
     a, b, c, d = table[bins[0, n]], table[bins[1, n]], table[bins[2, n]], table[bins[3, n]]
     of_a, of_b, of_c, of_d, of_pole = weights[0, n], weights[1, n], weights[2, n], weights[3, n], weights[4, n]
@@ -195,7 +204,16 @@ def _interpolate(table: Any, bins: Any, weights: Any, poles: Any, n: Any, view: 
 
 @compiled(parallel=True, **FAST)
 def draw_compact(
-    codes: Any, lights: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, views: Any, radiance: Any, sums: Any
+    codes: Any,
+    lights: Any,
+    scene: Any,
+    eye: Any,
+    cull: Any,
+    grid: Any,
+    desks: Any,
+    views: Any,
+    radiance: Any,
+    sums: Any,
 ) -> None:
     """Compact coefficients as `frame_codes.Codes` lays them out; lights: `vectors.laid_out` of Σ_k channels · light,
     and the same [J,3]; views: float32 [threads,R], a place for each function of the view.
@@ -219,4 +237,6 @@ def draw_compact(
                     red += share * plain[j, 0]
                     green += share * plain[j, 1]
                     blue += share * plain[j, 2]
-                _show(radiance, v, red, green, blue, sums[t])
+                more, whole = _show(radiance, v, red, green, blue)
+                sums[t, 0] += more - whole
+                sums[t, 1] += more

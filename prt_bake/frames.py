@@ -1,4 +1,4 @@
-"""Drawing an asset many times: radiance at its vertices, a frame at a time, at the speed of memory. Never loads torch."""
+"""Drawing an asset many times: radiance at its vertices, a frame at a time, at the speed of memory; without torch."""
 
 import math
 from typing import Any
@@ -15,7 +15,7 @@ from prt_bake import frame_codes, frame_kernels
 from prt_bake.environment import rotate_light
 from prt_bake.frame_batches import BATCH, GEOMETRY, LANE
 from prt_bake.vectors import laid_out
-from prt_bake.vertex_shading import light_weights
+from prt_bake.vertex_shading import light_of
 
 _FARTHEST = 1e100
 _VERTICES_A_THREAD = 1 << 10
@@ -67,7 +67,7 @@ class Frames:
         """The light of the next frames: [K,3] of the asset's degree, None for an asset made for one light (quantity
         "radiance"). Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot hold.
         """
-        light = light_weights(self._asset, coefficients)
+        light = light_of(self._asset, coefficients)
         if np.abs(light).max() > np.finfo(np.float32).max:
             raise QueryError(f"light: a coefficient of {np.abs(light).max():.3g} where float32 is expected to hold it")
         self._light, self._waves = light, None
@@ -130,8 +130,8 @@ class Frames:
             raise QueryError(f"eye: {np.asarray(eye).tolist()} where a point of three finite numbers is expected")
         np.subtract(place, self._centre, out=self._eye)
         self._ask(visible)
-        threads = min(get_num_threads(), len(self._sums), 1 + np.count_nonzero(self._asked) // _VERTICES_A_THREAD)
-        most = get_num_threads()
+        most = int(get_num_threads())
+        threads = min(most, len(self._sums), 1 + int(np.count_nonzero(self._asked)) // _VERTICES_A_THREAD)
         set_num_threads(threads)
         try:
             self._draw(self._sums[threads - 1], bool(cull))
@@ -190,7 +190,7 @@ class Frames:
 
     def _prepare_desks(self) -> None:
         """What each thread works with; `_sums[n - 1]` is for n threads."""
-        threads = get_num_threads()
+        threads = int(get_num_threads())
         weights = np.zeros((threads, 5, BATCH), np.float32)
         weights[:, 0] = 1.0
         self._desks = (

@@ -146,17 +146,24 @@ def _describe_mesh(path: Path) -> dict[str, Any]:
 
 
 def _describe_sky(path: Path) -> dict[str, Any]:
-    from formats.image import read_image
+    from formats.image_rows import open_image
 
-    image = read_image(path)
-    finite = np.isfinite(image)
+    opened = open_image(path)
+    largest, infinite, negative, total, count = 0.0, 0, 0, np.zeros(3), np.zeros(3, np.int64)
+    for _, block in opened.blocks():
+        finite = np.isfinite(block)
+        total += block.sum(axis=(0, 1), dtype=np.float64, where=finite)
+        count += finite.sum(axis=(0, 1))
+        largest = max(largest, float(block.max(where=finite, initial=0)))
+        infinite += int((~finite).sum())
+        negative += int((block < 0).sum())
     return {
-        "width": image.shape[1],
-        "height": image.shape[0],
-        "mean radiance": image.mean(axis=(0, 1), dtype=np.float64, where=finite).tolist(),
-        "largest radiance": float(image.max(where=finite, initial=0)),
-        "values not finite": int((~finite).sum()),
-        "values negative": int((image < 0).sum()),
+        "width": opened.width,
+        "height": opened.height,
+        "mean radiance": (total / np.maximum(count, 1)).tolist(),
+        "largest radiance": largest,
+        "values not finite": infinite,
+        "values negative": negative,
     }
 
 
@@ -323,10 +330,11 @@ def _samples_faults(path: Path) -> list[str]:
 
 
 def _sky_faults(path: Path) -> list[str]:
-    from formats.image import read_image
-    from prt_bake.environment import check
+    from formats.image_rows import open_image
+    from prt_bake.sky_pixels import checked
 
-    check(read_image(path), path)
+    for _ in checked(open_image(path)).blocks():
+        pass
     return []
 
 

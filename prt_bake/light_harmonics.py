@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.errors import QueryError
 from formats.lights import DirectionalLight
 from prt_bake import environment, sh
 from prt_bake.lighting import Lighting
@@ -14,11 +15,17 @@ Array = NDArray[np.float64]
 
 def project_lighting(lighting: Lighting, degree: int) -> Array:
     """Coefficients b_lm = ∫ L Y_lm dω [K,3], object space, of all its lights: pictures as `environment.project` takes
-    them, discs exactly; a light without size as ∫ L dω, its irradiance, from its one direction.
+    them, with what smaller copies lack; discs exactly; a light without size as ∫ L dω, its irradiance, from its one
+    direction. Raises QueryError where a smaller copy was made for a lower degree.
     """
     total = np.zeros((sh.count(degree), 3))
     for sky in lighting.skies:
-        total += sh.rotation(sky.turn, degree) @ environment.project(sky.image, degree, sky.up)
+        own = environment.project(sky.image, degree, sky.up)
+        if sky.residual is not None:
+            if len(sky.residual) < len(own):
+                raise QueryError(f"light: read for harmonics to degree {sh.degree_of(len(sky.residual))}, not {degree}")
+            own += sky.residual[: len(own)]
+        total += sh.rotation(sky.turn, degree) @ own
     for sun in lighting.suns:
         shape = np.repeat(_of_disc(sun, degree), 2 * np.arange(degree + 1) + 1)
         total += (shape * sh.evaluate(sun.direction, degree))[:, None] * sun.irradiance

@@ -15,20 +15,28 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
-from formats.lights import DirectionalLight, parse_sun, read_lights
+from formats.lights import DirectionalLight, SkyLight, SphereLight, parse_sphere, parse_sun, read_lights
+from formats.mesh import Mesh
 from formats.scene_file import named_by
 from prt_bake import environment
+from prt_bake.smaller_sky import shrink
+from prt_bake.sphere_lights import as_disc
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A lat-long picture [H,W,3] of radiance with its up axis; `turn` [3,3] takes its directions to object space."""
+    """A lat-long picture [H,W,3] of radiance with its up axis; `turn` [3,3] takes its directions to object space.
+
+    residual: harmonics [K,3] of the picture's own directions, those of a larger picture less those of `image`, where
+    `image` is a smaller copy of one; None where it is the whole.
+    """
 
     image: NDArray[np.float32]
     up: str
     turn: Array
+    residual: Array | None = None
 
     def radiance(self, directions: Array) -> Array:
         """Radiance [N,3] from `directions` [N,3]."""
@@ -66,6 +74,7 @@ class Lighting:
         for sky in self.skies:
             digest.update(json.dumps([sky.image.shape, sky.up, sky.turn.tolist()]).encode())
             digest.update(np.ascontiguousarray(sky.image, "<f4").tobytes())
+            digest.update(b"" if sky.residual is None else np.ascontiguousarray(sky.residual, "<f8").tobytes())
         for sun in self.suns:
             numbers = [sun.direction.tolist(), sun.irradiance.tolist(), sun.angular_diameter]
             digest.update(json.dumps(numbers).encode())
@@ -79,36 +88,62 @@ def read_lighting(
     *,
     mend: bool = False,
     say: Callable[[str], None] = print,
+    mesh: Mesh | None = None,
+    most_rows: int | None = None,
+    degree: int = 2,
 ) -> Lighting:
-    """Read lights: lat-long pictures, lights files (.toml) and `sun:x,y,z[:r,g,b][:degrees]`, all turned by `rotate`.
+    """Read lights: lat-long pictures, lights files (.toml), `sun:x,y,z[:r,g,b][:degrees]` and
+    `sphere:x,y,z:radius[:r,g,b]`, all turned by `rotate`.
 
-    `mend` and `say` are those of `environment.read_environment`. Raises LightError, ImageError and StorageError for
-    what is none of these, QueryError where `lights` is empty.
+    `mend` and `say` are those of `environment.open_environment`. `mesh` is the object, which sphere lights are taken as
+    discs from the middle of (`sphere_lights`); `say` is told what that leaves out. Skies of more than `most_rows` are
+    held as smaller copies (`smaller_sky`), their harmonics to `degree` as exact as those of the whole. Raises
+    LightError, ImageError and StorageError for what is none of these, QueryError where `lights` is empty or a sphere
+    light comes without a mesh.
     """
     skies, suns = list[Sky](), list[DirectionalLight]()
 
-    def add_sky(path: Path, degrees: float, factor: float | Array) -> None:
-        image = environment.read_environment(path, mend, say)
-        # A large sky is not copied for nothing.
-        if not np.all(np.equal(factor, 1.0)):
-            with np.errstate(over="ignore"):  # what no longer fits is told by the check
-                image = image * np.asarray(factor, np.float32)
-        environment.check(image, path)
-        skies.append(Sky(image, up, environment.rotation(degrees, up)))
+    def add(light: DirectionalLight | SphereLight, name: str) -> None:
+        sun = light if isinstance(light, DirectionalLight) else as_disc(light, mesh, name, say)
+        if not sun.irradiance.any():
+            say(f"{name}: is black: it gives no light")
+        suns.append(sun)
 
     for light in lights:
-        if str(light).startswith("sun:"):
-            suns.append(parse_sun(str(light)))
+        if str(light).startswith(("sun:", "sphere:")):
+            parse = parse_sun if str(light).startswith("sun:") else parse_sphere
+            add(parse(str(light)), f"--light {light}")
         elif Path(light).suffix.lower() == ".toml":
             for one in read_lights(light):
-                if isinstance(one, DirectionalLight):
-                    suns.append(one)
-                else:
+                if isinstance(one, SkyLight):
                     with named_by(Path(light), "sky.file"):
-                        add_sky(one.path, one.rotate, 2.0**one.exposure * np.asarray(one.tint))
+                        skies.append(_read_sky(one, up, mend, say, most_rows, degree))
+                else:
+                    add(one, str(light))
         else:
-            add_sky(Path(light), 0.0, 1.0)
+            skies.append(_read_sky(SkyLight(Path(light), 0.0, 0.0, (1.0, 1.0, 1.0)), up, mend, say, most_rows, degree))
     return Lighting(tuple(skies), tuple(suns)).turned(rotate, up)
+
+
+def _read_sky(
+    light: SkyLight, up: str, mend: bool, say: Callable[[str], None], most_rows: int | None, degree: int
+) -> Sky:
+    opened = environment.open_environment(light.path, mend, say)
+    factor = 2.0**light.exposure * np.asarray(light.tint)
+    residual = None
+    if most_rows is None or opened.height <= most_rows:
+        image = opened.whole()
+    else:
+        image, residual = shrink(opened, most_rows, degree, up)
+        residual *= factor
+    # A large sky is not copied for nothing.
+    if not np.all(factor == 1.0):
+        with np.errstate(over="ignore"):  # what no longer fits is told by the check
+            image *= np.asarray(factor, np.float32)
+        environment.check(image, light.path)
+        if not np.any(factor):
+            say(f"{light.path}: with its exposure and tint it is black: it gives no light")
+    return Sky(image, up, environment.rotation(light.rotate, up), residual)
 
 
 def as_lighting(light: ArrayLike | Lighting, up: str, rotate: float) -> Lighting:

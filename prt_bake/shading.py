@@ -19,7 +19,7 @@ from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.picture_layers import layers_of
 from prt_bake.seen_points import PixelMeans, Seen, cast, grid_offsets, row_blocks
 from prt_bake.surface_gloss import SurfaceGloss, reflects
-from prt_bake.vertex_shading import Shading, corner_shares, light_weights, radiance_error, shade, shade_vertices
+from prt_bake.vertex_shading import Shading, corner_shares, light_of, radiance_error, shade, shade_vertices
 
 __all__ = ["Picture", "Shading", "radiance_error", "render_picture", "shade", "shade_vertices"]
 
@@ -95,7 +95,7 @@ def render_picture(
     reflecting = reflection and reflects(asset)
     gloss = differing = np.zeros((0, 3))
     if reflecting:
-        weights = light_weights(asset, harmonics)
+        weights = light_of(asset, harmonics)
         surface = SurfaceGloss(asset, lighting, weights, visibility, samples**2, roughness)
         gloss, differing = _reflected(surface, seen, samples**2)
     pixels = PixelMeans(seen.pixels, camera, samples**2)

@@ -59,7 +59,7 @@ class SurfaceGloss:
         points: int,
         roughness: float | None = None,
     ) -> None:
-        """Prepare for `points` points a pixel; weights: the light's coefficients as `light_weights` has them.
+        """Prepare for `points` points a pixel; weights: the light's coefficients as `light_of` has them.
 
         roughness: the GGX alpha in place of the asset's. Raises QueryError where neither says it.
         """

@@ -17,12 +17,20 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+# They carry no types.
+_untyped: Any = cgutils
+_several: Any = types.UniTuple
 _FLOAT, _HALF, _BYTE = ir.FloatType(), ir.HalfType(), ir.IntType(8)
 _SHORT, _INT, _LONG = ir.IntType(16), ir.IntType(32), ir.IntType(64)
 _FUSED = ("contract",)
 WIDEST = 16
 """Numbers at a time of rows that have as many; rows of at least 4 are taken 4 at a time, others one by one."""
 _DECODED_ROWS = 4
+
+
+def _intrinsic(generator: Any) -> Any:
+    """numba's own, which carries no types."""
+    return intrinsic(generator)
 
 
 def width_for(size: int) -> int:
@@ -45,7 +53,7 @@ def laid_out(light: NDArray[np.floating]) -> NDArray[np.float32]:
     return runs
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
     """Ask the memory for the cache line of array[index]; array is flat and contiguous. Anywhere is harmless."""
 
@@ -77,15 +85,15 @@ def _lit_rows(width: int) -> Any:
             return _under_light(target, builder, signature, arguments[1], arguments[10], weighted, width)
 
         places, shares = [types.intp] * 5, [types.float32] * 4
-        return types.UniTuple(types.float32, 3)(rows, *places, *shares, light), generate
+        return _several(types.float32, 3)(rows, *places, *shares, light), generate
 
-    return intrinsic(lit_rows)
+    return _intrinsic(lit_rows)
 
 
 lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (16, 4, 1))
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@_intrinsic
 def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights: Any, light: Any) -> Any:
     """(red, green, blue) of Σ weights[r] · row of `count` rows, a multiple of 4, of `size` numbers, at least 16, one
     after the other from rows[start].
@@ -96,10 +104,10 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
         first = _element(target, builder, signature, arguments, 0, arguments[2])
 
         def weighted(offset: Any) -> Any:
-            total = cgutils.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
+            total = _untyped.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
             builder.store(_constant(_FLOAT, WIDEST, 0.0), total)
             steps = builder.udiv(arguments[3], _LONG(_DECODED_ROWS))
-            with cgutils.for_range(builder, steps) as step:
+            with _untyped.for_range(builder, steps) as step:
                 row = builder.mul(step.index, _LONG(_DECODED_ROWS))
                 numbers = [builder.add(row, _LONG(r)) for r in range(_DECODED_ROWS)]
                 places = [builder.gep(first, [builder.add(builder.mul(r, length), offset)]) for r in numbers]
@@ -114,23 +122,25 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
         return _under_light(target, builder, signature, length, arguments[5], weighted, WIDEST)
 
     counts = (types.intp,) * 3
-    return types.UniTuple(types.float32, 3)(rows, *counts, weights, light), generate
+    return _several(types.float32, 3)(rows, *counts, weights, light), generate
 
 
 def _under_light(
     target: Any, builder: Any, signature: Any, size: Any, light: Any, row: Callable[[Any], Any], width: int
 ) -> Any:
     """Σ row(offset) · light for each channel, `width` numbers at a time."""
-    totals = [cgutils.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
+    totals = [_untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
     shares = target.make_array(signature.args[-1])(target, builder, light).data
     runs = builder.udiv(builder.add(size, _LONG(width - 1)), _LONG(width))
     last = builder.sub(size, _LONG(width))
-    with cgutils.for_range(builder, runs) as run:
+    with _untyped.for_range(builder, runs) as run:
         begin = builder.mul(run.index, _LONG(width))
         offset = builder.select(builder.icmp_signed("<", begin, last), begin, last)
         numbers = row(offset)
         for channel, total in enumerate(totals):
-            place = builder.gep(shares, [builder.mul(builder.add(builder.mul(run.index, _LONG(3)), _LONG(channel)), _LONG(width))])
+            place = builder.gep(
+                shares, [builder.mul(builder.add(builder.mul(run.index, _LONG(3)), _LONG(channel)), _LONG(width))]
+            )
             lit = builder.fmul(numbers, _load(builder, place, _FLOAT, width), flags=_FUSED)
             builder.store(builder.fadd(builder.load(total), lit, flags=_FUSED), total)
     return target.make_tuple(builder, signature.return_type, [_sum(builder, builder.load(total)) for total in totals])

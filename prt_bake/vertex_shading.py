@@ -46,7 +46,7 @@ def shade_vertices(
         raise QueryError(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
         )
-    weights = light_weights(asset, light)
+    weights = light_of(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     at = _between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))
@@ -66,7 +66,7 @@ def radiance_error(
     Errors of the bins that a direction lies between are taken to be alike: where they are not, it is less. Of what the
     model itself is off it knows nothing. Arguments and errors as those of `shade_vertices`.
     """
-    length = np.sqrt((light_weights(asset, light) ** 2).sum(axis=0))
+    length = np.sqrt((light_of(asset, light) ** 2).sum(axis=0))
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     at, sigma = _between_bins(asset, eye, vertices), asset.standard_error[:, :, None, None]
     error = np.zeros((len(asset.valid), 3))
@@ -79,7 +79,7 @@ def surface_radiance(
 ) -> Array:
     """Radiance [n,3] that leaves points of the surface, at (u, v) [n,2] of faces [n], along unit `outgoing` [n,3].
 
-    weights: as `light_weights` gives them. Between valid vertices it is linear, negative values cut to 0; a face
+    weights: as `light_of` gives them. Between valid vertices it is linear, negative values cut to 0; a face
     without any sends nothing.
     """
     corners = asset.mesh.faces[faces].astype(np.int64)
@@ -112,7 +112,7 @@ def _between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> 
     return sphere.bin_coordinates(local, asset.rings, asset.sectors)
 
 
-def light_weights(asset: Asset, light: ArrayLike | None) -> Array:
+def light_of(asset: Asset, light: ArrayLike | None) -> Array:
     """The light's coefficients [K,3] as float64, or ones [1,3] for an asset made for one light; raises as `shade`."""
     if asset.quantity == "radiance":
         if light is not None:

@@ -199,7 +199,7 @@ def _light(sky: Path, degree: int, up: str) -> Any:
     from prt_bake import environment
     from prt_bake.baking import Light
 
-    return Light(environment.project(environment.read_environment(sky), degree, up), sky.name, sha256(sky))
+    return Light(environment.project(environment.open_environment(sky, say=say), degree, up), sky.name, sha256(sky))
 
 
 def _remarks(summary: dict[str, Any]) -> Iterator[str]:

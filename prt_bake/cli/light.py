@@ -11,7 +11,7 @@ from prt_bake.cli.progress import say
 
 
 def light(
-    environment: Annotated[Path, typer.Argument(metavar="ENVIRONMENT", help="Lat-long sky, .exr or .hdr.")],
+    environment: Annotated[Path, typer.Argument(metavar="ENVIRONMENT", help="Lat-long sky, .exr, .hdr or .png.")],
     degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree l.")] = 2,
     up: Up = None,
     rotate: Rotate = 0.0,
@@ -23,11 +23,11 @@ def light(
     They are those of its radiance (linear Rec.709), in real orthonormal harmonics without Condon–Shortley phase, index
     l(l+1)+m; nothing is pre-convolved.
     """
-    from prt_bake.environment import project, read_environment, rotate_light
+    from prt_bake.environment import open_environment, project, rotate_light
 
     axis = up or "y"
-    image = read_environment(environment, mend, say)
-    coefficients = rotate_light(project(image, degree, axis), rotate, axis)
+    sky = open_environment(environment, mend, say)
+    coefficients = rotate_light(project(sky, degree, axis), rotate, axis)
     if as_json:
         lighting = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist()}
         print(json.dumps(lighting, indent=2))

@@ -165,8 +165,9 @@ Lights = Annotated[
     typer.Option(
         "--light",
         metavar="LIGHT",
-        help="Lat-long sky (.exr, .hdr, .png), lights file (.toml), or sun:x,y,z[:r,g,b][:degrees], a directional "
-        "light (direction to it, irradiance, angular diameter); may be given several times.",
+        help="Lat-long sky (.exr, .hdr, .png), lights file (.toml), sun:x,y,z[:r,g,b][:degrees], a directional light "
+        "(direction to it, irradiance, angular diameter), or sphere:x,y,z:radius[:r,g,b] (place, size, radiance); may "
+        "be given several times.",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]

@@ -138,7 +138,7 @@ def render(
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
     sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
-    lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say)
+    lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say, mesh=surface)
     view = camera_for(surface, size, sky_up, eye, look_at, fov, orthographic, extent)
     checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:

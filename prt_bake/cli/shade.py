@@ -89,12 +89,16 @@ def shade(
     from formats.asset import read_asset
     from prt_bake.cli.viewing import camera_for
     from prt_bake.lighting import read_lighting
+    from prt_bake.smaller_sky import rows_shown
 
     _refuse_useless(output, transparent, layers, turntable, error_picture)
     baked = read_asset(asset)
     axis = up or baked.up
-    lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
     view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent)
+    rows = rows_shown(view.height, view.fov)
+    lighting = read_lighting(
+        light, axis, rotate, mend=mend, say=say, mesh=baked.mesh, most_rows=rows, degree=baked.degree
+    )
     options: dict[str, Any] = {
         "up": axis,
         "samples": samples,

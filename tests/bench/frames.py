@@ -1,0 +1,343 @@
+"""What a frame costs, beside a plain gather of the same lines, a memory copy and a plain NumPy shader, all in one run.
+
+    PYTHONPATH=tests python tests/bench/frames.py [--only vertices|visible|bins|threads|storage|small|compact|light]
+    PYTHONPATH=tests python tests/bench/frames.py --asset baked.h5 [--compact baked.c.h5]
+
+A ring of V vertices, coefficients of degree 2 and three channels filled with random numbers, an eye that circles it.
+Of 16×64 view bins, 300,000 vertices would take 16.6 GB of float16: where it says so there are fewer bins, and more
+bytes all the same than any cache holds. `lines` is a loop compiled by numba, on as many threads, that reads one number
+of each line of the rows a frame reads, in its order (the list of lines lies in memory ready made); `rows` is the loop
+that sums all their numbers, `copy` moves as many bytes as those lines have from one place to another, in order. Turns
+are taken within each round; times are medians over rounds (`least`: the
+shortest frame), shares medians of the ratios within a round.
+With `--clock cpu` they are the processor's, of all threads together: of use where others keep the machine busy.
+"""
+
+import argparse
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numba import get_num_threads, njit, prange, set_num_threads
+from shapes import ring
+
+from formats.asset import Asset, read_asset
+from formats.mesh import Mesh
+from prt_bake import sh, sphere
+from prt_bake.compressing import compress
+from prt_bake.frames import Frames
+
+LINE = 64
+ROUNDS = 21
+SOME = 1 << 22
+VERTICES = 300_000
+CLOCK = time.perf_counter
+BINS = {"float16": (8, 32), "float32": (4, 32)}
+
+
+def asset_of(vertices: int, rings: int, sectors: int, storage: str = "float16", degree: int = 2) -> Asset:
+    """Random coefficients, the same again and again: a frame does not look at what they are."""
+    side = round(np.sqrt(vertices))
+    mesh = ring(around=-(-vertices // side), across=side)
+    return holding(mesh, rings, sectors, storage, degree)
+
+
+def holding(mesh: Mesh, rings: int, sectors: int, storage: str, degree: int) -> Asset:
+    shape = (len(mesh.positions), rings * sectors, sh.count(degree), 3)
+    some = np.random.default_rng(0).normal(0.3, 0.2, SOME).astype(storage)
+    coefficients = np.empty(np.prod(shape), storage)
+    for first in range(0, len(coefficients), SOME):
+        coefficients[first : first + SOME] = some[: len(coefficients) - first]
+    axes = np.eye(3)[:2]
+    return Asset(
+        mesh=mesh,
+        tangents=sphere.tangent_frame(mesh.normals),
+        rings=rings,
+        sectors=sectors,
+        directions=sphere.view_bins(rings, sectors),
+        degree=degree,
+        check_directions=axes,
+        check_values=sh.evaluate(axes, degree),
+        coefficients=coefficients.reshape(shape),
+        standard_error=np.zeros((shape[0], 1), np.float32),
+        valid=np.ones(shape[0], np.bool_),
+        storage=storage,
+    )
+
+
+def light_for(asset: Asset) -> np.ndarray:
+    return np.random.default_rng(1).normal(size=(sh.count(asset.degree), 3))
+
+
+def eyes(asset: Asset, count: int) -> list[np.ndarray]:
+    angles = 2 * np.pi * np.arange(count) / count
+    return [asset.mesh.center + 1.5 * asset.mesh.diagonal * np.array([np.cos(a), 0.4, np.sin(a)]) for a in angles]
+
+
+@njit(parallel=True)
+def gather_lines(numbers, starts, sums):
+    threads, size = sums.shape[0], starts.shape[0]
+    for t in prange(threads):
+        total = numbers[0] * 0
+        for i in range(t * size // threads, (t + 1) * size // threads):
+            total += numbers[starts[i]]
+        sums[t, 0] += total
+
+
+@njit(parallel=True)
+def gather_rows(rows, which, sums):
+    threads, size = sums.shape[0], which.shape[0]
+    for t in prange(threads):
+        total = rows[0, 0] * 0
+        for i in range(t * size // threads, (t + 1) * size // threads):
+            row = rows[which[i]]
+            for k in range(row.shape[0]):
+                total += row[k]
+        sums[t, 0] += total
+
+
+def rows_read(asset: Asset, eye: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """Rows [n,4] that a frame reads, those of ring 0 that its mean stands for left out."""
+    towards = eye - asset.mesh.positions[vertices]
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    local = sphere.to_local(towards, asset.mesh.normals[vertices], asset.tangents[vertices])
+    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    pairs = [(ring, sector) for ring in (at.ring_low, at.ring_high) for sector in (at.sector_low, at.sector_high)]
+    bins = np.stack([ring * asset.sectors + sector for ring, sector in pairs], axis=1)
+    return vertices[:, None] * asset.rings * asset.sectors + bins
+
+
+def lines_of(rows: np.ndarray, row_bytes: int) -> np.ndarray:
+    """Each line once, in the order of the rows."""
+    first, last = rows * row_bytes // LINE, (rows * row_bytes + row_bytes - 1) // LINE
+    spans = np.arange(int((last - first).max()) + 1)
+    lines = np.where(first[..., None] + spans <= last[..., None], first[..., None] + spans, -1)
+    lines = np.sort(lines.reshape(len(rows), -1), axis=1)
+    new = np.ones(lines.shape, np.bool_)
+    new[:, 1:] = lines[:, 1:] != lines[:, :-1]
+    return lines[new & (lines >= 0)]
+
+
+def numpy_shader(asset: Asset, light: np.ndarray, eye: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    towards = eye - asset.mesh.positions[vertices]
+    towards /= np.linalg.norm(towards, axis=1)[:, None]
+    local = sphere.to_local(towards, asset.mesh.normals[vertices], asset.tangents[vertices])
+    bins, weights = sphere.bin_weights(local, asset.rings, asset.sectors)
+    four = asset.coefficients[vertices[:, None], bins[:, :4]].astype(np.float32)
+    return np.maximum(np.einsum("nm,nmkc,kc->nc", weights[:, :4].astype(np.float32), four, light.astype(np.float32)), 0)
+
+
+Calls = dict[str, Callable[[int], object]]
+
+
+def measured(calls: Calls, rounds: int = ROUNDS) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """Median seconds of each call, and all of them."""
+    spent: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call(0)
+    for turn in range(rounds):
+        for name, call in calls.items():
+            began = CLOCK()
+            call(turn)
+            spent[name].append(CLOCK() - began)
+    return {name: float(np.median(times)) for name, times in spent.items()}, {
+        name: np.array(times) for name, times in spent.items()
+    }
+
+
+def comparison(asset: Asset, visible: np.ndarray | None = None, *, folded: bool = False, slow: bool = True) -> Calls:
+    """A frame, and what it is held against: the eye goes round, the lists of lines are those of each eye."""
+    views = eyes(asset, 4)
+    frames, light = Frames(asset), light_for(asset)
+    frames.light(light)
+    if folded:
+        frames.fold()
+    vertices = np.flatnonzero(asset.valid if visible is None else visible)
+    flat = asset.coefficients.reshape(-1)
+    flat = flat.view(np.uint16) if flat.dtype == np.float16 else flat
+    row = asset.coefficients[0, 0].size
+    read = [rows_read(asset, eye, vertices) for eye in views]
+    starts = [lines_of(rows, row * flat.itemsize) * (LINE // flat.itemsize) for rows in read]
+    moved = np.empty((2, len(starts[0]) * LINE // 8))
+    sums = np.zeros((get_num_threads(), 8), flat.dtype)
+    calls: Calls = {
+        "frame": lambda turn: frames.draw(views[turn % 4], visible),
+        "lines": lambda turn: gather_lines(flat, starts[turn % 4], sums),
+        "rows": lambda turn: gather_rows(flat.reshape(-1, row), read[turn % 4].reshape(-1), sums),
+        "copy": lambda _: np.copyto(moved[0], moved[1]),
+    }
+    if slow:
+        calls["NumPy"] = lambda turn: numpy_shader(asset, light, views[turn % 4], vertices)
+    return calls
+
+
+def row_of(name: str, asset: Asset, calls: Calls, shown: int, rounds: int = ROUNDS) -> None:
+    medians, times = measured(calls, rounds)
+    figures = "".join(f"{1e3 * medians[key]:10.3f}" if key in medians else f"{'':10}" for key in HEAD)
+    shares = [float(np.median(times[key] / times["frame"])) for key in ("lines", "rows")]
+    size = getattr(asset.coefficients, "nbytes", 0) / 1e9
+    least = 1e3 * float(times["frame"].min())
+    print(
+        f"{name:30}{size:7.2f} GB{least:10.3f}{figures}{1e9 * medians['frame'] / shown:10.1f}"
+        f"{shares[0]:9.0%}{shares[1]:9.0%}",
+        flush=True,
+    )
+
+
+HEAD = ("frame", "lines", "rows", "copy", "NumPy")
+
+
+def heading(title: str) -> None:
+    names = "".join(f"{name:>10}" for name in HEAD)
+    print(f"\n{title}\n{'':40}{'least':>10}{names}{'ns/vertex':>10}{'of lines':>9}{'of rows':>9}", flush=True)
+
+
+def by_vertices() -> None:
+    heading("Vertices, all of them shown, float16, 8×32 bins, ms")
+    for vertices in (3_000, 30_000, 100_000, VERTICES):
+        asset = asset_of(vertices, 8, 32)
+        row_of(f"{vertices:,} vertices", asset, comparison(asset), vertices)
+
+
+def by_visible() -> None:
+    heading("Vertices shown of 300,000, float16, 8×32 bins, ms")
+    asset = asset_of(VERTICES, 8, 32)
+    count = len(asset.valid)
+    for shown in (300, 3_000, 30_000, 150_000):
+        visible = np.zeros(count, np.bool_)
+        visible[np.random.default_rng(2).choice(count, shown, replace=False)] = True
+        row_of(f"{shown:,} here and there", asset, comparison(asset, visible), shown)
+        visible[:] = False
+        visible[count // 3 : count // 3 + shown] = True
+        row_of(f"{shown:,} side by side", asset, comparison(asset, visible), shown)
+
+
+def by_bins() -> None:
+    heading("View bins, 30,000 vertices, float16, ms")
+    for rings, sectors in ((1, 1), (4, 8), (8, 16), (8, 32), (16, 64)):
+        asset = asset_of(30_000, rings, sectors)
+        row_of(f"{rings}×{sectors} bins", asset, comparison(asset), len(asset.valid))
+
+
+def by_threads() -> None:
+    heading("Threads, 100,000 vertices, float16, 8×32 bins, ms")
+    asset, most = asset_of(100_000, 8, 32), get_num_threads()
+    for threads in range(1, most + 1):
+        set_num_threads(threads)
+        row_of(f"{threads} threads", asset, comparison(asset), len(asset.valid))
+    set_num_threads(most)
+
+
+def by_storage() -> None:
+    heading("Storage, 300,000 vertices, all of them shown, ms")
+    for storage, (rings, sectors) in BINS.items():
+        asset = asset_of(VERTICES, rings, sectors, storage)
+        shown = len(asset.valid)
+        name = f"{storage}, {rings}×{sectors} bins"
+        row_of(name, asset, comparison(asset, slow=False), shown)
+    for storage in BINS:
+        asset = asset_of(100_000, 4, 32, storage)
+        both = {"frame": comparison(asset, slow=False)["frame"]}
+        both["folded"] = comparison(asset, slow=False, folded=True)["frame"]
+        medians, times = measured(both)
+        ratio = float(np.median(times["frame"] / times["folded"]))
+        print(
+            f"100,000 vertices of 4×32 {storage}: {1e3 * medians['frame']:.2f} ms a frame, "
+            f"{1e3 * medians['folded']:.2f} ms with the light folded in: {ratio:.1f} times less",
+            flush=True,
+        )
+
+
+def of_small() -> None:
+    heading("3,000 vertices shown of 16×64 bins, the bar is 0.3 ms")
+    for vertices in (3_000, 30_000):
+        asset = asset_of(vertices, 16, 64)
+        visible = np.zeros(len(asset.valid), np.bool_)
+        visible[np.random.default_rng(2).choice(len(visible), 3_000, replace=False)] = True
+        row_of(f"of {vertices:,}", asset, comparison(asset, visible), 3_000, 201)
+
+
+def of_compact() -> None:
+    """The same object in all ways of keeping it: smooth transfer on a ring, compact to 0.5 %."""
+    mesh = ring(around=60, across=50)
+    raw = holding(mesh, 16, 64, "float32", 2)
+    rng = np.random.default_rng(4)
+    x, y, z = raw.directions.T
+    smooth = np.stack([x**i * y**j * z**k for i in range(4) for j in range(4 - i) for k in range(4 - i - j)])
+    mixed = np.einsum("vpk,pb->vbk", rng.normal(size=(len(mesh.positions), len(smooth), 27)), smooth, optimize=True)
+    raw.coefficients[:] = mixed.reshape(raw.coefficients.shape)
+    of_assets({"float32": raw, "compact": compress(raw, 0.005)})
+
+
+def of_assets(assets: dict[str, Asset]) -> None:
+    raw = next(iter(assets.values()))
+    assets = dict(assets)
+    if isinstance(raw.coefficients, np.ndarray):
+        other = "float16" if raw.coefficients.dtype == np.float32 else "float32"
+        assets[other] = Asset(**{**vars(raw), "coefficients": raw.coefficients.astype(other)})
+    views, calls = eyes(raw, 4), {}
+    for name, asset in assets.items():
+        for folded in (False, True):
+            frames = Frames(asset)
+            frames.light(light_for(asset))
+            for again in range(2 if folded else 0):
+                frames.light(light_for(asset))
+                began = CLOCK()
+                frames.fold()
+                if again:
+                    print(f"{name}: folding takes {1e3 * (CLOCK() - began):.1f} ms")
+            calls[f"{name}, folded" if folded else name] = lambda turn, frames=frames: frames.draw(views[turn % 4])
+    medians, _ = measured(calls, 51)
+    print(f"{len(raw.valid):,} vertices, {raw.rings}×{raw.sectors} bins, all shown")
+    for name, seconds in medians.items():
+        print(f"{name:20}{1e3 * seconds:9.3f} ms{1e9 * seconds / len(raw.valid):9.1f} ns a vertex")
+
+
+def of_light() -> None:
+    """What setting and turning a light take; what leaving out the back of the object saves."""
+    asset = asset_of(100_000, 8, 32)
+    frames, light = Frames(asset), light_for(asset)
+    frames.light(light)
+    frames.turn(1.0)
+    views = eyes(asset, 4)
+    calls: Calls = {
+        "light": lambda _: frames.light(light),
+        "turn": lambda turn: frames.turn(7.0 * turn),
+        "frame": lambda turn: frames.draw(views[turn % 4]),
+        "frame, culled": lambda turn: frames.draw(views[turn % 4], cull=True),
+    }
+    medians, _ = measured(calls, 51)
+    print("\n" + ", ".join(f"{name} {1e6 * seconds:.0f} µs" for name, seconds in medians.items()), flush=True)
+
+
+PARTS: dict[str, Callable[[], None]] = {
+    "vertices": by_vertices,
+    "visible": by_visible,
+    "bins": by_bins,
+    "threads": by_threads,
+    "storage": by_storage,
+    "small": of_small,
+    "compact": of_compact,
+    "light": of_light,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=list(PARTS), nargs="+", default=list(PARTS))
+    parser.add_argument("--asset", help="a baked asset instead of random ones")
+    parser.add_argument("--compact", help="the same asset, compact")
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
+    given = parser.parse_args()
+    global CLOCK
+    CLOCK = time.process_time if given.clock == "cpu" else CLOCK
+    if given.asset:
+        named = {"as baked": given.asset, "compact": given.compact}
+        of_assets({name: read_asset(path) for name, path in named.items() if path})
+        return
+    for part in given.only:
+        PARTS[part]()
+
+
+if __name__ == "__main__":
+    main()
