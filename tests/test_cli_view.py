@@ -92,6 +92,17 @@ def test_what_it_cannot_show_it_refuses_in_a_sentence(
     assert not (tmp_path / "shot.png").exists()
 
 
+def test_a_sky_is_mended_when_asked_and_that_is_said(prtbake: Run, tmp_path: Path) -> None:
+    sky = np.ones((8, 16, 3), np.float32)
+    sky[2, 3, 1] = np.nan
+    write_image(tmp_path / "nan.exr", sky)
+    command = ["view", "asset.h5", "--light", tmp_path / "nan.exr", "--screenshot", tmp_path / "shot.png"]
+    assert "nan.exr" in prtbake(*command).err
+    mended = prtbake(*command, "--mend")
+    assert mended.code == 0
+    assert "mended 1 values" in mended.err
+
+
 def test_a_screenshot_of_another_kind_is_refused_at_once(prtbake: Run) -> None:
     assert "ends in .png" in prtbake(*COMMAND, "--screenshot", "shot.jpg").err
 

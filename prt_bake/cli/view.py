@@ -96,7 +96,7 @@ def _open(
     if light is None:
         light = [str(resources.files("prt_bake.shipped") / "sky.hdr")] if baked.quantity == "transfer" else []
     axis = up or baked.up
-    sources = [LightSource(text, axis, baked.degree, mend) for text in light]
+    sources = [LightSource(text, axis, baked.degree, mend, say) for text in light]
     preview = Preview(baked, sources, up=axis, rotation=rotate, exposure=exposure)
     preview.colours(camera.fit(baked.mesh, up=axis).eye)
     return preview

@@ -1,6 +1,7 @@
 """The lights of a preview: each is read from what the command line names, and again when its file has changed."""
 
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,9 +39,12 @@ class LightSource:
         shown: as it was read last; a file that cannot be read leaves it as it was.
     """
 
-    def __init__(self, text: str, up: str, degree: int, mend: bool = False) -> None:
-        """Read it; raises as `prt_bake.lighting.read_lighting`."""
-        self._text, self._up, self._degree, self._mend = text, up, degree, mend
+    def __init__(
+        self, text: str, up: str, degree: int, mend: bool = False, say: Callable[[str], None] = warnings.warn
+    ) -> None:
+        """Read it; `mend`, `say` and what is raised are those of `prt_bake.lighting.read_lighting`."""
+        self._text, self._up, self._degree = text, up, degree
+        self._mend, self._say = mend, say
         self.name = text if text.startswith("sun:") else Path(text).name
         self._stamp = self._stamped()
         self.shown = self._read()
@@ -59,7 +63,7 @@ class LightSource:
         return f"{self.name} has changed and was read again"
 
     def _read(self) -> ShownLight:
-        lighting = read_lighting([self._text], self._up, mend=self._mend, say=lambda sentence: None)
+        lighting = read_lighting([self._text], self._up, mend=self._mend, say=self._say)
         return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
 
     def _stamped(self) -> Stamp:
