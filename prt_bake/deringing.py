@@ -20,6 +20,7 @@ from prt_bake.directions import fibonacci
 Array = NDArray[np.float64]
 
 _HALVINGS = 60
+_ROUNDS = 100
 _LATTICE = 48
 """Lattice directions for each squared degree; wells of a function of degree l are about π / l wide."""
 _WELLS = 8
@@ -101,16 +102,19 @@ def _lowest_of_quadratic(function: Array) -> Array:
         matrix[[0, 1, 1, 2, 0, 2], [1, 0, 2, 1, 2, 0]] = 0.5 * second * np.array([xy, xy, yz, yz, xz, xz])
     curvatures, axes = np.linalg.eigh(matrix)
     slopes = axes.T @ gradient
-    # d_i = −g_i / 2(a_i − μ) with a μ ≤ a_0 that makes it a unit vector: its length rises with μ.
-    steepest = float(np.linalg.norm(slopes))
+    # d_i = −g_i / 2(a_i − μ), with a gap a_0 − μ ≥ 0 that makes it a unit vector; its length falls as the gap grows.
     gaps = curvatures - curvatures[0]
-    low, high = 0.0, 0.5 * steepest  # of a_0 − μ
-    for _ in range(2 * _HALVINGS):
-        middle = 0.5 * (low + high)
-        if _length(slopes, gaps + middle) > 1.0:
-            low = middle
-        else:
-            high = middle
+    low, high = 0.0, 0.5 * float(np.linalg.norm(slopes))
+    gap = high
+    for _ in range(_ROUNDS):
+        length, fall = _length(slopes, gaps + gap)
+        low, high = (gap, high) if length > 1.0 else (low, gap)
+        # Newton's step on 1 / length, which is all but straight; halved where it leaves the bracket.
+        gap += (length - 1.0) * length / fall if 0.0 < fall < math.inf else 0.0
+        if not low < gap < high:
+            gap = 0.5 * (low + high)
+        if high - low <= 1e-16 * high:
+            break
     place = _step(slopes, gaps + high)
     rest = 1.0 - float(place @ place)
     if rest > 0.0:
@@ -125,10 +129,13 @@ def _step(slopes: Array, curvatures: Array) -> Array:
     return -0.5 * np.divide(slopes, curvatures, out=np.zeros(3), where=bent)
 
 
-def _length(slopes: Array, curvatures: Array) -> float:
+def _length(slopes: Array, curvatures: Array) -> tuple[float, float]:
+    """|d|, and how fast its square falls, by half, as all curvatures grow; infinite where a slope has no curvature."""
     if (slopes[curvatures <= 0.0] != 0.0).any():
-        return math.inf
-    return float(np.linalg.norm(_step(slopes, curvatures)))
+        return math.inf, math.inf
+    place = _step(slopes, curvatures)
+    steeper = np.divide(place, curvatures, out=np.zeros(3), where=curvatures > 0.0)
+    return math.sqrt(float(place @ place)), float(place @ steeper)
 
 
 def _lowest_by_descent(function: Array, degree: int) -> Array:

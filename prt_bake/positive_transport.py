@@ -11,7 +11,8 @@ With p = f / ∫ f and m_k = a_k / ∫ f, ∫ f = √(4π) a_00, the multipliers
 
 is least: a strictly convex function whose gradient is ⟨Y_k⟩_p − m_k + ρ λ_k, so that Newton's method with halved steps
 always arrives. Coefficients that no positive function has (noise, errors of a network) have an answer too, since ρ > 0:
-the energy ∫ f is kept to rounding, the other coefficients are met to ρ λ_k ∫ f. Sources: Jaynes, "Information Theory
+the energy ∫ f is kept (to the error of the quadrature, 1e-6 but for needles), the other coefficients are met to
+ρ λ_k ∫ f. Sources: Jaynes, "Information Theory
 and Statistical Mechanics", Phys. Rev. 106 (1957); Mead and Papanicolaou, "Maximum entropy in the problem of moments",
 J. Math. Phys. 25 (1984), for the convex dual.
 """
@@ -56,13 +57,13 @@ class PositiveTransport:
 def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
     """The positive functions of greatest entropy with `coefficients` [n,K,C], K = (degree + 1)².
 
-    Where a_00 is not above 0 the function is 0. It does not depend on the light, scales with the coefficients, and turns
+    Where a_00 is not above 0 no function is positive, and the even one of that energy is returned. It does not depend on the light, scales with the coefficients, and turns
     with them.
     """
     numbers = np.asarray(coefficients, np.float64)
     degree = sh.degree_of(numbers.shape[1])
     rows = np.ascontiguousarray(numbers.transpose(0, 2, 1).reshape(-1, numbers.shape[1]))
-    energy = math.sqrt(4.0 * math.pi) * np.maximum(rows[:, 0], 0.0)
+    energy = math.sqrt(4.0 * math.pi) * rows[:, 0]
     lit = energy > 0.0
     means = np.divide(rows[:, 1:], energy[:, None], out=np.zeros_like(rows[:, 1:]), where=lit[:, None])
     multipliers, logarithm = np.zeros(means.shape), np.full(len(rows), math.log(4.0 * math.pi))

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
+from formats.lights import DirectionalLight
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
 from prt_bake.camera import Camera, Hits, Visibility, directions, refuse_eye_in_object
-from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.reconstruction import reconstruct
+from prt_bake.sun_light import SunTreatment, sun_radiance, suns_apart
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,8 @@ class Picture:
 
     clamped: as in `Shading`. shaded: vertices worked on. unlit: share of the object's samples whose face has no valid
     vertex; they are black. error: one sigma [H,W,3] of the object's part, by the asset's standard errors; of what the
-    model itself is off they know nothing. relative_error: its rms over that of the object's part.
+    model itself is off they know nothing. relative_error: its rms over that of the object's part. suns: how many were
+    taken out of the other light.
     """
 
     image: NDArray[np.float32]
@@ -53,6 +55,7 @@ class Picture:
     seconds: float
     error: NDArray[np.float32]
     relative_error: float
+    suns: int = 0
 
 
 def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike) -> Array:
@@ -67,9 +70,15 @@ def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike) -> Array:
 
 
 def shade_vertices(
-    asset: Asset, light: ArrayLike | None, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
+    asset: Asset,
+    light: ArrayLike | None,
+    eye: ArrayLike,
+    visible: NDArray[np.bool_] | None = None,
+    suns: Sequence[DirectionalLight] = (),
 ) -> Shading:
-    """Like `shade`, for the `visible` vertices [V] alone where given, with the clamped share."""
+    """Like `shade`, for the `visible` vertices [V] alone where given, with the clamped share; `suns` shine besides the
+    light, without ringing (`sun_light`).
+    """
     if not asset.valid.any():
         raise QueryError(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
@@ -79,6 +88,8 @@ def shade_vertices(
     at = _between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))
     radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
+    if suns:
+        radiance[vertices] += sun_radiance(asset, suns, vertices, at)
     negative = -float(radiance[radiance < 0.0].sum())
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
@@ -111,12 +122,14 @@ def render_picture(
     rotate: float = 0.0,
     samples: int = 3,
     background: bool = True,
+    suns: SunTreatment = "split",
 ) -> Picture:
     """A picture of the asset under lights, or under one lat-long sky [H,W,3]: samples² rays a pixel, only vertices that
     are seen are shaded.
 
     `up` overrides the asset's up axis, `rotate` turns the light (degrees, counter-clockwise seen from above). Without
-    `background` there is nothing behind the object. The light reflected at the surface itself is not in the picture.
+    `background` there is nothing behind the object. `suns` says how suns are met (`sun_light`). The light reflected at
+    the surface itself is not in the picture.
 
     Raises QueryError where nothing could be shown: no vertex is valid, the camera misses the object, or the eye is
     inside it.
@@ -126,14 +139,15 @@ def render_picture(
         raise QueryError(f"samples: {samples} where at least 1 a pixel side is expected")
     axis = up or asset.up
     lighting = as_lighting(light, axis, rotate)
-    harmonics = project_lighting(lighting, asset.degree) if asset.quantity == "transfer" else None
+    light = suns_apart(lighting, asset.degree, suns) if asset.quantity == "transfer" else None
+    harmonics, whole, apart = (light.harmonics, light.whole, light.suns) if light else (None, None, ())
     pixels, hits = _cast(asset.mesh, camera, _grid_offsets(samples))
     corners = asset.mesh.faces[hits.faces]
     visible = np.zeros(len(asset.valid), np.bool_)
     visible[corners] = True
-    shading = shade_vertices(asset, harmonics, camera.eye, visible)
+    shading = shade_vertices(asset, harmonics, camera.eye, visible, apart)
     # As directions: where the eye stands has been looked at already.
-    sigma = radiance_error(asset, harmonics, camera.eye - asset.mesh.positions, visible)
+    sigma = radiance_error(asset, whole, camera.eye - asset.mesh.positions, visible)
     shown = np.concatenate([shading.radiance, sigma], axis=1)
     seen, unlit = _interpolate(asset, shown, corners, hits.barycentric)
     shape = (camera.height, camera.width)
@@ -154,6 +168,7 @@ def render_picture(
         time.perf_counter() - begun,
         error.astype(np.float32),
         relative_error,
+        light.found if light else 0,
     )
 
 

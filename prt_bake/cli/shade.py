@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -32,6 +32,13 @@ def shade(
     exposure: Exposure = 0.0,
     samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
     mend: Mend = False,
+    suns: Annotated[
+        Literal["split", "window", "plain"],
+        typer.Option(
+            help="How small strong lights are met: split from the sky and seen by a positive transport, their harmonics "
+            "damped (window), or like all light (plain), which rings."
+        ),
+    ] = "split",
 ) -> None:
     """Relight a baked asset and write the picture.
 
@@ -48,7 +55,7 @@ def shade(
     axis = up or baked.up
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say)
     view = camera.fit(baked.mesh, size.width, size.height, eye=eye, up=axis)
-    picture = render_picture(baked, lighting, view, up=axis, samples=samples)
+    picture = render_picture(baked, lighting, view, up=axis, samples=samples, suns=suns)
     layers = {"error": picture.error, "coverage": picture.coverage}
     write_image(output, picture.image, exposure=exposure, layers=layers)
     for remark in _shown_otherwise(baked, light, rotate, view.eye):
@@ -58,8 +65,15 @@ def shade(
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
         f"{abs(picture.clamped):.3%} of the energy, error of the projection {picture.relative_error:.2%} of "
-        f"the object's radiance"
+        f"the object's radiance" + _suns_met(picture.suns, suns)
     )
+
+
+def _suns_met(count: int, treatment: str) -> str:
+    if not count:
+        return ""
+    deed = "split from the other light" if treatment == "split" else "damped by a window"
+    return f", {count} {'sun' if count == 1 else 'suns'} {deed}"
 
 
 def _shown_otherwise(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:
