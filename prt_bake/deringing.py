@@ -19,7 +19,7 @@ from prt_bake.directions import fibonacci
 
 Array = NDArray[np.float64]
 
-_HALVINGS = 60
+_HALVINGS = 45
 _ROUNDS = 100
 _LATTICE = 48
 """Lattice directions for each squared degree; wells of a function of degree l are about π / l wide."""
@@ -48,15 +48,19 @@ def spread_needed(coefficients: ArrayLike) -> float:
     if (light[0] < 0.0).any():
         raise QueryError("light: its mean radiance is negative; no window makes it positive")
     eigenvalues = _eigenvalues(len(light))
-    return max((_channel_spread(channel, eigenvalues) for channel in light.T), default=0.0)
+    spread = 0.0
+    for channel in light.T:
+        spread = _channel_spread(channel, eigenvalues, spread)
+    return spread
 
 
-def _channel_spread(channel: Array, eigenvalues: Array) -> float:
-    if not channel[1:].any() or minimum(channel)[0] >= 0.0:
-        return 0.0
+def _channel_spread(channel: Array, eigenvalues: Array, least: float) -> float:
+    """As `spread_needed` of one channel [K], and at least `least`."""
+    if not channel[1:].any() or least == math.inf or minimum(np.exp(-least * eigenvalues) * channel)[0] >= 0.0:
+        return least
     if channel[0] == 0.0:
         return math.inf
-    low, high = 0.0, 1.0
+    low, high = least, least + 1.0
     while minimum(np.exp(-high * eigenvalues) * channel)[0] < 0.0:
         low, high = high, 2.0 * high
     for _ in range(_HALVINGS):
@@ -154,7 +158,7 @@ def _lowest_by_descent(function: Array, degree: int) -> Array:
         star /= np.linalg.norm(star, axis=2, keepdims=True)
         lowest = np.argmin(sh.evaluate(star, degree) @ function, axis=0)
         places = star[lowest, np.arange(len(places))]
-        reach *= np.where((lowest > 0).any(), 1.0, 0.5)
+        reach *= 1.0 if (lowest > 0).any() else 0.5
         if reach < 1e-9:
             break
     return np.asarray(places[np.argmin(sh.evaluate(places, degree) @ function)])

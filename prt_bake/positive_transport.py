@@ -7,14 +7,14 @@ scattering and of clear objects, whose transport is narrow, it is much nearer to
 
 With p = f / ∫ f and m_k = a_k / ∫ f, ∫ f = √(4π) a_00, the multipliers λ_k, k ≥ 1, are where
 
-    ln ∫ exp(Σ λ_k Y_k) dω − Σ λ_k m_k + ½ ρ Σ λ_k²
+    ln ∫ exp(Σ λ_k Y_k) dω − Σ λ_k m_k + ½ ρ |λ|² (1 + |λ|² / 2Λ²)
 
-is least: a strictly convex function whose gradient is ⟨Y_k⟩_p − m_k + ρ λ_k, so that Newton's method with halved steps
-always arrives. Coefficients that no positive function has (noise, errors of a network) have an answer too, since ρ > 0:
-the energy ∫ f is kept (to the error of the quadrature, 1e-6 but for needles), the other coefficients are met to
-ρ λ_k ∫ f. Sources: Jaynes, "Information Theory
-and Statistical Mechanics", Phys. Rev. 106 (1957); Mead and Papanicolaou, "Maximum entropy in the problem of moments",
-J. Math. Phys. 25 (1984), for the convex dual.
+is least: a strictly convex function whose gradient is ⟨Y_k⟩_p − m_k + ρ λ_k (1 + |λ|²/Λ²), so that Newton's method with
+halved steps always arrives. Coefficients that no positive function has (noise, errors of a network) have an answer too,
+since ρ > 0, and one that the quadrature resolves, since beyond Λ the price rises fast. The energy ∫ f is kept (to the
+error of the quadrature, 1e-6 but for needles), the other coefficients are met to the last term of the gradient times
+∫ f. Sources: Jaynes, "Information Theory and Statistical Mechanics", Phys. Rev. 106 (1957); Mead and Papanicolaou,
+"Maximum entropy in the problem of moments", J. Math. Phys. 25 (1984), for the convex dual.
 """
 
 import math
@@ -31,9 +31,11 @@ from prt_bake.compilation import compiled
 
 Array = NDArray[np.float64]
 
-RIDGE = 1e-3
-"""ρ of the module's text: multipliers of peaks stay below some hundreds, which the quadrature resolves."""
-_QUADRATURE = 8
+RIDGE = 3e-4
+"""ρ of the module's text."""
+LARGE = 6.0
+"""Λ of the module's text: multipliers of needles stay below some 40."""
+_QUADRATURE = 10
 _STEPS = 60
 _CLOSE = 1e-9
 """Newton's method ends where the gradient is this small."""
@@ -57,8 +59,8 @@ class PositiveTransport:
 def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
     """The positive functions of greatest entropy with `coefficients` [n,K,C], K = (degree + 1)².
 
-    Where a_00 is not above 0 no function is positive, and the even one of that energy is returned. It does not depend on the light, scales with the coefficients, and turns
-    with them.
+    Where a_00 is not above 0 no function is positive, and the even one of that energy is returned. None depends on the
+    light; they scale and turn with the coefficients.
     """
     numbers = np.asarray(coefficients, np.float64)
     degree = sh.degree_of(numbers.shape[1])
@@ -66,9 +68,14 @@ def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
     energy = math.sqrt(4.0 * math.pi) * rows[:, 0]
     lit = energy > 0.0
     means = np.divide(rows[:, 1:], energy[:, None], out=np.zeros_like(rows[:, 1:]), where=lit[:, None])
+    for l in range(1, degree + 1):
+        band = means[:, l * l - 1 : (l + 1) ** 2 - 1]
+        # No positive function has more of a degree than a needle has.
+        needle = math.sqrt((2 * l + 1) / (4.0 * math.pi))
+        band *= (needle / np.maximum(np.linalg.norm(band, axis=1), needle))[:, None]
     multipliers, logarithm = np.zeros(means.shape), np.full(len(rows), math.log(4.0 * math.pi))
     if degree > 0:
-        _fit(means, *_tables(degree), RIDGE, multipliers, logarithm)
+        _fit(means, *_tables(degree), (RIDGE, LARGE), multipliers, logarithm)
     shape = (len(numbers), numbers.shape[2])
     return PositiveTransport(energy.reshape(shape), logarithm.reshape(shape), multipliers.reshape(*shape, -1))
 
@@ -76,19 +83,19 @@ def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
 @cache
 def _tables(degree: int) -> tuple[Array, Array]:
     """Harmonics [K−1,D] from degree 1 on at the nodes of a quadrature, and its weights [D]."""
-    directions, weights = sh.quadrature(max(_QUADRATURE, 4 * degree))
+    directions, weights = sh.quadrature(max(_QUADRATURE, 5 * degree))
     return np.ascontiguousarray(sh.evaluate(directions, degree)[:, 1:].T), weights
 
 
 @compiled(parallel=True)
-def _fit(means: Any, harmonics: Any, weights: Any, ridge: Any, multipliers: Any, logarithm: Any) -> None:
+def _fit(means: Any, harmonics: Any, weights: Any, price: Any, multipliers: Any, logarithm: Any) -> None:
     unknowns, nodes = harmonics.shape
     for n in prange(means.shape[0]):
         density, gradient, hessian = np.empty(nodes), np.empty(unknowns), np.empty((unknowns, unknowns))
         found, trial = np.zeros(unknowns), np.empty(unknowns)
-        value = _dual(found, means[n], harmonics, weights, ridge, density)
+        value, logarithm[n] = _dual(found, means[n], harmonics, weights, price, density)
         for _ in range(_STEPS):
-            steepest = _derivatives(found, means[n], harmonics, ridge, density, gradient, hessian)
+            steepest = _derivatives(found, means[n], harmonics, price, density, gradient, hessian)
             if steepest < _CLOSE:
                 break
             slope = _solve(hessian, gradient)
@@ -96,27 +103,24 @@ def _fit(means: Any, harmonics: Any, weights: Any, ridge: Any, multipliers: Any,
             while step > 1e-6 and not better:
                 for k in range(unknowns):
                     trial[k] = found[k] - step * gradient[k]
-                reached = _dual(trial, means[n], harmonics, weights, ridge, density)
+                reached, total = _dual(trial, means[n], harmonics, weights, price, density)
                 better = reached <= value - 0.1 * step * slope
                 step *= 0.5
             if not better:
                 break
-            found[:], value = trial, reached
+            found[:], value, logarithm[n] = trial, reached, total
         multipliers[n] = found
-        linear = 0.0
-        for k in range(unknowns):
-            linear += found[k] * (0.5 * ridge * found[k] - means[n, k])
-        logarithm[n] = value - linear
 
 
 @compiled(fastmath=True)
-def _dual(found: Any, means: Any, harmonics: Any, weights: Any, ridge: Any, density: Any) -> Any:
-    """The function to be made least; sets `density` [D] to p times the weights."""
+def _dual(found: Any, means: Any, harmonics: Any, weights: Any, price: Any, density: Any) -> Any:
+    """The function to be made least, and the logarithm in it; sets `density` [D] to p times the weights."""
     unknowns, nodes = harmonics.shape
     density[:] = 0.0
-    linear = 0.0
+    linear, square = 0.0, 0.0
     for k in range(unknowns):
-        linear += found[k] * (0.5 * ridge * found[k] - means[k])
+        linear += found[k] * means[k]
+        square += found[k] * found[k]
         for d in range(nodes):
             density[d] += found[k] * harmonics[k, d]
     largest = density[0]
@@ -128,17 +132,21 @@ def _dual(found: Any, means: Any, harmonics: Any, weights: Any, ridge: Any, dens
         total += density[d]
     for d in range(nodes):
         density[d] /= total
-    return largest + math.log(total) + linear
+    ridge, large = price
+    logarithm = largest + math.log(total)
+    return logarithm - linear + 0.5 * ridge * square * (1.0 + 0.5 * square / (large * large)), logarithm
 
 
 @compiled(fastmath=True)
-def _derivatives(
-    found: Any, means: Any, harmonics: Any, ridge: Any, density: Any, gradient: Any, hessian: Any
-) -> Any:
+def _derivatives(found: Any, means: Any, harmonics: Any, price: Any, density: Any, gradient: Any, hessian: Any) -> Any:
     """Set the gradient and the Hessian; returns the gradient's largest entry."""
     unknowns, nodes = harmonics.shape
-    mean = np.empty(unknowns)
-    weighted = np.empty(nodes)
+    mean, weighted = np.empty(unknowns), np.empty(nodes)
+    ridge, large = price
+    bend = 2.0 * ridge / (large * large)
+    slope = ridge
+    for k in range(unknowns):
+        slope += 0.5 * bend * found[k] * found[k]
     steepest = 0.0
     for j in range(unknowns):
         total = 0.0
@@ -146,20 +154,20 @@ def _derivatives(
             weighted[d] = density[d] * harmonics[j, d]
             total += weighted[d]
         mean[j] = total
-        gradient[j] = total - means[j] + ridge * found[j]
+        gradient[j] = total - means[j] + slope * found[j]
         steepest = max(steepest, abs(gradient[j]))
         for k in range(j + 1):
             product = 0.0
             for d in range(nodes):
                 product += weighted[d] * harmonics[k, d]
-            hessian[j, k] = product - mean[j] * mean[k]
-        hessian[j, j] += ridge
+            hessian[j, k] = product - mean[j] * mean[k] + bend * found[j] * found[k]
+        hessian[j, j] += slope
     return steepest
 
 
 @compiled()
 def _solve(hessian: Any, gradient: Any) -> Any:
-    """Turn `gradient` into Newton's step by Cholesky's factors of the lower half of `hessian`; returns their product."""
+    """Turn `gradient` into Newton's step, by Cholesky's factors of `hessian`'s lower half; return their product."""
     unknowns = gradient.shape[0]
     slope = 0.0
     for j in range(unknowns):

@@ -139,8 +139,8 @@ def render_picture(
         raise QueryError(f"samples: {samples} where at least 1 a pixel side is expected")
     axis = up or asset.up
     lighting = as_lighting(light, axis, rotate)
-    light = suns_apart(lighting, asset.degree, suns) if asset.quantity == "transfer" else None
-    harmonics, whole, apart = (light.harmonics, light.whole, light.suns) if light else (None, None, ())
+    lit = suns_apart(lighting, asset.degree, suns) if asset.quantity == "transfer" else None
+    harmonics, whole, apart = (lit.harmonics, lit.whole, lit.suns) if lit else (None, None, ())
     pixels, hits = _cast(asset.mesh, camera, _grid_offsets(samples))
     corners = asset.mesh.faces[hits.faces]
     visible = np.zeros(len(asset.valid), np.bool_)
@@ -168,7 +168,7 @@ def render_picture(
         time.perf_counter() - begun,
         error.astype(np.float32),
         relative_error,
-        light.found if light else 0,
+        lit.found if lit else 0,
     )
 
 

@@ -55,8 +55,8 @@ def split_lighting(lighting: Lighting) -> Lighting:
 def split_suns(sky: Sky) -> SplitSky:
     """Take at most `MOST_SUNS` suns out of a sky.
 
-    A sun's direction is the mean of what it took, its angular diameter that of the even disc with the same spread. A sky
-    is read in blocks; a copy is made only where there is a sun. Pictures of texels wider than a sun have none.
+    A sun's direction is the mean of what it took, its angular diameter that of the even disc with the same spread. A
+    sky is read in blocks; a copy is made only where there is a sun. Pictures of texels wider than a sun have none.
     """
     grid = _grid_of(sky.image)
     energy = float((grid.grey * grid.solid_angle).sum())
@@ -117,7 +117,7 @@ def _overlaps(fine: Array, coarse: Array) -> Array:
     """The share [C,F] of each coarse interval that each fine one covers; both are given by their edges."""
     upper = np.minimum(fine[None, 1:], coarse[1:, None])
     lower = np.maximum(fine[None, :-1], coarse[:-1, None])
-    return np.maximum(upper - lower, 0.0) / np.diff(coarse)[:, None]
+    return np.asarray(np.maximum(upper - lower, 0.0) / np.diff(coarse)[:, None])
 
 
 def _cell_directions(

@@ -35,8 +35,8 @@ def shade(
     suns: Annotated[
         Literal["split", "window", "plain"],
         typer.Option(
-            help="How small strong lights are met: split from the sky and seen by a positive transport, their harmonics "
-            "damped (window), or like all light (plain), which rings."
+            help="How small strong lights are met: split from the sky, by a positive transport; window, with "
+            "harmonics damped; plain, like all light, which rings."
         ),
     ] = "split",
 ) -> None:

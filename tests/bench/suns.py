@@ -47,16 +47,13 @@ def parts(light: str) -> list[tuple[str, str, float]]:
         return [("sky", SKY, 1.0), *((name, source, IRRADIANCE) for name, source, _ in parts(light[4:]))]
     if light in SUNS:
         return [(light, f"sun:{SUNS[light]}:1,1,1:0.53", 1.0)]
-    return [(Path(light).stem.split("_")[0] if light != "sky" else "sky", SKY if light == "sky" else light, 1.0)]
+    return [("sky", SKY, 1.0)] if light == "sky" else [(Path(light).stem.split("_")[0], light, 1.0)]
 
 
 def lighting_of(light: str) -> Lighting:
     """All of a light together."""
-    scaled = []
-    for _, source, factor in parts(light):
-        value = f"{factor},{factor},{factor}"
-        scaled.append(source.replace(":1,1,1:", f":{value}:"))
-    return read_lighting(scaled)
+    lights = [source.replace(":1,1,1:", f":{factor},{factor},{factor}:") for _, source, factor in parts(light)]
+    return read_lighting(lights)
 
 
 def reference(folder: Path, scene_path: Path, light: str, spp: int) -> tuple[Array, Array]:
@@ -106,8 +103,8 @@ class Viewed:
         )
 
 
-def treatments(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Lighting) -> dict[str, tuple[Array, float]]:
-    """Radiance [n,3] at the vertices before the last clamp, and what was clamped before that, by treatment."""
+def treatments(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Lighting) -> dict[str, Array]:
+    """Radiance [n,3] at the vertices before the last clamp, by treatment."""
     split, degree, a = split_lighting(lighting), viewed.asset.degree, viewed.coefficients
 
     def lit(harmonics: Array) -> Array:
@@ -127,11 +124,9 @@ def treatments(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Lighting) ->
         begun = time.perf_counter()
         answers["entropy"] = lit(sky) + np.einsum("ncd,dc->nc", positive_transport(a).towards(directions), irradiance)
         print(f"    entropy: {1e3 * (time.perf_counter() - begun):.0f} ms for {len(a)} vertices")
-        for power in (2, 4):
-            answers[f"power {power}"] = lit(sky) + np.einsum("ncd,dc->nc", powers(a, directions, power), irradiance)
         exact = network.evaluate(directions, viewed.asset.mesh.positions[viewed.vertices], viewed.outgoing)
         answers["network"] = lit(sky) + np.einsum("ndc,dc->nc", exact.astype(np.float64), irradiance)
-    return {name: (answer, 0.0) for name, answer in answers.items()}
+    return answers
 
 
 def vertex_windowed(a: Array) -> Array:
@@ -154,25 +149,6 @@ def vertex_windowed(a: Array) -> Array:
     return spread_by(np.where(fine, 0.0, high))
 
 
-def powers(a: Array, directions: Array, power: int) -> Array:
-    rows = a.transpose(0, 2, 1).reshape(-1, a.shape[1])
-    nodes, weights = sh.quadrature(10)
-    y = sh.evaluate(nodes, 2)
-    c0 = np.maximum(rows[:, :1], 1e-9)
-    c = rows / c0
-    k = np.sqrt(4 * np.pi)
-    mu = np.zeros_like(c)
-    mu[:, 0] = (1 / k) ** (1 / power) * k
-    for _ in range(40):
-        s = np.maximum(mu @ y.T, 0)
-        g = (s**power * weights) @ y - c + 1e-3 * mu * np.r_[0, np.ones(8)]
-        h = np.einsum("nd,dk,dj->nkj", power * s ** (power - 1) * weights, y, y, optimize=True) + 1e-3 * np.eye(9)
-        step = np.linalg.solve(h, g[..., None])[..., 0]
-        mu -= step * np.minimum(1, 2 / np.maximum(np.linalg.norm(step, axis=1, keepdims=True), 1e-9))
-    f = c0 * np.maximum(mu @ sh.evaluate(directions, 2).T, 0) ** power
-    return f.reshape(len(a), a.shape[2], -1)
-
-
 def main() -> None:
     """Print a table for each light."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -192,11 +168,14 @@ def main() -> None:
         truth = truth * mask[..., None]
         exposure = -np.log2(np.quantile(truth[mask].max(axis=1), 0.95))
         print(f"{asked.scene.stem}, {light}")
-        for name, (radiance, _) in treatments(viewed, network, lighting_of(light)).items():
+        for name, radiance in treatments(viewed, network, lighting_of(light)).items():
             kept = np.maximum(radiance, 0.0)
             error = compare(viewed.picture(kept) * mask[..., None], truth, mask, exposure)
             clamped = (kept - radiance).sum() / kept.sum()
-            print(f"    {name:14} FLIP {error.flip:.4f}  MSE {error.mse:.5f} relative MSE {error.relative_mse:.4f}  clamped {clamped:7.2%}")
+            print(
+                f"    {name:14} FLIP {error.flip:.4f}  MSE {error.mse:.5f}  relative MSE {error.relative_mse:.4f}"
+                f"  clamped {clamped:.2%}"
+            )
 
 
 if __name__ == "__main__":
