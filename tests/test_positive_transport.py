@@ -60,7 +60,11 @@ def test_it_is_the_minimum_of_the_dual_by_another_minimiser() -> None:
         means = row[1:, 0] / (row[0, 0] * math.sqrt(4 * math.pi))
 
         def dual(x: np.ndarray, means: np.ndarray = means) -> float:
-            return float(np.log(weights @ np.exp(harmonics @ x)) - means @ x + 0.5 * RIDGE * x @ x * (1.0 + 0.5 * x @ x / LARGE**2))
+            return float(
+                np.log(weights @ np.exp(harmonics @ x))
+                - means @ x
+                + 0.5 * RIDGE * x @ x * (1.0 + 0.5 * x @ x / LARGE**2)
+            )
 
         found = positive_transport(row[None]).multipliers[0, 0]
         np.testing.assert_allclose(found, minimize(dual, np.zeros(8), tol=1e-12).x, atol=2e-4)

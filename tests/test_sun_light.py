@@ -74,7 +74,9 @@ def test_a_sun_in_a_sky_is_as_one_beside_it() -> None:
 def test_turning_everything_changes_nothing() -> None:
     asset, turn = lobed(), TURN
     sky = Sky(SUNNY, "y", np.eye(3))
-    still, turned = (suns_apart(Lighting((Sky(SUNNY, "y", t),), (sun(t @ sun().direction),)), 2) for t in (sky.turn, turn))
+    still, turned = (
+        suns_apart(Lighting((Sky(SUNNY, "y", t),), (sun(t @ sun().direction),)), 2) for t in (sky.turn, turn)
+    )
     assert turned.found == still.found == 3
     np.testing.assert_allclose(turned.harmonics, sh.rotation(turn, 2) @ still.harmonics, atol=1e-9)
     np.testing.assert_allclose(turned.whole, sh.rotation(turn, 2) @ still.whole, atol=1e-9)
@@ -102,7 +104,9 @@ def test_without_suns_nothing_changes() -> None:
     wide = Lighting((), (sun(diameter=WIDEST + 1.0),))
     assert suns_apart(wide, 2).suns == ()
     np.testing.assert_array_equal(suns_apart(wide, 2).harmonics, project_lighting(wide, 2))
-    np.testing.assert_array_equal(suns_apart(Lighting((), (sun(),)), 0).harmonics, project_lighting(Lighting((), (sun(),)), 0))
+    np.testing.assert_array_equal(
+        suns_apart(Lighting((), (sun(),)), 0).harmonics, project_lighting(Lighting((), (sun(),)), 0)
+    )
 
 
 def test_a_picture_says_how_many_suns_there_were_and_shows_the_same_sky() -> None:

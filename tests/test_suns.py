@@ -78,7 +78,9 @@ def test_the_sky_that_was_given_stays_as_it_was() -> None:
 
 def test_a_reduced_picture_has_the_same_suns() -> None:
     """2048 columns to 256: within a hundredth of their light, and a small part of the coarse pixel in place."""
-    fine = clouds(2048) + disc(2048, (0.3, 0.6, -0.5), 0.6, (1e5, 9e4, 7e4)) + disc(2048, (-1, 0.2, 0.1), 5, (250, 99, 9))
+    fine = (
+        clouds(2048) + disc(2048, (0.3, 0.6, -0.5), 0.6, (1e5, 9e4, 7e4)) + disc(2048, (-1, 0.2, 0.1), 5, (250, 99, 9))
+    )
     expected = split(fine).suns
     assert len(expected) == 2
     for factor in (2, 4, 8):
@@ -96,7 +98,7 @@ def test_a_sun_is_where_it_is_as_strong_and_as_wide() -> None:
         (sun,) = split(clouds(2048) + bright).suns
         assert angle(sun.direction, towards) < 0.02
         assert sun.angular_diameter == pytest.approx(degrees, rel=0.03)
-        np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=5e-3)
+        np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=1e-2)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
@@ -140,7 +142,10 @@ def test_seams_and_poles_are_no_obstacles(towards, degrees: float) -> None:
 def test_opposite_suns_are_two_and_near_ones_stay_apart() -> None:
     towards = np.array([0.48, 0.6, 0.64])
     found = split(clouds(512) + disc(512, towards, 2, [3e3] * 3) + disc(512, -towards, 2, [2e3] * 3)).suns
-    assert [angle(sun.direction, sign * towards) < 0.3 for sun, sign in zip(found, (1, -1), strict=True)] == [True, True]
+    assert [angle(sun.direction, sign * towards) < 0.3 for sun, sign in zip(found, (1, -1), strict=True)] == [
+        True,
+        True,
+    ]
     near = split(clouds(512) + disc(512, (1, 0, 0), 2, [3e3] * 3) + disc(512, (1, 0, 0.4), 2, [3e3] * 3)).suns
     assert len(near) == 2
 
