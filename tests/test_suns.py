@@ -7,6 +7,7 @@ import pytest
 
 from formats.lights import DirectionalLight
 from prt_bake import environment, sphere
+from prt_bake.bright_regions import small_regions
 from prt_bake.lighting import Lighting, Sky
 from prt_bake.suns import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
 
@@ -95,7 +96,11 @@ def test_a_sun_is_where_it_is_as_strong_and_as_wide() -> None:
     for degrees in (1.0, 5.0):
         towards = np.array([0.48, 0.6, 0.64])
         bright = disc(2048, towards, degrees, np.array([1000.0, 500.0, 250.0]) * (5.0 / degrees) ** 2)
-        (sun,) = split(clouds(2048) + bright).suns
+        found = split(clouds(2048) + bright)
+        (sun,) = found.suns
+        assert (
+            np.abs((found.rest.image - clouds(2048)).mean(axis=2)).max() < 0.2
+        )  # what surrounds it goes on where it was
         assert angle(sun.direction, towards) < 0.02
         assert sun.angular_diameter == pytest.approx(degrees, rel=0.03)
         np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=1e-2)
@@ -137,6 +142,14 @@ def test_seams_and_poles_are_no_obstacles(towards, degrees: float) -> None:
     (sun,) = split(clouds(1024) + bright).suns
     assert angle(sun.direction, towards / np.linalg.norm(towards)) < 0.1
     np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=2e-2)
+
+
+def test_cells_across_a_pole_touch() -> None:
+    values, solid_angle = np.zeros((64, 128)), np.full((64, 128), 1e-3)
+    values[-1, [0, 64]] = 5.0
+    (region,) = small_regions(values, solid_angle, np.tile([0.0, 0.0, -1.0], (64, 128, 1)), 0.1, 1e-3)
+    assert region.cells.tolist() == [63 * 128, 63 * 128 + 64] or len(region.cells) == 64 * 128
+    assert region.excess == pytest.approx(1e-2)
 
 
 def test_opposite_suns_are_two_and_near_ones_stay_apart() -> None:
