@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.errors import QueryError
 from prt_bake.camera import Camera, Visibility, rays, refuse_eye_in_object
-from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.picture_layers import layers_of
 from prt_bake.seen_points import PixelMeans, Seen, cast, grid_offsets, row_blocks
+from prt_bake.sun_light import SunTreatment, suns_apart
 from prt_bake.surface_gloss import SurfaceGloss, reflects
 from prt_bake.vertex_shading import Shading, corner_shares, light_of, radiance_error, shade, shade_vertices
 
@@ -37,7 +37,7 @@ class Picture:
     vertex; they are black. error: one sigma [H,W,3] of the object's part, by the asset's standard errors and by what
     two halves of the reflected rays differ; of what the model itself is off they know nothing. relative_error: its rms
     over that of the object's part. layers: what was asked for beside (`picture_layers`). reflects: whether the light
-    that the surface reflects is in it.
+    that the surface reflects is in it. suns: how many were taken out of the other light.
     """
 
     image: NDArray[np.float32]
@@ -50,6 +50,7 @@ class Picture:
     relative_error: float
     layers: dict[str, NDArray[np.float32]] = field(default_factory=dict)
     reflects: bool = False
+    suns: int = 0
 
 
 def render_picture(
@@ -64,6 +65,7 @@ def render_picture(
     reflection: bool = False,
     roughness: float | None = None,
     layers: tuple[str, ...] = (),
+    suns: SunTreatment = "split",
 ) -> Picture:
     """A picture of the asset under lights, or under one lat-long sky [H,W,3]: samples² rays a pixel, only vertices that
     are seen are shaded.
@@ -71,7 +73,8 @@ def render_picture(
     `up` overrides the asset's up axis, `rotate` turns the light (degrees, counter-clockwise seen from above). Without
     `background` there is nothing behind the object. With `reflection` the light that its surface reflects is added,
     unless its index is that of its surroundings; `roughness` is then its GGX alpha in place of the asset's. `layers`
-    names those of `picture_layers.LAYERS` that are wanted.
+    names those of `picture_layers.LAYERS` that are wanted. `suns` says how suns are met (`sun_light`); reflected, they
+    are always apart.
 
     Raises QueryError where nothing could be shown: no vertex is valid, the camera misses the object, or the eye is
     inside it; and for a reflection whose roughness nobody says.
@@ -81,21 +84,22 @@ def render_picture(
         raise QueryError(f"samples: {samples} where at least 1 a pixel side is expected")
     refuse_eye_in_object(asset.mesh, camera.eye)
     lighting = as_lighting(light, up or asset.up, rotate)
-    harmonics = project_lighting(lighting, asset.degree) if asset.quantity == "transfer" else None
+    lit = suns_apart(lighting, asset.degree, suns) if asset.quantity == "transfer" else None
+    harmonics, whole, apart = (lit.harmonics, lit.whole, lit.suns) if lit else (None, None, ())
     visibility = Visibility(asset.mesh)
     seen = cast(visibility, camera, grid_offsets(samples))
     corners = asset.mesh.faces[seen.faces]
     visible = np.zeros(len(asset.valid), np.bool_)
     visible[corners] = True
     towards_eye = camera.towards(asset.mesh.positions)
-    shading = shade_vertices(asset, harmonics, towards_eye, visible)
-    sigma = radiance_error(asset, harmonics, towards_eye, visible)
+    shading = shade_vertices(asset, harmonics, towards_eye, visible, apart)
+    sigma = radiance_error(asset, whole, towards_eye, visible)
     shares = corner_shares(asset, corners, seen.barycentric)
     sent, error = (np.einsum("nk,nkc->nc", shares, values[corners]) for values in (shading.radiance, sigma))
     reflecting = reflection and reflects(asset)
     gloss = differing = np.zeros((0, 3))
     if reflecting:
-        weights = light_of(asset, harmonics)
+        weights = light_of(asset, whole)
         surface = SurfaceGloss(asset, lighting, weights, visibility, samples**2, roughness)
         gloss, differing = _reflected(surface, seen, samples**2)
     pixels = PixelMeans(seen.pixels, camera, samples**2)
@@ -120,6 +124,7 @@ def render_picture(
         math.sqrt(float((errors**2).sum()) / signal) if signal > 0.0 else 0.0,
         wanted,
         reflecting,
+        lit.found if lit else 0,
     )
 
 

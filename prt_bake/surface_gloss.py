@@ -4,7 +4,7 @@ The microsurface is that of walks (`prt_bake.microfacet`). Each point sends a fe
 the points of a pixel different ones of one lattice, and a ray sees the sky averaged over the share of the lobe that it
 stands for (Křivánek and Colbert 2008, "Real-time shading with filtered importance sampling"). Where it meets the object
 again it sees the radiance that the asset sends along it: one bounce. What such a place reflects itself is left out.
-Directional lights are connected to, as `prt_bake.reflection` does it.
+Directional lights, and the suns of skies, are connected to, as `prt_bake.reflection` does it.
 """
 
 import math

@@ -1,5 +1,6 @@
 """Radiance that the vertices of a baked asset send towards an eye. Never loads torch."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +8,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
+from formats.lights import DirectionalLight
 from prt_bake import sh, sphere
 from prt_bake.camera import refuse_eye_in_object
 from prt_bake.reconstruction import reconstruct
+from prt_bake.sun_light import sun_radiance
 
 Array = NDArray[np.float64]
 
@@ -39,9 +42,15 @@ def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike) -> Array:
 
 
 def shade_vertices(
-    asset: Asset, light: ArrayLike | None, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
+    asset: Asset,
+    light: ArrayLike | None,
+    eye: ArrayLike,
+    visible: NDArray[np.bool_] | None = None,
+    suns: Sequence[DirectionalLight] = (),
 ) -> Shading:
-    """Like `shade`, for the `visible` vertices [V] alone where given, with the clamped share."""
+    """Like `shade`, for the `visible` vertices [V] alone where given, with the clamped share; `suns` shine besides the
+    light, without ringing (`sun_light`).
+    """
     if not asset.valid.any():
         raise QueryError(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
@@ -51,6 +60,8 @@ def shade_vertices(
     at = _between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))
     radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
+    if suns:
+        radiance[vertices] += sun_radiance(asset, suns, vertices, at)
     negative = -float(radiance[radiance < 0.0].sum())
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())

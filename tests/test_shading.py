@@ -265,7 +265,7 @@ def test_a_picture_shows_vertex_radiance_interpolated_over_faces(eye) -> None:
 def test_only_vertices_that_are_seen_are_shaded(monkeypatch) -> None:
     asked = []
 
-    def noting(asset, light, eye, visible=None):
+    def noting(asset, light, eye, visible=None, suns=()):
         asked.append(visible)
         return shade_vertices(asset, light, eye, visible)
 

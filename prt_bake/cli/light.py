@@ -9,6 +9,8 @@ import typer
 from prt_bake.cli.options import AsJson, Mend, Rotate, Up
 from prt_bake.cli.progress import say
 
+_ROWS_FOR_SUNS = 2048
+
 
 def light(
     environment: Annotated[Path, typer.Argument(metavar="ENVIRONMENT", help="Lat-long sky, .exr, .hdr or .png.")],
@@ -18,21 +20,37 @@ def light(
     mend: Mend = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the spherical harmonics b_lm of an environment.
+    """Print the spherical harmonics b_lm of an environment, and its suns.
 
     They are those of its radiance (linear Rec.709), in real orthonormal harmonics without Condon–Shortley phase, index
-    l(l+1)+m; nothing is pre-convolved.
+    l(l+1)+m; nothing is pre-convolved. Suns are small strong sources, part of those harmonics, which `prtbake shade`
+    splits from the sky.
     """
-    from prt_bake.environment import open_environment, project, rotate_light
+    from prt_bake.light_harmonics import project_lighting
+    from prt_bake.lighting import read_lighting
+    from prt_bake.suns import split_suns
 
     axis = up or "y"
-    sky = open_environment(environment, mend, say)
-    coefficients = rotate_light(project(sky, degree, axis), rotate, axis)
+    # Of a larger sky the suns are found in a smaller copy, made while its harmonics are summed.
+    lighting = read_lighting([environment], axis, rotate, mend=mend, say=say, most_rows=_ROWS_FOR_SUNS, degree=degree)
+    coefficients, split = project_lighting(lighting, degree), split_suns(lighting.skies[0])
     if as_json:
-        lighting = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist()}
-        print(json.dumps(lighting, indent=2))
+        suns = [
+            {
+                "direction": sun.direction.tolist(),
+                "irradiance": sun.irradiance.tolist(),
+                "angular_diameter": sun.angular_diameter,
+                "share": share,
+            }
+            for sun, share in zip(split.suns, split.shares, strict=True)
+        ]
+        told = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
+        print(json.dumps(told, indent=2))
         return
     print(f"{'l':>2} {'m':>3} {'R':>14} {'G':>14} {'B':>14}")
     bands = [(l, m) for l in range(degree + 1) for m in range(-l, l + 1)]
     for (l, m), (red, green, blue) in zip(bands, coefficients, strict=True):
         print(f"{l:>2} {m:>3} {red:>14.8g} {green:>14.8g} {blue:>14.8g}")
+    for sun, share in zip(split.suns, split.shares, strict=True):
+        towards, power = (",".join(f"{number:.6g}" for number in part) for part in (sun.direction, sun.irradiance))
+        print(f"sun:{towards}:{power}:{sun.angular_diameter:.4g}  {share:.1%} of the energy")

@@ -79,6 +79,13 @@ def shade(
     seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="That one turn of it takes.")] = 3.0,
     samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
     mend: Mend = False,
+    suns: Annotated[
+        Literal["split", "window", "plain"],
+        typer.Option(
+            help="How small strong lights are met: split from the sky, by a positive transport; window, with "
+            "harmonics damped; plain, like all light, which rings."
+        ),
+    ] = "split",
 ) -> None:
     """Relight a baked asset and write the picture.
 
@@ -106,6 +113,7 @@ def shade(
         "reflection": reflection,
         "roughness": roughness,
         "layers": _names(layers, error_picture is not None),
+        "suns": suns,
     }
     if turntable is None:
         picture = _write(output, baked, lighting, view, options, exposure)
@@ -120,8 +128,15 @@ def shade(
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
         f"{abs(picture.clamped):.3%} of the energy, error of the projection {picture.relative_error:.2%} of "
-        f"the object's radiance"
+        f"the object's radiance" + _suns_met(picture.suns, suns)
     )
+
+
+def _suns_met(count: int, treatment: str) -> str:
+    if not count:
+        return ""
+    deed = "split from the other light" if treatment == "split" else "damped by a window"
+    return f", {count} {'sun' if count == 1 else 'suns'} {deed}"
 
 
 def _write(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:

@@ -1,0 +1,182 @@
+"""How suns are best given to an asset: pictures by several treatments against the path tracer.
+
+    python tests/bench/suns.py REFERENCES SCENE.toml MODEL.pt ASSET.h5 [--lights behind front ...] [--spp 512]
+
+For each light a path-traced picture of the scene, 96x96, `REFERENCES/scene.light.exr`, is read, or rendered where it is
+not there; those of `sky` and of one sun added give `sky+sun` of a sun of 1e5 over 0.53 degrees. Against it, over the
+object, after an exposure at which its brightest twentieth is just white: FLIP, relative MSE, and the share of energy
+that was clamped. Rows: `plain` (all light in the asset's coefficients), `clamp` (the sun's part and the sky's each cut
+at 0), `window` (the sun's coefficients damped until they are nowhere negative), `window all` (those of all light),
+`vertex window` (each vertex's transport damped so), `entropy` (the positive transport of greatest entropy), and
+`network`, the network itself asked in the sun's direction at the vertices: what is left there no treatment can mend.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import prt_bake as prt
+from formats.asset import Asset
+from formats.image import read_layers
+from prt_bake import camera, sh, shading
+from prt_bake.comparison import compare
+from prt_bake.demonstration import SHIPPED
+from prt_bake.deringing import windowed
+from prt_bake.directions import fibonacci
+from prt_bake.light_harmonics import project_lighting
+from prt_bake.lighting import Lighting, read_lighting
+from prt_bake.positive_transport import positive_transport
+from prt_bake.sun_light import gathered
+from prt_bake.suns import split_lighting
+
+Array = NDArray[np.float64]
+
+SIZE = 96
+SUNS = {"behind": "-0.2,0.35,1", "front": "0.5,0.8,-1", "side": "1,0.3,0.1", "zenith": "0,1,0"}
+SKY = str(SHIPPED / "sky.hdr")
+IRRADIANCE = 1e5 * np.pi * np.radians(0.265) ** 2
+SAMPLES = 3
+
+
+def parts(light: str) -> list[tuple[str, str, float]]:
+    """References that sum to a light: name, what `--light` takes, factor."""
+    if light.startswith("sky+"):
+        return [("sky", SKY, 1.0), *((name, source, IRRADIANCE) for name, source, _ in parts(light[4:]))]
+    if light in SUNS:
+        return [(light, f"sun:{SUNS[light]}:1,1,1:0.53", 1.0)]
+    return [("sky", SKY, 1.0)] if light == "sky" else [(Path(light).stem.split("_")[0], light, 1.0)]
+
+
+def lighting_of(light: str) -> Lighting:
+    """All of a light together."""
+    lights = [source.replace(":1,1,1:", f":{factor},{factor},{factor}:") for _, source, factor in parts(light)]
+    return read_lighting(lights)
+
+
+def reference(folder: Path, scene_path: Path, light: str, spp: int) -> tuple[Array, Array]:
+    """The path-traced picture [H,W,3] and the object's coverage [H,W]."""
+    picture = np.zeros((SIZE, SIZE, 3))
+    scene = prt.load_scene(scene_path)
+    view = camera.fit(scene.mesh, SIZE, SIZE)
+    for name, source, factor in parts(light):
+        path = folder / f"{scene_path.stem}.{name}.exr"
+        if not path.exists():
+            made = prt.render_scene(scene, read_lighting([source]), view, spp, shown="scattered", background=False)
+            prt.write_image(path, made.image, layers={"coverage": made.coverage})
+        layers = read_layers(path)
+        coverage = layers.layers["coverage"].reshape(SIZE, SIZE)
+        picture += factor * layers.image
+    return picture, coverage
+
+
+class Viewed:
+    """An asset seen from one eye: the corners that every sample falls on, and its coefficients there."""
+
+    def __init__(self, asset: Asset) -> None:
+        self.asset, self.view = asset, camera.fit(asset.mesh, SIZE, SIZE)
+        steps = (np.arange(SAMPLES) + 0.5) / SAMPLES
+        offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        rays = camera.directions(self.view, slice(0, SIZE), offsets).reshape(-1, 3)
+        hits = camera.Visibility(asset.mesh).first_hits(self.view.eye, rays)
+        met = np.flatnonzero(hits.faces >= 0)
+        self._pixels = met // SAMPLES**2
+        corners, flat = asset.mesh.faces[hits.faces[met]], hits.barycentric[met]
+        self._shares = np.concatenate([1.0 - flat.sum(axis=1, keepdims=True), flat], axis=1)
+        self.vertices, places = np.unique(corners, return_inverse=True)
+        self._corners = places.reshape(-1, 3)
+        at = shading._between_bins(asset, self.view.eye, self.vertices)
+        self.coefficients = gathered(asset, self.vertices, at)
+        towards = self.view.eye - asset.mesh.positions[self.vertices]
+        self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+
+    def picture(self, radiance: Array) -> Array:
+        """[H,W,3] of radiance [n,3] at the vertices seen."""
+        seen = np.einsum("sk,skc->sc", self._shares, radiance[self._corners])
+        return (
+            np.stack([np.bincount(self._pixels, channel, SIZE * SIZE) for channel in seen.T], axis=1).reshape(
+                SIZE, SIZE, 3
+            )
+            / SAMPLES**2
+        )
+
+
+def treatments(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Lighting) -> dict[str, Array]:
+    """Radiance [n,3] at the vertices before the last clamp, by treatment."""
+    split, degree, a = split_lighting(lighting), viewed.asset.degree, viewed.coefficients
+
+    def lit(harmonics: Array) -> Array:
+        return np.asarray(np.einsum("nkc,kc->nc", np.broadcast_to(a, (*a.shape[:2], 3)), harmonics))
+
+    whole = project_lighting(lighting, degree)
+    sky = project_lighting(Lighting(split.skies, ()), degree) if split.skies else np.zeros_like(whole)
+    suns = [project_lighting(Lighting((), (sun,)), degree) for sun in split.suns]
+    answers = {"plain": lit(whole), "window all": lit(windowed(whole))}
+    if suns:
+        answers["clamp"] = np.maximum(lit(sky), 0.0) + sum(np.maximum(lit(sun), 0.0) for sun in suns)
+        answers["window"] = lit(sky + sum(windowed(sun) for sun in suns))
+        damped = vertex_windowed(a)
+        answers["vertex window"] = lit(sky) + sum(np.einsum("nkc,kc->nc", damped, sun) for sun in suns)
+        directions = np.array([sun.direction for sun in split.suns])
+        irradiance = np.array([sun.irradiance for sun in split.suns])
+        begun = time.perf_counter()
+        answers["entropy"] = lit(sky) + np.einsum("ncd,dc->nc", positive_transport(a).towards(directions), irradiance)
+        print(f"    entropy: {1e3 * (time.perf_counter() - begun):.0f} ms for {len(a)} vertices")
+        exact = network.evaluate(directions, viewed.asset.mesh.positions[viewed.vertices], viewed.outgoing)
+        answers["network"] = lit(sky) + np.einsum("ndc,dc->nc", exact.astype(np.float64), irradiance)
+    return answers
+
+
+def vertex_windowed(a: Array) -> Array:
+    """Coefficients [n,K,C] damped, each on its own, until they are nowhere negative on a lattice."""
+    l = np.sqrt(np.arange(a.shape[1])).astype(int)
+    harmonics = sh.evaluate(fibonacci(400), sh.degree_of(a.shape[1]))
+
+    def spread_by(t: Array) -> Array:
+        return np.asarray(a * np.exp(-t[:, None] * (l * (l + 1))[:, None]))
+
+    def positive(t: Array) -> NDArray[np.bool_]:
+        return np.asarray((np.einsum("dk,nkc->ndc", harmonics, spread_by(t)) >= 0.0).all(axis=1))
+
+    low, high = np.zeros((len(a), a.shape[2])), np.full((len(a), a.shape[2]), 4.0)
+    fine = positive(low)
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        there = positive(middle)
+        low, high = np.where(there, low, middle), np.where(there, middle, high)
+    return spread_by(np.where(fine, 0.0, high))
+
+
+def main() -> None:
+    """Print a table for each light."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("references", type=Path)
+    parser.add_argument("scene", type=Path, nargs="?", default=SHIPPED / "spot.toml")
+    parser.add_argument("model", type=Path, nargs="?", default=SHIPPED / "spot.pt")
+    parser.add_argument("asset", type=Path, nargs="?", default="spot.h5")
+    parser.add_argument("--lights", nargs="+", default=["behind", "front", "side", "sky+behind", "sky+side"])
+    parser.add_argument("--spp", type=int, default=512)
+    asked = parser.parse_args()
+    network = prt.load_model(asked.model)
+    viewed = Viewed(prt.read_asset(asked.asset))
+    network = network.on(viewed.asset.mesh)
+    for light in asked.lights:
+        truth, coverage = reference(asked.references, asked.scene, light, asked.spp)
+        mask = coverage > 0.5
+        truth = truth * mask[..., None]
+        exposure = -np.log2(np.quantile(truth[mask].max(axis=1), 0.95))
+        print(f"{asked.scene.stem}, {light}")
+        for name, radiance in treatments(viewed, network, lighting_of(light)).items():
+            kept = np.maximum(radiance, 0.0)
+            error = compare(viewed.picture(kept) * mask[..., None], truth, mask, exposure)
+            clamped = (kept - radiance).sum() / kept.sum()
+            print(
+                f"    {name:14} FLIP {error.flip:.4f}  MSE {error.mse:.5f}  relative MSE {error.relative_mse:.4f}"
+                f"  clamped {clamped:.2%}"
+            )
+
+
+if __name__ == "__main__":
+    main()
