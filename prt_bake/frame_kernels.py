@@ -169,7 +169,7 @@ def fold_rows(rows: Any, size: Any, light: Any, grid: Any, valid: Any, pairs: An
             for j in range(rings * sectors):
                 row = v * rings * sectors + j
                 red, green, blue = _lit(rows, size, row, row, row, row, whole, light)
-                _keep_pair(pairs, row, j, rings, sectors, red, green, blue)
+                _keep_pair(pairs, row, j, sectors, red, green, blue)
 
 
 @compiled(parallel=True, **FAST)
@@ -179,18 +179,15 @@ def pair_up(radiance: Any, grid: Any, vertices: Any, pairs: Any) -> None:
     for n in prange(vertices.shape[0]):
         for j in range(rings * sectors):
             row = vertices[n] * rings * sectors + j
-            _keep_pair(pairs, row, j, rings, sectors, radiance[n, j, 0], radiance[n, j, 1], radiance[n, j, 2])
+            _keep_pair(pairs, row, j, sectors, radiance[n, j, 0], radiance[n, j, 1], radiance[n, j, 2])
 
 
 @part
-def _keep_pair(pairs: Any, row: Any, j: Any, rings: Any, sectors: Any, red: Any, green: Any, blue: Any) -> None:
+def _keep_pair(pairs: Any, row: Any, j: Any, sectors: Any, red: Any, green: Any, blue: Any) -> None:
     place = row * _FOLDED
     pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
     if j >= sectors:
         place = (row - sectors) * _FOLDED + 3
-        pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
-    if j >= (rings - 1) * sectors:
-        place = row * _FOLDED + 3
         pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
 
 
