@@ -15,7 +15,7 @@ from numba import prange
 
 from prt_bake.compilation import compiled
 from prt_bake.frame_batches import FAST, between, next_batch, part, towards
-from prt_bake.vectors import fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
+from prt_bake.vectors import blend, fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
 
 _AHEAD = 16
 _FOLDED = 6
@@ -130,9 +130,7 @@ def _show_folded(
         v = batch[n]
         a, b = (v * per_vertex + bins[0, n]) * _FOLDED, (v * per_vertex + bins[1, n]) * _FOLDED
         of_a, of_b, of_c, of_d = weights[0, n], weights[1, n], weights[2, n], weights[3, n]
-        red = of_a * pairs[a] + of_b * pairs[b] + of_c * pairs[a + 3] + of_d * pairs[b + 3]
-        green = of_a * pairs[a + 1] + of_b * pairs[b + 1] + of_c * pairs[a + 4] + of_d * pairs[b + 4]
-        blue = of_a * pairs[a + 2] + of_b * pairs[b + 2] + of_c * pairs[a + 5] + of_d * pairs[b + 5]
+        red, green, blue = blend(pairs, a, b, a + 3, b + 3, of_a, of_b, of_c, of_d)
         of_pole = weights[4, n]
         if of_pole > 0.0:
             red += of_pole * poles[v, 0]

@@ -94,6 +94,22 @@ lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (1
 
 
 @_intrinsic
+def blend(
+    context: Any, numbers: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any
+) -> Any:
+    """(red, green, blue): Σ weight · the three numbers from a, b, c and d on; a fourth is read and not used."""
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        places = [_element(target, builder, signature, arguments, 0, start) for start in arguments[1:5]]
+        weights = [_all_alike(builder, weight, 4) for weight in arguments[5:9]]
+        colour = _weighted(builder, numbers.dtype, places, weights)
+        channels = [builder.extract_element(colour, _INT(channel)) for channel in range(3)]
+        return target.make_tuple(builder, signature.return_type, channels)
+
+    return _several(types.float32, 3)(numbers, *[types.intp] * 4, *[types.float32] * 4), generate
+
+
+@_intrinsic
 def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights: Any, light: Any) -> Any:
     """(red, green, blue) of Σ weights[r] · row of `count` rows, a multiple of 4, of `size` numbers, at least 16, one
     after the other from rows[start].
