@@ -14,12 +14,14 @@ import numpy as np
 from numba import prange
 
 from prt_bake.compilation import compiled
-from prt_bake.frame_batches import FAST, between, next_batch, part, towards
+from prt_bake.frame_batches import FAST, SPAN, between, next_batch, part, towards
 from prt_bake.vectors import blend, fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
 
 _AHEAD = 16
 _FOLDED = 6
+"""Numbers of a bin of a folded light: its colour, and that of the bin below it."""
 _LINE = 64
+"""Bytes."""
 
 
 @part
@@ -103,7 +105,7 @@ def draw_rows(
     """
     threads, per_vertex, lanes = sums.shape[0], grid[0] * grid[1], scene[1].shape[0]
     for t in prange(threads):
-        lane = 64 * t
+        lane = SPAN * t
         while lane < lanes:
             count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
@@ -150,7 +152,7 @@ def draw_folded(stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: 
     """
     threads, per_vertex, lanes = sums.shape[0], grid[0] * grid[1], scene[1].shape[0]
     for t in prange(threads):
-        lane = 64 * t
+        lane = SPAN * t
         while lane < lanes:
             count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
@@ -217,7 +219,7 @@ def draw_compact(
     laid, plain = lights
     threads, lanes, most = sums.shape[0], scene[1].shape[0], dense.shape[1] // size
     for t in prange(threads):
-        lane = 64 * t
+        lane = SPAN * t
         while lane < lanes:
             count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights, view = desks[0][t], desks[2][t], desks[3][t], views[t]
