@@ -15,7 +15,7 @@ LANE = 8
 """Vertices whose marks are looked at together, as one whole number of 64 bits."""
 GEOMETRY = 10
 """Numbers kept of a vertex: position, normal, tangent, and the cosine below which every face turns away."""
-_SPAN = 64
+SPAN = 64
 """Lanes that a thread takes before the next one's turn: what is seen of an object is shared out evenly."""
 _EIGHTH = math.tan(math.pi / 8.0)
 # No number here is infinite or NaN: what comes in has been looked at.
@@ -76,8 +76,8 @@ def next_batch(lane: Any, threads: Any, scene: Any, radiance: Any, batch: Any) -
                     for c in range(3):
                         radiance[v, c] = 0.0
         lane += 1
-        if lane % _SPAN == 0:
-            lane += _SPAN * (threads - 1)
+        if lane % SPAN == 0:
+            lane += SPAN * (threads - 1)
     return count, lane
 
 

@@ -14,12 +14,14 @@ import numpy as np
 from numba import prange
 
 from prt_bake.compilation import compiled
-from prt_bake.frame_batches import FAST, between, next_batch, part, towards
-from prt_bake.vectors import fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
+from prt_bake.frame_batches import FAST, SPAN, between, next_batch, part, towards
+from prt_bake.vectors import blend, fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
 
 _AHEAD = 16
 _FOLDED = 6
+"""Numbers of a bin of a folded light: its colour, and that of the bin below it."""
 _LINE = 64
+"""Bytes."""
 
 
 @part
@@ -103,7 +105,7 @@ def draw_rows(
     """
     threads, per_vertex, lanes = sums.shape[0], grid[0] * grid[1], scene[1].shape[0]
     for t in prange(threads):
-        lane = 64 * t
+        lane = SPAN * t
         while lane < lanes:
             count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
@@ -130,9 +132,7 @@ def _show_folded(
         v = batch[n]
         a, b = (v * per_vertex + bins[0, n]) * _FOLDED, (v * per_vertex + bins[1, n]) * _FOLDED
         of_a, of_b, of_c, of_d = weights[0, n], weights[1, n], weights[2, n], weights[3, n]
-        red = of_a * pairs[a] + of_b * pairs[b] + of_c * pairs[a + 3] + of_d * pairs[b + 3]
-        green = of_a * pairs[a + 1] + of_b * pairs[b + 1] + of_c * pairs[a + 4] + of_d * pairs[b + 4]
-        blue = of_a * pairs[a + 2] + of_b * pairs[b + 2] + of_c * pairs[a + 5] + of_d * pairs[b + 5]
+        red, green, blue = blend(pairs, a, b, a + 3, b + 3, of_a, of_b, of_c, of_d)
         of_pole = weights[4, n]
         if of_pole > 0.0:
             red += of_pole * poles[v, 0]
@@ -152,7 +152,7 @@ def draw_folded(stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: 
     """
     threads, per_vertex, lanes = sums.shape[0], grid[0] * grid[1], scene[1].shape[0]
     for t in prange(threads):
-        lane = 64 * t
+        lane = SPAN * t
         while lane < lanes:
             count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
@@ -169,7 +169,7 @@ def fold_rows(rows: Any, size: Any, light: Any, grid: Any, valid: Any, pairs: An
             for j in range(rings * sectors):
                 row = v * rings * sectors + j
                 red, green, blue = _lit(rows, size, row, row, row, row, whole, light)
-                _keep_pair(pairs, row, j, rings, sectors, red, green, blue)
+                _keep_pair(pairs, row, j, sectors, red, green, blue)
 
 
 @compiled(parallel=True, **FAST)
@@ -179,18 +179,15 @@ def pair_up(radiance: Any, grid: Any, vertices: Any, pairs: Any) -> None:
     for n in prange(vertices.shape[0]):
         for j in range(rings * sectors):
             row = vertices[n] * rings * sectors + j
-            _keep_pair(pairs, row, j, rings, sectors, radiance[n, j, 0], radiance[n, j, 1], radiance[n, j, 2])
+            _keep_pair(pairs, row, j, sectors, radiance[n, j, 0], radiance[n, j, 1], radiance[n, j, 2])
 
 
 @part
-def _keep_pair(pairs: Any, row: Any, j: Any, rings: Any, sectors: Any, red: Any, green: Any, blue: Any) -> None:
+def _keep_pair(pairs: Any, row: Any, j: Any, sectors: Any, red: Any, green: Any, blue: Any) -> None:
     place = row * _FOLDED
     pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
     if j >= sectors:
         place = (row - sectors) * _FOLDED + 3
-        pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
-    if j >= (rings - 1) * sectors:
-        place = row * _FOLDED + 3
         pairs[place], pairs[place + 1], pairs[place + 2] = red, green, blue
 
 
@@ -222,7 +219,7 @@ def draw_compact(
     laid, plain = lights
     threads, lanes, most = sums.shape[0], scene[1].shape[0], dense.shape[1] // size
     for t in prange(threads):
-        lane = 64 * t
+        lane = SPAN * t
         while lane < lanes:
             count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights, view = desks[0][t], desks[2][t], desks[3][t], views[t]

@@ -18,8 +18,8 @@ from prt_bake.vectors import laid_out
 from prt_bake.vertex_shading import light_of
 
 _FARTHEST = 1e100
-_VERTICES_A_THREAD = 1 << 10
-"""So many are worth waking a thread for, which takes some ten microseconds, and more on a busy machine."""
+_VERTICES_A_THREAD = 1 << 12
+"""So many are worth waking a thread for: on a busy machine waiting for one more costs milliseconds."""
 _NUMBERS_AT_ONCE = 1 << 24
 _NEVER, _ALWAYS = -2.0, 2.0
 
@@ -102,7 +102,8 @@ class Frames:
             return
         vertices, bins = len(self._valid), math.prod(self._grid)
         if self._pairs is None:
-            self._pairs = np.zeros(vertices * bins * 6, np.float32)
+            # Colours are read four numbers at a time.
+            self._pairs = np.zeros(vertices * bins * 6 + 1, np.float32)
         compact = self._asset.coefficients
         if isinstance(compact, CompactCoefficients):
             for some, radiance in frame_codes.under_light(compact, self._plain.astype(np.float64)):
@@ -110,7 +111,7 @@ class Frames:
         else:
             size = self._terms * self._channels
             frame_kernels.fold_rows(self._stored[0], size, self._laid, self._grid, self._valid, self._pairs)
-        ring_0 = self._pairs.reshape(vertices, bins, 6)[:, : self._grid[1], :3]
+        ring_0 = self._pairs[:-1].reshape(vertices, bins, 6)[:, : self._grid[1], :3]
         self._folded = self._pairs, ring_0.mean(axis=1, dtype=np.float64).astype(np.float32)
 
     def draw(

@@ -7,6 +7,7 @@ them, what is missing is a factor of 2^112, subnormal halves included. A table o
 
 import platform
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -43,13 +44,21 @@ def laid_out(light: NDArray[np.floating]) -> NDArray[np.float32]:
 
     The last run of a row ends with the row, and what the one before it has read too counts 0.
     """
-    size = len(light)
+    numbers = np.zeros(light.size + 1, np.float32)
+    numbers[:-1] = light.reshape(-1)
+    return numbers[_layout(len(light))]
+
+
+@cache
+def _layout(size: int) -> NDArray[np.int64]:
+    """Where each number of `laid_out` stands in the light; the last place is for 0."""
     width = width_for(size)
-    runs = np.zeros((-(-size // width), 3, width), np.float32)
+    runs = np.full((-(-size // width), 3, width), 3 * size)
     for run in range(len(runs)):
         first = min(run * width, size - width)
         new = run * width - first
-        runs[run, :, new:] = light[first + new : first + width].T
+        for channel in range(3):
+            runs[run, channel, new:] = 3 * np.arange(first + new, first + width) + channel
     return runs
 
 
@@ -91,6 +100,22 @@ def _lit_rows(width: int) -> Any:
 
 
 lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (16, 4, 1))
+
+
+@_intrinsic
+def blend(
+    context: Any, numbers: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any
+) -> Any:
+    """(red, green, blue): Σ weight · the three numbers from a, b, c and d on; a fourth is read and not used."""
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        places = [_element(target, builder, signature, arguments, 0, start) for start in arguments[1:5]]
+        weights = [_all_alike(builder, weight, 4) for weight in arguments[5:9]]
+        colour = _weighted(builder, numbers.dtype, places, weights)
+        channels = [builder.extract_element(colour, _INT(channel)) for channel in range(3)]
+        return target.make_tuple(builder, signature.return_type, channels)
+
+    return _several(types.float32, 3)(numbers, *[types.intp] * 4, *[types.float32] * 4), generate
 
 
 @_intrinsic
