@@ -24,6 +24,7 @@ from prt_bake.prefiltered_sky import prefilter
 from prt_bake.reflecting_surface import SMOOTHEST, Points, ReflectingSurface
 from prt_bake.reflection import Reflector
 from prt_bake.sphere import to_world
+from prt_bake.suns import split_lighting
 from prt_bake.surface_finish import interface_normals
 from prt_bake.vertex_shading import surface_radiance
 
@@ -70,11 +71,10 @@ class SurfaceGloss:
         self._rays = 1 if self._mirror else max(2, math.ceil(RAYS_A_PIXEL / points))
         self._points = points
         self._lighting = lighting
-        self._skies = (
-            [] if self._mirror else [prefilter(sky, self._finest()) for sky in lighting.skies if sky.image.any()]
-        )
-        # A mirror sees discs where it looks.
-        suns = () if self._mirror else lighting.suns
+        # A mirror sees skies and discs where it looks.
+        apart = lighting if self._mirror else split_lighting(lighting)
+        skies, suns = ((), ()) if self._mirror else (apart.skies, apart.suns)
+        self._skies = [prefilter(sky, self._finest()) for sky in skies if sky.image.any()]
         self._suns = Reflector(asset.mesh, Lighting((), suns), asset.eta, visibility) if suns else None
         self._discs = any(sun.angular_diameter > 0.0 for sun in suns)
 
@@ -100,8 +100,9 @@ class SurfaceGloss:
             halves[1] = halves[0]
         else:
             halves /= np.array([(self._rays + 1) // 2, self._rays // 2])[:, None, None]
-        total = halves.mean(axis=0) + self._of_suns(faces, barycentric, normals, outgoing, alpha, keys)
-        return total, _OF_HALVES * (halves[0] - halves[1])
+        of_suns = self._of_suns(faces, barycentric, normals, outgoing, alpha, keys)
+        differing = _OF_HALVES * (halves[0] - halves[1]) + 0.5 * (of_suns[0] - of_suns[1])
+        return halves.mean(axis=0) + of_suns.mean(axis=0), differing
 
     def _finest(self) -> float:
         """The least solid angle that a ray stands for: of the facet's own normal, seen from straight above."""
@@ -151,15 +152,19 @@ class SurfaceGloss:
         alpha: Array,
         keys: NDArray[np.int64],
     ) -> Array:
-        total = np.zeros((len(faces), 3))
+        """Two independent estimates [2,N,3], equal where suns have no size."""
+        halves = np.zeros((2, len(faces), 3))
         if self._suns is None:
-            return total
-        rounds = self._rays if self._discs else 1
+            return halves
+        rounds = 2 * math.ceil(self._rays / 2) if self._discs else 1
         for number in range(rounds):
-            total += self._suns.reflected(
+            halves[number % 2] += self._suns.reflected(
                 faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), _SUN_SEED + number
             )
-        return total / rounds
+        if rounds == 1:
+            halves[1] = halves[0]
+            return halves
+        return 2.0 / rounds * halves
 
 
 def reflects(asset: Asset) -> bool:

@@ -81,11 +81,19 @@ def test_in_a_white_furnace_the_bounce_hides_where_the_object_is(roughness: floa
     np.testing.assert_allclose(whole, pixels(alone), rtol=1e-5, atol=1e-9)
 
 
+def with_sun(sky: Sky) -> Sky:
+    """The sky with a sun of 1e5 in one pixel of a finer picture."""
+    image = np.repeat(np.repeat(sky.image, 16, axis=0), 16, axis=1)
+    image[90, 300] = 1e5
+    return dataclasses.replace(sky, image=image)
+
+
+@pytest.mark.parametrize("sky", [blotchy(), with_sun(blotchy())], ids=["blotchy", "sun"])
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
-def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float) -> None:
+def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float, sky: Sky) -> None:
     """Without a bounce, as the path tracer's pictures have it."""
     mesh = lumpy(2)
-    asset, lighting = glossy(mesh, roughness), Lighting((blotchy(),))
+    asset, lighting = glossy(mesh, roughness), Lighting((sky,))
     faces, barycentric, outgoing, keys = places(mesh, 300)
     seen = Visibility(mesh)
     ours, differing = SurfaceGloss(asset, lighting, DARK, seen, POINTS).radiance(faces, barycentric, outgoing, keys)
