@@ -25,7 +25,7 @@ __all__ = ["Picture", "Shading", "radiance_error", "render_picture", "shade", "s
 
 Array = NDArray[np.float64]
 
-_POINTS_AT_ONCE = 1 << 16
+_POINTS_AT_ONCE = 1 << 14
 """Of the surface, whose reflection is found together."""
 
 

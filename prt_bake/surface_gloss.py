@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
+from formats.lights import DirectionalLight
 from prt_bake import prefiltered_sky
 from prt_bake.camera import Visibility
 from prt_bake.lighting import Lighting
@@ -30,13 +31,15 @@ from prt_bake.vertex_shading import surface_radiance
 
 Array = NDArray[np.float64]
 
-RAYS_A_PIXEL = 64
+RAYS_A_PIXEL = 32
 """Of a rough surface, over all points of a pixel."""
 _FILTER = 1.5
 """Solid angle that a ray stands for, over its share of the lobe."""
 _OF_HALVES = 0.25
 """What a lattice is off, over the difference of its halves: they are off by more than twice as much as the whole."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_SMALL_DISC = 0.1
+"""Radius of a disc over the width of the lobe, alpha."""
 _SUN_SEED = 0x5B
 _IN_MEMORY = 2 << 30
 
@@ -73,7 +76,7 @@ class SurfaceGloss:
         self._lighting = lighting
         # A mirror sees skies and discs where it looks.
         apart = lighting if self._mirror else split_lighting(lighting)
-        skies, suns = ((), ()) if self._mirror else (apart.skies, apart.suns)
+        skies, suns = ((), ()) if self._mirror else (apart.skies, _as_points(apart.suns, self._finish.alpha))
         self._skies = [prefilter(sky, self._finest()) for sky in skies if sky.image.any()]
         self._suns = Reflector(asset.mesh, Lighting((), suns), asset.eta, visibility) if suns else None
         self._discs = any(sun.angular_diameter > 0.0 for sun in suns)
@@ -156,7 +159,7 @@ class SurfaceGloss:
         halves = np.zeros((2, len(faces), 3))
         if self._suns is None:
             return halves
-        rounds = 2 * math.ceil(self._rays / 2) if self._discs else 1
+        rounds = 2 * math.ceil(self._rays / 4) if self._discs else 1
         for number in range(rounds):
             halves[number % 2] += self._suns.reflected(
                 faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), _SUN_SEED + number
@@ -165,6 +168,12 @@ class SurfaceGloss:
             halves[1] = halves[0]
             return halves
         return 2.0 / rounds * halves
+
+
+def _as_points(suns: tuple[DirectionalLight, ...], alpha: float) -> tuple[DirectionalLight, ...]:
+    """Suns, those without a size whose discs are small beside the lobe: they are then exact to second order of that."""
+    most = math.degrees(2.0 * _SMALL_DISC * alpha)
+    return tuple(replace(sun, angular_diameter=0.0) if sun.angular_diameter <= most else sun for sun in suns)
 
 
 def reflects(asset: Asset) -> bool:
