@@ -37,6 +37,10 @@ bench: .venv/installed-dev
 	$(BIN)/python tests/bench/noise_of_a_walk.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/importance.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/network_render.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/frames.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/preview.py
+	$(BIN)/python tests/bench/large_skies.py
+	$(BIN)/python tests/bench/noise_free_comparison.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/mitsuba_speed.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/walk_cost.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/extremes.py
