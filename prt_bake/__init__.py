@@ -17,21 +17,26 @@ if TYPE_CHECKING:
     from formats.scene import read_scene as load_scene
     from prt_bake import sh, sphere
     from prt_bake.baking import bake
+    from prt_bake.camera import Camera
+    from prt_bake.camera import fit as fit_camera
     from prt_bake.comparison import compare
     from prt_bake.compressing import compress, unpacked
     from prt_bake.environment import project as project_environment
-    from prt_bake.environment import read_environment
+    from prt_bake.environment import read_environment, rotate_light
+    from prt_bake.frames import Frames
     from prt_bake.lighting import Lighting, read_lighting
     from prt_bake.mitsuba_export import mitsuba_dictionary
     from prt_bake.network import NeuralBSSRDF, load_model, save_model
     from prt_bake.renderer.network import render_network
     from prt_bake.rendering import render_scene
-    from prt_bake.shading import shade
+    from prt_bake.shading import render_picture, shade
     from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
     from prt_bake.trainer.fit import train
 
 __all__ = [
     "Asset",
+    "Camera",
+    "Frames",
     "Lighting",
     "Mesh",
     "NeuralBSSRDF",
@@ -42,6 +47,7 @@ __all__ = [
     "compress",
     "estimate_coefficients",
     "estimate_transport",
+    "fit_camera",
     "load_model",
     "load_scene",
     "mitsuba_dictionary",
@@ -53,7 +59,9 @@ __all__ = [
     "read_lighting",
     "read_mesh",
     "render_network",
+    "render_picture",
     "render_scene",
+    "rotate_light",
     "save_model",
     "sh",
     "shade",
@@ -68,6 +76,8 @@ __all__ = [
 # Public name → module, and the name within it; an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),
+    "Camera": ("prt_bake.camera", "Camera"),
+    "Frames": ("prt_bake.frames", "Frames"),
     "Lighting": ("prt_bake.lighting", "Lighting"),
     "Mesh": ("formats.mesh", "Mesh"),
     "NeuralBSSRDF": ("prt_bake.network", "NeuralBSSRDF"),
@@ -78,6 +88,7 @@ _ORIGIN = {
     "compress": ("prt_bake.compressing", "compress"),
     "estimate_coefficients": ("prt_bake.trainer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.trainer.estimate", "estimate_transport"),
+    "fit_camera": ("prt_bake.camera", "fit"),
     "load_model": ("prt_bake.network", "load_model"),
     "load_scene": ("formats.scene", "read_scene"),
     "mitsuba_dictionary": ("prt_bake.mitsuba_export", "mitsuba_dictionary"),
@@ -89,7 +100,9 @@ _ORIGIN = {
     "read_lighting": ("prt_bake.lighting", "read_lighting"),
     "read_mesh": ("formats.mesh", "read_mesh"),
     "render_network": ("prt_bake.renderer.network", "render_network"),
+    "render_picture": ("prt_bake.shading", "render_picture"),
     "render_scene": ("prt_bake.rendering", "render_scene"),
+    "rotate_light": ("prt_bake.environment", "rotate_light"),
     "save_model": ("prt_bake.network", "save_model"),
     "sh": ("prt_bake.sh", ""),
     "shade": ("prt_bake.shading", "shade"),

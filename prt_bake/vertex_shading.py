@@ -16,6 +16,8 @@ from prt_bake.sun_light import sun_radiance
 
 Array = NDArray[np.float64]
 
+_BASIS_ROUNDING = 1e-5
+
 
 @dataclass(frozen=True)
 class Shading:
@@ -136,9 +138,21 @@ def light_of(asset: Asset, light: ArrayLike | None) -> Array:
             f"light: shape {list(weights.shape)} where [{count}, 3] is expected: the asset is of degree "
             f"{asset.degree}; project the sky to that degree"
         )
+    _refuse_other_basis(asset)
     if not np.isfinite(weights).all():
         raise QueryError(f"light: {int((~np.isfinite(weights)).sum())} of its coefficients are not finite")
     return weights
+
+
+def _refuse_other_basis(asset: Asset) -> None:
+    """Raise QueryError where the asset's harmonics have other values in its check directions than they have here."""
+    ours = sh.evaluate(asset.check_directions, asset.degree)
+    off = float(np.abs(ours - asset.check_values).max())
+    if not off <= _BASIS_ROUNDING:
+        raise QueryError(
+            f"asset: its harmonics are off those of this program by {off:.3g} in its check directions; it is of "
+            "another basis or damaged, bake it again"
+        )
 
 
 def _towards_eye(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> Array:

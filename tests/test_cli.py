@@ -170,8 +170,12 @@ def test_numbers_that_make_no_sense_are_wrong_usage(prtbake: Run, option: str, v
 
 
 def test_a_scheduler_that_nobody_runs_is_one_sentence(prtbake: Run, tmp_path: Path) -> None:
+    import dask
+    import distributed  # noqa: F401 - its own settings are there before one of them is changed
+
     address = "tcp://127.0.0.1:9"
-    outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--scheduler", address)
+    with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
+        outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--scheduler", address)
     assert outcome.code == 1
     assert f"--scheduler {address}: no scheduler of dask.distributed answers there" in outcome.err
     assert "Traceback" not in outcome.err

@@ -147,12 +147,13 @@ def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
+        (["-o", "x.png", "--roughness", "0.1"], "that of the reflection; add --reflection"),
         (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
         (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
         (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background, no layers and no error picture"),
     ],
 )
-def test_a_turntable_and_its_file_belong_together(prtbake: Run, polished: Path, words, sentence) -> None:
+def test_options_that_need_others_say_so(prtbake: Run, polished: Path, words, sentence) -> None:
     outcome = prtbake("shade", polished, "--light", "sky.exr", *words)
     assert outcome.code == 2
     assert sentence in outcome.err

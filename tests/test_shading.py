@@ -376,3 +376,16 @@ def test_shading_a_picture_loads_no_torch() -> None:
         check=False,
     )
     assert (ran.returncode, ran.stdout.strip()) == (0, "False"), ran.stderr
+
+
+def test_an_asset_of_another_basis_is_refused() -> None:
+    """With the Condon–Shortley phase, in another order, or of another norm: check values tell them all."""
+    asset = make_asset(ball(1))
+    for change in (
+        lambda values: values * np.array([1, -1, 1, -1, 1, -1, 1, -1, 1]),
+        lambda values: values[:, [0, 2, 3, 1, 4, 5, 6, 7, 8]],
+        lambda values: values * np.sqrt(4 * np.pi),
+    ):
+        other = dataclasses.replace(asset, check_values=change(asset.check_values))
+        with pytest.raises(QueryError, match="of another basis or damaged"):
+            shade(other, make_light(), VIEWS[: len(asset.valid)])

@@ -98,7 +98,7 @@ def shade(
     from prt_bake.lighting import read_lighting
     from prt_bake.smaller_sky import rows_shown
 
-    _refuse_useless(output, transparent, layers, turntable, error_picture)
+    _refuse_useless(output, transparent, layers, turntable, error_picture, reflection, roughness)
     baked = read_asset(asset)
     axis = up or baked.up
     view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent)
@@ -187,9 +187,15 @@ def _turn(
 
 
 def _refuse_useless(
-    output: Path, transparent: bool, layers: str, turntable: str | None, error_picture: Path | None
+    output: Path,
+    transparent: bool,
+    layers: str,
+    turntable: str | None,
+    error_picture: Path | None,
+    reflection: bool,
+    roughness: float | None,
 ) -> None:
-    """Wrong usage: what the kind of file that was asked for cannot hold."""
+    """Wrong usage: options that need others, and what the kind of file that was asked for cannot hold."""
     suffix = output.suffix.lower()
     if turntable is None and suffix not in IMAGE_SUFFIXES:
         raise typer.BadParameter(f"--output: {suffix} is for turntables; add --turntable eye, or write .png or .exr")
@@ -197,6 +203,8 @@ def _refuse_useless(
         raise typer.BadParameter(
             f"--output: one {suffix} holds no turntable; write .webp, .gif, .png, or numbered pictures (turn_%03d.exr)"
         )
+    if roughness is not None and not reflection:
+        raise typer.BadParameter("--roughness: is that of the reflection; add --reflection")
     if turntable is not None and (transparent or layers or error_picture is not None):
         raise typer.BadParameter("--turntable: its pictures have a background, no layers and no error picture")
     if transparent and suffix not in (".exr", ".png"):
