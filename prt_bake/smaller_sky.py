@@ -7,13 +7,16 @@ whole; the rest of the difference is kept as spherical harmonics, which makes th
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from formats.image_rows import Block, ImageRows
 from prt_bake import environment
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 Array = NDArray[np.float64]
 
@@ -53,12 +56,14 @@ def shrink(rows: ImageRows, height: int, degree: int, up: str) -> tuple[NDArray[
     return image, whole - environment.project(image, degree, up)
 
 
-def _means(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> csr_array:
+def _means(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> "csr_array":
     """Shares [coarse, fine] of `fine` equal parts of a line in the mean over each of `coarse` parts, by the measure of
     what they have in common.
 
     measure: of stretches between ends [S] and beginnings [S], as parts of the line.
     """
+    from scipy.sparse import csr_array  # takes a tenth of a second, which most skies need not wait for
+
     cuts = np.union1d(np.arange(fine + 1) * coarse, np.arange(coarse + 1) * fine)  # in parts of fine · coarse, exact
     begins, ends = cuts[:-1], cuts[1:]
     within = begins // fine
