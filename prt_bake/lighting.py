@@ -24,6 +24,9 @@ from prt_bake.sphere_lights import as_disc
 
 Array = NDArray[np.float64]
 
+WHOLE_BYTES = 512 << 20
+"""A sky up to this is read whole: a copy would take longer to make than it saves."""
+
 
 @dataclass(frozen=True, eq=False)
 class Sky:
@@ -96,10 +99,10 @@ def read_lighting(
     `sphere:x,y,z:radius[:r,g,b]`, all turned by `rotate`.
 
     `mend` and `say` are those of `environment.open_environment`. `mesh` is the object, which sphere lights are taken as
-    discs from the middle of (`sphere_lights`); `say` is told what that leaves out. Skies of more than `most_rows` are
-    held as smaller copies (`smaller_sky`), their harmonics to `degree` as exact as those of the whole. Raises
-    LightError, ImageError and StorageError for what is none of these, QueryError where `lights` is empty or a sphere
-    light comes without a mesh.
+    discs from the middle of (`sphere_lights`); `say` is told what that leaves out. Skies of more than `most_rows` that
+    would take more than `WHOLE_BYTES` are held as smaller copies (`smaller_sky`), their harmonics to `degree` as exact
+    as those of the whole. Raises LightError, ImageError and StorageError for what is none of these, QueryError where
+    `lights` is empty or a sphere light comes without a mesh.
     """
     skies, suns = list[Sky](), list[DirectionalLight]()
 
@@ -131,7 +134,8 @@ def _read_sky(
     opened = environment.open_environment(light.path, mend, say)
     factor = 2.0**light.exposure * np.asarray(light.tint)
     residual = None
-    if most_rows is None or opened.height <= most_rows:
+    fits = 12 * opened.height * opened.width <= WHOLE_BYTES
+    if most_rows is None or opened.height <= most_rows or fits:
         image = opened.whole()
     else:
         image, residual = shrink(opened, most_rows, degree, up)

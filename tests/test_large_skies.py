@@ -12,10 +12,15 @@ from test_shading import front, make_asset
 from formats.errors import ImageError, QueryError
 from formats.image import read_image, write_image
 from formats.image_rows import rows_of
-from prt_bake import environment, smaller_sky
+from prt_bake import environment, lighting, smaller_sky
 from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import read_lighting
 from prt_bake.shading import render_picture
+
+
+@pytest.fixture(autouse=True)
+def every_sky_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lighting, "WHOLE_BYTES", 0)
 
 
 def painted(height: int, width: int, seed: int = 1) -> np.ndarray:
