@@ -18,7 +18,7 @@ from prt_bake.camera import Hits, Visibility
 from prt_bake.lighting import Lighting, Sky
 from prt_bake.microfacet import fresnel, mirrored
 from prt_bake.reflection import Reflector
-from prt_bake.shading import render_picture
+from prt_bake.shading import render_picture, shade
 from prt_bake.surface_gloss import SurfaceGloss, reflects
 
 POINTS = 9
@@ -141,6 +141,32 @@ def test_a_mirror_shows_the_sky_as_it_is() -> None:
     np.testing.assert_allclose(
         gloss.radiance(faces, barycentric, outgoing, keys)[0][above], due[above], rtol=1e-9, atol=1e-12
     )
+
+
+def test_a_ray_that_meets_the_object_sees_what_the_asset_sends_along_it() -> None:
+    """A polished ring whose radiance depends on the view: each hit by itself, by `shade` along the ray."""
+    mesh = ring()
+    asset = dataclasses.replace(
+        make_asset(mesh, rings=8, sectors=16), provenance={"eta": 1.5, "roughness": 0.0, "model": {}}
+    )
+    asset.coefficients[:] *= np.random.default_rng(3).uniform(0.2, 2.0, asset.coefficients.shape[:2])[:, :, None, None]
+    black = Lighting((Sky(np.zeros((2, 4, 3), np.float32), "y", np.eye(3)),))
+    seen = Visibility(mesh)
+    faces, barycentric, outgoing, keys = (part[::POINTS] for part in places(mesh, 400))
+    sent = SurfaceGloss(asset, black, white_weights(), seen, 1).radiance(faces, barycentric, outgoing, keys)[0]
+    normals = mesh.face_normals[faces]
+    towards = mirrored(outgoing, normals)
+    corners = mesh.positions[mesh.faces[faces]]
+    shares = np.concatenate([1 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
+    hits = seen.first_hits(np.einsum("nk,nki->ni", shares, corners) + 1e-5 * normals, towards)
+    share = fresnel((outgoing * normals).sum(axis=1), 1.5)
+    met = np.flatnonzero((hits.faces >= 0) & ((towards * normals).sum(axis=1) > 1e-3))
+    assert len(met) > 20
+    for n in met:
+        at_vertices = shade(asset, white_weights(), np.broadcast_to(-towards[n], mesh.positions.shape))
+        u, v = hits.barycentric[n]
+        due = np.array([1 - u - v, u, v]) @ at_vertices[mesh.faces[hits.faces[n]]]
+        np.testing.assert_allclose(sent[n], share[n] * due, rtol=2e-3)
 
 
 def test_turning_object_sky_and_eye_together_changes_nothing() -> None:
