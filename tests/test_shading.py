@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 import reference
+from assets import asset_of
 from shapes import ball, ring
 
 from formats.asset import Asset, read_asset, write_asset
@@ -26,22 +27,9 @@ def make_asset(
     bins, terms, vertices = rings * sectors, sh.count(degree), len(mesh.positions)
     coefficients = 0.02 * rng.normal(size=(vertices, views or bins, terms, channels))
     coefficients[:, :, 0] += 1.0
-    check_directions = np.eye(3)[:2]
-    return Asset(
-        mesh=mesh,
-        tangents=sphere.tangent_frame(mesh.normals),
-        rings=rings,
-        sectors=sectors,
-        directions=sphere.view_bins(rings, sectors),
-        degree=degree,
-        check_directions=check_directions,
-        check_values=sh.evaluate(check_directions, degree),
-        coefficients=coefficients.astype(storage),
-        standard_error=np.full((vertices, views or bins), 0.1, np.float32),
-        valid=np.ones(vertices, np.bool_) if valid is None else valid,
-        storage=storage,
-        **others,
-    )
+    if valid is not None:
+        others["valid"] = valid
+    return asset_of(mesh, coefficients.astype(storage), rings, sectors, degree, **others)
 
 
 def make_light(degree=2, seed=5) -> np.ndarray:

@@ -66,11 +66,6 @@ class View:
         return self._object.center + self._object.radius * np.array(self._camera.GetPosition())
 
     @property
-    def at_start(self) -> bool:
-        """Whether the camera is where it began."""
-        return bool(np.allclose(self._camera.GetPosition(), self._place(self._start.eye), rtol=1e-6))
-
-    @property
     def _camera(self) -> Any:
         return self.plotter.renderer.GetActiveCamera()
 

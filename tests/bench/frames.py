@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from assets import asset_of
 from numba import get_num_threads, njit, prange, set_num_threads
 from shapes import ring
 
@@ -35,7 +36,7 @@ CLOCK = time.perf_counter
 BINS = {"float16": (8, 32), "float32": (4, 32)}
 
 
-def asset_of(vertices: int, rings: int, sectors: int, storage: str = "float16", degree: int = 2) -> Asset:
+def random_asset(vertices: int, rings: int, sectors: int, storage: str = "float16", degree: int = 2) -> Asset:
     """Random coefficients, the same again and again: a frame does not look at what they are."""
     side = round(np.sqrt(vertices))
     mesh = ring(around=-(-vertices // side), across=side)
@@ -48,20 +49,8 @@ def holding(mesh: Mesh, rings: int, sectors: int, storage: str, degree: int) -> 
     coefficients = np.empty(np.prod(shape), storage)
     for first in range(0, len(coefficients), SOME):
         coefficients[first : first + SOME] = some[: len(coefficients) - first]
-    axes = np.eye(3)[:2]
-    return Asset(
-        mesh=mesh,
-        tangents=sphere.tangent_frame(mesh.normals),
-        rings=rings,
-        sectors=sectors,
-        directions=sphere.view_bins(rings, sectors),
-        degree=degree,
-        check_directions=axes,
-        check_values=sh.evaluate(axes, degree),
-        coefficients=coefficients.reshape(shape),
-        standard_error=np.zeros((shape[0], 1), np.float32),
-        valid=np.ones(shape[0], np.bool_),
-        storage=storage,
+    return asset_of(
+        mesh, coefficients.reshape(shape), rings, sectors, degree, standard_error=np.zeros((shape[0], 1), np.float32)
     )
 
 
@@ -195,13 +184,13 @@ def heading(title: str) -> None:
 def by_vertices() -> None:
     heading("Vertices, all of them shown, float16, 8×32 bins, ms")
     for vertices in (3_000, 30_000, 100_000, VERTICES):
-        asset = asset_of(vertices, 8, 32)
+        asset = random_asset(vertices, 8, 32)
         row_of(f"{vertices:,} vertices", asset, comparison(asset), vertices)
 
 
 def by_visible() -> None:
     heading("Vertices shown of 300,000, float16, 8×32 bins, ms")
-    asset = asset_of(VERTICES, 8, 32)
+    asset = random_asset(VERTICES, 8, 32)
     count = len(asset.valid)
     for shown in (300, 3_000, 30_000, 150_000):
         visible = np.zeros(count, np.bool_)
@@ -215,13 +204,13 @@ def by_visible() -> None:
 def by_bins() -> None:
     heading("View bins, 30,000 vertices, float16, ms")
     for rings, sectors in ((1, 1), (4, 8), (8, 16), (8, 32), (16, 64)):
-        asset = asset_of(30_000, rings, sectors)
+        asset = random_asset(30_000, rings, sectors)
         row_of(f"{rings}×{sectors} bins", asset, comparison(asset), len(asset.valid))
 
 
 def by_threads() -> None:
     heading("Threads, 100,000 vertices, float16, 8×32 bins, ms")
-    asset, most = asset_of(100_000, 8, 32), get_num_threads()
+    asset, most = random_asset(100_000, 8, 32), get_num_threads()
     for threads in range(1, most + 1):
         set_num_threads(threads)
         row_of(f"{threads} threads", asset, comparison(asset), len(asset.valid))
@@ -231,12 +220,12 @@ def by_threads() -> None:
 def by_storage() -> None:
     heading("Storage, 300,000 vertices, all of them shown, ms")
     for storage, (rings, sectors) in BINS.items():
-        asset = asset_of(VERTICES, rings, sectors, storage)
+        asset = random_asset(VERTICES, rings, sectors, storage)
         shown = len(asset.valid)
         name = f"{storage}, {rings}×{sectors} bins"
         row_of(name, asset, comparison(asset, slow=False), shown)
     for storage in BINS:
-        asset = asset_of(100_000, 4, 32, storage)
+        asset = random_asset(100_000, 4, 32, storage)
         both = {"frame": comparison(asset, slow=False)["frame"]}
         both["folded"] = comparison(asset, slow=False, folded=True)["frame"]
         medians, times = measured(both)
@@ -254,7 +243,7 @@ def of_small() -> None:
     """
     print("\n3,000 vertices shown of 16×64 bins, frame after frame")
     for vertices in (3_000, 30_000):
-        asset = asset_of(vertices, 16, 64)
+        asset = random_asset(vertices, 16, 64)
         visible = np.zeros(len(asset.valid), np.bool_)
         visible[np.random.default_rng(2).choice(len(visible), 3_000, replace=False)] = True
         least, median, most = 1e3 * np.quantile(in_a_row(asset, visible), (0.0, 0.5, 0.95))
@@ -305,7 +294,7 @@ def of_assets(assets: dict[str, Asset]) -> None:
 
 def of_light() -> None:
     """What setting and turning a light take; what leaving out the back of the object saves."""
-    asset = asset_of(100_000, 8, 32)
+    asset = random_asset(100_000, 8, 32)
     frames, light = Frames(asset), light_for(asset)
     frames.light(light)
     frames.turn(1.0)

@@ -21,11 +21,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+from assets import asset_of
 from numpy.typing import NDArray
 from shapes import ring
 
 from formats.asset import Asset
-from prt_bake import camera, sh, sphere
+from prt_bake import camera, sh
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.state import Mode, Preview
 from prt_bake.preview.view import View, make_plotter
@@ -62,21 +63,7 @@ def made_asset(vertices: int) -> Asset:
     block = 0.02 * np.random.default_rng(0).normal(size=(64, RINGS * SECTORS, sh.count(DEGREE), 3))
     block[:, :, 0] += 0.2
     coefficients = np.resize(block.astype(np.float16), (len(mesh.positions), *block.shape[1:]))
-    directions = np.eye(3)[:2]
-    return Asset(
-        mesh=mesh,
-        tangents=sphere.tangent_frame(mesh.normals),
-        rings=RINGS,
-        sectors=SECTORS,
-        directions=sphere.view_bins(RINGS, SECTORS),
-        degree=DEGREE,
-        check_directions=directions,
-        check_values=sh.evaluate(directions, DEGREE),
-        coefficients=coefficients,
-        standard_error=np.full((len(mesh.positions), RINGS * SECTORS), 0.01, np.float32),
-        valid=np.ones(len(mesh.positions), np.bool_),
-        provenance={"eta": 1.5, "roughness": 0.2},
-    )
+    return asset_of(mesh, coefficients, RINGS, SECTORS, DEGREE, provenance={"eta": 1.5, "roughness": 0.2})
 
 
 def orbit(preview: Preview, size: tuple[int, int], frames: int) -> dict[str, float]:
