@@ -6,6 +6,7 @@ process that asked. `distributed` is imported where a scheduler is given, and no
 """
 
 import ctypes
+import gc
 import hashlib
 import pickle
 import sys
@@ -135,20 +136,29 @@ def opened_cluster(address: str, alone: bool) -> Iterator[Cluster]:
         ) from None
 
     quiet = {"distributed.admin.large-graph-warning-threshold": sys.maxsize}
-    with dask.config.set(quiet):
-        try:
-            client: Any = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError, TypeError) as cause:
-            raise ClusterError(
-                f"--scheduler {address}: no scheduler of dask.distributed answers there ({cause}); expected an "
-                f"address such as tcp://host:8786, as `dask scheduler` prints it"
-            ) from cause
-        with client:
-            crew = Cluster(client, address, alone)
-            while not client.nthreads():
-                _none_yet = crew.workers
-                time.sleep(0.1)
-            yield crew
+    with dask.config.set(quiet), _connected(Client, address) as client:
+        crew = Cluster(client, address, alone)
+        while not client.nthreads():
+            _none_yet = crew.workers
+            time.sleep(0.1)
+        yield crew
+
+
+def _connected(client: Any, address: str) -> Any:
+    """A `client` of the scheduler at `address`; raises ClusterError where none answers.
+
+    One that failed closes itself when it is let go, under a lock that the next one takes as it begins. It is let go here:
+    a garbage collection while another begins would wait for that lock for ever.
+    """
+    try:
+        return client(address, set_as_default=False)
+    except (OSError, ValueError, TypeError) as cause:
+        reason = str(cause)
+    gc.collect()
+    raise ClusterError(
+        f"--scheduler {address}: no scheduler of dask.distributed answers there ({reason}); expected an address such as "
+        f"tcp://host:8786, as `dask scheduler` prints it"
+    )
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """Bakes by the workers of a dask.distributed scheduler, in processes of their own, some of which are killed."""
 
+import gc
 import os
 import subprocess
 import sys
@@ -171,12 +172,14 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     import dask
-    import distributed  # noqa: F401 - its own settings are there before one of them is changed
+    from distributed import Client  # whose settings are to be there before one of them is changed
 
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         for address in ("tcp://127.0.0.1:9", "nonsense://nowhere", ""):
             with pytest.raises(ClusterError, match="8786"):
                 bake(Incoherent(), icosphere(0), **SMALL, scheduler=address)
+            # A failed one that lingers is collected at any time, and may stop another for ever as it begins.
+            assert not any(type(each) is Client for each in gc.get_objects())
     with pytest.raises(QueryError, match="workers or a scheduler"):
         bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
     monkeypatch.setattr(prt_bake.bake_cluster, "PATIENCE", 0.2)
