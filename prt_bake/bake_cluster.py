@@ -147,8 +147,8 @@ def opened_cluster(address: str, alone: bool) -> Iterator[Cluster]:
 def _connected(client: Any, address: str) -> Any:
     """A `client` of the scheduler at `address`; raises ClusterError where none answers.
 
-    One that failed closes itself when it is let go, under a lock that the next one takes as it begins. It is let go here:
-    a garbage collection while another begins would wait for that lock for ever.
+    One that failed closes itself when it is let go, under a lock that the next one takes as it begins. It is let go
+    here: a garbage collection while another begins would wait for that lock for ever.
     """
     try:
         return client(address, set_as_default=False)
@@ -156,8 +156,8 @@ def _connected(client: Any, address: str) -> Any:
         reason = str(cause)
     gc.collect()
     raise ClusterError(
-        f"--scheduler {address}: no scheduler of dask.distributed answers there ({reason}); expected an address such as "
-        f"tcp://host:8786, as `dask scheduler` prints it"
+        f"--scheduler {address}: no scheduler of dask.distributed answers there ({reason}); expected an address "
+        f"such as tcp://host:8786, as `dask scheduler` prints it"
     )
 
 
