@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.answers import NOTHING
+from bakers.block_work import Work
 from bakers.refined import WAYS, Checks, Refinement
-from bakers.refinement import Work
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

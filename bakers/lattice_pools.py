@@ -21,12 +21,14 @@ Index = NDArray[np.int64]
 class Pool:
     """R copies of a lattice of D directions, and the fit by least squares over each."""
 
+    directions: Array
+    """[D,3], before they are turned."""
     incident: Array
     """[R,D,3]"""
     back: Array
     """[R,K,K], from coefficients in a copy's own frame to the world's."""
     harmonics: Array
-    """Y [D,K] on the lattice before it is turned."""
+    """Y [D,K] at `directions`."""
     weights: Array
     """(YᵀY)⁻¹Yᵀ [K,D]"""
 

@@ -26,7 +26,7 @@ HELD = "way", "stated", "squared", "noise"
 OF_VERTICES = "coefficients", "deviation", "directions", "way", "together"
 """What there is of every vertex of a block."""
 MISSED_OF_ERROR = 0.3
-Lattices = Literal["own", "shared", "both"]
+Lattices = Literal["own", "shared", "both", "learned"]
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,10 @@ class Refinement:
     lattices: Lattices
     """Which lattices bins are integrated over: "own", each over one of its own; "shared", all over one that grows, so
     that finer bins can be held against coarser ones in as many directions; "both", over a shared beginning, and those
-    that need more over one of their own.
+    that need more over one of their own; "learned", in few directions, by what their vertex has learned of its light.
     """
+    roughness: float
+    """What a fit leaves over, over the mean square coefficient, as it is on average."""
     light: float
     """Error of directions tolerated at a bin, over the root mean square coefficient of its vertex."""
     view: float

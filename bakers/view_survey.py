@@ -36,17 +36,23 @@ class ViewSurvey:
     """[B,n,C], over one lattice for each vertex."""
     floor: float
     """Least root mean square of a vertex's coefficients that errors are held against."""
+    left: float
+    """Of the energy of Ŝ, what the first few principal functions of the light leave over, as many as are soon told."""
 
     @classmethod
-    def of(cls, levels: list[Level], directions: Array, coefficients: Array, floor: float) -> "ViewSurvey":
+    def of(
+        cls, levels: list[Level], directions: Array, coefficients: Array, floor: float, left: float = 1.0
+    ) -> "ViewSurvey":
         """Of coefficients [B,n,C] at the view bins whose centres are the unit vectors `directions` [B,3]."""
         rings = len(np.unique(np.round(directions[:, 2], 9)))
         if len(directions) % rings:
-            return cls(levels, coefficients, floor)
+            return cls(levels, coefficients, floor, left)
         wheel = coefficients.reshape(rings, -1, *coefficients.shape[1:])
         sectors = wheel.shape[1]
         turned = [np.roll(wheel, turn, axis=1) for turn in np.unique(np.arange(TURNS) * sectors // TURNS)]
-        return cls(levels, np.concatenate(turned, axis=2).reshape(len(directions), -1, coefficients.shape[2]), floor)
+        return cls(
+            levels, np.concatenate(turned, axis=2).reshape(len(directions), -1, coefficients.shape[2]), floor, left
+        )
 
     def always_for(self, error: float, view: float) -> int:
         """The level up to which all must be evaluated so that hardly any of that relative error is missed untold, where
@@ -57,6 +63,10 @@ class ViewSurvey:
             if self._unforeseen(always, view) <= MISSED_OF_ERROR * error:
                 return always
         return max(last, ALWAYS)
+
+    def learnable(self, error: float) -> bool:
+        """Whether bins are made of so few functions of the light, to that relative error."""
+        return bool(self.left <= error**2)
 
     def _unforeseen(self, always: int, view: float) -> float:
         """The relative root mean square error that nothing foretells, where levels up to `always` are seen whole."""

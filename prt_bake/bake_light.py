@@ -18,7 +18,7 @@ from prt_bake.randomness import hashed, uniforms
 Index = NDArray[np.int64]
 
 SMALLEST_LATTICE = 16
-COPIES = 4, 256
+COPIES = 16, 256
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 POOL_DIRECTIONS = 1 << 14
 """In all copies of a lattice: as many as a network holds tables for."""
@@ -46,7 +46,7 @@ def vertex_turns(seed: int) -> Callable[[Index], NDArray[np.float64]]:
 
 
 def pools_for(degree: int, seed: int) -> Pools:
-    """Fibonacci lattices of about 3K to 2¹⁴ directions, each √2 times the one before, in 4 to 256 copies.
+    """Fibonacci lattices of about 3K to 2¹⁴ directions, each √2 times the one before, in 16 to 256 copies.
 
     Raises QueryError for degrees that these do not determine.
     """
@@ -60,7 +60,7 @@ def pools_for(degree: int, seed: int) -> Pools:
         turns = rotations(uniforms((_POOL_STREAM, seed, size, np.arange(copies)), 3))
         harmonics = sh.evaluate(lattice, degree)
         weights = np.asarray(np.linalg.solve(harmonics.T @ harmonics, harmonics.T), np.float64)
-        return Pool(lattice @ turns.transpose(0, 2, 1), sh.rotations(turns, degree), harmonics, weights)
+        return Pool(lattice, lattice @ turns.transpose(0, 2, 1), sh.rotations(turns, degree), harmonics, weights)
 
     def taken(vertices: Index, bins: Index, which: int) -> Index:
         return (hashed(_COPY_STREAM, seed, which, vertices, bins) >> np.uint64(1)).astype(np.int64)

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from transports import Array, Clamped, Counting, icosphere
+from transports import Array, Counting, Lobed, icosphere
 
 from bakers import answers
 from bakers.answers import Answers
@@ -74,7 +74,7 @@ def test_copies_begin_empty() -> None:
 
 
 def test_a_bake_is_the_same_bits_with_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh, counted, forgetful = icosphere(1), Counting(Clamped()), Counting(Clamped())
+    mesh, counted, forgetful = icosphere(1), Counting(Lobed()), Counting(Lobed())
     asset = bake(counted, mesh, rings=8, sectors=32, error=0.02)
     monkeypatch.setattr(aim, "Answers", lambda _vertices, _bins: answers.NOTHING)
     other = bake(forgetful, mesh, rings=8, sectors=32, error=0.02)

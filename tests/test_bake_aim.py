@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from transports import Chequered, Edged, Lobed, icosphere
+from transports import Edged, Incoherent, Lobed, Shadowed, icosphere
 
 from bakers.refined import Refined, Refinement
 from bakers.verdict import Tally
@@ -12,7 +12,17 @@ from formats.errors import QueryError
 from prt_bake import sphere
 from prt_bake.bake_job import views_of
 from prt_bake.to_error import aim as pilots
-from prt_bake.to_error.aim import CHECK_COST, CHECK_NOISE, Aim, Pilot, Spent, aimed, coarse, refined_block
+from prt_bake.to_error.aim import (
+    CHECK_COST,
+    CHECK_NOISE,
+    CHECKS_A_VERTEX,
+    Aim,
+    Pilot,
+    Spent,
+    aimed,
+    coarse,
+    refined_block,
+)
 from prt_bake.to_error.first_look import MOST_CHECKS, Site, fewest_checks, first_refinement
 
 MESH, ERROR = icosphere(1), 0.01
@@ -79,7 +89,7 @@ def test_errors_that_are_too_small_loosen_what_is_tolerated(
     assert tried[0].light < tried[1].light < tried[2].light
 
 
-@pytest.mark.parametrize("transport", [Edged(), Chequered()])
+@pytest.mark.parametrize("transport", [Lobed(), Incoherent()])
 def test_checks_are_as_many_as_cost_little(transport: object) -> None:
     site = site_of(transport)
     aim = aimed(Pilot(site), first_refinement(site)[0], ERROR)
@@ -90,7 +100,17 @@ def test_checks_are_as_many_as_cost_little(transport: object) -> None:
     assert aim.refinement.checked <= 1.0001 * CHECK_NOISE * ERROR
 
 
-@pytest.mark.parametrize(("lattices", "least", "most"), [("own", 0.0, 0.01), ("shared", 0.6, 1.0)])
+def test_checks_that_are_dearer_than_all_the_rest_are_a_few_of_each_vertex() -> None:
+    site = site_of(Shadowed())
+    aim = aimed(Pilot(site), first_refinement(site)[0], ERROR)
+    many = aim.refinement.checks(site.vertices).sum()
+    assert CHECKS_A_VERTEX * len(site.vertices) <= many < fewest_checks(site)
+    assert aim.evaluations_per_check * many > aim.evaluations_per_vertex * len(site.vertices)
+
+
+@pytest.mark.parametrize(
+    ("lattices", "least", "most"), [("own", 0.0, 0.01), ("shared", 0.6, 1.0), ("learned", 0.6, 1.0)]
+)
 def test_what_bins_have_in_common_is_the_lattice_that_they_share(lattices: str, least: float, most: float) -> None:
     site = site_of(Edged(), 4, 16)
     how = replace(coarse(first_refinement(site)[0], 0.05).refinement, lattices=lattices)

@@ -62,7 +62,8 @@ class Chequered:
 
 
 class Ringed:
-    """Rings in the view of which none foretells another, over light that changes slowly along the surface.
+    """Rings in the view of which none foretells another, over light that changes slowly along the surface and leans with
+    the view, so that no few functions of it make up all bins.
 
     `patch`: radius of a spot that is three times as bright. `sharp`: stripes of the world in their place, and no
     vertex foretells another. `blind`: a place where nothing is finite.
@@ -75,7 +76,8 @@ class Ringed:
         rings = 1.0 + 0.5 * np.sin(40.0 * (outgoing * positions).sum(axis=-1))
         if self.sharp:
             rings = 1.0 + 0.5 * np.sign(np.sin(40.0 * outgoing[:, 0]))
-        lit = np.exp(12.0 * (np.einsum("ndi,ni->nd", incident, positions) - 1.0)) * rings[:, None]
+        about = _units(positions + 0.5 * outgoing)
+        lit = np.exp(12.0 * (np.einsum("ndi,ni->nd", incident, about) - 1.0)) * rings[:, None]
         if self.patch:
             lit[patched(positions, self.patch)] *= 3.0
         if self.blind is not None:

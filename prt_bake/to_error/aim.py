@@ -49,13 +49,26 @@ PILOT_CHECKS = 128, 640
 """Bins that a pilot of few bins, and of many, is held against others at."""
 NEAR = 0.8, 0.85
 """Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
-LATTICES: tuple[Lattices, ...] = ("own", "both", "shared")
+LATTICES: tuple[Lattices, ...] = ("own", "both", "shared", "learned")
 ALIKE = 1.3
 """Times the least evaluations that a way may take to be tried out with checks."""
 CHECK_NOISE, LEAST_CHECK_NOISE = 0.7, 0.25
 """Of each of the two lattices of a check, over the error asked for; and where as many are made as are of use."""
 CHECK_COST = 0.3
 """Of the evaluations of a pass, what more checks than the fewest, or less noisy ones, may come to."""
+DEAR, DEAR_NOISE, CHECKS_A_VERTEX = 3.0, 1.0, 4
+"""Times all the rest, that checks may cost before there are fewer; the noise of each of their two lattices then, and
+how many of each vertex there are at least."""
+LEARNED_CHECKS = 8
+"""Of a vertex of a pilot where its bins err together."""
+LEAST_AIM = 0.3
+"""Of the error asked for, what a pilot may come to that is believed."""
+LEARNED_MISSED = 0.1
+"""Of the error asked for, what lattices may miss without telling where light is to be learned in few directions."""
+LEARNED_AIM = 0.8
+"""Of the error asked for, what learned light is to come to: it costs hardly more, but vertices differ."""
+RECOGNISED = 12.0
+"""Evaluations a bin of learned light, up to which no other way is tried."""
 
 
 @dataclass(frozen=True)
@@ -136,25 +149,43 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
 
     Raises QueryError where the error is out of reach, Stopped once the pilot is to end.
     """
+    learnable = _learnable(refinement, error)
     refinement = refinement.for_views(error, VIEW_RANGE[1] * VIEW_OVER_LIGHT * error)
     # Trials are much alike, and the passes after them begin with what they have found out.
-    answers = Answers(pilot_vertices(pilot.site), pilot.site.bins)
-    ways = [replace(refinement, lattices=which, answers=answers) for which in LATTICES]
-    beforehand = [_untold(pilot, way, error) for way in ways]
-    costs = [spent.wanted for spent in beforehand]
-    # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
-    near = ALIKE if pilot.site.many >= MANY else 1.0
-    tried = [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
-    aims = [_calibrated(pilot, way, error) for way in tried]
+    refinement = replace(refinement, answers=Answers(pilot_vertices(pilot.site), pilot.site.bins))
+    aims, trials = list[Aim](), list[Spent]()
+    if learnable:
+        aims.append(_calibrated(pilot, replace(refinement, lattices="learned"), LEARNED_AIM * error))
+        trials.append(aims[0].spent)
+    if not aims or aims[0].error > error or aims[0].evaluations_per_vertex > RECOGNISED * pilot.site.bins:
+        tried = _cheapest(pilot, refinement, error, trials)
+        aims += [_calibrated(pilot, way, error) for way in tried]
+        trials += [aim.spent for aim in aims[-len(tried) :]]
     best = min(aims, key=lambda aim: _dearness(aim, error))
     if best.error > OUT_OF_REACH * error:
         raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
     nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check)
-    trials = [*beforehand, *(aim.spent for aim in aims)]
     best = replace(best, spent=sum(trials, Spent(looked)))
     if nearby is not None:
         best = replace(best, nearby=nearby, evaluations_per_vertex=nearby.on_average)
     return _checked(pilot.site, best, error, _seconds_each(trials))
+
+
+def _learnable(refinement: Refinement, error: float) -> bool:
+    """Whether bins seem to be made of few functions of the light, and none of those that few directions would miss."""
+    seen = float(refinement.missed.max(initial=0.0)) <= LEARNED_MISSED * error
+    return seen and refinement.survey is not None and refinement.survey.learnable(error)
+
+
+def _cheapest(pilot: Pilot, refinement: Refinement, error: float, trials: list[Spent]) -> list[Refinement]:
+    """The ways to lay lattices that cost least, as far as is known without checks; `trials` takes what that took."""
+    ways = [replace(refinement, lattices=which) for which in LATTICES if which != "learned"]
+    beforehand = [_untold(pilot, way, error) for way in ways]
+    trials += beforehand
+    costs = [spent.wanted for spent in beforehand]
+    # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
+    near = ALIKE if pilot.site.many >= MANY else 1.0
+    return [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
 
 
 def _seconds_each(trials: list[Spent]) -> float:
@@ -171,13 +202,18 @@ def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
 
     An evaluation takes so many seconds.
     """
-    affordable = CHECK_COST * aim.evaluations_per_vertex * len(site.vertices) / max(aim.evaluations_per_check, 1.0)
-    many = float(np.clip(affordable, fewest_checks(site), MOST_CHECKS))
-    falling = 0.5 + aim.refinement.pool_noise.slope
-    noise = max(CHECK_NOISE * max(affordable / many, 1.0) ** -falling, LEAST_CHECK_NOISE)
-    of_checks = many * aim.evaluations_per_check * (CHECK_NOISE / noise) ** (1.0 / falling) / len(site.vertices)
+    falling, usual = 0.5 + aim.refinement.pool_noise.slope, fewest_checks(site)
+    reached = float(np.clip(aim.error, LEAST_AIM * error, error))
+    each = max(aim.evaluations_per_check, 1.0) * (error / reached) ** (1.0 / falling)
+    rest = aim.evaluations_per_vertex * len(site.vertices) / each
+    # Where they are dearer than all the rest, a few of each vertex must do, and less exact ones.
+    few = min(max(DEAR * rest, CHECKS_A_VERTEX * len(site.vertices), FEWEST_CHECKS), usual)
+    many = float(np.clip(CHECK_COST * rest, few, MOST_CHECKS))
+    noise = max(CHECK_NOISE * max(CHECK_COST * rest / many, 1.0) ** -falling, LEAST_CHECK_NOISE)
+    noise = DEAR_NOISE if many < usual else noise
+    of_checks = many * each * (CHECK_NOISE / noise) ** (1.0 / falling) / len(site.vertices)
     checks = checked_bins(site.seed, site.bins, min(many / site.many, 1.0))
-    refinement = replace(aim.refinement, checks=checks, checked=noise * min(error, aim.error))
+    refinement = replace(aim.refinement, checks=checks, checked=noise * reached)
     return replace(aim, refinement=refinement, seconds=seconds * (aim.evaluations_per_vertex + of_checks))
 
 
@@ -204,16 +240,20 @@ def pilot_vertices(site: Site) -> Index:
 def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices, the cheapest of those tried, or what comes nearest."""
     few, most = int(pilot.site.many < MANY), len(refinement.lattice.sizes)
+    learned = refinement.lattices == "learned"
     dials = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
     trials, spent, before = list[Aim](), Spent(), Tally(0)
     while len(trials) < MOST_PILOTS:
         aim, tally = _trial(pilot, dials.refinement(), error)
         spent += aim.spent
         trials.append(aim)
-        enough = len(trials) >= PILOTS[1 - few] or aim.error >= NEAR[1 - few] * error
+        enough = len(trials) >= PILOTS[1 - few] or aim.error >= NEAR[1 - few] * error or learned
         if aim.error <= 0.0 or (aim.error <= error and (enough or np.array_equal(tally.variance, before.variance))):
             break
-        if max(aim.correction.shared, aim.correction.alone) > MISSED and dials.begin < most:
+        missed = max(aim.correction.shared, aim.correction.alone) > MISSED
+        if learned and (missed or aim.evaluations_per_vertex > RECOGNISED * pilot.site.bins):
+            break
+        if missed and dials.begin < most:
             # Most bins do not see what some do: what they say of their error is worth nothing.
             dials, trials = dials.beginning(min(dials.begin + 2, most)), []
         else:
@@ -257,7 +297,8 @@ class _Dials:
         """
         seen, noise, pool_noise = aim.correction, self.begun.noise, self.begun.pool_noise
         noise = replace(noise, of_differences=noise.of_differences * seen.shared)
-        pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(seen.alone))
+        over_pools = seen.shared if self.begun.lattices == "learned" else seen.alone
+        pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(over_pools))
         view = float(np.clip(self.view / np.sqrt(seen.foretold), *VIEW_RANGE))
         variance = seen.by_way @ tally.variance.sum(axis=1)
         alike = tally.variance.sum(axis=1) @ [seen.foretold * (view / self.view) ** 2, 1.0, 1.0, seen.nearby]
@@ -270,7 +311,10 @@ class _Dials:
 def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
     """What such a refinement leads to at the pilot's vertices."""
     site, chosen = pilot.site, pilot_vertices(pilot.site)
-    share = max(PILOT_CHECKS[int(site.many >= MANY)] / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
+    many = PILOT_CHECKS[int(site.many >= MANY)]
+    if how.lattices == "learned":
+        many = min(many, LEARNED_CHECKS * len(chosen))
+    share = max(many / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
     tally, spent = Tally(len(site.mesh.positions)), Spent()
     for some, refined, took in pilot.tried(replace(how, checks=checks), chosen):

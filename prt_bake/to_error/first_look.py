@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from bakers.crew import ALONE, Crew
 from bakers.lattice_pools import Pools
+from bakers.light_functions import LOOKS
 from bakers.light_noise import USUAL_SLOPE, LightNoise, fitted_noise
 from bakers.nested_lattice import NestedLattice
 from bakers.refined import Refinement
@@ -97,7 +98,7 @@ def vertices_at_once(vertices: int, bins: int, workers: int) -> int:
 def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
     """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
     lattice, pools = lattice_for(site.degree), pools_for(site.degree, site.seed)
-    noise, pool_noise, floor, spent = _noise(site, lattice, pools)
+    noise, pool_noise, floor, roughness, spent = _noise(site, lattice, pools)
     missed, finest, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
     survey, surveyed = _survey(site, lattice, levels, DARK * floor, crew)
@@ -110,6 +111,7 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         pools=pools,
         pool_noise=pool_noise,
         lattices="own",
+        roughness=roughness,
         light=1.0,
         view=1.0,
         checked=1.0,
@@ -128,7 +130,7 @@ def fewest_checks(site: Site) -> float:
     return float(np.clip(CHECK_SHARE * site.many, FEWEST_CHECKS, MOST_CHECKS))
 
 
-def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, int]:
+def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, float, int]:
     """How noisy fits over the shared lattice and over pools are, the root mean square coefficient, and the evaluations
     that these took; from bins that are drawn, each with two lattices of each of some sizes.
     """
@@ -146,7 +148,8 @@ def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise
     noise = fitted_noise(lattice.variance_shares[:2], lattice.sizes[:2], rough[:2], squared[:2])
     noise = replace(noise, slope=min(noise.slope, pool_noise.slope, USUAL_SLOPE))
     floor = float(np.sqrt((pooled[-1][0][finite] ** 2).mean()))
-    return noise, pool_noise, floor, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
+    roughness = float(rough[-1].mean() / max(floor**2, 1e-300))
+    return noise, pool_noise, floor, roughness, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
 
 
 Pair = tuple[Array, Array, Array]
@@ -233,21 +236,29 @@ def _survey(
         return None, 0
     count = int(np.clip(len(site.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
     chosen = np.sort(drawn(site.seed + 4, len(site.vertices), count))
-    found = crew.in_order(lambda place: crew.do(_surveyed, (site, lattice), int(place)), chosen)
-    whole = np.stack(list(found), axis=1)
+    found = list(crew.in_order(lambda place: crew.do(_surveyed, (site, lattice), int(place)), chosen))
+    whole = np.stack([coefficients for coefficients, _energies in found], axis=1)
     finite = np.isfinite(whole).all(axis=(0, 2))
-    survey = ViewSurvey.of(levels, site.local, whole[:, finite], floor)
+    energies = np.stack([each for _coefficients, each in found])[finite].sum(axis=0)
+    left = max(float(energies[LOOKS[0][1] :].sum() / energies.sum()), 0.0) if energies.sum() > 0.0 else 0.0
+    survey = ViewSurvey.of(levels, site.local, whole[:, finite], floor, left)
     return survey, whole[..., 0].size * (lattice.sizes[0] // 2)
 
 
-def _surveyed(site: Site, lattice: NestedLattice, place: int) -> Array:
-    """Coefficients [B,K·3] at all bins of one vertex, from half of the smallest lattice."""
+def _surveyed(site: Site, lattice: NestedLattice, place: int) -> tuple[Array, Array]:
+    """Coefficients [B,K·3] at all bins of one vertex, from half of the smallest lattice; and the energies of its
+    principal functions of the light, the largest first.
+    """
     few = lattice.sizes[0] // 2
     bins = place * site.bins + np.arange(site.bins)
     turns = np.broadcast_to(pair_turns(site.seed, few, 3, bins[:1]), (site.bins, 3, 3))
-    values = _values_at_bins(site, lattice.directions[:few], turns, bins)
-    fit = np.linalg.pinv(lattice.harmonics[:few])
-    return np.asarray(fit @ values.astype(np.float64)).reshape(site.bins, -1)
+    values = _values_at_bins(site, lattice.directions[:few], turns, bins).astype(np.float64)
+    by_light = values.transpose(1, 0, 2).reshape(few, -1)
+    gram = by_light @ by_light.T
+    energies = np.full(few, np.nan)
+    if np.isfinite(gram).all():
+        energies[:] = np.linalg.eigvalsh(gram)[::-1]
+    return np.asarray(np.linalg.pinv(lattice.harmonics[:few]) @ values).reshape(site.bins, -1), energies
 
 
 def _values_at_bins(site: Site, directions: Array, turns: Array, bins: Index) -> NDArray[np.floating]:

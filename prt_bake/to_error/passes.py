@@ -51,7 +51,8 @@ def tighter(aim: Aim, done: Pass, error: float) -> Aim:
     as small an error of theirs as costs least.
     """
     goal = AIM * error
-    trials = [_worst_again(done, goal, factor) for factor in AGAIN] + [_all_again(done, goal)]
+    factors = AGAIN if aim.refinement.lattices != "learned" else AGAIN[2:]
+    trials = [_worst_again(done, goal, factor) for factor in factors] + [_all_again(done, goal)]
     again, factor, left = min(trials, key=lambda trial: (trial[2] > goal, trial[0].sum() * trial[1] ** -COST))
     refinement = replace(aim.refinement, light=factor * aim.refinement.light, view=factor * aim.refinement.view)
     return replace(aim, refinement=refinement, correction=done.correction, error=left, again=again)

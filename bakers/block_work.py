@@ -1,0 +1,231 @@
+"""The state of a block of vertices while it is baked to a tolerance, level by level of view bins; each bin that is not
+foretold is integrated over a lattice of its own.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.lattice_pools import Pool, Pools
+from bakers.light_noise import LightNoise
+from bakers.refined import Checks, Refined, Refinement, noise_of_checks
+from bakers.values import values_at
+from bakers.view_levels import Level
+from bakers.view_survey import ALWAYS, DECAY
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+VALUES_AT_ONCE = 1 << 17
+ALONE, NEARLY = 3, 1.5
+"""How often a bin's own lattice is tried, and times the variance allowed that is let pass."""
+DECAY_BEFORE = 8.0
+"""How many bins' worth the usual decay of errors of prediction counts."""
+LEAST_DECAY, MOST_DECAY = 0.15, 1.0
+LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
+"""Of the tolerated variance, what may have been used up at a level: errors of the coarse ones are carried to all."""
+ROUNDING = 2.0**-23
+"""Relative error of a coefficient that is never held to be smaller: values and coefficients are kept in float32."""
+LEAST_SHARE = 0.15
+"""Of the tolerated variance, what a bin may always have of its own."""
+
+
+class Work:
+    """The state of a block between levels: arrays [B,n,…]; coefficients are those in the turned frame of the vertex."""
+
+    def __init__(
+        self, transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array
+    ) -> None:
+        n, bins = outgoing.shape[:2]
+        self.transport, self.how, self.positions, self.outgoing = transport, refinement, positions, outgoing
+        self.lattice, self.vertices = refinement.lattice, vertices
+        self.evaluations = self.recalled = 0
+        """What it took, and how much of that was known from before."""
+        self.rotations = refinement.rotations(vertices)
+        self.coefficients = np.zeros((bins, n, self.lattice.count * 3))
+        self.noise, self.surprise, self.rough = np.zeros((3, bins, n))
+        self.scale, self.decay = np.full(n, refinement.floor**2), np.full(n, DECAY**2)
+        self.pool_unit = pool_unit(refinement.pool_noise, refinement.pools)
+        self.turn = refinement.rotate(self.rotations)
+        self.alone = np.zeros((bins, n))
+        """What of the noise is a bin's own, and no other's."""
+        self.spent = np.zeros((bins, n), np.int64)
+        """Directions that a bin was evaluated in."""
+        self.apart = np.zeros((bins, n), bool)
+        """Whether a bin was integrated over a lattice of its own."""
+        self.fewest = int(np.searchsorted(refinement.pools.sizes, self.lattice.sizes[refinement.begin - 1]))
+        self.fewest = min(self.fewest, len(self.pool_unit) - 1)
+        """The smallest of the lattices of their own that do not miss what there is."""
+
+    def add(self, number: int, level: Level) -> None:
+        """Foretells the bins of a level, and evaluates those that this is not good enough for."""
+        tolerated = self.how.light**2 * LEVEL_SHARES[min(number, len(LEVEL_SHARES) - 1)]
+        if number == 0:
+            self.begin(level, tolerated)
+            return
+        self.foretell(level)
+        wanted = np.isfinite(self.scale) & np.ones((len(level.bins), 1), bool)
+        if number > self.how.always:
+            wanted &= ~(self.surprise[level.bins] <= self.how.view**2 * self.scale)
+        places, rows = np.nonzero(wanted)
+        bins = level.bins[places]
+        foretold, noise, alone, expected = (
+            part[bins, rows].copy() for part in (self.coefficients, self.noise, self.alone, self.surprise)
+        )
+        self.evaluate(number, level, places, rows, tolerated)
+        off = ((self.coefficients[bins, rows] - foretold) ** 2).mean(axis=1)
+        self.surprise[bins, rows] = np.maximum(off - self.noise_of_difference(rows, bins, noise, alone), 0.0)
+        if number > ALWAYS:
+            self._learn_decay(rows, expected, self.surprise[bins, rows])
+        if number == ALWAYS:
+            # The first levels were hardly foretold: they take after the last of them.
+            for before in self.how.levels[:number]:
+                self.surprise[before.bins] = self.surprise[level.bins].mean(axis=0)
+        if number < ALWAYS:
+            self.measure(number)
+
+    def begin(self, level: Level, tolerated: float) -> None:
+        """Evaluates the coarsest bins, which nothing foretells and no scale is known for."""
+        places, rows = np.nonzero(np.ones((len(level.bins), len(self.positions)), bool))
+        bins = level.bins[places]
+        self.integrate(rows, bins, np.full(len(rows), np.inf))
+        self.measure(0)
+        noisy = np.flatnonzero(self.noise[bins, rows] > tolerated * self.scale[rows])
+        self.integrate(rows[noisy], bins[noisy], tolerated * self.scale[rows[noisy]])
+
+    def evaluate(self, number: int, level: Level, places: Index, rows: Index, tolerated: float) -> None:
+        """Evaluates the bins of a level at these places [M] of the vertices in these rows [M]."""
+        self.integrate(rows, level.bins[places], tolerated * self.scale[rows])
+
+    def noise_of_difference(self, rows: Index, bins: Index, foretold: Array, alone: Array) -> Array:
+        """The variance [M] that bins and what was foretold of them differ by for their noise alone; `foretold` and
+        `alone` [M] are the noise of the latter, and what of it errs apart.
+        """
+        return np.asarray(self.noise[bins, rows] + foretold)
+
+    def integrate(self, rows: Index, bins: Index, allowed: Array) -> None:
+        """Integrates bins over lattices of their own, as large as it takes for the variance allowed [M]."""
+        rough, least = self.rough[bins, rows], np.full(len(rows), self.fewest)
+        self.apart[bins, rows] = True
+        for _attempt in range(ALONE):
+            if not len(rows):
+                return
+            enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
+            steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
+            steps = np.maximum(steps, least)
+            found, rough = self.fit_alone(rows, bins, steps, 0)
+            self.coefficients[bins, rows] = (self.turn[rows].transpose(0, 2, 1) @ found).reshape(len(rows), -1)
+            noise = rough * self.pool_unit[steps]
+            self.noise[bins, rows] = self.alone[bins, rows] = noise
+            self.rough[bins, rows] = rough
+            # Rougher than it seemed: once more, unless it is nearly good enough.
+            again = (noise > NEARLY * allowed) & (steps < len(self.pool_unit) - 1)
+            rows, bins, least = rows[again], bins[again], steps[again] + 1
+            allowed, rough = allowed[again], rough[again]
+
+    def finished(self) -> Refined:
+        """What came of it all, a few bins held against independent directions."""
+        variance = self.noise + np.where(self.spent > 0, 0.0, self.surprise) + ROUNDING**2 * self.scale
+        variance = np.ascontiguousarray(variance.T)
+        n, bins = variance.shape
+        own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
+        turned = self.turn[:, None] @ own
+        checks = self.check(variance, turned)
+        rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
+        shared = 0.0 if self.how.lattices == "own" else np.maximum(self.noise - self.alone, 0.0).sum(axis=0)
+        together = (shared / variance.sum(axis=1)).astype(np.float32)
+        spent = self.spent.T.astype(np.uint16)
+        return Refined(*rounded, spent, self._way().T, together, self.evaluations, self.recalled, checks)
+
+    def _way(self) -> NDArray[np.uint8]:
+        """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""
+        return ((self.spent > 0).astype(np.uint8) + self.apart).astype(np.uint8)
+
+    def fit_alone(self, rows: Index, bins: Index, steps: Index, which: int) -> tuple[Array, Array]:
+        """Coefficients [M,K,3], in the world's frame, of bins over lattices of their own, and squared roughness."""
+        found, rough = np.empty((len(rows), self.lattice.count, 3)), np.empty(len(rows))
+        pools = self.how.pools
+        for step in np.unique(steps):
+            size = pools.sizes[step]
+            pool = pools.of(size)
+            for some in lots(np.flatnonzero(steps == step), size):
+                r, b = rows[some], bins[some]
+                ask = partial(self._fit_alone, pool, r, b, pools.copies(size, self.vertices[r], b, which))
+                fits, known = self.how.answers.given((size, which), self.vertices[r], b, ask)
+                found[some], rough[some] = fits[:, :-1].reshape(len(some), -1, 3), fits[:, -1]
+                self.recalled += known * size
+        taken = np.array(pools.sizes, np.int64)[steps]
+        self.evaluations += int(taken.sum())
+        if which == 0:
+            self.spent[bins, rows] += taken
+        return found, rough
+
+    def _fit_alone(self, pool: Pool, rows: Index, bins: Index, copies: Index, some: Index) -> Array:
+        """Some of these bins: coefficients and squared roughness [m,K·3+1]."""
+        r, b = rows[some], bins[some]
+        values = values_at(self.transport, pool.incident, copies[some], self.positions[r], self.outgoing[r, b])
+        found, rough = pool.fitted(values, copies[some])
+        return np.column_stack([found.reshape(len(some), -1), rough])
+
+    def check(self, variance: Array, turned: Array) -> Checks:
+        """Holds some bins against two lattices of their own each."""
+        rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
+        before = self.evaluations
+        one, other = self.held(rows, bins, turned)
+        squared, noise = (one * other).mean(axis=(1, 2)), noise_of_checks(rows, one, other)
+        way, taken = self._way()[bins, rows], self.evaluations - before
+        return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
+
+    def held(self, rows: Index, bins: Index, turned: Array) -> tuple[Array, Array]:
+        """What two lattices, which none of the coefficients `turned` [n,B,K,3] were fitted over, say that bins are off
+        [M,K,3]: one times the other has the squared error for a mean, however noisy they are.
+        """
+        # A bin that seems smoother than its vertex may have missed what others have seen.
+        rough = np.maximum(self.rough[bins, rows], self.rough.mean(axis=0)[rows])
+        allowed = self.how.checked**2 * self.scale[rows]
+        enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
+        steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
+        steps = np.maximum(steps, self.fewest)
+        one, other = (self.fit_alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
+        return one, other
+
+    def measure(self, number: int) -> None:
+        """The mean square coefficient of each vertex, by the levels up to this one."""
+        known = np.concatenate([level.bins for level in self.how.levels[: number + 1]])
+        self.scale = np.maximum((self.coefficients[known] ** 2).mean(axis=(0, 2)), self.how.floor**2)
+
+    def _learn_decay(self, rows: Index, expected: Array, found: Array) -> None:
+        """How much smaller each vertex's surprises were at the bins of a level than beside them one level below."""
+        many, n = np.bincount(rows, minlength=len(self.decay)), len(self.decay)
+        before, after = (np.bincount(rows, np.nan_to_num(part), n) for part in (expected, found))
+        usual = DECAY_BEFORE * before / np.maximum(many, 1)
+        ratio = (after + DECAY**2 / self.decay * usual) / np.maximum(before + usual, 1e-300)
+        self.decay = np.where(before > 0.0, np.clip(self.decay * ratio, LEAST_DECAY**2, MOST_DECAY**2), self.decay)
+
+    def foretell(self, level: Level) -> None:
+        """Coefficients of a level's bins, their noise, roughness and the surprise to be expected, from its parents'."""
+        count, n, width = self.coefficients.shape
+        own, near = level.combining, level.nearest
+        self.coefficients[level.bins] = (own @ self.coefficients.reshape(count, -1)).reshape(-1, n, width)
+        together = (own @ np.sqrt(np.maximum(self.noise - self.alone, 0.0))) ** 2
+        self.noise[level.bins] = together + level.combining_squares @ self.alone
+        self.surprise[level.bins] = self.decay * (near @ self.surprise)
+        self.rough[level.bins] = near @ self.rough
+
+
+def unit(noise: LightNoise, shares: Sequence[float], sizes: Sequence[int]) -> Array:
+    """Variance of a coefficient per squared roughness, for lattices of these sizes."""
+    return np.array([noise.variance(share, size) for share, size in zip(shares, sizes, strict=True)])
+
+
+def pool_unit(noise: LightNoise, pools: Pools) -> Array:
+    """The same of pools: (YᵀY)⁻¹ of a lattice is 4π/D of the identity, to a thousandth; none need be made for it."""
+    return unit(noise, [4.0 * np.pi / size for size in pools.sizes], pools.sizes)
+
+
+def lots(which: Index, width: int) -> list[Index]:
+    """`which` in lots of at most VALUES_AT_ONCE values of `width` each."""
+    size = max(1, VALUES_AT_ONCE // width)
+    return [which[begin : begin + size] for begin in range(0, len(which), size)]
