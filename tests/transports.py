@@ -62,8 +62,8 @@ class Chequered:
 
 
 class Ringed:
-    """Rings in the view of which none foretells another, over light that changes slowly along the surface and leans with
-    the view, so that no few functions of it make up all bins.
+    """Rings in the view of which none foretells another, over light that changes slowly along the surface and leans
+    with the view, so that no few functions of it make up all bins.
 
     `patch`: radius of a spot that is three times as bright. `sharp`: stripes of the world in their place, and no
     vertex foretells another. `blind`: a place where nothing is finite.
