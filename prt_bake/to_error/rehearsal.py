@@ -16,12 +16,10 @@ from bakers.refined import Refined, Refinement
 from bakers.verdict import Tally
 from prt_bake.bake_forecast import COST
 from prt_bake.bake_light import drawn
-from prt_bake.to_error.aim import PILOT_CHECKS, Aim, pilot_vertices, refined_block
+from prt_bake.to_error.aim import PILOT_CHECKS, Aim, refined_block
 from prt_bake.to_error.first_look import MANY, Site
 from prt_bake.to_error.nearby_choice import SWEPT
 from prt_bake.to_error.passes import Pass, tighter
-
-Index = NDArray[np.int64]
 
 ENOUGH, MOST, LARGEST = 0.06, 0.06, 0.25
 """Blocks are baked until the mean over their vertices is known to within so much, one sigma, or until they are so large
@@ -80,7 +78,7 @@ def rehearsed(site: Site, how: Refinement, crew: Crew) -> Rehearsal:
     """
     how, count = replace(how, answers=NOTHING), len(site.vertices)
     size = max(1, min(site.block_vertices, int(LARGEST * count)))
-    order = site.vertices[_shuffled(site)]
+    order = site.vertices[drawn(site.seed + 6, count, count)]
     seconds, done, blocks, tally = 0.0, 0, list[Refined](), Tally(len(site.mesh.positions))
     while done < count:
         cut = [np.sort(order[first : first + size]) for first in range(done, count, size)][: crew.workers]
@@ -95,12 +93,6 @@ def rehearsed(site: Site, how: Refinement, crew: Crew) -> Rehearsal:
         if done >= MOST * count or deviation <= ENOUGH:
             break
     return Rehearsal(done, seconds / done, tally.evaluations / done, deviation, blocks[-1], tally)
-
-
-def _shuffled(site: Site) -> Index:
-    """Places of the baked vertices in a random order, those of the pilot last."""
-    order = drawn(site.seed + 6, len(site.vertices), len(site.vertices))
-    return np.asarray(order[np.argsort(np.isin(site.vertices[order], pilot_vertices(site)), kind="stable")])
 
 
 def _deviation(costs: NDArray[np.float64], count: int) -> float:
