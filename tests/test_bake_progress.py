@@ -57,4 +57,5 @@ def test_lines_without_a_share_have_no_percentage(
     with reporting("bake") as show:
         show(None, "3 of 9 vertices")
         show(0.25, "4 of 9 vertices", 30.0)
+        show(1.0, "")
     assert capsys.readouterr().err == "bake: 3 of 9 vertices\nbake: 25% 4 of 9 vertices, 30 s left\n"

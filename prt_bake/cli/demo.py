@@ -32,7 +32,7 @@ def demo(
             stop=stop,
         )
         if result.asset.complete:
-            show(1.0, "done", 0.0)
+            show(1.0, "")
     for file in result.files:
         print(file)
     print("error against run time: seconds, evaluations, estimated relative RMSE of the coefficients")

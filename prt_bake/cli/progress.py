@@ -126,7 +126,8 @@ def _lines(label: str) -> Iterator[Callable[[float | None, str, str], None]]:
 
     def report(share: float | None, words: str, left: str) -> None:
         nonlocal last
-        if time.monotonic() - last >= PLAIN_INTERVAL:
+        # Nothing to tell is the end, which what the command prints then tells as well.
+        if words and time.monotonic() - last >= PLAIN_INTERVAL:
             last = time.monotonic()
             said = ", ".join(part for part in (words, left) if part)
             print(f"{label}: {_percent(share)} {said}".replace("  ", " "), file=sys.stderr, flush=True)
