@@ -36,7 +36,9 @@ class BakePlan:
     raw_bytes: int
     """Coefficients before compression, as stored."""
     seconds: float | None
-    """Estimated from a trial block; None if none was run."""
+    """From the beginning to the asset, as a few blocks foretell it; None if none was baked."""
+    seconds_between: tuple[float, float] | None = None
+    """What it hardly falls short of and hardly exceeds; None where nothing tells."""
     left_out: list[Item] = field(default_factory=list)
     kept: list[Item] = field(default_factory=list)
 

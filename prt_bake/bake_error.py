@@ -17,14 +17,14 @@ class ErrorMeter:
     """Σ â², the errors included."""
     _ratios: list[NDArray[np.float64]] = field(default_factory=list)
 
-    def add(self, block: Block) -> None:
-        """Takes in the valid vertices of a block."""
+    def add(self, block: Block, times: float = 1.0) -> None:
+        """Takes in the valid vertices of a block, each as if it were so many in the total."""
         estimate = block.coefficients[block.valid].astype(np.float64)
         standard_error = block.standard_error[block.valid].astype(np.float64)
         error = (standard_error**2).sum(axis=1) * estimate.shape[2] * estimate.shape[3]
         squares = (estimate**2).sum(axis=(1, 2, 3))
-        self.squared_error += float(error.sum())
-        self.squared_estimate += float(squares.sum())
+        self.squared_error += times * float(error.sum())
+        self.squared_estimate += times * float(squares.sum())
         self._ratios.append(_ratio(error, squares))
 
     @property

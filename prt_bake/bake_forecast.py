@@ -20,14 +20,16 @@ class Standing(tuple[float, float, float]):
 
     Attributes:
         left: seconds until the target, as they are foretold; None where nothing tells.
+        stage: what is being done, where a bake has several parts.
     """
 
     left: float | None
+    stage: str
 
-    def __new__(cls, row: tuple[float, float, float], left: float | None) -> Self:
-        """The row, with an attribute."""
+    def __new__(cls, row: tuple[float, float, float], left: float | None, stage: str = "") -> Self:
+        """The row, with attributes."""
         standing = super().__new__(cls, row)
-        standing.left = left
+        standing.left, standing.stage = left, stage
         return standing
 
 

@@ -36,18 +36,9 @@ class Shelf:
 
     def keep(self, block: Block) -> None:
         """Takes a block."""
-        if self._store is None:
-            return
-        arrays: dict[str, NDArray[Any]] = {
-            "coefficients": block.coefficients,
-            "standard_error": block.standard_error,
-            "valid": block.valid,
-            "bent": np.asarray(block.bent),
-            "more": np.asarray(block.more),
-        }
-        if block.account is not None:
-            arrays["account"] = np.array(astuple(block.account), np.float64)
-        self._store.write(_name(block.first_vertex, block.first_vertex + len(block.valid)), arrays)
+        if self._store is not None:
+            name = _name(block.first_vertex, block.first_vertex + len(block.valid))
+            self._store.write(name, as_arrays(block))
 
     def kept(self, cut: Cut) -> Block | None:
         """Gives a block back; None where it is not there, or broken."""
@@ -57,6 +48,20 @@ class Shelf:
         parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
         account = _account(arrays["account"]) if "account" in arrays else None
         return Block(cut[0], *parts, account, int(arrays["more"]))
+
+
+def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
+    """A block as it is kept."""
+    arrays: dict[str, NDArray[Any]] = {
+        "coefficients": block.coefficients,
+        "standard_error": block.standard_error,
+        "valid": block.valid,
+        "bent": np.asarray(block.bent),
+        "more": np.asarray(block.more),
+    }
+    if block.account is not None:
+        arrays["account"] = np.array(astuple(block.account), np.float64)
+    return arrays
 
 
 def _account(numbers: NDArray[np.float64]) -> Account:

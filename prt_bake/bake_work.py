@@ -14,7 +14,7 @@ from prt_bake.bake_needs import Needs
 
 Progress = Callable[[int, int, Standing], None]
 """progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error)); the last one's attribute
-`left` is the seconds that are left, as they are foretold, or None.
+`left` is the seconds that are left, as they are foretold, or None, and `stage` says in words which pass it is.
 """
 
 

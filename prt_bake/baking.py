@@ -7,35 +7,29 @@ import math
 import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bakers.baker import bake_block, block_size
 from bakers.crew import Crew, Threads
-from bakers.path_traced import Walks
-from bakers.plan import BakePlan, plan_bake
 from bakers.transport import on_mesh, up_to, way_in
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from formats.whole import refuse_unwritable
-from prt_bake import sh, sphere
+from prt_bake import sphere
 from prt_bake.bake_arguments import refuse_unusable
 from prt_bake.bake_by_samples import bake_by_samples
 from prt_bake.bake_identity import identity_of
-from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
+from prt_bake.bake_job import limited_threads, prepared, refuse_foreign
 from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
 from prt_bake.bake_output import asset_head, said_by
-from prt_bake.bake_pilot import reach
+from prt_bake.bake_plan import plan
 from prt_bake.bake_store import Store, opened_store
 from prt_bake.bake_work import Progress, Work
 from prt_bake.pared_sink import NotSo
-from prt_bake.to_error.aim import Pilot, aimed
-from prt_bake.to_error.first_look import Site, first_refinement, refuse_out_of_reach
 from prt_bake.to_error.run import Run, bake_to_error
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]
@@ -196,70 +190,6 @@ def _needed_after_all(store: Store) -> set[str]:
     """Items that an earlier run has found out are needed."""
     arrays = store.read("needed")
     return set() if arrays is None else set(arrays["items"].tolist())
-
-
-def plan(
-    transport: Any,
-    mesh: Mesh,
-    degree: int = 2,
-    rings: int = 16,
-    sectors: int = 64,
-    directions: str = "fibonacci",
-    samples: int = 64,
-    seed: int = 0,
-    *,
-    error: float | None = None,
-    precision: str = "float32",
-    storage: str = "float16",
-    workers: int = 1,
-    device: str = "cpu",
-    leave_out: Collection[str] = (),
-    for_light: Light | ArrayLike | None = None,
-    for_eye: ArrayLike | None = None,
-) -> BakePlan:
-    """What `bake` with these arguments would cost, and what it would leave out; one block, or the pilot of a bake to an
-    error, is baked to estimate it. Raises as `bake` does.
-    """
-    refuse_unusable(
-        mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=None, seed=seed,
-        workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
-    )  # fmt: skip
-    refuse_foreign(transport, mesh)
-    transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
-    light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
-    with limited_threads(transport, workers):
-        needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, leave_out, light, eye)
-        if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
-            grid = (rings, sectors) if needs.views == "all" else None
-            site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed, grid)
-            refinement, goal = first_refinement(site)[0], needs.left_for_projection(error)
-            refuse_out_of_reach(site, refinement, goal)
-            aim = aimed(Pilot(site), refinement, goal)
-            a_bin, a_vertex = math.ceil(aim.evaluations_per_vertex / site.bins), aim.evaluations_per_vertex
-            seconds = aim.seconds / max(1, workers)
-        else:
-            job = resolve(transport, mesh, needs.degree, rings, sectors, directions, samples, seed, needs)
-            if error is not None:
-                job, _spent = reach(job, needs.left_for_projection(error), directions, seed)
-            a_bin, seconds = job.resolved.samples, _trial(job, workers)
-            a_vertex = float(a_bin * job.task.bins)
-    vertices, count = len(needs.vertices), 1 if light is not None else sh.count(needs.kept_degree)
-    views, width = len(needs.local) if needs.views == "all" else 1, 2 if storage == "float16" else 4
-    sizes = plan_bake(vertices, len(needs.local), count, a_bin, width, needs.channels, views)
-    evaluations = round(a_vertex * vertices)
-    sizes = replace(sizes, left_out=needs.left_out, kept=needs.kept)
-    return replace(sizes, evaluations=evaluations, seconds=seconds * vertices)
-
-
-def _trial(job: Job, workers: int) -> float:
-    """Seconds a vertex, from one block."""
-    first = int(job.vertices[0])
-    size = int(min(block_size(job.task), len(job.mesh.positions) - first))
-    shared = 1 if isinstance(job.resolved.sampling, Walks) else max(1, workers)
-    bake_block(job.task, first, first + 1)
-    began = time.monotonic()
-    bake_block(job.task, first, first + size)
-    return (time.monotonic() - began) / (size * shared)
 
 
 def _settings(transport: Any, mesh: Mesh, asked: dict[str, Any], workers: int) -> dict[str, Any]:

@@ -90,7 +90,12 @@ def demonstrate(
     inside = compare(small, reference, coverage[..., 0] >= 1.0, settings.exposure)
     write_side_by_side(small, reference, whole.flip_map, folder / "comparison.png", settings.exposure)
     ladder = error_ladder(
-        load_model(MODEL), read_mesh(MESH), samples=LADDER, precision=settings.precision, workers=workers
+        load_model(MODEL),
+        read_mesh(MESH),
+        samples=LADDER,
+        precision=settings.precision,
+        workers=workers,
+        baked=asset,
     )
     plot_error(ladder, asset.error_vs_time[-1], folder / "error.png")
     figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": said}

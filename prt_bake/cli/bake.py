@@ -161,6 +161,8 @@ def bake(
             **needed,
             provenance={"command": context.obj, "mesh": mesh.name, **origin(source)},
         )
+        if asset.complete and not stop():
+            show(1.0, "")
     summary = bake_report(asset)
     if report is not None:
         write_report(summary, report)

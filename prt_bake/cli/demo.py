@@ -31,6 +31,8 @@ def demo(
             progress=bake_progress(show),
             stop=stop,
         )
+        if result.asset.complete:
+            show(1.0, "")
     for file in result.files:
         print(file)
     print("error against run time: seconds, evaluations, estimated relative RMSE of the coefficients")

@@ -13,7 +13,8 @@ def plan_lines(plan: BakePlan) -> Iterator[str]:
     yield f"{plan.evaluations:,} evaluations, {plan.evaluations / max(1, bins):.1f} a bin"
     yield f"{plan.raw_bytes / 1e6:,.1f} MB of coefficients before compression"
     if plan.seconds is not None:
-        yield f"about {in_words(plan.seconds)}"
+        between = "" if plan.seconds_between is None else f", {' to '.join(map(in_words, plan.seconds_between))}"
+        yield f"about {in_words(plan.seconds)}{between}"
     for title, items in (("left out", plan.left_out), ("kept", plan.kept)):
         for item in items:
             saving = f"; {item.saving}" if item.saving else ""

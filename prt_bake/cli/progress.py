@@ -15,11 +15,17 @@ PLAIN_INTERVAL = 5.0
 """Seconds between two lines where there is no terminal."""
 
 
+NEARLY = 0.99
+"""Share of a bake that it does not exceed before its end: a further pass may follow, and the asset is to be written."""
+
+
 class Report(Protocol):
     """Shows how far the work is."""
 
-    def __call__(self, share: float, words: str, left: float | None = None) -> None:
-        """share: done, in [0, 1]. left: seconds that it still takes; as the share has grown so far, by default."""
+    def __call__(self, share: float | None, words: str, left: float | None = None) -> None:
+        """share: done, in [0, 1]; None where there is no telling. left: seconds that it still takes; as the share has
+        grown so far, by default.
+        """
 
 
 def say(sentence: str) -> None:
@@ -36,8 +42,8 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
     began = time.monotonic()
     with _bar(label, first) if sys.stderr.isatty() else _lines(label) as show:
 
-        def report(share: float, words: str, left: float | None = None) -> None:
-            if left is None and share > 0.0:
+        def report(share: float | None, words: str, left: float | None = None) -> None:
+            if left is None and share:
                 left = (time.monotonic() - began) * (1.0 - share) / share
             show(share, words, "" if left is None else f"{in_words(left)} left")
 
@@ -45,13 +51,19 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
 
 
 def bake_progress(show: Report) -> Callable[[int, int, "Standing"], None]:
-    """What a bake tells, shown as its share of the time to its target."""
+    """What a bake tells, shown as its share of the time to its target; where what is left turns out longer than was
+    foretold the share stays until the bake has caught up.
+    """
+    furthest = 0.0
 
     def told(done: int, total: int, standing: "Standing") -> None:
+        nonlocal furthest
         seconds, _evaluations, error = standing
         left = standing.left
-        share = done / total if left is None else seconds / max(seconds + left, 1e-9)
-        show(share, f"{done} of {total} vertices, error {error:.2%}", left)
+        if left is not None:
+            furthest = max(furthest, min(seconds / max(seconds + left, 1e-9), NEARLY))
+        stage = f"{standing.stage}: " if standing.stage else ""
+        show(None if left is None else furthest, f"{stage}{done} of {total} vertices, error {error:.2%}", left)
 
     return told
 
@@ -86,32 +98,42 @@ def stopping() -> Iterator[Callable[[], bool]]:
 
 
 @contextmanager
-def _bar(label: str, first: str) -> Iterator[Callable[[float, str, str], None]]:
+def _bar(label: str, first: str) -> Iterator[Callable[[float | None, str, str], None]]:
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
     columns = (
         TextColumn(label, markup=False),
         BarColumn(),
-        TaskProgressColumn(),
+        TextColumn("{task.fields[share]:>4}", markup=False),
         TextColumn("{task.fields[left]}", markup=False),
         TextColumn("{task.fields[words]}", markup=False),
     )
     with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task(label, total=1.0, words=first, left="")
-        yield lambda share, words, left: progress.update(task, completed=share, words=words, left=left)
+        task = progress.add_task(label, total=1.0, words=first, left="", share="0%")
+
+        def report(share: float | None, words: str, left: str) -> None:
+            # Without an end the bar only shows that something is done.
+            progress.tasks[0].total = None if share is None else 1.0
+            progress.update(task, completed=share or 0.0, words=words, left=left, share=_percent(share))
+
+        yield report
 
 
 @contextmanager
-def _lines(label: str) -> Iterator[Callable[[float, str, str], None]]:
+def _lines(label: str) -> Iterator[Callable[[float | None, str, str], None]]:
     last = time.monotonic()
 
-    def report(share: float, words: str, left: str) -> None:
+    def report(share: float | None, words: str, left: str) -> None:
         nonlocal last
-        if time.monotonic() - last >= PLAIN_INTERVAL:
+        # Nothing to tell is the end, which what the command prints then tells as well.
+        if words and time.monotonic() - last >= PLAIN_INTERVAL:
             last = time.monotonic()
-            print(
-                f"{label}: {share:.0%} {', '.join(part for part in (words, left) if part)}", file=sys.stderr, flush=True
-            )
+            said = ", ".join(part for part in (words, left) if part)
+            print(f"{label}: {_percent(share)} {said}".replace("  ", " "), file=sys.stderr, flush=True)
 
     yield report
+
+
+def _percent(share: float | None) -> str:
+    return "" if share is None else f"{share:.0%}"

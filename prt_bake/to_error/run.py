@@ -87,7 +87,7 @@ def bake_to_error(run: Run) -> Asset:
     run.work.evaluations += looked
     if run.error is not None and not math.isfinite(run.deadline):
         run.work.evaluations += refuse_out_of_reach(run.site, refinement, run.error)
-        large = run.site.many >= MANY and run.error < COARSE / 2
+        large = coarse_first(run.site, run.error)
         if large and not run.store.names("01-") and _pass(run, coarse(refinement, COARSE)) is None:
             return _ended(run)
         try:
@@ -114,6 +114,11 @@ def bake_to_error(run: Run) -> Asset:
         began = time.monotonic()
         done = _pass(run, following)
     return _ended(run)
+
+
+def coarse_first(site: Site, error: float) -> bool:
+    """Whether there is a coarse pass before the pilot of a bake to that error."""
+    return site.many >= MANY and error < COARSE / 2
 
 
 def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) -> Aim | None:
@@ -153,7 +158,7 @@ class _Shelf:
         return f"{self.number:02d}-{first}"
 
     def keep(self, first: int, refined: Refined, bent: int) -> None:
-        self.store.write(self.name(first), _as_arrays(refined, bent))
+        self.store.write(self.name(first), as_arrays(refined, bent))
 
     def kept(self, first: int) -> tuple[Refined, int] | None:
         arrays = self.store.read(self.name(first))
@@ -165,7 +170,7 @@ class _Shelf:
         return found
 
     def keep_evaluated(self, first: int, refined: Refined, bent: int) -> None:
-        self.store.write(EVALUATED + self.name(first), _as_arrays(refined, bent))
+        self.store.write(EVALUATED + self.name(first), as_arrays(refined, bent))
 
     def evaluated(self, first: int) -> tuple[Refined, int] | None:
         arrays = self.store.read(EVALUATED + self.name(first))
@@ -203,13 +208,13 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
     run.number, run.passes = run.number + 1, run.passes + 1
     shelf.begin(aim, run.site.block_vertices)
 
-    forecast = _forecast(run, aim, shelf)
+    forecast, stage = _forecast(run, aim, shelf), f"pass {run.passes}"
 
     def show(done: int, tally: Tally) -> None:
         if run.work.progress is not None:
             estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
             spent = run.work.seconds, float(run.work.evaluations + tally.asked), estimate
-            run.work.progress(done, vertices, Standing(spent, forecast.left(done)))
+            run.work.progress(done, vertices, Standing(spent, forecast.left(done), stage))
 
     done = _whole_before(run, aim, shelf)
     if done is None:
@@ -327,7 +332,8 @@ def _ended(run: Run, unfinished: bool = False) -> Asset:
     return run.asset
 
 
-def _as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
+def as_arrays(refined: Refined, bent: int) -> dict[str, NDArray[Any]]:
+    """A block as it is kept."""
     checks = {f"checks_{name}": np.asarray(values) for name, values in vars(refined.checks).items()}
     own = {name: np.asarray(values) for name, values in vars(refined).items() if name != "checks"}
     return own | checks | {"bent": np.asarray(bent)}
