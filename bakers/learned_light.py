@@ -28,10 +28,10 @@ Index = NDArray[np.int64]
 
 ROUNDS = 4
 """Bins of a level that one lattice learns from."""
-LATTICE_SHARE = 0.25
+LATTICE_SHARE = 0.5
 """Of the variance tolerated, what the lattices may have: many bins have it in common."""
 MOST_LATTICES, LATTICES_COST = 4, 1.0
-"""Of a vertex; and the evaluations a bin that one bin of each of them may come to."""
+"""Of a vertex; and the evaluations a bin that one view of each of them may come to."""
 FEWEST_TRIED, MOST_LOST = 8, 0.7
 """Bins of a level, and the share of them that are not recognised, from which on a vertex is foreign."""
 
@@ -58,21 +58,39 @@ class LearnedWork(Work):
         """[n·L,3,3], those of one vertex beside each other, as in all that follows."""
         back = np.repeat(self.turn.transpose(0, 2, 1), self.lattices, axis=0)
         self.functions = LightFunctions(self.pool, back @ refinement.rotate(self.turns))
-        self.begun = np.zeros(n * self.lattices, bool)
         self.incident = self.pool.directions @ self.turns.transpose(0, 2, 1)
         """[n·L,D,3]"""
         self.foreign = np.zeros(n, bool)
         """Vertices whose bins are all integrated on their own: hardly any is recognised."""
 
     def begin(self, level: Level, tolerated: float) -> None:
-        """Evaluates the coarsest bins, which no scale is known for."""
+        """Evaluates the coarsest bins, once each lattice has learned from a few views and a scale is known."""
+        self._teach(level)
         bins, rows = (axis.ravel() for axis in np.meshgrid(level.bins, np.arange(len(self.positions)), indexing="ij"))
-        self.integrate(rows, bins, np.full(len(rows), np.inf))
-        self.measure(0)
         sound = np.isfinite(self.scale[rows])
-        rows, bins = rows[sound], bins[sound]
-        self.apart[bins, rows] = False
-        self._settle(rows, bins, tolerated)
+        self._settle(rows[sound], bins[sound], tolerated)
+        self.measure(0)
+
+    def _teach(self, level: Level) -> None:
+        """Every lattice learns from a view at the rim, one along the normal and one between: what is lit changes with
+        the slant, and in few directions a small light is not seen.
+        """
+        n, squares = len(self.positions), np.zeros(len(self.positions))
+        rows = np.arange(n)
+        upright = np.einsum("nbi,ni->nb", self.outgoing, self.outgoing.mean(axis=1))
+        order = np.argsort(upright, axis=1, kind="stable")
+        taught = [np.full(n, level.bins[0]), order[:, -1], order[:, order.shape[1] // 2]]
+        for lattice in range(self.lattices):
+            cells = rows * self.lattices + lattice
+            for view, bins in enumerate(taught):
+                values = self._values(self.incident, ("taught", lattice, view), rows, bins, cells)
+                finite = np.isfinite(values).all(axis=(1, 2))
+                self.functions.learn(cells[finite], values[finite].astype(np.float64))
+                squares += ((self.pool.weights @ values.astype(np.float64)) ** 2).mean(axis=(1, 2))
+        self.functions.look_for(np.arange(n * self.lattices))
+        self.scale = np.maximum(squares / (len(taught) * self.lattices), self.how.floor**2)
+        self.coefficients[level.bins] = np.where(np.isfinite(squares), 0.0, np.nan)[:, None]
+        self.spent[:] = 0
 
     def evaluate(self, number: int, level: Level, places: Index, rows: Index, tolerated: float) -> None:
         """Evaluates the bins of a level at these places [M] of the vertices in these rows [M]."""
@@ -95,12 +113,11 @@ class LearnedWork(Work):
         """
         cells = rows * self.lattices + self.of_bin[bins]
         allowed, seen = tolerated * self.scale[rows], np.zeros((len(rows), LOOKS[-1][0], 3))
-        first = np.unique(cells, return_index=True)[1]
-        first = first[~self.begun[cells[first]]]
-        self._learn(rows[first], bins[first])
-        here, begin = np.setdiff1d(np.arange(len(rows)), first), 0
+        here, begin = np.arange(len(rows)), 0
         for look, (end, _most) in enumerate(LOOKS):
-            seen[here, begin:end] = self._values(self._looks(begin, end), (begin, end), rows[here], bins[here])
+            seen[here, begin:end] = self._values(
+                self._looks(begin, end), (begin, end), rows[here], bins[here], cells[here]
+            )
             here, begin = self._not_recognised(here, look, rows, bins, seen, allowed), end
         for _round in range(ROUNDS):
             worst = self._worst(cells[here], seen[here])
@@ -114,10 +131,12 @@ class LearnedWork(Work):
         r, b = rows[here], bins[here]
         cells = r * self.lattices + self.of_bin[b]
         amounts, fitted = self.functions.fitted(cells, seen[here], look)
-        lattice = self.functions.roughness(cells, amounts) * self.unit
+        rough = self.functions.roughness(cells, amounts)
+        lattice = rough * self.unit
         good = ~(fitted > np.maximum(allowed[here] - lattice, LEAST_SHARE * allowed[here]))
         r, b, cells = r[good], b[good], cells[good]
         self.coefficients[b, r] = self.functions.coefficients(cells, amounts[good])
+        self.rough[b, r] = rough[good]
         self._noisy(r, b, lattice[good], fitted[good])
         return np.asarray(here[~good])
 
@@ -134,13 +153,13 @@ class LearnedWork(Work):
 
     def _learn(self, rows: Index, bins: Index) -> None:
         """Evaluates a bin of each of some lattices in all directions; what is new of it are functions from now on."""
-        values = self._values(self.incident, "all", rows, bins).astype(np.float64)
+        cells = rows * self.lattices + self.of_bin[bins]
+        values = self._values(self.incident, "all", rows, bins, cells).astype(np.float64)
         plain = self.pool.weights @ values
         left = values - self.pool.harmonics @ plain
         rough = (left**2).sum(axis=1).mean(axis=1) / (self.size - self.lattice.count)
-        cells = rows * self.lattices + self.of_bin[bins]
-        self.begun[cells] = True
-        self.functions.learn(cells, values)
+        finite = np.isfinite(rough)
+        self.functions.learn(cells[finite], values[finite])
         self.coefficients[bins, rows] = self.functions.home(cells, plain)
         self.rough[bins, rows] = rough
         self._noisy(rows, bins, rough * self.unit, 0.0)
@@ -149,9 +168,9 @@ class LearnedWork(Work):
         """Some of the few directions of each lattice [n·L,d,3]."""
         return np.take_along_axis(self.incident, self.functions.picked[:, begin:end, None], axis=1)
 
-    def _values(self, incident: Array, which: Hashable, rows: Index, bins: Index) -> NDArray[np.float32]:
-        """Ŝ [M,d,3] of bins in directions [n·L,d,3] of their lattices."""
-        cells, many = rows * self.lattices + self.of_bin[bins], incident.shape[1]
+    def _values(self, incident: Array, which: Hashable, rows: Index, bins: Index, cells: Index) -> NDArray[np.float32]:
+        """Ŝ [M,d,3] of bins in directions [n·L,d,3] of these lattices."""
+        many = incident.shape[1]
         values = np.empty((len(rows), many, 3), np.float32)
         for some in lots(np.arange(len(rows)), many):
             r, b = rows[some], bins[some]

@@ -73,17 +73,20 @@ class LightFunctions:
         return (self._home[rows] @ plain).reshape(len(rows), plain.shape[1] * 3)
 
     def learn(self, rows: Index, values: Array) -> None:
-        """Takes in what is new in values [m,D,3], one set for each of these lattices; where to look is settled by the
-        first.
-        """
+        """Takes in what is new in values [m,D,3], a set for each of these lattices, which may come several times."""
         for row, found in zip(rows, values, strict=True):
             old = self.values[row]
             sides, sizes, _channels = np.linalg.svd(found - old @ (old.T @ found), full_matrices=False)
             new = sides[:, sizes**2 > max(WORTH_LEARNING * (sizes**2).sum(), ROUNDING**2 * (found**2).sum())]
             self.values[row] = np.column_stack([new, old])[:, :MOST]
             self.known[row] = min(self.known[row] + new.shape[1], MOST)
-            if not self.picked[row].any():
-                self.picked[row] = _where_to_look(new, self._pool.directions)
+        self._prepare(np.unique(rows))
+
+    def look_for(self, rows: Index) -> None:
+        """Settles anew where the functions of these lattices are looked for."""
+        for row in rows:
+            functions = self.values[row, :, : self.known[row]]
+            self.picked[row] = _where_to_look(functions, self._pool.directions)
         self._prepare(rows)
 
     def _prepare(self, rows: Index) -> None:

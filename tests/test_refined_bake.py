@@ -47,7 +47,9 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     assert true <= 1.1 * ERROR
     assert 0.8 < told / true < 1.2
     within = (np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error).mean()
-    assert 0.93 < within < 0.97
+    # Where bins share lattices, four of each vertex here, errors are 168 numbers: the share of few is known less well.
+    few = name in ("edged", "chequered")
+    assert (0.90 if few else 0.93) < within < (0.99 if few else 0.97)
     bins = len(mesh.positions) * 1024
     assert counted.evaluations == asset.provenance["evaluations"]
     assert uniform_needs(transport, mesh, truth, 16, 64, ERROR) > least * counted.evaluations / bins

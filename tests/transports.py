@@ -155,6 +155,15 @@ class Shadowed:
         return _coloured(_facing(incident, positions) * lit + 0.1)
 
 
+class Sunlit:
+    """A light of 5° that stays where it is, seen less and less towards grazing views, on a diffuse floor."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        towards = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
+        small = np.exp(300.0 * (incident @ towards - 1.0)) * np.abs((outgoing * positions).sum(-1))[:, None]
+        return _coloured(0.5 * _facing(incident, positions) + 3.0 * small)
+
+
 def _coloured(values: Array) -> Array:
     return np.asarray(values[..., None] * np.array([1.0, 0.7, 0.5]))
 

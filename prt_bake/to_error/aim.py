@@ -3,6 +3,8 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -251,7 +253,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
         if aim.error <= 0.0 or (aim.error <= error and (enough or np.array_equal(tally.variance, before.variance))):
             break
         missed = max(aim.correction.shared, aim.correction.alone) > MISSED
-        if learned and (missed or aim.evaluations_per_vertex > RECOGNISED * pilot.site.bins):
+        if learned and aim.evaluations_per_vertex > RECOGNISED * pilot.site.bins:
             break
         if missed and dials.begin < most:
             # Most bins do not see what some do: what they say of their error is worth nothing.
@@ -315,7 +317,10 @@ def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
     if how.lattices == "learned":
         many = min(many, LEARNED_CHECKS * len(chosen))
     share = max(many / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
-    checks = checked_bins(site.seed + 1, site.bins, min(share, 1.0))
+    drawn_bins, coarsest = checked_bins(site.seed + 1, site.bins, min(share, 1.0)), np.zeros(site.bins, bool)
+    # What all lattices miss is seen at bins that are evaluated, and hardly any of those that are drawn are.
+    coarsest[how.levels[0].bins] = True
+    checks = partial(_checks_and, drawn_bins, coarsest)
     tally, spent = Tally(len(site.mesh.positions)), Spent()
     for some, refined, took in pilot.tried(replace(how, checks=checks), chosen):
         tally.add(some, refined)
@@ -325,6 +330,10 @@ def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
     per_vertex = (tally.evaluations - tally.check_evaluations) / len(chosen)
     per_check = tally.check_evaluations / max(1, tally.checked)
     return Aim(how, correction, reached, 0.0, spent, per_vertex, per_check), tally
+
+
+def _checks_and(drawn_bins: Callable[[Index], NDArray[np.bool_]], others: NDArray[np.bool_], vertices: Index) -> Any:
+    return drawn_bins(vertices) | others
 
 
 def coarse(refinement: Refinement, error: float) -> Aim:

@@ -4,7 +4,7 @@
     PYTHONPATH=tests python tests/bench/refined_bake.py --model MODEL.pt --mesh MESH [--vertices 64]
 
 Without a model: analytic transports on 42 vertices (162, …), 16×64 bins, all evaluations counted from outside;
-`--others` are seven more. With one: some
+`--others` are eight more. With one: some
 vertices of its mesh, refined to the error, against a bake as one would write it in plain PyTorch: uniform directions,
 bin by bin, default threads; timed at 1024 directions on bins drawn at random and carried to the error by its own law.
 """
@@ -38,6 +38,7 @@ OTHERS = (
     known.KinkedApart(),
     known.LobedApart(),
     known.Shadowed(),
+    known.Sunlit(),
 )
 PLAIN_DIRECTIONS, PLAIN_BINS = 1024, 192
 TRUE_DIRECTIONS = 1 << 13
