@@ -36,6 +36,7 @@ from prt_bake.bake_work import Progress, Work
 from prt_bake.pared_sink import NotSo
 from prt_bake.to_error.aim import Pilot, aimed
 from prt_bake.to_error.first_look import Site, first_refinement, refuse_out_of_reach
+from prt_bake.to_error.foreseen import evaluations_of
 from prt_bake.to_error.run import Run, bake_to_error
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]
@@ -218,7 +219,8 @@ def plan(
     for_eye: ArrayLike | None = None,
 ) -> BakePlan:
     """What `bake` with these arguments would cost, and what it would leave out; one block, or the pilot of a bake to an
-    error, is baked to estimate it. Raises as `bake` does.
+    error, is baked to estimate it. Its evaluations are counted, the seconds of looks and pilot are not: these have been
+    spent by then. Raises as `bake` does.
     """
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=None, seed=seed,
@@ -232,21 +234,22 @@ def plan(
         if error is not None and directions == "fibonacci" and way_in(transport) != "coefficients":
             grid = (rings, sectors) if needs.views == "all" else None
             site = Site(transport, mesh, needs.vertices, needs.outgoing, needs.local, needs.degree, seed, grid)
-            refinement, goal = first_refinement(site)[0], needs.left_for_projection(error)
-            refuse_out_of_reach(site, refinement, goal)
+            (refinement, looked), goal = first_refinement(site), needs.left_for_projection(error)
+            looked += refuse_out_of_reach(site, refinement, goal)
             aim = aimed(Pilot(site), refinement, goal)
-            a_bin, a_vertex = math.ceil(aim.evaluations_per_vertex / site.bins), aim.evaluations_per_vertex
+            a_bin = math.ceil(aim.evaluations_per_vertex / site.bins)
+            evaluations = needs.evaluations + evaluations_of(site, aim, looked, goal)
             seconds = aim.seconds / max(1, workers)
         else:
             job = resolve(transport, mesh, needs.degree, rings, sectors, directions, samples, seed, needs)
+            spent = 0
             if error is not None:
-                job, _spent = reach(job, needs.left_for_projection(error), directions, seed)
+                job, spent = reach(job, needs.left_for_projection(error), directions, seed)
             a_bin, seconds = job.resolved.samples, _trial(job, workers)
-            a_vertex = float(a_bin * job.task.bins)
+            evaluations = needs.evaluations + spent + a_bin * job.task.bins * len(needs.vertices)
     vertices, count = len(needs.vertices), 1 if light is not None else sh.count(needs.kept_degree)
     views, width = len(needs.local) if needs.views == "all" else 1, 2 if storage == "float16" else 4
     sizes = plan_bake(vertices, len(needs.local), count, a_bin, width, needs.channels, views)
-    evaluations = round(a_vertex * vertices)
     sizes = replace(sizes, left_out=needs.left_out, kept=needs.kept)
     return replace(sizes, evaluations=evaluations, seconds=seconds * vertices)
 

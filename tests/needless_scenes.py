@@ -96,10 +96,9 @@ def two_skinned() -> tuple[Mesh, NDArray[np.bool_]]:
     """A ball of which every face is there twice, back to back: no vertex is hidden."""
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, np.int32)
-    mesh = Mesh(
-        np.concatenate([vertices] * 2), np.concatenate([faces, faces[:, ::-1] + 42]), np.concatenate([vertices, -vertices])
-    )
-    return mesh, np.zeros(84, bool)
+    both = np.concatenate([faces, faces[:, ::-1] + len(vertices)])
+    mesh = Mesh(np.concatenate([vertices, vertices]), both, np.concatenate([vertices, -vertices]))
+    return mesh, np.zeros(2 * len(vertices), bool)
 
 
 def doubled() -> Mesh:

@@ -121,8 +121,8 @@ def remarks(scene: Scene, asset: Asset) -> str:
     found = [f"left out {', '.join(item['item'] for item in asset.left_out)}"] if asset.left_out else ["all kept"]
     found += asset.provenance.get("needed_after_all", [])
     if scene.hidden is not None:
-        seen = asset.valid.astype(bool)
-        found.append(f"{int((~seen).sum())} hidden of {int(scene.hidden.sum())}, {int((~seen & ~scene.hidden).sum())} wrongly")
+        unseen, hidden = ~asset.valid.astype(bool), scene.hidden
+        found.append(f"{unseen.sum()} hidden of {hidden.sum()}, {(unseen & ~hidden).sum()} wrongly")
     return ", ".join(found)
 
 

@@ -2,10 +2,10 @@
 
     PYTHONPATH=tests python tests/bench/bake_stability.py [--error 0.01] [--seeds 3] [--only WORDS]
 
-On 12 or 42 vertices, against fits over 4,096 directions and more. The worst of the seeds: `true` is the relative RMSE of the
-object, `95 %` that of the vertex which 95 % do not exceed; told over true is a range, as is the share of the bins whose
-error 1.96 `standard_error` hold. `amiss`: an error above 1.1 times what was asked for, one told that is off by more than
-20 % (40 % of fewer than 10,000 bins), bins within outside 88 to 99 %.
+On 12 or 42 vertices, against fits over 4,096 directions and more. The worst of the seeds: `true` is the relative RMSE
+of the object, `95 %` that of the vertex which 95 % do not exceed; told over true is a range, and so is the share of
+bins whose error 1.96 `standard_error` hold. `amiss`: an error above 1.1 times what was asked for, one told that is off
+by more than 20 % (40 % of fewer than 10,000 bins), a share of bins outside 88 to 99 %.
 """
 
 import argparse
