@@ -226,6 +226,7 @@ def needs_of(
     )
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def looked_at(
     transport: Any, mesh: Mesh, vertices: Index, degree: int, outgoing: Views, some: Index, size: int, seed: int
 ) -> Look:

@@ -40,6 +40,10 @@ SURVEY_SHARE, MOST_SURVEYED = 10, 32
 """Of how many vertices one is seen in all of its bins before, and at most how many are."""
 HOPELESS = 4.0
 """Times the error asked for, that a few bins in the most directions may be off."""
+HELD = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+"""Between which root mean square coefficients are kept in float32 without loss."""
+NOT_FINITE = np.errstate(invalid="ignore", over="ignore")
+"""Bins whose answers are not finite are passed over here, and named when they are baked."""
 MISSED = 20.0
 """Times its stated variance that an error must be before bins are held not to see what there is."""
 
@@ -128,6 +132,7 @@ def fewest_checks(site: Site) -> float:
     return float(np.clip(CHECK_SHARE * site.many, FEWEST_CHECKS, MOST_CHECKS))
 
 
+@NOT_FINITE
 def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, int]:
     """How noisy fits over the shared lattice and over pools are, the root mean square coefficient, and the evaluations
     that these took; from bins that are drawn, each with two lattices of each of some sizes.
@@ -146,6 +151,8 @@ def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise
     noise = fitted_noise(lattice.variance_shares[:2], lattice.sizes[:2], rough[:2], squared[:2])
     noise = replace(noise, slope=min(noise.slope, pool_noise.slope, USUAL_SLOPE))
     floor = float(np.sqrt((pooled[-1][0][finite] ** 2).mean()))
+    if floor > 0.0 and not HELD[0] < floor < HELD[1]:
+        raise QueryError(f"the transport's coefficients are about {floor:.2g}, which float32 does not hold; scale it")
     return noise, pool_noise, floor, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
 
 
@@ -178,6 +185,7 @@ def _both(fits: list[tuple[Array, Array]]) -> Pair:
     return (one + other) / 2.0, (rough + also) / 2.0, ((one - other) ** 2).mean(axis=(1, 2)) / 2.0
 
 
+@NOT_FINITE
 def refuse_out_of_reach(site: Site, refinement: Refinement, error: float) -> int:
     """Raises QueryError where the most directions there are leave far more at a few bins; evaluations, none where what
     was looked at before tells enough.
@@ -187,7 +195,8 @@ def refuse_out_of_reach(site: Site, refinement: Refinement, error: float) -> int
     size = refinement.pools.sizes[-1]
     bins = drawn(site.seed + 5, site.many, min(LOOKED_AT, site.many))
     found, _rough, squared = _pooled_pair(site, refinement.pools, size, bins)
-    left = float(np.sqrt(np.nanmean(squared) / np.nanmean(found**2)))
+    signal = _finite_mean(found**2)
+    left = float(np.sqrt(_finite_mean(squared) / signal)) if signal > 0.0 else 0.0
     if left > HOPELESS * error:
         raise out_of_reach(error, size, left)
     return 2 * len(bins) * size
@@ -201,6 +210,7 @@ def out_of_reach(error: float, size: int, left: float) -> QueryError:
     )
 
 
+@NOT_FINITE
 def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Array, float, int]:
     """What each size of the lattice misses at most bins, of the root mean square coefficient, without telling so; the
     relative error of the largest; and evaluations. A look at a few bins in many directions: of what a lattice has
@@ -212,7 +222,7 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
         site, lattice.directions[: lattice.sizes[step]], pair_turns(site.seed, LOOK, 2, bins), bins
     )
     all_seen, _rough = lattice.fitted(values, step)
-    missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, float(np.nanmean(all_seen**2))
+    missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, _finite_mean(all_seen**2)
     for number, size in enumerate(lattice.sizes[:step]):
         found, rough = lattice.fitted(values[:, :size], number)
         off, stated = (
@@ -221,8 +231,14 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
         )
         if np.median(off - MISSED * stated) > 0.0:
             missed[number] = np.sqrt(np.median(off) / signal)
-        finest = float(np.sqrt(np.nanmean(off) / signal)) if signal > 0.0 else 0.0
+        finest = float(np.sqrt(_finite_mean(off) / signal)) if signal > 0.0 else 0.0
     return missed, finest, len(bins) * lattice.sizes[step]
+
+
+def _finite_mean(values: Array) -> float:
+    """The mean of those that are finite; nan where none is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")
 
 
 def _survey(
@@ -240,6 +256,7 @@ def _survey(
     return survey, whole[..., 0].size * (lattice.sizes[0] // 2)
 
 
+@NOT_FINITE
 def _surveyed(site: Site, lattice: NestedLattice, place: int) -> Array:
     """Coefficients [B,K·3] at all bins of one vertex, from half of the smallest lattice."""
     few = lattice.sizes[0] // 2
