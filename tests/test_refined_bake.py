@@ -171,6 +171,17 @@ def test_what_float32_does_not_hold_is_refused(size: float) -> None:
         bake(Scaled(lambda c, x: size * (1.0 + c)), icosphere(0), rings=4, sectors=16, error=0.03)
 
 
+def test_a_vertex_that_outshines_all_others_does_not_make_them_dark() -> None:
+    mesh = icosphere(1)
+
+    def lit(cosine: Array, positions: Array) -> Array:
+        bright = np.all(np.isclose(positions, mesh.positions[17]), axis=1)
+        return (np.maximum(cosine, 0.0) + 0.05) * 10.0 ** (9.0 * bright[:, None])
+
+    for seed in range(3):
+        assert bake(Scaled(lit), mesh, rings=4, sectors=16, error=0.01, seed=seed).valid.all()
+
+
 def test_one_vertex() -> None:
     mesh = one_vertex()
     asset = bake(Lobed(), mesh, error=0.02)

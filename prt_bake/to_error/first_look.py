@@ -28,7 +28,9 @@ FEWEST_NOISE_BINS, MOST_NOISE_BINS = 16, 48
 LOOKED_AT, LOOK = 8, 4096
 """Bins that are looked at in that many directions, to see what fewer miss."""
 DARK = 0.01
-"""Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
+"""Of the root mean square coefficient of the object, or of the vertex in the middle if that is less: darker vertices
+are held to the errors of those that have it.
+"""
 BINS_AT_ONCE, FEWEST_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1 << 12, 1024
 """Bins of a block, fewer where there are many workers; and most vertices."""
 BLOCKS_A_WORKER = 4
@@ -101,10 +103,13 @@ def vertices_at_once(vertices: int, bins: int, workers: int) -> int:
 def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
     """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
     lattice, pools = lattice_for(site.degree), pools_for(site.degree, site.seed)
-    noise, pool_noise, floor, spent = _noise(site, lattice, pools)
+    noise, pool_noise, squares, spent = _noise(site, lattice, pools)
     missed, finest, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
-    survey, surveyed = _survey(site, lattice, levels, DARK * floor, crew)
+    usual = float(np.sqrt(squares.mean()))
+    survey, squares, surveyed = _survey(site, lattice, levels, squares, crew)
+    # Where a few vertices outshine all others, nearly all would be dark beside the mean.
+    typical = float(np.sqrt(np.median(squares[squares > 0.0]))) if squares.any() else 0.0
     return Refinement(
         levels=levels,
         lattice=lattice,
@@ -117,7 +122,7 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         light=1.0,
         view=1.0,
         checked=1.0,
-        floor=DARK * floor,
+        floor=DARK * min(usual, typical),
         begin=1,
         always=ALWAYS,
         survey=survey,
@@ -133,9 +138,9 @@ def fewest_checks(site: Site) -> float:
 
 
 @NOT_FINITE
-def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, int]:
-    """How noisy fits over the shared lattice and over pools are, the root mean square coefficient, and the evaluations
-    that these took; from bins that are drawn, each with two lattices of each of some sizes.
+def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, Array, int]:
+    """How noisy fits over the shared lattice and over pools are, mean square coefficients [M] of the bins, and the
+    evaluations that these took; from bins that are drawn, each with two lattices of each of some sizes.
     """
     few = int(np.clip(site.many // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS))
     bins = drawn(site.seed + 2, site.many, min(few, site.many))
@@ -150,10 +155,11 @@ def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise
     pool_noise = fitted_noise([4.0 * np.pi / size for size in sizes], sizes, rough[2:], squared[2:])
     noise = fitted_noise(lattice.variance_shares[:2], lattice.sizes[:2], rough[:2], squared[:2])
     noise = replace(noise, slope=min(noise.slope, pool_noise.slope, USUAL_SLOPE))
-    floor = float(np.sqrt((pooled[-1][0][finite] ** 2).mean()))
-    if floor > 0.0 and not HELD[0] < floor < HELD[1]:
-        raise QueryError(f"the transport's coefficients are about {floor:.2g}, which float32 does not hold; scale it")
-    return noise, pool_noise, floor, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
+    squares = (pooled[-1][0][finite] ** 2).mean(axis=(1, 2))
+    usual = float(np.sqrt(squares.mean()))
+    if usual > 0.0 and not HELD[0] < usual < HELD[1]:
+        raise QueryError(f"the transport's coefficients are about {usual:.2g}, which float32 does not hold; scale it")
+    return noise, pool_noise, squares, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
 
 
 Pair = tuple[Array, Array, Array]
@@ -242,18 +248,21 @@ def _finite_mean(values: Array) -> float:
 
 
 def _survey(
-    site: Site, lattice: NestedLattice, levels: list[Level], floor: float, crew: Crew
-) -> tuple[ViewSurvey | None, int]:
-    """All bins of a few vertices in the fewest directions, where bins are going to be foretold; and evaluations."""
+    site: Site, lattice: NestedLattice, levels: list[Level], squares: Array, crew: Crew
+) -> tuple[ViewSurvey | None, Array, int]:
+    """All bins of a few vertices in the fewest directions, where bins are going to be foretold; mean square
+    coefficients of these vertices, or else those `squares` of bins that are known; and evaluations.
+    """
     if len(levels) <= ALWAYS + 1:
-        return None, 0
+        return None, squares, 0
     count = int(np.clip(len(site.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
     chosen = np.sort(drawn(site.seed + 4, len(site.vertices), count))
     found = crew.in_order(lambda place: crew.do(_surveyed, (site, lattice), int(place)), chosen)
     whole = np.stack(list(found), axis=1)
     finite = np.isfinite(whole).all(axis=(0, 2))
-    survey = ViewSurvey.of(levels, site.local, whole[:, finite], floor)
-    return survey, whole[..., 0].size * (lattice.sizes[0] // 2)
+    survey = ViewSurvey.of(levels, site.local, whole[:, finite], DARK * float(np.sqrt(squares.mean())))
+    of_vertices = (whole[:, finite] ** 2).mean(axis=(0, 2))
+    return survey, of_vertices if finite.any() else squares, whole[..., 0].size * (lattice.sizes[0] // 2)
 
 
 @NOT_FINITE

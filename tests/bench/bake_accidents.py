@@ -118,7 +118,6 @@ def small_blocks() -> Iterator[None]:
 def clustered(kind: str, bakes: int) -> None:
     """Bakes by two workers in processes of their own, one of which is killed, or the scheduler."""
     import dask
-    import distributed  # noqa: F401  # whose settings are to be there before one of them is changed
 
     for name in ("a worker of a cluster killed", "the scheduler killed"):
         row, taken = Row(f"{name}, {kind}"), list[float]()
@@ -192,6 +191,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     draw = random.Random(given.seed)
+    import distributed  # noqa: F401  # which sets both these logs, and what is changed of its settings below
+
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     heads = "".join(f"/{group}".rjust(10) for group in GROUPS)
     print(f"{'accident':44}{'accidents':>10}{'whole':>8}{'lost':>8}{'most':>8}{heads}  left in the end")
