@@ -44,6 +44,9 @@ bench: .venv/installed-dev
 	PYTHONPATH=tests $(BIN)/python tests/bench/mitsuba_speed.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/walk_cost.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/extremes.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/bake_stability.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/bake_needs.py
+	PYTHONPATH=tests $(BIN)/python tests/bench/bake_accidents.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/reliable_share.py grape serpent head spot_1 --most 65536
 
 # What lies in prt_bake/shipped, made anew from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr

@@ -43,6 +43,8 @@ class Block:
     """What random walks say beside the coefficients."""
     more: int = 0
     """Evaluations beyond `samples` at every bin."""
+    together: NDArray[np.float32] | None = None
+    """[n], share of the squared error that all bins of a vertex have in common; None: all of it."""
 
 
 @dataclass(frozen=True)

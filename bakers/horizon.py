@@ -25,6 +25,23 @@ def vertex_faces(vertices: int, faces: NDArray[np.integer], face_normals: Array)
     return VertexFaces(np.asarray(face_normals, dtype=np.float64)[order // 3], starts)
 
 
+def faces_about(places: Array, faces: NDArray[np.integer], face_normals: Array) -> VertexFaces:
+    """The same for vertices that are each alike in a row of `places` [V,m] where they are one point of a surface: such
+    vertices have all the faces around that point.
+    """
+    vertices = len(places)
+    # Alike rows have alike sums, and sums are much faster to sort than rows.
+    if len(np.unique((places * np.sqrt(2.0 + np.arange(places.shape[1]))).sum(axis=1))) == vertices:
+        return vertex_faces(vertices, faces, face_normals)
+    _unique, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    same = first[inverse.reshape(-1)]
+    merged = vertex_faces(vertices, same[faces], face_normals)
+    many = np.diff(merged.starts)[same]
+    starts = np.concatenate(([0], np.cumsum(many)))
+    within = np.arange(starts[-1]) - np.repeat(starts[:-1], many)
+    return VertexFaces(merged.normals[np.repeat(merged.starts[same], many) + within], starts)
+
+
 def bend_to_horizon(outgoing: Array, around: VertexFaces, first_vertex: int) -> tuple[Array, int]:
     """Bends outgoing [n,B,3] at vertices from first_vertex on up to the horizon; returns them and how many were bent.
 

@@ -118,10 +118,12 @@ class Journal:
                     part.write_text(json.dumps(self._identity, indent=1), encoding="utf-8")
 
     def _empty(self) -> None:
-        """Removes what this class has written, the identity last: without it there is nothing to resume."""
+        """Removes what this class has written, the identity first: a part of the blocks is nothing to go on from, since
+        later ones are made of earlier ones.
+        """
         remove_parts(self.folder)
         try:
-            for path in [*self.folder.glob("*.npz"), self.folder / _IDENTITY]:
+            for path in [self.folder / _IDENTITY, *self.folder.glob("*.npz")]:
                 path.unlink(missing_ok=True)
         except OSError as cause:
             raise storage_error(self.folder, cause) from cause

@@ -79,7 +79,8 @@ class Cluster:
             return max(1, self._threads)
 
     def _threads_now(self) -> int:
-        with _blaming(self._address, OSError):
+        # A client that has given its scheduler up in the meantime says RuntimeError.
+        with _blaming(self._address, OSError, RuntimeError):
             threads = self._client.nthreads().values()
         return len(threads) if self._alone else sum(threads)
 

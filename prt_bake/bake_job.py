@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Sampling, Task
-from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.horizon import VertexFaces, bend_to_horizon, faces_about
 from bakers.path_traced import Walks
 from bakers.transport import way_in
 from formats.errors import QueryError
@@ -90,13 +90,18 @@ def views_of(mesh: Mesh, rings: int, sectors: int) -> tuple[NDArray[np.float64],
         raise QueryError(f"rings × sectors: {rings} × {sectors} view bins, where at most {MOST_BINS:,} are possible")
     local = sphere.view_bins(rings, sectors)
     tangents = sphere.tangent_frame(mesh.normals)
-    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+    around = horizons(mesh)
 
     def outgoing(first: int, last: int) -> tuple[NDArray[np.float64], int]:
         world = sphere.to_world(local, mesh.normals[first:last, None], tangents[first:last, None])
         return bend_to_horizon(world, around, first)
 
     return tangents, outgoing
+
+
+def horizons(mesh: Mesh) -> VertexFaces:
+    """The faces around each vertex; vertices at one place with one normal have them in common, as one point has."""
+    return faces_about(np.concatenate([mesh.positions, mesh.normals], axis=1), mesh.faces, mesh.face_normals)
 
 
 def refuse_foreign(transport: Any, mesh: Mesh) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.horizon import bend_to_horizon
 from bakers.plan import Item
 from bakers.transport import way_in
 from bakers.values import values_at
@@ -21,7 +21,7 @@ from bakers.view_levels import view_levels
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_job import Views, views_of
+from prt_bake.bake_job import Views, horizons, views_of
 from prt_bake.bake_light import drawn, pair_turns
 from prt_bake.bake_rounding import rounding_of
 from prt_bake.camera import refuse_eye_in_object
@@ -226,6 +226,7 @@ def needs_of(
     )
 
 
+@np.errstate(invalid="ignore", over="ignore")
 def looked_at(
     transport: Any, mesh: Mesh, vertices: Index, degree: int, outgoing: Views, some: Index, size: int, seed: int
 ) -> Look:
@@ -331,7 +332,7 @@ def _degree_for(light: Light, look: Look, degree: int, tolerated: float) -> int:
 
 def _towards(mesh: Mesh, eye: Array) -> Views:
     """One direction at each vertex, to the eye."""
-    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+    around = horizons(mesh)
 
     def outgoing(first: int, last: int) -> tuple[Array, int]:
         towards = eye - mesh.positions[first:last, None]

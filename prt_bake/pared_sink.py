@@ -57,7 +57,8 @@ class ParedSink:
     """Takes blocks of all that was baked and hands on what the asset keeps.
 
     Attributes:
-        squared: Σ of squares that were left out, mean over K and channels, and of those that stayed, over vertices.
+        squared: Σ of squares that were left out, mean over K and channels, noise taken off without bias, and of those
+            that stayed, over vertices.
     """
 
     def __init__(self, sink: Sink, needs: Needs) -> None:
@@ -65,7 +66,7 @@ class ParedSink:
         self._copies: dict[int, list[int]] = {}
         for vertex, same in needs.copies.tolist():
             self._copies.setdefault(same, []).append(vertex)
-        self.squared = np.zeros(2)
+        self.squared, self._averaged = np.zeros(2), np.zeros(2)
         self._meter = ErrorMeter()
 
     def __enter__(self) -> Self:
@@ -80,7 +81,7 @@ class ParedSink:
     @property
     def left_out(self) -> float:
         """Relative RMSE that leaving out has added so far."""
-        return float(np.sqrt(self.squared[0] / self.squared[1])) if self.squared[1] > 0.0 else 0.0
+        return float(np.sqrt(max(self.squared[0], 0.0) / self.squared[1])) if self.squared[1] > 0.0 else 0.0
 
     def write(self, block: Block) -> None:
         """Takes a block [n,B,K,3] of consecutive vertices; raises NotSo where one of them needs what is left out."""
@@ -102,8 +103,9 @@ class ParedSink:
             return self._sink.finish(provenance | {"estimated_relative_rmse": told}, error_vs_time, complete)
         parts = {"left_out": self.left_out, "rounding": self._needs.rounding}
         parts = {name: value for name, value in parts.items() if value > 0.0}
-        if parts:
-            told = provenance["estimated_relative_rmse"]
+        if parts or self._needs.views == "one":
+            smaller = math.sqrt(self._averaged[1] / self._averaged[0]) if self._averaged[0] > 0.0 else 1.0
+            told = {name: smaller * value for name, value in provenance["estimated_relative_rmse"].items()}
             whole = {name: math.hypot(value, *parts.values()) for name, value in told.items()}
             provenance = provenance | {"estimated_relative_rmse": whole | parts}
         return self._sink.finish(provenance, error_vs_time, complete)
@@ -117,34 +119,47 @@ class ParedSink:
         if needs.views == "one":
             mean = a.mean(axis=1, keepdims=True)
             spread = ((a - mean) ** 2).mean(axis=(1, 2, 3), keepdims=True)[..., 0, 0]
-            variance, squares = variance.mean(axis=1, keepdims=True), squares.mean(axis=1, keepdims=True)
-            off = self._held("views", block, spread, squares, variance)
+            each, squares = variance.mean(axis=1, keepdims=True), squares.mean(axis=1, keepdims=True)
+            apart = each * _spreading(block, a.shape[1])
+            off, variance = self._held("views", block, spread, squares, each, apart), each - apart
+            self._averaged += each[block.valid].sum(), variance[block.valid].sum()
             a = mean
         kept = sh.count(needs.kept_degree)
         if kept < a.shape[2]:
             cut = (a[:, :, kept:] ** 2).sum(axis=(2, 3)) / (a.shape[2] * 3)
-            off = off + self._held("bands", block, cut, squares, variance)
+            off = off + self._held("bands", block, cut, squares, variance, (1.0 - kept / a.shape[2]) * variance)
             a = a[:, :, :kept]
         if needs.channels == 1:
             grey = a.mean(axis=3, keepdims=True)
             cut = ((a - grey) ** 2).mean(axis=(2, 3))
-            off = off + self._held("channels", block, cut, squares, 0.0 * variance)
+            off = off + self._held("channels", block, cut, squares, 0.0 * variance, 0.0)
             a = grey
         self.squared += off[block.valid].sum(), squares[block.valid].sum()
-        variance = variance + off
+        variance = variance + np.maximum(off, 0.0)
         if needs.light is not None:
             light = needs.light.coefficients[: a.shape[2]]
             variance = variance * (light**2).sum(axis=0).mean()
             a = np.einsum("nbkc,kc->nbc", a, light[:, :1] if needs.channels == 1 else light)[:, :, None]
         return replace(block, coefficients=a.astype(np.float32), standard_error=np.sqrt(variance).astype(np.float32))
 
-    def _held(self, item: str, block: Block, off: Array, squares: Array, variance: Array) -> Array:
-        """What is left out at each bin, noise apart; raises NotSo at a vertex where it is too much."""
-        off = np.maximum(off - variance, 0.0)
-        each = off.mean(axis=1)
+    def _held(
+        self, item: str, block: Block, off: Array, squares: Array, variance: Array, noise: Array | float
+    ) -> Array:
+        """What is left out at each bin, `noise` apart, at times below 0; raises NotSo at a vertex where it is too much,
+        as far as errors of that variance tell.
+        """
+        each = np.maximum(off - variance, 0.0).mean(axis=1)
         scale = np.maximum(squares.mean(axis=1), DARK * self._needs.signal)
         limit = (WORST * self._needs.tolerated) ** 2 * scale + (NOISE**2) * variance.mean(axis=1)
         wrong = block.valid & (each > limit)
         if wrong.any():
             raise NotSo(item, block.first_vertex + int(wrong.argmax()))
-        return off
+        return off - noise
+
+
+def _spreading(block: Block, bins: int) -> Array:
+    """Of the variance of bins, what is not in their mean [n,1]: some err together and the others apart."""
+    if block.together is None:
+        return np.zeros((len(block.valid), 1))
+    together = np.where(block.valid, block.together, 0.0)[:, None]
+    return np.asarray(1.0 - together**2 - (1.0 - together) / bins)

@@ -30,21 +30,25 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 class Slow(Incoherent):
-    """Takes its time, so that a kill can come at any moment of a bake."""
+    """Takes its time, so that a kill can come at any moment of a bake: so many seconds an evaluation."""
+
+    def __init__(self, pause: float = 2e-7) -> None:
+        self.pause = pause
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        time.sleep(2e-7 * incident.shape[0] * incident.shape[1])
+        time.sleep(self.pause * incident.shape[0] * incident.shape[1])
         return super().evaluate(incident, positions, outgoing)
 
 
-def process(out: Path, kind: str, workers: int, block: int) -> int:
+def process(out: Path, kind: str, workers: int, block: int, subdivisions: int = 1, pause: float = 2e-7) -> int:
     """Bakes, resuming what there is, in a new process; its number."""
     child = os.fork()
     if child:
         return child
     prt_bake.to_error.first_look.BINS_AT_ONCE = block * 32
     bakers.baker.vertices_at_once = lambda bins, directions: block
-    bake(Slow(), icosphere(1), rings=2, sectors=16, **KINDS[kind], out=out, workers=workers, resume=True)
+    mesh = icosphere(subdivisions)
+    bake(Slow(pause), mesh, rings=2, sectors=16, **KINDS[kind], out=out, workers=workers, resume=True)
     os._exit(0)
 
 

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 from command_line import Run
+from needless_scenes import Flat, Grey, nested, soup
 from transports import Array, Counting, Edged, Lobed, exact, icosphere
 
 import prt_bake
 from formats.errors import QueryError
 from formats.image import write_image
-from formats.mesh import Mesh, build_mesh
+from formats.mesh import Mesh
 from prt_bake import bake, baking, read_asset, sh, shade, sphere
 from prt_bake.unseen import seen_from_eye, seen_from_outside
 
@@ -25,41 +26,10 @@ def relative(off: Array, truth: Array) -> float:
     return float(np.sqrt((off**2).sum() / (truth**2).sum()))
 
 
-def nested() -> tuple[Mesh, int]:
-    """A ball in a ball, and how many vertices the outer one has."""
-    outer, inner = trimesh.creation.icosphere(subdivisions=1), trimesh.creation.icosphere(subdivisions=1, radius=0.5)
-    faces = np.concatenate([outer.faces, inner.faces + len(outer.vertices)])
-    return build_mesh(np.concatenate([outer.vertices, inner.vertices]), faces), len(outer.vertices)
-
-
-class Grey:
-    """A clamped cosine, alike in all channels but at one vertex, and from all views but at another."""
-
-    def __init__(self, coloured: Array | None = None, changing: Array | None = None) -> None:
-        self.coloured, self.changing = coloured, changing
-
-    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
-        value = np.repeat(cosine[..., None], 3, axis=-1)
-        if self.coloured is not None:
-            value[np.isclose(positions, self.coloured).all(axis=1)] *= [1.0, 0.9, 0.8]
-        if self.changing is not None:
-            there = np.isclose(positions, self.changing).all(axis=1)
-            value[there] *= 1.0 + (outgoing[there] * positions[there]).sum(axis=1)[:, None, None]
-        return value
-
-
-class Flat:
-    """Constant and linear bands alone."""
-
-    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        value = 0.5 + 0.4 * np.einsum("ndi,ni->nd", incident, positions)
-        return value[..., None] * (1.0 + (outgoing * positions).sum(axis=1))[:, None, None] * [1.0, 0.5, 0.2]
-
-
 @pytest.mark.parametrize("asked", [{"error": 0.03}, {"samples": 32}])
 def test_what_no_eye_outside_sees_is_not_baked_and_the_rest_is_the_same(asked: dict[str, float]) -> None:
-    mesh, outside = nested()
+    mesh, inside = nested(1.0, 0.5)
+    outside = int((~inside).sum())
     seen = seen_from_outside(mesh)
     assert seen[:outside].all()
     assert not seen[outside:].any()
@@ -100,6 +70,27 @@ def test_vertices_twice_in_a_mesh_are_baked_once() -> None:
         assert asset.left_out[0]["item"] == "duplicates"
         assert len(np.unique(np.concatenate(asked_at), axis=0)) == 42
         assert asset.provenance["vertices_baked"] == 42
+
+
+def test_what_is_copied_is_seen_as_all_of_its_copies_are() -> None:
+    # Every corner has a face of its own, and below that face's horizon views are bent.
+    mesh = soup()
+    asset = bake(Lobed(), mesh, **SMALL, error=0.03, leave_out=["duplicates"])
+    truth = exact(Lobed(), mesh, 8, 32)
+    assert asset.provenance["vertices_baked"] == 42
+    assert relative(asset.coefficients - truth, truth) < 0.033
+    smooth = bake(Lobed(), icosphere(1), **SMALL, samples=32).provenance["bins_bent_to_the_horizon"]
+    whole = bake(Lobed(), mesh, **SMALL, samples=32).provenance["bins_bent_to_the_horizon"]
+    assert smooth / 42 == pytest.approx(whole / 240, rel=0.1)
+
+
+def test_errors_of_views_that_err_apart_are_not_those_of_their_mean() -> None:
+    mesh = icosphere(2)
+    asset = bake(Grey(), mesh, **SMALL, error=0.01, leave_out=baking.ITEMS)
+    assert [item["item"] for item in asset.left_out] == ["views", "channels"]
+    truth = exact(Grey(), mesh, 8, 32)
+    true = relative(asset.coefficients - truth, truth)
+    assert 0.75 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.35
 
 
 @pytest.mark.parametrize("asked", [{"error": 0.02}, {"samples": 512}])
@@ -217,16 +208,24 @@ def test_what_could_not_be_is_refused() -> None:
 
 
 def test_the_plan_says_what_is_left_out_and_what_it_saves() -> None:
-    mesh, _outside = nested()
+    mesh, _inside = nested(1.0, 0.5)
     plan = baking.plan(Edged(), mesh, error=0.02, leave_out=baking.ITEMS)
     assert {item.item for item in plan.left_out} == {"unseen", "views"}
     assert plan.vertices == 42
     assert plan.raw_bytes == 42 * 9 * 3 * 2
     whole = baking.plan(Edged(), mesh, error=0.02)
-    assert plan.evaluations < 0.5 * whole.evaluations
+    assert plan.evaluations < 0.75 * whole.evaluations
     assert whole.left_out == []
     kept = baking.plan(Edged(), mesh, samples=64, leave_out=["unseen"])
     assert kept.evaluations == 42 * 1024 * 64
+
+
+def test_a_plan_counts_what_the_bake_will() -> None:
+    mesh = icosphere(1)
+    for more in ({}, {"leave_out": ["bands"]}, {"for_eye": [0.5, 3.0, 1.0]}):
+        plan = baking.plan(Lobed(), mesh, **SMALL, error=0.01, **more)
+        asset = bake(Lobed(), mesh, **SMALL, error=0.01, **more)
+        assert plan.evaluations == pytest.approx(asset.provenance["evaluations"], rel=0.25)
 
 
 def test_of_an_asset_for_one_light_the_error_of_its_radiance_is_told() -> None:

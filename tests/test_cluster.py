@@ -192,6 +192,15 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(
         none.end()
 
 
+def test_a_client_that_has_given_its_scheduler_up_is_a_cluster_that_has_gone() -> None:
+    class Closed:
+        def nthreads(self) -> dict[str, int]:
+            raise RuntimeError("ConnectionPool is closed")
+
+    with pytest.raises(ClusterError, match="--resume"):
+        _workers = prt_bake.bake_cluster.Cluster(Closed(), "tcp://host:8786", False).workers
+
+
 def test_other_versions_at_a_worker_are_refused() -> None:
     packed = prt_bake.bake_cluster._packed({"some": "thing"})
     other = prt_bake.bake_cluster.Packed(packed.name, packed.content, packed.versions | {"numpy": "1.0"})

@@ -1,5 +1,6 @@
 """Bakes to an error: it is reached, what is said of it is true, and it takes a small part of the evaluations."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,41 @@ def test_a_vertex_that_is_not_finite_is_named_and_the_rest_baked() -> None:
     assert relative((asset.coefficients - truth)[good], truth[good]) < 0.033
     with pytest.raises(QueryError, match="not finite"):
         bake(Scaled(lambda c, x: c * np.nan), mesh, rings=4, sectors=16, error=0.03)
+
+
+def test_what_is_infinite_is_named_without_a_warning() -> None:
+    def blinding(incident: Array, positions: Array, outgoing: Array) -> Array:
+        facing = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
+        values = np.where((outgoing @ np.array([0.48, 0.6, 0.64]) > 0.9)[:, None], np.inf, facing)
+        return np.repeat(values[..., None], 3, axis=-1)
+
+    asset = bake(of(blinding), icosphere(1), rings=4, sectors=16, error=0.03, leave_out=["views", "bands"])
+    assert 5 < (~asset.valid).sum() == asset.provenance["vertices_not_finite"]["count"] < 40
+
+
+def of(answer: Callable[[Array, Array, Array], Array]) -> object:
+    class Answering:
+        def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+            return answer(incident, positions, outgoing)
+
+    return Answering()
+
+
+@pytest.mark.parametrize("size", [1e39, 1e-50])
+def test_what_float32_does_not_hold_is_refused(size: float) -> None:
+    with pytest.raises(QueryError, match="float32 does not hold"):
+        bake(Scaled(lambda c, x: size * (1.0 + c)), icosphere(0), rings=4, sectors=16, error=0.03)
+
+
+def test_a_vertex_that_outshines_all_others_does_not_make_them_dark() -> None:
+    mesh = icosphere(1)
+
+    def lit(cosine: Array, positions: Array) -> Array:
+        bright = np.all(np.isclose(positions, mesh.positions[17]), axis=1)
+        return (np.maximum(cosine, 0.0) + 0.05) * 10.0 ** (9.0 * bright[:, None])
+
+    for seed in range(3):
+        assert bake(Scaled(lit), mesh, rings=4, sectors=16, error=0.01, seed=seed).valid.all()
 
 
 def test_one_vertex() -> None:

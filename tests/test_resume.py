@@ -10,10 +10,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from loose_aim import loosely_aimed
 from transports import Incoherent, Lobed, icosphere
 
 from bakers.path_traced import Account
 from formats.errors import StorageError
+from formats.journal import Journal
 from prt_bake import bake, read_asset
 
 GROUPS = "mesh", "basis", "bins", "transfer"
@@ -103,6 +105,47 @@ def _counting(asked: list[int]) -> object:
         return bake_block(task, first, last)  # type: ignore[arg-type]
 
     return counted
+
+
+class Killed(BaseException):
+    """Ends everything."""
+
+
+@pytest.mark.parametrize("removed", [1, 4, 7])
+def test_a_kill_while_finished_blocks_are_removed(
+    tmp_path: Path, removed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Two passes, of which the second needs the blocks of the first: what is left of both is no way to go on.
+    monkeypatch.setattr("prt_bake.to_error.run.aimed", loosely_aimed)
+    monkeypatch.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 32)
+    out, whole, left = tmp_path / "a.h5", tmp_path / "whole.h5", [removed]
+    unlink, glob = Path.unlink, Path.glob
+    asked = {**SMALL, "error": 0.03}
+    with bake(Incoherent(), icosphere(1), **asked, out=whole) as asset:
+        assert asset.provenance["refinement"]["passes"] == 2
+
+    def of_last(path: Path) -> bool:
+        # The last pass may be forgotten first, as the file system has it.
+        return "02" not in path.name
+
+    def some(path: Path, missing_ok: bool = False) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise Killed
+        unlink(path, missing_ok=missing_ok)
+
+    def killed(journal: Journal) -> None:
+        with monkeypatch.context() as during:
+            during.setattr(Path, "glob", lambda path, pattern: sorted(glob(path, pattern), key=of_last))
+            during.setattr(Path, "unlink", some)
+            journal._empty()
+
+    with monkeypatch.context() as during:
+        during.setattr(Journal, "remove", killed)
+        with pytest.raises(Killed):
+            bake(Incoherent(), icosphere(1), **asked, out=out)
+    bake(Incoherent(), icosphere(1), **asked, out=out, resume=True).close()
+    same(out, whole)
 
 
 def test_a_changed_bake_by_samples_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

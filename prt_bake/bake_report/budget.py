@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.horizon import bend_to_horizon
 from bakers.values import values_at
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import camera as cameras
 from prt_bake import environment, sh, sphere
-from prt_bake.bake_job import views_of
+from prt_bake.bake_job import horizons, views_of
 from prt_bake.bake_output import said_by
 from prt_bake.bake_report.bins import fitted, relative
 from prt_bake.bake_report.reflected import noise_free_rms, reflected_at
@@ -208,7 +208,7 @@ class _Baked:
     ) -> None:
         self._transport, self._mesh, self._degree = transport, mesh, degree
         self._vertices = seen.corners.reshape(-1)
-        around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+        around = horizons(mesh)
         towards = eye - mesh.positions[self._vertices]
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         bent = [bend_to_horizon(d[None, None], around, int(v))[0] for v, d in zip(self._vertices, towards, strict=True)]

@@ -29,7 +29,9 @@ FEWEST_NOISE_BINS, MOST_NOISE_BINS = 16, 48
 LOOKED_AT, LOOK = 8, 4096
 """Bins that are looked at in that many directions, to see what fewer miss."""
 DARK = 0.01
-"""Of the object's root mean square coefficient: darker vertices are held to the errors of those that have it."""
+"""Of the root mean square coefficient of the object, or of the vertex in the middle if that is less: darker vertices
+are held to the errors of those that have it.
+"""
 BINS_AT_ONCE, FEWEST_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1 << 12, 1024
 """Bins of a block, fewer where there are many workers; and most vertices."""
 BLOCKS_A_WORKER = 4
@@ -41,6 +43,10 @@ SURVEY_SHARE, MOST_SURVEYED = 10, 32
 """Of how many vertices one is seen in all of its bins before, and at most how many are."""
 HOPELESS = 4.0
 """Times the error asked for, that a few bins in the most directions may be off."""
+HELD = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+"""Between which root mean square coefficients are kept in float32 without loss."""
+NOT_FINITE = np.errstate(invalid="ignore", over="ignore")
+"""Bins whose answers are not finite are passed over here, and named when they are baked."""
 MISSED = 20.0
 """Times its stated variance that an error must be before bins are held not to see what there is."""
 
@@ -98,10 +104,13 @@ def vertices_at_once(vertices: int, bins: int, workers: int) -> int:
 def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
     """How to refine at all, tolerances apart; and how many evaluations it took to see how noisy fits are."""
     lattice, pools = lattice_for(site.degree), pools_for(site.degree, site.seed)
-    noise, pool_noise, floor, roughness, spent = _noise(site, lattice, pools)
+    noise, pool_noise, squares, rough, spent = _noise(site, lattice, pools)
     missed, finest, looked = _missed(site, lattice, noise)
     levels = view_levels(site.local)
-    survey, surveyed = _survey(site, lattice, levels, DARK * floor, crew)
+    usual = float(np.sqrt(squares.mean()))
+    survey, squares, surveyed = _survey(site, lattice, levels, squares, crew)
+    # Where a few vertices outshine all others, nearly all would be dark beside the mean.
+    typical = float(np.sqrt(np.median(squares[squares > 0.0]))) if squares.any() else 0.0
     return Refinement(
         levels=levels,
         lattice=lattice,
@@ -111,11 +120,11 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         pools=pools,
         pool_noise=pool_noise,
         lattices="own",
-        roughness=roughness,
+        roughness=rough / max(usual**2, np.finfo(np.float64).tiny),
         light=1.0,
         view=1.0,
         checked=1.0,
-        floor=DARK * floor,
+        floor=DARK * min(usual, typical),
         begin=1,
         always=ALWAYS,
         survey=survey,
@@ -130,9 +139,11 @@ def fewest_checks(site: Site) -> float:
     return float(np.clip(CHECK_SHARE * site.many, FEWEST_CHECKS, MOST_CHECKS))
 
 
-def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, float, float, int]:
-    """How noisy fits over the shared lattice and over pools are, the root mean square coefficient, and the evaluations
-    that these took; from bins that are drawn, each with two lattices of each of some sizes.
+@NOT_FINITE
+def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise, LightNoise, Array, float, int]:
+    """How noisy fits over the shared lattice and over pools are, mean square coefficients [M] of the bins, the mean
+    square that fits leave over, and the evaluations that these took; from bins that are drawn, each with two lattices
+    of each of some sizes.
     """
     few = int(np.clip(site.many // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS))
     bins = drawn(site.seed + 2, site.many, min(few, site.many))
@@ -147,9 +158,12 @@ def _noise(site: Site, lattice: NestedLattice, pools: Pools) -> tuple[LightNoise
     pool_noise = fitted_noise([4.0 * np.pi / size for size in sizes], sizes, rough[2:], squared[2:])
     noise = fitted_noise(lattice.variance_shares[:2], lattice.sizes[:2], rough[:2], squared[:2])
     noise = replace(noise, slope=min(noise.slope, pool_noise.slope, USUAL_SLOPE))
-    floor = float(np.sqrt((pooled[-1][0][finite] ** 2).mean()))
-    roughness = float(rough[-1].mean() / max(floor**2, 1e-300))
-    return noise, pool_noise, floor, roughness, 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
+    squares = (pooled[-1][0][finite] ** 2).mean(axis=(1, 2))
+    usual = float(np.sqrt(squares.mean()))
+    if usual > 0.0 and not HELD[0] < usual < HELD[1]:
+        raise QueryError(f"the transport's coefficients are about {usual:.2g}, which float32 does not hold; scale it")
+    spent = 2 * len(bins) * (sum(sizes) + sum(lattice.sizes[:2]))
+    return noise, pool_noise, squares, float(rough[-1].mean()), spent
 
 
 Pair = tuple[Array, Array, Array]
@@ -181,6 +195,7 @@ def _both(fits: list[tuple[Array, Array]]) -> Pair:
     return (one + other) / 2.0, (rough + also) / 2.0, ((one - other) ** 2).mean(axis=(1, 2)) / 2.0
 
 
+@NOT_FINITE
 def refuse_out_of_reach(site: Site, refinement: Refinement, error: float) -> int:
     """Raises QueryError where the most directions there are leave far more at a few bins; evaluations, none where what
     was looked at before tells enough.
@@ -190,7 +205,8 @@ def refuse_out_of_reach(site: Site, refinement: Refinement, error: float) -> int
     size = refinement.pools.sizes[-1]
     bins = drawn(site.seed + 5, site.many, min(LOOKED_AT, site.many))
     found, _rough, squared = _pooled_pair(site, refinement.pools, size, bins)
-    left = float(np.sqrt(np.nanmean(squared) / np.nanmean(found**2)))
+    signal = _finite_mean(found**2)
+    left = float(np.sqrt(_finite_mean(squared) / signal)) if signal > 0.0 else 0.0
     if left > HOPELESS * error:
         raise out_of_reach(error, size, left)
     return 2 * len(bins) * size
@@ -204,6 +220,7 @@ def out_of_reach(error: float, size: int, left: float) -> QueryError:
     )
 
 
+@NOT_FINITE
 def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Array, float, int]:
     """What each size of the lattice misses at most bins, of the root mean square coefficient, without telling so; the
     relative error of the largest; and evaluations. A look at a few bins in many directions: of what a lattice has
@@ -215,7 +232,7 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
         site, lattice.directions[: lattice.sizes[step]], pair_turns(site.seed, LOOK, 2, bins), bins
     )
     all_seen, _rough = lattice.fitted(values, step)
-    missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, float(np.nanmean(all_seen**2))
+    missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, _finite_mean(all_seen**2)
     for number, size in enumerate(lattice.sizes[:step]):
         found, rough = lattice.fitted(values[:, :size], number)
         off, stated = (
@@ -224,16 +241,24 @@ def _missed(site: Site, lattice: NestedLattice, noise: LightNoise) -> tuple[Arra
         )
         if np.median(off - MISSED * stated) > 0.0:
             missed[number] = np.sqrt(np.median(off) / signal)
-        finest = float(np.sqrt(np.nanmean(off) / signal)) if signal > 0.0 else 0.0
+        finest = float(np.sqrt(_finite_mean(off) / signal)) if signal > 0.0 else 0.0
     return missed, finest, len(bins) * lattice.sizes[step]
 
 
+def _finite_mean(values: Array) -> float:
+    """The mean of those that are finite; nan where none is."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if finite.size else float("nan")
+
+
 def _survey(
-    site: Site, lattice: NestedLattice, levels: list[Level], floor: float, crew: Crew
-) -> tuple[ViewSurvey | None, int]:
-    """All bins of a few vertices in the fewest directions, where bins are going to be foretold; and evaluations."""
+    site: Site, lattice: NestedLattice, levels: list[Level], squares: Array, crew: Crew
+) -> tuple[ViewSurvey | None, Array, int]:
+    """All bins of a few vertices in the fewest directions, where bins are going to be foretold; mean square
+    coefficients of these vertices, or else those `squares` of bins that are known; and evaluations.
+    """
     if len(levels) <= ALWAYS + 1:
-        return None, 0
+        return None, squares, 0
     count = int(np.clip(len(site.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
     chosen = np.sort(drawn(site.seed + 4, len(site.vertices), count))
     found = list(crew.in_order(lambda place: crew.do(_surveyed, (site, lattice), int(place)), chosen))
@@ -241,10 +266,13 @@ def _survey(
     finite = np.isfinite(whole).all(axis=(0, 2))
     energies = np.stack([each for _coefficients, each in found])[finite].sum(axis=0)
     left = max(float(energies[LOOKS[0][1] :].sum() / energies.sum()), 0.0) if energies.sum() > 0.0 else 0.0
+    floor = DARK * float(np.sqrt(squares.mean()))
     survey = ViewSurvey.of(levels, site.local, whole[:, finite], floor, left)
-    return survey, whole[..., 0].size * (lattice.sizes[0] // 2)
+    of_vertices = (whole[:, finite] ** 2).mean(axis=(0, 2))
+    return survey, of_vertices if finite.any() else squares, whole[..., 0].size * (lattice.sizes[0] // 2)
 
 
+@NOT_FINITE
 def _surveyed(site: Site, lattice: NestedLattice, place: int) -> tuple[Array, Array]:
     """Coefficients [B,K·3] at all bins of one vertex, from half of the smallest lattice; and the energies of its
     principal functions of the light, the largest first.

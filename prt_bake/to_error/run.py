@@ -296,7 +296,8 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             coefficients = np.where(valid[:, None, None, None], refined.coefficients, np.float32(0.0))
             standard_error = np.where(valid[:, None], deviation, 0.0).astype(np.float32)
             for rows in np.split(np.arange(len(vertices)), np.flatnonzero(np.diff(vertices) > 1) + 1):
-                sink.write(Block(int(vertices[rows[0]]), coefficients[rows], standard_error[rows], valid[rows], 0))
+                parts = coefficients[rows], standard_error[rows], valid[rows]
+                sink.write(Block(int(vertices[rows[0]]), *parts, 0, together=refined.together[rows]))
         invalid = np.flatnonzero(done.tally.invalid)
         own = {
             "evaluations": run.work.evaluations,

@@ -18,10 +18,11 @@ import torch
 from numpy.typing import NDArray
 
 from bakers.baker import Sampling, Task, bake_block
-from bakers.horizon import bend_to_horizon, vertex_faces
+from bakers.horizon import bend_to_horizon
 from bakers.projection import direction_pool
 from formats.mesh import Mesh, read_mesh
 from prt_bake import sh, sphere
+from prt_bake.bake_job import horizons
 from prt_bake.bake_sampling import DirectionKind, direction_sets
 from prt_bake.network import load_model
 
@@ -83,7 +84,7 @@ def baker_of(transport: Any, mesh: Mesh) -> Callable[[Way, int, int], Array]:
     vertices = np.random.default_rng(1).permutation(len(mesh.positions))[:VERTICES]
     normals = mesh.normals[vertices]
     world = sphere.to_world(sphere.view_bins(RINGS, SECTORS), normals[:, None], sphere.tangent_frame(normals)[:, None])
-    around = vertex_faces(len(mesh.positions), mesh.faces, mesh.face_normals)
+    around = horizons(mesh)
     outgoing = np.concatenate(
         [bend_to_horizon(view[None], around, int(vertex))[0] for vertex, view in zip(vertices, world, strict=True)]
     )

@@ -1,0 +1,207 @@
+"""Accidents amid bakes: whether what is resumed is the same bits, and the seconds that each accident costs.
+
+    PYTHONPATH=tests python tests/bench/bake_accidents.py [--bakes 10] [--kills 3] [--seed 0]
+
+A small object whose transport takes its time. Bakes are killed (SIGKILL) at moments drawn over the whole of them, and
+resumed with one or two workers and blocks of another size; a worker of a cluster of processes is killed, or its
+scheduler; the disk fills up, as in the tests. `lost` is what an accident costs: all that was spent, less what the
+undisturbed bake of the same kind took. Starting Python anew is not in it.
+"""
+
+import argparse
+import errno
+import logging
+import os
+import random
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from unittest import mock
+
+from killing import KINDS, Slow, ended, process
+from test_cluster import Processes, after_first_block
+from test_resume import GROUPS, contents
+from transports import icosphere
+
+import prt_bake.to_error.first_look
+from formats.errors import ClusterError, StorageError
+from prt_bake import bake
+
+SMALL = {"rings": 2, "sectors": 16}
+FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset_file.AssetFile.close"}
+"""What is called where the disk has no room left."""
+SUBDIVISIONS, PAUSE = 2, 5e-7
+"""Of the mesh of 162 vertices, and seconds that each evaluation takes at least."""
+
+
+def alike(one: Path, other: Path) -> dict[str, bool]:
+    """By group, whether two assets are the same bits."""
+    found, expected = contents(one), contents(other)
+    same = {name: found[name].tobytes() == values.tobytes() for name, values in expected.items()}
+    return {group: all(good for name, good in same.items() if name.startswith(group)) for group in GROUPS}
+
+
+class Row:
+    """The bakes of one kind of accident."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.accidents, self.bakes, self.lost = name, 0, 0, list[float]()
+        self.same = dict.fromkeys(GROUPS, 0)
+        self.left = set[str]()
+
+    def add(self, accidents: int, lost: float, same: dict[str, bool], left: set[str]) -> None:
+        """One bake, what its accidents cost together, and what lay there in the end beside assets."""
+        self.bakes, self.accidents, self.left = self.bakes + 1, self.accidents + accidents, self.left | left
+        self.lost.append(lost / max(1, accidents))
+        for group, good in same.items():
+            self.same[group] += good
+
+    def print(self, seconds: float) -> None:
+        """A line of the table; the undisturbed bake took so many seconds."""
+        same = "".join(f"{many:>7}/{self.bakes}" for many in self.same.values())
+        middle = sorted(self.lost)[len(self.lost) // 2]
+        print(
+            f"{self.name:44}{self.accidents:10}{seconds:8.2f}{middle:8.2f}{max(self.lost):8.2f}{same}"
+            f"  {', '.join(sorted(self.left)) or 'nothing left'}",
+            flush=True,
+        )
+
+
+def left_in(folder: Path, assets: int) -> set[str]:
+    """Names of what there is beside that many assets."""
+    there = {path.name for path in folder.iterdir()}
+    return {name for name in there if not name.endswith(".h5")} | (set() if len(there) >= assets else {"too few"})
+
+
+def killed(kind: str, bakes: int, kills: int, draw: random.Random) -> None:
+    """Bakes of one kind killed and resumed."""
+    row = Row(f"killed, {kind}")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        whole = folder / "whole.h5"
+        seconds = _finished(whole, kind, 5)
+        for number in range(bakes):
+            out, spent, many = folder / f"{number}.h5", 0.0, 0
+            died = True
+            while died and many < kills:
+                moment, began = draw.uniform(0.0, 1.0) * seconds, time.perf_counter()
+                child = process(out, kind, draw.randint(1, 2), draw.randint(1, 9), SUBDIVISIONS, PAUSE)
+                died = ended(child, lambda moment=moment: time.sleep(moment))
+                spent, many = spent + time.perf_counter() - began, many + died
+            if died:
+                spent += _finished(out, kind, draw.randint(1, 9))
+            row.add(many, spent - seconds, alike(out, whole), left_in(folder, 2))
+            out.unlink()
+    row.print(seconds)
+
+
+def _finished(out: Path, kind: str, block: int) -> float:
+    began = time.perf_counter()
+    _child, status = os.waitpid(process(out, kind, 1, block, SUBDIVISIONS, PAUSE), 0)
+    if status:
+        raise SystemExit(f"{kind}: a bake that was resumed ended with status {status}")
+    return time.perf_counter() - began
+
+
+@contextmanager
+def small_blocks() -> Iterator[None]:
+    """Blocks of five vertices."""
+    with (
+        mock.patch.object(prt_bake.to_error.first_look, "BINS_AT_ONCE", 5 * 32),
+        mock.patch("bakers.baker.vertices_at_once", return_value=5),
+    ):
+        yield
+
+
+def clustered(kind: str, bakes: int) -> None:
+    """Bakes by two workers in processes of their own, one of which is killed, or the scheduler."""
+    import dask
+
+    for name in ("a worker of a cluster killed", "the scheduler killed"):
+        row, taken = Row(f"{name}, {kind}"), list[float]()
+        for _bake in range(bakes):
+            with (
+                tempfile.TemporaryDirectory() as folder,
+                small_blocks(),
+                dask.config.set({"distributed.comm.timeouts.connect": "2s"}),
+            ):
+                processes, place = Processes(Path(folder)), Path(folder) / "out"
+                place.mkdir()
+                try:
+                    processes.hire(2)
+                    # The workers import what they need with the first.
+                    _timed(kind, place / "first.h5", scheduler=processes.address)
+                    taken.append(_timed(kind, place / "whole.h5", scheduler=processes.address))
+                    act = processes.workers[0].kill if "worker" in name else processes.end
+                    how = {"scheduler": processes.address, "progress": after_first_block(act)}
+                    spent = _timed(kind, place / "a.h5", **how)
+                    if not (place / "a.h5").exists():
+                        spent += _timed(kind, place / "a.h5", workers=2, resume=True)
+                finally:
+                    processes.end()
+                row.add(1, spent - taken[-1], alike(place / "a.h5", place / "whole.h5"), left_in(place, 3))
+        row.print(sorted(taken)[len(taken) // 2])
+
+
+def _timed(kind: str, out: Path, **how: object) -> float:
+    """Seconds of a bake, which may end for want of its cluster or of room on the disk."""
+    began = time.perf_counter()
+    try:
+        bake(Slow(PAUSE), icosphere(SUBDIVISIONS), **SMALL, **KINDS[kind], out=out, **how).close()  # type: ignore[arg-type]
+    except (ClusterError, StorageError) as early:
+        if "resume" not in str(early) and "full" not in str(early):
+            raise
+    return time.perf_counter() - began
+
+
+def filled_up(kind: str, bakes: int, draw: random.Random) -> None:
+    """Bakes on a disk that has no room after some blocks, or none for the asset."""
+    import numpy as np
+
+    save = np.savez
+    for name, target in FULL.items():
+        row = Row(f"a full disk, none left {name}, {kind}")
+        with tempfile.TemporaryDirectory() as folder, small_blocks():
+            place = Path(folder)
+            seconds = _timed(kind, place / "whole.h5")
+            for _bake in range(bakes):
+                left = [draw.randint(1, 8) if "block" in name else 0]
+
+                def full(*arguments: object, left: list[int] = left, **arrays: object) -> None:
+                    left[0] -= 1
+                    if left[0] < 0:
+                        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                    save(*arguments, **arrays)  # type: ignore[arg-type]
+
+                with mock.patch(target, full):
+                    spent = _timed(kind, place / "a.h5")
+                spent += _timed(kind, place / "a.h5", resume=True)
+                row.add(1, spent - seconds, alike(place / "a.h5", place / "whole.h5"), left_in(place, 2))
+                (place / "a.h5").unlink()
+        row.print(seconds)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bakes", type=int, default=10)
+    parser.add_argument("--kills", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    draw = random.Random(given.seed)
+    import distributed  # noqa: F401  # which sets both these logs, and what is changed of its settings below
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    heads = "".join(f"/{group}".rjust(10) for group in GROUPS)
+    print(f"{'accident':44}{'accidents':>10}{'whole':>8}{'lost':>8}{'most':>8}{heads}  left in the end")
+    for kind in KINDS:
+        killed(kind, given.bakes, given.kills, draw)
+    for kind in ("error", "samples"):
+        clustered(kind, max(1, given.bakes // 5))
+        filled_up(kind, max(1, given.bakes // 3), draw)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""What is left out of a bake where the scene does not need it: what that saves, and the error that it adds.
+
+    PYTHONPATH=tests python tests/bench/bake_needs.py [--error 0.01] [--only WORDS]
+
+Each scene is baked whole and with what may be left out, through files. Evaluations (in thousands), kilobytes of the
+file and seconds: of the whole bake, of the other, and evaluations as the plan foretold them. `adds` is the relative
+error that leaving out adds, from fits over 4,096 directions, and what the asset says of it; `error` all of it, and as
+it is told.
+"""
+
+import argparse
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from needless_scenes import Flat, Grey, Nearly, doubled, finned, nested, pierced, soup, two_skinned
+from numpy.typing import NDArray
+from transports import Array, Counting, Edged, Lobed, exact, icosphere
+
+from formats.asset import Asset, read_asset
+from formats.mesh import Mesh
+from prt_bake import bake, baking, sh, sphere
+
+RINGS, SECTORS = 8, 32
+TOLERATED = 0.25
+"""Of the error asked for, what each item may add."""
+EYE = np.array([0.5, 3.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A transport on a mesh, and what may be left out of its bake."""
+
+    transport: Any
+    mesh: Mesh
+    items: tuple[str, ...] = ()
+    more: dict[str, Any] = field(default_factory=dict)
+    hidden: NDArray[np.bool_] | None = None
+    """Vertices [V] that no eye outside can see, by construction."""
+
+
+def scenes(error: float) -> dict[str, Scene]:
+    """Every scene by its name."""
+    mesh, found = icosphere(2), dict[str, Scene]()
+    hiding = {
+        "unseen: a ball in a ball": nested(1.0, 0.5),
+        "unseen: three balls in one another": nested(1.0, 0.7, 0.4),
+        "unseen: shells that all but touch": nested(1.0, 1.0 - 1e-4),
+        "unseen: nothing, a gap of 30 % of a face": pierced(0.3),
+        "unseen: nothing, a gap of 1 % of a face": pierced(0.01),
+        "unseen: nothing, fins, a bow tie, no face": finned(),
+        "unseen: nothing, all faces twice": two_skinned(),
+    }
+    for name, (hollow, hidden) in hiding.items():
+        found[name] = Scene(Lobed(), hollow, ("unseen",), hidden=hidden)
+    found["duplicates: all vertices twice"] = Scene(Lobed(), doubled(), ("duplicates",))
+    found["duplicates: a soup of faces"] = Scene(Lobed(), soup(), ("duplicates",))
+    found["views: none matters"] = Scene(Edged(), mesh, ("views",))
+    found["bands: the highest holds nothing"] = Scene(Flat(), mesh, ("bands",))
+    found["channels: alike"] = Scene(Grey(), mesh, ("channels",))
+    found["all: grey, from all views"] = Scene(Grey(), mesh, baking.ITEMS)
+    for item, name in (("views", "changing"), ("bands", "banded"), ("channels", "coloured")):
+        for share in (0.5, 2.0):
+            near = Nearly(**{name: share * TOLERATED * error})
+            found[f"{item}: {share:g} times what is tolerated"] = Scene(near, mesh, (item,))
+        for off in (0.3, 1.5 * error):
+            apart = Nearly(**{name: off}, at=mesh.positions[101])
+            found[f"{item}: {off:g} off at a single vertex"] = Scene(apart, mesh, (item,))
+    light = np.random.default_rng(2).uniform(-0.2, 1.0, size=(9, 3))
+    found["for a light"] = Scene(Lobed(), mesh, more={"for_light": light})
+    linear = light * (np.arange(9) < 4)[:, None]
+    found["for a light of degree 1"] = Scene(Lobed(), mesh, more={"for_light": linear})
+    found["for an eye"] = Scene(Lobed(), mesh, more={"for_eye": EYE})
+    found["for a light and an eye"] = Scene(Lobed(), mesh, more={"for_light": light, "for_eye": EYE})
+    return found
+
+
+def baked(scene: Scene, error: float, out: Path, **more: Any) -> tuple[Asset, float, float, float]:
+    """The asset, its evaluations in thousands, counted from outside, its kilobytes and seconds."""
+    counted, began = Counting(scene.transport), time.perf_counter()
+    bake(counted, scene.mesh, rings=RINGS, sectors=SECTORS, error=error, out=out, **more).close()
+    seconds = time.perf_counter() - began
+    return read_asset(out), counted.evaluations / 1e3, out.stat().st_size / 1e3, seconds
+
+
+def truth_for(scene: Scene) -> Array:
+    """Coefficients [V,B,K,3] of all that the asset is for, or radiance [V,B,1,3]."""
+    if "for_eye" in scene.more:
+        towards = EYE - scene.mesh.positions
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        harmonics = sh.evaluate(sphere.fibonacci(4096), 2)
+        incident = np.broadcast_to(sphere.fibonacci(4096), (len(towards), 4096, 3))
+        values = scene.transport.evaluate(incident, scene.mesh.positions, towards)
+        truth = (np.linalg.pinv(harmonics) @ values)[:, None]
+    else:
+        truth = exact(scene.transport, scene.mesh, RINGS, SECTORS)
+    if (light := scene.more.get("for_light")) is not None:
+        truth = np.einsum("vbkc,kc->vbc", truth, light)[:, :, None]
+    return np.asarray(truth)
+
+
+def pared(truth: Array, kept: tuple[int, ...]) -> Array:
+    """The best that an asset of that shape could hold of the truth, in the shape of the truth."""
+    found = truth.mean(axis=1, keepdims=True) if kept[1] == 1 else truth
+    found = found.mean(axis=3, keepdims=True) if kept[3] == 1 else found
+    whole = np.zeros(truth.shape)
+    whole[:, :, : kept[2]] = found[:, :, : kept[2]]
+    return whole
+
+
+def relative(off: Array, truth: Array) -> float:
+    """The root of Σ off² over Σ truth²."""
+    return float(np.sqrt((off**2).sum() / (truth**2).sum()))
+
+
+def remarks(scene: Scene, asset: Asset) -> str:
+    """What became of each item."""
+    found = [f"left out {', '.join(item['item'] for item in asset.left_out)}"] if asset.left_out else ["all kept"]
+    found += asset.provenance.get("needed_after_all", [])
+    if scene.hidden is not None:
+        unseen, hidden = ~asset.valid.astype(bool), scene.hidden
+        found.append(f"{unseen.sum()} hidden of {hidden.sum()}, {(unseen & ~hidden).sum()} wrongly")
+    return ", ".join(found)
+
+
+def measure(name: str, scene: Scene, error: float, folder: Path) -> None:
+    """Print the row of a scene."""
+    more = {"leave_out": scene.items, **scene.more}
+    plan = baking.plan(scene.transport, scene.mesh, rings=RINGS, sectors=SECTORS, error=error, **more)
+    _whole, *before = baked(scene, error, folder / "whole.h5")
+    asset, *after = baked(scene, error, folder / "pared.h5", **more)
+    good, truth = asset.valid.astype(bool), truth_for(scene)
+    if "for_eye" in scene.more:
+        good &= scene.mesh.positions @ EYE > 1.0
+    values = np.asarray(asset.coefficients, np.float64)
+    whole = np.zeros(truth.shape)
+    whole[:, :, : values.shape[2]] = values
+    adds = relative((truth - pared(truth, values.shape))[good], truth[good])
+    told = asset.provenance["estimated_relative_rmse"]
+    true = relative((whole - truth)[good], truth[good])
+    sizes = "".join(f"{one:>8,.0f}{two:>7,.0f}" for one, two in zip(before[:2], after[:2], strict=True))
+    print(
+        f"{name:44}{sizes}{plan.evaluations / 1e3:>8,.0f}{before[2]:7.1f}{after[2]:6.1f}{adds:8.2%}"
+        f"{told.get('left_out', 0.0):7.2%}{true:8.2%}{told['total']:7.2%}  {remarks(scene, asset)}",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--error", type=float, default=0.01)
+    parser.add_argument("--only", default="")
+    given = parser.parse_args()
+    heads = f"{'evals':>8}{'less':>7}{'kB':>8}{'less':>7}{'planned':>8}{'s':>7}{'less':>6}{'adds':>8}{'told':>7}"
+    print(f"{'scene':44}{heads}{'error':>8}{'told':>7}")
+    for name, scene in scenes(given.error).items():
+        if given.only in name:
+            with tempfile.TemporaryDirectory() as folder:
+                measure(name, scene, given.error, Path(folder))
+
+
+if __name__ == "__main__":
+    main()
