@@ -95,7 +95,8 @@ class Tally:
         corrected = found.by_way[way] * stated
         beforehand = float(usual(self.together[vertices]).mean()) if len(vertices) else 0.0
         scatter = measured(vertices, corrected, squared, beforehand)
-        return replace(found, bound=_bound(corrected, squared, noise), scatter=scatter)
+        bound = _bound(corrected, squared, noise, _independent(vertices, self.together))
+        return replace(found, bound=bound, scatter=scatter)
 
     def relative(self, correction: Correction, smaller: Array | float = 1.0) -> tuple[float, float]:
         """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one;
@@ -139,8 +140,14 @@ class Tally:
         return np.concatenate([np.zeros(0, _CHECKED[name]), *(getattr(check, name) for check in self._checks)])
 
 
-def _bound(variance: Array, squared: Array, noise: Array) -> float:
-    """The factor on sigma with which 1.96 of it holds 95 % of these errors, as far as their number tells.
+def _independent(vertices: NDArray[np.int64], together: Array) -> float:
+    """How many numbers checks of these vertices [M] are worth, whose bins have such shares [V] of their error in common."""
+    found, many = np.unique(vertices, return_counts=True)
+    return float((many / (1.0 + (many - 1.0) * together[found] ** 2)).sum())
+
+
+def _bound(variance: Array, squared: Array, noise: Array, independent: float) -> float:
+    """The factor on sigma with which 1.96 of it holds 95 % of these errors, as far as so many independent ones tell.
 
     Their own noise spreads them. What as much of it once more makes of the percentile tells what it has made of it
     already (Cook and Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994).
@@ -151,7 +158,7 @@ def _bound(variance: Array, squared: Array, noise: Array) -> float:
         return 1.0
     seen, noisier = (float(np.percentile(each, 95.0)) for each in (over, np.concatenate([over + more, over - more])))
     factor = max(seen, 0.0) / np.sqrt(max(seen, noisier, 1e-300)) / BOUND
-    weight = len(over) / (len(over) + BOUND_BEFORE)
+    weight = independent / (independent + BOUND_BEFORE)
     return float(np.clip(factor, 0.5, 2.0) ** weight)
 
 
