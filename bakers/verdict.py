@@ -141,7 +141,7 @@ class Tally:
 
 
 def _independent(vertices: NDArray[np.int64], together: Array) -> float:
-    """How many numbers checks of these vertices [M] are worth, whose bins have such shares [V] of their error in common."""
+    """How many numbers checks of these vertices [M] are worth, which have such shares [V] of their error in common."""
     found, many = np.unique(vertices, return_counts=True)
     return float((many / (1.0 + (many - 1.0) * together[found] ** 2)).sum())
 
