@@ -79,7 +79,7 @@ def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(
 def test_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
     foreseen = plan(Ringed(), MESH, **SMALL).evaluations
     monkeypatch.setattr("prt_bake.to_error.aim.nearby_for", lambda *_all: (None, 0))
-    assert foreseen < 0.6 * plan(Ringed(), MESH, **SMALL).evaluations
+    assert foreseen < 0.7 * plan(Ringed(), MESH, **SMALL).evaluations
 
 
 def test_a_patch_between_the_vertices_that_were_tried_is_seen() -> None:

@@ -76,7 +76,7 @@ def test_what_is_copied_is_seen_as_all_of_its_copies_are() -> None:
     # Every corner has a face of its own, and below that face's horizon views are bent.
     mesh = soup()
     asset = bake(Lobed(), mesh, **SMALL, error=0.03, leave_out=["duplicates"])
-    truth = exact(Lobed(), mesh, 8, 32)
+    truth = exact(Lobed(), mesh, 8, 32, directions=512)
     assert asset.provenance["vertices_baked"] == 42
     assert relative(asset.coefficients - truth, truth) < 0.033
     smooth = bake(Lobed(), icosphere(1), **SMALL, samples=32).provenance["bins_bent_to_the_horizon"]
@@ -88,7 +88,7 @@ def test_errors_of_views_that_err_apart_are_not_those_of_their_mean() -> None:
     mesh = icosphere(2)
     asset = bake(Grey(), mesh, **SMALL, error=0.01, leave_out=baking.ITEMS)
     assert [item["item"] for item in asset.left_out] == ["views", "channels"]
-    truth = exact(Grey(), mesh, 8, 32)
+    truth = exact(Grey(), mesh, 8, 32, directions=1024)
     true = relative(asset.coefficients - truth, truth)
     assert 0.75 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.35
 

@@ -41,7 +41,7 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     mesh = icosphere(1)
     counted = Counting(transport)
     asset = bake(counted, mesh, error=ERROR)
-    truth = exact(transport, mesh, 16, 64)
+    truth = exact(transport, mesh, 16, 64, directions=2048)
     off = asset.coefficients - truth
     true = relative(off, truth)
     told = asset.provenance["estimated_relative_rmse"]["total"]
