@@ -104,7 +104,7 @@ def test_checks_that_are_dearer_than_all_the_rest_are_a_few_of_each_vertex() -> 
     site = site_of(Shadowed())
     aim = aimed(Pilot(site), first_refinement(site)[0], ERROR)
     many = aim.refinement.checks(site.vertices).sum()
-    assert CHECKS_A_VERTEX * len(site.vertices) <= many < fewest_checks(site)
+    assert CHECKS_A_VERTEX * len(site.vertices) <= many < 0.9 * fewest_checks(site)
     assert aim.evaluations_per_check * many > aim.evaluations_per_vertex * len(site.vertices)
 
 

@@ -52,6 +52,8 @@ def test_products_of_light_and_view_take_few_directions(transport: object) -> No
     rest = found.evaluations - found.checks.evaluations
     assert rest < 14 * len(site.vertices) * RINGS * SECTORS
     assert set(np.unique(found.directions[found.way > 0])) >= {LOOKS[0][0]}
+    # Checks take as many directions as bins are rough, though few have shown it.
+    assert np.sqrt((found.checks.noise**2).mean()) < 0.02**2 * (truth**2).mean()
 
 
 def test_a_small_light_that_few_directions_would_miss_is_learned() -> None:
