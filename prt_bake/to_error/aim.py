@@ -318,8 +318,9 @@ def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
         many = min(many, LEARNED_CHECKS * len(chosen))
     share = max(many / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)
     drawn_bins, coarsest = checked_bins(site.seed + 1, site.bins, min(share, 1.0)), np.zeros(site.bins, bool)
-    # What all lattices miss is seen at bins that are evaluated, and hardly any of those that are drawn are.
-    coarsest[how.levels[0].bins] = True
+    if how.lattices == "learned":
+        # What all lattices miss is seen at bins that are evaluated, and hardly any of those that are drawn are.
+        coarsest[how.levels[0].bins] = True
     checks = partial(_checks_and, drawn_bins, coarsest)
     tally, spent = Tally(len(site.mesh.positions)), Spent()
     for some, refined, took in pilot.tried(replace(how, checks=checks), chosen):
