@@ -7,6 +7,7 @@ import pytest
 import torch
 from small_training import LEARNING, SMALL, learnt, make_scene
 
+from prt_bake import demonstration
 from prt_bake.network import NeuralBSSRDF
 from prt_bake.trainer import learner as learning
 from prt_bake.trainer import precision
@@ -92,3 +93,23 @@ def test_no_clock_decides_the_bits_of_a_synchronous_run(tmp_path, monkeypatch):
         assert network.metadata["training"]["precision"] == "float32"
         weights.append(network.state_dict())
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
+
+
+def test_products_that_are_hopeless_are_not_repeated(monkeypatch):
+    """A processor without the instructions takes hundreds of times as long, seconds a product."""
+    asked = []
+
+    def product(rows, weights):
+        asked.append(rows.dtype)
+        time.sleep(0.2 if rows.dtype == torch.bfloat16 else 1e-3)
+
+    monkeypatch.setattr(torch.nn.functional, "linear", product)
+    assert precision._gain() < 0.1
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("pays", "expected"), [(True, "bfloat16"), (False, "float32")])
+def test_a_demonstration_is_rounded_where_that_pays(pays, expected, monkeypatch):
+    monkeypatch.setattr(demonstration, "bfloat16_pays", lambda device_type: pays)
+    assert demonstration.QUICK.precision == expected
+    assert demonstration.FINE.precision == "float32"

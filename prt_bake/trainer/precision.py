@@ -11,6 +11,8 @@ import torch
 
 _ROWS, _WIDTH = 4096, 256
 """A layer of a batch, about."""
+_HOPELESS = 50.0
+"""Times as slow: processors without the instructions take a thousand times as long, seconds a product."""
 _REPEATS, _WORTH = 7, 1.3
 """How much faster it must be: what is rounded must be worth it, and processors are well on one side or the other."""
 
@@ -36,6 +38,8 @@ def _gain() -> float:
                 began = time.perf_counter()
                 torch.nn.functional.linear(rows, weights)
                 least[kind] = min(least[kind], time.perf_counter() - began)
+            if least[torch.bfloat16] > _HOPELESS * least[torch.float32]:
+                break
     return least[torch.float32] / least[torch.bfloat16]
 
 
