@@ -65,6 +65,8 @@ LEARNED_CHECKS = 8
 """Of a vertex of a pilot where its bins err together."""
 LEAST_AIM = 0.3
 """Of the error asked for, what a pilot may come to that is believed."""
+LEARNED_BINS = 256
+"""View bins from which on light is learned: fewer share one lattice, err together, and are told badly of."""
 LEARNED_MISSED = 0.1
 """Of the error asked for, what lattices may miss without telling where light is to be learned in few directions."""
 LEARNED_AIM = 0.8
@@ -176,6 +178,7 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
 def _learnable(refinement: Refinement, error: float) -> bool:
     """Whether bins seem to be made of few functions of the light, and none of those that few directions would miss."""
     seen = float(refinement.missed.max(initial=0.0)) <= LEARNED_MISSED * error
+    seen &= sum(len(level.bins) for level in refinement.levels) >= LEARNED_BINS
     return seen and refinement.survey is not None and refinement.survey.learnable(error)
 
 
