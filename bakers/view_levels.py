@@ -50,7 +50,7 @@ class Level:
 
 def view_levels(directions: Array) -> list[Level]:
     """Levels of the view bins whose centres are the unit vectors `directions` [B,3]; every bin is in one of them."""
-    order = farthest_first(directions, min(len(directions), MOST_ORDERED))
+    order = _farthest_first(directions, min(len(directions), MOST_ORDERED))
     rest = np.setdiff1d(np.arange(len(directions)), order)
     first = order[:COARSEST]
     none = np.empty((len(first), 0))
@@ -67,7 +67,7 @@ def view_levels(directions: Array) -> list[Level]:
     return levels
 
 
-def farthest_first(directions: Array, count: int) -> NDArray[np.int64]:
+def _farthest_first(directions: Array, count: int) -> NDArray[np.int64]:
     """`count` of the unit vectors `directions` [B,3], each the farthest from those before; the first is the lowest."""
     chosen = np.empty(count, np.int64)
     chosen[0] = int(np.argmin(directions[:, 2]))
