@@ -6,7 +6,6 @@ process that asked. `distributed` is imported where a scheduler is given, and no
 """
 
 import ctypes
-import gc
 import hashlib
 import pickle
 import sys
@@ -148,18 +147,19 @@ def opened_cluster(address: str, alone: bool) -> Iterator[Cluster]:
 def _connected(client: Any, address: str) -> Any:
     """A `client` of the scheduler at `address`; raises ClusterError where none answers.
 
-    One that failed closes itself when it is let go, under a lock that the next one takes as it begins. It is let go
-    here: a garbage collection while another begins would wait for that lock for ever.
+    One that failed would close itself when it is collected, under a lock that the next one takes as it begins: where
+    the two meet, both wait for ever. So it has a name before it begins, and is closed at once.
     """
+    new = client.__new__(client)
     try:
-        return client(address, set_as_default=False)
+        new.__init__(address, set_as_default=False)
     except (OSError, ValueError, TypeError) as cause:
-        reason = str(cause)
-    gc.collect()
-    raise ClusterError(
-        f"--scheduler {address}: no scheduler of dask.distributed answers there ({reason}); expected an address "
-        f"such as tcp://host:8786, as `dask scheduler` prints it"
-    )
+        new.close()
+        raise ClusterError(
+            f"--scheduler {address}: no scheduler of dask.distributed answers there ({cause}); expected an address "
+            f"such as tcp://host:8786, as `dask scheduler` prints it"
+        ) from cause
+    return new
 
 
 @contextmanager
