@@ -16,19 +16,19 @@ from bakers.plan import BakePlan, plan_bake
 from bakers.transport import on_mesh, up_to, way_in
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_arguments import refuse_unusable
-from prt_bake.bake_job import Job, limited_threads, prepared, refuse_foreign, resolve
-from prt_bake.bake_needs import Light, Needs, as_light, as_point, needs_of
-from prt_bake.bake_output import asset_head
-from prt_bake.bake_pilot import reach
-from prt_bake.bake_shelf import as_arrays as kept_block
+from prt_bake.baker.arguments import refuse_unusable
+from prt_bake.baker.job import Job, limited_threads, prepared, refuse_foreign, resolve
+from prt_bake.baker.needs import Light, Needs, as_light, as_point, needs_of
+from prt_bake.baker.output import asset_head
+from prt_bake.baker.pilot import reach
+from prt_bake.baker.shelf import as_arrays as kept_block
+from prt_bake.baker.writing_time import keeping_time, writing_time
 from prt_bake.randomness import hashed
 from prt_bake.to_error.aim import Pilot, aimed, coarse, pilot_vertices
 from prt_bake.to_error.first_look import Site, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.to_error.rehearsal import rehearsed
 from prt_bake.to_error.run import COARSE, coarse_first
 from prt_bake.to_error.run import as_arrays as kept_refined
-from prt_bake.writing_time import keeping_time, writing_time
 
 MACHINE = 1.25
 """How many times as long the same work takes at some times as at others."""

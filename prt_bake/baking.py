@@ -20,16 +20,16 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from formats.whole import refuse_unwritable
 from prt_bake import sphere
-from prt_bake.bake_arguments import refuse_unusable
-from prt_bake.bake_by_samples import bake_by_samples
-from prt_bake.bake_identity import identity_of
-from prt_bake.bake_job import limited_threads, prepared, refuse_foreign
-from prt_bake.bake_needs import ITEMS, Light, as_light, as_point, needs_of
-from prt_bake.bake_output import asset_head, said_by
 from prt_bake.bake_plan import plan
-from prt_bake.bake_store import Store, opened_store
-from prt_bake.bake_work import Progress, Work
-from prt_bake.pared_sink import NotSo
+from prt_bake.baker.arguments import refuse_unusable
+from prt_bake.baker.by_samples import bake_by_samples
+from prt_bake.baker.identity import identity_of
+from prt_bake.baker.job import limited_threads, prepared, refuse_foreign
+from prt_bake.baker.needs import ITEMS, Light, as_light, as_point, needs_of
+from prt_bake.baker.output import asset_head, said_by
+from prt_bake.baker.pared_sink import NotSo
+from prt_bake.baker.store import Store, opened_store
+from prt_bake.baker.work import Progress, Work
 from prt_bake.to_error.run import Run, bake_to_error
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]
@@ -91,7 +91,7 @@ def bake(
         resume: go on from the finished blocks of a bake to the same `out` that was stopped or killed, asked for the
             same of the same transport and mesh: to the same numbers, bit for bit.
         leave_out: of "unseen", "duplicates", "views", "bands" and "channels", what may be left out where the scene does
-            not need it (`prt_bake.bake_needs`); `baking.ITEMS` are all of them. Axes that are left out have length 1,
+            not need it (`prt_bake.baker.needs`); `baking.ITEMS` are all of them. Axes that are left out have length 1,
             vertices that are left out are not valid, and `left_out` of the asset names each.
         for_light: coefficients [K,3] of the only light that the asset is for; it holds radiance then, K = 1.
         for_eye: the only point [3] that it will be seen from; B = 1 then.
@@ -180,7 +180,7 @@ def opened_crew(transport: Any, workers: int, scheduler: str | None) -> Iterator
         return
     if workers != 1:
         raise QueryError("workers: those of the scheduler do the work; give workers or a scheduler")
-    from prt_bake.bake_cluster import opened_cluster
+    from prt_bake.baker.cluster import opened_cluster
 
     with opened_cluster(scheduler, alone) as crew:
         yield crew

@@ -15,7 +15,7 @@ from formats.errors import StorageError
 from formats.image import read_image, write_image
 from formats.mesh import read_mesh
 from prt_bake import camera
-from prt_bake.bake_pilot import LADDER, error_ladder
+from prt_bake.baker.pilot import LADDER, error_ladder
 from prt_bake.baking import Progress, bake
 from prt_bake.comparison import Comparison, compare
 from prt_bake.environment import read_environment

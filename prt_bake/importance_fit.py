@@ -15,7 +15,7 @@ import torch
 
 from bakers.transport import on_mesh
 from formats.mesh import Mesh
-from prt_bake.bake_job import refuse_foreign
+from prt_bake.baker.job import refuse_foreign
 from prt_bake.importance import ImportanceModule, ImportanceSettings
 from prt_bake.importance_loss import (
     TargetTensors,

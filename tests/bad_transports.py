@@ -11,7 +11,7 @@ from transports import Array, Chequered, Edged, Lobed, icosphere
 import prt_bake
 from bakers.transport import on_mesh, up_to
 from formats.mesh import Mesh, build_mesh, read_mesh
-from prt_bake.bake_job import prepared
+from prt_bake.baker.job import prepared
 from prt_bake.network import load_model
 from prt_bake.randomness import uniforms
 

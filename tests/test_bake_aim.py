@@ -10,7 +10,7 @@ from bakers.refined import Refined, Refinement
 from bakers.verdict import Tally
 from formats.errors import QueryError
 from prt_bake import sphere
-from prt_bake.bake_job import views_of
+from prt_bake.baker.job import views_of
 from prt_bake.to_error import aim as pilots
 from prt_bake.to_error.aim import (
     CHECK_COST,

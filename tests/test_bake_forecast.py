@@ -8,14 +8,14 @@ import pytest
 from transports import Incoherent, icosphere
 
 from prt_bake import bake
-from prt_bake.bake_forecast import FROM_COARSE, Forecast, Standing, power_of_error
+from prt_bake.baker.forecast import FROM_COARSE, Forecast, Standing, power_of_error
 from prt_bake.cli.progress import in_words
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     now = [100.0]
-    monkeypatch.setattr("prt_bake.bake_forecast.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("prt_bake.baker.forecast.time.monotonic", lambda: now[0])
 
     def advance(seconds: float) -> None:
         now[0] += seconds

@@ -12,7 +12,7 @@ from transports import Array, Counting, Lobed, Ringed, exact, icosphere, patched
 from bakers.foretold_vertices import held_against
 from formats.asset import Asset
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_job import views_of
+from prt_bake.baker.job import views_of
 from prt_bake.baking import plan
 from prt_bake.to_error.aim import Pilot, aimed
 from prt_bake.to_error.first_look import Site, first_refinement

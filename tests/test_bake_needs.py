@@ -16,7 +16,7 @@ from formats.errors import QueryError
 from formats.image import write_image
 from formats.mesh import Mesh
 from prt_bake import bake, baking, read_asset, sh, shade, sphere
-from prt_bake.unseen import seen_from_eye, seen_from_outside
+from prt_bake.baker.unseen import seen_from_eye, seen_from_outside
 
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 SMALL = {"rings": 8, "sectors": 32}

@@ -10,7 +10,7 @@ from transports import Counting, Edged, Incoherent, Lobed, icosphere
 from bakers.crew import Threads
 from bakers.refined import Refined
 from prt_bake import bake, sphere
-from prt_bake.bake_job import views_of
+from prt_bake.baker.job import views_of
 from prt_bake.baking import plan
 from prt_bake.to_error import rehearsal
 from prt_bake.to_error.aim import Aim, Pilot, aimed, pilot_vertices

@@ -9,7 +9,7 @@ from loose_aim import loosely_aimed
 from transports import Incoherent, icosphere
 
 from prt_bake import bake
-from prt_bake.bake_forecast import Standing
+from prt_bake.baker.forecast import Standing
 from prt_bake.cli.progress import NEARLY, bake_progress, reporting
 
 Shown = list[tuple[float | None, str, float | None]]

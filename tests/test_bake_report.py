@@ -13,8 +13,8 @@ from prt_bake import camera, environment
 from prt_bake.bake_report.bins import drawn_bins, fitted, relative
 from prt_bake.bake_report.budget import error_budget, seen_points, texels_of
 from prt_bake.bake_report.page import by_way
+from prt_bake.bake_report.reporting import report_bake
 from prt_bake.bake_report.ways import Row, by_samples, seconds_for, slope
-from prt_bake.bake_reporting import report_bake
 
 
 class Linear:

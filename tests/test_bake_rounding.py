@@ -11,9 +11,9 @@ from bakers.transport import on_mesh
 from formats.errors import QueryError
 from formats.mesh import read_mesh
 from prt_bake import bake, load_model
-from prt_bake.bake_job import prepared, views_of
 from prt_bake.bake_report.budget import error_budget
-from prt_bake.bake_rounding import rounding_of
+from prt_bake.baker.job import prepared, views_of
+from prt_bake.baker.rounding import rounding_of
 from prt_bake.camera import Camera
 
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"

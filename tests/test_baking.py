@@ -11,7 +11,7 @@ import prt_bake.baking
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_pilot import error_ladder
+from prt_bake.baker.pilot import error_ladder
 from prt_bake.baking import bake, plan
 from prt_bake.network import NetworkSettings, NeuralBSSRDF
 

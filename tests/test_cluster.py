@@ -14,7 +14,7 @@ import pytest
 from test_resume import Walker, same
 from transports import Array, Incoherent, icosphere
 
-import prt_bake.bake_cluster
+import prt_bake.baker.cluster
 from formats.asset import Asset
 from formats.errors import ClusterError, QueryError
 from prt_bake import bake
@@ -182,8 +182,8 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(
             assert {each.status for each in gc.get_objects() if type(each) is Client} <= {"closed"}
     with pytest.raises(QueryError, match="workers or a scheduler"):
         bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
-    monkeypatch.setattr(prt_bake.bake_cluster, "PATIENCE", 0.2)
-    monkeypatch.setattr(prt_bake.bake_cluster, "ASKED_EVERY", 0.1)
+    monkeypatch.setattr(prt_bake.baker.cluster, "PATIENCE", 0.2)
+    monkeypatch.setattr(prt_bake.baker.cluster, "ASKED_EVERY", 0.1)
     none = Processes(tmp_path)
     try:
         with pytest.raises(ClusterError, match="no worker"):
@@ -198,15 +198,15 @@ def test_a_client_that_has_given_its_scheduler_up_is_a_cluster_that_has_gone() -
             raise RuntimeError("ConnectionPool is closed")
 
     with pytest.raises(ClusterError, match="--resume"):
-        _workers = prt_bake.bake_cluster.Cluster(Closed(), "tcp://host:8786", False).workers
+        _workers = prt_bake.baker.cluster.Cluster(Closed(), "tcp://host:8786", False).workers
 
 
 def test_other_versions_at_a_worker_are_refused() -> None:
-    packed = prt_bake.bake_cluster._packed({"some": "thing"})
-    other = prt_bake.bake_cluster.Packed(packed.name, packed.content, packed.versions | {"numpy": "1.0"})
-    assert prt_bake.bake_cluster._unpacked(packed, "w") is prt_bake.bake_cluster._unpacked(packed, "w")
+    packed = prt_bake.baker.cluster._packed({"some": "thing"})
+    other = prt_bake.baker.cluster.Packed(packed.name, packed.content, packed.versions | {"numpy": "1.0"})
+    assert prt_bake.baker.cluster._unpacked(packed, "w") is prt_bake.baker.cluster._unpacked(packed, "w")
     with pytest.raises(ClusterError, match=r"worker w: numpy 1.0 is needed, found"):
-        prt_bake.bake_cluster._unpacked(other, "w")
+        prt_bake.baker.cluster._unpacked(other, "w")
 
 
 def test_without_the_extra_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ from formats.asset import Asset, check_asset, read_asset, write_asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sphere
-from prt_bake.bake_output import selftest
+from prt_bake.baker.output import selftest
 from prt_bake.compressing import compress, compress_file, raw_bytes, unpacked
 from prt_bake.shading import render_picture, shade, shade_vertices
 

@@ -7,7 +7,7 @@ import pytest
 from transports import Kinked, icosphere
 
 from prt_bake import bake
-from prt_bake.bake_pilot import error_ladder
+from prt_bake.baker.pilot import error_ladder
 
 MESH = icosphere(3)
 GRID: dict[str, Any] = {"rings": 4, "sectors": 16}

@@ -10,8 +10,8 @@ from bakers.lattice_pools import Pool
 from bakers.light_functions import LOOKS, LightFunctions
 from bakers.refined import Refined, Refinement
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_job import views_of
-from prt_bake.bake_light import pools_for
+from prt_bake.baker.job import views_of
+from prt_bake.baker.light import pools_for
 from prt_bake.to_error.aim import coarse, refined_block
 from prt_bake.to_error.first_look import Site, first_refinement
 

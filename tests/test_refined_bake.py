@@ -13,7 +13,7 @@ from bakers.verdict import Correction, Tally
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_job import views_of
+from prt_bake.baker.job import views_of
 from prt_bake.network import load_model
 from prt_bake.to_error.aim import coarse
 from prt_bake.to_error.first_look import Site, first_refinement

@@ -87,7 +87,7 @@ def test_a_stopped_bake_is_resumed_with_other_blocks(
         assert not part.complete
         assert (tmp_path / "stopped.h5.journal").is_dir()
     asked: list[int] = []
-    monkeypatch.setattr("prt_bake.bake_by_samples.bake_block", _counting(asked))
+    monkeypatch.setattr("prt_bake.baker.by_samples.bake_block", _counting(asked))
     resumed = bake(transport, icosphere(0), **SMALL, out=out, workers=2, resume=True)
     assert sum(asked) == 12 - 2 * 2 - 3
     one = read_asset(whole).provenance
@@ -194,7 +194,7 @@ def test_a_disk_too_full_for_the_asset_loses_no_block(tmp_path: Path, monkeypatc
         with pytest.raises(StorageError, match="disk is full"):
             bake(Incoherent(), icosphere(0), **SMALL, out=out)
     asked: list[int] = []
-    monkeypatch.setattr("prt_bake.bake_by_samples.bake_block", _counting(asked))
+    monkeypatch.setattr("prt_bake.baker.by_samples.bake_block", _counting(asked))
     assert bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True).complete
     assert asked == []
 

@@ -11,7 +11,7 @@ from bakers.refined import noise_of_checks
 from bakers.verdict import Correction, Tally
 from bakers.view_levels import view_levels
 from prt_bake import sh, sphere
-from prt_bake.bake_light import checked_bins, drawn, lattice_for, pools_for, vertex_turns
+from prt_bake.baker.light import checked_bins, drawn, lattice_for, pools_for, vertex_turns
 from prt_bake.directions import extensible_lattice
 
 

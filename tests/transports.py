@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from formats.mesh import Mesh, build_mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_job import views_of
+from prt_bake.baker.job import views_of
 from prt_bake.randomness import uniforms
 
 Array = NDArray[np.float64]

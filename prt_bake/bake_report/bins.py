@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from bakers.values import values_at
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_job import views_of
-from prt_bake.bake_light import drawn
+from prt_bake.baker.job import views_of
+from prt_bake.baker.light import drawn
 from prt_bake.directions import rotations
 from prt_bake.randomness import uniforms
 

@@ -17,10 +17,10 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import camera as cameras
 from prt_bake import environment, sh, sphere
-from prt_bake.bake_job import horizons, views_of
-from prt_bake.bake_output import said_by
 from prt_bake.bake_report.bins import fitted, relative
 from prt_bake.bake_report.reflected import noise_free_rms, reflected_at
+from prt_bake.baker.job import horizons, views_of
+from prt_bake.baker.output import said_by
 from prt_bake.randomness import uniforms
 from prt_bake.reflecting_surface import ReflectingSurface
 

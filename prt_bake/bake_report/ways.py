@@ -14,10 +14,10 @@ from bakers.path_traced import Walks
 from bakers.verdict import Tally
 from formats.errors import QueryError
 from prt_bake import sphere
-from prt_bake.bake_job import views_of
-from prt_bake.bake_light import checked_bins
 from prt_bake.bake_report.bins import Bins, relative
-from prt_bake.bake_sampling import resolve_sampling
+from prt_bake.baker.job import views_of
+from prt_bake.baker.light import checked_bins
+from prt_bake.baker.sampling import resolve_sampling
 from prt_bake.to_error.aim import CHECK_NOISE, Aim, Pilot, aimed, refined_block
 from prt_bake.to_error.first_look import Site, first_refinement
 

@@ -9,7 +9,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from prt_bake.bake_forecast import Standing
+    from prt_bake.baker.forecast import Standing
 
 PLAIN_INTERVAL = 5.0
 """Seconds between two lines where there is no terminal."""

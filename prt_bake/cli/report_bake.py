@@ -45,7 +45,7 @@ def bake(
     from formats.mesh import read_mesh
     from formats.scene import read_scene
     from prt_bake import camera
-    from prt_bake.bake_reporting import report_bake
+    from prt_bake.bake_report.reporting import report_bake
     from prt_bake.environment import read_environment
     from prt_bake.sources import open_source
 

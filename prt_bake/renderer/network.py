@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from bakers.transport import on_mesh
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.bake_job import limited_threads, refuse_foreign
+from prt_bake.baker.job import limited_threads, refuse_foreign
 from prt_bake.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.neural.pairs import content_hash, pair_transport

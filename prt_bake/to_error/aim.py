@@ -14,7 +14,7 @@ from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
-from prt_bake.bake_light import checked_bins, drawn
+from prt_bake.baker.light import checked_bins, drawn
 from prt_bake.to_error.first_look import (
     FEWEST_CHECKS,
     MANY,

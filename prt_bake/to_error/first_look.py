@@ -19,8 +19,8 @@ from bakers.view_survey import ALWAYS, ViewSurvey
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh
-from prt_bake.bake_job import Views
-from prt_bake.bake_light import checked_bins, drawn, lattice_for, pair_turns, pools_for, vertex_turns
+from prt_bake.baker.job import Views
+from prt_bake.baker.light import checked_bins, drawn, lattice_for, pair_turns, pools_for, vertex_turns
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

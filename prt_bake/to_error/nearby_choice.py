@@ -9,7 +9,7 @@ from bakers.nearby_vertices import PARENTS, Parents, Surroundings, carried_along
 from bakers.refined import Refinement
 from bakers.values import values_at
 from prt_bake import sphere
-from prt_bake.bake_light import drawn
+from prt_bake.baker.light import drawn
 from prt_bake.randomness import hashed
 from prt_bake.to_error.first_look import MANY, Site
 

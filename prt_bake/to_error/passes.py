@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bakers.crew import Crew
 from bakers.refined import Refined
 from bakers.verdict import Correction, Tally
-from prt_bake.bake_forecast import COST
+from prt_bake.baker.forecast import COST
 from prt_bake.to_error.aim import AIM, Aim, refined_block, worst_of
 from prt_bake.to_error.first_look import Site
 from prt_bake.to_error.nearby import Library, block_from_nearby

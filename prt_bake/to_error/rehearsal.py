@@ -14,8 +14,8 @@ from bakers.answers import NOTHING
 from bakers.crew import Crew
 from bakers.refined import Refined, Refinement
 from bakers.verdict import Tally
-from prt_bake.bake_forecast import COST
-from prt_bake.bake_light import drawn
+from prt_bake.baker.forecast import COST
+from prt_bake.baker.light import drawn
 from prt_bake.to_error.aim import PILOT_CHECKS, Aim, refined_block
 from prt_bake.to_error.first_look import MANY, Site
 from prt_bake.to_error.nearby_choice import SWEPT

@@ -13,10 +13,10 @@ from bakers.refined import HELD, OF_VERTICES, WAYS, Checks, Refined, Refinement
 from bakers.verdict import Tally
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.bake_forecast import COST, Forecast, Standing, power_of_error
-from prt_bake.bake_store import Store
-from prt_bake.bake_work import Work
-from prt_bake.pared_sink import pared_sink
+from prt_bake.baker.forecast import COST, Forecast, Standing, power_of_error
+from prt_bake.baker.pared_sink import pared_sink
+from prt_bake.baker.store import Store
+from prt_bake.baker.work import Work
 from prt_bake.to_error.aim import LATTICES, Aim, Pilot, Stopped, aimed, coarse
 from prt_bake.to_error.first_look import MANY, Site, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.to_error.passes import Pass, one_pass, tighter

@@ -22,8 +22,8 @@ from bakers.horizon import bend_to_horizon
 from bakers.projection import direction_pool
 from formats.mesh import Mesh, read_mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_job import horizons
-from prt_bake.bake_sampling import DirectionKind, direction_sets
+from prt_bake.baker.job import horizons
+from prt_bake.baker.sampling import DirectionKind, direction_sets
 from prt_bake.network import load_model
 
 Array = NDArray[np.float64]

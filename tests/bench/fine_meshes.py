@@ -22,7 +22,7 @@ from bakers.transport import on_mesh, up_to
 from bakers.values import values_at
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_job import prepared, views_of
+from prt_bake.baker.job import prepared, views_of
 from prt_bake.network import load_model
 
 VERTICES, BINS, DIRECTIONS = 150, 4, 4096

@@ -24,7 +24,7 @@ from bakers.answers import NOTHING
 from bakers.transport import on_mesh, up_to
 from formats.mesh import read_mesh
 from prt_bake import bake, sh, sphere
-from prt_bake.bake_job import limited_threads, prepared, views_of
+from prt_bake.baker.job import limited_threads, prepared, views_of
 from prt_bake.network import load_model
 from prt_bake.to_error.aim import Pilot, aimed, refined_block
 from prt_bake.to_error.first_look import Site, first_refinement

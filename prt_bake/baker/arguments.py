@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.bake_sampling import DirectionKind
+from prt_bake.baker.sampling import DirectionKind
 
 HIGHEST_DEGREE = 20
 MOST_WORKERS = 1024

@@ -16,10 +16,10 @@ from bakers.transport import way_in
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sphere
-from prt_bake.bake_sampling import Resolved, resolve_sampling
+from prt_bake.baker.sampling import Resolved, resolve_sampling
 
 if TYPE_CHECKING:
-    from prt_bake.bake_needs import Needs
+    from prt_bake.baker.needs import Needs
 
 OUTSIDE = 0.01
 """How far a mesh may leave the model's box, in sides of it."""

@@ -1,8 +1,8 @@
 """What a scene needs of a bake: which vertices, views, bands and channels, and what can be left out of it unseen.
 
 Each item has its reason, its saving and its cost, and can be switched off. What a look at a few vertices says of all of
-them is held against every vertex when it is baked (`prt_bake.pared_sink`); where it does not hold, the bake is begun
-anew without that item.
+them is held against every vertex when it is baked (`prt_bake.baker.pared_sink`); where it does not hold, the bake is
+begun anew without that item.
 """
 
 import hashlib
@@ -21,11 +21,11 @@ from bakers.view_levels import view_levels
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_job import Views, horizons, views_of
-from prt_bake.bake_light import drawn, pair_turns
-from prt_bake.bake_rounding import rounding_of
+from prt_bake.baker.job import Views, horizons, views_of
+from prt_bake.baker.light import drawn, pair_turns
+from prt_bake.baker.rounding import rounding_of
+from prt_bake.baker.unseen import seen_from_eye, seen_from_outside
 from prt_bake.camera import refuse_eye_in_object
-from prt_bake.unseen import seen_from_eye, seen_from_outside
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from bakers.baker import Block
 from formats.asset import AssetHead
 from formats.journal import Journal
-from prt_bake.bake_needs import Needs
-from prt_bake.bake_output import open_sink
-from prt_bake.pared_sink import pared_head
+from prt_bake.baker.needs import Needs
+from prt_bake.baker.output import open_sink
+from prt_bake.baker.pared_sink import pared_head
 
 REPEATED = 4
 

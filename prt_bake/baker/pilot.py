@@ -13,9 +13,9 @@ from bakers.transport import on_mesh, up_to
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_job import Job, limited_threads, prepared, resolve
-from prt_bake.bake_sampling import MOST_SAMPLES
+from prt_bake.baker.error import ErrorMeter
+from prt_bake.baker.job import Job, limited_threads, prepared, resolve
+from prt_bake.baker.sampling import MOST_SAMPLES
 from prt_bake.randomness import hashed, uniforms
 
 PILOT_VERTICES = 32

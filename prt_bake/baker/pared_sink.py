@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from bakers.baker import Block
 from formats.asset import Asset, AssetHead
 from prt_bake import sh
-from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_needs import WORST, Needs
-from prt_bake.bake_output import Sink, open_sink
+from prt_bake.baker.error import ErrorMeter
+from prt_bake.baker.needs import WORST, Needs
+from prt_bake.baker.output import Sink, open_sink
 
 Array = NDArray[np.float64]
 

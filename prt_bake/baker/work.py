@@ -9,8 +9,8 @@ from typing import Any
 from bakers.crew import Crew
 from formats.asset import AssetHead
 from formats.mesh import Mesh
-from prt_bake.bake_forecast import Standing
-from prt_bake.bake_needs import Needs
+from prt_bake.baker.forecast import Standing
+from prt_bake.baker.needs import Needs
 
 Progress = Callable[[int, int, Standing], None]
 """progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error)); the last one's attribute

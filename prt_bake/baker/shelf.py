@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bakers.baker import Block, Task, cuts
 from bakers.path_traced import Account
-from prt_bake.bake_store import Store
+from prt_bake.baker.store import Store
 
 Cut = tuple[int, int]
 """The first vertex of a block, and the one after its last."""

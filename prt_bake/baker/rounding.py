@@ -7,8 +7,8 @@ import numpy as np
 from bakers.values import values_at
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
-from prt_bake.bake_job import Views
-from prt_bake.bake_light import drawn
+from prt_bake.baker.job import Views
+from prt_bake.baker.light import drawn
 from prt_bake.directions import rotations
 from prt_bake.randomness import uniforms
 

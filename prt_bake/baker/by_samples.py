@@ -1,6 +1,6 @@
 """Bakes with the same number of directions, or of random walks, at every view bin.
 
-Finished blocks are kept beside the asset while it is written (`prt_bake.bake_shelf`), and when it is only a part.
+Finished blocks are kept beside the asset while it is written (`prt_bake.baker.shelf`), and when it is only a part.
 """
 
 from collections.abc import Iterator
@@ -12,15 +12,15 @@ from bakers.baker import Block, bake_block
 from bakers.path_traced import Account, Walks
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.bake_error import ErrorMeter
-from prt_bake.bake_forecast import Forecast, Standing
-from prt_bake.bake_job import Job, resolve
-from prt_bake.bake_output import Sink
-from prt_bake.bake_pilot import reach
-from prt_bake.bake_shelf import Cut, Shelf
-from prt_bake.bake_store import Store
-from prt_bake.bake_work import Work
-from prt_bake.pared_sink import pared_sink
+from prt_bake.baker.error import ErrorMeter
+from prt_bake.baker.forecast import Forecast, Standing
+from prt_bake.baker.job import Job, resolve
+from prt_bake.baker.output import Sink
+from prt_bake.baker.pared_sink import pared_sink
+from prt_bake.baker.pilot import reach
+from prt_bake.baker.shelf import Cut, Shelf
+from prt_bake.baker.store import Store
+from prt_bake.baker.work import Work
 
 ROWS = 100
 PILOT = "pilot"

@@ -11,11 +11,11 @@ from bakers.transport import on_mesh, up_to, way_in
 from formats.mesh import Mesh
 from formats.scene import Scene
 from formats.whole import replacing
-from prt_bake.bake_job import limited_threads, prepared, refuse_foreign
 from prt_bake.bake_report.bins import drawn_bins, fitted
 from prt_bake.bake_report.budget import Part, error_budget
 from prt_bake.bake_report.page import as_json, as_markdown, plot
 from prt_bake.bake_report.ways import LADDERS, Row, adaptively, by_samples
+from prt_bake.baker.job import limited_threads, prepared, refuse_foreign
 from prt_bake.camera import Camera
 from prt_bake.path_traced import PathTraced
 from prt_bake.report import write_report
