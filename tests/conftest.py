@@ -18,11 +18,14 @@ from prt_bake.cli.main import main
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before several processes share the tests, one compiles the kernels, so that not each of them does."""
+    """Before several processes share the tests, the kernels are compiled, so that not each of them does."""
     # Shells start what runs in the background with Ctrl-C ignored, and some tests send themselves one.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        subprocess.run([sys.executable, Path(__file__).with_name("warm.py")], check=True)
+        warm = Path(__file__).with_name("warm.py")
+        compiling = [subprocess.Popen([sys.executable, warm, part]) for part in ("connections", "exits")]
+        failed = [process.args for process in compiling if process.wait() != 0]
+        assert not failed, failed
 
 
 @pytest.fixture

@@ -33,7 +33,7 @@ from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.rows import StreamSettings
 
 SKY = Path(__file__).parent.parent / "scenes/skies/outdoor.hdr"
-SETTINGS = ReportSettings(size=32, spp=64, reference_spp=16)
+SETTINGS = ReportSettings(size=32, spp=32, reference_spp=16)
 LUCY = replace(SCENES[-1], files=("spot.toml",), bake=BakeSettings(0, 1, 4, 16))
 """The shipped object under the name of one of the five."""
 GOAL = "path tracing 16 walks a pixel"

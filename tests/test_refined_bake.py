@@ -206,7 +206,7 @@ def test_numbers_do_not_depend_on_workers_or_on_the_cut(monkeypatch: pytest.Monk
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_numbers_of_a_network_do_not_depend_on_them_either(precision: str, monkeypatch: pytest.MonkeyPatch) -> None:
     spot = read_mesh(SHIPPED / "spot.obj")
-    used, faces = np.unique(spot.faces[:60], return_inverse=True)
+    used, faces = np.unique(spot.faces[:24], return_inverse=True)
     mesh = build_mesh(spot.positions[used], faces.reshape(-1, 3))
     network = load_model(SHIPPED / "spot.pt")
     asked = {"rings": 4, "sectors": 8, "error": 0.1, "precision": precision}

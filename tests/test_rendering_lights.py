@@ -17,6 +17,7 @@ from formats.scene import Scene
 from prt_bake.lighting import Lighting, Sky, as_lighting
 from prt_bake.rendering import SHOWS, SHOWS_ROUGH, Rendering, render_scene
 from prt_bake.trainer.estimate import estimate_transport
+from prt_bake.trainer.kernels import sum_transport
 from prt_bake.trainer.lit import walk_lit
 from prt_bake.trainer.prepared import prepare
 
@@ -78,6 +79,10 @@ def test_what_a_walk_receives_is_the_transport_function(tmp_path: Path, interfac
     mean, square = walk_lit(scene, at.faces, at.barycentric, outgoing, keys, incident, 2048, 5)
     expected = estimate_transport(scene, positions, outgoing, incident, 2048, 6, connections=3)
     assert_agree(mean, np.sqrt((square - mean**2) / 2047), expected.mean, expected.standard_error)
+    shared, _square = walk_lit(scene, at.faces, at.barycentric, outgoing, keys, incident[0], 2048, 5)
+    np.testing.assert_array_equal(shared[0], mean[0])
+    # A second one is a minute of compiling, of all who draw a picture.
+    assert len(sum_transport.signatures) == 1
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])

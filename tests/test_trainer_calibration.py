@@ -56,7 +56,6 @@ class Experiment:
         ("coefficients", sphere(2), MATCHED, 768),
         ("coefficients", sphere(2), ROUGH, 768),
         ("transport", sphere(2), MATCHED, 1024),
-        ("transport", sphere(2), ROUGH, 1024),
         ("transport", lumpy(2), ROUGH, 1024),
         ("transport", sphere(2), NARROW, 1024),
     ],
@@ -64,7 +63,6 @@ class Experiment:
         "coefficients-matched",
         "coefficients-rough",
         "transport-matched",
-        "transport-rough",
         "transport-rough-hollows",
         "transport-narrow",
     ],
@@ -82,7 +80,8 @@ def test_bounds_cover_the_truth(estimator, mesh, medium, paths, tmp_path):
 
 def test_too_few_paths_for_heavy_tails_are_flagged(tmp_path):
     """Light from behind a thick object comes through rarely and strongly: the bounds fall short, and say so."""
-    covered, reliable = Experiment(tmp_path, sphere(2), THICK, "transport", behind=True).coverage(1024, seeds=30)
+    thick = Experiment(tmp_path, sphere(2), THICK, "transport", behind=True, count=FEWER_QUERIES)
+    covered, reliable = thick.coverage(1024, seeds=20)
     assert reliable.mean() < 0.1
     assert covered[~reliable].mean() < 0.93
 

@@ -11,7 +11,7 @@ from small_training import LEARNING, learnt, make_scene
 from formats.errors import QueryError, SamplesError
 from formats.samples import SamplesHead, read_samples
 from formats.samples_writer import SamplesWriter
-from prt_bake import training_report
+from prt_bake import training_picture, training_report
 from prt_bake.cli import after_training
 from prt_bake.trainer import fit
 from prt_bake.trainer.estimate import estimate_transport
@@ -211,6 +211,7 @@ def briefly(monkeypatch):
     monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
     brief = functools.partial(training_report.report_training, queries=64, vertices=16)
     monkeypatch.setattr(training_report, "report_training", brief)
+    monkeypatch.setattr(training_picture, "_SPP", 16)
 
 
 @pytest.mark.usefixtures("briefly")

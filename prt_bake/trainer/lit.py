@@ -89,7 +89,8 @@ def walk_lit(
             prepared.medium,
             tuple(part[chosen] for part in queries),
             chunks,
-            np.ascontiguousarray(towards[chosen]),
+            # A copy that can be written to: for one that cannot, a minute is spent on compiling the kernel anew.
+            np.array(towards[chosen], order="C"),
             directions,
             prepared.aims,
             seed,
