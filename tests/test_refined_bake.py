@@ -59,6 +59,16 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     assert asset.complete
 
 
+@pytest.mark.parametrize("transport", [Edged(), Chequered()])
+def test_bounds_hold_as_often_as_they_say_where_bins_share_lattices(transport: object) -> None:
+    """With 162 vertices errors are 648 numbers at least, whose share is known to a point."""
+    mesh, every = icosphere(2), 17
+    asset = bake(transport, mesh, error=ERROR)
+    off = asset.coefficients[:, ::every] - exact(transport, mesh, 16, 64, directions=2048, every=every)
+    within = np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error[:, ::every]
+    assert 0.93 < within.mean() < 0.97
+
+
 def test_smaller_errors_cost_more_and_are_reached() -> None:
     mesh, spent = icosphere(0), []
     truth = exact(Lobed(), mesh, 8, 32)

@@ -194,16 +194,18 @@ class Counting:
         return answer
 
 
-def exact(transport: object, mesh: Mesh, rings: int, sectors: int, degree: int = 2, directions: int = 4096) -> Array:
-    """Coefficients [V,B,K,3] from a fit over many directions, turned anew at each vertex."""
+def exact(
+    transport: object, mesh: Mesh, rings: int, sectors: int, degree: int = 2, directions: int = 4096, every: int = 1
+) -> Array:
+    """Coefficients [V,B,K,3] from a fit over many directions, turned anew at each vertex; of every so many bins."""
     lattice = sphere.fibonacci(directions)
     harmonics = sh.evaluate(lattice, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)
     _tangents, views = views_of(mesh, rings, sectors)
-    found = np.empty((len(mesh.positions), rings * sectors, sh.count(degree), 3))
+    found = np.empty((len(mesh.positions), -(-rings * sectors // every), sh.count(degree), 3))
     for vertex, x in enumerate(mesh.positions):
         turn = sphere.random_rotations(1, 900 + vertex)[0]
-        outgoing = views(vertex, vertex + 1)[0][0]
+        outgoing = views(vertex, vertex + 1)[0][0, ::every]
         for first in range(0, len(outgoing), 64):
             some = outgoing[first : first + 64]
             incident = np.broadcast_to(lattice @ turn.T, (len(some), directions, 3))
