@@ -65,6 +65,20 @@ class Run:
         self.number = self.passes = 0
         self.asset: Asset | None = None
         self.rows: list[tuple[float, float, float]] = []
+        self._told: Standing | None = None
+
+    def tell(self, done: int, standing: Standing) -> None:
+        """That so many vertices of a pass are done."""
+        self._told = standing
+        if self.work.progress is not None:
+            self.work.progress(done, len(self.site.vertices), standing)
+
+    def tell_of_pilot(self) -> None:
+        """That the way to the error is sought, which takes a while, after what was told last."""
+        if self._told is not None:
+            _seconds, evaluations, error = self._told
+            row = self.work.seconds, evaluations, error
+            self.tell(len(self.site.vertices), Standing(row, self._told.left, "pilot after pass 1"))
 
     @property
     def left(self) -> float:
@@ -90,6 +104,7 @@ def bake_to_error(run: Run) -> Asset:
         large = coarse_first(run.site, run.error)
         if large and not run.store.names("01-") and _pass(run, coarse(refinement, COARSE)) is None:
             return _ended(run)
+        run.tell_of_pilot()
         try:
             aim = aimed(run.pilot, refinement, run.error)
         except Stopped:
@@ -211,10 +226,9 @@ def _pass(run: Run, aim: Aim) -> Pass | None:
     forecast, stage = _forecast(run, aim, shelf), f"pass {run.passes}"
 
     def show(done: int, tally: Tally) -> None:
-        if run.work.progress is not None:
-            estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
-            spent = run.work.seconds, float(run.work.evaluations + tally.asked), estimate
-            run.work.progress(done, vertices, Standing(spent, forecast.left(done), stage))
+        estimate = tally.relative(aim.correction)[0] if done == vertices else aim.error
+        spent = run.work.seconds, float(run.work.evaluations + tally.asked), estimate
+        run.tell(done, Standing(spent, forecast.left(done), stage))
 
     done = _whole_before(run, aim, shelf)
     if done is None:
