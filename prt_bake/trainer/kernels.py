@@ -96,18 +96,18 @@ def _receive_rough(
     aims: Any,
     ray: Any,
     room: Any,
-    entering: Any,
+    event: Any,
     stream: Any,
     received: Any,
 ) -> bool:
-    """Take the event at a dielectric boundary in an object that is rough outside, with all that it receives; False
-    where the walk ends.
+    """Take the event (ENTERING or SURFACE) at a dielectric boundary in an object that is rough outside, with all that
+    it receives; False where the walk ends.
     """
+    entering = event == ENTERING
     outermost = entering or is_outermost(boundary, counts[BEFORE], counts[BEHIND])
     if outermost:
         if not entering:
             connect_at_surface(boundary, state, counts, towards, share, aims, ray, room, received)
-        event = ENTERING if entering else SURFACE
         connect_aimed(boundary, media, state, counts, towards, share, aims, ray, room, event, stream, received)
     alive = enter(boundary, state, counts, stream) if entering else cross(boundary, state, counts, False, stream)
     if alive and outermost and region_of(boundary, counts) > 0:
@@ -133,7 +133,7 @@ def _receive(
     """Take an event of the walk with all that it receives from `towards`; False where the walk ends there."""
     rough = boundary.kind == ROUGH
     if rough and event == SURFACE:
-        return _receive_rough(boundary, media, state, counts, towards, share, aims, ray, room, False, stream, received)
+        return _receive_rough(boundary, media, state, counts, towards, share, aims, ray, room, event, stream, received)
     if rough:
         connect_aimed(boundary, media, state, counts, towards, share, aims, ray, room, event, stream, received)
     else:
@@ -183,8 +183,10 @@ def sum_transport(
                 boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1], held
             )
             if boundary.kind == ROUGH:
+                # As a number like any other: of a constant there would be a second form of all that is called with it.
+                first = np.int64(ENTERING)
                 alive = _receive_rough(
-                    boundary, media, state, counts, towards, share, aims, ray, room, True, stream, received
+                    boundary, media, state, counts, towards, share, aims, ray, room, first, stream, received
                 )
             else:
                 alive = enter(boundary, state, counts, stream)
