@@ -21,8 +21,10 @@ from prt_bake.to_error.aim import LATTICES, Aim, Pilot, Stopped, aimed, coarse
 from prt_bake.to_error.first_look import MANY, Site, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.to_error.passes import Pass, one_pass, tighter
 
-COARSE = 0.15
+COARSE = 0.3
 """Error that the first pass over an object of many bins is made for: there is an asset soon."""
+WORTH_A_PASS = 0.25
+"""Of that, the error asked for, from which on down there is such a pass."""
 PASSES = 4
 FINER, FINEST, STEP = 1.25, 16.0, 2.5
 """Times smaller, that the error of a pass must at least and may at most be than that of the one before, in a bake that
@@ -133,7 +135,7 @@ def bake_to_error(run: Run) -> Asset:
 
 def coarse_first(site: Site, error: float) -> bool:
     """Whether there is a coarse pass before the pilot of a bake to that error."""
-    return site.many >= MANY and error < COARSE / 2
+    return site.many >= MANY and error < WORTH_A_PASS * COARSE
 
 
 def _next_aim(run: Run, refinement: Refinement, before: Pass, seconds: float) -> Aim | None:
