@@ -102,22 +102,22 @@ def write_side_by_side(
 def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: str | Path) -> None:
     """Draw the estimated relative error of bakes against their run time, both on logarithmic axes.
 
-    ladder: rows of (seconds, evaluations, error) [rows,3], one a number of directions; baked: the row of the bake.
+    ladder: rows of (seconds, evaluations, error) [rows,3], one a number of directions; baked: those of the bake itself.
 
     Raises PrtbakeError where the extra `evaluate` is not installed, StorageError if the place cannot be written.
     """
     try:
         from matplotlib.figure import Figure
+        from matplotlib.ticker import LogLocator, NullFormatter
     except ImportError:
         raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
 
-    seconds, evaluations, error = ladder.T
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    axes.loglog(seconds, error, marker="o", label="estimated from a few vertices")
-    axes.loglog([baked[0]], [baked[2]], marker="*", markersize=12, linestyle="", label="this bake")
-    for time, level, count in zip(seconds, error, evaluations, strict=True):
-        # Below the curve, which falls: the bake lies beside it at the height of its point.
+    axes.loglog(ladder[:, 0], ladder[:, 2], marker="o", label="as many directions at every bin, from a few vertices")
+    axes.loglog(baked[:, 0], baked[:, 2], marker="*", markersize=12, label="this bake")
+    for time, count, level in [*ladder, *baked]:
+        # Below the curves, which fall.
         axes.annotate(
             f"{float(f'{count / 1e6:.3g}'):g} M",
             (time, level),
@@ -128,6 +128,10 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
             fontsize=8,
         )
     axes.margins(0.15)
+    for axis, form in ((axes.xaxis, "{x:g}"), (axes.yaxis, "{x:.2%}")):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(form)
+        axis.set_minor_formatter(NullFormatter())
     axes.set(xlabel="seconds", ylabel="estimated relative RMSE of the coefficients")
     axes.set_title("network evaluations at each point, in millions (M)")
     figure.legend(loc="outside lower center", ncols=2)

@@ -13,7 +13,7 @@ from prt_bake.cli.progress import bake_progress, reporting, stopping
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for what is made.")] = Path("demo"),
     quality: Annotated[
-        Literal["quick", "fine"], typer.Option(help="quick: a minute or two; fine: smaller errors, larger picture.")
+        Literal["quick", "fine"], typer.Option(help="quick: a minute; fine: smaller errors, larger picture.")
     ] = "quick",
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Threads; by default as many as cores.", show_default=False)
@@ -36,10 +36,9 @@ def demo(
     for file in result.files:
         print(file)
     print("error against run time: seconds, evaluations, estimated relative RMSE of the coefficients")
-    for seconds, evaluations, error in result.ladder:
-        print(f"  {seconds:8.1f} {evaluations:15,.0f} {error:9.3%}")
-    seconds, evaluations, error = result.asset.error_vs_time[-1]
-    print(f"  {seconds:8.1f} {evaluations:15,.0f} {error:9.3%}   this bake")
+    for rows, words in ((result.ladder, "as many directions at every bin"), (result.asset.error_vs_time, "this bake")):
+        for seconds, evaluations, error in rows:
+            print(f"  {seconds:8.1f} {evaluations:15,.0f} {error:9.3%}   {words}")
     for name, figures in (("picture", result.comparison), ("object", result.object_comparison)):
         print(
             f"{name}: MSE {figures.mse:.3g}, SSIM {figures.ssim:.4f}, FLIP {figures.flip:.4f} against the path tracer"
