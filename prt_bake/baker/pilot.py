@@ -82,7 +82,7 @@ def error_ladder(
     Error and time come from a few vertices drawn by the seed; the time is carried to all vertices and shared among the
     workers. Where a few vertices have most of the error, as many drawn evenly hardly ever show it: those are drawn
     the more often then, the larger a share of the error or of the squares of the coefficients `baked` has at them, a
-    bake of the same mesh with any number of directions. Raises as `bake` does.
+    bake of the same mesh in any way. Raises as `bake` does.
     """
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     rows = []
