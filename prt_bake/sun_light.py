@@ -24,7 +24,6 @@ from formats.lights import DirectionalLight
 from prt_bake.deringing import windowed
 from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import Lighting, solid_angle
-from prt_bake.reconstruction import reconstruct
 from prt_bake.sphere import BinCoordinates, tangent_frame, to_world
 from prt_bake.suns import WIDEST, split_lighting
 
@@ -95,6 +94,8 @@ def sun_radiance(
 
 def gathered(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
     """Coefficients [n,K,3] of `vertices` [n] (ascending) between the view bins; `at` as in `reconstruct`."""
+    from prt_bake.reconstruction import reconstruct
+
     harmonics = (asset.degree + 1) ** 2
     answer = np.empty((len(vertices), harmonics, 3))
     for part, block, rows in _in_memory(asset.coefficients, vertices):

@@ -59,7 +59,7 @@ def shade_vertices(
         )
     weights = light_of(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    at = _between_bins(asset, eye, vertices)
+    at = between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))
     radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
     if suns:
@@ -81,7 +81,7 @@ def radiance_error(
     """
     length = np.sqrt((light_of(asset, light) ** 2).sum(axis=0))
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    at, sigma = _between_bins(asset, eye, vertices), asset.standard_error[:, :, None, None]
+    at, sigma = between_bins(asset, eye, vertices), asset.standard_error[:, :, None, None]
     error = np.zeros((len(asset.valid), 3))
     error[vertices] = length * reconstruct(sigma, vertices, at, asset.sectors, np.ones((1, 3)))
     return error
@@ -118,8 +118,8 @@ def corner_shares(asset: Asset, corners: NDArray[np.integer], barycentric: Array
     return np.asarray(weights / np.where(total > 0.0, total, 1.0))
 
 
-def _between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
-    """Where the direction to the eye lies between the view bins of each vertex."""
+def between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
+    """Where the direction to the eye lies between the view bins of `vertices` [n]; raises as `shade` for the eye."""
     outgoing = _towards_eye(asset, eye, vertices)
     local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
     return sphere.bin_coordinates(local, asset.rings, asset.sectors)

@@ -10,9 +10,10 @@ from formats.asset import Asset
 from formats.image import read_image, write_image
 from formats.png import to_srgb
 from prt_bake import camera
+from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.state import Preview
-from prt_bake.preview.view import View, make_plotter
+from prt_bake.preview.view import View
 from prt_bake.preview.window import Window
 
 
@@ -26,7 +27,7 @@ def open_window(
 ) -> Window:
     preview = Preview(asset, [LightSource(text, asset.up, asset.degree) for text in lights], **chosen)
     start = camera.fit(asset.mesh, *size, eye=eye, up=asset.up)
-    view = View(preview, make_plotter(*size, True), start, reference)
+    view = View(preview, Canvas(*size, True), start, reference)
     window = Window(view, "ball.h5", None if reference is None else "reference.exr")
     window.render()
     return window
@@ -42,7 +43,7 @@ def bare_picture(window: Window) -> NDArray[np.float64]:
 
 
 def press(window: Window, *keys: str) -> None:
-    interactor = window.view.plotter.iren.interactor
+    interactor = window.view.canvas.interactor
     for key in keys:
         interactor.SetKeySym(key)
         for event in ("KeyPressEvent", "CharEvent", "KeyReleaseEvent"):
@@ -50,7 +51,7 @@ def press(window: Window, *keys: str) -> None:
 
 
 def drag(window: Window, start: tuple[int, int], end: tuple[int, int]) -> None:
-    interactor = window.view.plotter.iren.interactor
+    interactor = window.view.canvas.interactor
     interactor.SetEventInformation(*start, 0, 0, "\0", 0, None)
     interactor.InvokeEvent("LeftButtonPressEvent")
     interactor.SetEventInformation(*end, 0, 0, "\0", 0, None)

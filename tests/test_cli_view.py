@@ -10,15 +10,26 @@ from command_line import Run
 
 from formats.image import read_image, write_image
 from formats.png import to_srgb
-from prt_bake.preview import view as views
+from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.window import Window
 
 COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
 
 
-@pytest.mark.parametrize("options", [[], ["--rotate", 60, "--exposure", -1], ["--up", "y"], ["--eye", "2,3,1"]])
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--rotate", 60, "--exposure", -1],
+        ["--up", "y"],
+        ["--eye", "2,3,1"],
+        ["--suns", "plain"],
+        ["--suns", "window"],
+    ],
+)
 def test_a_screenshot_is_the_picture_that_shade_writes(prtbake: Run, tmp_path: Path, options: list[object]) -> None:
-    sky = np.random.default_rng(1).random((16, 32, 3)).astype(np.float32)
+    sky = np.random.default_rng(1).random((64, 128, 3)).astype(np.float32)
+    sky[15, 80] = 2000.0  # a sun
     write_image(tmp_path / "sky.hdr", sky)
     light = ["--light", tmp_path / "sky.hdr", "--size", "64x48", *options]
     shot, shaded = tmp_path / "shot.png", tmp_path / "shade.png"
@@ -58,7 +69,7 @@ def test_without_a_display_it_says_so(prtbake: Run, monkeypatch: pytest.MonkeyPa
 
 WITHOUT = """
 import sys
-sys.modules["pyvista"] = None
+sys.modules["vtkmodules"] = None
 from prt_bake.cli.main import main
 code = main(sys.argv[1:])
 assert "torch" not in sys.modules
@@ -66,7 +77,7 @@ sys.exit(code)
 """
 
 
-def test_without_pyvista_it_says_what_to_install(folder: Path, tmp_path: Path) -> None:
+def test_without_vtk_it_says_what_to_install(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT, *COMMAND, "--screenshot", str(tmp_path / "shot.png")]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
@@ -112,9 +123,8 @@ def test_a_window_is_handed_to_the_user(prtbake: Run, monkeypatch: pytest.Monkey
 
     seen = []
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(window, "has_display", lambda plotter: True)
+    monkeypatch.setattr(Canvas, "on_display", True)
     monkeypatch.setattr(Window, "run", lambda self: seen.append(self))
-    make = views.make_plotter
-    monkeypatch.setattr(window, "make_plotter", lambda width, height, off_screen: make(width, height, True))
+    monkeypatch.setattr(window, "Canvas", lambda width, height, off_screen: Canvas(width, height, True))
     assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
     assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]

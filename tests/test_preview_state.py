@@ -114,7 +114,7 @@ def test_the_valid_mask_shows_all_vertices(sky) -> None:
     assert (shown[:, 3] == 1.0).all()
     assert len(np.unique(shown[VALID], axis=0)) == len(np.unique(shown[~VALID], axis=0)) == 1
     assert (shown[VALID][0] != shown[~VALID][0]).any()
-    assert "13 of 66" in legend.status(preview, "ball.h5")
+    assert "13 of 66" in legend.status(preview, "ball.h5", EYE)
 
 
 def test_ramps_run_through_their_colours_and_stop_at_the_ends() -> None:

@@ -30,7 +30,7 @@ def both(asset: Asset, sky: np.ndarray, path, eye=None, rotation=0.0, exposure=0
     view = camera.fit(asset.mesh, *SIZE, eye=eye, up=asset.up)
     picture = render_picture(asset, as_lighting(sky, asset.up, rotation), view, samples=4)
     found = bare_picture(window)
-    window.view.plotter.close()
+    window.view.canvas.close()
     return found, encoded(picture.image, exposure), picture.coverage
 
 
@@ -135,7 +135,7 @@ def test_a_rough_surface_mirrors_less_sharply(tmp_path) -> None:
         window = open_window(mirror(ball(3), alpha), [write_sky(tmp_path / "sky.exr", sky)], SIZE)
         press(window, "r", "b")
         seen.append(bare_picture(window).max(axis=2))
-        window.view.plotter.close()
+        window.view.canvas.close()
     assert (seen[1] > 100).sum() > 2 * (seen[0] > 100).sum()
     assert (seen[0] > 200).any()
 

@@ -33,7 +33,7 @@ def opened(tmp_path):
     lights = [write_sky(tmp_path / "sky.exr", SKY), write_sky(tmp_path / "white.exr", 0.3 * constant())]
     window = open_window(make_asset(ball(2), provenance={"eta": 1.5}), lights)
     yield window
-    window.view.plotter.close()
+    window.view.canvas.close()
 
 
 def said(window: Window) -> str:
@@ -45,7 +45,7 @@ def said(window: Window) -> str:
 def camera_of(window: Window) -> Camera:
     """The window's camera in object space."""
     view = window.view
-    camera = view.plotter.renderer.GetActiveCamera()
+    camera = view.canvas.camera
     target = view.preview.asset.mesh.center + view.radius * np.array(camera.GetFocalPoint())
     width, height = view.window.GetSize()
     return Camera(view.eye, target, np.array(camera.GetViewUp()), camera.GetViewAngle(), width, height)
@@ -70,7 +70,7 @@ def test_edges_are_smooth_but_while_it_moves(opened, monkeypatch) -> None:
     drag(opened, (60, 45), (90, 52))
     assert not opened.view.smooth_edges
     monkeypatch.setattr(windows, "_STILL", 0.0)
-    opened.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
+    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
     assert opened.view.smooth_edges
 
 
@@ -142,7 +142,7 @@ def tick_after(window: Window, path, content: bytes) -> None:
     before = path.stat().st_mtime_ns
     path.write_bytes(content)
     os.utime(path, ns=(before + 10_000_000, before + 10_000_000))
-    window.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
+    window.view.canvas.interactor.InvokeEvent("TimerEvent")
 
 
 def test_a_sky_that_changes_on_disk_is_seen_at_once(opened, tmp_path, monkeypatch) -> None:
@@ -158,7 +158,7 @@ def test_a_sky_that_changes_on_disk_is_seen_at_once(opened, tmp_path, monkeypatc
     np.testing.assert_array_equal(bare_picture(opened), first)
     assert "was read again" in said(opened)
     monkeypatch.setattr(windows, "_SAID_FOR", 0.0)
-    opened.view.plotter.iren.interactor.InvokeEvent("TimerEvent")
+    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
     assert not opened.overlay.message.GetVisibility()
 
 
@@ -174,7 +174,7 @@ def test_flipping_to_a_reference_shows_it_pixel_by_pixel(tmp_path) -> None:
     assert np.abs(bare_picture(window) - encoded(reference, 0.5)).max() <= 1.0
     press(window, "Down", "space")
     np.testing.assert_array_equal(bare_picture(window), ours)
-    window.view.plotter.close()
+    window.view.canvas.close()
     large = open_window(asset, lights, (60, 60), reference=reference)
     press(large, "space")
     shown = bare_picture(large)
@@ -184,7 +184,7 @@ def test_flipping_to_a_reference_shows_it_pixel_by_pixel(tmp_path) -> None:
 
 def test_an_eye_inside_the_object_is_told_and_the_colours_stay(opened) -> None:
     before = opened.view.shown.copy()
-    camera = opened.view.plotter.renderer.GetActiveCamera()
+    camera = opened.view.canvas.camera
     camera.SetPosition(0.0, 0.05, 0.1)
     opened.render()
     assert "inside the object" in said(opened)

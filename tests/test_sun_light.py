@@ -127,7 +127,7 @@ def test_coefficients_are_gathered_from_memory_and_from_files_alike(tmp_path, mo
     write_asset(asset, tmp_path / "a.h5")
     opened = read_asset(tmp_path / "a.h5", load=False)
     vertices = np.array([3, 4, 20, 65])
-    at = vertex_shading._between_bins(asset, EYE, vertices)
+    at = vertex_shading.between_bins(asset, EYE, vertices)
     inside = gathered(asset, vertices, at)
     monkeypatch.setattr("prt_bake.sun_light._BYTES_AT_ONCE", 20_000)
     np.testing.assert_array_equal(gathered(opened, vertices, at), inside)
@@ -143,4 +143,4 @@ def test_negative_mean_transport_is_clamped_and_told() -> None:
     assert shown.clamped > 0.01
     assert not shown.radiance[:3].any()
     everything = np.arange(66)
-    assert not sun_radiance(asset, (), everything, vertex_shading._between_bins(asset, EYE, everything)).any()
+    assert not sun_radiance(asset, (), everything, vertex_shading.between_bins(asset, EYE, everything)).any()

@@ -159,6 +159,13 @@ Mend = Annotated[
     bool,
     typer.Option("--mend", help="Replace NaN, infinite and negative pixels of the environment, and say how many."),
 ]
+Suns = Annotated[
+    Literal["split", "window", "plain"],
+    typer.Option(
+        help="How small strong lights are met: split from the sky, by a positive transport; window, with "
+        "harmonics damped; plain, like all light, which rings."
+    ),
+]
 Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of every random number.")]
 Lights = Annotated[
     list[str],

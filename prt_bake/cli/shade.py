@@ -20,6 +20,7 @@ from prt_bake.cli.options import (
     PictureSize,
     Rotate,
     Size,
+    Suns,
     Up,
     optional_output,
     output_option,
@@ -79,13 +80,7 @@ def shade(
     seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="That one turn of it takes.")] = 3.0,
     samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
     mend: Mend = False,
-    suns: Annotated[
-        Literal["split", "window", "plain"],
-        typer.Option(
-            help="How small strong lights are met: split from the sky, by a positive transport; window, with "
-            "harmonics damped; plain, like all light, which rings."
-        ),
-    ] = "split",
+    suns: Suns = "split",
 ) -> None:
     """Relight a baked asset and write the picture.
 

@@ -4,17 +4,32 @@ import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from formats.errors import QueryError, StorageError
-from prt_bake.cli.options import Exposure, Eye, Fov, LookAt, Mend, Rotate, Size, Up, optional_output, read_size
+from prt_bake.cli.options import (
+    Exposure,
+    Eye,
+    Fov,
+    LookAt,
+    Mend,
+    Point,
+    Rotate,
+    Size,
+    Suns,
+    Up,
+    optional_output,
+    read_size,
+)
 from prt_bake.cli.progress import say
 
 if TYPE_CHECKING:
+    from formats.asset import Asset
     from prt_bake.camera import Camera
     from prt_bake.preview.state import Preview
+    from prt_bake.sun_light import SunTreatment
 
 DEFAULT_SIZE = Size(960, 720)
 _WITHOUT_DISPLAY = "there is no display to open a window on; --screenshot F.png writes the picture without one"
@@ -56,6 +71,7 @@ def view(
     exposure: Exposure = 0.0,
     up: Up = None,
     mend: Mend = False,
+    suns: Suns = "split",
 ) -> None:
     """Look at a baked asset in a window: orbit, turn the light, flip to a reference, see errors and coefficients.
 
@@ -63,53 +79,84 @@ def view(
     """
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
-    from prt_bake import camera
-    from prt_bake.cli.viewing import camera_for
+    asked = _Asked(light, up, rotate, exposure, mend, suns, compare, size, eye, look_at, fov)
+    from formats.asset import read_asset
 
     with ThreadPoolExecutor(1) as reading:
-        # Meanwhile VTK is loaded: both take most of a second.
-        coming = reading.submit(_open, asset, light, up, rotate, exposure, mend)
+        # Meanwhile everything else is loaded: most of reading is unpacking, which needs nothing of Python. All imports
+        # are this thread's: where two load a library whose modules import one another, either may find it half loaded.
+        coming = reading.submit(read_asset, asset)
         window = _load_window()
-        preview = coming.result()
-    reference = None if compare is None else _read(compare)
-    shape = size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
-    mesh, axis = preview.asset.mesh, preview.asset.up
-    start = camera_for(mesh, shape, axis, eye, look_at, fov, False, None)
-    camera.refuse_eye_in_object(mesh, start.eye)
-    for remark in _remarks(preview):
+        if coming.done():
+            coming.result()  # what could not be opened is told without a window
+        first = size or DEFAULT_SIZE
+        canvas = window.Canvas(first.width, first.height, screenshot is not None)
+        if screenshot is None and not canvas.on_display:
+            raise QueryError(f"view: {_WITHOUT_DISPLAY}")
+        canvas.open()
+        opened = _open(coming.result(), asked, screenshot is not None)
+    for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
-    _show(window, preview, start, asset.name, screenshot, reference, compare)
+    _show(window, canvas, opened, asset.name, screenshot, compare)
 
 
-def _open(
-    asset: Path, light: list[str] | None, up: str | None, rotate: float, exposure: float, mend: bool
-) -> "Preview":
-    """The asset under its lights, with the colours of its first picture worked out."""
-    from importlib import resources
+class _Asked(NamedTuple):
+    """What the command line says of what is to be seen."""
 
-    from formats.asset import read_asset
+    light: list[str] | None
+    up: str | None
+    rotate: float
+    exposure: float
+    mend: bool
+    suns: "SunTreatment"
+    compare: Path | None
+    size: Size | None
+    eye: Point | None
+    look_at: Point | None
+    fov: float
+
+
+class _Opened(NamedTuple):
+    """What is shown, from where, and beside which picture [H,W,3]."""
+
+    preview: "Preview"
+    start: "Camera"
+    reference: Any
+
+
+def _open(baked: "Asset", asked: _Asked, settled: bool) -> _Opened:
+    """The asset under its lights, with the colours of its first picture worked out; `settled` as after a while."""
     from prt_bake import camera
+    from prt_bake.cli.viewing import camera_for
     from prt_bake.preview.lights import LightSource
     from prt_bake.preview.state import Preview
 
-    baked = read_asset(asset)
+    light = asked.light
     if light is None:
+        from importlib import resources
+
         light = [str(resources.files("prt_bake.shipped") / "sky.hdr")] if baked.quantity == "transfer" else []
-    axis = up or baked.up
-    sources = [LightSource(text, axis, baked.degree, mend, say) for text in light]
-    preview = Preview(baked, sources, up=axis, rotation=rotate, exposure=exposure)
-    preview.colours(camera.fit(baked.mesh, up=axis).eye)
-    return preview
+    axis = asked.up or baked.up
+    sources = [LightSource(text, axis, baked.degree, asked.mend, say) for text in light]
+    preview = Preview(baked, sources, up=axis, rotation=asked.rotate, exposure=asked.exposure, suns=asked.suns)
+    reference = None if asked.compare is None else _read(asked.compare)
+    shape = asked.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
+    start = camera_for(baked.mesh, shape, axis, asked.eye, asked.look_at, asked.fov, False, None)
+    camera.refuse_eye_in_object(baked.mesh, start.eye)
+    if settled:
+        preview.settle(start.eye)
+    preview.colours(start.eye)
+    return _Opened(preview, start, reference)
 
 
 def _load_window() -> Any:
     try:
         from prt_bake.preview import window
     except ModuleNotFoundError as cause:
-        if (cause.name or "").partition(".")[0] not in ("pyvista", "vtk", "vtkmodules"):
+        if (cause.name or "").partition(".")[0] not in ("vtk", "vtkmodules"):
             raise
         raise StorageError(
-            f"view: the window needs {cause.name}, which is not installed; pip install 'prt-bake[preview]'"
+            "view: the window needs VTK, which is not installed; pip install 'prt-bake[preview]'"
         ) from cause
     return window
 
@@ -120,25 +167,17 @@ def _read(path: Path) -> Any:
     return read_image(path)
 
 
-def _show(
-    window: Any,
-    preview: "Preview",
-    start: "Camera",
-    name: str,
-    screenshot: Path | None,
-    reference: Any,
-    compare: Path | None,
-) -> None:
-    plotter = window.make_plotter(start.width, start.height, screenshot is not None)
-    drawn = window.View(preview, plotter, start, reference)
+def _show(window: Any, canvas: Any, opened: _Opened, name: str, screenshot: Path | None, compare: Path | None) -> None:
+    preview, start, reference = opened
+    canvas.resize(start.width, start.height)
+    drawn = window.View(preview, canvas, start, reference)
     if screenshot is not None:
+        drawn.settle()
         window.write_picture(screenshot, drawn.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")
-    elif not window.has_display(drawn.plotter):
-        raise QueryError(f"view: {_WITHOUT_DISPLAY}")
     else:
         window.Window(drawn, name, None if compare is None else compare.name).run()
-    plotter.close()
+    canvas.close()
 
 
 def _remarks(preview: "Preview") -> list[str]:

@@ -2,10 +2,15 @@
 
 import textwrap
 
+from numpy.typing import ArrayLike
+
 from prt_bake.preview.state import Mode, Preview
+from prt_bake.sun_light import SunTreatment
 
 _LETTER = 8
 """Pixels that a letter takes, about."""
+
+_SUNS: dict[SunTreatment, str] = {"split": "suns apart", "window": "suns damped", "plain": "suns as harmonics"}
 
 Key = tuple[str, str]
 
@@ -22,6 +27,8 @@ def keys(preview: Preview, reference: str | None) -> list[Key]:
         rows.append(("r", "reflection of the surface"))
     if preview.lights:
         rows.append(("b", "sky behind the object"))
+    if preview.has_suns:
+        rows.append(("u", "suns apart, or as harmonics like all light"))
     rows += [("e", "standard error"), ("v", "valid vertices"), ("c", "coefficients"), (", .", "previous, next of them")]
     if reference is not None:
         rows.append(("space", f"flip to {reference}"))
@@ -40,8 +47,8 @@ def wrapped(words: str, width: int) -> str:
     return "\n".join(textwrap.wrap(words, max(20, width // _LETTER)))
 
 
-def status(preview: Preview, name: str, reference: str | None = None) -> str:
-    """One line: the asset, or the picture to compare with, and what of it is shown under which light."""
+def status(preview: Preview, name: str, eye: ArrayLike, reference: str | None = None) -> str:
+    """One line: the asset, or the picture to compare with, and what of it is shown to this eye under which light."""
     exposure = f"{preview.exposure:+.2g} EV" if preview.exposure else ""
     if reference is not None:
         return _joined(reference, exposure)
@@ -55,7 +62,15 @@ def status(preview: Preview, name: str, reference: str | None = None) -> str:
         return _joined(name, f"coefficient l = {l}, m = {m}")
     if preview.mode is Mode.ERROR:
         return _joined(name, "standard error", light, turned)
-    return _joined(name, light, turned, exposure, "with reflection" if preview.mirrored is not None else "")
+    suns = preview.suns_shown(eye)
+    return _joined(
+        name,
+        light,
+        turned,
+        exposure,
+        "" if suns is None else _SUNS[suns],
+        "with reflection" if preview.mirrored is not None else "",
+    )
 
 
 def _joined(*parts: str) -> str:

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from formats.errors import PrtbakeError
 from formats.lights import SkyLight, read_lights
-from prt_bake import environment
+from prt_bake import environment, sh
 from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import Lighting, read_lighting
 from prt_bake.preview.mirrored import shrunk
+from prt_bake.sun_light import SunsApart, SunTreatment, suns_apart
 
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512
@@ -29,6 +30,13 @@ class ShownLight:
     lighting: Lighting
     harmonics: NDArray[np.float64]
     picture: NDArray[np.float32] | None
+    _apart: dict[SunTreatment, SunsApart] = field(default_factory=dict, init=False, repr=False)
+
+    def apart(self, treatment: SunTreatment) -> SunsApart:
+        """Its suns and the rest, found when first asked for."""
+        if treatment not in self._apart:
+            self._apart[treatment] = suns_apart(self.lighting, sh.degree_of(len(self.harmonics)), treatment)
+        return self._apart[treatment]
 
 
 class LightSource:

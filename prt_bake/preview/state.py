@@ -5,23 +5,24 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from threading import Thread
 from typing import NamedTuple
 
 import numpy as np
-from numba import get_num_threads, set_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
 from prt_bake import camera, environment, sh
-from prt_bake.frames import Frames
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
+from prt_bake.preview.radiance import VertexRadiance
+from prt_bake.preview.settling import Settling, is_closed
+from prt_bake.sun_light import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
 _SAME_INDEX = 1e-9
-_VERTICES_A_THREAD = 1 << 16
 _MOST_OF_SCALE = 0.98
 """Quantile of what is shown in false colours that their scale ends at."""
 
@@ -64,6 +65,7 @@ class Preview:
         gloss: what the surface reflects by, None where the index is 1: there is nothing to reflect.
         reflecting: whether that is shown.
         background: whether the sky is shown behind the object.
+        suns: how they are met: the treatment asked for, or "plain" while that is switched off.
         harmonic: index l(l+1)+m of the coefficient that is shown.
         message: what there is to say, "" where nothing is.
         changes: rises with every change but those of the eye.
@@ -77,6 +79,7 @@ class Preview:
         up: str | None = None,
         rotation: float = 0.0,
         exposure: float = 0.0,
+        suns: SunTreatment = "split",
     ) -> None:
         """Raises QueryError where there is nothing to show: no vertex was baked, or no light is there to relight by."""
         if not asset.valid.any():
@@ -92,8 +95,13 @@ class Preview:
         self.reflecting, self.background, self.harmonic = False, True, 0
         self.message = ""
         self.changes = 0
-        self._frames = Frames(self.asset)
-        self._errors: Frames | None = None
+        self.suns = suns
+        self._treatment: SunTreatment = "split" if suns == "plain" else suns
+        self._radiance = VertexRadiance(self.asset)
+        self._errors: VertexRadiance | None = None
+        self._settling: Settling | None = None
+        self._closed: bool | None = None
+        self._loader: Thread | None = None
         low, high = self.asset.mesh.bounds
         reach = 1e-3 * self.asset.mesh.diagonal
         self._box = low - reach, high + reach
@@ -113,6 +121,25 @@ class Preview:
     def light(self) -> ShownLight | None:
         """The light that shines."""
         return self.lights[self.which].shown if self.lights else None
+
+    @property
+    def has_suns(self) -> bool:
+        """Whether there are suns in the light, small and strong enough to be met apart."""
+        return self.relightable and self.light is not None and self.light.apart(self._treatment).found > 0
+
+    def suns_shown(self, eye: ArrayLike) -> SunTreatment | None:
+        """How suns are met in the colours for this eye, None where there are none; "plain" until they are settled."""
+        if self.mode is not Mode.RADIANCE or not self.has_suns:
+            return None
+        return "plain" if self.unsettled(eye) else self.suns
+
+    @property
+    def _lit(self) -> SunsApart:
+        """The light before it is turned, divided as is asked for."""
+        if self.light is None or not self.relightable:
+            none = np.zeros((0, 3))
+            return SunsApart(none, (), none, 0)
+        return self.light.apart(self.suns)
 
     @property
     def sky(self) -> NDArray[np.float32] | None:
@@ -168,9 +195,7 @@ class Preview:
     def turn_to(self, degrees: float) -> None:
         """Turn the light to a rotation; whole turns are taken off."""
         self.rotation = math.remainder(degrees, 360.0)
-        if self.relightable:
-            self._frames.turn(self.rotation)
-        self._changed()
+        self._relight()
 
     def expose(self, exposure: float) -> None:
         """Set the exposure, as far as it goes."""
@@ -201,6 +226,13 @@ class Preview:
         self.background = not self.background
         self.changes += 1
 
+    def flip_suns(self) -> None:
+        """Suns as harmonics like all other light, or met as was asked for; says why where there is none."""
+        if not self.has_suns:
+            self.message = "no suns: nothing in this light is small and strong"
+        self.suns = self._treatment if self.suns == "plain" else "plain"
+        self._relight()
+
     def reread_lights(self) -> bool:
         """Read again what has changed on disk; whether anything had, which `message` then tells."""
         said = [words for source in self.lights if (words := source.reread()) is not None]
@@ -224,7 +256,8 @@ class Preview:
         self._refuse_inside(np.asarray(eye, np.float64))
         shown[:, 3] = valid
         if self.mode is Mode.RADIANCE:
-            shown[:, :3] = self._draw(self._frames, eye)
+            settled = self._settled(eye)
+            shown[:, :3] = self._radiance.draw(eye) if settled is None else settled.radiance
             return shown
         values = self._error(eye) if self.mode is Mode.ERROR else self._coefficient(eye)
         if self._top is None:  # a scale that stays while the eye moves
@@ -233,16 +266,57 @@ class Preview:
         shown[:, :3] = colours.as_light(ramp(values / self._top)) * valid[:, None]
         return shown
 
-    def _draw(self, frames: Frames, eye: ArrayLike) -> NDArray[np.float32]:
-        """Radiance [V,3] by one thread for all but the largest objects, which takes it a millisecond: to wait for one
-        more takes longer where others, such as VTK's own, are at work.
+    def settle(self, eye: ArrayLike, seconds: float = math.inf) -> bool:
+        """Meet suns apart as this eye sees them, for about so long; whether `colours` gives them from now on.
+
+        Nothing is done where there are none, while kernels are loaded meanwhile, and for an eye that sees nothing.
         """
-        most = get_num_threads()
-        set_num_threads(min(most, 1 + len(self._shown) // _VERTICES_A_THREAD))
+        place = np.asarray(eye, np.float64)
+        if not self.unsettled(place) or (self._loader is not None and self._loader.is_alive()):
+            return False
+        if self._settling is None or not np.array_equal(self._settling.eye, place):
+            self._settling = self._begun(place)
+        if self._settling is None:
+            return False
+        self._settling.go_on(seconds)
+        self.changes += self._settling.ready
+        return self._settling.ready
+
+    def unsettled(self, eye: ArrayLike) -> bool:
+        """Whether there are suns to be met apart that `colours` does not give yet."""
+        return self.mode is Mode.RADIANCE and bool(self._lit.suns) and self._settled(eye) is None
+
+    def _settled(self, eye: ArrayLike) -> Settling | None:
+        settling = self._settling
+        if settling is None or not settling.ready or not np.array_equal(settling.eye, np.asarray(eye, np.float64)):
+            return None
+        return settling
+
+    def _begun(self, eye: NDArray[np.float64]) -> Settling | None:
+        if self._closed is None:
+            self._closed = is_closed(self.asset.mesh)
+        lit, turn = self._lit, environment.rotation(self.rotation, self.asset.up)
+        suns = tuple(dataclasses.replace(sun, direction=turn @ sun.direction) for sun in lit.suns)
+        rest = environment.rotate_light(lit.harmonics, self.rotation, self.asset.up)
         try:
-            return frames.draw(eye)
-        finally:
-            set_num_threads(most)
+            light = dataclasses.replace(lit, harmonics=rest, suns=suns)
+            return Settling(self.asset, light, eye, self._radiance.draw(eye), self._closed)
+        except QueryError:  # told when it is drawn
+            return None
+
+    def load(self) -> None:
+        """Load the compiled kernels: from then on a frame takes a tenth of the time."""
+        if self.relightable and self.asset.degree > 0:
+            from prt_bake.positive_transport import positive_transport
+
+            positive_transport(np.ones((1, self._harmonics, 1)))
+        # Last: who finds them loaded may call any of them.
+        self._radiance.load()
+
+    def load_meanwhile(self) -> None:
+        """`load` on a thread of its own."""
+        self._loader = Thread(target=self.load, daemon=True)
+        self._loader.start()
 
     def _refuse_inside(self, eye: NDArray[np.float64]) -> None:
         low, high = self._box
@@ -253,14 +327,17 @@ class Preview:
         """One sigma, rms over channels, over the rms radiance of all vertices [V]: as `radiance_error` has it, a
         coefficient's between view bins times the length of the light's coefficients.
         """
-        radiance = self._draw(self._frames, eye).astype(np.float64)
+        radiance = self._radiance.draw(eye).astype(np.float64)
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))
         if self._errors is None:
             sigma = self.asset.standard_error[:, :, None, None]
-            self._errors = Frames(dataclasses.replace(self.asset, coefficients=sigma, degree=0, quantity="radiance"))
+            errors = dataclasses.replace(self.asset, coefficients=sigma, degree=0, quantity="radiance")
+            self._errors = VertexRadiance(errors)
+        if self._radiance.loaded:
+            self._errors.load()
         light = self.light.harmonics if self.light is not None and self.relightable else np.ones((1, 3))
         length = math.sqrt(float((light**2).sum()) / 3.0)
-        return np.asarray(self._draw(self._errors, eye)[:, 0] * (length / (signal or 1.0)), np.float64)
+        return np.asarray(self._errors.draw(eye)[:, 0] * (length / (signal or 1.0)), np.float64)
 
     def _coefficient(self, eye: ArrayLike) -> NDArray[np.float64]:
         """Its mean over channels [V], as seen from the eye."""
@@ -268,26 +345,24 @@ class Preview:
         one = np.zeros((self._harmonics, 3))
         one[self.harmonic] = 1.0
         if not self.relightable:
-            return np.asarray(self._draw(self._frames, eye).mean(axis=1), np.float64)
-        self._frames.light(one)
-        above = self._draw(self._frames, eye).mean(axis=1)  # another array than the one that is drawn on
-        self._frames.light(-one)
-        return np.asarray(above - self._draw(self._frames, eye).mean(axis=1), np.float64)
+            return np.asarray(self._radiance.draw(eye).mean(axis=1), np.float64)
+        self._radiance.light(one, 0.0)
+        above = self._radiance.draw(eye).mean(axis=1)  # another array than the one that is drawn on
+        self._radiance.light(-one, 0.0)
+        return np.asarray(above - self._radiance.draw(eye).mean(axis=1), np.float64)
 
     @property
     def _harmonics(self) -> int:
         return sh.count(self.asset.degree) if self.relightable else 1
 
     def _relight(self) -> None:
-        if not self.relightable:
-            self._frames.light(None)
-        elif self.light is not None:
-            self._frames.light(self.light.harmonics)
-            self._frames.turn(self.rotation)
+        if self.relightable and self.light is not None:
+            damped = self.suns == "window"
+            self._radiance.light(self._lit.harmonics if damped else self.light.harmonics, self.rotation)
         self._changed()
 
     def _changed(self) -> None:
-        self._top = None
+        self._top = self._settling = None
         self.changes += 1
 
 

@@ -1,63 +1,64 @@
 """What is in the window: the object under its light, drawn anew for the eye whenever VTK draws."""
 
+import math
+import time
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-import pyvista
 from numpy.typing import NDArray
 from vtkmodules.util import numpy_support
-from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from formats.errors import QueryError
 from formats.whole import replacing
 from prt_bake import camera
 from prt_bake.preview.actors import Object, Reference, Sky
+from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.state import Preview
 
 vtk_to_numpy: Any = numpy_support.vtk_to_numpy
-_PLAIN = (0.13, 0.13, 0.14)
-"""Behind an object without a sky, sRGB."""
 _SAMPLES = 4
+_PACKED = 2
+"""zlib's level of pictures: a third of the time of the usual one, for a third more bytes."""
 
 
 class View:
-    """A preview drawn by a PyVista plotter.
+    """A preview drawn on a canvas.
 
     Attributes:
-        plotter: the window, or a picture in memory.
-        window: the plotter's, as VTK has it.
+        canvas: the window, or a picture in memory.
+        window: the canvas's, as VTK has it.
         showing_reference: whether the picture to compare with is shown.
+        changed: when something else was to be drawn than before, by `time.monotonic`.
     """
 
     def __init__(
         self,
         preview: Preview,
-        plotter: pyvista.Plotter,
+        canvas: Canvas,
         start: camera.Camera,
         reference: NDArray[np.float32] | None = None,
     ) -> None:
-        """start: the camera to begin with; its size is that of the plotter."""
-        self.preview, self.plotter = preview, plotter
-        self.window = cast(Any, plotter.render_window)
+        """start: the camera to begin with; its size is that of the canvas."""
+        self.preview, self.canvas = preview, canvas
+        self.window = canvas.window
         self._start = start
         self._object, self._sky = Object(preview.asset.mesh, preview.gloss), Sky()
         self._reference = None if reference is None else Reference(reference)
         self.showing_reference = False
+        self.changed = -math.inf
         self._complaint = ""
         self._drawn: tuple[Any, ...] = ()
         self._pictures: dict[str, NDArray[np.float32] | None] = {}
-        renderer = plotter.renderer
+        renderer = canvas.renderer
         renderer.RemoveCuller(renderer.GetCullers().GetLastItem())
-        renderer.SetBackground(*_PLAIN)
         # The object first: what it hides of the sky is then never looked up.
         for part in (self._object, self._sky, self._reference):
             if part is not None:
                 renderer.AddActor(part.actor)
         self.smooth(True)
         self.reset_camera()
-        plotter.renderer.camera_set = True  # else PyVista looks for one of its own
         self.window.AddObserver("StartEvent", lambda *_: self.prepare())
 
     @property
@@ -67,7 +68,7 @@ class View:
 
     @property
     def _camera(self) -> Any:
-        return self.plotter.renderer.GetActiveCamera()
+        return self.canvas.camera
 
     @property
     def radius(self) -> float:
@@ -100,6 +101,15 @@ class View:
         """Whether edges are drawn smooth."""
         return bool(self.window.GetMultiSamples())
 
+    def settle(self, seconds: float = math.inf) -> bool:
+        """Go on meeting suns apart for about so long; whether that is done now, and to be drawn."""
+        return not self.showing_reference and self.preview.settle(self.eye, seconds)
+
+    @property
+    def unsettled(self) -> bool:
+        """Whether there is more of that to do."""
+        return not self.showing_reference and self.preview.unsettled(self.eye)
+
     def picture(self) -> NDArray[np.uint8]:
         """What the window shows, sRGB [H,W,3], row 0 on top."""
         self.window.Render()
@@ -127,7 +137,7 @@ class View:
         now = (*now, *self._camera.GetViewUp())
         if now == self._drawn:
             return
-        self._drawn = now
+        self._drawn, self.changed = now, time.monotonic()
         self._show_parts(size)
         if self.showing_reference:
             return
@@ -154,7 +164,7 @@ class View:
         colours = self.shade()
         if colours is not None:
             self.upload(colours)
-        self.plotter.renderer.ResetCameraClippingRange()
+        self.canvas.renderer.ResetCameraClippingRange()
 
     def _show_parts(self, size: tuple[int, ...]) -> None:
         preview, reference = self.preview, self._reference
@@ -191,22 +201,9 @@ class View:
         return np.asarray((point - self._object.center) / self._object.radius)
 
 
-def make_plotter(width: int, height: int, off_screen: bool) -> pyvista.Plotter:
-    """An empty plotter: no light of VTK's, no tone mapping."""
-    # That there is no display is told in a sentence of our own, or does not matter.
-    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-    return pyvista.Plotter(off_screen=off_screen, window_size=[width, height], lighting="none", title="prtbake")
-
-
-def has_display(plotter: pyvista.Plotter) -> bool:
-    """Whether the plotter's window can be seen: VTK makes one in memory where it finds no display."""
-    window: Any = plotter.render_window
-    return not window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
-
-
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
     """Write what a window showed, sRGB [H,W,3], as PNG, whole or not at all."""
     from PIL import Image
 
     with replacing(path) as part:
-        Image.fromarray(picture).save(part, format="PNG")
+        Image.fromarray(picture).save(part, format="PNG", compress_level=_PACKED)

@@ -8,11 +8,12 @@ from typing import Any
 
 from formats.errors import PrtbakeError
 from prt_bake.preview import legend
+from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.overlay import SLIDERS, Overlay
 from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview
-from prt_bake.preview.view import View, has_display, make_plotter, write_picture
+from prt_bake.preview.view import View, write_picture
 
-__all__ = ["View", "Window", "has_display", "make_plotter", "write_picture"]
+__all__ = ["Canvas", "View", "Window", "write_picture"]
 
 TICK = 100
 """Milliseconds between two looks at the files."""
@@ -20,7 +21,9 @@ _TURN, _EXPOSE = 5.0, 0.5
 _SAID_FOR = 6.0
 """Seconds that a message stays."""
 _STILL = 0.2
-"""Seconds after the last movement until edges are drawn smooth again."""
+"""Seconds after the last movement until edges are drawn smooth again, and suns are met apart."""
+_SLICE, _PAUSE = 0.02, 1
+"""Seconds that this goes on between two looks at the user's deeds, and milliseconds until it goes on."""
 
 
 class Window:
@@ -36,11 +39,10 @@ class Window:
         """name: of the asset. reference: the name of the picture to compare with."""
         self.view, self._name, self._reference = view, name, reference
         self._preview: Preview = view.preview
-        self.overlay = Overlay(view.plotter.renderer, view.window.GetSize()[0])
-        self._legend = False
+        self.overlay = Overlay(view.canvas.renderer, view.window.GetSize()[0])
+        self._legend = self._bare = False
         self._moved = self._said = -math.inf
-        self._plotter: Any = view.plotter
-        self._interactor: Any = view.plotter.iren
+        self._interactor: Any = view.canvas.interactor
         self._drive()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.turn_to)
         self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.expose)
@@ -51,28 +53,33 @@ class Window:
 
     def run(self) -> None:
         """Show it until the user closes it."""
-        interactor = self._interactor.interactor
-        self._interactor.initialize()
+        self._interactor.Initialize()
         self.render()
-        interactor.CreateRepeatingTimer(TICK)
-        interactor.Start()
+        self._preview.load_meanwhile()
+        self._interactor.CreateRepeatingTimer(TICK)
+        self._interactor.Start()
 
     def render(self) -> None:
-        """Bring words and sliders up to date, and draw."""
-        self._tell()
+        """Draw, with words and sliders brought up to date."""
         self.view.window.Render()
         self._tell_after()
 
     def tick(self) -> None:
-        """What the timer does: reads skies that have changed, takes off old messages, and smooths what stands still."""
+        """What the timer does: reads skies that have changed, takes off old messages, smooths what stands still and
+        meets its suns apart.
+        """
         now = time.monotonic()
         changed = self._preview.reread_lights()
         if not changed and self._preview.message and now - self._said > _SAID_FOR:
             self._preview.message = ""
             changed = True
-        if not self.view.smooth_edges and now - self._moved > _STILL:
+        still = now - max(self._moved, self.view.changed) > _STILL
+        if not self.view.smooth_edges and still:
             self.view.smooth(True)
             changed = True
+        if still and self.view.unsettled:
+            changed |= self.view.settle(_SLICE)
+            self._interactor.CreateOneShotTimer(_PAUSE)
         if changed:
             self.render()
 
@@ -82,24 +89,22 @@ class Window:
         for slider in sliders:
             slider.Off()
         self.view.smooth(True)
+        self.view.settle()
+        self._bare = True
         try:
             write_picture(path, self.view.picture())
         finally:
+            self._bare = False
             self.overlay.bring_back(shown)
             for slider in sliders:
                 slider.On()
 
     def _drive(self) -> None:
-        self._interactor.clear_key_event_callbacks()
-        self._interactor.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
-        style = self._interactor.interactor.GetInteractorStyle()
-        style.AddObserver("CharEvent", lambda *_: None)  # in place of VTK's own keys
-        style.AddObserver("StartInteractionEvent", lambda *_: self._move())
-        style.AddObserver("InteractionEvent", lambda *_: self._move())
-        self._interactor.interactor.AddObserver("TimerEvent", lambda *_: self.tick())
-        for names, action in self._actions():
-            for name in names.split():
-                self._plotter.add_key_event(name, self._doing(action))
+        canvas = self.view.canvas
+        canvas.move_by_mouse(self._move)
+        canvas.listen({name: self._doing(action) for names, action in self._actions() for name in names.split()})
+        self._interactor.AddObserver("TimerEvent", lambda *_: self.tick())
+        self.view.window.AddObserver("StartEvent", lambda *_: self._tell())
 
     def _actions(self) -> list[tuple[str, Callable[[], None]]]:
         preview = self._preview
@@ -110,6 +115,7 @@ class Window:
             ("Down", lambda: preview.expose(preview.exposure - _EXPOSE)),
             ("r", preview.flip_reflection),
             ("b", preview.flip_background),
+            ("u", preview.flip_suns),
             ("e", lambda: preview.show(Mode.ERROR)),
             ("v", lambda: preview.show(Mode.VALID)),
             ("c", lambda: preview.show(Mode.COEFFICIENT)),
@@ -154,30 +160,15 @@ class Window:
         def wanted() -> float:
             return self._preview.exposure if place else self._preview.rotation
 
-        left, right = SLIDERS[place]
-        slider = self._plotter.add_slider_widget(
-            slide,
-            span,
-            value=wanted(),
-            title="",
-            pointa=(left, 0.07),
-            pointb=(right, 0.07),
-            color="white",
-            interaction_event="always",
-            slider_width=0.02,
-            tube_width=0.003,
-        )
-        shape = slider.GetRepresentation()
-        shape.ShowSliderLabelOff()  # its format is another one from version to version of VTK
-        shape.SetSliderLength(0.01)
-        shape.SetEndCapLength(0.0)
-        return slider
+        return self.view.canvas.slider(span, wanted(), SLIDERS[place], slide)
 
     def _tell(self) -> None:
+        if self._bare:
+            return
         preview, overlay = self._preview, self.overlay
         reference = self._reference if self.view.showing_reference else None
         hint = "" if self._legend else "      h: keys"
-        overlay.write(overlay.status, legend.status(preview, self._name, reference) + hint)
+        overlay.write(overlay.status, legend.status(preview, self._name, self.view.eye, reference) + hint)
         overlay.write(overlay.legend, legend.legend(preview, self._reference) if self._legend else "")
         self.rotation.GetRepresentation().SetValue(preview.rotation)
         self.exposure.GetRepresentation().SetValue(preview.exposure)
@@ -208,4 +199,4 @@ class Window:
         self._preview.message = f"saved as {path}"
 
     def _quit(self) -> None:
-        self._interactor.interactor.TerminateApp()
+        self._interactor.TerminateApp()

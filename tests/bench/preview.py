@@ -27,9 +27,10 @@ from shapes import ring
 
 from formats.asset import Asset
 from prt_bake import camera, sh
+from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.state import Mode, Preview
-from prt_bake.preview.view import View, make_plotter
+from prt_bake.preview.view import View
 from prt_bake.preview.window import Window
 
 SKY = str(Path(sys.modules["prt_bake"].__file__ or "").parent / "shipped" / "sky.hdr")
@@ -68,13 +69,13 @@ def made_asset(vertices: int) -> Asset:
 
 def orbit(preview: Preview, size: tuple[int, int], frames: int) -> dict[str, float]:
     """Milliseconds a frame by part, and of processors; frames a second."""
-    plotter = make_plotter(*size, True)
-    view = TimedView(preview, plotter, camera.fit(preview.asset.mesh, *size))
+    canvas = Canvas(*size, True)
+    view = TimedView(preview, canvas, camera.fit(preview.asset.mesh, *size))
     Window(view, "bench").render()
     view.smooth(False)
     parts = []
     for frame in range(frames + 5):
-        plotter.renderer.GetActiveCamera().Azimuth(3.0)
+        canvas.camera.Azimuth(3.0)
         view.shading = view.uploading = 0.0
         began, busy = time.perf_counter(), time.process_time()
         view.window.Render()
@@ -82,7 +83,7 @@ def orbit(preview: Preview, size: tuple[int, int], frames: int) -> dict[str, flo
         whole = time.perf_counter() - began
         if frame >= 5:
             parts.append((view.shading, view.uploading, whole - view.shading - view.uploading, whole, busy_since(busy)))
-    plotter.close()
+    canvas.close()
     middle, best = (1e3 * np.quantile(parts, share, axis=0) for share in (0.5, 0.1))
     names = ("shading", "upload", "VTK", "frame", "processors")
     figures = dict(zip(names, middle.tolist(), strict=True))
