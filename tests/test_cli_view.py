@@ -125,6 +125,6 @@ def test_a_window_is_handed_to_the_user(prtbake: Run, monkeypatch: pytest.Monkey
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(Canvas, "on_display", True)
     monkeypatch.setattr(Window, "run", lambda self: seen.append(self))
-    monkeypatch.setattr(window, "Canvas", lambda width, height, off_screen: Canvas(width, height, True))
+    monkeypatch.setattr(window, "Canvas", lambda width, height, *_: Canvas(width, height, True))
     assert prtbake(*COMMAND, "--light", "sky.hdr", "--size", "64x48").code == 0
     assert [source.name for source in seen[0].view.preview.lights] == ["sky.exr", "sky.hdr"]

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from preview_windows import bare_picture, drag, encoded, open_window, press, slide, write_sky
 from shapes import ball
 from test_shading import constant, make_asset, painted_sky
+from vtkmodules.vtkCommonCore import vtkStringArray
 
 from formats.errors import StorageError
 from formats.image import read_image
@@ -224,3 +226,48 @@ def test_an_asset_made_for_one_light_has_no_slider_to_turn_it() -> None:
     before = bare_picture(window)
     press(window, "Left", "n")
     np.testing.assert_array_equal(bare_picture(window), before)
+
+
+def drop(window: Window, *paths: Path) -> None:
+    names = vtkStringArray()
+    for path in paths:
+        names.InsertNextValue(str(path))
+    window.view.canvas.interactor.InvokeEvent("DropFilesEvent", names)
+
+
+def test_a_sky_that_is_dropped_on_the_window_shines(opened, tmp_path) -> None:
+    write_sky(tmp_path / "dropped.exr", 0.6 * constant())
+    (tmp_path / "none.exr").write_bytes(b"no picture")
+    drop(opened, tmp_path / "dropped.exr")
+    assert "dropped.exr" in said(opened)
+    assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.6)), abs=1.0)
+    drop(opened, tmp_path / "none.exr")
+    assert "no" in said(opened)
+    assert "OpenEXR picture" in said(opened)
+    assert "dropped.exr" in opened.overlay.status.GetInput()
+    press(opened, "n", "n", "n")
+    assert "dropped.exr" in said(opened)
+    write_sky(tmp_path / "white.exr", 0.9 * constant())
+    drop(opened, tmp_path / "white.exr")
+    assert len(opened.view.preview.lights) == 3  # it was there already
+    assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.9)), abs=1.0)
+
+
+def test_an_asset_made_for_one_light_takes_no_sky_that_is_dropped(tmp_path) -> None:
+    asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
+    window = open_window(asset, [])
+    drop(window, Path(write_sky(tmp_path / "sky.exr", SKY)))
+    assert "made for one light" in said(window)
+    window.view.canvas.close()
+
+
+def test_that_kernels_are_being_loaded_is_said_as_long_as_they_are(opened, monkeypatch) -> None:
+    until = threading.Event()
+    monkeypatch.setattr(opened.view.preview, "load", until.wait)
+    opened.view.preview.load_meanwhile()
+    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    assert "loading kernels" in said(opened)
+    until.set()
+    opened.view.preview._loader.join()
+    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    assert "loading kernels" not in said(opened)

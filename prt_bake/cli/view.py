@@ -90,7 +90,7 @@ def view(
         if coming.done():
             coming.result()  # what could not be opened is told without a window
         first = size or DEFAULT_SIZE
-        canvas = window.Canvas(first.width, first.height, screenshot is not None)
+        canvas = window.Canvas(first.width, first.height, screenshot is not None, f"{asset.name} - prtbake")
         if screenshot is None and not canvas.on_display:
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         canvas.open()

@@ -10,17 +10,24 @@ from typing import Any
 import vtkmodules.vtkRenderingFreeType
 import vtkmodules.vtkRenderingOpenGL2
 import vtkmodules.vtkRenderingUI  # noqa: F401 (windows of the platform)
+from vtkmodules.util.misc import calldata_type
+from vtkmodules.util.vtkConstants import VTK_OBJECT
 from vtkmodules.vtkCommonCore import vtkLogger
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTerrain
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkRenderWindowInteractor
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
+_told: Any = calldata_type
 _WHEEL = 1.05
 """How much nearer or farther one step of the wheel takes the eye."""
 _PLAIN = (0.13, 0.13, 0.14)
 """Behind an object without a sky, sRGB."""
 _WHITE = (1.0, 1.0, 1.0)
+_SLIDER_HEIGHT = 0.07
+"""Share of the window's height."""
+_KNOB, _TUBE = (0.015, 0.03), 0.006
+"""Length along a slider and width across it, shares of the window: what a mouse hits without aim."""
 
 
 class Canvas:
@@ -30,7 +37,7 @@ class Canvas:
         window, renderer, interactor: VTK's own.
     """
 
-    def __init__(self, width: int, height: int, off_screen: bool) -> None:
+    def __init__(self, width: int, height: int, off_screen: bool, title: str = "prtbake") -> None:
         """off_screen: in memory; the window of the platform's otherwise, or in memory too where there is none."""
         # That there is no display is told in a sentence of our own, or does not matter.
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
@@ -40,7 +47,7 @@ class Canvas:
         self.window: Any = vtkRenderWindow()
         self.window.SetOffScreenRendering(off_screen)
         self.window.SetSize(width, height)
-        self.window.SetWindowName("prtbake")
+        self.window.SetWindowName(title)
         self.window.AddRenderer(self.renderer)
         self.interactor: Any = vtkGenericRenderWindowInteractor() if off_screen else vtkRenderWindowInteractor()
         self.interactor.SetRenderWindow(self.window)
@@ -119,6 +126,14 @@ class Canvas:
 
         self.interactor.AddObserver("KeyPressEvent", pressed)
 
+    def take_files(self, take: Callable[[list[str]], None]) -> None:
+        """Call it with the paths of files that are dropped on the window."""
+
+        def dropped(_caller: Any, _event: str, paths: Any) -> None:
+            take([paths.GetValue(number) for number in range(paths.GetNumberOfValues())])
+
+        self.interactor.AddObserver("DropFilesEvent", _told(VTK_OBJECT)(dropped))
+
     def slider(
         self, span: tuple[float, float], value: float, ends: tuple[float, float], slide: Callable[[float], None]
     ) -> Any:
@@ -133,9 +148,9 @@ class Canvas:
         for part in (shape.GetSliderProperty(), shape.GetCapProperty(), shape.GetTubeProperty()):
             part.SetColor(*_WHITE)
         shape.ShowSliderLabelOff()  # its format is another one from version to version of VTK
-        shape.SetSliderWidth(0.02)
-        shape.SetSliderLength(0.01)
-        shape.SetTubeWidth(0.003)
+        shape.SetSliderLength(_KNOB[0])
+        shape.SetSliderWidth(_KNOB[1])
+        shape.SetTubeWidth(_TUBE)
         shape.SetEndCapLength(0.0)
         slider: Any = vtkSliderWidget()
         slider.SetInteractor(self.interactor)
@@ -144,7 +159,3 @@ class Canvas:
         slider.On()
         slider.AddObserver("InteractionEvent", lambda *_: slide(shape.GetValue()))
         return slider
-
-
-_SLIDER_HEIGHT = 0.07
-"""Share of the window's height."""

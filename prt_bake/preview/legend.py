@@ -23,6 +23,8 @@ def keys(preview: Preview, reference: str | None) -> list[Key]:
     rows.append(("up down", "exposure"))
     if len(preview.lights) > 1:
         rows.append(("n", f"next light, of {len(preview.lights)}"))
+    if preview.relightable:
+        rows.append(("drop", "a sky on the window: one light more"))
     if preview.gloss is not None and preview.lights:
         rows.append(("r", "reflection of the surface"))
     if preview.lights:
@@ -70,6 +72,7 @@ def status(preview: Preview, name: str, eye: ArrayLike, reference: str | None = 
         exposure,
         "" if suns is None else _SUNS[suns],
         "with reflection" if preview.mirrored is not None else "",
+        "loading kernels" if preview.loading else "",
     )
 
 

@@ -43,6 +43,7 @@ class LightSource:
     """A sky, a lights file or a sun, as the command line names it: one light of a preview.
 
     Attributes:
+        text: how the command line names it.
         name: what it is called in the window.
         shown: as it was read last; a file that cannot be read leaves it as it was.
     """
@@ -51,11 +52,15 @@ class LightSource:
         self, text: str, up: str, degree: int, mend: bool = False, say: Callable[[str], None] = warnings.warn
     ) -> None:
         """Read it; `mend`, `say` and what is raised are those of `prt_bake.lighting.read_lighting`."""
-        self._text, self._up, self._degree = text, up, degree
+        self.text, self._up, self._degree = text, up, degree
         self._mend, self._say = mend, say
         self.name = text if text.startswith("sun:") else Path(text).name
         self._stamp = self._stamped()
         self.shown = self._read()
+
+    def beside(self, text: str) -> "LightSource":
+        """Another light, read as this one is."""
+        return LightSource(text, self._up, self._degree, self._mend, self._say)
 
     def reread(self) -> str | None:
         """Read it again if a file of it has changed; what to say about it, or None where nothing has changed."""
@@ -71,19 +76,19 @@ class LightSource:
         return f"{self.name} has changed and was read again"
 
     def _read(self) -> ShownLight:
-        lighting = read_lighting([self._text], self._up, mend=self._mend, say=self._say)
+        lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say)
         return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
 
     def _stamped(self) -> Stamp:
         return tuple(_stamp(path) for path in self._files())
 
     def _files(self) -> Iterator[Path]:
-        if self._text.startswith("sun:"):
+        if self.text.startswith("sun:"):
             return
-        yield Path(self._text)
-        if self._text.lower().endswith(".toml"):
+        yield Path(self.text)
+        if self.text.lower().endswith(".toml"):
             try:
-                lights = read_lights(self._text)
+                lights = read_lights(self.text)
             except PrtbakeError:
                 return  # told when it is read
             yield from (one.path for one in lights if isinstance(one, SkyLight))

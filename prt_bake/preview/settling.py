@@ -6,15 +6,54 @@ still.
 
 import math
 import time
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.mesh import Mesh
+from prt_bake import environment
 from prt_bake.sun_light import SunsApart
 
+Draw = Callable[[ArrayLike], NDArray[np.float32]]
+
 _VERTICES_AT_ONCE = 128
+
+
+class Settler:
+    """What one asset sends to one eye under one light, once it is settled."""
+
+    def __init__(self, asset: Asset) -> None:
+        self._asset = asset
+        self._settling: Settling | None = None
+        self._closed: bool | None = None
+
+    def forget(self) -> None:
+        """Another light shines."""
+        self._settling = None
+
+    def radiance(self, eye: ArrayLike) -> NDArray[np.float32] | None:
+        """Radiance [V,3] to this eye, None where it is not settled."""
+        settling = self._settling
+        return settling.radiance if settling is not None and settling.ready and settling.sees(eye) else None
+
+    def go_on(
+        self, light: SunsApart, rotation: float, eye: ArrayLike, draw: Draw, seconds: float = math.inf
+    ) -> NDArray[np.float32] | None:
+        """`radiance` after about so many seconds more of work. light: before it is turned by `rotation` degrees. draw:
+        gives the radiance to begin with. Raises QueryError for an eye on the object or inside it.
+        """
+        settling = self._settling
+        if settling is None or not settling.sees(eye):
+            if self._closed is None:
+                self._closed = is_closed(self._asset.mesh)
+            turned = _turned(light, rotation, self._asset.up)
+            settling = Settling(self._asset, turned, np.array(eye, np.float64), draw(eye), self._closed)
+            self._settling = settling
+        settling.go_on(seconds)
+        return self.radiance(eye)
 
 
 class Settling:
@@ -43,6 +82,10 @@ class Settling:
         """Whether all vertices are there."""
         return self._next >= len(self._vertices)
 
+    def sees(self, eye: ArrayLike) -> bool:
+        """Whether it is for this eye."""
+        return np.array_equal(self.eye, np.asarray(eye, np.float64))
+
     def go_on(self, seconds: float = math.inf) -> None:
         """Work for about so long, or to the end."""
         end = time.monotonic() + seconds
@@ -63,14 +106,20 @@ class Settling:
         self.radiance[vertices] = np.maximum(radiance, 0.0)
 
 
+def _turned(light: SunsApart, rotation: float, up: str) -> SunsApart:
+    turn = environment.rotation(rotation, up)
+    suns = tuple(replace(sun, direction=turn @ sun.direction) for sun in light.suns)
+    return replace(light, harmonics=environment.rotate_light(light.harmonics, rotation, up), suns=suns)
+
+
 def is_closed(mesh: Mesh) -> bool:
-    """Whether every edge is that of two faces that run along it in opposite ways, and faces look outwards: then no face
-    is seen from behind but from inside.
+    """Whether faces run along every edge as often one way as the other, and look outwards: then no face is seen from
+    behind but from inside.
     """
     faces = mesh.faces.astype(np.int64)
     starts, ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     there, back = (np.sort(a * len(mesh.positions) + b) for a, b in ((starts, ends), (ends, starts)))
-    if not np.array_equal(there, back) or (there[1:] == there[:-1]).any():
+    if not np.array_equal(there, back):
         return False
     corners = mesh.positions[faces] - mesh.center
     return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0.0

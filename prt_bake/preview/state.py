@@ -18,7 +18,7 @@ from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
 from prt_bake.preview.radiance import VertexRadiance
-from prt_bake.preview.settling import Settling, is_closed
+from prt_bake.preview.settling import Settler
 from prt_bake.sun_light import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
@@ -99,8 +99,7 @@ class Preview:
         self._treatment: SunTreatment = "split" if suns == "plain" else suns
         self._radiance = VertexRadiance(self.asset)
         self._errors: VertexRadiance | None = None
-        self._settling: Settling | None = None
-        self._closed: bool | None = None
+        self._settler = Settler(self.asset)
         self._loader: Thread | None = None
         low, high = self.asset.mesh.bounds
         reach = 1e-3 * self.asset.mesh.diagonal
@@ -111,6 +110,11 @@ class Preview:
         self._relight()
         self.turn_to(rotation)
         self.expose(exposure)
+
+    @property
+    def loading(self) -> bool:
+        """Whether kernels are being loaded meanwhile."""
+        return self._loader is not None and self._loader.is_alive()
 
     @property
     def relightable(self) -> bool:
@@ -192,6 +196,20 @@ class Preview:
         self.which = (self.which + step) % len(self.lights)
         self._relight()
 
+    def add_light(self, text: str) -> None:
+        """Show a further light, named as the command line names it; one that is there already is read again. Raises
+        PrtbakeError where it cannot be read; says why where the asset takes no other light.
+        """
+        if not self.relightable:
+            self.message = "made for one light: no other can be shown"
+            self.changes += 1
+            return
+        added = self.lights[self.which].beside(text)
+        texts = [source.text for source in self.lights]
+        self.which = texts.index(text) if text in texts else len(texts)
+        self.lights[self.which : self.which + 1] = [added]
+        self._relight()
+
     def turn_to(self, degrees: float) -> None:
         """Turn the light to a rotation; whole turns are taken off."""
         self.rotation = math.remainder(degrees, 360.0)
@@ -256,8 +274,8 @@ class Preview:
         self._refuse_inside(np.asarray(eye, np.float64))
         shown[:, 3] = valid
         if self.mode is Mode.RADIANCE:
-            settled = self._settled(eye)
-            shown[:, :3] = self._radiance.draw(eye) if settled is None else settled.radiance
+            settled = self._settler.radiance(eye)
+            shown[:, :3] = self._radiance.draw(eye) if settled is None else settled
             return shown
         values = self._error(eye) if self.mode is Mode.ERROR else self._coefficient(eye)
         if self._top is None:  # a scale that stays while the eye moves
@@ -271,38 +289,18 @@ class Preview:
 
         Nothing is done where there are none, while kernels are loaded meanwhile, and for an eye that sees nothing.
         """
-        place = np.asarray(eye, np.float64)
-        if not self.unsettled(place) or (self._loader is not None and self._loader.is_alive()):
+        if not self.unsettled(eye) or self.loading:
             return False
-        if self._settling is None or not np.array_equal(self._settling.eye, place):
-            self._settling = self._begun(place)
-        if self._settling is None:
+        try:
+            ready = self._settler.go_on(self._lit, self.rotation, eye, self._radiance.draw, seconds) is not None
+        except QueryError:  # told when it is drawn
             return False
-        self._settling.go_on(seconds)
-        self.changes += self._settling.ready
-        return self._settling.ready
+        self.changes += ready
+        return ready
 
     def unsettled(self, eye: ArrayLike) -> bool:
         """Whether there are suns to be met apart that `colours` does not give yet."""
-        return self.mode is Mode.RADIANCE and bool(self._lit.suns) and self._settled(eye) is None
-
-    def _settled(self, eye: ArrayLike) -> Settling | None:
-        settling = self._settling
-        if settling is None or not settling.ready or not np.array_equal(settling.eye, np.asarray(eye, np.float64)):
-            return None
-        return settling
-
-    def _begun(self, eye: NDArray[np.float64]) -> Settling | None:
-        if self._closed is None:
-            self._closed = is_closed(self.asset.mesh)
-        lit, turn = self._lit, environment.rotation(self.rotation, self.asset.up)
-        suns = tuple(dataclasses.replace(sun, direction=turn @ sun.direction) for sun in lit.suns)
-        rest = environment.rotate_light(lit.harmonics, self.rotation, self.asset.up)
-        try:
-            light = dataclasses.replace(lit, harmonics=rest, suns=suns)
-            return Settling(self.asset, light, eye, self._radiance.draw(eye), self._closed)
-        except QueryError:  # told when it is drawn
-            return None
+        return self.mode is Mode.RADIANCE and bool(self._lit.suns) and self._settler.radiance(eye) is None
 
     def load(self) -> None:
         """Load the compiled kernels: from then on a frame takes a tenth of the time."""
@@ -362,7 +360,8 @@ class Preview:
         self._changed()
 
     def _changed(self) -> None:
-        self._top = self._settling = None
+        self._top = None
+        self._settler.forget()
         self.changes += 1
 
 

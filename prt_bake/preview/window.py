@@ -40,7 +40,7 @@ class Window:
         self.view, self._name, self._reference = view, name, reference
         self._preview: Preview = view.preview
         self.overlay = Overlay(view.canvas.renderer, view.window.GetSize()[0])
-        self._legend = self._bare = False
+        self._legend = self._bare = self._loading = False
         self._moved = self._said = -math.inf
         self._interactor: Any = view.canvas.interactor
         self._drive()
@@ -73,6 +73,9 @@ class Window:
         if not changed and self._preview.message and now - self._said > _SAID_FOR:
             self._preview.message = ""
             changed = True
+        if self._loading is not self._preview.loading:
+            self._loading = self._preview.loading
+            changed = True
         still = now - max(self._moved, self.view.changed) > _STILL
         if not self.view.smooth_edges and still:
             self.view.smooth(True)
@@ -103,6 +106,7 @@ class Window:
         canvas = self.view.canvas
         canvas.move_by_mouse(self._move)
         canvas.listen({name: self._doing(action) for names, action in self._actions() for name in names.split()})
+        canvas.take_files(self._take)
         self._interactor.AddObserver("TimerEvent", lambda *_: self.tick())
         self.view.window.AddObserver("StartEvent", lambda *_: self._tell())
 
@@ -128,7 +132,7 @@ class Window:
         if preview.relightable:
             actions.append(("Left", lambda: preview.turn_to(preview.rotation - _TURN)))
             actions.append(("Right", lambda: preview.turn_to(preview.rotation + _TURN)))
-        if len(preview.lights) > 1:
+        if preview.lights:
             actions.append(("n", preview.step_light))
             actions.append(("N", lambda: preview.step_light(-1)))
         return actions
@@ -143,6 +147,15 @@ class Window:
             self.render()
 
         return do
+
+    def _take(self, paths: list[str]) -> None:
+        """Show the lights that were dropped on the window."""
+
+        def add() -> None:
+            for path in paths:
+                self._preview.add_light(path)
+
+        self._doing(add)()
 
     def _move(self) -> None:
         """Draw fast while something moves."""
