@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from prt_bake.renderer.network import render_network
     from prt_bake.rendering import render_scene
     from prt_bake.shading import render_picture, shade
+    from prt_bake.sun_light import suns_apart
     from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
     from prt_bake.trainer.fit import train
 
@@ -66,6 +67,7 @@ __all__ = [
     "sh",
     "shade",
     "sphere",
+    "suns_apart",
     "train",
     "unpacked",
     "write_asset",
@@ -107,6 +109,7 @@ _ORIGIN = {
     "sh": ("prt_bake.sh", ""),
     "shade": ("prt_bake.shading", "shade"),
     "sphere": ("prt_bake.sphere", ""),
+    "suns_apart": ("prt_bake.sun_light", "suns_apart"),
     "train": ("prt_bake.trainer.fit", "train"),
     "unpacked": ("prt_bake.compressing", "unpacked"),
     "write_asset": ("formats.asset", "write_asset"),

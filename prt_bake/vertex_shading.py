@@ -32,15 +32,17 @@ class Shading:
     shaded: int
 
 
-def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike) -> Array:
+def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike, *, suns: Sequence[DirectionalLight] = ()) -> Array:
     """Radiance [V,3] towards the eye: L = Σ a_lm(x, ωo) b_lm, interpolated between view bins, negative values cut to 0.
 
     light: the sky's coefficients [K,3] of the asset's degree, of radiance; None for an asset made for one light
-    (quantity "radiance"). eye: a point [3] in object space, or directions to the eye [V,3] of any length. Vertices that
+    (quantity "radiance"). eye: a point [3] in object space, or directions to the eye [V,3] of any length. suns: shine
+    besides that light, without ringing: harmonics and suns are what `suns_apart` divides a lighting into. Vertices that
     were not baked hold 0; directions below the horizon are taken as grazing. Raises QueryError for a light or an eye of
-    another shape or not finite, for an eye on the object or inside it, and for an asset without any baked vertex.
+    another shape or not finite, for an eye on the object or inside it, for suns on an asset made for one light, and for
+    an asset without any baked vertex.
     """
-    return shade_vertices(asset, light, eye).radiance
+    return shade_vertices(asset, light, eye, suns=suns).radiance
 
 
 def shade_vertices(
@@ -58,6 +60,8 @@ def shade_vertices(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
         )
     weights = light_of(asset, light)
+    if suns and asset.quantity == "radiance":
+        raise QueryError("suns: the asset was made for one light and cannot be relit; hand in none")
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     at = between_bins(asset, eye, vertices)
     radiance = np.zeros((len(asset.valid), 3))

@@ -8,6 +8,7 @@ from shapes import ball
 from test_shading import front, make_asset
 from test_suns import SUNNY, TURN, clouds, disc
 
+import prt_bake as prt
 from formats.asset import read_asset, write_asset
 from formats.errors import QueryError
 from formats.lights import DirectionalLight
@@ -49,6 +50,18 @@ def test_away_from_the_sun_nothing_glows() -> None:
     behind = asset.mesh.normals @ sun().direction < -0.5
     assert lit(asset, lights)[behind].max() < 0.05
     assert lit(asset, lights, "plain")[behind].max() > 0.15
+
+
+def test_shade_takes_what_a_lighting_is_divided_into() -> None:
+    asset = lobed()
+    lights = Lighting((Sky(clouds(64), "y", np.eye(3)),), (sun(),))
+    light = prt.suns_apart(lights, asset.degree)
+    shown = prt.shade(asset, light.harmonics, EYE, suns=light.suns)
+    np.testing.assert_array_equal(shown, lit(asset, lights))
+    assert np.abs(shown - prt.shade(asset, light.whole, EYE)).max() > 0.05
+    fixed = make_asset(ball(2), degree=0, quantity="radiance")
+    with pytest.raises(QueryError, match="made for one light"):
+        prt.shade(fixed, None, EYE, suns=light.suns)
 
 
 def test_suns_add_up_and_scale() -> None:
