@@ -1,12 +1,13 @@
 """How fast the preview starts and draws.
 
-    PYTHONPATH=tests python tests/bench/preview.py [ASSET.h5] [--vertices 10000] [--frames 60] [--starts 5]
+    PYTHONPATH=tests python tests/bench/preview.py [ASSET.h5] [--vertices 10000] [--frames 60] [--starts 5] [--display]
 
 Start: `prtbake view ASSET --screenshot` from the shell to the written picture, best and median of several, and the
-time of all processors that it takes. Frames: a window in memory with its words and sliders, orbited by 3 degrees a
-frame: shading for the new eye, upload of the colours, drawing by VTK; edges as they are while the mouse moves. Wall
-times are medians, and what the best tenth of the frames would give; processor time is of all threads together, which
-other work on the machine lengthens less.
+time of all processors that it takes. Frames: a window in memory (with --display on the display) with its words and
+sliders, orbited by 3 degrees a frame: shading for the new eye, upload of the colours, drawing by VTK; edges as they are
+while the mouse moves. Wall times are medians, and what the best tenth of the frames would give; processor time is of
+all threads together, which other work on the machine lengthens less. Standing still: what it takes until a sun is met
+apart at all vertices that may be seen, and its longest slice, in which nothing else is done.
 """
 
 import argparse
@@ -29,12 +30,14 @@ from formats.asset import Asset
 from prt_bake import camera, sh
 from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.lights import LightSource
+from prt_bake.preview.settling import facing
 from prt_bake.preview.state import Mode, Preview
 from prt_bake.preview.view import View
 from prt_bake.preview.window import Window
 
 SKY = str(Path(sys.modules["prt_bake"].__file__ or "").parent / "shipped" / "sky.hdr")
 SIZES = (640, 480), (960, 720), (1280, 720)
+SLICE = 0.02
 RINGS, SECTORS, DEGREE = 16, 64, 2
 
 
@@ -67,9 +70,9 @@ def made_asset(vertices: int) -> Asset:
     return asset_of(mesh, coefficients, RINGS, SECTORS, DEGREE, provenance={"eta": 1.5, "roughness": 0.2})
 
 
-def orbit(preview: Preview, size: tuple[int, int], frames: int) -> dict[str, float]:
+def orbit(preview: Preview, size: tuple[int, int], frames: int, display: bool) -> dict[str, float]:
     """Milliseconds a frame by part, and of processors; frames a second."""
-    canvas = Canvas(*size, True)
+    canvas = Canvas(*size, not display)
     view = TimedView(preview, canvas, camera.fit(preview.asset.mesh, *size))
     Window(view, "bench").render()
     view.smooth(False)
@@ -93,6 +96,21 @@ def orbit(preview: Preview, size: tuple[int, int], frames: int) -> dict[str, flo
 def busy_since(began: float) -> float:
     """Processor time of this process since, all threads."""
     return time.process_time() - began
+
+
+def settle(asset: Asset) -> None:
+    """Print what it takes to meet a sun apart."""
+    preview = Preview(asset, [LightSource("sun:1,2,3", asset.up, asset.degree)])
+    preview.load()
+    eye = camera.fit(asset.mesh, up=asset.up).eye
+    began, slices = time.perf_counter(), [time.perf_counter()]
+    while not preview.settle(eye, SLICE):
+        slices.append(time.perf_counter())
+    ended = time.perf_counter()
+    print(
+        f"standing still: a sun is met at {int(facing(asset.mesh, eye).sum())} vertices after {ended - began:.2f} s, "
+        f"the longest slice {1e3 * max(np.diff([*slices, ended])):.0f} ms"
+    )
 
 
 def start(asset: Path, times: int) -> None:
@@ -120,11 +138,14 @@ def main() -> None:
     parser.add_argument("--vertices", type=int, default=10000)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--starts", type=int, default=5)
+    parser.add_argument("--display", action="store_true", help="frames of a window on the display")
     asked = parser.parse_args()
     if asked.asset is not None:
         start(asked.asset, asked.starts)
     asset = made_asset(asked.vertices)
     preview = Preview(asset, [LightSource(SKY, asset.up, asset.degree)])
+    preview.load()
+    settle(asset)
     print(f"{len(asset.valid)} vertices, {len(asset.mesh.faces)} faces, milliseconds a frame:")
     for words, choose in (
         ("light and sky", lambda: None),
@@ -134,7 +155,7 @@ def main() -> None:
     ):
         choose()
         for size in SIZES:
-            figures = orbit(preview, size, asked.frames)
+            figures = orbit(preview, size, asked.frames, asked.display)
             line = "  ".join(f"{name} {value:6.2f}" for name, value in figures.items())
             print(f"{words:<16} {size[0]:>4}x{size[1]}  {line}  (load {os.getloadavg()[0]:.1f})", flush=True)
 
