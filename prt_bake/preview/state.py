@@ -304,6 +304,8 @@ class Preview:
 
     def load(self) -> None:
         """Load the compiled kernels: from then on a frame takes a tenth of the time."""
+        if self._radiance.loaded:
+            return  # kernels of numba's must not be called by two threads at once
         if self.relightable and self.asset.degree > 0:
             from prt_bake.positive_transport import positive_transport
 
