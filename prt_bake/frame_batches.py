@@ -9,12 +9,15 @@ import numpy as np
 from numba import njit
 
 from prt_bake.compilation import Kernel
+from prt_bake.vectors import eight_towards
 
 BATCH = 256
 LANE = 8
 """Vertices whose marks are looked at together, as one whole number of 64 bits."""
 GEOMETRY = 10
 """Numbers kept of a vertex: position, normal, tangent, and the cosine below which every face turns away."""
+ALL = np.uint64(0x0101010101010101)
+"""The marks of eight vertices that are all asked for."""
 SPAN = 64
 """Lanes that a thread takes before the next one's turn: what is seen of an object is shared out evenly."""
 _EIGHTH = math.tan(math.pi / 8.0)
@@ -59,22 +62,27 @@ def _angle(y: Any, x: Any) -> Any:
 
 
 @part
-def next_batch(lane: Any, threads: Any, scene: Any, radiance: Any, batch: Any) -> Any:
-    """Fill `batch` with vertices that are asked for, from `lane` on; how many, and the lane after. What was shown last
-    and is no longer asked for becomes 0.
+def next_batch(lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, radiance: Any, batch: Any, local: Any) -> Any:
+    """Fill `batch` with vertices that are asked for, from `lane` on, with `cull` those that turn a face to the eye; how
+    many, and the lane after. local [3,n]: x and y of any length, and cosθ, of the direction to the eye. What was shown
+    last and is no longer becomes 0.
     """
-    _, asked_lanes, shown_lanes, asked, shown = scene
+    geometry, asked_lanes, shown_lanes, asked, shown = scene
     count = 0
     while lane < asked_lanes.shape[0] and count <= BATCH - LANE:
-        if asked_lanes[lane] != 0 or shown_lanes[lane] != 0:
+        if asked_lanes[lane] != 0:
+            # All eight, where they will stand if all are drawn; then those that are move up.
+            eight_towards(geometry, lane, eye[0], eye[1], eye[2], local, count)
+            if asked_lanes[lane] == ALL and not cull:
+                shown_lanes[lane] = ALL
+                for i in range(LANE):
+                    batch[count + i] = LANE * lane + i
+                count += LANE
+            else:
+                count = _keep(lane, geometry[lane], asked, cull, batch, local, shown, radiance, count)
+        elif shown_lanes[lane] != 0:
             for v in range(LANE * lane, LANE * lane + LANE):
-                if asked[v]:
-                    batch[count] = v
-                    count += 1
-                elif shown[v]:
-                    shown[v] = False
-                    for c in range(3):
-                        radiance[v, c] = 0.0
+                _hide(v, shown, radiance)
         lane += 1
         if lane % SPAN == 0:
             lane += SPAN * (threads - 1)
@@ -82,33 +90,27 @@ def next_batch(lane: Any, threads: Any, scene: Any, radiance: Any, batch: Any) -
 
 
 @part
-def towards(scene: Any, eye: Any, cull: Any, radiance: Any, batch: Any, count: Any, local: Any) -> Any:
-    """Set local [3,n]: x and y of any length, and cosθ, of the direction to the eye; how many vertices stay in the
-    batch: with `cull` those that turn a face to the eye.
-    """
-    geometry, _, _, _, shown = scene
-    kept = 0
-    for n in range(count):
-        v = batch[n]
-        at = geometry[v]
-        dx, dy, dz = eye[0] - at[0], eye[1] - at[1], eye[2] - at[2]
-        nx, ny, nz = np.float64(at[3]), np.float64(at[4]), np.float64(at[5])
-        tx, ty, tz = np.float64(at[6]), np.float64(at[7]), np.float64(at[8])
-        square = dx * dx + dy * dy + dz * dz
-        cosine = (dx * nx + dy * ny + dz * nz) / math.sqrt(square) if square > 0.0 else 1.0
-        if cull and cosine < at[9]:
-            if shown[v]:
-                shown[v] = False
-                for c in range(3):
-                    radiance[v, c] = 0.0
-            continue
-        local[0, kept] = dx * tx + dy * ty + dz * tz
-        local[1, kept] = dx * (ny * tz - nz * ty) + dy * (nz * tx - nx * tz) + dz * (nx * ty - ny * tx)
-        local[2, kept] = cosine
-        shown[v] = True
-        batch[kept] = v
-        kept += 1
-    return kept
+def _keep(
+    lane: Any, geometry: Any, asked: Any, cull: Any, batch: Any, local: Any, shown: Any, radiance: Any, count: Any
+) -> Any:
+    """Move what is drawn of a lane up to `count`; how many the batch holds then."""
+    first = count
+    for i in range(LANE):
+        v, cosine = LANE * lane + i, local[2, first + i]
+        if asked[v] and not (cull and cosine < geometry[9, i]):
+            batch[count], shown[v] = v, True
+            local[0, count], local[1, count], local[2, count] = local[0, first + i], local[1, first + i], cosine
+            count += 1
+        else:
+            _hide(v, shown, radiance)
+    return count
+
+
+@part
+def _hide(v: Any, shown: Any, radiance: Any) -> None:
+    if shown[v]:
+        shown[v] = False
+        radiance[v, 0], radiance[v, 1], radiance[v, 2] = np.float32(0.0), np.float32(0.0), np.float32(0.0)
 
 
 @part

@@ -14,7 +14,7 @@ import numpy as np
 from numba import prange
 
 from prt_bake.compilation import compiled
-from prt_bake.frame_batches import FAST, SPAN, between, next_batch, part, towards
+from prt_bake.frame_batches import FAST, SPAN, between, next_batch, part
 from prt_bake.vectors import blend, fetch_ahead, lit_rows_by_1, lit_rows_by_4, lit_rows_by_16, lit_run
 
 _AHEAD = 16
@@ -30,8 +30,7 @@ def _look(
 ) -> Any:
     """The next batch of thread t: how many of it are shown, and the lane after."""
     batches, locals_, bins, weights = desks
-    count, lane = next_batch(lane, threads, scene, radiance, batches[t])
-    count = towards(scene, eye, cull, radiance, batches[t], count, locals_[t])
+    count, lane = next_batch(lane, threads, scene, eye, cull, radiance, batches[t], locals_[t])
     rings, sectors = grid
     if rings * sectors > 1:
         between(locals_[t], count, float(rings), float(sectors), bins[t], weights[t])

@@ -46,7 +46,7 @@ class Frames:
         self._grid = (asset.rings, asset.sectors) if bins > 1 else (1, 1)
         self._centre, geometry = _geometry(asset.mesh, asset.tangents)
         self._valid = asset.valid & np.isfinite(geometry).all(axis=1)
-        self._scene = (geometry, *self._marks())
+        self._scene = (_side_by_side(geometry), *self._marks())
         self._radiance = np.zeros((len(self._valid), 3), np.float32)
         self._eye = np.zeros(3)
         self._prepare_desks()
@@ -235,6 +235,14 @@ def _geometry(mesh: Mesh, tangents: NDArray[np.floating]) -> tuple[NDArray[np.fl
     geometry[:, :3], geometry[:, 3:6], geometry[:, 6:9] = mesh.positions - centre, mesh.normals, tangents
     geometry[:, 9] = limit
     return centre, geometry
+
+
+def _side_by_side(geometry: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Eight vertices to a lane [lanes,10,8]; zeros for what is not finite, and behind the last vertex."""
+    lanes = -(-len(geometry) // LANE)
+    each = np.zeros((lanes * LANE, GEOMETRY), np.float32)
+    np.copyto(each[: len(geometry)], geometry, where=np.isfinite(geometry))
+    return np.ascontiguousarray(each.reshape(lanes, LANE, GEOMETRY).transpose(0, 2, 1))
 
 
 def _wave(degrees: float, degree: int) -> NDArray[np.float64]:

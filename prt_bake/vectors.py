@@ -22,11 +22,14 @@ from numpy.typing import NDArray
 _untyped: Any = cgutils
 _several: Any = types.UniTuple
 _FLOAT, _HALF, _BYTE = ir.FloatType(), ir.HalfType(), ir.IntType(8)
+_DOUBLE = ir.DoubleType()
 _SHORT, _INT, _LONG = ir.IntType(16), ir.IntType(32), ir.IntType(64)
 _FUSED = ("contract",)
 WIDEST = 16
 """Numbers at a time of rows that have as many; rows of at least 4 are taken 4 at a time, others one by one."""
 _DECODED_ROWS = 4
+_EIGHT = 8
+_EIGHT_DOUBLES = ir.VectorType(_DOUBLE, _EIGHT)
 
 
 def _intrinsic(generator: Any) -> Any:
@@ -116,6 +119,56 @@ def blend(
         return target.make_tuple(builder, signature.return_type, channels)
 
     return _several(types.float32, 3)(numbers, *[types.intp] * 4, *[types.float32] * 4), generate
+
+
+@_intrinsic
+def eight_towards(
+    context: Any, geometry: Any, lane: Any, eye_x: Any, eye_y: Any, eye_z: Any, local: Any, count: Any
+) -> Any:
+    """Set local [3,n], from `count` on: x and y of any length, and cosθ, of the directions to the eye from the eight
+    vertices of a lane of geometry [lanes,10,8], float32: positions, normals and tangents; on a vertex its normal.
+    """
+
+    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        first = _element(target, builder, signature, arguments, 0, builder.mul(arguments[1], _LONG(10 * _EIGHT)))
+        rows = [
+            builder.fpext(_load(builder, builder.gep(first, [_LONG(_EIGHT * i)]), _FLOAT, _EIGHT), _EIGHT_DOUBLES)
+            for i in range(9)
+        ]
+        to_eye = [builder.fsub(_all_alike(builder, arguments[2 + i], _EIGHT), rows[i], flags=_FUSED) for i in range(3)]
+        normal, tangent = rows[3:6], rows[6:9]
+        square, along = _dot(builder, to_eye, to_eye), _dot(builder, to_eye, normal)
+        root = builder.call(_square_root(builder), [square])
+        on_vertex = builder.fcmp_ordered("==", square, _constant(_DOUBLE, _EIGHT, 0.0))
+        cosine = builder.select(on_vertex, _constant(_DOUBLE, _EIGHT, 1.0), builder.fdiv(along, root))
+        across = _dot(builder, to_eye, _cross(builder, normal, tangent))
+        local = target.make_array(signature.args[5])(target, builder, arguments[5])
+        width = builder.extract_value(local.shape, 1)
+        for row, numbers in enumerate((_dot(builder, to_eye, tangent), across, cosine)):
+            at = builder.gep(local.data, [builder.add(builder.mul(width, _LONG(row)), arguments[6])])
+            builder.store(numbers, builder.bitcast(at, _EIGHT_DOUBLES.as_pointer()), align=8)
+        return target.get_dummy_value()
+
+    return types.void(geometry, types.intp, *[types.float64] * 3, local, types.intp), generate
+
+
+def _dot(builder: Any, a: list[Any], b: list[Any]) -> Any:
+    terms = [builder.fmul(x, y, flags=_FUSED) for x, y in zip(a, b, strict=True)]
+    return builder.fadd(builder.fadd(terms[0], terms[1], flags=_FUSED), terms[2], flags=_FUSED)
+
+
+def _cross(builder: Any, a: list[Any], b: list[Any]) -> list[Any]:
+    def minor(i: int, j: int) -> Any:
+        return builder.fsub(
+            builder.fmul(a[i], b[j], flags=_FUSED), builder.fmul(a[j], b[i], flags=_FUSED), flags=_FUSED
+        )
+
+    return [minor(1, 2), minor(2, 0), minor(0, 1)]
+
+
+def _square_root(builder: Any) -> Any:
+    form = ir.FunctionType(_EIGHT_DOUBLES, [_EIGHT_DOUBLES])
+    return _untyped.get_or_insert_function(builder.module, form, f"llvm.sqrt.v{_EIGHT}f64")
 
 
 @_intrinsic
