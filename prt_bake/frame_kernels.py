@@ -25,10 +25,8 @@ _LINE = 64
 
 
 @part
-def _look(
-    t: Any, lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, radiance: Any
-) -> Any:
-    """The next batch of thread t: how many of it are shown, and the lane after."""
+def look(t: Any, lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: Any, radiance: Any) -> Any:
+    """The next batch of thread t, and where its directions lie: how many of it are shown, and the lane after."""
     batches, locals_, bins, weights = desks
     count, lane = next_batch(lane, threads, scene, eye, cull, radiance, batches[t], locals_[t])
     rings, sectors = grid
@@ -38,7 +36,7 @@ def _look(
 
 
 @part
-def _show(radiance: Any, v: Any, red: Any, green: Any, blue: Any) -> Any:
+def show(radiance: Any, v: Any, red: Any, green: Any, blue: Any) -> Any:
     """Keep what is not negative; the sum of it, and of all."""
     none = np.float32(0.0)
     r, g, b = max(red, none), max(green, none), max(blue, none)
@@ -88,7 +86,7 @@ def _show_rows(
         if weights[4, n] > none:
             r, g, b = _lit(poles, size, v, v, v, v, (weights[4, n], none, none, none), light)
             red, green, blue = red + r, green + g, blue + b
-        more, whole = _show(radiance, v, red, green, blue)
+        more, whole = show(radiance, v, red, green, blue)
         kept += more
         cut += more - whole
     sums[0] += cut
@@ -106,7 +104,7 @@ def draw_rows(
     for t in prange(threads):
         lane = SPAN * t
         while lane < lanes:
-            count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
+            count, lane = look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
             _show_rows(stored, size, per_vertex, light, batch, count, bins, weights, radiance, sums[t])
 
@@ -137,7 +135,7 @@ def _show_folded(
             red += of_pole * poles[v, 0]
             green += of_pole * poles[v, 1]
             blue += of_pole * poles[v, 2]
-        more, whole = _show(radiance, v, red, green, blue)
+        more, whole = show(radiance, v, red, green, blue)
         kept += more
         cut += more - whole
     sums[0] += cut
@@ -153,7 +151,7 @@ def draw_folded(stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, desks: 
     for t in prange(threads):
         lane = SPAN * t
         while lane < lanes:
-            count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
+            count, lane = look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
             _show_folded(stored, per_vertex, batch, count, bins, weights, radiance, sums[t])
 
@@ -191,7 +189,8 @@ def _keep_pair(pairs: Any, row: Any, j: Any, sectors: Any, red: Any, green: Any,
 
 
 @part
-def _interpolate(table: Any, bins: Any, weights: Any, poles: Any, n: Any, view: Any) -> None:
+def interpolate(table: Any, bins: Any, weights: Any, poles: Any, n: Any, view: Any) -> None:
+    """Set view [R]: each function of the view in the n-th direction."""
     a, b, c, d = table[bins[0, n]], table[bins[1, n]], table[bins[2, n]], table[bins[3, n]]
     of_a, of_b, of_c, of_d, of_pole = weights[0, n], weights[1, n], weights[2, n], weights[3, n], weights[4, n]
     for r in range(table.shape[1]):
@@ -220,19 +219,19 @@ def draw_compact(
     for t in prange(threads):
         lane = SPAN * t
         while lane < lanes:
-            count, lane = _look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
+            count, lane = look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
             batch, bins, weights, view = desks[0][t], desks[2][t], desks[3][t], views[t]
             for n in range(count):
                 v = batch[n]
                 for line in range(0, dense.shape[1], _LINE):
                     fetch_ahead(dense[batch[min(n + 1, count - 1)]], line)
-                _interpolate(table, bins, weights, poles, n, view)
+                interpolate(table, bins, weights, poles, n, view)
                 red, green, blue = lit_run(dense[v], size, 0, most, view, laid)
                 for i in range(runs[v], runs[v + 1]):
                     share, j = values[i] * view[which[i]], channel[i]
                     red += share * plain[j, 0]
                     green += share * plain[j, 1]
                     blue += share * plain[j, 2]
-                more, whole = _show(radiance, v, red, green, blue)
+                more, whole = show(radiance, v, red, green, blue)
                 sums[t, 0] += more - whole
                 sums[t, 1] += more

@@ -1,6 +1,8 @@
 """Drawing an asset many times: radiance at its vertices, a frame at a time, at the speed of memory; without torch."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ from formats.asset import Asset
 from formats.compact_record import CompactCoefficients
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake import frame_codes, frame_kernels
+from prt_bake import frame_codes, frame_holding, frame_kernels
 from prt_bake.environment import rotate_light
 from prt_bake.frame_batches import BATCH, GEOMETRY, LANE
 from prt_bake.vectors import laid_out
@@ -50,6 +52,7 @@ class Frames:
         self._radiance = np.zeros((len(self._valid), 3), np.float32)
         self._eye = np.zeros(3)
         self._prepare_desks()
+        self._is_compact = isinstance(asset.coefficients, CompactCoefficients)
         if isinstance(asset.coefficients, CompactCoefficients):
             self._codes = frame_codes.arranged(asset.coefficients, self._grid[1])
             self._views = np.zeros((get_num_threads(), self._codes.table.shape[1]), np.float32)
@@ -60,6 +63,10 @@ class Frames:
         self._waves: NDArray[np.float64] | None = None
         self._pairs: NDArray[np.float32] | None = None
         self._folded: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
+        self._held: NDArray[np.float32] | None = None
+        self._held_for = self._eye.copy(), self._scene[1].copy(), False
+        self._differs = np.zeros(len(self._scene[1]), np.bool_)
+        self._held_shown = self._scene[-1].copy()
         if asset.quantity == "radiance":
             self.light(None)
 
@@ -114,6 +121,25 @@ class Frames:
         ring_0 = self._pairs[:-1].reshape(vertices, bins, 6)[:, : self._grid[1], :3]
         self._folded = self._pairs, ring_0.mean(axis=1, dtype=np.float64).astype(np.float32)
 
+    def hold(self, eye: ArrayLike, visible: NDArray[np.bool_] | None = None, *, cull: bool = False) -> None:
+        """Interpolate what is stored between the view bins, once: while the eye stays, a frame under any light reads
+        one row of K colours a vertex, in order, compact assets as others. Takes 12 K bytes for each vertex.
+
+        `draw` makes use of it where it is asked for the same eye, vertices and culling. Raises as `draw` does.
+        """
+        self._look(eye, visible)
+        size = self._codes.size if self._is_compact else self._terms * self._channels
+        if self._held is None:
+            self._held = np.zeros(len(self._valid) * size, np.float32)
+        with _threads(self._threads()) as threads:
+            view = self._scene, self._eye, bool(cull), self._grid, self._desks
+            if self._is_compact:
+                frame_holding.hold_compact(tuple(self._codes), *view, self._views, self._radiance, self._held, threads)
+            else:
+                frame_holding.hold_rows(self._stored, size, *view, self._radiance, self._held, threads)
+        self._held_for = self._eye.copy(), self._scene[1].copy(), bool(cull)
+        self._held_shown = self._scene[-1].copy()
+
     def draw(
         self, eye: ArrayLike, visible: NDArray[np.bool_] | None = None, *, cull: bool = False
     ) -> NDArray[np.float32]:
@@ -126,33 +152,46 @@ class Frames:
         not looked at: there directions below the horizon are taken as grazing, and on a vertex its normal.
         """
         self._lit()
+        self._look(eye, visible)
+        with _threads(self._threads()) as threads:
+            sums = self._sums[threads - 1]
+            sums[:] = 0.0
+            self._draw(sums, bool(cull))
+        cut, kept = (float(sum(row[i] for row in sums)) for i in (0, 1))
+        self.clamped = cut / kept if kept > 0.0 else float(cut > 0.0)
+        return self._radiance
+
+    def _look(self, eye: ArrayLike, visible: NDArray[np.bool_] | None) -> None:
         place = np.asarray(eye, np.float64)
         if place.shape != (3,) or not (np.abs(place) < _FARTHEST).all():
             raise QueryError(f"eye: {np.asarray(eye).tolist()} where a point of three finite numbers is expected")
         np.subtract(place, self._centre, out=self._eye)
         self._ask(visible)
-        most = int(get_num_threads())
-        threads = min(most, len(self._sums), 1 + int(np.count_nonzero(self._asked)) // _VERTICES_A_THREAD)
-        set_num_threads(threads)
-        try:
-            self._draw(self._sums[threads - 1], bool(cull))
-        finally:
-            set_num_threads(most)
-        cut, kept = (float(sum(row[i] for row in self._sums[threads - 1])) for i in (0, 1))
-        self.clamped = cut / kept if kept > 0.0 else float(cut > 0.0)
-        return self._radiance
+
+    def _threads(self) -> int:
+        """How many threads are worth waking."""
+        worth = 1 + int(np.count_nonzero(self._asked)) // _VERTICES_A_THREAD
+        return min(int(get_num_threads()), len(self._sums), worth)
 
     def _draw(self, sums: NDArray[np.float64], cull: bool) -> None:
-        sums[:] = 0.0
         view = self._scene, self._eye, cull, self._grid, self._desks
-        if self._folded is not None:
+        if self._held is not None and self._holds(cull):
+            width = len(self._held) // len(self._valid)
+            np.copyto(self._scene[-1], self._held_shown)
+            frame_holding.draw_held(self._held, width, self._laid, self._held_shown, self._radiance, sums)
+        elif self._folded is not None:
             frame_kernels.draw_folded(self._folded, *view, self._radiance, sums)
-        elif isinstance(self._asset.coefficients, CompactCoefficients):
+        elif self._is_compact:
             lights = self._laid, self._plain
             frame_kernels.draw_compact(tuple(self._codes), lights, *view, self._views, self._radiance, sums)
         else:
             size = self._terms * self._channels
             frame_kernels.draw_rows(self._stored, size, self._laid, *view, self._radiance, sums)
+
+    def _holds(self, cull: bool) -> bool:
+        eye, asked, culled = self._held_for
+        np.not_equal(asked, self._scene[1], out=self._differs)
+        return cull == culled and np.array_equal(eye, self._eye) and not self._differs.any()
 
     def _lit(self) -> NDArray[np.float64]:
         if self._light is None:
@@ -202,6 +241,17 @@ class Frames:
         )
         sums = np.zeros((threads, 8))
         self._sums = [sums[:n] for n in range(1, threads + 1)]
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[int]:
+    """Kernels run on so many threads."""
+    most = int(get_num_threads())
+    set_num_threads(count)
+    try:
+        yield count
+    finally:
+        set_num_threads(most)
 
 
 def _rows(coefficients: Any, sectors: int) -> tuple[NDArray[Any], NDArray[np.float32]]:

@@ -105,6 +105,55 @@ def _lit_rows(width: int) -> Any:
 lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (16, 4, 1))
 
 
+def _lit_row(width: int) -> Any:
+    def lit_row(context: Any, row: Any, size: Any, start: Any, light: Any) -> Any:
+        """(red, green, blue) of the row of `size` float32 numbers that starts at `start`."""
+
+        def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            first = _element(target, builder, signature, arguments, 0, arguments[2])
+
+            def loaded(offset: Any) -> Any:
+                return _load(builder, builder.gep(first, [offset]), _FLOAT, width)
+
+            return _under_light(target, builder, signature, arguments[1], arguments[3], loaded, width)
+
+        return _several(types.float32, 3)(row, types.intp, types.intp, light), generate
+
+    return _intrinsic(lit_row)
+
+
+lit_row_by_16, lit_row_by_4, lit_row_by_1 = (_lit_row(width) for width in (16, 4, 1))
+
+
+def _sum_rows(width: int) -> Any:
+    def sum_rows(
+        context: Any, rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any,
+        total: Any, place: Any,
+    ) -> Any:  # fmt: skip
+        """Set `size` numbers of `total`, float32, from `place` on, to Σ weight · row of the rows that start at a, b, c
+        and d of `rows`.
+        """
+
+        def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            starts = [_element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
+            weights = [_all_alike(builder, weight, width) for weight in arguments[6:10]]
+            first = _element(target, builder, signature, arguments, 10, arguments[11])
+            runs = builder.udiv(builder.add(arguments[1], _LONG(width - 1)), _LONG(width))
+            with _untyped.for_range(builder, runs) as run:
+                offset = _offset(builder, run.index, arguments[1], width)
+                numbers = _weighted(builder, rows.dtype, [builder.gep(start, [offset]) for start in starts], weights)
+                at = builder.bitcast(builder.gep(first, [offset]), numbers.type.as_pointer())
+                builder.store(numbers, at, align=4)
+            return target.get_dummy_value()
+
+        return types.void(rows, *[types.intp] * 5, *[types.float32] * 4, total, types.intp), generate
+
+    return _intrinsic(sum_rows)
+
+
+sum_rows_by_16, sum_rows_by_4, sum_rows_by_1 = (_sum_rows(width) for width in (16, 4, 1))
+
+
 @_intrinsic
 def blend(
     context: Any, numbers: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any
@@ -210,10 +259,8 @@ def _under_light(
     totals = [_untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
     shares = target.make_array(signature.args[-1])(target, builder, light).data
     runs = builder.udiv(builder.add(size, _LONG(width - 1)), _LONG(width))
-    last = builder.sub(size, _LONG(width))
     with _untyped.for_range(builder, runs) as run:
-        begin = builder.mul(run.index, _LONG(width))
-        offset = builder.select(builder.icmp_signed("<", begin, last), begin, last)
+        offset = _offset(builder, run.index, size, width)
         numbers = row(offset)
         for channel, total in enumerate(totals):
             place = builder.gep(
@@ -222,6 +269,12 @@ def _under_light(
             lit = builder.fmul(numbers, _load(builder, place, _FLOAT, width), flags=_FUSED)
             builder.store(builder.fadd(builder.load(total), lit, flags=_FUSED), total)
     return target.make_tuple(builder, signature.return_type, [_sum(builder, builder.load(total)) for total in totals])
+
+
+def _offset(builder: Any, run: Any, size: Any, width: int) -> Any:
+    """Where a run of `width` numbers begins; the last one ends with the row."""
+    begin, last = builder.mul(run, _LONG(width)), builder.sub(size, _LONG(width))
+    return builder.select(builder.icmp_signed("<", begin, last), begin, last)
 
 
 def _weighted(builder: Any, kind: Any, places: list[Any], weights: list[Any]) -> Any:

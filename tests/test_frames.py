@@ -66,9 +66,12 @@ def assert_reference(asset: Asset, frames: Frames, eye=EYE, tolerance=1e-6, ligh
     light = make_light(asset.degree) if light is None else light
     exact = unpacked(asset) if not isinstance(asset.coefficients, np.ndarray) else asset
     expected = reference.reconstruct(exact, light, np.asarray(eye))
-    drawn = frames.draw(eye)
-    np.testing.assert_allclose(drawn, np.maximum(expected, 0.0), rtol=0, atol=tolerance * abs(expected).max())
-    assert drawn.any()
+    for held in (False, True):
+        if held:
+            frames.hold(eye)
+        drawn = frames.draw(eye)
+        np.testing.assert_allclose(drawn, np.maximum(expected, 0.0), rtol=0, atol=tolerance * abs(expected).max())
+        assert drawn.any()
 
 
 @pytest.mark.parametrize("folded", [False, True])
@@ -207,6 +210,29 @@ def test_a_new_light_undoes_the_fold(storage) -> None:
     assert_reference(asset, frames, light=make_light(seed=9))
 
 
+@pytest.mark.parametrize("compact", [False, True])
+def test_a_view_that_is_held_is_drawn_under_any_light_and_for_no_other_question(compact) -> None:
+    """Held rows are filled with what no light makes of the asset: where radiance shows it, they were read."""
+    asset = make_asset(ring(around=90, across=70), valid=np.arange(6300) % 7 > 0)
+    asset = compress(asset, 0.05) if compact else asset
+    frames, again = frames_of(asset), frames_of(asset)
+    some = np.random.default_rng(1).random(6300) < 0.7
+    frames.hold(EYE, some, cull=True)
+    for seed in (1, 2):
+        for one in (frames, again):
+            one.light(make_light(seed=seed))
+        frames.draw(-EYE)
+        expected = again.draw(EYE, some, cull=True)
+        np.testing.assert_allclose(frames.draw(EYE, some, cull=True), expected, rtol=0, atol=3e-6)
+        assert frames.clamped == pytest.approx(again.clamped, rel=1e-5)
+        np.testing.assert_array_equal(frames.draw(EYE, cull=True) != 0.0, again.draw(EYE, cull=True) != 0.0)
+    frames.fold()
+    frames._held[:] = 1e9
+    for question in ((-EYE, some, True), (EYE, None, True), (EYE, some, False)):
+        assert frames.draw(*question[:2], cull=question[2]).max() < 1e3
+    assert frames.draw(EYE, some, cull=True).max() > 1e6
+
+
 @pytest.mark.parametrize("folded", [False, True])
 def test_only_vertices_asked_for_are_drawn_and_others_hold_nothing(folded) -> None:
     """Many vertices, so that batches, lanes and threads come into it."""
@@ -271,6 +297,13 @@ def test_a_frame_makes_nothing_anew() -> None:
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert most < 4000 < buffer.nbytes
+        frames.hold(EYE)
+        frames.draw(EYE)
+        tracemalloc.start()
+        assert frames.draw(EYE) is buffer
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert most < 4000
 
 
 def test_an_asset_made_for_one_light_is_shown_as_it_is() -> None:
@@ -279,6 +312,8 @@ def test_an_asset_made_for_one_light_is_shown_as_it_is() -> None:
     np.testing.assert_allclose(frames.draw(EYE), shade(asset, None, EYE), rtol=1e-6)
     frames.light(None)
     frames.fold()
+    np.testing.assert_allclose(frames.draw(EYE), shade(asset, None, EYE), rtol=1e-6)
+    frames.hold(EYE)
     np.testing.assert_allclose(frames.draw(EYE), shade(asset, None, EYE), rtol=1e-6)
     with pytest.raises(QueryError, match="cannot be relit"):
         frames.light(make_light())
