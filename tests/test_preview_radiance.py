@@ -13,6 +13,7 @@ from test_shading import make_asset, make_light
 from formats.image import write_image
 from prt_bake import environment
 from prt_bake.compressing import compress
+from prt_bake.frames import Frames
 from prt_bake.preview.radiance import VertexRadiance
 
 EYE = np.array([0.3, 1.2, 3.5])
@@ -44,6 +45,22 @@ def test_kernels_draw_the_same_under_the_light_of_now() -> None:
         for each in (drawn, loaded):
             each.light(make_light(seed=seed), degrees)
         np.testing.assert_allclose(loaded.draw(EYE), drawn.draw(EYE), rtol=1e-5, atol=1e-6)
+
+
+def test_a_light_that_turns_before_an_eye_that_stays_is_drawn_from_what_is_held(monkeypatch) -> None:
+    asset, held = make_asset(ball(2), valid=VALID), []
+    drawn, plain = VertexRadiance(asset), VertexRadiance(asset)
+    drawn.load()
+    hold = Frames.hold
+    monkeypatch.setattr(Frames, "hold", lambda self, eye: (held.append(tuple(eye)), hold(self, eye)))
+    for eye in (EYE, EYE, EYE, EYE, -EYE, EYE, -EYE, -EYE):
+        for each in (drawn, plain):
+            each.light(make_light(), 10.0 * len(held) + eye[0])
+        np.testing.assert_allclose(drawn.draw(eye), plain.draw(eye), rtol=1e-5, atol=1e-6)
+    assert held == [tuple(EYE), tuple(-EYE)]
+    drawn.draw(EYE)
+    drawn.draw(EYE)  # nothing moves
+    assert len(held) == 2
 
 
 def test_an_asset_made_for_one_light_and_a_compact_one_are_drawn_too() -> None:

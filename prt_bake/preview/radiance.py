@@ -32,6 +32,8 @@ class VertexRadiance:
         self._turned = 0.0
         self._frames: Frames | None = None
         self._lit = False
+        self._drawn_for: tuple[float, ...] = ()
+        self._held_for: tuple[float, ...] = ()
         self._radiance = np.zeros((len(asset.valid), 3), np.float32)
         if isinstance(asset.coefficients, CompactCoefficients):
             self.load()
@@ -66,7 +68,8 @@ class VertexRadiance:
             return self._plain(np.asarray(eye, np.float64))
         from numba import get_num_threads, set_num_threads
 
-        if not self._lit and self._asset.quantity == "transfer":
+        relit = not self._lit and self._asset.quantity == "transfer"
+        if relit:
             self._frames.light(self._light)
             self._frames.turn(self._turned)
         self._lit = True
@@ -75,9 +78,17 @@ class VertexRadiance:
         most = get_num_threads()
         set_num_threads(min(most, 1 + len(self._radiance) // _VERTICES_A_THREAD))
         try:
+            self._hold_what_stays(self._frames, tuple(np.asarray(eye, np.float64).tolist()), relit)
             return self._frames.draw(eye)
         finally:
             set_num_threads(most)
+
+    def _hold_what_stays(self, frames: "Frames", eye: tuple[float, ...], relit: bool) -> None:
+        """Where the light has moved and the eye has not, it will go on so: interpolate between view bins once."""
+        if relit and eye == self._drawn_for != self._held_for:
+            frames.hold(eye)
+            self._held_for = eye
+        self._drawn_for = eye
 
     def _plain(self, eye: NDArray[np.float64]) -> NDArray[np.float32]:
         asset, light = self._asset, self._light
