@@ -42,6 +42,17 @@ def test_a_screenshot_is_the_picture_that_shade_writes(prtbake: Run, tmp_path: P
     assert (off > 3.0).mean() < 0.15  # edges of a ball of 80 faces
 
 
+def test_a_sphere_light_shines_in_the_window_as_in_shade(prtbake: Run, tmp_path: Path) -> None:
+    light = ["asset.h5", "--light", "sphere:3,4,2:0.5:40,30,20", "--size", "64x48"]
+    shot, shaded = tmp_path / "shot.png", tmp_path / "shade.png"
+    outcome = prtbake("view", *light, "--screenshot", shot)
+    assert (outcome.code, outcome.err.count("is taken as distant")) == (0, 1)
+    assert prtbake("shade", *light, "-o", shaded).code == 0
+    seen, expected = (to_srgb(read_image(path)) for path in (shot, shaded))
+    assert np.median(255.0 * np.abs(seen - expected)[20:28, 28:36]) <= 1.0
+    assert expected[20:28, 28:36].max() > 0.1
+
+
 def test_the_size_is_that_of_the_reference(prtbake: Run, tmp_path: Path) -> None:
     write_image(tmp_path / "reference.exr", np.ones((30, 50, 3), np.float32))
     compare = ["--compare", tmp_path / "reference.exr", "--screenshot", tmp_path / "shot.png"]

@@ -137,7 +137,7 @@ def _open(baked: "Asset", asked: _Asked, settled: bool) -> _Opened:
 
         light = [str(resources.files("prt_bake.shipped") / "sky.hdr")] if baked.quantity == "transfer" else []
     axis = asked.up or baked.up
-    sources = [LightSource(text, axis, baked.degree, asked.mend, say) for text in light]
+    sources = [LightSource(text, axis, baked.degree, asked.mend, say, baked.mesh) for text in light]
     preview = Preview(baked, sources, up=axis, rotation=asked.rotate, exposure=asked.exposure, suns=asked.suns)
     reference = None if asked.compare is None else _read(asked.compare)
     shape = asked.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))

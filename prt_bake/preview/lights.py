@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from formats.errors import PrtbakeError
 from formats.lights import SkyLight, read_lights
+from formats.mesh import Mesh
 from prt_bake import environment, sh
 from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import Lighting, read_lighting
@@ -19,6 +20,7 @@ from prt_bake.sun_light import SunsApart, SunTreatment, suns_apart
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512
 """Rows of the picture behind the object where it is made of several lights."""
+_NOT_FILES = ("sun:", "sphere:")
 
 Stamp = tuple[tuple[str, int, int], ...]
 
@@ -40,7 +42,7 @@ class ShownLight:
 
 
 class LightSource:
-    """A sky, a lights file or a sun, as the command line names it: one light of a preview.
+    """A sky, a lights file, a sun or a sphere light, as the command line names it: one light of a preview.
 
     Attributes:
         text: how the command line names it.
@@ -49,18 +51,24 @@ class LightSource:
     """
 
     def __init__(
-        self, text: str, up: str, degree: int, mend: bool = False, say: Callable[[str], None] = warnings.warn
+        self,
+        text: str,
+        up: str,
+        degree: int,
+        mend: bool = False,
+        say: Callable[[str], None] = warnings.warn,
+        mesh: Mesh | None = None,
     ) -> None:
-        """Read it; `mend`, `say` and what is raised are those of `prt_bake.lighting.read_lighting`."""
+        """Read it; `mend`, `say`, `mesh` and what is raised are those of `prt_bake.lighting.read_lighting`."""
         self.text, self._up, self._degree = text, up, degree
-        self._mend, self._say = mend, say
-        self.name = text if text.startswith("sun:") else Path(text).name
+        self._mend, self._say, self._mesh = mend, say, mesh
+        self.name = text if text.startswith(_NOT_FILES) else Path(text).name
         self._stamp = self._stamped()
         self.shown = self._read()
 
     def beside(self, text: str) -> "LightSource":
         """Another light, read as this one is."""
-        return LightSource(text, self._up, self._degree, self._mend, self._say)
+        return LightSource(text, self._up, self._degree, self._mend, self._say, self._mesh)
 
     def reread(self) -> str | None:
         """Read it again if a file of it has changed; what to say about it, or None where nothing has changed."""
@@ -76,14 +84,14 @@ class LightSource:
         return f"{self.name} has changed and was read again"
 
     def _read(self) -> ShownLight:
-        lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say)
+        lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say, mesh=self._mesh)
         return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
 
     def _stamped(self) -> Stamp:
         return tuple(_stamp(path) for path in self._files())
 
     def _files(self) -> Iterator[Path]:
-        if self.text.startswith("sun:"):
+        if self.text.startswith(_NOT_FILES):
             return
         yield Path(self.text)
         if self.text.lower().endswith(".toml"):

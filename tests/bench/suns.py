@@ -87,7 +87,7 @@ class Viewed:
         self._shares = np.concatenate([1.0 - flat.sum(axis=1, keepdims=True), flat], axis=1)
         self.vertices, places = np.unique(corners, return_inverse=True)
         self._corners = places.reshape(-1, 3)
-        at = vertex_shading._between_bins(asset, self.view.eye, self.vertices)
+        at = vertex_shading.between_bins(asset, self.view.eye, self.vertices)
         self.coefficients = gathered(asset, self.vertices, at)
         towards = self.view.eye - asset.mesh.positions[self.vertices]
         self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)
