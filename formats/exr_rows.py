@@ -1,8 +1,10 @@
 """OpenEXR pictures too large for memory: their colour in blocks of rows, by the conventions of `formats.exr`."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from formats.errors import ImageError
 from formats.exr import colour_names, refuse_other_kinds, silenced
+from formats.exr_plain import find_plain_rows
 
 _ROWS = 32
 """As many rows as most compressions pack together (`_PACKED` has the others): none is unpacked twice."""
@@ -30,6 +33,7 @@ class ExrRows:
         stored: the same of the rectangle that the file holds pixels of.
         rows: of a block.
         cube: whether the file says that it is the six faces of a cube.
+        plain: whether the rows are not compressed and follow one another.
     """
 
     path: str | os.PathLike[str]
@@ -38,6 +42,7 @@ class ExrRows:
     stored: tuple[int, int, int, int]
     rows: int
     cube: bool
+    plain: bool
 
     @property
     def height(self) -> int:
@@ -62,34 +67,50 @@ class ExrRows:
         yield from self._blank(bottom - last)
 
     def _read(self, first: int, last: int) -> Iterator[NDArray[Any]]:
+        row = first
+        with self._reader() as read:
+            while row < last:
+                # Blocks end where what is packed together ends.
+                end = min(last, row + self.rows - (row - self.stored[1]) % self.rows)
+                try:
+                    block = read(row, end)
+                except _DAMAGE as cause:
+                    place = f"row {row - self.display[1]} of {self.height}"
+                    raise ImageError(f"{self.path}: the OpenEXR picture is truncated or damaged in {place}") from cause
+                yield block
+                row = end
+
+    @contextmanager
+    def _reader(self) -> Iterator[Callable[[int, int], NDArray[Any]]]:
+        """What reads the block of rows from one number to before another."""
         import OpenEXR
 
-        row = first
         try:
             with silenced():
                 picture = OpenEXR.InputFile(os.fspath(self.path))
                 types = {name: _TYPES[channel.type.v] for name, channel in picture.header()["channels"].items()}
         except _DAMAGE as cause:
             raise ImageError(f"{self.path}: cannot be read as OpenEXR, the file is damaged") from cause
+        plain = None
+        with closing(picture):
+            if self.plain and self.stored[::2] == self.display[::2]:
+                plain = find_plain_rows(self.path, self.stored, types, self.names)
+            if plain is None:
+                yield partial(self._decoded, picture, types)
+            else:
+                with open(self.path, "rb", buffering=0) as file:
+                    yield partial(plain.read, file)
+
+    def _decoded(self, picture: Any, types: Mapping[str, np.dtype[Any]], row: int, end: int) -> NDArray[Any]:
         different = sorted(set(self.names))
-        try:
-            while row < last:
-                # Blocks end where what is packed together ends.
-                end = min(last, row + self.rows - (row - self.stored[1]) % self.rows)
-                with silenced():
-                    planes = picture.channels(different, scanLine1=row, scanLine2=end - 1)
-                shape = end - row, self.stored[2] - self.stored[0] + 1
-                read = {
-                    name: np.frombuffer(plane, types[name]).reshape(shape)
-                    for name, plane in zip(different, planes, strict=True)
-                }
-                yield self._framed([read[name] for name in self.names])
-                row = end
-        except _DAMAGE as cause:
-            place = f"row {row - self.display[1]} of {self.height}"
-            raise ImageError(f"{self.path}: the OpenEXR picture is truncated or damaged in {place}") from cause
-        finally:
-            picture.close()
+        with silenced():
+            planes = picture.channels(different, scanLine1=row, scanLine2=end - 1)
+        shape = end - row, self.stored[2] - self.stored[0] + 1
+        read = {
+            name: np.frombuffer(plane, types[name]).reshape(shape)
+            for name, plane in zip(different, planes, strict=True)
+        }
+        return self._framed([read[name] for name in self.names])
 
     def _framed(self, planes: list[NDArray[Any]]) -> NDArray[Any]:
         """Planes of the stored columns [R,w] as a block of the picture's [R,W,3]."""
@@ -134,7 +155,9 @@ def open_exr_rows(path: str | os.PathLike[str]) -> ExrRows | None:
         return None
     rows = int(header["tiles"].ySize) if "tiles" in header else _PACKED.get(header["compression"].name, _ROWS)
     cube = header.get("envmap") == OpenEXR.ENVMAP_CUBE
-    return ExrRows(path, names, _window(header["displayWindow"]), _window(header["dataWindow"]), rows, cube)
+    plain = header["compression"] == OpenEXR.NO_COMPRESSION and header["type"] == OpenEXR.scanlineimage
+    display, stored = _window(header["displayWindow"]), _window(header["dataWindow"])
+    return ExrRows(path, names, display, stored, rows, cube, plain and len(headers) == 1)
 
 
 def _window(corners: Any) -> tuple[int, int, int, int]:

@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats import image_rows
 from formats.errors import ImageError, QueryError
-from prt_bake import sh, sky_pixels, sky_shape
+from prt_bake import sh, sky_pixels, sky_shape, sky_waves
 
-BLOCK_BYTES = 8 << 20  # float64 copies of rows, and Legendre profiles, stay below about this size
+BLOCK_BYTES = 8 << 20  # float64 copies of rows stay below about this size
 
 # From the frame whose +z is up and whose azimuth is φ, x toward y, to object space.
 FROM_POLAR = {
@@ -39,32 +39,23 @@ def project(image: ArrayLike | image_rows.ImageRows, degree: int = 2, up: str = 
     W, 3] or a pixel is not finite (their count and the first one's place), QueryError if `up` is neither "y" nor "z"
     or the degree is negative.
     """
-    from_polar = _from_polar(up)
-    polar = np.zeros((sh.count(degree), 3))
-    opened = image if isinstance(image, image_rows.ImageRows) else _in_blocks(_picture(image), degree)
-    azimuth = _azimuth_integrals(opened.width, degree).T
-    m = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
-    plane = np.empty((0, opened.width))
-    for start, block in opened.blocks():
-        if len(plane) != len(block):
-            plane = np.empty((len(block), opened.width))
-        zenith = _zenith_integrals(np.arange(start, start + len(block)), opened.height, degree)
-        for channel in range(3):
-            # [rows, 2·degree + 1]: the Fourier coefficients of each row, m from −degree to degree.
-            plane[:] = block[..., channel]
-            waves = plane @ azimuth
-            # That of m = 0 is a sum with positive weights, which what is not finite leaves not finite.
-            if not np.isfinite(waves[:, degree]).all():
-                raise sky_pixels.refusal(opened, negative=True)
-            polar[:, channel] += np.einsum("hk,hk->k", zenith, waves[:, m + degree])
-    return sh.rotation(from_polar, degree) @ polar
+    to_object = sh.rotation(from_polar(up), degree)
+    opened = image if isinstance(image, image_rows.ImageRows) else _in_blocks(_picture(image))
+    return to_object @ sky_waves.harmonics(sky_waves.of_picture(opened, degree))
+
+
+def from_polar(up: str) -> NDArray[np.float64]:
+    """The matrix [3, 3] of `FROM_POLAR` for an up axis. Raises QueryError if `up` is neither "y" nor "z"."""
+    if up not in FROM_POLAR:
+        raise QueryError(f'up: expected "y" or "z", found {up!r}')
+    return FROM_POLAR[up]
 
 
 def rotation(degrees: float, up: str = "y") -> NDArray[np.float64]:
     """Rotation matrix R [3, 3] by `degrees` about the up axis, right-handed: counter-clockwise seen from above."""
     angle = math.radians(degrees)
     c, s = math.cos(angle), math.sin(angle)
-    _from_polar(up)
+    from_polar(up)
     if up == "y":
         return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -84,12 +75,12 @@ def direction_of(u: ArrayLike, v: ArrayLike, up: str = "y") -> NDArray[np.float6
     phi, theta = np.broadcast_arrays(2 * math.pi * (np.asarray(u) - 0.5), math.pi * np.asarray(v))
     sin_theta = np.sin(theta)
     polar = np.stack([np.cos(phi) * sin_theta, np.sin(phi) * sin_theta, np.cos(theta)], axis=-1)
-    return np.asarray(polar @ _from_polar(up).T)
+    return np.asarray(polar @ from_polar(up).T)
 
 
 def pixel_of(directions: ArrayLike, up: str = "y") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Places (u, v), u [...] in [0, 1) and v [...] in [0, 1], that stand for `directions` [..., 3] of any length."""
-    x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64) @ _from_polar(up), -1, 0)
+    x, y, z = np.moveaxis(np.asarray(directions, dtype=np.float64) @ from_polar(up), -1, 0)
     u = np.arctan2(y, x) / (2 * math.pi) + 0.5
     v = np.arctan2(np.hypot(x, y), z) / math.pi
     return np.where(u >= 1, 0.0, u), v
@@ -166,12 +157,6 @@ def mend(image: NDArray[np.floating]) -> tuple[NDArray[np.float32], str]:
     return sky_pixels.mended(image_rows.rows_of(_picture(image)), told.append).whole(), "".join(told)
 
 
-def _from_polar(up: str) -> NDArray[np.float64]:
-    if up not in FROM_POLAR:
-        raise QueryError(f'up: expected "y" or "z", found {up!r}')
-    return FROM_POLAR[up]
-
-
 def _picture(image: ArrayLike, source: str | Path = "image") -> NDArray[np.floating]:
     pixels = np.asarray(image)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape or pixels.dtype.kind not in "fiu":
@@ -179,41 +164,6 @@ def _picture(image: ArrayLike, source: str | Path = "image") -> NDArray[np.float
     return pixels
 
 
-def _in_blocks(pixels: NDArray[np.floating], degree: int) -> image_rows.ImageRows:
+def _in_blocks(pixels: NDArray[np.floating]) -> image_rows.ImageRows:
     """A picture in memory, in blocks of whose size the projection's arrays stay below BLOCK_BYTES."""
-    height, width = pixels.shape[:2]
-    row_elements = max(3 * width, sh.count(degree) * _node_count(height, degree))
-    return image_rows.rows_of(pixels, rows=max(1, BLOCK_BYTES // (8 * row_elements)))
-
-
-def _azimuth_integrals(width: int, degree: int) -> NDArray[np.float64]:
-    """∫ dφ over each column of sin |m|φ (m < 0), 1 or cos mφ: [2·degree + 1, W], m from −degree to degree."""
-    half = math.pi / width
-    centres = 2 * math.pi * ((np.arange(width) + 0.5) / width - 0.5)
-    integrals = np.full((2 * degree + 1, width), 2 * half)
-    for m in range(1, degree + 1):
-        chord = 2 * math.sin(m * half) / m
-        integrals[degree + m] = chord * np.cos(m * centres)
-        integrals[degree - m] = chord * np.sin(m * centres)
-    return integrals
-
-
-def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> NDArray[np.float64]:
-    """∫ (√2) P̂_l^|m|(cosθ) sinθ dθ over each of the `rows` of `height` in all: [rows, K], index l(l+1)+m."""
-    nodes, weights = np.polynomial.legendre.leggauss(_node_count(height, degree))
-    theta = (math.pi / height) * (rows[:, None] + 0.5 + 0.5 * nodes)
-    sin_theta = np.sin(theta)
-    meridian = np.stack([sin_theta, np.zeros_like(theta), np.cos(theta)], axis=-1)
-    # On the meridian φ = 0 the harmonic of m ≥ 0 is its zenith profile.
-    zenith = np.concatenate([l * (l + 1) + abs(np.arange(-l, l + 1)) for l in range(degree + 1)])
-    measure = (0.5 * math.pi / height) * weights * sin_theta
-    return np.asarray(np.einsum("hn,hnk->hk", measure, sh.evaluate(meridian, degree))[:, zenith])
-
-
-def _node_count(height: int, degree: int) -> int:
-    """Gauss–Legendre nodes that integrate waves of frequency up to degree + 1 over π/height to rounding.
-
-    The error of n nodes falls as (e x / 4n)^2n, x = (degree + 1)·π/(2·height) half the phase across a row; for
-    n = 10 + x it stays below 1e-18.
-    """
-    return 10 + math.ceil((degree + 1) * math.pi / (2 * height))
+    return image_rows.rows_of(pixels, rows=max(1, BLOCK_BYTES // (8 * 3 * pixels.shape[1])))

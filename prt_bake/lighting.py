@@ -19,7 +19,6 @@ from formats.lights import DirectionalLight, SkyLight, SphereLight, parse_sphere
 from formats.mesh import Mesh
 from formats.scene_file import named_by
 from prt_bake import environment
-from prt_bake.smaller_sky import shrink
 from prt_bake.sphere_lights import as_disc
 
 Array = NDArray[np.float64]
@@ -138,6 +137,8 @@ def _read_sky(
     if most_rows is None or opened.height <= most_rows or fits:
         image = opened.whole()
     else:
+        from prt_bake.smaller_sky import shrink  # with numba, which most skies need not wait for
+
         image, residual = shrink(opened, most_rows, degree, up)
         residual *= factor
     # A large sky is not copied for nothing.

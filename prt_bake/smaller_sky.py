@@ -6,17 +6,14 @@ whole; the rest of the difference is kept as spherical harmonics, which makes th
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.image_rows import Block, ImageRows
-from prt_bake import environment
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+from bakers.in_order import in_order
+from formats.image_rows import ImageRows, rows_of
+from prt_bake import environment, sh, sky_kernels, sky_waves
 
 Array = NDArray[np.float64]
 
@@ -35,41 +32,103 @@ def shrink(rows: ImageRows, height: int, degree: int, up: str) -> tuple[NDArray[
     """A copy of a picture, float32 [height,W,3] with W in proportion, and the harmonics [K,3] that it lacks: those of
     the whole, K = (degree + 1)², are those of the copy and these. Raises ImageError where the picture does.
     """
-    width = max(1, round(rows.width * height / rows.height))
-    image = np.zeros((height, width, 3), np.float32)
-    down = _means(rows.height, height, _zone)
-    across = _means(rows.width, width, np.subtract).T.tocsr()
+    to_object = sh.rotation(environment.from_polar(up), degree)
+    copy = _Copy(rows, height, max(1, round(rows.width * height / rows.height)))
+    azimuth = sky_waves.azimuth_integrals(rows.width, degree)
 
-    def folding() -> Iterator[Block]:
-        planes = np.empty((3, 0, rows.width))
+    def take_in(piece: _Piece) -> sky_waves.Part:
+        copy.fill_within(piece)
+        return piece.first, sky_kernels.row_waves(piece.planes, azimuth)
+
+    whole = sky_waves.gathered(rows, in_order(take_in, copy.pieces(rows), sky_kernels.THREADS))
+    small = sky_waves.of_picture(rows_of(copy.image), degree, large=True)
+    return copy.image, to_object @ (sky_waves.harmonics(whole) - sky_waves.harmonics(small))
+
+
+class _Piece(NamedTuple):
+    """Rows of a picture from `first` on, and the rows [begin, end) of its copy that lie within them."""
+
+    first: int
+    planes: sky_kernels.Planes
+    begin: int
+    end: int
+
+
+class _Copy:
+    """An image [h,w,3] each of whose rows is the mean of rows of a picture, summed in one order however they come."""
+
+    def __init__(self, rows: ImageRows, height: int, width: int) -> None:
+        self._down = _means(rows.height, height, _zone)
+        self._across = _means(rows.width, width, np.subtract)
+        self._sums = np.zeros((3, rows.width + self._across.shares.shape[1]))
+        self.image = np.empty((height, width, 3), np.float32)
+
+    def pieces(self, rows: ImageRows) -> Iterator[_Piece]:
+        """The picture's blocks. Rows of the copy that lie across blocks are filled here, from block to block."""
+        row, down = 0, self._down
         for first, block in rows.blocks():
-            begin, end = first * height // rows.height, -(-(first + len(block)) * height // rows.height)
-            share = down[begin:end, first : first + len(block)]
-            if planes.shape[1] != len(block):
-                planes = np.empty((3, len(block), rows.width))
-            for channel, plane in enumerate(planes):
-                plane[:] = block[..., channel]
-                image[begin:end, :, channel] += (share @ plane) @ across
-            yield np.moveaxis(planes, 0, 2)
+            planes, last = sky_kernels.as_planes(block), first + len(block)
+            if self._begun(row, first):
+                self._add(row, first, planes)
+                if down.ends[row] <= last:
+                    sky_kernels.mean_columns(self._sums, self._across.begins, self._across.shares, self.image[row])
+                    self._sums[:] = 0.0
+                    row += 1
+            end = max(row, int(np.searchsorted(down.ends, last, "right")))
+            yield _Piece(first, planes, row, end)
+            row = end
+            if self._begun(row, last) and not self._begun(row, first):
+                self._add(row, first, planes)
 
-    whole = environment.project(replace(rows, open_blocks=folding), degree, up)
-    return image, whole - environment.project(image, degree, up)
+    def fill_within(self, piece: _Piece) -> None:
+        """The rows that lie within a piece; on any thread."""
+        within, (begins, ends, shares) = slice(piece.begin, piece.end), self._down
+        sky_kernels.mean_rows(
+            piece.planes,
+            begins[within] - piece.first,
+            ends[within] - piece.first,
+            shares[within],
+            self._across.begins,
+            self._across.shares,
+            self.image[within],
+        )
+
+    def _begun(self, row: int, place: int) -> bool:
+        return row < len(self.image) and bool(self._down.begins[row] < place)
+
+    def _add(self, row: int, first: int, planes: sky_kernels.Planes) -> None:
+        """What a row of the copy takes from the picture's rows from `first` on."""
+        begins, ends, shares = self._down
+        begin, end = max(int(begins[row]), first), min(int(ends[row]), first + planes.rows)
+        sky_kernels.add_rows(planes, begin - first, shares[row, begin - begins[row] : end - begins[row]], self._sums)
 
 
-def _means(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> "csr_array":
-    """Shares [coarse, fine] of `fine` equal parts of a line in the mean over each of `coarse` parts, by the measure of
-    what they have in common.
+class _Means(NamedTuple):
+    """The fine parts of a line that each of its coarse ones meets, from begins to ends [coarse], and their shares in
+    its mean [coarse, most of them up to a multiple of 4], 0 beyond the end.
+    """
+
+    begins: NDArray[np.int64]
+    ends: NDArray[np.int64]
+    shares: Array
+
+
+def _means(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> _Means:
+    """Shares of `fine` equal parts of a line in the mean over each of `coarse` parts, by the measure of what they have
+    in common.
 
     measure: of stretches between ends [S] and beginnings [S], as parts of the line.
     """
-    from scipy.sparse import csr_array  # takes a tenth of a second, which most skies need not wait for
-
     cuts = np.union1d(np.arange(fine + 1) * coarse, np.arange(coarse + 1) * fine)  # in parts of fine · coarse, exact
     begins, ends = cuts[:-1], cuts[1:]
-    within = begins // fine
+    within, part = begins // fine, begins // coarse
     size = measure(ends / (fine * coarse), begins / (fine * coarse))
     size /= np.bincount(within, size)[within]
-    return csr_array((size, (within, begins // coarse)), (coarse, fine))
+    count = np.bincount(within)
+    first = part[np.cumsum(count) - count]
+    shares = np.zeros((coarse, -(-int(count.max()) // 4) * 4))
+    shares[within, part - first[within]] = size
+    return _Means(first, first + count, shares)
 
 
 def _zone(end: Array, begin: Array) -> Array:
