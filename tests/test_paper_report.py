@@ -20,7 +20,7 @@ from formats.scene import read_scene
 from prt_bake.demonstration import SHIPPED
 from prt_bake.importance import ImportanceModule, save_importance
 from prt_bake.importance_settings import ImportanceSettings
-from prt_bake.network import load_model, save_model
+from prt_bake.network import NetworkSettings, NeuralBSSRDF, load_model, save_model
 from prt_bake.paper.artefacts import Artefacts, Stopped
 from prt_bake.paper.layers import ablation
 from prt_bake.paper.models import scene_model
@@ -106,7 +106,8 @@ def test_a_report_that_is_stopped_keeps_what_is_whole(tmp_path: Path, scenes: Pa
 class FakeTraining:
     """Stands for the trainer: writes a model and notes how it was asked."""
 
-    def __init__(self, error: float = 0.1) -> None:
+    def __init__(self, network: NeuralBSSRDF, error: float = 0.1) -> None:
+        self.network = network
         self.asked: list[dict[str, Any]] = []
         self.error = error
         self.refuses_to_go_on = False
@@ -115,7 +116,7 @@ class FakeTraining:
         self.asked.append(asked)
         if self.refuses_to_go_on and asked["resume"]:
             raise ModelError("model.train.pt: is of version 2, expected 3")
-        network = load_model(SHIPPED / "spot.pt")
+        network = self.network
         network.metadata["scene_hash"] = scene.content_hash
         layers = asked["settings"].layers if asked["settings"] else 5
         network.metadata["training"] = {
@@ -130,13 +131,14 @@ class FakeTraining:
 
 @pytest.fixture
 def training(monkeypatch: pytest.MonkeyPatch) -> FakeTraining:
-    fake = FakeTraining()
+    fake = FakeTraining(NeuralBSSRDF(NetworkSettings(features=8, width=16), (-1.0, -1.0, -1.0), 2.0))
     monkeypatch.setattr("prt_bake.trainer.fit.train", fake)
     return fake
 
 
 def test_longer_trainings_are_compared_on_pictures(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
     said: list[str] = []
+    training.network = load_model(SHIPPED / "spot.pt")
     work = PaperReport(tmp_path, scenes, SETTINGS, say=said.append)
     (rows,) = work.run_times([LUCY], {"outdoor": SKY}).values()
     assert [asked["minutes"] for asked in training.asked] == [1.25, 2.5, 5.0, 10.0]
