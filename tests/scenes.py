@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from formats.mesh import Mesh, build_mesh, write_mesh
 from formats.scene import Scene, read_scene
+from prt_bake.directions import fibonacci, random_rotations
 
 
 def sphere(subdivisions: int = 3) -> Mesh:
@@ -76,6 +77,11 @@ def unit_directions(count: int, seed: int) -> np.ndarray:
     """Uniform directions [count,3]."""
     d = np.random.default_rng(seed).normal(size=(count, 3))
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+def turned_lattices(count: int, directions: int, seed: int) -> np.ndarray:
+    """`count` lattices of directions [count,directions,3], each turned at random: every direction alone is uniform."""
+    return np.einsum("nij,dj->ndi", random_rotations(count, seed), fibonacci(directions))
 
 
 def queries(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

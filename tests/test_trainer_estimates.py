@@ -3,7 +3,7 @@
 import numba
 import numpy as np
 import pytest
-from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions
+from scenes import lumpy, make_scene, moved, queries, sphere, turned_lattices, unit_directions
 from significance import assert_agree
 
 from formats.errors import QueryError
@@ -26,14 +26,14 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_values_integrate_to_the_coefficients(kind, tmp_path):
-    """Two independent estimators of one thing: ∫ Ŝ Y over random directions, and the exits' Y."""
+    """Two independent estimators of one thing: ∫ Ŝ Y over lattices turned at random, and the exits' Y."""
     shape, medium = KINDS[kind]
     scene = make_scene(tmp_path, shape(), **medium)
     positions, outgoing, _ = queries(scene.mesh, 6, seed=1)
-    copies, directions = 64, 8
-    incident = unit_directions(6 * copies * directions, seed=2).reshape(-1, directions, 3)
+    copies, directions = 64, 32
+    incident = turned_lattices(6 * copies, directions, seed=2)
     values = estimate_transport(
-        scene, np.repeat(positions, copies, 0), np.repeat(outgoing, copies, 0), incident, paths=200, seed=3
+        scene, np.repeat(positions, copies, 0), np.repeat(outgoing, copies, 0), incident, paths=25, seed=3
     )
     basis = sh.evaluate(incident, 2)
     each = 4 * np.pi * np.einsum("ndc,ndk->nkc", values.mean, basis).reshape(6, copies, 9, 3) / directions
@@ -61,46 +61,63 @@ def test_a_grid_of_one_value_is_a_homogeneous_medium(interface, tmp_path):
         assert_agree(one.unscattered, binomial, other.unscattered, binomial)
 
 
-def scaled(tmp_path, scale, shift):
-    """The same object near and far: scenes, positions, outgoing, incident."""
-    (tmp_path / "near").mkdir()
-    mesh, medium = lumpy(), {"albedo": 0.9, "eta": 1.3, "roughness": 0.3}
-    near = make_scene(tmp_path / "near", mesh, sigma_t=4.0 * SIGMA_T, **medium)
-    far = make_scene(tmp_path, moved(mesh, scale, shift), sigma_t=4.0 * SIGMA_T / scale, **medium)
-    positions, outgoing, _ = queries(mesh, 20, seed=1)
-    return (near, positions), (far, positions * scale + shift), outgoing, unit_directions(20, seed=2)
+SCALED = {"albedo": 0.9, "eta": 1.3, "roughness": 0.3}
+
+
+@pytest.fixture(scope="module")
+def near(tmp_path_factory):
+    """A scene, and positions, outgoing and incident of it."""
+    scene = make_scene(tmp_path_factory.mktemp("near"), lumpy(), sigma_t=4.0 * SIGMA_T, **SCALED)
+    positions, outgoing, _ = queries(scene.mesh, 20, seed=1)
+    return scene, positions, outgoing, unit_directions(20, seed=2)
+
+
+@pytest.fixture(scope="module")
+def near_estimates(near):
+    scene, positions, outgoing, incident = near
+    return (
+        estimate_transport(scene, positions, outgoing, incident, paths=1500, seed=0),
+        estimate_coefficients(scene, positions, outgoing, 2, 1500, seed=0),
+    )
+
+
+def far(folder, near, scale, shift):
+    """The same object far away, its extinction scaled along, and the same queries."""
+    scene, positions, outgoing, incident = near
+    moved_scene = make_scene(folder, moved(scene.mesh, scale, shift), sigma_t=4.0 * SIGMA_T / scale, **SCALED)
+    return moved_scene, positions * scale + shift, outgoing, incident
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e5), (3.7, -20.0), (1e-6, 3.0)])
-def test_only_the_optical_thickness_counts(scale, shift, tmp_path):
+def test_only_the_optical_thickness_counts(scale, shift, near, near_estimates, tmp_path):
     """A mesh of another size or far from the origin, its extinction scaled along: the same numbers by other seeds."""
-    near, far, outgoing, incident = scaled(tmp_path, scale, shift)
-    first, second = (
-        estimate_transport(*scene, outgoing, incident, paths=1500, seed=n) for n, scene in enumerate((near, far))
-    )
-    assert_agree(first.mean, first.standard_error, second.mean, second.standard_error)
-    first, second = (estimate_coefficients(*scene, outgoing, 2, 1500, n) for n, scene in enumerate((near, far)))
-    assert_agree(first.mean, first.standard_error, second.mean, second.standard_error)
+    scene, positions, outgoing, incident = far(tmp_path, near, scale, shift)
+    values = estimate_transport(scene, positions, outgoing, incident, paths=1500, seed=1)
+    coefficients = estimate_coefficients(scene, positions, outgoing, 2, 1500, seed=1)
+    for first, second in zip(near_estimates, (values, coefficients), strict=True):
+        assert_agree(first.mean, first.standard_error, second.mean, second.standard_error)
 
 
-def test_doubling_changes_no_bit(tmp_path):
+def test_doubling_changes_no_bit(near, tmp_path):
     """Powers of two are exact: the same seed gives the very same walks."""
-    near, far, outgoing, incident = scaled(tmp_path, 2.0**20, 0.0)
-    first, second = (estimate_transport(*scene, outgoing, incident, 200, 3) for scene in (near, far))
+    first, second = (estimate_transport(*scene, 200, 3) for scene in (near, far(tmp_path, near, 2.0**20, 0.0)))
     np.testing.assert_array_equal(first.mean, second.mean)
 
 
 @pytest.mark.parametrize("estimate", ["transport", "coefficients"])
 def test_results_depend_on_neither_threads_nor_batches(estimate, tmp_path, monkeypatch):
-    """Bit by bit: one thread and all of them, blocks of two queries and one of ten, the first four and all ten."""
+    """Bit by bit: one thread and all of them, blocks of two queries and one of ten, the first four and all ten; each
+    query in three chunks of paths.
+    """
+    monkeypatch.setattr("prt_bake.trainer.estimate._PATHS_A_CHUNK", 128)
     scene = make_scene(tmp_path, lumpy(), sigma_t=SIGMA_T, albedo=0.9, eta=1.3, roughness=0.4)
     positions, outgoing, _ = queries(scene.mesh, 10, seed=1)
     incident = unit_directions(40, seed=2).reshape(10, 4, 3)
 
     def run(count=10, seed=3):
         if estimate == "transport":
-            return estimate_transport(scene, positions[:count], outgoing[:count], incident[:count], 5000, seed)
-        return estimate_coefficients(scene, positions[:count], outgoing[:count], 2, 5000, seed)
+            return estimate_transport(scene, positions[:count], outgoing[:count], incident[:count], 300, seed)
+        return estimate_coefficients(scene, positions[:count], outgoing[:count], 2, 300, seed)
 
     reference, threads = run(), numba.get_num_threads()
     try:

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import lumpy, moved, queries, slab, sphere, unit_directions
+from scenes import lumpy, moved, queries, slab, sphere, turned_lattices, unit_directions
 from significance import assert_agree
 
 from formats.errors import QueryError
 from formats.mesh import Mesh, write_mesh
 from formats.scene import Scene, read_scene
+from prt_bake import sh
 from prt_bake.surface import Surface
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 from prt_bake.trainer.interface import fresnel
@@ -98,12 +99,12 @@ def test_connections_agree_with_exits(name, tmp_path):
 
 
 def _integrated(scene: Scene, positions: np.ndarray, outgoing: np.ndarray, seed: int) -> np.ndarray:
-    """a_lm to degree 1 [N,4,3] from 16 random directions a query."""
-    from prt_bake import sh
-
-    incident = unit_directions(16 * len(positions), seed).reshape(len(positions), 16, 3)
-    values = estimate_transport(scene, positions, outgoing, incident, 400, seed).mean
-    return 4.0 * np.pi * np.einsum("ndc,ndk->nkc", values, sh.evaluate(incident, 1)) / 16
+    """a_lm to degree 1 [N,4,3] from 32 directions a query, a lattice turned at random: an estimate without bias whose
+    error is a third of that of independent directions.
+    """
+    incident = turned_lattices(len(positions), 32, seed)
+    values = estimate_transport(scene, positions, outgoing, incident, 50, seed).mean
+    return 4.0 * np.pi * np.einsum("ndc,ndk->nkc", values, sh.evaluate(incident, 1)) / 32
 
 
 @pytest.mark.parametrize("interface", [{}, ROUGH])
