@@ -1,11 +1,12 @@
 """What the tests of the commands share: a folder of small sound files, and a way to run a command there."""
 
 import math
+import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
+import compiling
 import numpy as np
 import pytest
 import trimesh
@@ -16,16 +17,31 @@ from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli import progress
 from prt_bake.cli.main import main
 
+COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
+
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before several processes share the tests, the kernels are compiled, so that not each of them does."""
+    """Where several processes share the tests, one more compiles the path tracer's kernels, and no other does."""
     # Shells start what runs in the background with Ctrl-C ignored, and some tests send themselves one.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        warm = Path(__file__).with_name("warm.py")
-        compiling = [subprocess.Popen([sys.executable, warm, part]) for part in ("connections", "exits")]
-        failed = [process.args for process in compiling if process.wait() != 0]
-        assert not failed, failed
+    if hasattr(config, "workerinput"):
+        compiling.wait_where_needed()
+    elif getattr(config.option, "numprocesses", None):
+        # Threads of one process that wait for work by spinning would take the cores from the other processes.
+        os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+        config.stash[COMPILING] = compiling.begin()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Raises RuntimeError where the kernels could not be compiled."""
+    if COMPILING in config.stash:
+        compiling.end(config.stash[COMPILING])
+
+
+@pytest.fixture(scope="session")
+def compiled_kernels() -> None:
+    """Wait for the path tracer's kernels, for processes of a test's own that need them."""
+    compiling.wait()
 
 
 @pytest.fixture

@@ -53,6 +53,7 @@ def test_what_it_points_to_is_there(path: Path) -> None:
     assert [str(target) for target in linked + named if not target.exists()] == []
 
 
+@pytest.mark.usefixtures("compiled_kernels")
 def test_it_runs_to_its_own_laws(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In an empty folder; what it asserts holds, its plots are drawn, and nothing is warned of or left behind."""
     begun_in, temporary, own = (tmp_path / name for name in ("begun", "temporary", "own"))

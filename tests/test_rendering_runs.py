@@ -277,6 +277,7 @@ def test_no_light_is_wrong_usage_and_bad_lights_are_one_sentence(prtbake: Run, t
     assert not (tmp_path / "a.exr").exists()
 
 
+@pytest.mark.usefixtures("compiled_kernels")
 def test_ctrl_c_leaves_a_valid_picture_that_can_go_on(folder: Path, tmp_path: Path) -> None:
     program = (
         "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "

@@ -176,6 +176,7 @@ assert abs(12.5664**0.5 * seen.mean[:, 0, 0] + seen.unscattered - 1.0).max() < 1
 """
 
 
+@pytest.mark.usefixtures("compiled_kernels")
 @pytest.mark.parametrize("coincident", [1, 2, 3])
 def test_surfaces_in_one_place_do_not_hang(tmp_path: Path, coincident: int) -> None:
     """The object, a part that fills it, and one that fills that: in a process of its own, which can be ended."""

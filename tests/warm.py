@@ -1,6 +1,5 @@
-"""Compile the path tracer's kernels once, before several test processes would each do so."""
+"""Compile the path tracer's kernels once, so that several test processes need not each do so."""
 
-import sys
 import tempfile
 from pathlib import Path
 
@@ -12,18 +11,16 @@ from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 from prt_bake.trainer.lit import walk_out
 
 
-def main(part: str) -> None:
-    """Run every kernel of the part, "connections" or "exits", on one small scene."""
+def main() -> None:
+    """Run every kernel on one small scene."""
     with tempfile.TemporaryDirectory() as folder:
         scene = make_scene(Path(folder), sphere(1), eta=1.3, roughness=0.4)
     positions, outgoing, _ = queries(scene.mesh, 2, 1)
-    if part == "connections":
-        estimate_transport(scene, positions, outgoing, unit_directions(2, 3), 2)
-        return
+    estimate_transport(scene, positions, outgoing, unit_directions(2, 3), 2)
     estimate_coefficients(scene, positions, outgoing, 1, 2)
     location = Surface(scene.mesh).locate(positions, outgoing)
     walk_out(scene, location.faces, location.barycentric, outgoing, np.arange(2, dtype=np.uint64), 2, 1)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()
