@@ -20,7 +20,7 @@ picture: .venv/installed-evaluate
 	cp demo/picture/spot.png demo/picture/comparison.png docs/
 
 test: .venv/installed-dev
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check

@@ -22,6 +22,8 @@ from prt_bake.to_error.passes import Pass, tighter
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 
 ERROR = 0.01
+EVERY = 3
+"""Of so many bins one is held against the truth: of 14,364 errors the root of the mean square is known to 0.3 %."""
 CASES = {
     # Least ratio of evaluations to plain Monte Carlo's, all included: pilot, checks and passes.
     "edged": (Edged(), 6000.0),
@@ -41,13 +43,13 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     mesh = icosphere(1)
     counted = Counting(transport)
     asset = bake(counted, mesh, error=ERROR)
-    truth = exact(transport, mesh, 16, 64, directions=2048)
-    off = asset.coefficients - truth
+    truth = exact(transport, mesh, 16, 64, directions=2048, every=EVERY)
+    off = asset.coefficients[:, ::EVERY] - truth
     true = relative(off, truth)
     told = asset.provenance["estimated_relative_rmse"]["total"]
     assert true <= 1.1 * ERROR
     assert 0.8 < told / true < 1.2
-    within = (np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error).mean()
+    within = (np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error[:, ::EVERY]).mean()
     # Where bins share lattices, four of each vertex here, errors are 168 numbers: the share of few is known less well.
     few = name in ("edged", "chequered")
     assert (0.90 if few else 0.93) < within < (0.99 if few else 0.97)
@@ -126,7 +128,7 @@ def test_what_networks_may_be(name: str, of_cosine: object) -> None:
 def test_a_lobe_of_two_degrees_is_not_overlooked(floor: float, seeds: int) -> None:
     # Of 32 directions hardly one in a hundred sets meets it; what is missed must not pass for exact.
     mesh, transport = icosphere(0), Lobed(sharpness=3000.0, floor=floor)
-    truth = exact(transport, mesh, 4, 16, directions=1 << 16)
+    truth = exact(transport, mesh, 4, 16, directions=1 << 14)
     for seed in range(seeds):
         asset = bake(transport, mesh, rings=4, sectors=16, error=0.05, seed=seed)
         true = relative(asset.coefficients - truth, truth)
@@ -234,8 +236,8 @@ def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.M
     asset = bake(counted, mesh, error=ERROR, seed=1)
     assert asset.provenance["refinement"]["passes"] == 2
     assert counted.evaluations == asset.provenance["evaluations"]
-    truth = exact(transport, mesh, 16, 64)
-    true = relative(asset.coefficients - truth, truth)
+    truth = exact(transport, mesh, 16, 64, directions=2048, every=EVERY)
+    true = relative(asset.coefficients[:, ::EVERY] - truth, truth)
     assert true < 1.1 * ERROR
     assert 0.8 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.25
 
