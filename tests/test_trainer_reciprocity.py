@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numba import njit, prange
+from numba import njit
 from scenes import make_scene, sphere
 from significance import assert_agree, largest_z, z_scores
 from soundness import cap
@@ -57,11 +57,11 @@ def cup() -> Mesh:
     return build_mesh(np.asarray(turned.vertices), np.asarray(turned.faces))
 
 
-@njit(parallel=True)
+@njit
 def reflected_first(boundary, media, queries, seed, exits, throughput):
     """Exits [N,3] and throughput [N,3] of walks that x reflects and that enter the object later; 0: of another kind."""
     keys, positions, outgoing, faces, barycentric = queries
-    for n in prange(len(keys)):
+    for n in range(len(keys)):
         ray, stream = new_ray(), np.zeros(2, np.uint64)
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
         begin_stream(stream, seed, keys[n], 0)
@@ -82,11 +82,11 @@ def reflected_first(boundary, media, queries, seed, exits, throughput):
             alive = alive and goes_on(boundary, state, counts, stream)
 
 
-@njit(parallel=True)
+@njit
 def visible(boundary, positions, faces, towards):
     """Whether the sky is seen from positions [N,3] on faces [N] in directions [N,3]."""
     seen = np.zeros(len(faces), np.bool_)
-    for n in prange(len(faces)):
+    for n in range(len(faces)):
         seen[n] = next_face(boundary, new_ray(), positions[n], towards[n], 0.0, np.inf, faces[n])[0] < 0
     return seen
 
