@@ -68,6 +68,8 @@ clean:
 		exit 1; }
 	@echo "installing into .venv, once; this takes a minute or more"
 	@$(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt \
-		--editable '.[$*]'
+	@$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --no-compile \
+		--constraint constraints.txt --editable '.[$*]'
+# Byte code comes from all cores, where pip takes one; a few packages hold templates that are no Python.
+	@$(BIN)/python -m compileall -qq -j 0 .venv/lib >/dev/null || true
 	@touch $@
