@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -28,10 +29,26 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("nearby") / "whole.h5"
 
 
+class Whole(NamedTuple):
+    """A bake to the end: its asset, what it asked for, and what it told of how far it was, (done, seconds left)."""
+
+    asset: Asset
+    evaluations: int
+    told: list[tuple[int, float | None]]
+
+
 @pytest.fixture(scope="module")
-def whole(path: Path) -> Iterator[Asset]:
-    with bake(Ringed(), MESH, **SMALL, out=path) as asset:
-        yield asset
+def followed(path: Path) -> Iterator[Whole]:
+    told: list[tuple[int, float | None]] = []
+    counted = Counting(Ringed())
+    follow = {"progress": lambda done, _of, row: told.append((done, row.left))}
+    with bake(counted, MESH, **SMALL, **follow, out=path) as asset:
+        yield Whole(asset, counted.evaluations, told)
+
+
+@pytest.fixture
+def whole(followed: Whole) -> Asset:
+    return followed.asset
 
 
 def true_errors(asset: Asset, transport: Ringed, vertices: Array) -> tuple[Array, Array]:
@@ -59,9 +76,7 @@ def foretold(asset: Asset) -> int:
     return int(asset.provenance["refinement"]["vertices_foretold"])
 
 
-def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(
-    whole: Asset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(whole: Asset) -> None:
     off, signal = true_errors(whole, Ringed(), some_vertices())
     true = np.sqrt(off.sum() / signal.sum())
     told = whole.provenance["estimated_relative_rmse"]["total"]
@@ -70,16 +85,14 @@ def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(
     assert 0.8 < told / true < 1.25
     standard_error = np.asarray(whole.standard_error)[some_vertices()]
     assert 0.92 < (np.sqrt(off) <= 1.96 * standard_error).mean() < 0.99
-    monkeypatch.setattr("prt_bake.to_error.aim.nearby_for", lambda *_all: (None, 0))
-    with bake(Ringed(), MESH, **SMALL) as plain:
-        assert foretold(plain) == 0
-        assert plain.provenance["evaluations"] > 1.5 * whole.provenance["evaluations"]
 
 
-def test_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_saves_evaluations_and_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
     foreseen = plan(Ringed(), MESH, **SMALL).evaluations
     monkeypatch.setattr("prt_bake.to_error.aim.nearby_for", lambda *_all: (None, 0))
-    assert foreseen < 0.7 * plan(Ringed(), MESH, **SMALL).evaluations
+    without = plan(Ringed(), MESH, **SMALL).evaluations
+    assert foreseen < 0.7 * without
+    assert whole.provenance["evaluations"] < without / 1.5
 
 
 def test_a_patch_between_the_vertices_that_were_tried_is_seen() -> None:
@@ -130,18 +143,15 @@ def test_stopped_between_the_vertices_that_come_first_and_gone_on_with(
     assert [path.name for path in tmp_path.iterdir()] == ["stopped.h5"]
 
 
-def test_progress_never_goes_back_and_all_that_is_asked_is_counted() -> None:
-    seen: list[tuple[int, float | None]] = []
-    counted = Counting(Ringed())
-    with bake(counted, MESH, **SMALL, progress=lambda done, _of, row: seen.append((done, row.left))) as asset:
-        assert counted.evaluations == asset.provenance["evaluations"]
-    done = [count for count, _left in seen]
+def test_progress_never_goes_back_and_all_that_is_asked_is_counted(followed: Whole) -> None:
+    assert followed.evaluations == followed.asset.provenance["evaluations"]
+    done = [count for count, _left in followed.told]
     ends = [place for place, count in enumerate(done) if count == len(MESH.positions)]
     assert len(ends) >= 2
     last = done[ends[-2] + 1 :]
     assert last == sorted(last)
     assert 0 < last[0] < len(MESH.positions) / 3
-    assert all(left is None or left >= 0.0 for _done, left in seen)
+    assert all(left is None or left >= 0.0 for _done, left in followed.told)
 
 
 def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() -> None:
