@@ -50,7 +50,7 @@ def constant(value):
 def test_the_error_is_that_against_independent_pictures(scene, sun):
     """A network that is the same everywhere: its picture is Ŝ times all of the light, known without rendering."""
     light, view = sunny(scene, sun), camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
-    first, second = (render_scene(scene, light, view, 64, seed, background=False).image for seed in (7, 8))
+    first, second = (render_scene(scene, light, view, 16, seed, background=False).image for seed in (7, 8))
     coverage = render_scene(scene, light, view, 4, 9, background=False).coverage >= 1.0
     first, second = (part[coverage].astype(np.float64) for part in (first, second))
     (sky,), (disc,) = light.skies, light.suns
