@@ -16,7 +16,7 @@ FORMULAS = {
     "transfer": "L[v,b,c] = sum over k of coefficients[v,b,k,c] * light[k,c]",
     "radiance": "L[v,b,c] = coefficients[v,b,0,c]",
 }
-_BASIS = {
+BASIS = {
     "kind": "real spherical harmonics",
     "order": "l(l+1)+m",
     "sign": "no Condon-Shortley phase",
@@ -44,7 +44,7 @@ def write_head(file: Any, head: AssetHead) -> None:
     )
     _write_mesh(file.create_group("mesh"), head)
     basis = file.create_group("basis")
-    basis.attrs.update(_BASIS, degree=head.degree)
+    basis.attrs.update(BASIS, degree=head.degree)
     basis.create_dataset("check_directions", data=_as(head.check_directions, "<f8"))
     basis.create_dataset("check_values", data=_as(head.check_values, "<f8"))
     bins = file.create_group("bins")

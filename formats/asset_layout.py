@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from formats import compact_layout
-from formats.asset_head import FORMAT, FORMULAS
+from formats.asset_head import BASIS, FORMAT, FORMULAS
 
 _MISSING = object()
 _ATTRIBUTES = {
@@ -85,6 +85,9 @@ def _attribute_faults(file: Any) -> Iterator[str]:
     yield from (
         f"the attribute {name} is {file.attrs[name]!r}, which means nothing" for name, bad in wrong.items() if bad
     )
+    for name, ours in BASIS.items():
+        if (theirs := file["basis"].attrs[name]) != ours:
+            yield f"/basis: the attribute {name} is {str(theirs)!r}; this program reads {ours!r} alone, bake it again"
     for group, name in (("basis", "degree"), ("bins", "rings"), ("bins", "sectors")):
         value = np.asarray(file[group].attrs[name])
         if value.shape != () or value.dtype.kind not in "iu" or not (0 if name == "degree" else 1) <= value <= 10**5:

@@ -81,6 +81,10 @@ CHANGES = {
     "/mesh/tangents is missing": lambda file: file.__delitem__("mesh/tangents"),
     "/transfer/coefficients is missing": lambda file: file.__delitem__("transfer/coefficients"),
     "/basis: the attribute degree is missing": lambda file: file["basis"].attrs.__delitem__("degree"),
+    "/basis: the attribute kind is 'zonal'": lambda file: file["basis"].attrs.__setitem__("kind", "zonal"),
+    "/basis: the attribute sign is 'Condon-Shortley phase'; .* 'no Condon-Shortley phase'": lambda file: file[
+        "basis"
+    ].attrs.__setitem__("sign", "Condon-Shortley phase"),
     "/basis: the attribute degree is -1": lambda file: file["basis"].attrs.__setitem__("degree", -1),
     "/bins: the attribute rings is 0": lambda file: file["bins"].attrs.__setitem__("rings", 0),
     r"/basis/check_values has shape \[2, 4\]; expected \[2, K = 9\]": lambda file: file["basis"].attrs.__setitem__(
