@@ -34,7 +34,6 @@ def test_help_lists_every_command_and_loads_no_library_that_is_slow_to_load() ->
         "h5py",
         "scipy",
         "trimesh",
-        "pyvista",
         "vtkmodules",
         "pydantic",
         "embreex",

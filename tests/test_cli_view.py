@@ -80,7 +80,7 @@ def test_without_a_display_it_says_so(prtbake: Run, monkeypatch: pytest.MonkeyPa
 
 WITHOUT = """
 import sys
-sys.modules["pyvista"] = None
+sys.modules["vtkmodules"] = None
 from prt_bake.cli.main import main
 code = main(sys.argv[1:])
 assert "torch" not in sys.modules
@@ -88,7 +88,7 @@ sys.exit(code)
 """
 
 
-def test_without_pyvista_it_says_what_to_install(folder: Path, tmp_path: Path) -> None:
+def test_without_vtk_it_says_what_to_install(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT, *COMMAND, "--screenshot", str(tmp_path / "shot.png")]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)

@@ -95,5 +95,5 @@ def test_the_first_picture_loads_nothing_that_it_can_do_without(folder: Path, tm
     )
     loaded = set(ran.stdout.split())
     assert "vtkmodules" in loaded
-    assert not loaded & {"torch", "scipy", "trimesh"} - ({"scipy"} if sunny else set())
+    assert not loaded & {"torch", "matplotlib", "pyvista", "scipy", "trimesh"} - ({"scipy"} if sunny else set())
     assert ("numba" in loaded) == sunny

@@ -153,10 +153,10 @@ def _load_window() -> Any:
     try:
         from prt_bake.preview import window
     except ModuleNotFoundError as cause:
-        if (cause.name or "").partition(".")[0] not in ("pyvista", "vtk", "vtkmodules"):
+        if (cause.name or "").partition(".")[0] not in ("vtk", "vtkmodules"):
             raise
         raise StorageError(
-            f"view: the window needs {cause.name}, which is not installed; pip install 'prt-bake[preview]'"
+            "view: the window needs VTK, which is not installed; pip install 'prt-bake[preview]'"
         ) from cause
     return window
 

@@ -1,17 +1,29 @@
-"""What PyVista draws on, in a window or in memory, and how a mouse moves the eye before it."""
+"""What VTK draws on, in a window or in memory, and how a mouse moves the eye before it.
+
+VTK's own modules are loaded one by one: all of them, or a library that loads them, would take as long as everything
+else that a preview does before its first picture.
+"""
 
 from collections.abc import Callable
 from typing import Any
 
-import pyvista
+import vtkmodules.vtkRenderingFreeType
+import vtkmodules.vtkRenderingOpenGL2
+import vtkmodules.vtkRenderingUI  # noqa: F401 (windows of the platform)
 from vtkmodules.util.misc import calldata_type
 from vtkmodules.util.vtkConstants import VTK_OBJECT
 from vtkmodules.vtkCommonCore import vtkLogger
+from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTerrain
+from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkRenderWindowInteractor
+from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 _told: Any = calldata_type
-_plotter: Any = pyvista.Plotter
+_WHEEL = 1.05
+"""How much nearer or farther one step of the wheel takes the eye."""
 _PLAIN = (0.13, 0.13, 0.14)
 """Behind an object without a sky, sRGB."""
+_WHITE = (1.0, 1.0, 1.0)
 _SLIDER_HEIGHT = 0.07
 """Share of the window's height."""
 _KNOB, _TUBE = (0.015, 0.03), 0.006
@@ -22,7 +34,6 @@ class Canvas:
     """One renderer in one window: no light of VTK's, no tone mapping.
 
     Attributes:
-        plotter: PyVista's.
         window, renderer, interactor: VTK's own.
     """
 
@@ -30,12 +41,16 @@ class Canvas:
         """off_screen: in memory; the window of the platform's otherwise, or in memory too where there is none."""
         # That there is no display is told in a sentence of our own, or does not matter.
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
-        self.plotter = _plotter(off_screen=off_screen, window_size=[width, height], lighting="none", title=title)
-        self.window: Any = self.plotter.render_window
-        self.renderer: Any = self.plotter.renderer
-        self.interactor: Any = self.plotter.iren.interactor
+        self.renderer: Any = vtkRenderer()
+        self.renderer.AutomaticLightCreationOff()
         self.renderer.SetBackground(*_PLAIN)
-        self.renderer.camera_set = True  # else PyVista looks for one of its own
+        self.window: Any = vtkRenderWindow()
+        self.window.SetOffScreenRendering(off_screen)
+        self.window.SetSize(width, height)
+        self.window.SetWindowName(title)
+        self.window.AddRenderer(self.renderer)
+        self.interactor: Any = vtkGenericRenderWindowInteractor() if off_screen else vtkRenderWindowInteractor()
+        self.interactor.SetRenderWindow(self.window)
 
     @property
     def camera(self) -> Any:
@@ -58,25 +73,58 @@ class Canvas:
 
     def close(self) -> None:
         """Give back what the window holds on the graphics card."""
-        self.plotter.close()
+        self.window.Finalize()
+        self.interactor.SetRenderWindow(None)
 
     def move_by_mouse(self, moves: Callable[[], None]) -> None:
         """Let the mouse orbit about the vertical, the wheel go nearer, shift and the mouse go sideways; `moves` is
         called before each of these is drawn. No key of VTK's own does anything.
         """
-        self.plotter.iren.clear_key_event_callbacks()
-        self.plotter.iren.enable_terrain_style(mouse_wheel_zooms=True, shift_pans=True)
-        style = self.interactor.GetInteractorStyle()
-        style.AddObserver("CharEvent", lambda *_: None)  # in place of VTK's own keys
-        for event in ("StartInteractionEvent", "InteractionEvent"):
-            style.AddObserver(event, lambda *_: moves())
-        for event in ("MouseWheelForwardEvent", "MouseWheelBackwardEvent"):
-            style.AddObserver(event, lambda *_: moves(), 1.0)  # before PyVista's, which draws
+        # Kept: VTK's hold on it does not keep what Python knows of it, which is what observers call.
+        style: Any = vtkInteractorStyleTerrain()
+        self._style = style
+
+        def press(*_: Any) -> None:
+            if self.interactor.GetShiftKey():
+                style.StartPan()
+            style.OnLeftButtonDown()
+
+        def release(*_: Any) -> None:
+            style.EndPan()
+            style.OnLeftButtonUp()
+
+        def roll(factor: float) -> Callable[..., None]:
+            def do(*_: Any) -> None:
+                moves()
+                camera = self.camera
+                camera.SetPosition(
+                    *(
+                        end + factor * (start - end)
+                        for start, end in zip(camera.GetPosition(), camera.GetFocalPoint(), strict=True)
+                    )
+                )
+                self.window.Render()
+
+            return do
+
+        style.AddObserver("LeftButtonPressEvent", press)
+        style.AddObserver("LeftButtonReleaseEvent", release)
+        style.AddObserver("MouseWheelForwardEvent", roll(1.0 / _WHEEL))
+        style.AddObserver("MouseWheelBackwardEvent", roll(_WHEEL))
+        style.AddObserver("CharEvent", lambda *_: None)
+        style.AddObserver("StartInteractionEvent", lambda *_: moves())
+        style.AddObserver("InteractionEvent", lambda *_: moves())
+        self.interactor.SetInteractorStyle(style)
 
     def listen(self, actions: dict[str, Callable[[], None]]) -> None:
         """Call what belongs to the name of a key (X11's) when it is pressed."""
-        for name, action in actions.items():
-            self.plotter.add_key_event(name, action)
+
+        def pressed(*_: Any) -> None:
+            action = actions.get(self.interactor.GetKeySym() or "")
+            if action is not None:
+                action()
+
+        self.interactor.AddObserver("KeyPressEvent", pressed)
 
     def take_files(self, take: Callable[[list[str]], None]) -> None:
         """Call it with the paths of files that are dropped on the window."""
@@ -90,21 +138,24 @@ class Canvas:
         self, span: tuple[float, float], value: float, ends: tuple[float, float], slide: Callable[[float], None]
     ) -> Any:
         """A slider between two places across the window (shares of its width); `slide` is called as it moves."""
-        left, right = ends
-        slider: Any = self.plotter.add_slider_widget(
-            slide,
-            span,
-            value=value,
-            title="",
-            pointa=(left, _SLIDER_HEIGHT),
-            pointb=(right, _SLIDER_HEIGHT),
-            color="white",
-            interaction_event="always",
-            slider_width=_KNOB[1],
-            tube_width=_TUBE,
-        )
-        shape = slider.GetRepresentation()
+        shape: Any = vtkSliderRepresentation2D()
+        shape.SetMinimumValue(span[0])
+        shape.SetMaximumValue(span[1])
+        shape.SetValue(value)
+        for end, x in zip((shape.GetPoint1Coordinate(), shape.GetPoint2Coordinate()), ends, strict=True):
+            end.SetCoordinateSystemToNormalizedDisplay()
+            end.SetValue(x, _SLIDER_HEIGHT)
+        for part in (shape.GetSliderProperty(), shape.GetCapProperty(), shape.GetTubeProperty()):
+            part.SetColor(*_WHITE)
         shape.ShowSliderLabelOff()  # its format is another one from version to version of VTK
         shape.SetSliderLength(_KNOB[0])
+        shape.SetSliderWidth(_KNOB[1])
+        shape.SetTubeWidth(_TUBE)
         shape.SetEndCapLength(0.0)
+        slider: Any = vtkSliderWidget()
+        slider.SetInteractor(self.interactor)
+        slider.SetCurrentRenderer(self.renderer)
+        slider.SetRepresentation(shape)
+        slider.On()
+        slider.AddObserver("InteractionEvent", lambda *_: slide(shape.GetValue()))
         return slider
