@@ -245,7 +245,9 @@ def _across(forward: Array, up: Array) -> tuple[Array, Array]:
 def _distance_to_faces(corners: Array, normals: Array) -> float:
     """The distance from the origin to the nearest of faces with corners [F,3,3] and unit normals [F,3]."""
     edges = np.roll(corners, -1, axis=1) - corners
-    share = -np.einsum("fki,fki->fk", corners, edges) / np.einsum("fki,fki->fk", edges, edges)
+    # Edges of no length are points.
+    length = np.maximum(np.einsum("fki,fki->fk", edges, edges), np.finfo(np.float64).tiny)
+    share = -np.einsum("fki,fki->fk", corners, edges) / length
     to_edges = np.linalg.norm(corners + np.clip(share, 0.0, 1.0)[..., None] * edges, axis=2)
     sides = np.einsum("fki,fi->fk", np.cross(corners, edges), normals)
     over_face = (sides >= 0.0).all(axis=1)

@@ -370,9 +370,10 @@ def _mesh_faults(path: Path) -> list[str]:
 
 
 def _asset_faults(path: Path) -> list[str]:
-    from formats.asset import check_asset
+    from formats.asset import check_asset, read_asset
+    from prt_bake.asset_soundness import soundness_faults
 
-    return check_asset(path)
+    return check_asset(path) or [f"{path}: {fault}" for fault in soundness_faults(read_asset(path))]
 
 
 _DESCRIBE: dict[str, Callable[[Path], dict[str, Any]]] = {

@@ -135,20 +135,26 @@ def light_of(asset: Asset, light: ArrayLike | None) -> Array:
         if light is not None:
             raise QueryError("light: the asset was made for one light and cannot be relit; hand in None to see it so")
         return np.ones((1, 3))
-    weights = np.zeros(0) if light is None else np.asarray(light, np.float64)
+    try:
+        weights = np.zeros(0) if light is None else np.asarray(light, np.float64)
+    except (TypeError, ValueError):
+        raise QueryError(
+            f"light: a {type(light).__name__} where coefficients [K, 3] are expected, such as those of suns_apart "
+            "(.harmonics) or project_environment"
+        ) from None
     count = sh.count(asset.degree)
     if weights.shape != (count, 3):
         raise QueryError(
             f"light: shape {list(weights.shape)} where [{count}, 3] is expected: the asset is of degree "
             f"{asset.degree}; project the sky to that degree"
         )
-    _refuse_other_basis(asset)
+    refuse_other_basis(asset)
     if not np.isfinite(weights).all():
         raise QueryError(f"light: {int((~np.isfinite(weights)).sum())} of its coefficients are not finite")
     return weights
 
 
-def _refuse_other_basis(asset: Asset) -> None:
+def refuse_other_basis(asset: Asset) -> None:
     """Raise QueryError where the asset's harmonics have other values in its check directions than they have here."""
     ours = sh.evaluate(asset.check_directions, asset.degree)
     off = float(np.abs(ours - asset.check_values).max())

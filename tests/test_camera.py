@@ -147,6 +147,9 @@ def test_an_eye_on_the_surface_is_refused():
         with pytest.raises(QueryError, match="on the surface"):
             refuse_eye_in_object(mesh, on_it)
     refuse_eye_in_object(mesh, triangle.mean(axis=0) + 100 * step)
+    collapsed = np.concatenate([mesh.faces, [[5, 5, 5], [1, 1, 2]]])
+    with pytest.raises(QueryError, match="on the surface"):
+        refuse_eye_in_object(Mesh(mesh.positions, collapsed, mesh.normals), triangle[0])
 
 
 def test_an_eye_in_line_with_an_edge_is_not_on_it():

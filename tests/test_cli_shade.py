@@ -149,6 +149,10 @@ def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path:
     [
         (["-o", "x.png", "--roughness", "0.1"], "that of the reflection; add --reflection"),
         (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
+        (["-o", "x_%03d.png"], "is for numbered pictures; add --turntable eye"),
+        (["-o", "x.png", "--frames", "3"], "are those of a turntable; add --turntable eye"),
+        (["-o", "x.png", "--seconds", "1"], "are those of a turntable; add --turntable eye"),
+        (["-o", "x.png", "--error-picture", "./x.png"], "is the picture itself; name another file"),
         (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
         (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background, no layers and no error picture"),
     ],

@@ -187,6 +187,8 @@ def test_an_asset_made_for_one_light_is_shown_as_it_is() -> None:
         (np.ones(9), r"shape \[9\] where \[9, 3\]"),
         (np.full((9, 3), np.nan), "27 of its coefficients are not finite"),
         (None, r"where \[9, 3\] is expected"),
+        ("sky.hdr", r"a str where coefficients \[K, 3\] are expected"),
+        (object(), r"a object where coefficients"),
     ],
 )
 def test_lights_that_do_not_fit_are_refused(light, sentence: str) -> None:

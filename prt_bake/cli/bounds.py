@@ -79,5 +79,5 @@ def _value(told: dict[str, Any], name: str, end: str) -> float:
 def _sentence(name: str, value: float, bound: float, word: str, option: str) -> str:
     if math.isnan(value):
         return f"{name} is not known, so {option} {name}={bound:g} cannot be kept"
-    surely = "surely " if name.startswith(_FREE) else ""
-    return f"{name} is {value:.4g}, {surely}{word} {bound:g} ({option})"
+    end = "" if not name.startswith(_FREE) else "at least " if word == "above" else "at most "
+    return f"{name} is {end}{value:.4g}, {word} {bound:g} ({option})"

@@ -153,12 +153,17 @@ def _unlike(image: Path, reference: Path, shows: str, reference_shows: str) -> I
 
 def _errors(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> "PixelErrors | None":
     """What the pictures say of their errors; None, with a word, where that cannot be used."""
+    import numpy as np
+
     from prt_bake.picture_noise import errors_of, same_numbers, unusable
 
     reasons = [unusable(path, each) for path, each in ((image, layered), (reference, layered_reference))]
     for reason in filter(None, reasons):
         say(reason)
     errors = None if any(reasons) else errors_of(layered, layered_reference)
+    if errors is not None and np.array_equal(layered.image, layered_reference.image):
+        say(f"{image} and {reference} are the same picture: there is no noise to take out")
+        return None
     if errors is not None and same_numbers(layered, layered_reference):
         say(
             f"{image} and {reference} were drawn from the same random numbers, so that their noise is alike and cannot "

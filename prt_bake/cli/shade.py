@@ -28,6 +28,7 @@ from prt_bake.cli.options import (
 )
 from prt_bake.cli.progress import Report, reporting, say
 
+_FRAMES, _SECONDS = 36, 3.0
 _LAYERS = "position, normal, vertex, radiance, subsurface, reflection"
 
 
@@ -76,8 +77,8 @@ def shade(
             show_default=False,
         ),
     ] = None,
-    frames: Annotated[int, typer.Option(min=1, max=3600, help="Of a turntable.")] = 36,
-    seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="That one turn of it takes.")] = 3.0,
+    frames: Annotated[int, typer.Option(min=1, max=3600, help="Of a turntable.")] = _FRAMES,
+    seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="That one turn of it takes.")] = _SECONDS,
     samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
     mend: Mend = False,
     suns: Suns = "split",
@@ -94,6 +95,8 @@ def shade(
     from prt_bake.smaller_sky import rows_shown
 
     _refuse_useless(output, transparent, layers, turntable, error_picture, reflection, roughness)
+    if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
+        raise typer.BadParameter("--frames and --seconds: are those of a turntable; add --turntable eye")
     baked = read_asset(asset)
     axis = up or baked.up
     view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent)
@@ -198,6 +201,10 @@ def _refuse_useless(
         raise typer.BadParameter(
             f"--output: one {suffix} holds no turntable; write .webp, .gif, .png, or numbered pictures (turn_%03d.exr)"
         )
+    if turntable is None and "%" in output.name:
+        raise typer.BadParameter(f"--output: {output.name} is for numbered pictures; add --turntable eye")
+    if error_picture is not None and error_picture.resolve() == output.resolve():
+        raise typer.BadParameter(f"--error-picture: {error_picture} is the picture itself; name another file")
     if roughness is not None and not reflection:
         raise typer.BadParameter("--roughness: is that of the reflection; add --reflection")
     if turntable is not None and (transparent or layers or error_picture is not None):
