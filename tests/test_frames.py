@@ -226,6 +226,10 @@ def test_a_view_that_is_held_is_drawn_under_any_light_and_for_no_other_question(
         np.testing.assert_allclose(frames.draw(EYE, some, cull=True), expected, rtol=0, atol=3e-6)
         assert frames.clamped == pytest.approx(again.clamped, rel=1e-5)
         np.testing.assert_array_equal(frames.draw(EYE, cull=True) != 0.0, again.draw(EYE, cull=True) != 0.0)
+    nothing = np.zeros(6300, np.bool_)
+    frames.draw(EYE, nothing)
+    assert frames.draw(EYE, some, cull=True).any()
+    assert not frames.draw(EYE, nothing).any()
     frames.fold()
     frames._held[:] = 1e9
     for question in ((-EYE, some, True), (EYE, None, True), (EYE, some, False)):
