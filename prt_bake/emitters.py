@@ -48,7 +48,7 @@ class Disc:
         fall = numbers[:, 0] * solid_angle(self.sun) / (2.0 * math.pi)
         angle = 2.0 * math.pi * numbers[:, 1]
         sine = np.sqrt(fall * (2.0 - fall))
-        across, other = _frame(self.sun.direction)
+        across, other = frame_across(self.sun.direction)
         towards = (1.0 - fall)[:, None] * self.sun.direction
         towards = towards + (sine * np.cos(angle))[:, None] * across + (sine * np.sin(angle))[:, None] * other
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
@@ -216,7 +216,7 @@ def _on_sphere(numbers: Array) -> Array:
     return np.stack([radius * np.cos(turn), radius * np.sin(turn), height], axis=1)
 
 
-def _frame(direction: Array) -> tuple[Array, Array]:
+def frame_across(direction: Array) -> tuple[Array, Array]:
     """Two unit vectors across a unit vector [3]."""
     across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     across /= np.linalg.norm(across)

@@ -11,6 +11,7 @@ sky as for the widest lobe under the smallest sun.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,9 @@ from prt_bake.sphere import to_local, to_world
 Array = NDArray[np.float64]
 
 _FACET_STREAM, _LIGHT_STREAM = 0xA0, 0xA1
+
+Numbers = Callable[[Points, int | None], Array]
+"""Numbers from 0 to 1 for points: [N,2] for their facets (None), [N,3] for the light of that number."""
 
 
 class _Arrivals(NamedTuple):
@@ -63,23 +67,44 @@ class Reflector:
         keys: NDArray[np.uint64],
         seed: int,
     ) -> Array:
-        """Radiance [N,3] reflected at points of the surface towards `outgoing` [N,3]: one unbiased sample of each.
+        """Radiance [N,3] reflected at points of the surface towards `outgoing` [N,3]: one unbiased sample of each, as
+        `sampled`; it depends on the keys [N] and the seed alone.
+        """
+
+        def drawn(points: Points, light: int | None) -> Array:
+            keyed = keys[points.rows]
+            if light is None:
+                return uniforms((_FACET_STREAM, seed, keyed), 2)
+            return uniforms((_LIGHT_STREAM, seed, light, keyed), 3)
+
+        return self.sampled(faces, barycentric, normals, outgoing, alpha, drawn)
+
+    def sampled(
+        self,
+        faces: NDArray[np.int64],
+        barycentric: Array,
+        normals: Array,
+        outgoing: Array,
+        alpha: Array,
+        drawn: Numbers,
+    ) -> Array:
+        """Radiance [N,3] reflected at points of the surface towards `outgoing` [N,3], one facet and one direction of
+        each light a point, at numbers from 0 to 1 that `drawn` says.
 
         faces [N] and barycentric (u, v) [N,2] say where, normals [N,3] are those of the interface (where one faces away
-        from `outgoing` the face's own is taken, as walks do), alpha [N] is its GGX roughness. Samples depend on the
-        keys [N] and the seed alone. Directional lights without size are exact, and a mirror does not show them. An eye
-        below its face sees nothing reflected.
+        from `outgoing` the face's own is taken, as walks do), alpha [N] is its GGX roughness. Directional lights
+        without size are exact, and a mirror does not show them. An eye below its face sees nothing reflected.
         """
         total = np.zeros((len(faces), 3))
         if self._surface.matched or not len(faces) or not self._lights:
             return total
         points = self._surface.points(faces, normals, outgoing, np.asarray(alpha, np.float64))
-        arrivals = [self._by_facets(points, uniforms((_FACET_STREAM, seed, keys[points.rows]), 2))]
+        arrivals = [self._by_facets(points, drawn(points, None))]
         rough = points.alpha >= SMOOTHEST
         if rough.any():
             points = Points._make(part[rough] for part in points)
             for i, light in enumerate(self._lights):
-                arrivals.append(self._by_light(points, light, uniforms((_LIGHT_STREAM, seed, i, keys[points.rows]), 3)))
+                arrivals.append(self._by_light(points, light, drawn(points, i)))
         for arriving in arrivals:
             free = self._reaches(faces, barycentric, arriving)
             total[arriving.rows[free]] += arriving.radiance[free]

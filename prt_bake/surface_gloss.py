@@ -4,7 +4,8 @@ The microsurface is that of walks (`prt_bake.microfacet`). Each point sends a fe
 the points of a pixel different ones of one lattice, and a ray sees the sky averaged over the share of the lobe that it
 stands for (Křivánek and Colbert 2008, "Real-time shading with filtered importance sampling"). Where it meets the object
 again it sees the radiance that the asset sends along it: one bounce. What such a place reflects itself is left out.
-Directional lights, and the suns of skies, are connected to, as `prt_bake.reflection` does it.
+Directional lights, and the suns of skies, are connected to, as `prt_bake.reflection` does it; wide ones at points of
+the lattice.
 """
 
 import math
@@ -19,6 +20,7 @@ from formats.errors import QueryError
 from formats.lights import DirectionalLight
 from prt_bake import prefiltered_sky
 from prt_bake.camera import Visibility
+from prt_bake.emitters import frame_across
 from prt_bake.lighting import Lighting
 from prt_bake.microfacet import mirrored, reflection_density, visible_facets
 from prt_bake.prefiltered_sky import prefilter
@@ -40,7 +42,6 @@ _OF_HALVES = 0.25
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _SMALL_DISC = 0.1
 """Radius of a disc over the width of the lobe, alpha."""
-_SUN_SEED = 0x5B
 _IN_MEMORY = 2 << 30
 
 
@@ -78,8 +79,8 @@ class SurfaceGloss:
         apart = lighting if self._mirror else split_lighting(lighting)
         skies, suns = ((), ()) if self._mirror else (apart.skies, _as_points(apart.suns, self._finish.alpha))
         self._skies = [prefilter(sky, self._finest()) for sky in skies if sky.image.any()]
-        self._suns = Reflector(asset.mesh, Lighting((), suns), asset.eta, visibility) if suns else None
-        self._discs = any(sun.angular_diameter > 0.0 for sun in suns)
+        self._suns = tuple(sun for sun in suns if sun.irradiance.any())
+        self._connected = Reflector(asset.mesh, Lighting((), self._suns), asset.eta, visibility) if self._suns else None
 
     def radiance(
         self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.int64]
@@ -155,19 +156,32 @@ class SurfaceGloss:
         alpha: Array,
         keys: NDArray[np.int64],
     ) -> Array:
-        """Two independent estimates [2,N,3], equal where suns have no size."""
+        """By one half of the lattice and by the other [2,N,3], equal where suns have no size."""
         halves = np.zeros((2, len(faces), 3))
-        if self._suns is None:
+        if self._connected is None:
             return halves
-        rounds = 2 * math.ceil(self._rays / 4) if self._discs else 1
+        wide = any(sun.angular_diameter > 0.0 for sun in self._suns)
+        rounds = 2 * math.ceil(self._rays / 2) if wide else 1
         for number in range(rounds):
-            halves[number % 2] += self._suns.reflected(
-                faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), _SUN_SEED + number
-            )
+
+            def drawn(points: Points, light: int | None, number: int = number) -> Array:
+                return self._numbers(points, light, self._points * number + keys[points.rows] % self._points, rounds)
+
+            halves[number % 2] += self._connected.sampled(faces, barycentric, normals, outgoing, alpha, drawn)
         if rounds == 1:
             halves[1] = halves[0]
             return halves
         return 2.0 / rounds * halves
+
+    def _numbers(self, points: Points, light: int | None, which: NDArray[np.int64], rounds: int) -> Array:
+        """Points `which` of a lattice, over the facets of points or the disc of a light."""
+        numbers = _lattice(which, self._points * rounds)
+        if light is None:
+            return numbers
+        # From where the normal leans to: turning object and light together changes nothing.
+        across, other = frame_across(self._suns[light].direction)
+        numbers[:, 1] += np.arctan2(points.normals @ other, points.normals @ across) / (2.0 * math.pi)
+        return numbers
 
 
 def _as_points(suns: tuple[DirectionalLight, ...], alpha: float) -> tuple[DirectionalLight, ...]:

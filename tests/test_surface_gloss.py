@@ -13,12 +13,13 @@ from formats.asset import Asset
 from formats.errors import QueryError
 from formats.lights import DirectionalLight
 from formats.mesh import Mesh, build_mesh
-from prt_bake import environment
+from prt_bake import environment, sh
 from prt_bake.camera import Hits, Visibility
 from prt_bake.lighting import Lighting, Sky
 from prt_bake.microfacet import fresnel, mirrored
 from prt_bake.reflection import Reflector
 from prt_bake.shading import render_picture, shade
+from prt_bake.sun_light import SunTreatment
 from prt_bake.surface_gloss import SurfaceGloss, reflects
 
 POINTS = 9
@@ -88,9 +89,20 @@ def with_sun(sky: Sky) -> Sky:
     return dataclasses.replace(sky, image=image)
 
 
-@pytest.mark.parametrize("sky", [blotchy(), with_sun(blotchy())], ids=["blotchy", "sun"])
+def with_window(sky: Sky) -> Sky:
+    """The sky with a pixel of 11 degrees that is taken out of it, and is wide beside most lobes."""
+    image = sky.image.copy()
+    image[4, 9] = 3e3
+    return dataclasses.replace(sky, image=image)
+
+
+@pytest.mark.parametrize(
+    ("sky", "most"),
+    [(blotchy(), 0.08), (with_sun(blotchy()), 0.08), (with_window(blotchy()), 0.15)],
+    ids=["blotchy", "sun", "window"],
+)
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
-def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float, sky: Sky) -> None:
+def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float, sky: Sky, most: float) -> None:
     """Without a bounce, as the path tracer's pictures have it."""
     mesh = lumpy(2)
     asset, lighting = glossy(mesh, roughness), Lighting((sky,))
@@ -108,9 +120,9 @@ def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float, 
     signal = (truth**2).sum()
     error = math.sqrt(max(0.0, squared - noise) / signal)
     told = math.sqrt((pixels(differing) ** 2).sum() / signal)
-    assert error < 0.08
+    assert error < most
     assert error < 1.3 * told < 6.0 * max(error, 0.01)
-    assert pixels(ours).sum() == pytest.approx(truth.sum(), rel=0.02)
+    assert pixels(ours).sum() == pytest.approx(truth.sum(), rel=max(0.02, error))
 
 
 def test_a_sun_without_size_is_connected_to() -> None:
@@ -246,3 +258,27 @@ def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
         render_picture(
             dataclasses.replace(asset, provenance={"eta": -1.0, "roughness": 0.1}), constant(), front(), reflection=True
         )
+
+
+@pytest.mark.parametrize("suns", ["split", "window", "plain"])
+def test_turning_the_light_of_a_picture_is_turning_object_and_camera_the_other_way(suns: SunTreatment) -> None:
+    """Sky, a sun in it, a sun beside it, and what the ring reflects of itself."""
+    asset = make_asset(ring(), provenance={"eta": 1.5, "roughness": 0.3, "model": {"normals": "face"}})
+    sky = with_window(blotchy())
+    back = environment.rotation(-37.0, "y")
+    light = Lighting((sky,), (DirectionalLight(np.array([0.6, 0.48, 0.64]), np.ones(3), 0.5),))
+    about = light.turned(37.0, "y")
+    turned = dataclasses.replace(
+        asset,
+        mesh=dataclasses.replace(
+            asset.mesh, positions=asset.mesh.positions @ back.T, normals=asset.mesh.normals @ back.T
+        ),
+        tangents=asset.tangents @ back.T,
+        coefficients=(sh.rotation(back, 2) @ asset.coefficients).astype(np.float32),
+    )
+    view = front()
+    seen_back = dataclasses.replace(view, eye=back @ view.eye, target=back @ view.target)
+    one = render_picture(asset, about, view, reflection=True, suns=suns)
+    other = render_picture(turned, light, seen_back, reflection=True, suns=suns)
+    assert one.coverage.sum() > 100.0
+    np.testing.assert_allclose(other.image, one.image, rtol=1e-5, atol=1e-5 * one.image.mean())
