@@ -81,6 +81,36 @@ def test_the_sky_is_looked_up_at_poles_and_across_the_seam(tmp_path) -> None:
         agree(*both(make_asset(ball(1)), 0.2 * painted_sky(), tmp_path / "sky.exr", eye))
 
 
+def moved(mesh: Mesh, path, nearer=1.0) -> tuple[bool, np.ndarray, np.ndarray]:
+    """Of an object that moves: whether its backs are left out, its picture, and that with the other choice."""
+    window = open_window(make_asset(mesh), [write_sky(path, 0.2 * painted_sky())], SIZE, np.array([0.0, 0.5, 4.0]))
+    view = window.view
+    view.smooth(False)
+    view.canvas.camera.Azimuth(20.0)
+    view.canvas.camera.SetPosition(*(nearer * np.array(view.canvas.camera.GetPosition())))
+    found, backs = view.picture(), view._object.actor.GetProperty()
+    hidden = bool(backs.GetBackfaceCulling())
+    backs.SetBackfaceCulling(not hidden)
+    other = view.picture()
+    view.canvas.close()
+    return hidden, found, other
+
+
+def test_backs_are_left_out_of_what_moves_where_others_hide_them(tmp_path) -> None:
+    hidden, found, other = moved(ring(), tmp_path / "sky.exr")
+    assert hidden
+    np.testing.assert_array_equal(found, other)
+
+
+@pytest.mark.parametrize("nearer", [1.0, 0.05])
+def test_backs_of_an_open_object_and_from_within_are_drawn(tmp_path, nearer) -> None:
+    mesh = ball(3)
+    half = build_mesh(mesh.positions, mesh.faces[mesh.positions[mesh.faces].mean(axis=1)[:, 2] < 0.3])
+    hidden, found, other = moved(half if nearer == 1.0 else mesh, tmp_path / "sky.exr", nearer)
+    assert not hidden
+    assert (found != other).mean() > 0.1
+
+
 def test_an_eye_very_far_away_sees_the_sky_and_no_more(tmp_path) -> None:
     window = open_window(make_asset(ball(2)), [write_sky(tmp_path / "sky.exr", 0.2 * constant())], SIZE, (1e6, 0, 0))
     found = bare_picture(window)

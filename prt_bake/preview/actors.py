@@ -153,6 +153,10 @@ class Object(Actor):
         self._set_vector("eyeMC", eye)
         self._turn_sky(to_sky)
 
+    def hide_backs(self, hidden: bool) -> None:
+        """Leave out faces that turn away: in front of them lie others, which would be worked out as well."""
+        self.actor.GetProperty().SetBackfaceCulling(hidden)
+
     def _write(self) -> None:
         """Another program with reflection than without: what is not wanted is not worked out for each pixel."""
         self._shader.ClearAllFragmentShaderReplacements()

@@ -8,6 +8,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +29,11 @@ class Settler:
     def __init__(self, asset: Asset) -> None:
         self._asset = asset
         self._settling: Settling | None = None
-        self._closed: bool | None = None
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether no face of the object is seen from behind but from inside."""
+        return is_closed(self._asset.mesh)
 
     def forget(self) -> None:
         """Another light shines."""
@@ -47,10 +52,8 @@ class Settler:
         """
         settling = self._settling
         if settling is None or not settling.sees(eye):
-            if self._closed is None:
-                self._closed = is_closed(self._asset.mesh)
             turned = _turned(light, rotation, self._asset.up)
-            settling = Settling(self._asset, turned, np.array(eye, np.float64), draw(eye), self._closed)
+            settling = Settling(self._asset, turned, np.array(eye, np.float64), draw(eye), self.closed)
             self._settling = settling
         settling.go_on(seconds)
         return self.radiance(eye)

@@ -298,6 +298,11 @@ class Preview:
         self.changes += ready
         return ready
 
+    @property
+    def closed(self) -> bool:
+        """Whether no face of the object is seen from behind but from inside."""
+        return self._settler.closed
+
     def unsettled(self, eye: ArrayLike) -> bool:
         """Whether there are suns to be met apart that `colours` does not give yet."""
         return self.mode is Mode.RADIANCE and bool(self._lit.suns) and self._settler.radiance(eye) is None

@@ -188,8 +188,11 @@ class View:
         matrix = camera.GetViewTransformMatrix()
         view = np.array([[matrix.GetElement(row, column) for column in range(3)] for row in range(3)])
         self._sky.look_from(view, camera.GetViewAngle(), size[0] / size[1], to_sky)
+        eye = np.array(camera.GetPosition())
+        # Whether the object is closed is not asked for the first picture, which can wait for its backs.
+        self._object.hide_backs(not self.smooth_edges and float(np.linalg.norm(eye)) > 1.0 and self.preview.closed)
         if self.preview.mirrored is not None:
-            self._object.look_from(np.array(camera.GetPosition()), to_sky)
+            self._object.look_from(eye, to_sky)
 
     def _new(self, name: str, picture: NDArray[np.float32] | None) -> bool:
         """Whether this is another picture than the one handed over before."""
