@@ -17,6 +17,8 @@ _READERS: dict[str, Callable[[Path], NDArray[np.float32]]] = {
     **{".exr": read_exr, ".hdr": read_rgbe, ".png": read_png},
     **{".jpg": read_jpeg, ".jpeg": read_jpeg},
 }
+READABLE = tuple(_READERS)
+"""Suffixes of what `read_image` reads."""
 _WRITTEN = (".exr", ".hdr", ".png")
 
 
@@ -30,7 +32,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
         ImageError: another suffix, another kind of file than the suffix says, truncated, or without colour.
         StorageError: the file is missing or cannot be opened.
     """
-    suffix = _suffix(path, "read", tuple(_READERS))
+    suffix = _suffix(path, "read", READABLE)
     return _READERS[suffix](existing(path))
 
 
@@ -40,7 +42,7 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
     A picture of `prtbake render` has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the object's share of
     the pixel. Raises as `read_image`.
     """
-    if _suffix(path, "read", tuple(_READERS)) == ".exr":
+    if _suffix(path, "read", READABLE) == ".exr":
         return read_exr_layers(existing(path))
     return Layers(read_image(path), {}, {})
 

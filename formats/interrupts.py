@@ -1,9 +1,9 @@
-"""Ctrl-C, kept waiting while a library that cannot bear it is at work."""
+"""Ctrl-C, kept waiting or only noticed while a library that cannot bear it is at work."""
 
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 
 
@@ -26,3 +26,19 @@ def deferred() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)
         if waiting:
             signal.raise_signal(signal.SIGINT)
+
+
+@contextlib.contextmanager
+def noticed() -> Iterator[Callable[[], bool]]:
+    """Yield a question that is answered with true once there was an interrupt, which then does nothing else; only the
+    main thread has interrupts.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
+    seen: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: seen.append(number))
+    try:
+        yield lambda: bool(seen)
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)

@@ -35,8 +35,8 @@ _EXPECTED = {
     "exposure": "stops from -64 to 64",
     "tint": "three finite numbers [r, g, b] of 0 or more",
 }
-_SUN = "sun:x,y,z[:r,g,b][:degrees]"
-_SPHERE = "sphere:x,y,z:radius[:r,g,b]"
+SUN = "sun:x,y,z[:r,g,b][:degrees]"
+SPHERE = "sphere:x,y,z:radius[:r,g,b]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +153,7 @@ def parse_sun(text: str) -> DirectionalLight:
     """
     numbers = _numbers(text)
     if [len(word) for word in numbers] not in ([3], [3, 3], [3, 1], [3, 3, 1]):
-        raise LightError(f"--light {text}: expected {_SUN}, such as sun:0,1,0.5:3,3,2.8:0.53")
+        raise LightError(f"--light {text}: expected {SUN}, such as sun:0,1,0.5:3,3,2.8:0.53")
     irradiance = numbers[1] if len(numbers) > 1 and len(numbers[1]) == 3 else [1.0, 1.0, 1.0]
     diameter = numbers[-1][0] if len(numbers[-1]) == 1 else 0.0
     if not all(value >= 0 and math.isfinite(value) for value in irradiance):
@@ -170,7 +170,7 @@ def parse_sphere(text: str) -> SphereLight:
     """
     numbers = _numbers(text)
     if [len(word) for word in numbers] not in ([3, 1], [3, 1, 3]):
-        raise LightError(f"--light {text}: expected {_SPHERE}, such as sphere:0,3,1:0.25:40,36,30")
+        raise LightError(f"--light {text}: expected {SPHERE}, such as sphere:0,3,1:0.25:40,36,30")
     position, (radius,), radiance = numbers if len(numbers) == 3 else (*numbers, [1.0, 1.0, 1.0])
     if not all(math.isfinite(value) for value in position):
         raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")

@@ -123,13 +123,16 @@ def read_environment(
 
 
 def open_environment(
-    path: str | Path, mend: bool = False, say: Callable[[str], None] = warnings.warn
+    path: str | Path,
+    mend: bool = False,
+    say: Callable[[str], None] = warnings.warn,
+    remedy: str = sky_pixels.REMEDY,
 ) -> image_rows.ImageRows:
     """Open a lat-long picture to be read in blocks of rows, as radiance: what `read_environment` reads, of which memory
     need not hold more than a block.
 
     `say` is told of a shape other than 2:1 at once, and of what was mended and of a black picture once the last block
-    is through. Raises ImageError for cube maps; blocks raise it for bad pixels.
+    is through. Raises ImageError for cube maps; blocks raise it for bad pixels, and say that `remedy` mends them.
     """
 
     @cache  # a picture that is read twice has one story
@@ -139,7 +142,8 @@ def open_environment(
     rows = image_rows.open_image(path)
     sky_shape.refuse_cube_maps(rows)
     sky_shape.tell_stretching(rows, tell)
-    return sky_pixels.telling_black(sky_pixels.mended(rows, tell) if mend else sky_pixels.checked(rows), tell)
+    fit = sky_pixels.mended(rows, tell) if mend else sky_pixels.checked(rows, remedy)
+    return sky_pixels.telling_black(fit, tell)
 
 
 def check(image: NDArray[np.floating], path: str | Path) -> None:

@@ -333,7 +333,8 @@ def _sky_faults(path: Path) -> list[str]:
     from formats.image_rows import open_image
     from prt_bake.sky_pixels import checked
 
-    for _ in checked(open_image(path)).blocks():
+    remedy = "repair the picture, or give --mend to `prtbake shade`, `view`, `render` or `light`"
+    for _ in checked(open_image(path), remedy).blocks():
         pass
     return []
 

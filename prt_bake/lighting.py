@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.errors import QueryError
-from formats.lights import DirectionalLight, SkyLight, SphereLight, parse_sphere, parse_sun, read_lights
+from formats.errors import LightError, QueryError
+from formats.image import READABLE
+from formats.lights import SPHERE, SUN, DirectionalLight, SkyLight, SphereLight, parse_sphere, parse_sun, read_lights
 from formats.mesh import Mesh
 from formats.scene_file import named_by
 from prt_bake import environment
@@ -23,6 +24,7 @@ from prt_bake.sphere_lights import as_disc
 
 Array = NDArray[np.float64]
 
+_TO_MEND = "repair the picture, or have it mended (--mend; mend=True in Python)"
 WHOLE_BYTES = 512 << 20
 """A sky up to this is read whole: a copy would take longer to make than it saves."""
 
@@ -122,6 +124,11 @@ def read_lighting(
                         skies.append(_read_sky(one, up, mend, say, most_rows, degree))
                 else:
                     add(one, str(light))
+        elif Path(light).suffix.lower() not in READABLE:
+            raise LightError(
+                f"{light}: is no light; expected a lat-long sky (.exr, .hdr or .png), a lights file (.toml), {SUN} or "
+                f"{SPHERE}"
+            )
         else:
             skies.append(_read_sky(SkyLight(Path(light), 0.0, 0.0, (1.0, 1.0, 1.0)), up, mend, say, most_rows, degree))
     return Lighting(tuple(skies), tuple(suns)).turned(rotate, up)
@@ -130,7 +137,7 @@ def read_lighting(
 def _read_sky(
     light: SkyLight, up: str, mend: bool, say: Callable[[str], None], most_rows: int | None, degree: int
 ) -> Sky:
-    opened = environment.open_environment(light.path, mend, say)
+    opened = environment.open_environment(light.path, mend, say, _TO_MEND)
     factor = 2.0**light.exposure * np.asarray(light.tint)
     residual = None
     fits = 12 * opened.height * opened.width <= WHOLE_BYTES

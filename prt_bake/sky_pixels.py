@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from formats.errors import ImageError
 from formats.image_rows import Block, ImageRows
 
+REMEDY = "repair the picture or mend it"
 
-def checked(rows: ImageRows) -> ImageRows:
-    """`rows` whose blocks raise ImageError (count, first place) where a pixel is not finite or below 0."""
+
+def checked(rows: ImageRows, remedy: str = REMEDY) -> ImageRows:
+    """`rows` whose blocks raise ImageError (count, first place, `remedy`) where a pixel is not finite or below 0."""
 
     def blocks() -> Iterator[Block]:
         for _, block in rows.blocks():
             if not _sound(block):
-                raise refusal(rows)
+                raise refusal(rows, remedy=remedy)
             yield block
 
     return replace(rows, open_blocks=blocks)
@@ -47,7 +49,7 @@ def telling_black(rows: ImageRows, say: Callable[[str], None]) -> ImageRows:
     return replace(rows, open_blocks=blocks)
 
 
-def refusal(rows: ImageRows, negative: bool = False) -> ImageError:
+def refusal(rows: ImageRows, negative: bool = False, remedy: str = REMEDY) -> ImageError:
     """The fault of a picture of whose pixels some are not finite or, unless `negative` will do, below 0."""
     bad, first, counts = 0, "", dict.fromkeys(("NaN", "infinite", "negative"), 0)
     for start, block in rows.blocks():
@@ -62,7 +64,7 @@ def refusal(rows: ImageRows, negative: bool = False) -> ImageError:
     expected = "finite values" + ("" if negative else " of 0 or more")
     return ImageError(
         f"{rows.path}: expected {expected}, found {bad} of {rows.height * rows.width} pixels with others "
-        f"({_told(counts)}), the first at {first}; repair the picture or mend it"
+        f"({_told(counts)}), the first at {first}; {remedy}"
     )
 
 

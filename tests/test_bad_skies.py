@@ -36,6 +36,41 @@ def test_the_smallest_skies_are_skies(prtbake: Run, tmp_path: Path, shape: tuple
     assert abs(float(coefficients.out.splitlines()[1].split()[2]) - 0.25 * np.sqrt(4 * np.pi)) < 0.01
 
 
+@pytest.mark.parametrize("light", ["moon:0,1,0", "sun;0,1,0.5", "sky.tif", "sky"])
+def test_what_is_no_light_is_told_what_lights_are(prtbake: Run, tmp_path: Path, light: str) -> None:
+    for command in (
+        (*SHADE, "-o", tmp_path / "a.png"),
+        ("view", "asset.h5", "--screenshot", tmp_path / "a.png"),
+        ("render", "scene.toml", "sphere.ply", "-o", tmp_path / "a.png"),
+    ):
+        outcome = prtbake(*command, "--light", light)
+        assert outcome.code == 1
+        assert f"{light}: is no light; expected a lat-long sky (.exr, .hdr or .png), a lights file" in outcome.err
+        assert "sun:x,y,z[:r,g,b][:degrees] or sphere:x,y,z:radius[:r,g,b]" in outcome.err
+
+
+def test_a_sky_with_nan_is_told_the_option_that_mends_it(prtbake: Run, tmp_path: Path) -> None:
+    sky = np.ones((8, 16, 3), np.float32)
+    sky[2, 3, 1] = np.nan
+    path, output = tmp_path / "nan.exr", tmp_path / "a.png"
+    write_image(path, sky)
+    for command in (
+        (*SHADE, "-o", output, "--light", path),
+        ("view", "asset.h5", "--screenshot", output, "--light", path),
+        ("render", "scene.toml", "sphere.ply", "-o", output, "--light", path),
+        ("light", path),
+    ):
+        outcome = prtbake(*command)
+        assert outcome.code == 1
+        assert "repair the picture, or have it mended (--mend; mend=True in Python)" in outcome.err
+    checked = prtbake("check", path).out
+    assert "repair the picture, or give --mend to `prtbake shade`, `view`, `render` or `light`" in checked
+    # A bake has no such option.
+    bake = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--for-light", path)
+    assert bake.code == 1
+    assert "--mend" not in bake.err
+
+
 @pytest.mark.parametrize("shape", [(48, 64), (64, 64), (9, 1), (30, 300), (48, 49)])
 def test_another_shape_is_told_and_shown(prtbake: Run, tmp_path: Path, shape: tuple[int, int]) -> None:
     """A photograph of 4:3 is no cross: its corners hold a picture."""

@@ -212,6 +212,25 @@ def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:
     assert figures["ssim"] == pytest.approx(1)
 
 
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--exposure", 1], "--exposure: radiance is kept as it is in .exr;"),
+        (["--exposure", 1, "--preview", "p.hdr"], "--exposure: radiance is kept as it is in .exr and .hdr;"),
+        (["--orthographic", "--fov", 50], "they have no field of view"),
+        # What a preview is shown by, and what it takes with it: the field of view, again.
+        (["--exposure", 1, "--preview", "p.png", "--extent", 3, "--fov", 50], "they have no field of view"),
+    ],
+)
+def test_options_of_render_that_would_do_nothing_are_wrong_usage(
+    prtbake: Run, options: list[object], sentence: str
+) -> None:
+    small = ("-o", "a.exr", "--size", "16x12", "--spp", 2)
+    outcome = prtbake("render", "scene.toml", "sphere.ply", "--light", "sky.exr", *small, *options)
+    assert outcome.code == 2
+    assert sentence in outcome.err
+
+
 def test_info_has_a_line_for_every_figure(prtbake: Run) -> None:
     told = prtbake("info", demonstration.MODEL).out.splitlines()
     named = dict(line.split("  ", 1) for line in told)

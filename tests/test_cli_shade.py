@@ -155,12 +155,29 @@ def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path:
         (["-o", "x.png", "--error-picture", "./x.png"], "is the picture itself; name another file"),
         (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
         (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background, no layers and no error picture"),
+        (["-o", "x.exr", "--exposure", "2"], "--exposure: radiance is kept as it is in .exr; write .png"),
+        (
+            ["-o", "x_%03d.hdr", "--turntable", "eye", "--exposure", "1"],
+            "--exposure: radiance is kept as it is in .hdr",
+        ),
+        (
+            ["-o", "x.png", "--orthographic", "--fov", "50"],
+            "no field of view; leave it out, or --orthographic",
+        ),
+        (["-o", "x.png", "--extent", "3", "--fov", "50"], "no field of view; leave it out, or --extent"),
     ],
 )
 def test_options_that_need_others_say_so(prtbake: Run, polished: Path, words, sentence) -> None:
     outcome = prtbake("shade", polished, "--light", "sky.exr", *words)
     assert outcome.code == 2
     assert sentence in outcome.err
+
+
+def test_each_suffix_of_an_output_is_named_once(prtbake: Run, polished: Path) -> None:
+    outcome = prtbake("shade", polished, "--light", "sky.exr", "-o", "x.tif")
+    assert outcome.code == 1
+    known = ".png or .exr or .hdr or .webp or .gif"
+    assert outcome.err == f"prtbake: x.tif: expected a name that ends in {known}, found '.tif'\n"
 
 
 def test_the_error_of_every_pixel_is_shown(prtbake: Run, tmp_path: Path, polished: Path) -> None:

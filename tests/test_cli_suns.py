@@ -26,6 +26,16 @@ def test_light_names_suns_as_other_commands_take_them(prtbake: Run, tmp_path: Pa
     assert json.loads(prtbake("light", "sky.exr", "--json").out)["suns"] == []
 
 
+def test_light_takes_a_light_without_a_sky_and_one_of_two_skies(prtbake: Run, tmp_path: Path) -> None:
+    write_image(tmp_path / "sunny.exr", SUNNY)
+    once = prtbake("light", tmp_path / "sunny.exr").out.splitlines()[10:]
+    (tmp_path / "two.toml").write_text(2 * '[[sky]]\nfile = "sunny.exr"\n')
+    assert prtbake("light", tmp_path / "two.toml").out.splitlines()[10:] == 2 * once
+    sun = prtbake("light", "sun:0,1,0:2,2,2")
+    assert (sun.code, len(sun.out.splitlines())) == (0, 10)
+    assert float(sun.out.splitlines()[1].split()[2]) == pytest.approx(2 * 0.5 / np.sqrt(np.pi), rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("treatment", "said"), [("split", "1 sun split"), ("window", "1 sun damped by a window"), ("plain", None)]
 )

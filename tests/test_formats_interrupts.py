@@ -1,11 +1,11 @@
-"""Ctrl-C waits until the block ends and then arrives, whoever handles it."""
+"""Ctrl-C waits until the block ends and then arrives, whoever handles it; or is only noticed."""
 
 import signal
 import threading
 
 import pytest
 
-from formats.interrupts import deferred
+from formats.interrupts import deferred, noticed
 
 
 def test_an_interrupt_waits_for_the_end_of_the_block():
@@ -46,3 +46,24 @@ def test_other_threads_are_left_alone():
     thread.start()
     thread.join()
     assert reached == [signal.default_int_handler]
+
+
+def test_an_interrupt_that_is_only_noticed_stops_nothing():
+    with noticed() as asked:
+        assert not asked()
+        signal.raise_signal(signal.SIGINT)
+        assert asked()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_notice_nothing_and_change_nothing():
+    reached = []
+
+    def work() -> None:
+        with noticed() as asked:
+            reached.append((asked(), signal.getsignal(signal.SIGINT)))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert reached == [(False, signal.default_int_handler)]

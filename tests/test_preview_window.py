@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import signal
 import threading
 from pathlib import Path
 
@@ -271,3 +272,28 @@ def test_that_kernels_are_being_loaded_is_said_as_long_as_they_are(opened, monke
     opened.view.preview._loader.join()
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
     assert "loading kernels" not in said(opened)
+
+
+def test_ctrl_c_closes_the_window_and_raises_nothing(opened) -> None:
+    ended = []
+
+    class Loop:
+        """Of events, in which Ctrl-C falls between two looks of the timer."""
+
+        def Initialize(self) -> None: ...
+
+        def CreateRepeatingTimer(self, milliseconds: int) -> None: ...
+
+        def Start(self) -> None:
+            opened.tick()
+            assert not ended
+            signal.raise_signal(signal.SIGINT)
+            opened.tick()
+
+        def TerminateApp(self) -> None:
+            ended.append(True)
+
+    opened._interactor = Loop()
+    opened.run()
+    assert ended == [True]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

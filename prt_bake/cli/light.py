@@ -33,7 +33,8 @@ def light(
     axis = up or "y"
     # Of a larger sky the suns are found in a smaller copy, made while its harmonics are summed.
     lighting = read_lighting([environment], axis, rotate, mend=mend, say=say, most_rows=_ROWS_FOR_SUNS, degree=degree)
-    coefficients, split = project_lighting(lighting, degree), split_suns(lighting.skies[0])
+    coefficients, splits = project_lighting(lighting, degree), [split_suns(sky) for sky in lighting.skies]
+    found = [pair for split in splits for pair in zip(split.suns, split.shares, strict=True)]
     if as_json:
         suns = [
             {
@@ -42,7 +43,7 @@ def light(
                 "angular_diameter": sun.angular_diameter,
                 "share": share,
             }
-            for sun, share in zip(split.suns, split.shares, strict=True)
+            for sun, share in found
         ]
         told = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
         print(json.dumps(told, indent=2))
@@ -51,6 +52,6 @@ def light(
     bands = [(l, m) for l in range(degree + 1) for m in range(-l, l + 1)]
     for (l, m), (red, green, blue) in zip(bands, coefficients, strict=True):
         print(f"{l:>2} {m:>3} {red:>14.8g} {green:>14.8g} {blue:>14.8g}")
-    for sun, share in zip(split.suns, split.shares, strict=True):
+    for sun, share in found:
         towards, power = (",".join(f"{number:.6g}" for number in part) for part in (sun.direction, sun.irradiance))
         print(f"sun:{towards}:{power}:{sun.angular_diameter:.4g}  {share:.1%} of the energy")

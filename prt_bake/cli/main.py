@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as ending:
         if ending.code != INTERRUPTED:
             return int(ending.code or 0)
-        return _fail("stopped by Ctrl-C before the output was complete")
+        return _fail("stopped by Ctrl-C before it was done")
     except PrtbakeError as fault:
         return _fail(str(fault))
     except OSError as fault:

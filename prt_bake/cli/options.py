@@ -13,6 +13,7 @@ from formats.whole import refuse_unwritable
 
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
 ANIMATION_SUFFIXES = (".png", ".webp", ".gif")
+USUAL_FOV = 30.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +76,7 @@ def output_option(metavar: str, *suffixes: str) -> Any:
     def refuse_unusable(path: Path | None) -> Path | None:
         if path is None:
             return None
-        if path.suffix.lower() not in suffixes:
-            raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
+        _refuse_other_suffixes(path, suffixes)
         refuse_unwritable(path)
         return path
 
@@ -87,11 +87,25 @@ def optional_output(names: str, metavar: str, words: str, *suffixes: str) -> Any
     """Declare an option, by its `names` between blanks, of a further file to write: refused at once like `--output`."""
 
     def refuse_unusable(path: Path | None) -> Path | None:
-        if path is not None and path.suffix.lower() not in suffixes:
-            raise FormatError(f"{path}: expected a name that ends in {' or '.join(suffixes)}, found {path.suffix!r}")
+        if path is not None:
+            _refuse_other_suffixes(path, suffixes)
         return _read_report(path)
 
     return typer.Option(*names.split(), metavar=metavar, callback=refuse_unusable, help=words, show_default=False)
+
+
+def _refuse_other_suffixes(path: Path, suffixes: tuple[str, ...]) -> None:
+    if path.suffix.lower() not in suffixes:
+        known = " or ".join(dict.fromkeys(suffixes))  # a suffix may be that of pictures and of animations
+        raise FormatError(f"{path}: expected a name that ends in {known}, found {path.suffix!r}")
+
+
+def refuse_unseen_exposure(exposure: float, *outputs: Path | None) -> None:
+    """Wrong usage: an exposure where no output is shown by it, since .exr and .hdr keep radiance as it is."""
+    suffixes = [output.suffix.lower() for output in outputs if output is not None]
+    if exposure != 0.0 and all(suffix in (".exr", ".hdr") for suffix in suffixes):
+        kinds = " and ".join(dict.fromkeys(suffixes))
+        raise typer.BadParameter(f"--exposure: radiance is kept as it is in {kinds}; write .png, or leave it out")
 
 
 def _read_report(path: Path | None) -> Path | None:

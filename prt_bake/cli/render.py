@@ -9,6 +9,7 @@ import typer
 from formats.errors import PrtbakeError
 from prt_bake.cli.options import (
     IMAGE_SUFFIXES,
+    USUAL_FOV,
     Device,
     Exposure,
     Extent,
@@ -26,6 +27,7 @@ from prt_bake.cli.options import (
     Up,
     optional_output,
     output_option,
+    refuse_unseen_exposure,
 )
 from prt_bake.cli.progress import reporting, say, stopping
 
@@ -103,7 +105,7 @@ def render(
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
     look_at: LookAt = None,
-    fov: Fov = 30.0,
+    fov: Fov = USUAL_FOV,
     orthographic: Orthographic = False,
     extent: Extent = None,
     up: Up = None,
@@ -133,6 +135,7 @@ def render(
     from prt_bake.renderer.state import asked_of, checkpoint_path
 
     is_scene = source.suffix.lower() == ".toml"
+    refuse_unseen_exposure(exposure, output, preview)
     if is_scene:
         _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)

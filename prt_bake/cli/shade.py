@@ -9,6 +9,7 @@ import typer
 from prt_bake.cli.options import (
     ANIMATION_SUFFIXES,
     IMAGE_SUFFIXES,
+    USUAL_FOV,
     Exposure,
     Extent,
     Eye,
@@ -24,6 +25,7 @@ from prt_bake.cli.options import (
     Up,
     optional_output,
     output_option,
+    refuse_unseen_exposure,
     within,
 )
 from prt_bake.cli.progress import Report, reporting, say
@@ -39,7 +41,7 @@ def shade(
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
     look_at: LookAt = None,
-    fov: Fov = 30.0,
+    fov: Fov = USUAL_FOV,
     orthographic: Orthographic = False,
     extent: Extent = None,
     up: Up = None,
@@ -95,6 +97,7 @@ def shade(
     from prt_bake.smaller_sky import rows_shown
 
     _refuse_useless(output, transparent, layers, turntable, error_picture, reflection, roughness)
+    refuse_unseen_exposure(exposure, output)
     if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
         raise typer.BadParameter("--frames and --seconds: are those of a turntable; add --turntable eye")
     baked = read_asset(asset)

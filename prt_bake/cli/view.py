@@ -10,6 +10,7 @@ import typer
 
 from formats.errors import QueryError, StorageError
 from prt_bake.cli.options import (
+    USUAL_FOV,
     Exposure,
     Eye,
     Fov,
@@ -66,7 +67,7 @@ def view(
     ] = None,
     eye: Eye = None,
     look_at: LookAt = None,
-    fov: Fov = 30.0,
+    fov: Fov = USUAL_FOV,
     rotate: Rotate = 0.0,
     exposure: Exposure = 0.0,
     up: Up = None,

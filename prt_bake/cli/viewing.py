@@ -2,7 +2,9 @@
 
 from typing import Any
 
-from prt_bake.cli.options import Point, Size
+import typer
+
+from prt_bake.cli.options import USUAL_FOV, Point, Size
 
 
 def camera_for(
@@ -15,7 +17,16 @@ def camera_for(
     orthographic: bool,
     extent: float | None,
 ) -> Any:
-    """The camera that these options ask for; an `extent` makes it orthographic."""
+    """The camera that these options ask for; an `extent` makes it orthographic.
+
+    Raises typer.BadParameter where an orthographic one is given a field of view.
+    """
+    parallel = orthographic or extent is not None
+    if parallel and fov != USUAL_FOV:
+        raise typer.BadParameter(
+            f"--fov: rays of an orthographic camera are parallel, they have no field of view; leave it out, or "
+            f"{'--orthographic' if extent is None else '--extent'}"
+        )
     from prt_bake import camera
 
     return camera.fit(
@@ -26,6 +37,6 @@ def camera_for(
         up=up,
         fov=fov,
         target=look_at,
-        orthographic=orthographic or extent is not None,
+        orthographic=parallel,
         extent=extent,
     )

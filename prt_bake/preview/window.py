@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.errors import PrtbakeError
+from formats.interrupts import noticed
 from prt_bake.preview import legend
 from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.overlay import SLIDERS, Overlay
@@ -42,6 +43,7 @@ class Window:
         self.overlay = Overlay(view.canvas.renderer, view.window.GetSize()[0])
         self._legend = self._bare = self._loading = False
         self._moved = self._said = -math.inf
+        self._interrupted: Callable[[], bool] = lambda: False
         self._interactor: Any = view.canvas.interactor
         self._drive()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.turn_to)
@@ -52,12 +54,14 @@ class Window:
         self._tell()
 
     def run(self) -> None:
-        """Show it until the user closes it."""
-        self._interactor.Initialize()
-        self.render()
-        self._preview.load_meanwhile()
-        self._interactor.CreateRepeatingTimer(TICK)
-        self._interactor.Start()
+        """Show it until the user closes it, by Ctrl-C too."""
+        # An interrupt that is raised among VTK's events ends the process there, with words of VTK's.
+        with noticed() as self._interrupted:
+            self._interactor.Initialize()
+            self.render()
+            self._preview.load_meanwhile()
+            self._interactor.CreateRepeatingTimer(TICK)
+            self._interactor.Start()
 
     def render(self) -> None:
         """Draw, with words and sliders brought up to date."""
@@ -65,9 +69,12 @@ class Window:
         self._tell_after()
 
     def tick(self) -> None:
-        """What the timer does: reads skies that have changed, takes off old messages, smooths what stands still and
-        meets its suns apart.
+        """What the timer does: closes after Ctrl-C, reads skies that have changed, takes off old messages, smooths what
+        stands still and meets its suns apart.
         """
+        if self._interrupted():
+            self._quit()
+            return
         now = time.monotonic()
         changed = self._preview.reread_lights()
         if not changed and self._preview.message and now - self._said > _SAID_FOR:
