@@ -15,7 +15,7 @@ from formats.chunk_reader import read_chunks, unpacks
 from formats.compact_file import read_compact
 from formats.compact_layout import GROUP, value_faults
 from formats.errors import AssetError
-from formats.hdf5_file import DAMAGE, first_line, open_hdf5
+from formats.hdf5_file import DAMAGE, Damage, damage, open_hdf5
 from formats.mesh import Mesh
 
 _BLOCK_BYTES = 2**26
@@ -47,7 +47,7 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
         file.close()
         if isinstance(cause, AssetError):
             raise
-        raise AssetError(f"{path}: is damaged: {first_line(cause)}; bake it again") from cause
+        raise AssetError(f"{path}: {damage(cause)}; copy or bake it again") from cause
     if load or GROUP in file:
         file.close()
     return asset
@@ -70,7 +70,7 @@ def check_asset(path: str | os.PathLike[str]) -> list[str]:
             if not faults:
                 faults.extend(_coefficient_faults(file))
         except DAMAGE as cause:
-            faults.append(f"is damaged: {first_line(cause)}")
+            faults.append(f"{damage(cause)}; copy or bake it again")
     return [f"{path}: {fault}" for fault in faults]
 
 
@@ -125,7 +125,16 @@ def _blocks(transfer: Any) -> Iterator[tuple[slice, NDArray[np.floating]]]:
     for start in range(0, len(valid), step):
         rows = slice(start, min(start + step, len(valid)))
         if valid[rows].any():
-            yield rows, dataset[rows]
+            yield rows, _block(dataset, rows)
+
+
+def _block(dataset: Any, rows: slice) -> NDArray[np.floating]:
+    try:
+        return np.asarray(dataset[rows])
+    except DAMAGE as cause:
+        if isinstance(cause, OSError) and cause.errno is not None:
+            raise
+        raise Damage(f"{dataset.name}: rows {rows.start} to {rows.stop - 1} cannot be unpacked") from cause
 
 
 def _coefficient_faults(file: Any) -> Iterator[str]:
@@ -134,15 +143,19 @@ def _coefficient_faults(file: Any) -> Iterator[str]:
         return
     transfer = file["transfer"]
     valid = transfer["valid"][...].astype(bool)
+    wrong = np.zeros(len(valid), np.bool_)
     for rows, block in _blocks(transfer):
-        yield from _unfit(valid[rows] & ~_finite(block), rows.start)
+        wrong[rows] = valid[rows] & ~_finite(block)
+    yield from _unfit(wrong)
 
 
-def _unfit(wrong: NDArray[np.bool_], first_row: int = 0) -> Iterator[str]:
-    """The fault of vertices [n], the first of which is `first_row`, that are wrong."""
+def _unfit(wrong: NDArray[np.bool_]) -> Iterator[str]:
+    """The fault of vertices [V] that are wrong."""
     if wrong.any():
-        first = first_row + int(wrong.argmax())
-        yield f"/transfer/coefficients: {wrong.sum()} vertices have NaN or infinite values, the first is vertex {first}"
+        yield (
+            f"/transfer/coefficients: {wrong.sum()} of {len(wrong)} vertices have NaN or infinite values, the first is "
+            f"vertex {wrong.argmax()}"
+        )
 
 
 def _finite(block: NDArray[np.floating]) -> NDArray[np.bool_]:

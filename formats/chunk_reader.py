@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.hdf5_file import Damage
+
 _GZIP_AND_SHUFFLE = (1, 2)
 """The numbers of HDF5's filters."""
 
@@ -32,15 +34,18 @@ def unpacks(dataset: Any) -> bool:
 def read_chunks(dataset: Any, rows: NDArray[np.floating], look: Callable[[slice], None]) -> None:
     """Fill `rows`, an array of zeros of the dataset's shape and type, and `look` at each part once it is there.
 
-    Chunks that were never written stay 0. `look` is called on several threads. Raises OSError for a chunk that is
-    damaged.
+    Chunks that were never written stay 0. `look` is called on several threads. Raises Damage (an OSError) for a chunk
+    that is damaged.
     """
     threads = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
     def fill(chunk: tuple[int, bytes]) -> None:
         first, packed = chunk
         part = slice(first, min(first + dataset.chunks[0], len(rows)))
-        _unpack(packed, math.prod(dataset.chunks), rows[part])
+        try:
+            _unpack(packed, math.prod(dataset.chunks), rows[part])
+        except (zlib.error, ValueError) as cause:
+            raise Damage(f"{dataset.name}: rows {part.start} to {part.stop - 1} cannot be unpacked") from cause
         look(part)
 
     with ThreadPoolExecutor(threads) as executor:
@@ -56,7 +61,7 @@ def _written(dataset: Any) -> Iterator[tuple[int, bytes]]:
         corner = dataset.id.get_chunk_info(number).chunk_offset
         left_out, packed = dataset.id.read_direct_chunk(corner)
         if left_out:
-            raise OSError(f"the chunk at row {corner[0]} lacks filters that the dataset has")
+            raise Damage(f"{dataset.name}: the chunk of row {corner[0]} is not packed as the others are")
         yield corner[0], packed
 
 
@@ -64,10 +69,7 @@ def _unpack(packed: bytes, count: int, rows: NDArray[np.floating]) -> None:
     """Fill the first rows of a chunk of `count` values."""
     kind = rows.dtype.itemsize
     bits = rows.reshape(-1).view(f"u{kind}")
-    try:
-        by_byte = np.frombuffer(zlib.decompress(packed, bufsize=count * kind), np.uint8).reshape(kind, count)
-    except (zlib.error, ValueError) as cause:
-        raise OSError(f"a chunk cannot be unpacked: {cause}") from cause
+    by_byte = np.frombuffer(zlib.decompress(packed, bufsize=count * kind), np.uint8).reshape(kind, count)
     # Shifted into place, which is many times as fast as copying bytes that lie apart.
     bits[...] = by_byte[0, : len(bits)]
     for place in range(1, kind):

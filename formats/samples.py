@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SamplesError
-from formats.hdf5_file import DAMAGE, first_line, open_hdf5
+from formats.hdf5_file import DAMAGE, damage, open_hdf5
 
 FORMAT = "prtbake samples"
 FORMAT_VERSION = "1.0"
@@ -89,7 +89,7 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
             faults = list(_layout_faults(file))
             samples = None if faults else _read(file)
         except DAMAGE as cause:
-            raise SamplesError(f"{path}: is damaged: {first_line(cause)}; sample it again") from cause
+            raise SamplesError(f"{path}: {damage(cause)}; copy or sample it again") from cause
     if samples is not None:
         faults = list(_value_faults(samples))
     if samples is None or faults:
@@ -113,7 +113,7 @@ def check_samples(path: str | os.PathLike[str]) -> list[str]:
             faults = list(_layout_faults(file))
             faults = faults or list(_value_faults(_read(file)))
         except DAMAGE as cause:
-            faults = [f"is damaged: {first_line(cause)}"]
+            faults = [f"{damage(cause)}; copy or sample it again"]
     return [f"{path}: {fault}" for fault in faults]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from test_formats_asset import make_asset
 
+from formats import asset_reader
 from formats.asset import AssetWriter, check_asset, read_asset, write_asset
 from formats.asset_sink import Sink
 from formats.errors import AssetError, StorageError
@@ -36,7 +37,8 @@ def test_an_asset_cut_anywhere_is_refused(tmp_path):
         (tmp_path / "cut.h5").write_bytes(whole[: len(whole) * tenth // 10])
         assert_refused(tmp_path / "cut.h5", "truncated" if tenth else "empty")
     (tmp_path / "cut.h5").write_bytes(whole[:-1])
-    assert_refused(tmp_path / "cut.h5", "truncated")
+    size = len(whole)
+    assert_refused(tmp_path / "cut.h5", f"cut.h5: is truncated: has {size - 1} bytes of {size}; copy or bake it again$")
 
 
 def test_a_damaged_chunk_is_refused(tmp_path):
@@ -47,7 +49,48 @@ def test_a_damaged_chunk_is_refused(tmp_path):
     middle = place.byte_offset + place.size // 2
     content[middle : middle + 40] = bytes(40)
     (tmp_path / "a.h5").write_bytes(content)
-    assert_refused(tmp_path / "a.h5", "is damaged")
+    where = "/transfer/coefficients: rows 0 to 29 cannot be unpacked"
+    assert_refused(tmp_path / "a.h5", f"a.h5: is damaged: {where}; copy or bake it again$")
+
+
+@pytest.mark.parametrize("place", ["open", "faults"])
+@pytest.mark.parametrize(
+    ("cause", "told"),
+    [
+        (OSError("Can't synchronously read data (filter returned failure during read)"), "is damaged"),
+        (RuntimeError("Unable to get group info (wrong B-tree signature)"), "is damaged"),
+        (
+            OSError(5, "[Errno 5] Can't synchronously read data (file read failed)"),
+            "cannot be read: Input/output error",
+        ),
+    ],
+)
+def test_a_damaged_file_is_told_in_words_of_ours(tmp_path, monkeypatch, place, cause, told):
+    write_asset(make_asset(3, 1, 4, 2), tmp_path / "a.h5")
+
+    def fail(*_: object) -> None:
+        raise cause
+
+    if place == "open":
+        monkeypatch.setattr(h5py, "File", fail)
+    else:
+        monkeypatch.setattr(asset_reader, "_faults", fail)
+    assert_refused(tmp_path / "a.h5", f"{told}.*; copy or bake it again$")
+    (fault,) = check_asset(tmp_path / "a.h5")
+    assert "synchronously" not in fault
+    assert "B-tree" not in fault
+
+
+def test_coefficients_that_are_all_nan_are_one_fault(tmp_path, monkeypatch):
+    monkeypatch.setattr(asset_reader, "_BLOCK_BYTES", 5000)
+    write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["transfer/valid"][:7] = 0
+        file["transfer/valid"][7:] = 1
+        file["transfer/coefficients"][...] = np.nan
+        assert len(list(asset_reader._blocks(file["transfer"]))) > 3
+    fault = "/transfer/coefficients: 23 of 30 vertices have NaN or infinite values, the first is vertex 7"
+    assert check_asset(tmp_path / "a.h5") == [f"{tmp_path / 'a.h5'}: {fault}"]
 
 
 def test_other_files_are_refused(tmp_path):
@@ -98,7 +141,7 @@ CHANGES = {
     ),
     r"/mesh/normals has shape \[4, 3\]": lambda file: put(file, "mesh/normals", np.zeros((4, 3), "f4")),
     r"/transfer/valid has shape \[4\]": lambda file: put(file, "transfer/valid", np.ones(4, "u1")),
-    "/transfer/coefficients: 1 vertices have NaN .* vertex 2": lambda file: changed(
+    "/transfer/coefficients: 1 of 5 vertices have NaN .* vertex 2": lambda file: changed(
         file, "transfer/coefficients", (2, 1, 0, 0), np.nan
     ),
     "/transfer/standard_error: 1 of 5 rows are negative or NaN, the first is row 4": lambda file: changed(
