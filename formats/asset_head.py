@@ -1,6 +1,7 @@
 """The head of an asset file: root attributes, mesh, basis and view bins."""
 
 import datetime
+import hashlib
 import importlib.metadata
 import json
 from typing import Any
@@ -65,6 +66,15 @@ def _write_mesh(group: Any, head: AssetHead) -> None:
         group.create_dataset("uv", data=_as(mesh.uv, "<f4"))
     if mesh.source_vertex is not None:
         group.create_dataset("source_vertex", data=_as(mesh.source_vertex, "<i4"))
+    group.attrs["sha256"] = mesh_digest(group)
+
+
+def mesh_digest(group: Any) -> str:
+    """SHA-256 of the origin, positions, normals, tangents and faces as the group /mesh of an asset keeps them."""
+    digest = hashlib.sha256(_as(group["positions"].attrs.get("origin", np.zeros(3)), "<f8").tobytes())
+    for name in ("positions", "normals", "tangents", "faces"):
+        digest.update(_as(group[name][...], "<u4" if name == "faces" else "<f4").tobytes())
+    return digest.hexdigest()
 
 
 def _as(values: NDArray[Any], kind: str) -> NDArray[Any]:

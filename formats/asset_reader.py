@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.asset_head import mesh_digest
 from formats.asset_layout import layout_faults, transfer_group
 from formats.asset_record import Asset
 from formats.chunk_reader import read_chunks, unpacks
@@ -68,6 +69,7 @@ def check_asset(path: str | os.PathLike[str]) -> list[str]:
         try:
             faults.extend(_faults(file))
             if not faults:
+                faults.extend(_mesh_faults(file["mesh"]))
                 faults.extend(_coefficient_faults(file))
         except DAMAGE as cause:
             faults.append(f"{damage(cause)}; copy or bake it again")
@@ -107,6 +109,13 @@ def _faults(file: Any) -> Iterator[str]:
         yield from _marked("selftest/vertex", outside, "of vertices that do not exist")
         for name in ("selftest/light", "selftest/outgoing", "selftest/radiance"):
             yield from _not_finite(file, name)
+
+
+def _mesh_faults(group: Any) -> Iterator[str]:
+    """Coefficients belong to vertices by their number alone: a mesh in another order would be shown without a word."""
+    told = group.attrs.get("sha256")
+    if told is not None and told != mesh_digest(group):
+        yield "/mesh: is not the one that was baked, or its vertices are in another order; bake it again"
 
 
 def _not_finite(file: Any, name: str) -> Iterator[str]:

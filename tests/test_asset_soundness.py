@@ -42,6 +42,31 @@ def test_what_an_asset_says_of_itself_is_looked_at(prtbake: Run, baked: Path, ch
     assert str(baked) in told
 
 
+@pytest.mark.parametrize("part", ["mesh", "positions", "faces", "origin"])
+def test_a_mesh_that_was_changed_inside_an_asset_is_a_fault(prtbake: Run, baked: Path, part: str) -> None:
+    """Of vertices that the self-test does not look at."""
+    with h5py.File(baked, "r+") as file:
+        mesh = file["mesh"]
+        first, second = np.setdiff1d(np.arange(len(mesh["positions"])), file["selftest/vertex"][...])[:2]
+        if part == "origin":
+            mesh["positions"].attrs["origin"] = [1e-6, 0.0, 0.0]
+        elif part == "faces":
+            mesh["faces"][...] = mesh["faces"][...][::-1]
+        for name in ("positions", "normals", "tangents") if part == "mesh" else ("positions",) * (part == "positions"):
+            rows = mesh[name][...]
+            rows[[first, second]] = rows[[second, first]]
+            mesh[name][...] = rows
+    outcome = prtbake("check", baked)
+    assert outcome.code == 1
+    assert "/mesh: is not the one that was baked, or its vertices are in another order" in outcome.out
+
+
+def test_an_asset_that_keeps_no_digest_of_its_mesh_is_sound(prtbake: Run, baked: Path) -> None:
+    with h5py.File(baked, "r+") as file:
+        del file["mesh"].attrs["sha256"]
+    assert prtbake("check", baked).code == 0
+
+
 def test_an_asset_without_a_selftest_is_sound_and_one_that_reproduces_it_too() -> None:
     asset = make_asset(ball(2))
     assert list(soundness_faults(asset)) == []
