@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from formats.errors import ImageError
 from formats.exr import Layers, read_exr, read_exr_layers, write_exr
-from formats.png import read_jpeg, read_png, read_png_levels, write_png
+from formats.png import read_jpeg, read_png, read_png_alpha, read_png_levels, write_png
 from formats.rgbe import read_rgbe, write_rgbe
 from formats.whole import existing, replacing
 
@@ -37,14 +37,17 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 
 def read_layers(path: str | os.PathLike[str]) -> Layers:
-    """Read an image with the layers beside it and the texts of its header; only `.exr` has any.
+    """Read an image with the layers beside it and the texts of its header.
 
-    A picture of `prtbake render` has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the object's share of
-    the pixel. Raises as `read_image`.
+    A picture of `prtbake render` (.exr) has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the object's
+    share of the pixel. The alpha of `.exr` and `.png` is the layer `A` [H,W]; the colour is as `read_image` has it.
+    Raises as `read_image`.
     """
-    if _suffix(path, "read", READABLE) == ".exr":
+    suffix = _suffix(path, "read", READABLE)
+    if suffix == ".exr":
         return read_exr_layers(existing(path))
-    return Layers(read_image(path), {}, {})
+    alpha = read_png_alpha(existing(path)) if suffix == ".png" else None
+    return Layers(read_image(path), {} if alpha is None else {"A": alpha}, {})
 
 
 def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:

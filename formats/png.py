@@ -29,6 +29,16 @@ def read_png(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     return to_linear(_pixels(path, "PNG", "RGB") / 255.0).astype(np.float32)
 
 
+def read_png_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
+    """Read the alpha of a PNG, float32 [H,W] from 0 to 1; None where it is opaque.
+
+    Raises:
+        ImageError: the file is no PNG, or truncated.
+    """
+    stored = _pixels(path, "PNG", "RGBA")[..., 3]
+    return None if stored.min(initial=255) == 255 else (stored / 255.0).astype(np.float32)
+
+
 def read_jpeg(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read a JPEG as linear float32 [H,W,3]; grey is repeated over the channels.
 

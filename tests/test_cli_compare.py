@@ -171,6 +171,34 @@ def test_noise_alone_breaks_no_bound_without_noise(prtbake: Run, noisy: tuple[Pa
     assert prtbake("compare", *noisy, "--fail-above", "noise_free.relative_rmse=0.05").code == 0
 
 
+def test_bounds_without_noise_are_broken_by_the_nearer_end_of_the_interval(
+    prtbake: Run, tmp_path: Path, noisy: tuple[Path, Path]
+) -> None:
+    other = save(tmp_path, "other.exr", 1.0 - picture(), np.full(SHAPE, 0.02), passes="8", seed="5", scene="ball")
+    free = json.loads(prtbake("compare", other, noisy[1], "--json").out)["noise_free"]
+    low, high = free["flip"]["low"], free["ssim"]["high"]
+    assert 0.0 < low < free["flip"]["value"]
+    said = sentence(prtbake("compare", other, noisy[1], "--fail-above", "noise_free.flip=0.001"), tmp_path)
+    assert f"other.exr: noise_free.flip is at least {low:.4g}, above 0.001 (--fail-above)" in said
+    said = sentence(prtbake("compare", other, noisy[1], "--fail-below", "noise_free.ssim=0.9999"), tmp_path)
+    assert f"other.exr: noise_free.ssim is at most {high:.4g}, below 0.9999 (--fail-below)" in said
+
+
+def test_squares_that_come_out_below_0_are_said_to_be_no_more_than_noise(prtbake: Run, tmp_path: Path) -> None:
+    """Unbiased, they are so for half of all pairs that differ by noise alone."""
+    sigma, below = 0.1, []
+    for seed in range(8):
+        drawn = sigma * np.random.default_rng([5, seed]).normal(size=SHAPE)
+        path = save(tmp_path, f"{seed}.exr", picture() + drawn, np.full(SHAPE, sigma), passes="8", seed=str(seed))
+        pair = path, save(tmp_path, "b.exr", picture())
+        value = json.loads(prtbake("compare", *pair, "--json").out)["noise_free"]["mse"]["value"]
+        (line,) = (line for line in prtbake("compare", *pair).out.splitlines() if line.startswith("mse "))
+        assert f"without noise {value:.4g} (" in line
+        assert line.endswith(", no more than noise") == (value < 0.0)
+        below.append(value < 0.0)
+    assert 0 < sum(below) < 8
+
+
 @pytest.mark.parametrize("text", ["flip", "flip=", "flip=much", "psnr=3", "flip=nan", "pixels=3"])
 def test_bounds_that_are_none_are_wrong_usage(prtbake: Run, pair: tuple[Path, Path], text: str) -> None:
     outcome = prtbake("compare", *pair, "--fail-above", text)

@@ -32,7 +32,12 @@ def compare(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help=".exr, .hdr, .png or .jpg.")],
     reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="What it should be, of the same size.")],
     mask: Annotated[
-        Path | None, typer.Option(metavar="M", help="Picture that is white where it counts.", show_default=False)
+        Path | None,
+        typer.Option(
+            metavar="M",
+            help="Picture that is white, or opaque where it has an alpha, where pixels count.",
+            show_default=False,
+        ),
     ] = None,
     exposure: Exposure = 0.0,
     hdr_exposures: Annotated[
@@ -75,21 +80,25 @@ def compare(
 
     Where pictures have an error layer, as those of `prtbake render` and `prtbake shade` (.exr), the figures are also
     estimated as they would be without that noise, each with the interval that holds it 95 times in 100. Says so where
-    only one of two pictures by `prtbake render` holds unscattered or reflected light.
+    only one of two pictures by `prtbake render` holds unscattered or reflected light. Pixels that are transparent in
+    both pictures do not count.
     """
-    from formats.image import read_image, read_layers
+    from formats.image import read_layers
     from prt_bake import comparison_sheet as sheet
     from prt_bake.comparison import checked
     from prt_bake.comparison import compare as measure
+    from prt_bake.picture_alpha import weighted
     from prt_bake.report import as_text
 
     bounds = Bounds.of(fail_above or [], fail_below or [])
-    layered, layered_reference = read_layers(image), read_layers(reference)
+    layered, layered_reference = (weighted(path, read_layers(path)) for path in (image, reference))
     ours, theirs = layered.image, layered_reference.image
-    chosen = None if mask is None else read_image(mask)
+    chosen = None if mask is None else _read_mask(mask)
     _refuse_other_sizes(image, ours, (reference, theirs), *([] if chosen is None else [(mask, chosen)]))
     for words in _remarks(image, reference, layered, layered_reference):
         say(words)
+    if chosen is None:
+        chosen = _mask_by_alpha(image, reference, layered, layered_reference)
     names = (str(image), str(reference), str(mask))
     found = measure(ours, theirs, chosen, exposure, hdr=True if hdr_exposures is None else hdr_exposures, names=names)
     errors = None if keep_noise else _errors(image, reference, layered, layered_reference)
@@ -126,6 +135,36 @@ def _refuse_other_sizes(image: Path, pixels: Any, *others: Any) -> None:
                 f"{image}: {w}x{h} where {path} is {width}x{height}; pictures are compared pixel by pixel, so bring "
                 "both to one size"
             )
+
+
+def _read_mask(path: Path) -> Any:
+    """The mask of a picture: its alpha where it has one, else its colour."""
+    from formats.image import read_layers
+    from prt_bake.picture_alpha import alpha_of
+
+    picture = read_layers(path)
+    alpha = alpha_of(picture)
+    if alpha is None:
+        return picture.image
+    say(f"{path}: its alpha channel is the mask; what is opaque counts")
+    return alpha
+
+
+def _mask_by_alpha(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> Any:
+    """The pixels that show something, where both pictures are transparent in some; says what is done with an alpha."""
+    from prt_bake.picture_alpha import alpha_of, seen_in_either
+
+    seen = seen_in_either(layered, layered_reference)
+    if seen is not None:
+        say(f"{(~seen).sum()} of {seen.size} pixels are transparent in both pictures, and do not count")
+        return seen
+    for path, picture in ((image, layered), (reference, layered_reference)):
+        if alpha_of(picture) is not None:
+            say(
+                f"{path}: its alpha channel is left out: what is transparent is black, and counts; --mask {path} "
+                "counts what is opaque alone"
+            )
+    return None
 
 
 def _remarks(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> Iterator[str]:
@@ -204,6 +243,8 @@ def _lines(told: dict[str, Any]) -> Iterator[str]:
 def _interval(free: dict[str, float] | None) -> str:
     if free is None:
         return ""
+    if free["value"] < 0.0 <= free["high"]:
+        return f" without noise {free['value']:.4g} ({free['low']:.4g} to {free['high']:.4g}), no more than noise"
     if free["low"] != free["low"]:
         return f" without noise {free['value']:.4g} (how far that is off cannot be told)"
     return f" without noise {free['value']:.4g} ({free['low']:.4g} to {free['high']:.4g})"
