@@ -1,6 +1,7 @@
 """The error of a baked picture, shown: each pixel's one sigma over its own radiance, in colours with a scale."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,10 @@ _PERCENTILE = 99.0
 _FLOOR = 1e-2
 """Of the object's mean radiance: darker pixels are held against that, their own ratio being of nothing."""
 _DOTS = 100
+_BESIDE, _ABOVE = 130, 40
+"""Pixels for the scale and the title."""
+_LEAST_ACROSS, _LEAST_DOWN = 390, 270
+"""Pixels that the words take: pixels of a small picture are drawn larger."""
 
 
 def relative_errors(picture: Picture, radiance: Array) -> Array:
@@ -35,6 +40,13 @@ def write_error_picture(path: str | Path, picture: Picture) -> None:
 
     Raises PrtbakeError where the extra `evaluate` is not installed, StorageError if the place cannot be written.
     """
+    figure = error_figure(picture)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=_DOTS, format="png")
+
+
+def error_figure(picture: Picture) -> Any:
+    """The figure that `write_error_picture` writes, of matplotlib's; raises PrtbakeError where that is missing."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -42,12 +54,12 @@ def write_error_picture(path: str | Path, picture: Picture) -> None:
 
     percent = 100.0 * relative_errors(picture, np.asarray(picture.layers["radiance"], np.float64))
     height, width = percent.shape
-    figure = Figure(figsize=((width + 130) / _DOTS, (height + 40) / _DOTS), dpi=_DOTS, layout="constrained")
+    across, down = max(width + _BESIDE, _LEAST_ACROSS), max(height + _ABOVE, _LEAST_DOWN)
+    figure = Figure(figsize=(across / _DOTS, down / _DOTS), dpi=_DOTS, layout="constrained")
     axes = figure.add_subplot()
     largest = float(np.nanpercentile(percent, _PERCENTILE)) or 1.0
     shown = axes.imshow(percent, cmap="viridis", vmin=0.0, vmax=largest, interpolation="nearest")
     axes.set_axis_off()
     figure.colorbar(shown, ax=axes, extend="max", label="one sigma, % of the radiance")
-    axes.set_title(f"{100.0 * picture.relative_error:.2g} % of the object's radiance in all", fontsize=9)
-    with replacing(path) as part:
-        figure.savefig(part, dpi=_DOTS, format="png")
+    figure.suptitle(f"{100.0 * picture.relative_error:.2g} % of the object's radiance in all", fontsize=9)
+    return figure

@@ -5,13 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import Run
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 from PIL import Image
 from shapes import ball
 from test_surface_gloss import glossy
 
 from formats.asset import write_asset
 from formats.image import read_image, read_layers
-from prt_bake.error_picture import relative_errors
+from prt_bake.error_picture import error_figure, relative_errors
 from prt_bake.shading import Picture
 
 
@@ -187,6 +189,26 @@ def test_the_error_of_every_pixel_is_shown(prtbake: Run, tmp_path: Path, polishe
     shown = np.asarray(Image.open(tmp_path / "error.png").convert("RGB")).reshape(-1, 3)
     assert len(np.unique(shown, axis=0)) > 20
     assert prtbake("shade", polished, *words, "--error-picture", tmp_path / "error.exr").code == 1
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (64, 64), (400, 20), (20, 400), (320, 240)])
+def test_words_of_an_error_picture_lie_within_it(size: tuple[int, int]) -> None:
+    width, height = size
+    nothing = np.ones((height, width, 3), np.float32)
+    layers = {"radiance": nothing}
+    picture = Picture(nothing, nothing[..., 0], 0.0, 1, 0.0, 0.0, 0.111 * nothing, 0.111, layers)
+    figure = error_figure(picture)
+    FigureCanvasAgg(figure).draw()
+    words = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    assert {"11 % of the object's radiance in all", "one sigma, % of the radiance"} <= {w.get_text() for w in words}
+    for text in words:
+        box, around = text.get_window_extent(), figure.bbox
+        assert box.x0 >= around.x0
+        assert box.y0 >= around.y0
+        assert box.x1 <= around.x1
+        assert box.y1 <= around.y1
+    image = figure.axes[0].get_window_extent()
+    assert min(image.width / width, image.height / height) >= 0.95  # a pixel of the picture is one of the figure's
 
 
 def test_relative_errors_are_sigma_over_radiance_and_dark_pixels_are_held_against_the_mean() -> None:
