@@ -50,6 +50,30 @@ def test_where_there_is_no_end_no_share_is_shown(monkeypatch: pytest.MonkeyPatch
     assert {share for share, _words, _left in seen} == {None}
 
 
+def test_what_is_left_is_foretold_by_what_was_done_since_the_first_share(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A minute of compiling, and half of the work done by an earlier run: neither says how fast it goes on."""
+    clock = [100.0]
+    monkeypatch.setattr("prt_bake.cli.progress.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("prt_bake.cli.progress.PLAIN_INTERVAL", 0.0)
+    with reporting("render") as show:
+        show(0.0, "begun")
+        clock[0] += 60.0
+        for after, share in ((0.0, 0.5), (1.0, 0.51), (4.0, 0.55), (5.0, 0.6), (15.0, 0.75)):
+            clock[0] += after
+            show(share, "done")
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "render: 0% begun",
+        "render: 50% done",
+        "render: 51% done",  # too soon to tell
+        "render: 55% done, 45 s left",
+        "render: 60% done, 40 s left",
+        "render: 75% done, 25 s left",
+    ]
+
+
 def test_lines_without_a_share_have_no_percentage(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

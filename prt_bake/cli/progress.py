@@ -15,6 +15,8 @@ PLAIN_INTERVAL = 5.0
 """Seconds between two lines where there is no terminal."""
 
 
+SETTLING = 2.0
+"""Seconds of work before it is foretold how long it still takes."""
 NEARLY = 0.99
 """Share of a bake that it does not exceed before its end: a further pass may follow, and the asset is to be written."""
 
@@ -39,15 +41,32 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
 
     first: what the bar says is done before there is anything to tell.
     """
-    began = time.monotonic()
+    pace = _Pace()
     with _bar(label, first) if sys.stderr.isatty() else _lines(label) as show:
 
         def report(share: float | None, words: str, left: float | None = None) -> None:
             if left is None and share:
-                left = (time.monotonic() - began) * (1.0 - share) / share
+                left = pace.left(share)
             show(share, words, "" if left is None else f"{in_words(left)} left")
 
         yield report
+
+
+class _Pace:
+    """How long work still takes by how its share has grown since it was first told: what was before, such as loading,
+    compiling or the share of an earlier run, is no measure of what is to come.
+    """
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+
+    def left(self, share: float) -> float | None:
+        """Seconds; None where there is too little to go by."""
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now, share
+        since, grown = now - self._first[0], share - self._first[1]
+        return since * (1.0 - share) / grown if since >= SETTLING and grown > 0.0 else None
 
 
 def bake_progress(show: Report) -> Callable[[int, int, "Standing"], None]:
