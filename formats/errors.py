@@ -1,5 +1,7 @@
 """Every fault that a user can cause, each told in one clear sentence."""
 
+import os
+
 
 class PrtbakeError(Exception):
     """A fault that a user can cause; `str()` says which file, where, expected, found, what to do."""
@@ -47,3 +49,9 @@ class StorageError(PrtbakeError, OSError):
 
 class ClusterError(PrtbakeError, RuntimeError):
     """A cluster that cannot be reached, that has gone, or whose workers are not fit for the work."""
+
+
+def refuse_path(name: str, value: object, reader: str) -> None:
+    """Raise QueryError where the argument `name` is a path instead of what `reader` makes of it."""
+    if isinstance(value, str | os.PathLike):
+        raise QueryError(f"{name}: the path {os.fspath(value)} where what it holds is expected; use {reader}(path)")

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from bakers.crew import Crew, Threads
 from bakers.transport import on_mesh, up_to, way_in
 from formats.asset import Asset
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
 from formats.whole import refuse_unwritable
 from prt_bake import sphere
@@ -111,6 +111,8 @@ def bake(
         ClusterError: the scheduler cannot be reached or has gone, its workers are not fit, or died over and over.
     """
     began = time.monotonic()
+    refuse_path("transport", transport, "prt.load_model")
+    refuse_path("mesh", mesh, "prt.read_mesh")
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
         workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,

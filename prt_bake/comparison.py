@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from prt_bake.flip import Exposures, evaluate_extra, exposures_between, flip_map, hdr_flip_map, paper_exposures
 
 Array = NDArray[np.float64]
@@ -148,6 +148,7 @@ def displayed(image: Array) -> Array:
 
 
 def _picture(image: ArrayLike, name: str) -> Array:
+    refuse_path(name, image, "prt.read_image")
     pixels = np.asarray(image, np.float64)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size:
         raise QueryError(f"compare: {name} is of shape {list(pixels.shape)} where [H, W, 3] is expected")

@@ -16,7 +16,7 @@ from bakers.compression import Trial, forms, quantised, tried, untransformed
 from formats.asset import Asset, read_asset
 from formats.compact_file import Sparse, coarse, joined, sparse, write_compact
 from formats.compact_record import AddedError, CompactCoefficients
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.whole import replacing
 from prt_bake import sphere
 from prt_bake.reconstruction import reconstruct
@@ -75,6 +75,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
 
     Raises QueryError for an error out of 10⁻⁶ to 1, or an asset that is compact already.
     """
+    refuse_path("asset", asset, "prt.read_asset")
     if not LEAST_ERROR <= error < 1.0:
         raise QueryError(f"error: must be a relative RMSE from {LEAST_ERROR:g} to below 1, found {error:g}")
     if isinstance(asset.coefficients, CompactCoefficients):

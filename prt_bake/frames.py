@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.compact_record import CompactCoefficients
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
 from prt_bake import frame_codes, frame_holding, frame_kernels
 from prt_bake.environment import rotate_light
@@ -41,6 +41,7 @@ class Frames:
 
     def __init__(self, asset: Asset) -> None:
         """Read an asset's coefficients into memory where they are not. Raises QueryError where no vertex is valid."""
+        refuse_path("asset", asset, "prt.read_asset")
         if not asset.valid.any():
             raise QueryError(
                 "asset: no vertex was baked, there is nothing to draw; bake it again (--resume finishes a partial bake)"

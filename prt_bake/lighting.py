@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.errors import LightError, QueryError
+from formats.errors import LightError, QueryError, refuse_path
 from formats.image import READABLE
 from formats.lights import SPHERE, SUN, DirectionalLight, SkyLight, SphereLight, parse_sphere, parse_sun, read_lights
 from formats.mesh import Mesh
@@ -86,7 +86,7 @@ class Lighting:
 
 
 def read_lighting(
-    lights: Iterable[str | Path],
+    lights: str | Path | Iterable[str | Path],
     up: str = "y",
     rotate: float = 0.0,
     *,
@@ -96,7 +96,7 @@ def read_lighting(
     most_rows: int | None = None,
     degree: int = 2,
 ) -> Lighting:
-    """Read lights: lat-long pictures, lights files (.toml), `sun:x,y,z[:r,g,b][:degrees]` and
+    """Read one light or several: lat-long pictures, lights files (.toml), `sun:x,y,z[:r,g,b][:degrees]` and
     `sphere:x,y,z:radius[:r,g,b]`, all turned by `rotate`.
 
     `mend` and `say` are those of `environment.open_environment`. `mesh` is the object, which sphere lights are taken as
@@ -113,7 +113,7 @@ def read_lighting(
             say(f"{name}: is black: it gives no light")
         suns.append(sun)
 
-    for light in lights:
+    for light in [lights] if isinstance(lights, str | Path) else lights:
         if str(light).startswith(("sun:", "sphere:")):
             parse = parse_sun if str(light).startswith("sun:") else parse_sphere
             add(parse(str(light)), f"--light {light}")
@@ -162,6 +162,7 @@ def as_lighting(light: ArrayLike | Lighting, up: str, rotate: float) -> Lighting
     """A lat-long picture [H,W,3] as a lighting, or a lighting as it is, turned by `rotate` degrees about `up`."""
     if isinstance(light, Lighting):
         return light.turned(rotate, up)
+    refuse_path("light", light, "prt.read_lighting")
     image = np.asarray(light, np.float32)
     environment.check(image, "light")
     return Lighting((Sky(image, up, environment.rotation(rotate, up)),))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
@@ -74,6 +74,7 @@ def render_scene(
     """
     if shown not in SHOWS:
         raise QueryError(f"shown: expected {', '.join(map(repr, SHOWS))}, found {shown!r}")
+    refuse_path("scene", scene, "prt.load_scene")
     ending = Ending(spp, error, minutes, stop)
     refuse_eye_in_object(scene.mesh, camera.eye)
     lighting = as_lighting(light, up or scene.up, rotate)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from prt_bake.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.picture_layers import layers_of
@@ -80,6 +80,7 @@ def render_picture(
     inside it; and for a reflection whose roughness nobody says.
     """
     begun = time.perf_counter()
+    refuse_path("asset", asset, "prt.read_asset")
     if samples < 1:
         raise QueryError(f"samples: {samples} where at least 1 a pixel side is expected")
     refuse_eye_in_object(asset.mesh, camera.eye)

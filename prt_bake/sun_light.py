@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.compact_record import CompactCoefficients
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.lights import DirectionalLight
 from prt_bake.deringing import windowed
 from prt_bake.light_harmonics import project_lighting
@@ -52,6 +52,7 @@ class SunsApart:
 
 def suns_apart(lighting: Lighting, degree: int, treatment: SunTreatment = "split") -> SunsApart:
     """Divide a lighting for an asset of a degree; raises QueryError for an unknown treatment."""
+    refuse_path("lighting", lighting, "prt.read_lighting")
     if treatment not in get_args(SunTreatment):
         raise QueryError(f"suns: expected {', '.join(map(repr, get_args(SunTreatment)))}, found {treatment!r}")
     # A single harmonic cannot ring.

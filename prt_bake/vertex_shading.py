@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.lights import DirectionalLight
 from prt_bake import sh, sphere
 from prt_bake.camera import refuse_eye_in_object
@@ -42,6 +42,11 @@ def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike, *, suns: Sequen
     another shape or not finite, for an eye on the object or inside it, for suns on an asset made for one light, and for
     an asset without any baked vertex.
     """
+    refuse_path("asset", asset, "prt.read_asset")
+    if isinstance(suns, str):
+        raise QueryError(
+            f"suns: {suns!r} where directional lights are expected: `.suns` of what prt.suns_apart returns"
+        )
     return shade_vertices(asset, light, eye, suns=suns).radiance
 
 

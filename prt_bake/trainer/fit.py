@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from formats.errors import QueryError
+from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.trainer.ahead import Ahead
@@ -71,6 +71,7 @@ def train(
     Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and where the loss stops being
     finite, naming the query; SamplesError for a file that is damaged or of another scene.
     """
+    refuse_path("scene", scene, "prt.load_scene")
     if minutes <= 0 or (steps is not None and steps < 1):
         raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")
     if synchronous and steps is None:

@@ -1,0 +1,47 @@
+"""Where a path is handed in for what it holds, the sentence says what reads it."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from shapes import ball
+from test_shading import constant, front, make_asset
+
+import prt_bake as prt
+from formats.errors import QueryError
+
+ASSET = make_asset(ball(2))
+LIGHT = np.zeros((9, 3))
+
+
+@pytest.mark.parametrize(
+    ("call", "name", "reader"),
+    [
+        (lambda: prt.shade("spot.h5", LIGHT, [0, 0, 9]), "asset", "read_asset"),
+        (lambda: prt.render_picture("spot.h5", constant(), front()), "asset", "read_asset"),
+        (lambda: prt.render_picture(ASSET, "sky.hdr", front()), "light", "read_lighting"),
+        (lambda: prt.Frames("spot.h5"), "asset", "read_asset"),
+        (lambda: prt.compress("spot.h5", 0.01), "asset", "read_asset"),
+        (lambda: prt.suns_apart("sky.hdr", 2), "lighting", "read_lighting"),
+        (lambda: prt.compare("a.exr", constant()), "image", "read_image"),
+        (lambda: prt.compare(constant(), "b.exr"), "reference", "read_image"),
+        (lambda: prt.bake("spot.pt", ASSET.mesh), "transport", "load_model"),
+        (lambda: prt.bake(lambda *_: None, "spot.obj"), "mesh", "read_mesh"),
+        (lambda: prt.render_scene("spot.toml", constant(), front()), "scene", "load_scene"),
+        (lambda: prt.train("spot.toml"), "scene", "load_scene"),
+    ],
+)
+def test_a_path_in_place_of_what_it_holds(call: Callable[[], object], name: str, reader: str) -> None:
+    with pytest.raises(QueryError, match=rf"{name}.*: the path .* use prt\.{reader}\(path\)$"):
+        call()
+    assert reader in prt.__all__
+
+
+def test_a_treatment_in_place_of_suns() -> None:
+    with pytest.raises(QueryError, match=r"suns: 'split' where directional lights are expected.*suns_apart"):
+        prt.shade(ASSET, LIGHT, [0, 0, 9], suns="split")
+
+
+def test_one_light_need_not_stand_in_a_list() -> None:
+    one, listed = prt.read_lighting("sun:0,1,0"), prt.read_lighting(["sun:0,1,0"])
+    np.testing.assert_array_equal(one.suns[0].direction, listed.suns[0].direction)
