@@ -5,7 +5,7 @@ whole; the rest of the difference is kept as spherical harmonics, which makes th
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bakers.in_order import in_order
 from formats.image_rows import ImageRows, rows_of
 from prt_bake import environment, sh, sky_kernels, sky_waves
+from prt_bake.line_means import line_means, zone
 
 Array = NDArray[np.float64]
 
@@ -58,8 +59,8 @@ class _Copy:
     """An image [h,w,3] each of whose rows is the mean of rows of a picture, summed in one order however they come."""
 
     def __init__(self, rows: ImageRows, height: int, width: int) -> None:
-        self._down = _means(rows.height, height, _zone)
-        self._across = _means(rows.width, width, np.subtract)
+        self._down = line_means(rows.height, height, zone)
+        self._across = line_means(rows.width, width, np.subtract)
         self._sums = np.zeros((3, rows.width + self._across.shares.shape[1]))
         self.image = np.empty((height, width, 3), np.float32)
 
@@ -101,36 +102,3 @@ class _Copy:
         begins, ends, shares = self._down
         begin, end = max(int(begins[row]), first), min(int(ends[row]), first + planes.rows)
         sky_kernels.add_rows(planes, begin - first, shares[row, begin - begins[row] : end - begins[row]], self._sums)
-
-
-class _Means(NamedTuple):
-    """The fine parts of a line that each of its coarse ones meets, from begins to ends [coarse], and their shares in
-    its mean [coarse, most of them up to a multiple of 4], 0 beyond the end.
-    """
-
-    begins: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    shares: Array
-
-
-def _means(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> _Means:
-    """Shares of `fine` equal parts of a line in the mean over each of `coarse` parts, by the measure of what they have
-    in common.
-
-    measure: of stretches between ends [S] and beginnings [S], as parts of the line.
-    """
-    cuts = np.union1d(np.arange(fine + 1) * coarse, np.arange(coarse + 1) * fine)  # in parts of fine · coarse, exact
-    begins, ends = cuts[:-1], cuts[1:]
-    within, part = begins // fine, begins // coarse
-    size = measure(ends / (fine * coarse), begins / (fine * coarse))
-    size /= np.bincount(within, size)[within]
-    count = np.bincount(within)
-    first = part[np.cumsum(count) - count]
-    shares = np.zeros((coarse, -(-int(count.max()) // 4) * 4))
-    shares[within, part - first[within]] = size
-    return _Means(first, first + count, shares)
-
-
-def _zone(end: Array, begin: Array) -> Array:
-    """Solid angle, up to a factor, between two parts of the way from pole to pole."""
-    return np.asarray(np.sin(math.pi * 0.5 * (begin + end)) * np.sin(math.pi * 0.5 * (end - begin)))

@@ -12,6 +12,7 @@ its pixels. The sums are therefore exact: residual and suns have the energy of t
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from formats.lights import DirectionalLight
 from prt_bake import environment
 from prt_bake.bright_regions import Region, small_regions
 from prt_bake.lighting import Lighting, Sky
+from prt_bake.line_means import LineMeans, line_means, zone
 
 Array = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ SMALLEST_SHARE = 0.02
 WIDEST = 12.0
 """Diameter in degrees of the widest disc that is a sun."""
 _CELLS = (128, 256)
-_BLOCK_BYTES = 8 << 20
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,14 +92,12 @@ class _Grid:
 def _grid_of(image: NDArray[np.float32]) -> _Grid:
     height, width = image.shape[:2]
     rows, columns = min(height, _CELLS[0]), min(width, _CELLS[1])
-    heights = _heights(height)
-    row_shares = _overlaps(heights, _heights(rows))
-    column_shares = _overlaps(np.arange(width + 1) / width, np.arange(columns + 1) / columns)
-    grey = np.zeros((rows, columns))
-    step = max(1, _BLOCK_BYTES // (8 * 3 * width))
-    for start in range(0, height, step):
-        block = image[start : start + step].mean(axis=2, dtype=np.float64)
-        grey += row_shares[:, start : start + step] @ (block @ column_shares.T)
+    across = line_means(width, columns, np.subtract)
+    # Beyond the end of a cell a column that is there is read, and counts 0.
+    places = np.minimum(across.begins[:, None] + np.arange(across.shares.shape[1]), width - 1)
+    grey = np.empty((rows, columns))
+    for row, line in enumerate(_lines(image, line_means(height, rows, zone))):
+        grey[row] = (line[places] * across.shares).sum(axis=1)
     direction, solid_angle = _cell_directions(np.arange(rows), np.arange(columns), (rows, columns))
     return _Grid(
         grey,
@@ -108,16 +108,19 @@ def _grid_of(image: NDArray[np.float32]) -> _Grid:
     )
 
 
-def _heights(rows: int) -> Array:
-    """1 − cos θ over 2 at the edges of rows [rows + 1], by the half angle: it keeps its digits at the pole."""
-    return np.sin(0.5 * math.pi * np.arange(rows + 1) / rows) ** 2
-
-
-def _overlaps(fine: Array, coarse: Array) -> Array:
-    """The share [C,F] of each coarse interval that each fine one covers; both are given by their edges."""
-    upper = np.minimum(fine[None, 1:], coarse[1:, None])
-    lower = np.maximum(fine[None, :-1], coarse[:-1, None])
-    return np.asarray(np.maximum(upper - lower, 0.0) / np.diff(coarse)[:, None])
+def _lines(image: NDArray[np.float32], down: LineMeans) -> Iterator[Array]:
+    """For each coarse row of `down`, the mean of an image [H,W,3] over it and over channels [W]."""
+    width = image.shape[1]
+    # Rows are widened while they stay in the processor's cache, and summed before channels are: along memory.
+    step = max(1, _BLOCK_BYTES // (8 * 3 * width))
+    wide = np.empty((step, width, 3))
+    for begin, end, shares in zip(*down, strict=True):
+        line = np.zeros(3 * width)
+        for start in range(begin, end, step):
+            count = min(step, end - start)
+            wide[:count] = image[start : start + count]
+            line += shares[start - begin : start - begin + count] @ wide[:count].reshape(count, 3 * width)
+        yield line.reshape(width, 3).sum(axis=1) / 3.0
 
 
 def _cell_directions(

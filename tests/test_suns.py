@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from formats.lights import DirectionalLight
-from prt_bake import environment, sphere
+from prt_bake import environment, sphere, suns
 from prt_bake.bright_regions import small_regions
 from prt_bake.lighting import Lighting, Sky
 from prt_bake.suns import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
@@ -53,6 +53,25 @@ def angle(a, b) -> float:
 
 
 SUNNY = clouds(512) + disc(512, (0.3, 0.6, -0.5), 1.2, (9e4, 8e4, 6e4)) + disc(512, (-1, 0.2, 0.1), 5.0, (600, 300, 90))
+
+
+def overlaps(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+    """The share [C,F] of each coarse interval that each fine one covers; both are given by their edges."""
+    common = np.minimum(fine[None, 1:], coarse[1:, None]) - np.maximum(fine[None, :-1], coarse[:-1, None])
+    return np.maximum(common, 0.0) / np.diff(coarse)[:, None]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 700), (128, 256), (300, 31), (129, 257), (1000, 1999)])
+def test_cells_are_means_over_solid_angle(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int]) -> None:
+    """Of all pixels at once, in more digits; whatever share of a cell's rows is read at a time."""
+    image = np.random.default_rng(5).random((*shape, 3), np.float32)
+    height, width = (np.arange(size + 1).astype(np.longdouble) / size for size in shape)
+    rows, columns = (np.arange(n + 1).astype(np.longdouble) / n for n in (min(shape[0], 128), min(shape[1], 256)))
+    down = overlaps(np.sin(height * np.pi / 2) ** 2, np.sin(rows * np.pi / 2) ** 2)
+    expected = down @ image.mean(axis=2, dtype=np.longdouble) @ overlaps(width, columns).T
+    for size in (1, suns._BLOCK_BYTES):
+        monkeypatch.setattr(suns, "_BLOCK_BYTES", size)
+        np.testing.assert_allclose(suns._grid_of(image).grey, expected.astype(np.float64), rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(512, 1024), (256, 512), (200, 300), (90, 777)])
