@@ -7,6 +7,8 @@ over the sphere needs of its pixels: [H, 3, 2·degree + 1], m from −degree to 
 import math
 from collections.abc import Generator
 from contextlib import closing
+from functools import cache
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,18 +90,23 @@ def _by_matrices(rows: ImageRows, azimuth: Array) -> Generator[Part, None, None]
 
 
 def _by_kernels(rows: ImageRows, azimuth: Array) -> Generator[Part, None, None]:
-    from prt_bake import sky_kernels
+    from prt_bake import sky_kernels, sky_strips
+
+    degree, whole = len(azimuth) // 2, sky_strips.fits(rows.width)
+    strips = sky_strips.strip_waves(rows.width, degree)
 
     def sum_up(numbered: tuple[int, Block]) -> Part:
-        first, block = numbered
-        return first, sky_kernels.row_waves(sky_kernels.as_planes(block), azimuth)
+        first, planes = numbered[0], sky_kernels.as_planes(numbered[1])
+        if whole:
+            return first, sky_strips.row_waves(planes, strips, degree)
+        return first, sky_kernels.row_waves(planes, azimuth)
 
     return in_order(sum_up, rows.blocks(), sky_kernels.THREADS)
 
 
 def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> Array:
     """∫ (√2) P̂_l^|m|(cosθ) sinθ dθ over each of the `rows` of `height` in all: [rows, K], index l(l+1)+m."""
-    nodes, weights = np.polynomial.legendre.leggauss(_node_count(height, degree))
+    nodes, weights = _nodes(_node_count(height, degree))
     theta = (math.pi / height) * (rows[:, None] + 0.5 + 0.5 * nodes)
     sin_theta = np.sin(theta)
     meridian = np.stack([sin_theta, np.zeros_like(theta), np.cos(theta)], axis=-1)
@@ -109,10 +116,17 @@ def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> Arra
     return np.asarray(np.einsum("hn,hnk->hk", measure, sh.evaluate(meridian, degree))[:, zenith])
 
 
-def _node_count(height: int, degree: int) -> int:
-    """Gauss–Legendre nodes that integrate waves of frequency up to degree + 1 over π/height to rounding.
+@cache
+def _nodes(number: int) -> tuple[Array, Array]:
+    """Gauss–Legendre nodes and weights, which take longer to find than to use."""
+    nodes, weights = np.polynomial.legendre.leggauss(number)
+    return nodes, weights
 
-    The error of n nodes falls as (e x / 4n)^2n, x = (degree + 1)·π/(2·height) half the phase across a row; for
-    n = 10 + x it stays below 1e-18.
+
+def _node_count(height: int, degree: int) -> int:
+    """The fewest Gauss–Legendre nodes that integrate waves of frequency up to degree + 1 over π/height to rounding.
+
+    The error of n nodes falls as (e x / 4n)^2n, x = (degree + 1)·π/(2·height) half the phase across a row.
     """
-    return 10 + math.ceil((degree + 1) * math.pi / (2 * height))
+    phase = (degree + 1) * math.pi / (2 * height)
+    return next(n for n in count(1) if (math.e * phase / (4 * n)) ** (2 * n) < 1e-18)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from bakers.in_order import in_order
 from formats.image_rows import ImageRows, rows_of
-from prt_bake import environment, sh, sky_kernels, sky_waves
+from prt_bake import environment, sh, sky_kernels, sky_strips, sky_waves
 from prt_bake.line_means import line_means, zone
 
 Array = NDArray[np.float64]
@@ -34,16 +34,9 @@ def shrink(rows: ImageRows, height: int, degree: int, up: str) -> tuple[NDArray[
     the whole, K = (degree + 1)², are those of the copy and these. Raises ImageError where the picture does.
     """
     to_object = sh.rotation(environment.from_polar(up), degree)
-    copy = _Copy(rows, height, max(1, round(rows.width * height / rows.height)))
-    azimuth = sky_waves.azimuth_integrals(rows.width, degree)
-
-    def take_in(piece: _Piece) -> sky_waves.Part:
-        copy.fill_within(piece)
-        return piece.first, sky_kernels.row_waves(piece.planes, azimuth)
-
-    whole = sky_waves.gathered(rows, in_order(take_in, copy.pieces(rows), sky_kernels.THREADS))
-    small = sky_waves.of_picture(rows_of(copy.image), degree, large=True)
-    return copy.image, to_object @ (sky_waves.harmonics(whole) - sky_waves.harmonics(small))
+    copy = _Copy(rows, height, max(1, round(rows.width * height / rows.height)), degree)
+    whole = sky_waves.gathered(rows, in_order(copy.fill_within, copy.pieces(rows), sky_kernels.THREADS))
+    return copy.image, to_object @ (sky_waves.harmonics(whole) - sky_waves.harmonics(copy.coefficients()))
 
 
 class _Piece(NamedTuple):
@@ -58,11 +51,21 @@ class _Piece(NamedTuple):
 class _Copy:
     """An image [h,w,3] each of whose rows is the mean of rows of a picture, summed in one order however they come."""
 
-    def __init__(self, rows: ImageRows, height: int, width: int) -> None:
-        self._down = line_means(rows.height, height, zone)
-        self._across = line_means(rows.width, width, np.subtract)
+    def __init__(self, rows: ImageRows, height: int, width: int, degree: int) -> None:
+        self._degree = degree
+        self._down, self._across = line_means(rows.height, height, zone), line_means(rows.width, width, np.subtract)
         self._sums = np.zeros((3, rows.width + self._across.shares.shape[1]))
+        self._azimuth = sky_waves.azimuth_integrals(rows.width, degree)
+        self._in_strips = sky_strips.fits(rows.width)
+        self._strips, self._own = sky_strips.strip_waves(rows.width, degree), sky_strips.copy_of(self._across, degree)
+        self._coefficients = np.zeros((height, 3, 2 * degree + 1))
         self.image = np.empty((height, width, 3), np.float32)
+
+    def coefficients(self) -> Array:
+        """Those of the image's rows, once they are filled."""
+        if self._in_strips and self._own.half:
+            return self._coefficients
+        return sky_waves.of_picture(rows_of(self.image), self._degree, large=True)
 
     def pieces(self, rows: ImageRows) -> Iterator[_Piece]:
         """The picture's blocks. Rows of the copy that lie across blocks are filled here, from block to block."""
@@ -72,8 +75,7 @@ class _Copy:
             if self._begun(row, first):
                 self._add(row, first, planes)
                 if down.ends[row] <= last:
-                    sky_kernels.mean_columns(self._sums, self._across.begins, self._across.shares, self.image[row])
-                    self._sums[:] = 0.0
+                    self._fill(row)
                     row += 1
             end = max(row, int(np.searchsorted(down.ends, last, "right")))
             yield _Piece(first, planes, row, end)
@@ -81,18 +83,27 @@ class _Copy:
             if self._begun(row, last) and not self._begun(row, first):
                 self._add(row, first, planes)
 
-    def fill_within(self, piece: _Piece) -> None:
-        """The rows that lie within a piece; on any thread."""
+    def fill_within(self, piece: _Piece) -> sky_waves.Part:
+        """Fill the rows that lie within a piece, and return the coefficients of the piece's; on any thread."""
         within, (begins, ends, shares) = slice(piece.begin, piece.end), self._down
-        sky_kernels.mean_rows(
-            piece.planes,
-            begins[within] - piece.first,
-            ends[within] - piece.first,
-            shares[within],
-            self._across.begins,
-            self._across.shares,
-            self.image[within],
-        )
+        rows = begins[within] - piece.first, ends[within] - piece.first, shares[within]
+        if self._in_strips:
+            own = self._own, self.image[within], self._coefficients[within]
+            waves = sky_strips.waves_and_means(piece.planes, self._strips, self._degree, *rows, *own)
+        else:
+            across = self._across.begins, self._across.shares
+            sky_kernels.mean_rows(piece.planes, *rows, *across, self.image[within])
+            waves = sky_kernels.row_waves(piece.planes, self._azimuth)
+        return piece.first, waves
+
+    def _fill(self, row: int) -> None:
+        """Fill a row from its sums, which are then 0 again."""
+        if self._in_strips:
+            own = self.image[row], self._coefficients[row : row + 1]
+            sky_strips.shrink_line(self._sums, len(self._azimuth[0]), self._own, self._degree, *own)
+        else:
+            sky_kernels.mean_columns(self._sums, self._across.begins, self._across.shares, self.image[row])
+        self._sums[:] = 0.0
 
     def _begun(self, row: int, place: int) -> bool:
         return row < len(self.image) and bool(self._down.begins[row] < place)

@@ -15,12 +15,12 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic
+from numba.extending import intrinsic as _numbas
 from numpy.typing import NDArray
 
 # They carry no types.
-_untyped: Any = cgutils
-_several: Any = types.UniTuple
+untyped: Any = cgutils
+several: Any = types.UniTuple
 _FLOAT, _HALF, _BYTE = ir.FloatType(), ir.HalfType(), ir.IntType(8)
 _DOUBLE = ir.DoubleType()
 _SHORT, _INT, _LONG = ir.IntType(16), ir.IntType(32), ir.IntType(64)
@@ -32,9 +32,9 @@ _EIGHT = 8
 _EIGHT_DOUBLES = ir.VectorType(_DOUBLE, _EIGHT)
 
 
-def _intrinsic(generator: Any) -> Any:
+def intrinsic(generator: Any) -> Any:
     """numba's own, which carries no types."""
-    return intrinsic(generator)
+    return _numbas(generator)
 
 
 def width_for(size: int) -> int:
@@ -65,12 +65,12 @@ def _layout(size: int) -> NDArray[np.int64]:
     return runs
 
 
-@_intrinsic
+@intrinsic
 def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
     """Ask the memory for the cache line of array[index]; array is flat and contiguous. Anywhere is harmless."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = builder.bitcast(_element(target, builder, signature, arguments, 0, arguments[1]), _BYTE.as_pointer())
+        place = builder.bitcast(element(target, builder, signature, arguments, 0, arguments[1]), _BYTE.as_pointer())
         form = ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT])
         hint = builder.module.declare_intrinsic("llvm.prefetch", [_BYTE.as_pointer()], form)
         # To read, to be kept in all caches, data.
@@ -80,7 +80,7 @@ def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
     return types.void(array, types.intp), generate
 
 
-@_intrinsic
+@intrinsic
 def as_double(context: Any, stored: Any) -> Any:
     """A number as float64: one of float64, float32, or the bits of a float16, of which what is not finite stays so."""
 
@@ -103,6 +103,20 @@ def _half(builder: Any, bits: Any) -> Any:
     return builder.select(builder.icmp_unsigned("==", exponent, _SHORT(0x7C00)), _FLOAT(float("nan")), number)
 
 
+def halves(builder: Any, bits: Any, width: int) -> Any:
+    """The bits of `width` halves, as float32; what is not finite stays so."""
+    floats = ir.VectorType(_FLOAT, width)
+    if _processor_widens():
+        return builder.fpext(builder.bitcast(bits, ir.VectorType(_HALF, width)), floats)
+    infinite = _constant(_SHORT, width, 0x7C00)
+    number = _shifted(builder, bits, width)
+    return builder.select(
+        builder.icmp_unsigned("==", builder.and_(bits, infinite), infinite),
+        _constant(_FLOAT, width, float("nan")),
+        number,
+    )
+
+
 def _lit_rows(width: int) -> Any:
     def lit_rows(
         context: Any, rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any,
@@ -111,8 +125,8 @@ def _lit_rows(width: int) -> Any:
         """(red, green, blue) of Σ weight · row of the rows of `size` numbers that start at a, b, c and d of `rows`."""
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            starts = [_element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
-            weights = [_all_alike(builder, weight, width) for weight in arguments[6:10]]
+            starts = [element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
+            weights = [all_alike(builder, weight, width) for weight in arguments[6:10]]
 
             def weighted(offset: Any) -> Any:
                 return _weighted(builder, rows.dtype, [builder.gep(start, [offset]) for start in starts], weights)
@@ -120,9 +134,9 @@ def _lit_rows(width: int) -> Any:
             return _under_light(target, builder, signature, arguments[1], arguments[10], weighted, width)
 
         places, shares = [types.intp] * 5, [types.float32] * 4
-        return _several(types.float32, 3)(rows, *places, *shares, light), generate
+        return several(types.float32, 3)(rows, *places, *shares, light), generate
 
-    return _intrinsic(lit_rows)
+    return intrinsic(lit_rows)
 
 
 lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (16, 4, 1))
@@ -133,16 +147,16 @@ def _lit_row(width: int) -> Any:
         """(red, green, blue) of the row of `size` float32 numbers that starts at `start`."""
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            first = _element(target, builder, signature, arguments, 0, arguments[2])
+            first = element(target, builder, signature, arguments, 0, arguments[2])
 
             def loaded(offset: Any) -> Any:
                 return _load(builder, builder.gep(first, [offset]), _FLOAT, width)
 
             return _under_light(target, builder, signature, arguments[1], arguments[3], loaded, width)
 
-        return _several(types.float32, 3)(row, types.intp, types.intp, light), generate
+        return several(types.float32, 3)(row, types.intp, types.intp, light), generate
 
-    return _intrinsic(lit_row)
+    return intrinsic(lit_row)
 
 
 lit_row_by_16, lit_row_by_4, lit_row_by_1 = (_lit_row(width) for width in (16, 4, 1))
@@ -158,11 +172,11 @@ def _sum_rows(width: int) -> Any:
         """
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            starts = [_element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
-            weights = [_all_alike(builder, weight, width) for weight in arguments[6:10]]
-            first = _element(target, builder, signature, arguments, 10, arguments[11])
+            starts = [element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
+            weights = [all_alike(builder, weight, width) for weight in arguments[6:10]]
+            first = element(target, builder, signature, arguments, 10, arguments[11])
             runs = builder.udiv(builder.add(arguments[1], _LONG(width - 1)), _LONG(width))
-            with _untyped.for_range(builder, runs) as run:
+            with untyped.for_range(builder, runs) as run:
                 offset = _offset(builder, run.index, arguments[1], width)
                 numbers = _weighted(builder, rows.dtype, [builder.gep(start, [offset]) for start in starts], weights)
                 at = builder.bitcast(builder.gep(first, [offset]), numbers.type.as_pointer())
@@ -171,29 +185,29 @@ def _sum_rows(width: int) -> Any:
 
         return types.void(rows, *[types.intp] * 5, *[types.float32] * 4, total, types.intp), generate
 
-    return _intrinsic(sum_rows)
+    return intrinsic(sum_rows)
 
 
 sum_rows_by_16, sum_rows_by_4, sum_rows_by_1 = (_sum_rows(width) for width in (16, 4, 1))
 
 
-@_intrinsic
+@intrinsic
 def blend(
     context: Any, numbers: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any
 ) -> Any:
     """(red, green, blue): Σ weight · the three numbers from a, b, c and d on; a fourth is read and not used."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        places = [_element(target, builder, signature, arguments, 0, start) for start in arguments[1:5]]
-        weights = [_all_alike(builder, weight, 4) for weight in arguments[5:9]]
+        places = [element(target, builder, signature, arguments, 0, start) for start in arguments[1:5]]
+        weights = [all_alike(builder, weight, 4) for weight in arguments[5:9]]
         colour = _weighted(builder, numbers.dtype, places, weights)
         channels = [builder.extract_element(colour, _INT(channel)) for channel in range(3)]
         return target.make_tuple(builder, signature.return_type, channels)
 
-    return _several(types.float32, 3)(numbers, *[types.intp] * 4, *[types.float32] * 4), generate
+    return several(types.float32, 3)(numbers, *[types.intp] * 4, *[types.float32] * 4), generate
 
 
-@_intrinsic
+@intrinsic
 def eight_towards(
     context: Any, geometry: Any, lane: Any, eye_x: Any, eye_y: Any, eye_z: Any, local: Any, count: Any
 ) -> Any:
@@ -202,12 +216,12 @@ def eight_towards(
     """
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first = _element(target, builder, signature, arguments, 0, builder.mul(arguments[1], _LONG(10 * _EIGHT)))
+        first = element(target, builder, signature, arguments, 0, builder.mul(arguments[1], _LONG(10 * _EIGHT)))
         rows = [
             builder.fpext(_load(builder, builder.gep(first, [_LONG(_EIGHT * i)]), _FLOAT, _EIGHT), _EIGHT_DOUBLES)
             for i in range(9)
         ]
-        to_eye = [builder.fsub(_all_alike(builder, arguments[2 + i], _EIGHT), rows[i], flags=_FUSED) for i in range(3)]
+        to_eye = [builder.fsub(all_alike(builder, arguments[2 + i], _EIGHT), rows[i], flags=_FUSED) for i in range(3)]
         normal, tangent = rows[3:6], rows[6:9]
         square, along = _dot(builder, to_eye, to_eye), _dot(builder, to_eye, normal)
         root = builder.call(_square_root(builder), [square])
@@ -240,10 +254,10 @@ def _cross(builder: Any, a: list[Any], b: list[Any]) -> list[Any]:
 
 def _square_root(builder: Any) -> Any:
     form = ir.FunctionType(_EIGHT_DOUBLES, [_EIGHT_DOUBLES])
-    return _untyped.get_or_insert_function(builder.module, form, f"llvm.sqrt.v{_EIGHT}f64")
+    return untyped.get_or_insert_function(builder.module, form, f"llvm.sqrt.v{_EIGHT}f64")
 
 
-@_intrinsic
+@intrinsic
 def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights: Any, light: Any) -> Any:
     """(red, green, blue) of Σ weights[r] · row of `count` rows, a multiple of 4, of `size` numbers, at least 16, one
     after the other from rows[start].
@@ -251,18 +265,18 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         length = arguments[1]
-        first = _element(target, builder, signature, arguments, 0, arguments[2])
+        first = element(target, builder, signature, arguments, 0, arguments[2])
 
         def weighted(offset: Any) -> Any:
-            total = _untyped.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
+            total = untyped.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
             builder.store(_constant(_FLOAT, WIDEST, 0.0), total)
             steps = builder.udiv(arguments[3], _LONG(_DECODED_ROWS))
-            with _untyped.for_range(builder, steps) as step:
+            with untyped.for_range(builder, steps) as step:
                 row = builder.mul(step.index, _LONG(_DECODED_ROWS))
                 numbers = [builder.add(row, _LONG(r)) for r in range(_DECODED_ROWS)]
                 places = [builder.gep(first, [builder.add(builder.mul(r, length), offset)]) for r in numbers]
                 shares = [
-                    _all_alike(builder, builder.load(_element(target, builder, signature, arguments, 4, r)), WIDEST)
+                    all_alike(builder, builder.load(element(target, builder, signature, arguments, 4, r)), WIDEST)
                     for r in numbers
                 ]
                 four = _weighted(builder, rows.dtype, places, shares)
@@ -272,17 +286,17 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
         return _under_light(target, builder, signature, length, arguments[5], weighted, WIDEST)
 
     counts = (types.intp,) * 3
-    return _several(types.float32, 3)(rows, *counts, weights, light), generate
+    return several(types.float32, 3)(rows, *counts, weights, light), generate
 
 
 def _under_light(
     target: Any, builder: Any, signature: Any, size: Any, light: Any, row: Callable[[Any], Any], width: int
 ) -> Any:
     """Σ row(offset) · light for each channel, `width` numbers at a time."""
-    totals = [_untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
+    totals = [untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
     shares = target.make_array(signature.args[-1])(target, builder, light).data
     runs = builder.udiv(builder.add(size, _LONG(width - 1)), _LONG(width))
-    with _untyped.for_range(builder, runs) as run:
+    with untyped.for_range(builder, runs) as run:
         offset = _offset(builder, run.index, size, width)
         numbers = row(offset)
         for channel, total in enumerate(totals):
@@ -291,7 +305,7 @@ def _under_light(
             )
             lit = builder.fmul(numbers, _load(builder, place, _FLOAT, width), flags=_FUSED)
             builder.store(builder.fadd(builder.load(total), lit, flags=_FUSED), total)
-    return target.make_tuple(builder, signature.return_type, [_sum(builder, builder.load(total)) for total in totals])
+    return target.make_tuple(builder, signature.return_type, [sum_of(builder, builder.load(total)) for total in totals])
 
 
 def _offset(builder: Any, run: Any, size: Any, width: int) -> Any:
@@ -319,6 +333,11 @@ def _widened(builder: Any, kind: Any, place: Any, width: int) -> Any:
     bits = _load(builder, place, _SHORT, width)
     if _processor_widens():
         return builder.fpext(builder.bitcast(bits, ir.VectorType(_HALF, width)), ir.VectorType(_FLOAT, width))
+    return _shifted(builder, bits, width)
+
+
+def _shifted(builder: Any, bits: Any, width: int) -> Any:
+    """The bits of finite halves, as float32."""
     shifted = builder.shl(builder.sext(bits, ir.VectorType(_INT, width)), _constant(_INT, width, 13))
     # The sign was drawn out over three bits of the exponent.
     kept = builder.and_(shifted, _constant(_INT, width, 0x8FFFE000))
@@ -329,7 +348,8 @@ def _processor_widens() -> bool:
     return platform.machine() in ("aarch64", "arm64") or bool(llvm.get_host_cpu_features().get("f16c", False))
 
 
-def _element(target: Any, builder: Any, signature: Any, arguments: Any, which: int, index: Any) -> Any:
+def element(target: Any, builder: Any, signature: Any, arguments: Any, which: int, index: Any) -> Any:
+    """Where an element of the array lies that is the argument of this number."""
     array = target.make_array(signature.args[which])(target, builder, arguments[which])
     return builder.gep(array.data, [index])
 
@@ -344,12 +364,13 @@ def _constant(kind: Any, width: int, value: float) -> Any:
     return ir.Constant(ir.VectorType(kind, width), [ir.Constant(kind, value)] * width)
 
 
-def _all_alike(builder: Any, value: Any, width: int) -> Any:
+def all_alike(builder: Any, value: Any, width: int) -> Any:
+    """A value, `width` times."""
     one = builder.insert_element(ir.Constant(ir.VectorType(value.type, width), ir.Undefined), value, _INT(0))
     return builder.shuffle_vector(one, one, _constant(_INT, width, 0))
 
 
-def _sum(builder: Any, numbers: Any) -> Any:
+def sum_of(builder: Any, numbers: Any) -> Any:
     """Halves onto halves."""
     width = numbers.type.count
     while width > 1:

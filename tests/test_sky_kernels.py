@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from formats.errors import ImageError
 from formats.image import write_image
 from formats.image_rows import ImageRows, rows_of
-from prt_bake import environment, sky_kernels, sky_waves, smaller_sky, vectors
+from prt_bake import environment, sky_kernels, sky_strips, sky_waves, smaller_sky, strip_vectors, vectors
 
 KINDS = ["float16", "float32", "float64"]
 
@@ -75,6 +75,21 @@ def test_waves_are_sums_over_columns(kind: str, rows: int, width: int, degree: i
         np.testing.assert_allclose(found, expected, rtol=0, atol=scale, err_msg=name)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("rows", "width", "degree"), [(1, 16, 0), (5, 48, 1), (9, 1024, 2), (6, 1040, 3), (5, 2080, 20)]
+)
+def test_strips_are_sums_over_columns(kind: str, rows: int, width: int, degree: int) -> None:
+    """Half a strip, one, and several, the last of them short; one wave of a pair alone, and none."""
+    image, azimuth = painted(rows, width, kind), sky_waves.azimuth_integrals(width, degree)
+    expected = np.einsum("rwc,mw->rcm", image.astype(np.float64), azimuth)
+    scale = 1e-15 * np.abs(image.astype(np.float64)).sum() * np.abs(azimuth).max()
+    for name, block in layouts(image).items():
+        planes = sky_kernels.as_planes(block)
+        found = sky_strips.row_waves(planes, sky_strips.strip_waves(width, degree), degree)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=scale, err_msg=name)
+
+
 def test_planes_are_the_pixels_themselves() -> None:
     """No copy of what a file's rows are read into, nor of a luminance that stands for three channels."""
     for name, block in layouts(painted(4, 9, "float16")).items():
@@ -97,11 +112,18 @@ def test_every_half_is_widened_exactly(monkeypatch: pytest.MonkeyPatch, native: 
             numbers[i] = as_double(bits[i])
         return numbers
 
+    @njit
+    def in_strips(bits: np.ndarray) -> np.ndarray:
+        numbers, half, waves = np.empty(len(bits)), len(bits) // 2, np.zeros(len(bits))
+        strip_vectors.strip_sums_set(bits, 0, half, half, waves, 0, numbers, 0, half, 1.0)
+        return numbers
+
     every = np.arange(65536, dtype=np.uint16)
-    found, expected = widened(every), every.view(np.float16).astype(np.float64)
+    expected = every.view(np.float16).astype(np.float64)
     finite = np.isfinite(expected)
-    np.testing.assert_array_equal(found[finite], expected[finite])
-    assert not np.isfinite(found[~finite]).any()
+    for found in (widened(every), in_strips(every)):
+        np.testing.assert_array_equal(found[finite], expected[finite])
+        assert not np.isfinite(found[~finite]).any()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -123,8 +145,9 @@ def test_numbers_that_are_no_halves_are_taken_as_they_are(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_blocks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
-    image = painted(90, 70, kind)
+@pytest.mark.parametrize("width", [70, 80, 1056])
+def test_blocks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, width: int, kind: str) -> None:
+    image = painted(90, width, kind)
     monkeypatch.setattr(sky_waves, "LARGE", 0)
     found = []
     for threads, rows in ((1, rows_of(image, rows=90)), (1, rows_of(image, rows=1)), (3, uneven(image))):
@@ -136,7 +159,13 @@ def test_blocks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, kind:
             np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize(("shape", "height"), [((64, 128), 23), ((31, 50), 30), ((50, 9), 1), ((7, 9), 7)])
+@pytest.mark.parametrize(
+    ("shape", "height"),
+    [
+        ((64, 128), 23), ((31, 50), 30), ((50, 9), 1), ((7, 9), 7), ((40, 2080), 13), ((30, 48), 7), ((9, 1072), 1),
+        ((50, 16), 1), ((12, 32), 12),
+    ],
+)  # fmt: skip
 def test_copies_are_those_of_sparse_matrices(shape: tuple[int, int], height: int) -> None:
     image = painted(*shape, "float32")
     expected = shrunk_by_matrices(image, height)
@@ -150,19 +179,22 @@ def test_copies_are_those_of_sparse_matrices(shape: tuple[int, int], height: int
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_refused_with_its_place(monkeypatch: pytest.MonkeyPatch, kind: str, value: float) -> None:
+@pytest.mark.parametrize("width", [8, 16])
+def test_what_is_not_finite_is_refused_with_its_place(
+    monkeypatch: pytest.MonkeyPatch, width: int, kind: str, value: float
+) -> None:
     """One channel is enough, and two infinities that cancel."""
-    image = painted(40, 8, kind)
+    image = painted(40, width, kind)
     image[33, 5, 1] = value
     image[35, 1, 2], image[35, 5, 2] = value, -value
     refusals = []
     for large in (1 << 27, 0):
         monkeypatch.setattr(sky_waves, "LARGE", large)
-        with pytest.raises(ImageError, match=r"found 3 of 320 pixels .* row 33, column 5") as refusal:
+        with pytest.raises(ImageError, match=rf"found 3 of {40 * width} pixels .* row 33, column 5") as refusal:
             environment.project(rows_of(image, rows=8))
         refusals.append(str(refusal.value))
     assert refusals[0] == refusals[1]
-    with pytest.raises(ImageError, match=r"found 3 of 320 pixels .* row 33, column 5"):
+    with pytest.raises(ImageError, match=rf"found 3 of {40 * width} pixels .* row 33, column 5"):
         smaller_sky.shrink(rows_of(image, rows=8), 11, 2, "y")
 
 
