@@ -1,5 +1,5 @@
-"""The sums of `sky_kernels` for pictures whose halves are multiples of `STEP` columns wide, as most are: strips of a row
-and of what lies half a turn away, summed and shrunk while they are in the first cache.
+"""The sums of `sky_kernels` for pictures whose halves are multiples of `STEP` columns wide, as most are: by strips of a
+row and of what lies half a turn away, summed and shrunk while they are in the first cache.
 """
 
 import math
