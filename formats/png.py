@@ -1,6 +1,7 @@
 """PNG and JPEG, 8 bits a channel, with the sRGB curve of IEC 61966-2-1 between their values and linear radiance."""
 
 import os
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,14 +60,19 @@ def read_png_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     return first / (255.0 if stored.dtype == np.uint8 else 65535.0)
 
 
-def _pixels(path: str | os.PathLike[str], kind: str, mode: str | None) -> NDArray[np.integer]:
-    """Read the stored values of a picture in Pillow's `mode`; None keeps the channels and depth of the file."""
+def _pixels(path: str | os.PathLike[str], kind: str, mode: str | None) -> NDArray[Any]:
+    """Read the stored values of a picture in Pillow's `mode`, of 0 to 255; None keeps the channels and depth of the
+    file.
+    """
     from PIL import Image
 
     try:
         with Image.open(path, formats=[kind]) as picture:
             if mode is None:
                 mode = {"1": "L", "P": "RGB", "PA": "RGB"}.get(picture.mode, picture.mode)
+            elif mode == "RGB" and picture.mode.startswith("I"):
+                # Grey of 16 bits: Pillow would cut it off at 255.
+                return np.repeat(np.asarray(picture)[..., None] / 257.0, 3, axis=2)
             return np.asarray(picture.convert(mode))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as cause:
         raise ImageError(f"{path}: cannot be read as {kind}, it is truncated, damaged or of another kind") from cause

@@ -213,6 +213,14 @@ def test_png_of_every_mode(tmp_path, mode):
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), np.ones((4, 5, 3), np.float32))
 
 
+def test_grey_of_16_bits_keeps_its_range(tmp_path):
+    stored = np.array([[0, 30000, 65535]], np.uint16)
+    Image.fromarray(stored).save(tmp_path / "a.png")
+    assert Image.open(tmp_path / "a.png").mode.startswith("I")
+    expected = np.repeat(to_linear(stored / 65535.0)[..., None], 3, axis=2)
+    np.testing.assert_allclose(read_image(tmp_path / "a.png"), expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
 def test_truncated_images_are_refused_in_one_sentence(tmp_path, suffix, capfd):
     write_image(tmp_path / f"a{suffix}", noise(40, 60))
