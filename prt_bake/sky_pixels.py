@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from formats.errors import ImageError
 from formats.image_rows import Block, ImageRows
 
-REMEDY = "repair the picture or mend it"
+REMEDY = "repair the picture"
 
 
 def checked(rows: ImageRows, remedy: str = REMEDY) -> ImageRows:

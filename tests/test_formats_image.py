@@ -216,7 +216,6 @@ def test_png_of_every_mode(tmp_path, mode):
 def test_grey_of_16_bits_keeps_its_range(tmp_path):
     stored = np.array([[0, 30000, 65535]], np.uint16)
     Image.fromarray(stored).save(tmp_path / "a.png")
-    assert Image.open(tmp_path / "a.png").mode.startswith("I")
     expected = np.repeat(to_linear(stored / 65535.0)[..., None], 3, axis=2)
     np.testing.assert_allclose(read_image(tmp_path / "a.png"), expected, rtol=1e-6)
 
