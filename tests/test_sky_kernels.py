@@ -162,8 +162,8 @@ def test_blocks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, width
 @pytest.mark.parametrize(
     ("shape", "height"),
     [
-        ((64, 128), 23), ((31, 50), 30), ((50, 9), 1), ((7, 9), 7), ((40, 2080), 13), ((30, 48), 7), ((9, 1072), 1),
-        ((50, 16), 1), ((12, 32), 12),
+        ((64, 128), 23), ((31, 50), 30), ((50, 9), 1), ((7, 9), 7), ((40, 2080), 13), ((33, 1056), 25), ((30, 48), 7),
+        ((9, 1072), 1), ((50, 16), 1), ((12, 32), 12),
     ],
 )  # fmt: skip
 def test_copies_are_those_of_sparse_matrices(shape: tuple[int, int], height: int) -> None:
