@@ -54,9 +54,21 @@ def contents(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+    """The contents of a bake in one run and two passes."""
+    out = tmp_path_factory.mktemp("whole") / "whole.h5"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("prt_bake.to_error.first_look.BINS_AT_ONCE", 5 * 64)
+        patched.setattr("prt_bake.to_error.run.aimed", loosely_aimed)
+        with bake(Incoherent(), icosphere(1), **BLOCKS, out=out, workers=2) as asset:
+            assert asset.provenance["refinement"]["passes"] == 2
+    return contents(out)
+
+
 @pytest.mark.parametrize("blocks", [1, 4, 9, 10, 13, 19, 20])
 def test_killed_and_resumed_is_the_asset_of_one_run(
-    tmp_path: Path, blocks: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, blocks: int, whole: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "killed.h5"
     script = KILLED.format(path=[p for p in sys.path if p], blocks=blocks, out=str(out))
@@ -76,12 +88,10 @@ def test_killed_and_resumed_is_the_asset_of_one_run(
     Asked.__name__ = "Incoherent"
     resumed = bake(Asked(), icosphere(1), **BLOCKS, out=out, resume=True)
     assert sum(asked) < resumed.provenance["evaluations"]
-    whole = bake(Incoherent(), icosphere(1), **BLOCKS, out=tmp_path / "whole.h5", workers=2)
-    assert whole.provenance["refinement"]["passes"] == 2
-    one, other = contents(out), contents(tmp_path / "whole.h5")
-    assert one.keys() == other.keys()
-    for name in one:
-        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+    found = contents(out)
+    assert found.keys() == whole.keys()
+    for name in found:
+        np.testing.assert_array_equal(found[name], whole[name], err_msg=name)
     assert not journal.exists()
 
 

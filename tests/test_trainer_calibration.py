@@ -2,8 +2,8 @@
 
 The truth of a pair is the mean of its query's other seeds, of which none shares a path with it: with 209 others its own
 error is 1 / √209 of a pair's and takes less than 0.1 % from the coverage. A pair counts where the estimator calls it
-reliable. Coverage over 2,000 pairs has a standard deviation of 0.5 %: 93–97 % is four of them. At least 2,016 of 2,520
-pairs must be reliable.
+reliable. Coverage over 2,000 pairs has a standard deviation of 0.5 %: 93–97 % is four of them. The scene whose walks
+cost most has 1,680 pairs and 0.53 %. Of all pairs four in five must be reliable.
 """
 
 import numpy as np
@@ -14,7 +14,7 @@ from scenes import lumpy, make_scene, moved, queries, sphere, unit_directions, w
 from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
 
 QUERIES, SEEDS = 24, 210
-FEWER_QUERIES, LEAST_QUERIES = 12, 10
+FEWER_QUERIES, FEWEST_QUERIES = 12, 8
 BOUND = 1.96
 MATCHED = {"sigma_t": 4.0, "albedo": [0.9, 0.7, 0.5], "phase_g": 0.0}
 ROUGH = {"sigma_t": 2.0, "albedo": [0.9, 0.7, 0.5], "phase_g": 0.0, "eta": 1.3, "roughness": 0.6}
@@ -48,13 +48,13 @@ class Experiment:
 
 
 @pytest.mark.parametrize(
-    ("estimator", "mesh", "medium", "paths"),
+    ("estimator", "mesh", "medium", "paths", "count"),
     [
-        ("coefficients", sphere(2), MATCHED, 768),
-        ("coefficients", sphere(2), ROUGH, 768),
-        ("transport", sphere(2), MATCHED, 1024),
-        ("transport", lumpy(2), ROUGH, 1024),
-        ("transport", sphere(2), NARROW, 1024),
+        ("coefficients", sphere(2), MATCHED, 768, FEWER_QUERIES),
+        ("coefficients", sphere(2), ROUGH, 768, FEWER_QUERIES),
+        ("transport", sphere(2), MATCHED, 1024, FEWER_QUERIES),
+        ("transport", lumpy(2), ROUGH, 1024, FEWER_QUERIES),
+        ("transport", sphere(2), NARROW, 1024, FEWEST_QUERIES),
     ],
     ids=[
         "coefficients-matched",
@@ -64,11 +64,11 @@ class Experiment:
         "transport-narrow",
     ],
 )
-def test_bounds_cover_the_truth(estimator, mesh, medium, paths, tmp_path):
-    covered, reliable = Experiment(tmp_path, mesh, medium, estimator, count=FEWER_QUERIES).coverage(paths)
+def test_bounds_cover_the_truth(estimator, mesh, medium, paths, count, tmp_path):
+    covered, reliable = Experiment(tmp_path, mesh, medium, estimator, count=count).coverage(paths)
     counted = covered[reliable]
-    assert len(counted) >= 0.8 * FEWER_QUERIES * SEEDS
-    assert (reliable.mean(axis=0) > 0.5).sum() >= LEAST_QUERIES
+    assert len(counted) >= 0.8 * count * SEEDS
+    assert (reliable.mean(axis=0) > 0.5).sum() >= count - 2
     assert 0.93 <= counted.mean() <= 0.97
     each = counted.mean(axis=0)
     assert each.min() >= 0.93

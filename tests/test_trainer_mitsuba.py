@@ -25,7 +25,7 @@ SCENES = {
         25_000,
     ),
 }
-QUERIES = 10
+QUERIES = 7
 
 HAZE = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3}
 MILK = {"sigma_t": [9.0, 4.0, 1.0], "albedo": [0.99, 0.8, 0.5]}
