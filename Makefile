@@ -70,6 +70,7 @@ clean:
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --no-compile \
 		--constraint constraints.txt --editable '.[$*]'
-# Byte code comes from all cores, where pip takes one; a few packages hold templates that are no Python.
-	@$(BIN)/python -m compileall -qq -j 0 .venv/lib >/dev/null || true
+# Byte code comes from all cores, where pip takes one; packages' own tests need none, and a few hold templates that
+# are no Python.
+	@$(BIN)/python -m compileall -qq -j 0 -x '/site-packages/.*/tests?/' .venv/lib >/dev/null || true
 	@touch $@
