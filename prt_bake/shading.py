@@ -63,7 +63,7 @@ def render_picture(
     samples: int = 3,
     background: bool = True,
     reflection: bool = False,
-    roughness: float | None = None,
+    roughness: float | NDArray[np.float64] | None = None,
     layers: tuple[str, ...] = (),
     suns: SunTreatment = "split",
 ) -> Picture:
@@ -72,9 +72,9 @@ def render_picture(
 
     `up` overrides the asset's up axis, `rotate` turns the light (degrees, counter-clockwise seen from above). Without
     `background` there is nothing behind the object. With `reflection` the light that its surface reflects is added,
-    unless its index is that of its surroundings; `roughness` is then its GGX alpha in place of the asset's. `layers`
-    names those of `picture_layers.LAYERS` that are wanted. `suns` says how suns are met (`sun_light`); reflected, they
-    are always apart.
+    unless its index is that of its surroundings; `roughness` is then its GGX alpha in place of the asset's, one or a
+    texture [H,W] by the mesh's texture coordinates. `layers` names those of `picture_layers.LAYERS` that are wanted.
+    `suns` says how suns are met (`sun_light`); reflected, they are always apart.
 
     Raises QueryError where nothing could be shown: no vertex is valid, the camera misses the object, or the eye is
     inside it; and for a reflection whose roughness nobody says.

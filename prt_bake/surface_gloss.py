@@ -28,7 +28,7 @@ from prt_bake.reflecting_surface import SMOOTHEST, Points, ReflectingSurface
 from prt_bake.reflection import Reflector
 from prt_bake.sphere import to_world
 from prt_bake.suns import split_lighting
-from prt_bake.surface_finish import interface_normals
+from prt_bake.surface_finish import interface_alpha, interface_normals
 from prt_bake.vertex_shading import surface_radiance
 
 Array = NDArray[np.float64]
@@ -46,9 +46,10 @@ _IN_MEMORY = 2 << 30
 
 
 class _Finish(NamedTuple):
-    """GGX alpha, and whether the interface has interpolated normals."""
+    """GGX alpha, one or a texture [H,W], the least of it, and whether the interface has interpolated normals."""
 
-    alpha: float
+    alpha: Array
+    least: float
     interpolated: bool
 
 
@@ -62,22 +63,23 @@ class SurfaceGloss:
         weights: Array,
         visibility: Visibility,
         points: int,
-        roughness: float | None = None,
+        roughness: float | Array | None = None,
     ) -> None:
         """Prepare for `points` points a pixel; weights: the light's coefficients as `light_of` has them.
 
-        roughness: the GGX alpha in place of the asset's. Raises QueryError where neither says it.
+        roughness: the GGX alpha in place of the asset's, one or a texture [H,W]. Raises QueryError where neither says
+        it, and for a texture on a mesh without texture coordinates.
         """
         self._finish = _finish_of(asset, roughness)
         self._asset, self._weights, self._visibility = _in_memory(asset), weights, visibility
         self._surface = ReflectingSurface(asset.mesh, asset.eta)
-        self._mirror = self._finish.alpha < SMOOTHEST
+        self._mirror = float(self._finish.alpha.max()) < SMOOTHEST
         self._rays = 1 if self._mirror else max(2, math.ceil(RAYS_A_PIXEL / points))
         self._points = points
         self._lighting = lighting
         # A mirror sees skies and discs where it looks.
         apart = lighting if self._mirror else split_lighting(lighting)
-        skies, suns = ((), ()) if self._mirror else (apart.skies, _as_points(apart.suns, self._finish.alpha))
+        skies, suns = ((), ()) if self._mirror else (apart.skies, _as_points(apart.suns, self._finish.least))
         self._skies = [prefilter(sky, self._finest()) for sky in skies if sky.image.any()]
         self._suns = tuple(sun for sun in suns if sun.irradiance.any())
         self._connected = Reflector(asset.mesh, Lighting((), self._suns), asset.eta, visibility) if self._suns else None
@@ -94,7 +96,9 @@ class SurfaceGloss:
         normals = interface_normals(
             self._asset.mesh, faces, barycentric, "vertex" if self._finish.interpolated else "face"
         )
-        alpha = np.full(len(faces), self._finish.alpha)
+        alpha = interface_alpha(self._asset.mesh, faces, barycentric, self._finish.alpha)
+        if not self._mirror:
+            alpha = np.maximum(alpha, SMOOTHEST)
         points = self._surface.points(faces, normals, outgoing, alpha)
         starts = self._surface.starts(faces[points.rows], barycentric[points.rows])
         for ray in range(self._rays):
@@ -110,7 +114,7 @@ class SurfaceGloss:
 
     def _finest(self) -> float:
         """The least solid angle that a ray stands for: of the facet's own normal, seen from straight above."""
-        return 4.0 * math.pi * self._finish.alpha**2 * _FILTER / (self._rays * self._points)
+        return 4.0 * math.pi * self._finish.least**2 * _FILTER / (self._rays * self._points)
 
     def _along_one_ray(self, points: Points, starts: Array, numbers: Array) -> Array:
         """What one facet of each point reflects [P,3], drawn by numbers [P,2]."""
@@ -195,13 +199,22 @@ def reflects(asset: Asset) -> bool:
     return not ReflectingSurface(asset.mesh, asset.eta).matched
 
 
-def _finish_of(asset: Asset, roughness: float | None) -> _Finish:
+def _finish_of(asset: Asset, roughness: float | Array | None) -> _Finish:
     said = asset.roughness if roughness is None else roughness
     if said is None:
         raise QueryError("reflection: the asset does not say how rough its surface is; give the roughness (GGX alpha)")
-    if not 0.0 <= said <= 1.0:
-        raise QueryError(f"reflection: a roughness of {said:g} where a GGX alpha from 0 to 1 is expected")
-    return _Finish(float(said), asset.provenance.get("model", {}).get("normals") == "vertex")
+    alpha = np.asarray(said, np.float64)
+    if alpha.ndim not in (0, 2) or not alpha.size:
+        raise QueryError(f"reflection: a roughness of shape {list(alpha.shape)} where a number or [H, W] is expected")
+    unfit = ~((alpha >= 0.0) & (alpha <= 1.0))
+    if unfit.any():
+        raise QueryError(f"reflection: a roughness of {alpha[unfit][0]:g} where a GGX alpha from 0 to 1 is expected")
+    if alpha.ndim == 2 and asset.mesh.corner_uv is None:
+        raise QueryError(
+            "reflection: roughness is a texture, and the asset's mesh has no texture coordinates; give one number"
+        )
+    interpolated = asset.provenance.get("model", {}).get("normals") == "vertex"
+    return _Finish(alpha, max(float(alpha.min()), SMOOTHEST), interpolated)
 
 
 def _in_memory(asset: Asset) -> Asset:

@@ -150,6 +150,7 @@ def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path:
     ("words", "sentence"),
     [
         (["-o", "x.png", "--roughness", "0.1"], "that of the reflection; add --reflection"),
+        (["-o", "x.png", "--reflection", "--roughness", "1.5"], "--roughness: 1.5 where a GGX alpha from 0 to 1"),
         (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
         (["-o", "x_%03d.png"], "is for numbered pictures; add --turntable eye"),
         (["-o", "x.png", "--frames", "3"], "are those of a turntable; add --turntable eye"),

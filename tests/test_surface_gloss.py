@@ -260,6 +260,24 @@ def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
         )
 
 
+def test_roughness_from_a_texture_is_that_of_each_place() -> None:
+    mesh = sphere(3)
+    left = mesh.positions[:, 0] < 0.0
+    mesh = dataclasses.replace(mesh, uv=np.stack([np.where(left, 0.25, 0.75), np.full(len(left), 0.5)], axis=1))
+    asset, sun = glossy(mesh), DirectionalLight(np.array([0.0, 0.6, 0.8]), np.ones(3), 0.0)
+
+    def picture(roughness) -> np.ndarray:
+        return render_picture(asset, Lighting((), (sun,)), front(), reflection=True, roughness=roughness).image
+
+    mixed, smooth, rough = picture(np.array([[0.2, 0.6]])), picture(0.2), picture(0.6)
+    halves = [(abs(mixed - whole) <= 1e-6 * whole).all(axis=2) for whole in (smooth, rough)]
+    assert (abs(smooth - rough).max(axis=2) > 1e-3).sum() > 100
+    assert halves[0][:, :18].all()
+    assert halves[1][:, 22:].all()
+    with pytest.raises(QueryError, match="no texture coordinates"):
+        render_picture(glossy(ring()), constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
+
+
 @pytest.mark.parametrize("suns", ["split", "window", "plain"])
 def test_turning_the_light_of_a_picture_is_turning_object_and_camera_the_other_way(suns: SunTreatment) -> None:
     """Sky, a sun in it, a sun beside it, and what the ring reflects of itself."""

@@ -55,8 +55,13 @@ def shade(
         ),
     ] = False,
     roughness: Annotated[
-        float | None,
-        typer.Option(min=0, max=1, help="GGX alpha of the reflection; the asset's own.", show_default=False),
+        str | None,
+        typer.Option(
+            metavar="ALPHA",
+            help="GGX alpha of the reflection, from 0 to 1, or an image of it by the mesh's texture coordinates; by "
+            "default the asset's own, a mean.",
+            show_default=False,
+        ),
     ] = None,
     transparent: Annotated[
         bool, typer.Option("--transparent", help="Nothing behind the object: an alpha channel (.exr, .png).")
@@ -112,7 +117,7 @@ def shade(
         "samples": samples,
         "background": not transparent,
         "reflection": reflection,
-        "roughness": roughness,
+        "roughness": None if roughness is None else _read_roughness(roughness),
         "layers": _names(layers, error_picture is not None),
         "suns": suns,
     }
@@ -194,7 +199,7 @@ def _refuse_useless(
     turntable: str | None,
     error_picture: Path | None,
     reflection: bool,
-    roughness: float | None,
+    roughness: str | None,
 ) -> None:
     """Wrong usage: options that need others, and what the kind of file that was asked for cannot hold."""
     suffix = output.suffix.lower()
@@ -216,6 +221,19 @@ def _refuse_useless(
         raise typer.BadParameter(f"--transparent: {suffix} has no alpha channel; write .exr or .png")
     if layers and suffix != ".exr":
         raise typer.BadParameter(f"--layers: {suffix} holds a picture alone; write .exr")
+
+
+def _read_roughness(said: str) -> Any:
+    """The number that `said` is, or the picture that it names."""
+    from formats.image import read_levels
+
+    try:
+        alpha = float(said)
+    except ValueError:
+        return read_levels(said)
+    if not 0.0 <= alpha <= 1.0:
+        raise typer.BadParameter(f"--roughness: {alpha:g} where a GGX alpha from 0 to 1, or an image, is expected")
+    return alpha
 
 
 def _names(layers: str, with_error_picture: bool) -> tuple[str, ...]:
