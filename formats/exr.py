@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from formats.errors import ImageError
 
+_VECTORS = ("position", "normal")
+"""Layers that are places or directions: in X, Y and Z, which compositing tools do not take for a colour."""
+
 
 @dataclass(frozen=True, eq=False)
 class Layers:
@@ -25,8 +28,8 @@ class Layers:
 
     Attributes:
         image: the colour that `read_exr` reads, [H,W,3].
-        layers: the other layers by name: [H,W,3] where R, G and B are there (`error`), [H,W] where Y is (`coverage`);
-            any other channel under its whole name, [H,W].
+        layers: the other layers by name: [H,W,3] where R, G and B are there (`error`), or X, Y and Z (`normal`), [H,W]
+            where Y is (`coverage`); any other channel under its whole name, [H,W].
         attributes: the header's texts by name, those of the picture's own part.
     """
 
@@ -55,10 +58,11 @@ def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
     rest = {name: pixels for name, pixels in channels.items() if name not in names}
     layers = {}
     for prefix in {name.rpartition(".")[0] for name in rest} - {""}:
-        if all(f"{prefix}.{letter}" in rest for letter in "RGB"):
-            colour = _stacked(rest, (f"{prefix}.R", f"{prefix}.G", f"{prefix}.B"))
-            layers[prefix] = _framed(colour, header)
-            rest = {name: pixels for name, pixels in rest.items() if name not in {f"{prefix}.{c}" for c in "RGB"}}
+        for letters in ("RGB", "XYZ"):
+            three = tuple(f"{prefix}.{letter}" for letter in letters)
+            if prefix not in layers and all(name in rest for name in three):
+                layers[prefix] = _framed(_stacked(rest, three), header)
+                rest = {name: pixels for name, pixels in rest.items() if name not in three}
     for name in rest:
         layers[name.removesuffix(".Y")] = _framed(_stacked(rest, (name,)), header)[..., 0]
     image = _framed(_stacked(channels, names), header)
@@ -98,9 +102,9 @@ def write_exr(
 ) -> None:
     """Write [H,W,3] as float32 scan lines, ZIP compressed; raises OSError if the disk does not take it.
 
-    layers: beside R, G, B: an array [H,W,3] named `error` becomes error.R, error.G, error.B, an array [H,W] named
-    `coverage` becomes coverage.Y. attributes: texts for the header. alpha [H,W]: what the image is weighted by,
-    becomes A.
+    layers: beside R, G, B: an array [H,W,3] named `error` becomes error.R, error.G, error.B, one named `position` or
+    `normal` X, Y and Z, an array [H,W] named `coverage` becomes coverage.Y. attributes: texts for the header. alpha
+    [H,W]: what the image is weighted by, becomes A.
     """
     import OpenEXR
 
@@ -109,7 +113,11 @@ def write_exr(
     if alpha is not None:
         channels["A"] = np.ascontiguousarray(alpha, np.float32)
     for name, pixels in (layers or {}).items():
-        channels[name if np.ndim(pixels) == 3 else f"{name}.Y"] = np.ascontiguousarray(pixels, np.float32)
+        if name in _VECTORS and np.ndim(pixels) == 3:
+            for axis, letter in enumerate("XYZ"):
+                channels[f"{name}.{letter}"] = np.ascontiguousarray(pixels[..., axis], np.float32)
+        else:
+            channels[name if np.ndim(pixels) == 3 else f"{name}.Y"] = np.ascontiguousarray(pixels, np.float32)
     header = {**(attributes or {}), "compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     try:
         with silenced():

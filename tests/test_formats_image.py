@@ -145,6 +145,23 @@ def test_layers_stand_beside_the_picture_and_plain_readers_see_none(tmp_path):
     assert read_layers(tmp_path / "a.hdr").layers == {}
 
 
+def test_places_and_directions_are_written_in_x_y_and_z_and_come_back(tmp_path):
+    import OpenEXR
+
+    image, layers = noise(6, 8), {name: noise(6, 8) + k for k, name in enumerate(("position", "normal", "radiance"))}
+    write_image(tmp_path / "a.exr", image, layers=layers)
+    with OpenEXR.File(str(tmp_path / "a.exr"), separate_channels=True) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+    colours = {f"radiance.{c}" for c in "RGB"} | set("RGB")
+    assert channels.keys() == colours | {f"{name}.{c}" for name in ("position", "normal") for c in "XYZ"}
+    np.testing.assert_array_equal(channels["normal.Z"], layers["normal"][..., 2].astype(np.float32))
+    read = read_layers(tmp_path / "a.exr")
+    assert read.layers.keys() == layers.keys()
+    for name, layer in layers.items():
+        np.testing.assert_array_equal(read.layers[name], layer.astype(np.float32))
+    np.testing.assert_array_equal(read.image, read_image(tmp_path / "a.exr"))
+
+
 def test_foreign_layers_are_read_under_their_own_names(tmp_path):
     image, path = noise(4, 5), tmp_path / "a.exr"
     write_channels(path, {"diffuse": image, "depth.Z": image[..., 0], "A": image[..., 1]})
