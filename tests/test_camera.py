@@ -1,5 +1,7 @@
 """The camera: what its rays meet, what it frames, where it may not stand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from shapes import ball, ring
@@ -7,6 +9,7 @@ from shapes import ball, ring
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
 from prt_bake.camera import Camera, Visibility, directions, fit, pixel_rays, rays, refuse_eye_in_object
+from prt_bake.environment import rotation
 
 MIDDLE = np.array([[0.5, 0.5]])
 
@@ -94,6 +97,28 @@ def test_fit_shows_the_whole_object_as_large_as_it_can_be(size, up):
     lines = [covered.any(axis=1), covered.any(axis=0)]
     margins = [min(line.argmax(), line[::-1].argmax()) - 0.5 * (1 - 1 / 1.08) * len(line) for line in lines]
     assert min(margins) < 1
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_what_fits_all_round_fits_in_every_turn_of_the_eye(up, orthographic):
+    # Its length lies along the first view.
+    mesh = build_mesh(ball(4).positions * ([0.6, 0.6, 3.0] if up == "y" else [0.6, 3.0, 0.6]) + 5.0, ball(4).faces)
+    target = mesh.center + 0.2
+
+    def margin(turns: int) -> int:
+        """The pixels that the picture's edge is off the object in the tightest of 24 turns."""
+        view, margins = fit(mesh, 60, 45, up=up, target=target, orthographic=orthographic, turns=turns), []
+        for degrees in range(0, 360, 15):
+            eye = target + rotation(degrees, up) @ (view.eye - target)
+            covered = seen_from(mesh, replace(view, eye=eye))
+            lines = [covered.any(axis=1), covered.any(axis=0)]
+            margins.append(min(min(line.argmax(), line[::-1].argmax()) for line in lines))
+        return min(margins)
+
+    assert margin(1) == 0
+    assert 1 <= margin(24) <= 4
+    assert margin(24) <= margin(3600) + 1
 
 
 def test_z_up_is_y_up_turned():

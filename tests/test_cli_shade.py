@@ -13,6 +13,7 @@ from test_surface_gloss import glossy
 
 from formats.asset import write_asset
 from formats.image import read_image, read_layers
+from formats.mesh import build_mesh
 from prt_bake.error_picture import error_figure, relative_errors
 from prt_bake.shading import Picture
 
@@ -129,7 +130,7 @@ def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp
 @pytest.mark.parametrize("turning", ["eye", "light"])
 def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
     """Turning the eye shows another side of the sky; turning the light by half a turn is the third of four frames."""
-    words = ["--light", "sun:1,0,0.5:3,3,3", "--size", "16x16"]
+    words = ["--light", "sun:1,0,0.5:3,3,3", "--size", "16x16", *(["--eye", "-2,1,-5"] if turning == "eye" else [])]
     turned = prtbake("shade", polished, *words, "-o", tmp_path / "t_%d.exr", "--turntable", turning, "--frames", 4)
     assert turned.code == 0, turned.err
     frames = [read_image(tmp_path / f"t_{number}.exr") for number in range(4)]
@@ -144,6 +145,18 @@ def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path:
     )
     with Image.open(tmp_path / "t.webp") as animation:
         assert (animation.n_frames, animation.size) == (3, (16, 16))
+
+
+def test_turntables_of_the_eye_show_all_of_a_long_object(prtbake: Run, tmp_path: Path) -> None:
+    """Its length lies along the first view, which would frame it by its narrow end."""
+    long = glossy(build_mesh(ball(2).positions * [0.5, 0.5, 3.0], ball(2).faces))
+    write_asset(long, tmp_path / "long.h5")
+    words = ["--light", "sun:0,1,0:3,3,3", "--size", "24x24", "--turntable", "eye", "--frames", 4]
+    assert prtbake("shade", tmp_path / "long.h5", *words, "-o", tmp_path / "t_%d.exr").code == 0
+    for number in range(4):
+        shown = read_image(tmp_path / f"t_{number}.exr").max(axis=2) > 0.0
+        assert shown[12, 12]
+        assert not np.concatenate([shown[[0, -1]].ravel(), shown[:, [0, -1]].ravel()]).any()
 
 
 @pytest.mark.parametrize(

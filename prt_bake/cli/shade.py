@@ -107,7 +107,8 @@ def shade(
         raise typer.BadParameter("--frames and --seconds: are those of a turntable; add --turntable eye")
     baked = read_asset(asset)
     axis = up or baked.up
-    view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent)
+    turns = frames if turntable == "eye" else 1
+    view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent, turns)
     rows = rows_shown(view.height, view.fov)
     lighting = read_lighting(
         light, axis, rotate, mend=mend, say=say, mesh=baked.mesh, most_rows=rows, degree=baked.degree

@@ -16,8 +16,9 @@ def camera_for(
     fov: float,
     orthographic: bool,
     extent: float | None,
+    turns: int = 1,
 ) -> Any:
-    """The camera that these options ask for; an `extent` makes it orthographic.
+    """The camera that these options ask for; an `extent` makes it orthographic. `turns` as in `camera.fit`.
 
     Raises typer.BadParameter where an orthographic one is given a field of view.
     """
@@ -39,4 +40,5 @@ def camera_for(
         target=look_at,
         orthographic=parallel,
         extent=extent,
+        turns=turns,
     )
