@@ -23,7 +23,10 @@ def as_disc(light: SphereLight, mesh: Mesh | None, name: str, say: Callable[[str
     mesh.
     """
     if mesh is None:
-        raise QueryError(f"{name}: a sphere light is seen from the middle of an object; hand in its mesh")
+        raise QueryError(
+            f"{name}: a sphere light is seen from the middle of an object, and there is none; hand in its mesh, or "
+            "shade an asset under it"
+        )
     extent = float(np.linalg.norm(mesh.positions - mesh.center, axis=1).max())
     towards = light.position - mesh.center
     distance = math.hypot(*towards)

@@ -26,14 +26,26 @@ def test_light_names_suns_as_other_commands_take_them(prtbake: Run, tmp_path: Pa
     assert json.loads(prtbake("light", "sky.exr", "--json").out)["suns"] == []
 
 
-def test_light_takes_a_light_without_a_sky_and_one_of_two_skies(prtbake: Run, tmp_path: Path) -> None:
+def test_light_takes_lights_without_a_sky_and_names_the_suns_of_every_sky(prtbake: Run, tmp_path: Path) -> None:
     write_image(tmp_path / "sunny.exr", SUNNY)
-    once = prtbake("light", tmp_path / "sunny.exr").out.splitlines()[10:]
-    (tmp_path / "two.toml").write_text(2 * '[[sky]]\nfile = "sunny.exr"\n')
-    assert prtbake("light", tmp_path / "two.toml").out.splitlines()[10:] == 2 * once
-    sun = prtbake("light", "sun:0,1,0:2,2,2")
-    assert (sun.code, len(sun.out.splitlines())) == (0, 10)
-    assert float(sun.out.splitlines()[1].split()[2]) == pytest.approx(2 * 0.5 / np.sqrt(np.pi), rel=1e-6)
+    lamp = "[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 2, 3]\n"
+    (tmp_path / "lamp.toml").write_text(lamp)
+    calm, sunny = '[[sky]]\nfile = "calm.exr"\n', '[[sky]]\nfile = "sunny.exr"\n'
+    write_image(tmp_path / "calm.exr", np.ones((8, 16, 3)))
+    (tmp_path / "skies.toml").write_text(calm + sunny + lamp)
+    alone = {}
+    for light in ("sun:0,1,0:1,2,3", tmp_path / "lamp.toml", tmp_path / "calm.exr", tmp_path / "sunny.exr"):
+        outcome = prtbake("light", light, "--json")
+        assert (outcome.code, outcome.err) == (0, "")
+        alone[str(light)] = json.loads(outcome.out)
+    by_word, lamp_told, calm_told, sunny_told = alone.values()
+    assert by_word["suns"] == lamp_told["suns"] == []
+    assert by_word["coefficients"] == lamp_told["coefficients"]
+    together = json.loads(prtbake("light", tmp_path / "skies.toml", "--json").out)
+    assert together["suns"] == sunny_told["suns"] != []
+    parts = sum(np.array(told["coefficients"]) for told in (lamp_told, calm_told, sunny_told))
+    np.testing.assert_allclose(together["coefficients"], parts, rtol=1e-9, atol=1e-9)
+    assert "of the energy of its sky" in prtbake("light", tmp_path / "skies.toml").out
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,13 @@ _ROWS_FOR_SUNS = 2048
 
 
 def light(
-    environment: Annotated[Path, typer.Argument(metavar="ENVIRONMENT", help="Lat-long sky, .exr, .hdr or .png.")],
+    environment: Annotated[
+        Path,
+        typer.Argument(
+            metavar="ENVIRONMENT",
+            help="Lat-long sky (.exr, .hdr, .png), lights file (.toml) or sun:x,y,z[:r,g,b][:degrees].",
+        ),
+    ],
     degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree l.")] = 2,
     up: Up = None,
     rotate: Rotate = 0.0,
@@ -23,8 +29,8 @@ def light(
     """Print the spherical harmonics b_lm of an environment, and its suns.
 
     They are those of its radiance (linear Rec.709), in real orthonormal harmonics without Condon–Shortley phase, index
-    l(l+1)+m; nothing is pre-convolved. Suns are small strong sources, part of those harmonics, which `prtbake shade`
-    splits from the sky.
+    l(l+1)+m; nothing is pre-convolved. Suns are small strong sources in skies, part of those harmonics, which
+    `prtbake shade` splits from them.
     """
     from prt_bake.light_harmonics import project_lighting
     from prt_bake.lighting import read_lighting
@@ -33,8 +39,8 @@ def light(
     axis = up or "y"
     # Of a larger sky the suns are found in a smaller copy, made while its harmonics are summed.
     lighting = read_lighting([environment], axis, rotate, mend=mend, say=say, most_rows=_ROWS_FOR_SUNS, degree=degree)
-    coefficients, splits = project_lighting(lighting, degree), [split_suns(sky) for sky in lighting.skies]
-    found = [pair for split in splits for pair in zip(split.suns, split.shares, strict=True)]
+    coefficients, skies = project_lighting(lighting, degree), [split_suns(sky) for sky in lighting.skies]
+    found = [pair for sky in skies for pair in zip(sky.suns, sky.shares, strict=True)]
     if as_json:
         suns = [
             {
@@ -52,6 +58,7 @@ def light(
     bands = [(l, m) for l in range(degree + 1) for m in range(-l, l + 1)]
     for (l, m), (red, green, blue) in zip(bands, coefficients, strict=True):
         print(f"{l:>2} {m:>3} {red:>14.8g} {green:>14.8g} {blue:>14.8g}")
+    whole = "the energy" if len(skies) == 1 else "the energy of its sky"
     for sun, share in found:
         towards, power = (",".join(f"{number:.6g}" for number in part) for part in (sun.direction, sun.irradiance))
-        print(f"sun:{towards}:{power}:{sun.angular_diameter:.4g}  {share:.1%} of the energy")
+        print(f"sun:{towards}:{power}:{sun.angular_diameter:.4g}  {share:.1%} of {whole}")
