@@ -41,6 +41,7 @@ bench: .venv/installed-dev
 	PYTHONPATH=tests $(BIN)/python tests/bench/preview.py
 	$(BIN)/python tests/bench/large_skies.py
 	$(BIN)/python tests/bench/noise_free_comparison.py
+	$(BIN)/python tests/bench/picture_error.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/mitsuba_speed.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/walk_cost.py
 	PYTHONPATH=tests $(BIN)/python tests/bench/extremes.py
