@@ -56,12 +56,12 @@ def _lit(rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, weights: Any, lig
 
 @part
 def _fetch_rows(rows: Any, size: Any, first: Any, bins: Any, n: Any) -> None:
-    """Both ends of all four rows; neighbouring sectors lie side by side."""
-    fetch_ahead(rows, (first + bins[0, n]) * size)
-    fetch_ahead(rows, (first + bins[0, n]) * size + size - 1)
+    """All lines of the four rows; neighbouring sectors lie side by side, but for the last and the first."""
+    low, high = (first + bins[0, n]) * size, (first + bins[2, n]) * size
+    for place in range(0, 2 * size, _LINE // rows.itemsize):
+        fetch_ahead(rows, low + place)
+        fetch_ahead(rows, high + place)
     fetch_ahead(rows, (first + bins[1, n]) * size + size - 1)
-    fetch_ahead(rows, (first + bins[2, n]) * size)
-    fetch_ahead(rows, (first + bins[2, n]) * size + size - 1)
     fetch_ahead(rows, (first + bins[3, n]) * size + size - 1)
 
 
