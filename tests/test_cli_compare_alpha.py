@@ -76,9 +76,10 @@ def test_pictures_that_are_opaque_or_transparent_everywhere_count_whole(
     assert ("left out" in said) == (not alpha.any())
 
 
-def test_a_mask_that_is_opaque_is_one_by_its_colour(prtbake: Run, tmp_path: Path) -> None:
-    pair = save(tmp_path, "a.exr", 1.1), save(tmp_path, "b.exr", 1.0)
-    write_image(tmp_path / "mask.png", np.repeat(OPAQUE[..., None], 3, axis=2), alpha=np.ones(SHAPE))
-    told, said = figures(prtbake, *pair, "--mask", tmp_path / "mask.png")
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_a_mask_that_is_opaque_is_one_by_its_colour(prtbake: Run, tmp_path: Path, suffix: str) -> None:
+    pair, mask = (save(tmp_path, "a.exr", 1.1), save(tmp_path, "b.exr", 1.0)), tmp_path / f"mask{suffix}"
+    write_image(mask, np.repeat(OPAQUE[..., None], 3, axis=2), alpha=np.ones(SHAPE))
+    told, said = figures(prtbake, *pair, "--mask", mask)
     assert told["pixels"] == OPAQUE.sum()
     assert said == ""
