@@ -4,22 +4,26 @@ foretold is integrated over a lattice of its own.
 
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.error_shape import of_residuals, turned
 from bakers.lattice_pools import Pool, Pools
 from bakers.light_noise import LightNoise
 from bakers.refined import Checks, Refined, Refinement, noise_of_checks
+from bakers.shape_sums import ALONE, FORETOLD, ShapeSums
 from bakers.values import values_at
 from bakers.view_levels import Level
 from bakers.view_survey import ALWAYS, DECAY
+from formats.error_shape import ErrorShape, pairs
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 VALUES_AT_ONCE = 1 << 17
-ALONE, NEARLY = 3, 1.5
+MOST_ATTEMPTS, NEARLY = 3, 1.5
 """How often a bin's own lattice is tried, and times the variance allowed that is let pass."""
 DECAY_BEFORE = 8.0
 """How many bins' worth the usual decay of errors of prediction counts."""
@@ -30,6 +34,19 @@ ROUNDING = 2.0**-23
 """Relative error of a coefficient that is never held to be smaller: values and coefficients are kept in float32."""
 LEAST_SHARE = 0.15
 """Of the tolerated variance, what a bin may always have of its own."""
+
+
+class Fits(NamedTuple):
+    """Of M bins over lattices of their own, in the world's frame."""
+
+    coefficients: Array
+    """[M,K,3]"""
+    rough: Array
+    """[M], squared"""
+    covariance: Array
+    """[M,P], and"""
+    channels: Array
+    """[M,3]: how their errors hang together, of any size."""
 
 
 class Work:
@@ -58,6 +75,7 @@ class Work:
         self.fewest = int(np.searchsorted(refinement.pools.sizes, self.lattice.sizes[refinement.begin - 1]))
         self.fewest = min(self.fewest, len(self.pool_unit) - 1)
         """The smallest of the lattices of their own that do not miss what there is."""
+        self.shapes = ShapeSums(n, self.lattice.count)
 
     def add(self, number: int, level: Level) -> None:
         """Foretells the bins of a level, and evaluates those that this is not good enough for."""
@@ -75,7 +93,10 @@ class Work:
             part[bins, rows].copy() for part in (self.coefficients, self.noise, self.alone, self.surprise)
         )
         self.evaluate(number, level, places, rows, tolerated)
-        off = ((self.coefficients[bins, rows] - foretold) ** 2).mean(axis=1)
+        difference = self.coefficients[bins, rows] - foretold
+        in_world = self.turn[rows] @ difference.reshape(len(rows), self.lattice.count, 3)
+        self.shapes.add_errors(FORETOLD, rows, self.in_view(rows, bins, in_world))
+        off = (difference**2).mean(axis=1)
         self.surprise[bins, rows] = np.maximum(off - self.noise_of_difference(rows, bins, noise, alone), 0.0)
         if number > ALWAYS:
             self._learn_decay(rows, expected, self.surprise[bins, rows])
@@ -109,19 +130,24 @@ class Work:
         """Integrates bins over lattices of their own, as large as it takes for the variance allowed [M]."""
         rough, least = self.rough[bins, rows], np.full(len(rows), self.fewest)
         self.apart[bins, rows] = True
-        for _attempt in range(ALONE):
+        for attempt in range(MOST_ATTEMPTS):
             if not len(rows):
                 return
             enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
             steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
             steps = np.maximum(steps, least)
-            found, rough = self.fit_alone(rows, bins, steps, 0)
+            fits = self.fit_alone(rows, bins, steps, 0)
+            found, rough = fits.coefficients, fits.rough
             self.coefficients[bins, rows] = (self.turn[rows].transpose(0, 2, 1) @ found).reshape(len(rows), -1)
             noise = rough * self.pool_unit[steps]
             self.noise[bins, rows] = self.alone[bins, rows] = noise
             self.rough[bins, rows] = rough
             # Rougher than it seemed: once more, unless it is nearly good enough.
-            again = (noise > NEARLY * allowed) & (steps < len(self.pool_unit) - 1)
+            again = (noise > NEARLY * allowed) & (steps < len(self.pool_unit) - 1) & (attempt < MOST_ATTEMPTS - 1)
+            done = ~again
+            seen = self.views(rows[done], bins[done])
+            covariance = turned(fits.covariance[done], seen)
+            self.shapes.add(ALONE, rows[done], covariance, fits.channels[done], noise[done])
             rows, bins, least = rows[again], bins[again], steps[again] + 1
             allowed, rough = allowed[again], rough[again]
 
@@ -131,64 +157,101 @@ class Work:
         variance = np.ascontiguousarray(variance.T)
         n, bins = variance.shape
         own = self.coefficients.transpose(1, 0, 2).reshape(n, bins, -1, 3)
-        turned = self.turn[:, None] @ own
-        checks = self.check(variance, turned)
-        rounded = turned.astype(np.float32), np.sqrt(variance).astype(np.float32)
+        in_world = self.turn[:, None] @ own
+        checks = self.check(variance, in_world)
         shared = 0.0 if self.how.lattices == "own" else np.maximum(self.noise - self.alone, 0.0).sum(axis=0)
-        together = (shared / variance.sum(axis=1)).astype(np.float32)
-        spent = self.spent.T.astype(np.uint16)
-        return Refined(*rounded, spent, self._way().T, together, self.evaluations, self.recalled, checks)
+        shape = self._shape(variance)
+        return Refined(
+            in_world.astype(np.float32),
+            np.sqrt(variance).astype(np.float32),
+            self.spent.T.astype(np.uint16),
+            self._way().T,
+            (shared / variance.sum(axis=1)).astype(np.float32),
+            shape.covariance,
+            shape.channels,
+            shape.apart,
+            self.evaluations,
+            self.recalled,
+            checks,
+        )
+
+    def _shape(self, variance: Array) -> ErrorShape:
+        """How errors of this variance [n,B] hang together: what is foretold errs as what it was foretold from, which
+        bins beside each other have in common, and by what was not foreseen.
+        """
+        self.add_shapes()
+        foretold = self.spent == 0
+        apart = np.where(foretold, 0.0, self.alone).sum(axis=0) / variance.sum(axis=1)
+        shared, alone = (np.where(self.apart == which, self.noise, 0.0) for which in (False, True))
+        shared, alone = (np.where(foretold, 0.0, each).sum(axis=0) for each in (shared, alone))
+        carried = self.noise.sum(axis=0) / np.maximum(shared + alone, 1e-300)
+        surprise = np.where(foretold, self.surprise, 0.0).sum(axis=0)
+        return self.shapes.finished(np.stack([surprise, carried * shared, carried * alone]), apart)
+
+    def in_view(self, rows: Index, bins: Index, coefficients: Array) -> Array:
+        """Coefficients [M,K,3] of the world's frame in those of the views of these bins."""
+        return self.how.frames.in_view(self.vertices[rows], self.outgoing[rows, bins], coefficients)
+
+    def views(self, rows: Index, bins: Index) -> Array:
+        """What takes coefficients there, [M,K,K]."""
+        return self.how.frames.matrices(self.vertices[rows], self.outgoing[rows, bins], self.lattice.count)
+
+    def add_shapes(self) -> None:
+        """Tells how errors hang together that bins have from lattices that they share."""
 
     def _way(self) -> NDArray[np.uint8]:
         """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""
         return ((self.spent > 0).astype(np.uint8) + self.apart).astype(np.uint8)
 
-    def fit_alone(self, rows: Index, bins: Index, steps: Index, which: int) -> tuple[Array, Array]:
-        """Coefficients [M,K,3], in the world's frame, of bins over lattices of their own, and squared roughness."""
-        found, rough = np.empty((len(rows), self.lattice.count, 3)), np.empty(len(rows))
-        pools = self.how.pools
+    def fit_alone(self, rows: Index, bins: Index, steps: Index, which: int) -> Fits:
+        """Fits of bins over lattices of their own."""
+        count = self.lattice.count
+        cuts = np.cumsum([count * 3, 1, pairs(count)])
+        found, pools = np.empty((len(rows), int(cuts[-1]) + 3)), self.how.pools
         for step in np.unique(steps):
             size = pools.sizes[step]
             pool = pools.of(size)
             for some in lots(np.flatnonzero(steps == step), size):
                 r, b = rows[some], bins[some]
                 ask = partial(self._fit_alone, pool, r, b, pools.copies(size, self.vertices[r], b, which))
-                fits, known = self.how.answers.given((size, which), self.vertices[r], b, ask)
-                found[some], rough[some] = fits[:, :-1].reshape(len(some), -1, 3), fits[:, -1]
+                found[some], known = self.how.answers.given((size, which), self.vertices[r], b, ask)
                 self.recalled += known * size
         taken = np.array(pools.sizes, np.int64)[steps]
         self.evaluations += int(taken.sum())
         if which == 0:
             self.spent[bins, rows] += taken
-        return found, rough
+        coefficients, rough, covariance, channels = np.split(found, cuts, axis=1)
+        return Fits(coefficients.reshape(len(rows), count, 3), rough[:, 0], covariance, channels)
 
     def _fit_alone(self, pool: Pool, rows: Index, bins: Index, copies: Index, some: Index) -> Array:
-        """Some of these bins: coefficients and squared roughness [m,K·3+1]."""
+        """Some of these bins: coefficients, squared roughness, covariance and channels [m,K·3+1+P+3]."""
         r, b = rows[some], bins[some]
         values = values_at(self.transport, pool.incident, copies[some], self.positions[r], self.outgoing[r, b])
-        found, rough = pool.fitted(values, copies[some])
-        return np.column_stack([found.reshape(len(some), -1), rough])
+        found, left, rough = pool.fitted(values, copies[some])
+        covariance, channels = of_residuals(left, pool.products)
+        covariance = turned(covariance, pool.back[copies[some]])
+        return np.column_stack([found.reshape(len(some), -1), rough, covariance, channels])
 
-    def check(self, variance: Array, turned: Array) -> Checks:
+    def check(self, variance: Array, coefficients: Array) -> Checks:
         """Holds some bins against two lattices of their own each."""
         rows, bins = np.nonzero(self.how.checks(self.vertices) & np.isfinite(self.scale)[:, None])
         before = self.evaluations
-        one, other = self.held(rows, bins, turned)
+        one, other = self.held(rows, bins, coefficients)
         squared, noise = (one * other).mean(axis=(1, 2)), noise_of_checks(rows, one, other)
         way, taken = self._way()[bins, rows], self.evaluations - before
         return Checks(rows, way, variance[rows, bins], squared, noise, evaluations=taken)
 
-    def held(self, rows: Index, bins: Index, turned: Array) -> tuple[Array, Array]:
-        """What two lattices, which none of the coefficients `turned` [n,B,K,3] were fitted over, say that bins are off
-        [M,K,3]: one times the other has the squared error for a mean, however noisy they are.
+    def held(self, rows: Index, bins: Index, coefficients: Array) -> tuple[Array, Array]:
+        """What two lattices, which none of the coefficients [n,B,K,3] were fitted over, say that bins are off [M,K,3]:
+        one times the other has the squared error for a mean, however noisy they are.
         """
         # A bin that seems smoother than its vertex may have missed what others have seen.
         rough = np.maximum(self.rough[bins, rows], self.rough.mean(axis=0)[rows])
         allowed = self.how.checked**2 * self.scale[rows]
         enough = ~(rough[:, None] * self.pool_unit > allowed[:, None])
         steps = np.where(enough.any(axis=1), enough.argmax(axis=1), len(self.pool_unit) - 1)
-        steps = np.maximum(steps, self.fewest)
-        one, other = (self.fit_alone(rows, bins, steps, which)[0] - turned[rows, bins] for which in (1, 2))
+        steps, there = np.maximum(steps, self.fewest), coefficients[rows, bins]
+        one, other = (self.fit_alone(rows, bins, steps, which).coefficients - there for which in (1, 2))
         return one, other
 
     def measure(self, number: int) -> None:

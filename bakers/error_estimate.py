@@ -46,38 +46,46 @@ def choose_estimator(sectors: int, samples: int, count: int, fitted: bool) -> Es
     return "residual"
 
 
-def neighbour_variance(coefficients: Array, sectors: int) -> Array:
-    """Variance [n,B] of coefficients [n,B,K,3] from the fourth difference along each ring."""
+def neighbour_errors(coefficients: Array, sectors: int) -> Array:
+    """Numbers [n,B,K,3] that vary as the errors of coefficients [n,B,K,3] do: fourth differences along each ring."""
     n, bins, count, channels = coefficients.shape
     rings = coefficients.reshape(n, bins // sectors, sectors, count * channels)
     difference = np.zeros_like(rings)
     for shift, factor in enumerate(_FOURTH_DIFFERENCE, start=-2):
         difference += factor * np.roll(rings, shift, axis=2)
-    norm = sum(factor**2 for factor in _FOURTH_DIFFERENCE)
-    return np.asarray((difference**2).mean(axis=-1) / norm).reshape(n, bins)
+    difference /= np.sqrt(sum(factor**2 for factor in _FOURTH_DIFFERENCE))
+    return difference.reshape(coefficients.shape)
 
 
-def halves_variance(first: Array, second: Array, sectors: int) -> Array:
-    """Variance [n,B] of the mean of two independent estimates [n,B,K,3], averaged over each bin and its two neighbours.
+def neighbour_variance(coefficients: Array, sectors: int) -> Array:
+    """Variance [n,B] of coefficients [n,B,K,3] from the fourth difference along each ring."""
+    return np.asarray((neighbour_errors(coefficients, sectors) ** 2).mean(axis=(2, 3)))
 
-    The average raises the share within 1.96 from 0.91 to 0.97: one difference of few independent numbers is often too
-    small.
+
+def halves_variance(errors: Array, rough: Array, sectors: int) -> Array:
+    """Variance [n,B] of the mean of two independent estimates; `errors` [n,B,K,3] is half of what they differ by, and
+    `rough` [n,B] what their fits leave over.
+
+    Taken together for each bin and its two neighbours, which raises the share within 1.96 from 0.91 to 0.97: one
+    difference of few independent numbers is often too small. What is found there is shared out by roughness: a bin
+    with a hundred times the variance of the next would be told in both.
     """
-    own = (((first - second) / 2.0) ** 2).mean(axis=(-1, -2))
-    rings = own.reshape(len(own), -1, sectors)
+    own = (errors**2).mean(axis=(-1, -2))
     if sectors < 3:
         return np.asarray(own)
-    return np.asarray((np.roll(rings, 1, axis=2) + rings + np.roll(rings, -1, axis=2)) / 3.0).reshape(own.shape)
+    found, there = _with_neighbours(own, sectors), _with_neighbours(rough, sectors)
+    return np.asarray(np.divide(found * rough, there, out=np.zeros_like(own), where=there > 0.0))
+
+
+def _with_neighbours(values: Array, sectors: int) -> Array:
+    """Values [n,B], each added to those of the two bins beside it on its ring."""
+    rings = values.reshape(len(values), -1, sectors)
+    return np.asarray(np.roll(rings, 1, axis=2) + rings + np.roll(rings, -1, axis=2)).reshape(values.shape)
 
 
 def how_many_held(bins: int) -> int:
     """How many of its bins a vertex is evaluated at twice."""
     return min(bins, max(FEWEST_HELD, bins // SHARE_HELD))
-
-
-def pairs_variance(first: Array, second: Array) -> Array:
-    """Variance [n], mean over bins, of either of two independent estimates [n,m,K,3] of some bins of each vertex."""
-    return np.asarray(((first - second) ** 2).mean(axis=(1, 2, 3)) / 2.0)
 
 
 def suspect(neighbours: Array, rough: Array, fitted: int) -> NDArray[np.int64]:

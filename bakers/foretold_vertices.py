@@ -57,7 +57,7 @@ def checked(
 
 def _look(work: Work, rows: Index, bins: Index) -> None:
     """Sees how rough Ŝ is at these bins."""
-    _found, work.rough[bins, rows] = work.fit_alone(rows, bins, np.full(len(rows), work.fewest), 1)
+    work.rough[bins, rows] = work.fit_alone(rows, bins, np.full(len(rows), work.fewest), 1).rough
 
 
 def _foretold(

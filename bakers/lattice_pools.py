@@ -7,11 +7,13 @@ that what is foretold from several of them errs less than each does.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bakers.error_shape import products
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -37,15 +39,20 @@ class Pool:
         """Mean over K of the variance of a coefficient per unit variance of a value with independent errors."""
         return float((self.weights**2).sum() / len(self.weights))
 
-    def fitted(self, values: NDArray[np.floating], copies: Index) -> tuple[Array, Array]:
-        """Coefficients [M,K,3] of values [M,D,3] in the directions of these copies [M], and the mean square [M] of what
-        they leave over, per degree of freedom, mean over channels.
+    @cached_property
+    def products(self) -> Array:
+        """[D,P], see `bakers.error_shape`."""
+        return products(self.weights)
+
+    def fitted(self, values: NDArray[np.floating], copies: Index) -> tuple[Array, Array, Array]:
+        """Coefficients [M,K,3] of values [M,D,3] in the directions of these copies [M]; what they leave over [M,D,3];
+        and its mean square [M] per degree of freedom, mean over channels.
         """
         exact = values.astype(np.float64)
         own = self.weights @ exact
         freedom = self.harmonics.shape[0] - self.harmonics.shape[1]
-        rough = ((exact - self.harmonics @ own) ** 2).sum(axis=1).mean(axis=1) / freedom
-        return self.back[copies] @ own, np.asarray(rough)
+        left = exact - self.harmonics @ own
+        return self.back[copies] @ own, left, np.asarray((left**2).sum(axis=1).mean(axis=1) / freedom)
 
 
 class Pools:

@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.block_work import LEAST_SHARE, Work, lots
+from bakers.error_shape import of_residuals, turned
 from bakers.light_functions import LOOKS, LightFunctions
 from bakers.refined import Refinement
+from bakers.shape_sums import SHARED
 from bakers.values import values_at
 from bakers.view_levels import Level
 
@@ -86,7 +88,10 @@ class LearnedWork(Work):
                 values = self._values(self.incident, ("taught", lattice, view), rows, bins, cells)
                 finite = np.isfinite(values).all(axis=(1, 2))
                 self.functions.learn(cells[finite], values[finite].astype(np.float64))
-                squares += ((self.pool.weights @ values.astype(np.float64)) ** 2).mean(axis=(1, 2))
+                plain = self.pool.weights @ values.astype(np.float64)
+                squares += (plain**2).mean(axis=(1, 2))
+                left = values[finite] - self.pool.harmonics @ plain[finite]
+                self._shaped(rows[finite], bins[finite], cells[finite], left)
         self.functions.look_for(np.arange(n * self.lattices))
         self.scale = np.maximum(squares / (len(taught) * self.lattices), self.how.floor**2)
         self.coefficients[level.bins] = np.where(np.isfinite(squares), 0.0, np.nan)[:, None]
@@ -163,6 +168,14 @@ class LearnedWork(Work):
         self.coefficients[bins, rows] = self.functions.home(cells, plain)
         self.rough[bins, rows] = rough
         self._noisy(rows, bins, rough * self.unit, 0.0)
+        self._shaped(rows[finite], bins[finite], cells[finite], left[finite])
+
+    def _shaped(self, rows: Index, bins: Index, cells: Index, left: Array) -> None:
+        """Tells how errors hang together that bins have from their lattices, by what fits of whole views leave over."""
+        covariance, channels = of_residuals(left, self.pool.products)
+        frames = self.views(rows, bins) @ self.turn[rows] @ self.functions.frames[cells]
+        covariance = turned(covariance, frames)
+        self.shapes.add(SHARED, rows, covariance, channels, (left**2).sum(axis=(1, 2)))
 
     def _looks(self, begin: int, end: int) -> Array:
         """Some of the few directions of each lattice [n·L,d,3]."""

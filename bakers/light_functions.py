@@ -35,7 +35,7 @@ class LightFunctions:
         wanted.
         """
         n, (size, count) = len(home), pool.harmonics.shape
-        self._pool, self._home = pool, home
+        self._pool, self.frames = pool, home
         self.picked = np.zeros((n, LOOKS[-1][0]), np.int64)
         """Directions [n,F] that bins are held against them in: where the first of them are told apart, and between."""
         self.values = np.zeros((n, size, MOST))
@@ -70,7 +70,7 @@ class LightFunctions:
 
     def home(self, rows: Index, plain: Array) -> Array:
         """Coefficients [M,K·3] as they are wanted, from those on the lattice before it is turned [M,K,3]."""
-        return (self._home[rows] @ plain).reshape(len(rows), plain.shape[1] * 3)
+        return (self.frames[rows] @ plain).reshape(len(rows), plain.shape[1] * 3)
 
     def learn(self, rows: Index, values: Array) -> None:
         """Takes in what is new in values [m,D,3], a set for each of these lattices, which may come several times."""
@@ -92,7 +92,7 @@ class LightFunctions:
     def _prepare(self, rows: Index) -> None:
         functions, (size, count) = self.values[rows], self._pool.harmonics.shape
         plain = self._pool.weights @ functions
-        self._coefficients[rows] = self._home[rows] @ plain
+        self._coefficients[rows] = self.frames[rows] @ plain
         left = functions - self._pool.harmonics @ plain
         self._rough[rows] = left.transpose(0, 2, 1) @ left / (size - count)
         for (directions, most), fits, units in zip(LOOKS, self._fits, self._units, strict=True):

@@ -66,7 +66,7 @@ def vertices_walked_at_once(bins: int, paths: int) -> int:
 def walk_block(
     transport: Any, walks: Walks, positions: Array, outgoing: Array, first_vertex: int
 ) -> tuple[Array, Array, Account]:
-    """Coefficients [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], their variance [n,B], and the account.
+    """Coefficients [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], their variances alike, and the account.
 
     A vertex's numbers depend on its own seed and not on what it is baked with. Raises QueryError where the transport
     answers in another shape.
@@ -81,7 +81,7 @@ def walk_block(
     else:
         mean, error = _vertex_by_vertex(transport, walks, positions, outgoing, seeds)
         account = Account(bins=mean.shape[0] * mean.shape[1])
-    return mean.astype(np.float64), (error**2).mean(axis=(2, 3)), account
+    return mean.astype(np.float64), np.asarray(error, np.float64) ** 2, account
 
 
 def _vertex_by_vertex(

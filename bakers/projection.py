@@ -76,6 +76,15 @@ def residual_variance(
     directions, count = pool.harmonics.shape[1:]
     if directions == count:
         return np.asarray((coefficients**2).mean(axis=(-1, -2)))
-    residual = values - pool.harmonics[rotation] @ coefficients
+    residual = left_over(values, coefficients, pool, rotation)
     spread = (residual**2).sum(axis=-2).mean(axis=-1) / (directions - count)
     return np.asarray(spread * pool.variance_share)
+
+
+def left_over(
+    values: NDArray[np.floating], coefficients: Array, pool: DirectionPool, rotation: NDArray[np.int64]
+) -> Array:
+    """What the fit leaves of values [n,B,D,3]; of plain sums, all."""
+    if pool.harmonics is None:
+        return np.asarray(values, np.float64)
+    return np.asarray(values - pool.harmonics[rotation] @ coefficients)

@@ -8,11 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.answers import NOTHING, Answers
+from bakers.error_shape import Frames
 from bakers.lattice_pools import Pools
 from bakers.light_noise import LightNoise
 from bakers.nested_lattice import NestedLattice
 from bakers.view_levels import Level
 from bakers.view_survey import ViewSurvey
+from formats.error_shape import ErrorShape
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -23,7 +25,7 @@ those of the vertices around.
 """
 HELD = "way", "stated", "squared", "noise"
 """What there is of every bin that is held against others."""
-OF_VERTICES = "coefficients", "deviation", "directions", "way", "together"
+OF_VERTICES = "coefficients", "deviation", "directions", "way", "together", "covariance", "channels", "apart"
 """What there is of every vertex of a block."""
 MISSED_OF_ERROR = 0.3
 Lattices = Literal["own", "shared", "both", "learned"]
@@ -70,6 +72,8 @@ class Refinement:
     """What each size of the lattice misses without telling so, over the root mean square coefficient."""
     checks: Callable[[Index], NDArray[np.bool_]]
     """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
+    frames: Frames
+    """Of views, in which it is told how errors hang together."""
     answers: Answers = NOTHING
     """What was evaluated before."""
 
@@ -146,6 +150,12 @@ class Refined:
     """[n,B], how each bin was come by: places in WAYS."""
     together: NDArray[np.float32]
     """[n], share of the stated variance that the bins of a vertex have from one lattice, and so in common."""
+    covariance: NDArray[np.float32]
+    """[n,P], and"""
+    channels: NDArray[np.float32]
+    """[n,3], and"""
+    apart: NDArray[np.float32]
+    """[n,2]: how the errors of each vertex hang together (`formats.error_shape`)."""
     evaluations: int
     recalled: int
     """Evaluations that were known from before."""
@@ -155,6 +165,11 @@ class Refined:
     def valid(self) -> NDArray[np.bool_]:
         """Vertices [n] at which all is finite."""
         return np.asarray(np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.deviation).all(axis=1))
+
+    @property
+    def shape(self) -> ErrorShape:
+        """How the errors of each vertex hang together."""
+        return ErrorShape(self.covariance, self.channels, self.apart)
 
     def for_nothing(self) -> "Refined":
         """The same, from an earlier pass: it took nothing."""

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.block_work import LEAST_SHARE, Work, lots, unit
+from bakers.error_shape import turned
 from bakers.refined import Refinement
+from bakers.shape_sums import SHARED
 from bakers.values import values_at
 from bakers.view_levels import STENCIL, Level
 
@@ -61,6 +63,17 @@ class SharedWork(Work):
         """What is foretold of a bin errs apart from one that was integrated alone, and together with others."""
         noise = self.noise[bins, rows]
         return np.asarray(np.where(self.apart[bins, rows], noise + foretold, np.maximum(noise - foretold, 0.0)))
+
+    def add_shapes(self) -> None:
+        """Tells how errors hang together that bins have from the lattice, by what fits over it leave over."""
+        bins, rows = np.nonzero((self.evaluated > 0) & ~self.apart)
+        sizes = self.evaluated[bins, rows]
+        for size in np.unique(sizes):
+            for some in lots(np.flatnonzero(sizes == size), self.lattice.sizes[size - 1]):
+                r, b = rows[some], bins[some]
+                covariance, channels = self.lattice.shape(self._values(size, r, b), size - 1)
+                covariance = turned(covariance, self.views(r, b) @ self.turn[r])
+                self.shapes.add(SHARED, r, covariance, channels, self.noise[b, r])
 
     def _settle(
         self, rows: Index, bins: Index, foretold: tuple[Index, Array, Array, Array] | None, tolerated: float

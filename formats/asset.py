@@ -8,6 +8,8 @@ The file is HDF5 with gzip and shuffle only, little-endian, of format_version 1.
     /basis        attributes kind, degree, order, sign, normalisation; check_directions, check_values
     /bins         directions; attributes rings, sectors, interpolation, solid_angle
     /transfer     coefficients [V,B,K,C], valid [V], standard_error [V,B]; attributes quantity, formula, folded_in
+                  how errors hang together (`formats.error_shape`): error_covariance, error_channels, error_apart,
+                  error_row
     /selftest     light, vertex, outgoing, radiance
     /provenance   json (one string), error_vs_time [rows,3]
 

@@ -7,7 +7,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from formats import compact_layout
+from formats import compact_layout, error_shape
 from formats.asset_head import BASIS, FORMAT, FORMULAS
 
 _MISSING = object()
@@ -109,9 +109,12 @@ def _dataset_faults(file: Any) -> Iterator[str]:
     selftest = {f"selftest/{name}" for name in file.get("selftest", ())}
     compact = transfer_group(file) == compact_layout.GROUP
     of_transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
+    shapes = {f"{transfer_group(file)}/{name}": axes for name, axes in error_shape.DATASETS.items()}
     required = {*_DATASETS, *of_transfer}
     required |= {name for name in _OPTIONAL_DATASETS if name.startswith("selftest/")} if selftest else set()
-    for name, (kinds, axes) in {**_DATASETS, **of_transfer, **_OPTIONAL_DATASETS}.items():
+    if any(name in file for name in shapes):
+        required |= {name for name in shapes if not name.endswith("error_row")}
+    for name, (kinds, axes) in {**_DATASETS, **of_transfer, **shapes, **_OPTIONAL_DATASETS}.items():
         dataset = file.get(name)
         if not isinstance(dataset, h5py.Dataset):
             if name in required:

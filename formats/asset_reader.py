@@ -15,6 +15,7 @@ from formats.asset_record import Asset
 from formats.chunk_reader import read_chunks, unpacks
 from formats.compact_file import read_compact
 from formats.compact_layout import GROUP, value_faults
+from formats.error_shape import read_shape, shape_faults
 from formats.errors import AssetError
 from formats.hdf5_file import DAMAGE, Damage, damage, open_hdf5
 from formats.mesh import Mesh
@@ -104,6 +105,7 @@ def _faults(file: Any) -> Iterator[str]:
     yield from _marked(f"{group}/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
     if group == GROUP:
         yield from value_faults(file[GROUP])
+    yield from shape_faults(file[group], vertices)
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
         yield from _marked("selftest/vertex", outside, "of vertices that do not exist")
@@ -205,6 +207,7 @@ def _asset(file: Any, load: bool) -> Asset:
         error_vs_time=file["provenance/error_vs_time"][...].astype(np.float64),
         selftest={name: selftest[name][...] for name in selftest},
         storage="float16" if coefficients.dtype.itemsize == 2 else "float32",
+        error_shape=read_shape(transfer),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.error_shape import ErrorShape
 from formats.mesh import Mesh
 
 Storage = Literal["float16", "float32"]
@@ -65,6 +66,7 @@ class Asset(AssetHead):
         error_vs_time: float64 [rows,3]: seconds, evaluations, estimated relative error.
         selftest: light [K,3], vertex [S], outgoing [S,3] and radiance [S,3] to be reproduced by importers, or nothing.
         storage: the type that a file of it keeps, "float16" or "float32".
+        error_shape: how the errors of each vertex hang together, where that is known.
     """
 
     coefficients: Any
@@ -75,6 +77,7 @@ class Asset(AssetHead):
     error_vs_time: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     selftest: dict[str, NDArray[Any]] = field(default_factory=dict)
     storage: Storage = "float16"
+    error_shape: ErrorShape | None = None
 
     @property
     def eta(self) -> float:

@@ -17,6 +17,7 @@ from formats.asset_head import FORMULAS
 from formats.asset_record import Asset, AssetHead, Storage
 from formats.compact_file import write_compact
 from formats.compact_record import CompactCoefficients
+from formats.error_shape import ErrorShape, write_shape
 from formats.errors import AssetError
 from formats.interrupts import deferred
 from formats.whole import replacing
@@ -36,6 +37,8 @@ class AssetWriter:
 
     Attributes:
         block_vertices: vertices in a chunk of the file; blocks that start and end at its multiples are written fastest.
+        shape: of the coefficients, [V,B,K,C].
+        valid: [V], 1 where a vertex was written.
         storage: "float16" or "float32", as the file has it by now.
         storage_note: why float16 was given up, one sentence; empty if it was not.
     """
@@ -61,11 +64,11 @@ class AssetWriter:
         _refuse_unfit(path, head, views, channels)
         self._path, self._head = path, head
         terms = 1 if head.quantity == "radiance" else (head.degree + 1) ** 2
-        self._shape = (len(head.mesh.positions), views or len(head.directions), terms, channels)
+        self.shape = (len(head.mesh.positions), views or len(head.directions), terms, channels)
         self.storage: Storage = storage
         self.storage_note = ""
-        self.block_vertices = chunk_vertices(self._shape, storage)
-        self._valid = np.zeros(self._shape[0], np.uint8)
+        self.block_vertices = chunk_vertices(self.shape, storage)
+        self.valid = np.zeros(self.shape[0], np.uint8)
         self._rounding_squares = 0.0
         self._stated_squares = 0.0
         self._finished = False
@@ -74,7 +77,7 @@ class AssetWriter:
         self._part = self._stack.enter_context(replacing(path))
         try:
             with self._guarded():
-                self._file = AssetFile(self._part, head, self._shape, storage)
+                self._file = AssetFile(self._part, head, self.shape, storage)
         except BaseException as cause:
             self._leave(cause)
             raise
@@ -99,7 +102,7 @@ class AssetWriter:
             if self.storage == "float16" and (reason := self._float16_fails(values, errors)):
                 self._widen(reason)
             self._open.write(rows, values.astype(self.storage), errors)
-        self._valid[rows] = 1
+        self.valid[rows] = 1
 
     def finish(
         self,
@@ -107,6 +110,7 @@ class AssetWriter:
         error_vs_time: NDArray[np.floating] | None = None,
         selftest: Mapping[str, NDArray[Any]] | None = None,
         complete: bool = True,
+        error_shape: ErrorShape | None = None,
     ) -> str:
         """Write what is known at the end, and let the file take its place.
 
@@ -115,6 +119,7 @@ class AssetWriter:
             error_vs_time: [rows,3]: seconds, evaluations, estimated relative error.
             selftest: light [K,3], vertex [S], outgoing [S,3], radiance [S,3].
             complete: false for a bake that was stopped; vertices never written have valid = 0.
+            error_shape: how the errors of each vertex hang together, where that is known.
 
         Returns:
             `storage_note`: a sentence to tell the user, or nothing.
@@ -127,7 +132,9 @@ class AssetWriter:
         with self._guarded():
             file = self._open.file
             file.attrs["complete"] = np.uint8(complete)
-            file.create_dataset("transfer/valid", data=self._valid)
+            file.create_dataset("transfer/valid", data=self.valid)
+            if error_shape is not None:
+                write_shape(file["transfer"], error_shape)
             file.create_dataset("provenance/json", data=text)
             file.create_dataset("provenance/error_vs_time", data=rows)
             for name, values in (selftest or {}).items():
@@ -181,17 +188,17 @@ class AssetWriter:
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the block in float32, the errors spread over the view axis."""
         count = len(coefficients)
-        if np.shape(coefficients)[1:] != self._shape[1:] or not 0 <= rows.start <= rows.stop <= self._shape[0]:
+        if np.shape(coefficients)[1:] != self.shape[1:] or not 0 <= rows.start <= rows.stop <= self.shape[0]:
             raise AssetError(
                 f"{self._path}: a block at vertex {rows.start} has shape {list(np.shape(coefficients))}; expected "
-                f"[n, {', '.join(map(str, self._shape[1:]))}] within {self._shape[0]} vertices"
+                f"[n, {', '.join(map(str, self.shape[1:]))}] within {self.shape[0]} vertices"
             )
-        if np.shape(standard_error) not in {(count, self._shape[1]), (count, 1)}:
+        if np.shape(standard_error) not in {(count, self.shape[1]), (count, 1)}:
             found = list(np.shape(standard_error))
-            raise AssetError(f"{self._path}: standard errors have shape {found}; expected {[count, self._shape[1]]}")
+            raise AssetError(f"{self._path}: standard errors have shape {found}; expected {[count, self.shape[1]]}")
         with np.errstate(over="ignore"):
             values = np.asarray(coefficients).astype(np.float32)
-            errors = np.broadcast_to(standard_error, (count, self._shape[1])).astype(np.float32)
+            errors = np.broadcast_to(standard_error, (count, self.shape[1])).astype(np.float32)
         unfit = ~np.isfinite(values).all(axis=(2, 3)) | ~np.isfinite(errors) | (errors < 0)
         if unfit.any():
             vertex, view = np.argwhere(unfit)[0]
@@ -207,7 +214,7 @@ class AssetWriter:
         if largest >= _FLOAT16_LIMIT:
             return f"coefficients up to {largest:.4g} exceed the 65504 of float16"
         rounding = values.astype(np.float16).astype(np.float32) - values
-        self._rounding_squares += float(np.square(rounding, dtype=np.float64).sum()) / math.prod(self._shape[2:])
+        self._rounding_squares += float(np.square(rounding, dtype=np.float64).sum()) / math.prod(self.shape[2:])
         self._stated_squares += float(np.square(errors, dtype=np.float64).sum())
         if self._rounding_squares <= _ROUNDING_SHARE**2 * self._stated_squares:
             return ""
@@ -221,17 +228,17 @@ class AssetWriter:
         self.storage = "float32"
         self.storage_note = f"coefficients are kept as float32: {reason}"
         try:
-            self._file = AssetFile(self._part, self._head, self._shape, self.storage)
+            self._file = AssetFile(self._part, self._head, self.shape, self.storage)
             self._file.note(self.storage_note)
             with h5py.File(narrow_path, "r") as narrow:
                 transfer = narrow["transfer"]
-                for start in range(0, self._shape[0], self.block_vertices):
-                    rows = slice(start, min(start + self.block_vertices, self._shape[0]))
-                    if self._valid[rows].any():
+                for start in range(0, self.shape[0], self.block_vertices):
+                    rows = slice(start, min(start + self.block_vertices, self.shape[0]))
+                    if self.valid[rows].any():
                         self._file.write(rows, transfer["coefficients"][rows], transfer["standard_error"][rows])
         finally:
             narrow_path.unlink(missing_ok=True)
-        self.block_vertices = chunk_vertices(self._shape, self.storage)
+        self.block_vertices = chunk_vertices(self.shape, self.storage)
 
 
 def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
@@ -254,7 +261,8 @@ def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
                 if len(run):
                     span = slice(int(run[0]), int(run[-1]) + 1)
                     writer.write_block(span.start, asset.coefficients[span], asset.standard_error[span])
-        writer.finish(asset.provenance, asset.error_vs_time, asset.selftest, complete=asset.complete)
+        shape = asset.error_shape
+        writer.finish(asset.provenance, asset.error_vs_time, asset.selftest, complete=asset.complete, error_shape=shape)
 
 
 def _refuse_unfit(path: str | os.PathLike[str], head: AssetHead, views: int | None, channels: int) -> None:

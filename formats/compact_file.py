@@ -14,6 +14,7 @@ from formats.asset_record import Asset
 from formats.asset_sink import Sink
 from formats.compact_layout import GROUP, digit_names
 from formats.compact_record import AddedError, CompactCoefficients, FactorisedViews, LearnedViews
+from formats.error_shape import write_shape
 from formats.interrupts import deferred
 from formats.whole import replacing
 
@@ -130,6 +131,8 @@ def _write_transfer(group: Any, asset: Asset) -> None:
     _packed(group, "valid", asset.valid.astype(np.uint8))
     _packed(group, "standard_error", coarse(asset.standard_error))
     _packed(group, "added_error", coarse(added.per_vertex))
+    if asset.error_shape is not None:
+        write_shape(group, asset.error_shape)
     _packed(group, "view_component", compact.view_component.astype("<u4"))
     _packed(group, "channel_component", compact.channel_component.astype("<u4"))
     _packed(group, "channel_basis", compact.channels.astype("<f4"))

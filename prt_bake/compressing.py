@@ -13,13 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.compression import Trial, forms, quantised, tried, untransformed
+from bakers.error_shape import both, gathered, of_errors
 from formats.asset import Asset, read_asset
 from formats.compact_file import Sparse, coarse, joined, sparse, write_compact
 from formats.compact_record import AddedError, CompactCoefficients
+from formats.error_shape import ErrorShape, pairs
 from formats.errors import QueryError, refuse_path
 from formats.whole import replacing
 from prt_bake import sphere
 from prt_bake.reconstruction import reconstruct
+from prt_bake.view_frames import ViewFrames
 
 Array = NDArray[np.float64]
 Progress = Callable[[float, str], None]
@@ -59,11 +62,15 @@ class Outcome(NamedTuple):
 
 
 class Encoded(NamedTuple):
-    """All vertices in one form: the parts of compact codes, and the error's squares [V] and the original's [V]."""
+    """All vertices in one form: the parts of compact codes, the error's squares [V] and the original's [V], and sums of
+    products of the errors of two harmonics [V,P], and of each channel [V,C].
+    """
 
     parts: list[Sparse]
     lost: Array
     original: Array
+    covariance: Array
+    of_channels: Array
 
 
 def compress(asset: Asset, error: float, progress: Progress | None = None) -> Asset:
@@ -97,10 +104,11 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         found = _within(asset, best, error, say)
     if found is None:
         raise QueryError(f"error: {error:g} is finer than whole numbers in 32 bits can tell; ask for a larger one")
-    compact, original = found
+    compact, encoded = found
     own = np.square(np.asarray(asset.standard_error, np.float64)).mean(axis=1)
     stated = np.where(asset.valid, np.sqrt(own + np.square(compact.added.per_vertex, dtype=np.float64)), 0.0)
     noise = float(own[asset.valid].sum()) * math.prod(asset.coefficients.shape[1:])
+    original = float(encoded.original.sum())
     told = {
         "form": best.form.name,
         "components": len(compact.view_component),
@@ -116,6 +124,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         coefficients=compact,
         standard_error=coarse(stated[:, None]),
         storage="float32",
+        error_shape=_error_shape(asset, own, encoded),
         selftest=_selftest(asset, compact),
         provenance={**asset.provenance, "compression": told},
     )
@@ -228,16 +237,26 @@ def _row(trial: Trial, share: float, squares: float, seconds: float) -> Tried:
     return Tried(trial.form.name, round(share * trial.size) + trial.basis, error, round(seconds, 2))
 
 
-def _within(asset: Asset, trial: Trial, error: float, say: Progress) -> tuple[CompactCoefficients, float] | None:
-    """All vertices in the form that was tried, its step made finer until the error is met, and the squares of the
-    original; None where what the form leaves out is more than the error.
+def _error_shape(asset: Asset, own: Array, encoded: Encoded) -> ErrorShape | None:
+    """How errors hang together that are of mean variance `own` [V] before compaction, and what compaction adds."""
+    if asset.error_shape is None:
+        return None
+    _, bins, terms, channels = asset.coefficients.shape
+    sums = encoded.covariance / (bins * channels), encoded.of_channels / (bins * terms)
+    whole = both(asset.error_shape.of(np.arange(len(own))), own, *sums)
+    return gathered(whole, np.where(asset.valid, own + sums[1].mean(axis=1), 0.0))
+
+
+def _within(asset: Asset, trial: Trial, error: float, say: Progress) -> tuple[CompactCoefficients, Encoded] | None:
+    """All vertices in the form that was tried, its step made finer until the error is met; None where what the form
+    leaves out is more than the error.
     """
     step = trial.step
     for attempt in range(_PASSES):
         encoded = _encoded(asset, trial, step, error, lambda done: say(0.5 + 0.5 * done, "encoding"))
         lost, original = float(encoded.lost.sum()), float(encoded.original.sum())
         if lost <= error**2 * original:
-            return _compact(asset, trial, step, error, encoded), original
+            return _compact(asset, trial, step, error, encoded), encoded
         step *= 0.998 * (error**2 * original / lost) ** (1.0 + attempt)
     return None
 
@@ -262,8 +281,9 @@ def _encoded(asset: Asset, trial: Trial, step: float, error: float, say: Callabl
     analysis = form.analysis(kind)
     at = trial.view_component, trial.channel_component
     views, channels = form.views.matrix.T.astype(kind), form.channels.reshape(len(form.channels), -1).astype(kind)
-    vertices = len(asset.valid)
+    vertices, (terms, colours) = len(asset.valid), asset.coefficients.shape[2:]
     parts, lost, original = [], np.zeros(vertices), np.zeros(vertices)
+    covariance, of_channels = np.zeros((vertices, pairs(terms))), np.zeros((vertices, colours))
     for first in range(0, vertices, AT_ONCE):
         rows = np.arange(first, min(first + AT_ONCE, vertices))
         if not asset.valid[rows].any():
@@ -277,10 +297,25 @@ def _encoded(asset: Asset, trial: Trial, step: float, error: float, say: Callabl
         numbers[:, at[0], at[1]] = codes.T * step
         decoded = np.matmul(views, numbers @ channels)
         flat = block.reshape(decoded.shape)
-        lost[rows] = np.square(decoded - flat, dtype=np.float64).sum(axis=(1, 2))
+        errors = decoded - flat
+        if asset.error_shape is not None:
+            covariance[rows], of_channels[rows] = _shapes_of(asset, rows, errors.reshape(block.shape))
+        lost[rows] = np.square(errors, dtype=np.float64).sum(axis=(1, 2))
         original[rows] = np.square(flat, dtype=np.float64).sum(axis=(1, 2))
         say((first + len(rows)) / vertices)
-    return Encoded(parts, lost, original)
+    return Encoded(parts, lost, original, covariance, of_channels)
+
+
+def _shapes_of(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Sums [n,P], [n,C] that tell how errors [n,B,K,C] of these vertices hang together, in the frames of the views."""
+    n, bins, terms, channels = errors.shape
+    normals, tangents = (np.asarray(each, np.float64) for each in (asset.mesh.normals, asset.tangents))
+    frames = ViewFrames(normals, tangents)
+    local = asset.directions if bins > 1 else np.array([[0.0, 0.0, 1.0]])
+    outgoing = sphere.to_world(local, normals[vertices, None], tangents[vertices, None])
+    each = errors.astype(np.float64).reshape(n * bins, terms, channels)
+    in_view = frames.in_view(np.repeat(vertices, bins), outgoing.reshape(-1, 3), each)
+    return of_errors(in_view.reshape(n, bins, terms, channels), channels)
 
 
 def _compact(asset: Asset, trial: Trial, step: float, error: float, encoded: Encoded) -> CompactCoefficients:

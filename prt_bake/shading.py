@@ -16,10 +16,11 @@ from formats.errors import QueryError, refuse_path
 from prt_bake.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lighting import Lighting, as_lighting
 from prt_bake.picture_layers import layers_of
+from prt_bake.radiance_error import over_faces, radiance_error
 from prt_bake.seen_points import PixelMeans, Seen, cast, grid_offsets, row_blocks
 from prt_bake.sun_light import SunTreatment, suns_apart
 from prt_bake.surface_gloss import SurfaceGloss, reflects
-from prt_bake.vertex_shading import Shading, corner_shares, light_of, radiance_error, shade, shade_vertices
+from prt_bake.vertex_shading import Shading, corner_shares, light_of, shade, shade_vertices
 
 __all__ = ["Picture", "Shading", "radiance_error", "render_picture", "shade", "shade_vertices"]
 
@@ -96,7 +97,8 @@ def render_picture(
     shading = shade_vertices(asset, harmonics, towards_eye, visible, apart)
     sigma = radiance_error(asset, whole, towards_eye, visible)
     shares = corner_shares(asset, corners, seen.barycentric)
-    sent, error = (np.einsum("nk,nkc->nc", shares, values[corners]) for values in (shading.radiance, sigma))
+    sent = np.einsum("nk,nkc->nc", shares, shading.radiance[corners])
+    error = over_faces(asset, shares, corners, sigma)
     reflecting = reflection and reflects(asset)
     gloss = differing = np.zeros((0, 3))
     if reflecting:

@@ -79,23 +79,6 @@ def shade_vertices(
     return Shading(radiance, negative / kept if kept > 0.0 else float(negative > 0.0), len(vertices))
 
 
-def radiance_error(
-    asset: Asset, light: ArrayLike | None, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
-) -> Array:
-    """One sigma [V,3] of what `shade` gives, by the asset's standard errors: that of a coefficient, between bins as
-    radiance is, times the length of the light's coefficients.
-
-    Errors of the bins that a direction lies between are taken to be alike: where they are not, it is less. Of what the
-    model itself is off it knows nothing. Arguments and errors as those of `shade_vertices`.
-    """
-    length = np.sqrt((light_of(asset, light) ** 2).sum(axis=0))
-    vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    at, sigma = between_bins(asset, eye, vertices), asset.standard_error[:, :, None, None]
-    error = np.zeros((len(asset.valid), 3))
-    error[vertices] = length * reconstruct(sigma, vertices, at, asset.sectors, np.ones((1, 3)))
-    return error
-
-
 def surface_radiance(
     asset: Asset, weights: Array, faces: NDArray[np.int64], barycentric: Array, outgoing: Array
 ) -> Array:
@@ -129,9 +112,14 @@ def corner_shares(asset: Asset, corners: NDArray[np.integer], barycentric: Array
 
 def between_bins(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
     """Where the direction to the eye lies between the view bins of `vertices` [n]; raises as `shade` for the eye."""
+    return towards(asset, eye, vertices)[0]
+
+
+def towards(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> tuple[sphere.BinCoordinates, Array]:
+    """The same, and the direction itself [n,3]."""
     outgoing = _towards_eye(asset, eye, vertices)
     local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
-    return sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    return sphere.bin_coordinates(local, asset.rings, asset.sectors), outgoing
 
 
 def light_of(asset: Asset, light: ArrayLike | None) -> Array:

@@ -17,8 +17,8 @@ from prt_bake import environment, sh
 from prt_bake.preview import colours, legend
 from prt_bake.preview.lights import LightSource
 from prt_bake.preview.state import Mode, Preview
+from prt_bake.radiance_error import radiance_error
 from prt_bake.shading import shade
-from prt_bake.vertex_shading import radiance_error
 
 EYE = np.array([0.3, 1.2, 3.5])
 VALID = np.arange(66) % 5 != 2

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from transports import Lobed, icosphere
 
+from bakers.error_shape import unshaped
 from bakers.refined import WAYS, Checks, Refined
 from bakers.verdict import Correction, Tally
 from bakers.vertex_scatter import APART, TOGETHER, UNKNOWN, Scatter, measured, possible
@@ -30,7 +31,9 @@ def tallied(stated: Array, squared: Array, noise: Array, vertices: NDArray[np.in
     one, rows = np.ones((count, 1), np.float32), np.arange(count)
     way, share = np.full((count, 1), WAYS.index("alone"), np.uint8), np.full(count, together, np.float32)
     coefficients = np.ones((count, 1, 9, 3), np.float32)
-    tally.add(rows, Refined(coefficients, one, one.astype(np.uint16), way, share, 0, 0, checks))
+    shape = unshaped(count, 9)
+    shapes = shape.covariance, shape.channels, shape.apart
+    tally.add(rows, Refined(coefficients, one, one.astype(np.uint16), way, share, *shapes, 0, 0, checks))
     return tally
 
 

@@ -17,6 +17,7 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sphere
 from prt_bake.baker.sampling import Resolved, resolve_sampling
+from prt_bake.view_frames import frames_of
 
 if TYPE_CHECKING:
     from prt_bake.baker.needs import Needs
@@ -68,7 +69,7 @@ def resolve(
     sampling = resolved.sampling
     if needs is not None and needs.views == "one" and not isinstance(sampling, Walks):
         sampling = alike(sampling)
-    task = Task(transport, mesh.positions, outgoing, bins, around, sampling)
+    task = Task(transport, mesh.positions, outgoing, bins, around, sampling, frames_of(mesh))
     return Job(transport, mesh, rings, sectors, degree, resolved, task, needs)
 
 

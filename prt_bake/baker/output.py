@@ -13,6 +13,7 @@ from formats.asset_writer import AssetWriter
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake import sh, sphere
+from prt_bake.baker.shape_rows import ShapeRows
 
 CHECK_DIRECTIONS = np.array([[2.0, 3.0, 6.0], [-6.0, 2.0, -3.0]]) / 7.0
 SELFTEST_LOCAL = np.array(
@@ -101,6 +102,7 @@ class ArraySink:
         self._coefficients = np.zeros((vertices, views, terms, channels), dtype=np.float32)
         self._standard_error = np.zeros((vertices, views), dtype=np.float32)
         self._valid = np.zeros(vertices, dtype=np.bool_)
+        self._shapes = ShapeRows(self._coefficients.shape)
 
     def __enter__(self) -> Self:
         return self
@@ -116,6 +118,7 @@ class ArraySink:
         self._coefficients[rows] = block.coefficients
         self._standard_error[rows] = block.standard_error
         self._valid[rows] = block.valid
+        self._shapes.keep(block)
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
         """Closes the asset and hands it over."""
@@ -130,6 +133,7 @@ class ArraySink:
             error_vs_time=error_vs_time,
             selftest=selftest(self._head, first, self._coefficients[first], self._light) if self._valid.any() else {},
             storage=self._storage,
+            error_shape=self._shapes.finished(),
         )
 
 
@@ -153,6 +157,7 @@ class FileSink:
         self._target = self._out.with_name(f"partial-{self._out.name}") if replaces else self._out
         self._writer = AssetWriter(self._target, head, storage=storage, views=axes[0], channels=axes[1])
         self._first: tuple[int, NDArray[np.float32]] | None = None
+        self._shapes = ShapeRows(self._writer.shape)
 
     def __enter__(self) -> Self:
         self._writer.__enter__()
@@ -172,6 +177,7 @@ class FileSink:
                 self._writer.write_block(
                     block.first_vertex + rows.start, block.coefficients[rows], block.standard_error[rows]
                 )
+        self._shapes.keep(block)
         if self._first is None and good.size:
             self._first = block.first_vertex + int(good[0]), block.coefficients[good[0]].copy()
 
@@ -183,7 +189,8 @@ class FileSink:
             check = selftest(self._head, vertex, coefficients.astype(self._writer.storage), self._light)
         if self._writer.storage_note:
             provenance = provenance | {"storage_note": self._writer.storage_note}
-        self._writer.finish(provenance, error_vs_time, check, complete=complete)
+        shape = self._shapes.finished()
+        self._writer.finish(provenance, error_vs_time, check, complete=complete, error_shape=shape)
         if complete and self._target != self._out:
             self._target.replace(self._out)
         return read_asset(self._out if complete else self._target, load=False)

@@ -10,11 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block
+from bakers.error_shape import shape_of
 from formats.asset import Asset, AssetHead
+from formats.error_shape import ErrorShape
 from prt_bake import sh
 from prt_bake.baker.error import ErrorMeter
 from prt_bake.baker.needs import WORST, Needs
 from prt_bake.baker.output import Sink, open_sink
+from prt_bake.view_frames import ViewFrames, frames_of
 
 Array = NDArray[np.float64]
 
@@ -50,7 +53,8 @@ def pared_sink(out: str | Path | None, head: AssetHead, storage: str, needs: Nee
     """A sink in memory or for the file `out`, for blocks of all that is baked; raises QueryError on a storage type."""
     folded = None if needs.light is None else needs.light.coefficients
     views = len(head.directions) if needs.views == "all" else 1
-    return ParedSink(open_sink(out, pared_head(head, needs), storage, views, needs.channels, folded), needs)
+    sink = open_sink(out, pared_head(head, needs), storage, views, needs.channels, folded)
+    return ParedSink(sink, needs, frames_of(head.mesh))
 
 
 class ParedSink:
@@ -61,8 +65,8 @@ class ParedSink:
             that stayed, over vertices.
     """
 
-    def __init__(self, sink: Sink, needs: Needs) -> None:
-        self._sink, self._needs = sink, needs
+    def __init__(self, sink: Sink, needs: Needs, frames: ViewFrames) -> None:
+        self._sink, self._needs, self._frames = sink, needs, frames
         self._copies: dict[int, list[int]] = {}
         for vertex, same in needs.copies.tolist():
             self._copies.setdefault(same, []).append(vertex)
@@ -93,7 +97,8 @@ class ParedSink:
             for copy in self._copies.get(vertex, ()):
                 rows = slice(row, row + 1)
                 parts = pared.coefficients[rows], pared.standard_error[rows], pared.valid[rows]
-                self._sink.write(Block(copy, *parts, 0))
+                shape = None if pared.shape is None else pared.shape.of(np.array([row]))
+                self._sink.write(Block(copy, *parts, 0, shape=shape))
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
         """The asset, whole or in part; its error figures hold what was left out, and rounding, besides."""
@@ -115,13 +120,14 @@ class ParedSink:
         a, variance = block.coefficients.astype(np.float64), block.standard_error.astype(np.float64) ** 2
         squares = (a**2).mean(axis=(2, 3))
         variance += needs.rounding**2 * squares
-        off = np.zeros(variance.shape)
+        off, shape = np.zeros(variance.shape), block.shape
         if needs.views == "one":
             mean = a.mean(axis=1, keepdims=True)
             spread = ((a - mean) ** 2).mean(axis=(1, 2, 3), keepdims=True)[..., 0, 0]
             each, squares = variance.mean(axis=1, keepdims=True), squares.mean(axis=1, keepdims=True)
             apart = each * _spreading(block, a.shape[1])
             off, variance = self._held("views", block, spread, squares, each, apart), each - apart
+            shape = None if shape is None else replace(shape, apart=shape.apart * [0.0, 1.0])
             self._averaged += each[block.valid].sum(), variance[block.valid].sum()
             a = mean
         kept = sh.count(needs.kept_degree)
@@ -129,18 +135,35 @@ class ParedSink:
             cut = (a[:, :, kept:] ** 2).sum(axis=(2, 3)) / (a.shape[2] * 3)
             off = off + self._held("bands", block, cut, squares, variance, (1.0 - kept / a.shape[2]) * variance)
             a = a[:, :, :kept]
+            shape = None if shape is None else shape.of_first(kept)
         if needs.channels == 1:
             grey = a.mean(axis=3, keepdims=True)
             cut = ((a - grey) ** 2).mean(axis=(2, 3))
             off = off + self._held("channels", block, cut, squares, 0.0 * variance, 0.0)
             a = grey
+            shape = None if shape is None else replace(shape, channels=np.ones_like(shape.channels[:, :1]))
         self.squared += off[block.valid].sum(), squares[block.valid].sum()
         variance = variance + np.maximum(off, 0.0)
         if needs.light is not None:
-            light = needs.light.coefficients[: a.shape[2]]
-            variance = variance * (light**2).sum(axis=0).mean()
-            a = np.einsum("nbkc,kc->nbc", a, light[:, :1] if needs.channels == 1 else light)[:, :, None]
-        return replace(block, coefficients=a.astype(np.float32), standard_error=np.sqrt(variance).astype(np.float32))
+            light = needs.light.coefficients[: a.shape[2], : a.shape[3]]
+            a = np.einsum("nbkc,kc->nbc", a, light)[:, :, None]
+            times = self._under(shape, light, block)
+            variance = variance * times.mean(axis=2)
+            shape = None if shape is None else shape_of(np.ones((len(a), 1)), times.mean(axis=1), shape.apart, 1)
+        stated = np.sqrt(variance).astype(np.float32)
+        return replace(block, coefficients=a.astype(np.float32), standard_error=stated, shape=shape)
+
+    def _under(self, shape: ErrorShape | None, light: Array, block: Block) -> Array:
+        """The variance [n,b,C] in each channel, over that of a coefficient, of what bins send under the light [K,C]."""
+        n, views = len(block.valid), 1 if self._needs.views == "one" else block.coefficients.shape[1]
+        if shape is None:
+            return np.broadcast_to((light**2).sum(axis=0), (n, views, light.shape[1]))
+        outgoing, _bent = self._needs.outgoing(block.first_vertex, block.first_vertex + n)
+        rows, many = np.repeat(np.arange(n), outgoing.shape[1]), n * outgoing.shape[1]
+        lights = np.broadcast_to(light, (many, *light.shape))
+        in_view = self._frames.in_view(block.first_vertex + rows, outgoing.reshape(-1, 3), lights)
+        times = shape.of(rows).under(in_view).reshape(n, -1, light.shape[1])
+        return times if views > 1 else times.mean(axis=1, keepdims=True)
 
     def _held(
         self, item: str, block: Block, off: Array, squares: Array, variance: Array, noise: Array | float

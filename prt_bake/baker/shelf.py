@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from bakers.baker import Block, Task, cuts
 from bakers.path_traced import Account
+from formats.error_shape import ErrorShape
 from prt_bake.baker.store import Store
 
 Cut = tuple[int, int]
@@ -47,7 +48,8 @@ class Shelf:
             return None
         parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
         account = _account(arrays["account"]) if "account" in arrays else None
-        return Block(cut[0], *parts, account, int(arrays["more"]))
+        shape = ErrorShape(arrays["covariance"], arrays["channels"], arrays["apart"])
+        return Block(cut[0], *parts, account, int(arrays["more"]), shape=shape)
 
 
 def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
@@ -59,6 +61,8 @@ def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
         "bent": np.asarray(block.bent),
         "more": np.asarray(block.more),
     }
+    if block.shape is not None:
+        arrays |= {name: getattr(block.shape, name) for name in ("covariance", "channels", "apart")}
     if block.account is not None:
         arrays["account"] = np.array(astuple(block.account), np.float64)
     return arrays

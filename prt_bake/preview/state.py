@@ -19,6 +19,7 @@ from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
 from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.preview.settling import Settler
+from prt_bake.radiance_error import radiance_error
 from prt_bake.sun_light import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
@@ -98,7 +99,6 @@ class Preview:
         self.suns = suns
         self._treatment: SunTreatment = "split" if suns == "plain" else suns
         self._radiance = VertexRadiance(self.asset)
-        self._errors: VertexRadiance | None = None
         self._settler = Settler(self.asset)
         self._loader: Thread | None = None
         low, high = self.asset.mesh.bounds
@@ -329,20 +329,15 @@ class Preview:
             camera.refuse_eye_in_object(self.asset.mesh, eye)
 
     def _error(self, eye: ArrayLike) -> NDArray[np.float64]:
-        """One sigma, rms over channels, over the rms radiance of all vertices [V]: as `radiance_error` has it, a
-        coefficient's between view bins times the length of the light's coefficients.
-        """
+        """One sigma, rms over channels, over the rms radiance of all vertices [V], see `radiance_error`."""
         radiance = self._radiance.draw(eye).astype(np.float64)
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))
-        if self._errors is None:
-            sigma = self.asset.standard_error[:, :, None, None]
-            errors = dataclasses.replace(self.asset, coefficients=sigma, degree=0, quantity="radiance")
-            self._errors = VertexRadiance(errors)
-        if self._radiance.loaded:
-            self._errors.load()
-        light = self.light.harmonics if self.light is not None and self.relightable else np.ones((1, 3))
-        length = math.sqrt(float((light**2).sum()) / 3.0)
-        return np.asarray(self._errors.draw(eye)[:, 0] * (length / (signal or 1.0)), np.float64)
+        light = None
+        if self.light is not None and self.relightable:
+            light = environment.rotate_light(self.light.harmonics, self.rotation)
+        towards = np.asarray(eye, np.float64) - self.asset.mesh.positions
+        error = radiance_error(self.asset, light, towards)
+        return np.asarray(np.sqrt((error**2).mean(axis=1)) / (signal or 1.0), np.float64)
 
     def _coefficient(self, eye: ArrayLike) -> NDArray[np.float64]:
         """Its mean over channels [V], as seen from the eye."""

@@ -21,6 +21,7 @@ from formats.mesh import Mesh
 from prt_bake import sh
 from prt_bake.baker.job import Views
 from prt_bake.baker.light import checked_bins, drawn, lattice_for, pair_turns, pools_for, vertex_turns
+from prt_bake.view_frames import frames_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -131,6 +132,7 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         finest=finest,
         missed=missed,
         checks=checked_bins(site.seed, site.bins, fewest_checks(site) / site.many),
+        frames=frames_of(site.mesh),
     ), spent + looked + surveyed
 
 
@@ -186,7 +188,8 @@ def _pooled_pair(site: Site, pools: Pools, size: int, bins: Index) -> Pair:
     for which in (1, 2):
         copies = pools.copies(size, vertices, bins, which)
         values = values_at(site.transport, pool.incident, copies, site.mesh.positions[vertices], outgoing)
-        fits.append(pool.fitted(values, copies))
+        found, _left, rough = pool.fitted(values, copies)
+        fits.append((found, rough))
     return _both(fits)
 
 

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.crew import Crew
+from bakers.error_shape import joined_shapes
 from bakers.foretold_vertices import checked, held_against
 from bakers.nearby_vertices import Parents
 from bakers.refined import WAYS, Checks, Refined, Refinement, joined
 from bakers.refinement import refine
+from formats.error_shape import ErrorShape
 from prt_bake.to_error.first_look import Site
 from prt_bake.to_error.nearby_choice import Nearby, held_bins
 from prt_bake.to_error.nearby_kernel import foretold_from
@@ -35,7 +37,9 @@ class Kept(Protocol):
 
 
 class Library:
-    """Coefficients of evaluated vertices by their place among them, read block by block as they are needed."""
+    """Coefficients of evaluated vertices by their place among them, and how their errors hang together, read block by
+    block as they are needed.
+    """
 
     def __init__(self, site: Site, nearby: Nearby, kept: Kept, most_bytes: int = 1 << 28) -> None:
         self._kept, self._lock, self._most = kept, Lock(), most_bytes
@@ -43,14 +47,15 @@ class Library:
         block = places // site.block_vertices
         self._first = block * site.block_vertices
         self._row = np.arange(len(places)) - np.searchsorted(block, block)
-        self._read: dict[int, NDArray[np.float32]] = {}
+        self._read: dict[int, Refined] = {}
 
-    def of(self, places: Index) -> NDArray[np.float32]:
-        """Coefficients [G,B,K,3] of these evaluated vertices."""
-        found = [self._block(int(self._first[place]))[self._row[place]] for place in places]
-        return np.stack(found)
+    def of(self, places: Index) -> tuple[NDArray[np.float32], ErrorShape]:
+        """Coefficients [G,B,K,3] and shapes [G] of these evaluated vertices."""
+        blocks = [(self._block(int(self._first[place])), self._row[place]) for place in places]
+        shapes = [block.shape.of(np.array([row])) for block, row in blocks]
+        return np.stack([block.coefficients[row] for block, row in blocks]), joined_shapes(shapes)
 
-    def _block(self, first: int) -> NDArray[np.float32]:
+    def _block(self, first: int) -> Refined:
         with self._lock:
             if first in self._read:
                 self._read[first] = self._read.pop(first)
@@ -58,10 +63,10 @@ class Library:
         there = self._kept.evaluated(first)
         assert there is not None
         with self._lock:
-            self._read[first] = there[0].coefficients
-            while sum(each.nbytes for each in self._read.values()) > self._most and len(self._read) > 1:
+            self._read[first] = there[0]
+            while sum(each.coefficients.nbytes for each in self._read.values()) > self._most and len(self._read) > 1:
                 del self._read[next(iter(self._read))]
-            return there[0].coefficients
+            return there[0]
 
 
 def block_from_nearby(
@@ -82,7 +87,7 @@ def block_from_nearby(
         parents = nearby.parents(site, vertices[rest])
         sound = np.flatnonzero(parents.sound)
         wanted = np.unique(parents.of[sound])
-        known = library.of(wanted) if len(wanted) else np.zeros((0, site.bins, 0, 3), np.float32)
+        known = library.of(wanted) if len(wanted) else None
         found, more = crew.do(_foretold_block, (site, refinement, nearby), vertices[rest], parents, wanted, known)
         parts.append((rest, found))
         bent += more
@@ -95,16 +100,16 @@ def _foretold_block(
     views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
     outgoing, bent = np.concatenate([view for view, _bent in views]), sum(many for _view, many in views)
     positions = site.mesh.positions[vertices]
-    rows, found, told = _all_foretold(site, refinement, nearby, parents, wanted, known)
+    rows, found, told = _all_foretold(site, refinement, nearby, parents, wanted, known[0] if known else None)
     transport, spent, parts = site.transport, 0, list[tuple[Index, Refined]]()
     if len(rows):
         bins = held_bins(site, vertices[rows], nearby.bins)
         off, spent = held_against(transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, bins)
         good = off.mean(axis=1) <= nearby.error**2
         rows, found, told = rows[good], found[good], told[good]
-    if len(rows):
+    if len(rows) and known:
         checks = checked(transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, told)
-        parts.append((rows, _as_refined(found, told, checks)))
+        parts.append((rows, _as_refined(found, told, _shape_of_parents(parents, rows, wanted, known[1]), checks)))
     if len(others := np.setdiff1d(np.arange(len(vertices)), rows)):
         evaluated = refine(transport, refinement, vertices[others], positions[others], outgoing[others])
         parts.append((others, evaluated))
@@ -116,6 +121,8 @@ def _all_foretold(
     site: Site, refinement: Refinement, nearby: Nearby, parents: Parents, wanted: Index, known: Any
 ) -> tuple[Index, Array, Array]:
     """Rows [m] of those that can be, by what their fits leave over; coefficients [m,B,K,C] and variances [m,B]."""
+    if known is None:
+        return np.zeros(0, np.int64), np.zeros((0, site.bins, 0, 3)), np.zeros((0, site.bins))
     assert site.grid is not None
     by_view = np.ascontiguousarray(known).reshape(len(known), *site.grid, -1)
     good, coefficients, variance = list[int](), list[Array](), list[Array]()
@@ -132,9 +139,22 @@ def _all_foretold(
     return np.array(good), np.stack(coefficients), np.stack(variance)
 
 
-def _as_refined(found: Array, variance: Array, checks: Checks) -> Refined:
+def _shape_of_parents(parents: Parents, rows: Index, wanted: Index, known: ErrorShape) -> ErrorShape:
+    """What is foretold errs as the vertices do that it was foretold from, on average, and as those beside it."""
+    places = [np.searchsorted(wanted, parents.of[row]) for row in rows]
+    covariance, channels = (
+        np.stack([each[some].mean(axis=0) for some in places]).astype(np.float64)
+        for each in (known.covariance, known.channels)
+    )
+    return ErrorShape(covariance.astype(np.float32), channels.astype(np.float32), np.zeros((len(rows), 2), np.float32))
+
+
+def _as_refined(found: Array, variance: Array, shape: ErrorShape, checks: Checks) -> Refined:
     directions = np.zeros(variance.shape, np.uint16)
     way = np.full(variance.shape, WAYS.index("nearby"), np.uint8)
     deviation = np.sqrt(variance).astype(np.float32)
     together = np.ones(len(variance), np.float32)
-    return Refined(found.astype(np.float32), deviation, directions, way, together, checks.evaluations, 0, checks)
+    shapes = shape.covariance, shape.channels, shape.apart
+    return Refined(
+        found.astype(np.float32), deviation, directions, way, together, *shapes, checks.evaluations, 0, checks
+    )

@@ -313,7 +313,8 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             standard_error = np.where(valid[:, None], deviation, 0.0).astype(np.float32)
             for rows in np.split(np.arange(len(vertices)), np.flatnonzero(np.diff(vertices) > 1) + 1):
                 parts = coefficients[rows], standard_error[rows], valid[rows]
-                sink.write(Block(int(vertices[rows[0]]), *parts, 0, together=refined.together[rows]))
+                shape = refined.shape.of(rows)
+                sink.write(Block(int(vertices[rows[0]]), *parts, 0, together=refined.together[rows], shape=shape))
         invalid = np.flatnonzero(done.tally.invalid)
         own = {
             "evaluations": run.work.evaluations,
