@@ -105,7 +105,8 @@ def _faults(file: Any) -> Iterator[str]:
     yield from _marked(f"{group}/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
     if group == GROUP:
         yield from value_faults(file[GROUP])
-    yield from shape_faults(file[group], vertices)
+    terms = 1 if file[group].attrs["quantity"] == "radiance" else (int(file["basis"].attrs["degree"]) + 1) ** 2
+    yield from shape_faults(file[group], vertices, terms)
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
         yield from _marked("selftest/vertex", outside, "of vertices that do not exist")

@@ -99,14 +99,13 @@ def read_shape(group: Any) -> ErrorShape | None:
     return ErrorShape(covariance, channels, apart, row)
 
 
-def shape_faults(group: Any, vertices: int) -> Iterator[str]:
-    """Yield a sentence for every fault of the values in a group of sound layout."""
+def shape_faults(group: Any, vertices: int, count: int) -> Iterator[str]:
+    """Yield a sentence for every fault of the values in a group of sound layout, of so many vertices and harmonics."""
     if "error_covariance" not in group:
         return
     covariance, channels, apart = (group[name][...].astype(np.float64) for name in _FIELDS.values())
-    count = (int(np.sqrt(8 * covariance.shape[1] + 1)) - 1) // 2
-    if pairs(count) != covariance.shape[1]:
-        yield f"{group.name}/error_covariance has rows of {covariance.shape[1]}; expected K(K+1)/2 of K harmonics"
+    if covariance.shape[1] != pairs(count):
+        yield f"{group.name}/error_covariance has rows of {covariance.shape[1]}; expected {pairs(count)}"
         return
     rows, columns = triangle(count)
     trace = covariance[:, rows == columns].sum(axis=1)

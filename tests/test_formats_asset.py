@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formats.asset import Asset, AssetWriter, check_asset, read_asset, write_asset
+from formats.error_shape import ErrorShape, triangle
 from formats.errors import AssetError
 from formats.mesh import Mesh
 
@@ -46,6 +47,34 @@ def make_asset(
     )
 
 
+def make_shape(vertices: int, terms: int, channels: int, rows: int | None, seed: int = 0) -> ErrorShape:
+    """A row for each vertex, or so many that vertices name."""
+    rng = np.random.default_rng(seed)
+    many = vertices if rows is None else rows
+    factors = rng.normal(size=(many, terms, terms))
+    covariance = factors @ factors.transpose(0, 2, 1)
+    covariance *= (terms / np.trace(covariance, axis1=1, axis2=2))[:, None, None]
+    shares = rng.uniform(0.5, 1.5, (many, channels))
+    return ErrorShape(
+        covariance[:, *triangle(terms)],
+        shares / shares.mean(axis=1, keepdims=True),
+        rng.random((many, 2)),
+        None if rows is None else rng.integers(0, rows, vertices),
+    )
+
+
+def assert_same_shape(again: ErrorShape | None, shape: ErrorShape | None) -> None:
+    assert (again is None) == (shape is None)
+    if again is None or shape is None:
+        return
+    for name, size in (("covariance", 8.0), ("channels", 2.0), ("apart", 1.0)):
+        ours, theirs = getattr(again, name), getattr(shape, name)
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=size * 2.0**-10, err_msg=name)
+    assert (again.row is None) == (shape.row is None)
+    if again.row is not None:
+        np.testing.assert_array_equal(again.row, shape.row)
+
+
 def assert_same(again: Asset, asset: Asset) -> None:
     for name in ("coefficients", "standard_error", "valid", "directions", "check_directions", "check_values"):
         np.testing.assert_array_equal(getattr(again, name), getattr(asset, name), err_msg=name)
@@ -54,6 +83,7 @@ def assert_same(again: Asset, asset: Asset) -> None:
     for name in ("complete", "provenance", "storage", "eta"):
         assert getattr(again, name) == getattr(asset, name), name
     np.testing.assert_array_equal(again.error_vs_time, asset.error_vs_time)
+    assert_same_shape(again.error_shape, asset.error_shape)
     assert set(again.selftest) == set(asset.selftest)
     for name in asset.selftest:
         np.testing.assert_array_equal(again.selftest[name], asset.selftest[name], err_msg=name)
@@ -72,6 +102,7 @@ def assert_same(again: Asset, asset: Asset) -> None:
         np.testing.assert_array_equal(again.mesh.source_vertex, asset.mesh.source_vertex)
 
 
+ROWS = st.sampled_from([None, 1, 2, 300])
 TEXT = st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="\0"), max_size=20)
 
 
@@ -110,6 +141,9 @@ def legal_assets(draw) -> Asset:
     )
     if radiance:
         object.__setattr__(asset, "coefficients", asset.coefficients[:, :, :1])
+    if draw(st.booleans()):
+        shape = make_shape(vertices, 1 if radiance else terms, asset.coefficients.shape[3], draw(ROWS))
+        object.__setattr__(asset, "error_shape", shape)
     if draw(st.booleans()):
         object.__setattr__(asset.mesh, "source_vertex", np.arange(-1, vertices))
     return asset

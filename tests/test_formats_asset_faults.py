@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from test_formats_asset import make_asset
+from test_formats_asset import make_asset, make_shape
 
 from formats import asset_reader
 from formats.asset import AssetWriter, check_asset, read_asset, write_asset
@@ -157,6 +157,24 @@ CHANGES = {
     "/selftest/vertex: 1 of 2 rows": lambda file: changed(file, "selftest/vertex", 1, 9),
     "quantity is 'colour'": lambda file: file["transfer"].attrs.__setitem__("quantity", "colour"),
     "compact": lambda file: file.move("transfer", "transfer_compact"),
+    "/transfer/error_apart is missing": lambda file: file.__delitem__("transfer/error_apart"),
+    r"/transfer/error_channels has shape \[3, 3\]; expected \[N = 2, 3 or 1\]": lambda file: put(
+        file, "transfer/error_channels", np.ones((3, 3), "f2")
+    ),
+    "/transfer/error_covariance has rows of 9; expected 10": lambda file: put(
+        file, "transfer/error_covariance", np.ones((2, 9), "f2")
+    ),
+    "/transfer/error_covariance: 1 of 2 rows mean nothing, the first is row 1": lambda file: changed(
+        file, "transfer/error_covariance", (1, 0), 9.0
+    ),
+    "/transfer/error_channels: 2 of 2 rows mean nothing": lambda file: changed(
+        file, "transfer/error_channels", (slice(None), 0), -1.0
+    ),
+    "/transfer/error_apart: 1 of 2 rows mean nothing, the first is row 0": lambda file: changed(
+        file, "transfer/error_apart", (0, 1), np.nan
+    ),
+    "/transfer/error_row names rows from 2 on": lambda file: changed(file, "transfer/error_row", 3, 2),
+    "/transfer/error_covariance has 2 rows; expected 1 or 5": lambda file: file.__delitem__("transfer/error_row"),
 }
 
 
@@ -168,7 +186,7 @@ def test_every_fault_is_named(tmp_path, sentence):
         "outgoing": np.eye(3)[:2],
         "radiance": np.ones((2, 3)),
     }
-    write_asset(make_asset(selftest=selftest), tmp_path / "a.h5")
+    write_asset(make_asset(selftest=selftest, error_shape=make_shape(5, 4, 3, 2)), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         CHANGES[sentence](file)
     assert_refused(tmp_path / "a.h5", sentence)
