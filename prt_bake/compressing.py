@@ -34,7 +34,7 @@ SINGLE_PRECISION = 1e-3
 """From this error on float32 is exact enough to multiply by bases."""
 LEAST_SAMPLE = 64
 """Vertices, however many coefficients one has."""
-AT_ONCE = 64
+AT_ONCE, _AROUND = 64, 8
 _PASSES = 6
 
 
@@ -311,11 +311,15 @@ def _shapes_of(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[np.flo
     n, bins, terms, channels = errors.shape
     normals, tangents = (np.asarray(each, np.float64) for each in (asset.mesh.normals, asset.tangents))
     frames = ViewFrames(normals, tangents)
-    local = asset.directions if bins > 1 else np.array([[0.0, 0.0, 1.0]])
+    # Views that are kept as one are seen from all around.
+    local = asset.directions if bins == len(asset.directions) else sphere.view_bins(1, _AROUND)
     outgoing = sphere.to_world(local, normals[vertices, None], tangents[vertices, None])
-    each = errors.astype(np.float64).reshape(n * bins, terms, channels)
-    in_view = frames.in_view(np.repeat(vertices, bins), outgoing.reshape(-1, 3), each)
-    return of_errors(in_view.reshape(n, bins, terms, channels), channels)
+    views = outgoing.shape[1]
+    each = np.broadcast_to(errors, (n, views, terms, channels)).astype(np.float64)
+    each = each.reshape(n * views, terms, channels)
+    in_view = frames.in_view(np.repeat(vertices, views), outgoing.reshape(-1, 3), each)
+    covariance, of_channels = of_errors(in_view.reshape(n, views, terms, channels), channels)
+    return covariance * (bins / views), of_channels * (bins / views)
 
 
 def _compact(asset: Asset, trial: Trial, step: float, error: float, encoded: Encoded) -> CompactCoefficients:

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
+from prt_bake import sphere
 from prt_bake.sphere import BinCoordinates
 from prt_bake.vertex_shading import light_of, towards
 from prt_bake.view_frames import ViewFrames
@@ -33,9 +34,20 @@ def radiance_error(
             ViewFrames(asset.mesh.normals, np.asarray(asset.tangents, np.float64)),
         )
         lights = np.broadcast_to(weights, (len(vertices), *weights.shape))
-        times = shape.under(frames.in_view(vertices, outgoing, lights))
+        times = shape.under(frames.in_view(vertices, _of_bins(asset, vertices, at, outgoing), lights))
     error[vertices] = between(sigma, vertices, at, asset.sectors, apart)[:, None] * np.sqrt(times)
     return error
+
+
+def _of_bins(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates, outgoing: Array) -> Array:
+    """The directions [n,3] of the nearest view bins, whose errors they are; `outgoing` where all are kept as one."""
+    if asset.coefficients.shape[1] == 1 and len(asset.directions) > 1:
+        return outgoing
+    ring = np.where(at.ring_weight > 0.5, at.ring_high, at.ring_low)
+    sector = np.where(at.sector_weight > 0.5, at.sector_high, at.sector_low)
+    local = asset.directions[ring * asset.sectors + sector]
+    tangents = np.asarray(asset.tangents, np.float64)[vertices]
+    return sphere.to_world(local, asset.mesh.normals[vertices], tangents)
 
 
 def between(
