@@ -15,6 +15,7 @@ All of it is told in the frame of each view, in which the errors of one bin are 
 A covariance is kept as its lower triangle row by row: P = K(K+1)/2 numbers.
 """
 
+import math
 import warnings
 from collections.abc import Sequence
 from typing import Protocol
@@ -126,34 +127,63 @@ def gathered(shape: ErrorShape, size: Array) -> ErrorShape:
     """The shapes of V vertices, a row each, in a few rows: means of those that are alike, weighted by the mean variance
     of each vertex, `size` [V].
     """
-    from scipy.cluster.vq import kmeans2, vq
+    from scipy.cluster.vq import vq
 
-    count = (int(np.sqrt(8 * shape.covariance.shape[1] + 1)) - 1) // 2
-    rows, columns = triangle(count)
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0)) / count
-    features = np.column_stack([shape.covariance * scale, shape.channels, shape.apart]).astype(np.float64)
     size = size if size.any() else np.ones(len(size))
-    known = features[size > 0.0]
-    centres = np.unique(known[:: max(1, len(known) // LEARNED_FROM)], axis=0)
-    most = int(np.clip(len(known) // A_ROW, 1, MOST_ROWS))
-    if len(centres) > most:
-        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of a row that nothing belongs to
-            centres = kmeans2(centres, most, minit="++", seed=0)[0]
-    used, row = np.unique(vq(features, centres)[0], return_inverse=True)
-    weight = csr_array((size, (row, np.arange(len(size)))), shape=(len(used), len(size)))
-    total = np.asarray(weight.sum(axis=1))
-    means = np.where(total[:, None] > 0.0, weight @ features / np.maximum(total, TINY)[:, None], centres[used])
-    covariance, channels, apart = np.split(means, np.cumsum([len(rows), shape.channels.shape[1]]), axis=1)
-    return ErrorShape(
-        (covariance / scale).astype(np.float32), channels.astype(np.float32), apart.astype(np.float32), row
-    )
+    known = np.flatnonzero(size > 0.0)
+    some = known[:: max(1, len(known) // LEARNED_FROM)]
+    centres = _centres(_features(shape.of(some)), int(np.clip(len(known) // A_ROW, 1, MOST_ROWS)))
+    row, sums, total = np.zeros(len(size), np.int64), np.zeros_like(centres), np.zeros(len(centres))
+    for first in range(0, len(size), LEARNED_FROM):
+        block = np.arange(first, min(first + LEARNED_FROM, len(size)))
+        features = _features(shape.of(block))
+        row[block] = vq(features, centres)[0]
+        weight = csr_array((size[block], (row[block], np.arange(len(block)))), shape=(len(centres), len(block)))
+        sums, total = sums + weight @ features, total + weight.sum(axis=1)
+    used, row = np.unique(row, return_inverse=True)
+    means = np.divide(sums, total[:, None], out=centres, where=total[:, None] > 0.0)[used]
+    covariance, channels, apart = np.split(means, np.cumsum(_widths(shape)), axis=1)
+    covariance = (covariance / _scale(shape)).astype(np.float32)
+    return ErrorShape(covariance, channels.astype(np.float32), apart.astype(np.float32), row)
+
+
+def _features(shape: ErrorShape) -> Array:
+    """What shapes are alike in, a row a vertex."""
+    return np.column_stack([shape.covariance * _scale(shape), shape.channels, shape.apart]).astype(np.float64)
+
+
+def _widths(shape: ErrorShape) -> tuple[int, int]:
+    return shape.covariance.shape[1], shape.channels.shape[1]
+
+
+def _scale(shape: ErrorShape) -> Array:
+    """What a number of a lower triangle counts for in the distance of two matrices of trace 1."""
+    count = _count(shape.covariance)
+    rows, columns = triangle(count)
+    return np.asarray(np.where(rows == columns, 1.0, np.sqrt(2.0)) / count, np.float64)
+
+
+def _count(triangles: NDArray[np.floating]) -> int:
+    """K of lower triangles [...,P]."""
+    return (math.isqrt(8 * triangles.shape[-1] + 1) - 1) // 2
+
+
+def _centres(features: Array, most: int) -> Array:
+    """Means of the rows that are alike, at most so many."""
+    from scipy.cluster.vq import kmeans2
+
+    kinds = np.unique(features, axis=0)
+    if len(kinds) <= most:
+        return kinds
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # of a mean that nothing belongs to
+        return np.asarray(kmeans2(kinds, most, minit="++", seed=0)[0])
 
 
 def both(first: ErrorShape, size: Array, covariance: Array, channels: Array) -> ErrorShape:
     """Of errors of shapes `first`, a row a vertex, of mean variance `size` [V], and others beside, which bins and
     vertices have in common: sums [V,P], [V,C] over the same number of bins and channels that `size` is a mean over.
     """
-    count = (int(np.sqrt(8 * covariance.shape[1] + 1)) - 1) // 2
+    count = _count(covariance)
     more = trace(covariance, count) / count
     apart = first.apart * np.divide(size, size + more, out=np.zeros_like(size), where=size > 0.0)[:, None]
     summed = first.covariance * size[:, None] + covariance, first.channels * size[:, None] + channels

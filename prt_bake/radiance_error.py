@@ -79,10 +79,10 @@ def over_faces(asset: Asset, shares: Array, corners: NDArray[np.integer], sigma:
     """Sigma [n,3] of points that are `shares` [n,3] of their face's `corners` [n,3], of `sigma` [V,3] at vertices:
     those that err by themselves add up in squares.
     """
-    parts = shares[:, :, None] * sigma[corners]
     if asset.error_shape is None:
-        return np.asarray(parts.sum(axis=1))
-    every = np.arange(len(asset.valid))
-    alone = asset.error_shape.of(every).apart[:, 1].astype(np.float64)[corners][:, :, None]
-    alike = (np.sqrt(1.0 - alone) * parts).sum(axis=1)
-    return np.asarray(np.sqrt(alike**2 + (alone * parts**2).sum(axis=1)))
+        return np.asarray(np.einsum("nk,nkc->nc", shares, sigma[corners]))
+    alone = asset.error_shape.of(np.arange(len(asset.valid))).apart[:, 1:].astype(np.float64)
+    squares = np.einsum("nk,nkc->nc", shares**2, (alone * sigma**2)[corners])
+    if (alone < 1.0).any():
+        squares += np.einsum("nk,nkc->nc", shares, (np.sqrt(1.0 - alone) * sigma)[corners]) ** 2
+    return np.asarray(np.sqrt(squares))
