@@ -23,11 +23,11 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import ArrayLike, NDArray
 
 from prt_bake import sh
 from prt_bake.compilation import compiled
+from prt_bake.threads import in_threads
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
         band *= (needle / np.maximum(np.linalg.norm(band, axis=1), needle))[:, None]
     multipliers, logarithm = np.zeros(means.shape), np.full(len(rows), math.log(4.0 * math.pi))
     if degree > 0:
-        _fit(means, *_tables(degree), (RIDGE, LARGE), multipliers, logarithm)
+        in_threads(_fit, len(means), means, *_tables(degree), (RIDGE, LARGE), multipliers, logarithm)
     shape = (len(numbers), numbers.shape[2])
     return PositiveTransport(energy.reshape(shape), logarithm.reshape(shape), multipliers.reshape(*shape, -1))
 
@@ -87,10 +87,12 @@ def _tables(degree: int) -> tuple[Array, Array]:
     return np.ascontiguousarray(sh.evaluate(directions, degree)[:, 1:].T), weights
 
 
-@compiled(parallel=True)
-def _fit(means: Any, harmonics: Any, weights: Any, price: Any, multipliers: Any, logarithm: Any) -> None:
+@compiled(nogil=True)
+def _fit(
+    begun: Any, ended: Any, means: Any, harmonics: Any, weights: Any, price: Any, multipliers: Any, logarithm: Any
+) -> None:
     unknowns, nodes = harmonics.shape
-    for n in prange(means.shape[0]):
+    for n in range(begun, ended):
         density, gradient, hessian = np.empty(nodes), np.empty(unknowns), np.empty((unknowns, unknowns))
         found, trial = np.zeros(unknowns), np.empty(unknowns)
         value, logarithm[n] = _dual(found, means[n], harmonics, weights, price, density)

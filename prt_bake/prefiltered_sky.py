@@ -9,16 +9,17 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from prt_bake import environment
 from prt_bake.compilation import compiled
 from prt_bake.lighting import Sky
+from prt_bake.threads import in_threads
 
 Array = NDArray[np.float64]
 
 _LARGEST = 1024
+_DIRECTIONS_A_SLICE = 4096
 _ALONG = 4
 """Places along each side of a texel that the picture is looked up at: even a sun of one pixel keeps its energy."""
 
@@ -43,7 +44,7 @@ def prefilter(sky: Sky, finest: float = 0.0) -> PrefilteredSky:
     wanted = min(detail, math.sqrt(4.0 * math.pi / finest)) if finest > 0.0 else detail
     size = min(_LARGEST, 1 << math.ceil(math.log2(max(wanted, _places(image.shape[1]), 1.0))))
     texels = np.zeros((size, size, 3), np.float32)
-    _average(_reduced(image, size), texels)
+    in_threads(_average, size, _reduced(image, size), texels)
     levels = [texels]
     while len(levels[-1]) > 1:
         last = levels[-1]
@@ -58,7 +59,8 @@ def radiance(sky: PrefilteredSky, directions: Array, solid_angles: Array) -> Arr
     starts = np.concatenate([[0], np.cumsum(level * level)])
     texels = np.concatenate([part.reshape(-1, 3) for part in sky.levels])
     local = np.ascontiguousarray(directions @ sky.turn.T)
-    _look_up(texels, level, starts, local, np.ascontiguousarray(solid_angles, np.float64), total)
+    angles = np.ascontiguousarray(solid_angles, np.float64)
+    in_threads(_look_up, len(local), texels, level, starts, local, angles, total, least=_DIRECTIONS_A_SLICE)
     return total
 
 
@@ -77,12 +79,12 @@ def _places(width: int) -> float:
     return width / (2.0 * math.pi) * math.sqrt(4.0 * math.pi) / _ALONG
 
 
-@compiled(parallel=True, error_model="numpy")
-def _average(image: Any, texels: Any) -> None:
+@compiled(nogil=True, error_model="numpy")
+def _average(begun: Any, ended: Any, image: Any, texels: Any) -> None:
     """Set texels [n,n,3] to the means of the picture over them."""
     size = texels.shape[0]
     height, width = image.shape[0], image.shape[1]
-    for row in prange(size):
+    for row in range(begun, ended):
         for column in range(size):
             for place in range(_ALONG * _ALONG):
                 u = (column + (place % _ALONG + 0.5) / _ALONG) / size
@@ -100,11 +102,13 @@ def _average(image: Any, texels: Any) -> None:
                     ) / (_ALONG * _ALONG)
 
 
-@compiled(parallel=True, error_model="numpy")
-def _look_up(texels: Any, sizes: Any, starts: Any, directions: Any, solid_angles: Any, total: Any) -> None:
+@compiled(nogil=True, error_model="numpy")
+def _look_up(
+    begun: Any, ended: Any, texels: Any, sizes: Any, starts: Any, directions: Any, solid_angles: Any, total: Any
+) -> None:
     last = len(sizes) - 1
     finest = 4.0 * math.pi / (sizes[0] * sizes[0])
-    for n in prange(len(directions)):
+    for n in range(begun, ended):
         u, v = _place(directions[n, 0], directions[n, 1], directions[n, 2])
         level = min(max(0.5 * math.log2(max(solid_angles[n] / finest, 1.0)), 0.0), float(last))
         fine = min(int(level), last)

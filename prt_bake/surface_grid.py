@@ -3,13 +3,14 @@
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from prt_bake.compilation import compiled
+from prt_bake.threads import in_threads
 
 _FACES_A_CELL = 2.0
 _MOST_CELLS = 128
+_QUERIES_A_SLICE = 256
 
 
 class FaceGrid(NamedTuple):
@@ -109,20 +110,32 @@ def _chosen(grid: Any, face_normals: Any, p: Any, eye: Any) -> Any:
     return face, best_u, best_v, most
 
 
-@compiled(parallel=True)
 def choose_faces(grid: Any, face_normals: Any, positions: Any, outgoing: Any) -> Any:
     """For each query the face in reach that faces ωo most, the lowest on a tie: faces [N] (−1: none in reach), (u, v)
     [N,2], ωo·n [N].
     """
-    count = positions.shape[0]
-    faces = np.full(count, -1, np.int64)
-    barycentric = np.zeros((count, 2))
-    cosines = np.full(count, -2.0)
-    for n in prange(count):
+    count = len(positions)
+    chosen = np.full(count, -1, np.int64), np.zeros((count, 2)), np.full(count, -2.0)
+    in_threads(_choose, count, grid, face_normals, positions, outgoing, *chosen, least=_QUERIES_A_SLICE)
+    return chosen
+
+
+@compiled(nogil=True)
+def _choose(
+    begun: Any,
+    ended: Any,
+    grid: Any,
+    face_normals: Any,
+    positions: Any,
+    outgoing: Any,
+    faces: Any,
+    barycentric: Any,
+    cosines: Any,
+) -> None:
+    for n in range(begun, ended):
         face, u, v, cosine = _chosen(grid, face_normals, positions[n], outgoing[n])
         faces[n], cosines[n] = face, cosine
         barycentric[n, 0], barycentric[n, 1] = u, v
-    return faces, barycentric, cosines
 
 
 @compiled(nogil=True)

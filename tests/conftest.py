@@ -1,5 +1,6 @@
 """What the tests of the commands share: a folder of small sound files, and a way to run a command there."""
 
+import gc
 import math
 import os
 import signal
@@ -30,6 +31,12 @@ def pytest_configure(config: pytest.Config) -> None:
         # Threads of one process that wait for work by spinning would take the cores from the other processes.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
         config.stash[COMPILING] = compiling.begin()
+
+
+def pytest_collection_finish() -> None:
+    """What modules and tests have made by now stays to the end: the garbage collector need not go through it again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

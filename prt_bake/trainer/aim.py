@@ -44,7 +44,7 @@ def aim_for(alpha: float, eta: float) -> Aim:
     return Aim((1.0 + alpha**2) / (bend * bend + 0.003), looks)
 
 
-@walk_function(inline="always")
+@walk_function()
 def lobe_density(cosine: Any, kappa: Any) -> Any:
     """A von Mises–Fisher lobe per solid angle."""
     return kappa / (2.0 * math.pi * (1.0 - math.exp(-2.0 * kappa))) * math.exp(kappa * (cosine - 1.0))

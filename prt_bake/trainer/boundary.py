@@ -70,7 +70,7 @@ ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH = 0, 1,
 COMPENSATED, INDEX, TREE, FIRST_FACE, PART_SIZE = 9, 10, 11, 12, 13
 
 
-@walk_function(inline="always")
+@walk_function()
 def part_of(boundary: Any, face: Any) -> Any:
     """The part that a face belongs to."""
     return int(boundary.faces[face, PART])
@@ -95,7 +95,7 @@ def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
         normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
-@walk_function(inline="always")
+@walk_function()
 def place_on(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> None:
     """Write the point at (u, v) of a face."""
     row = boundary.faces[face]
@@ -129,7 +129,7 @@ def _textured(boundary: Any, face: Any, u: Any, v: Any, channel: Any) -> Any:
     return _texel(boundary, part_of(boundary, face), s, t, channel)
 
 
-@walk_function(inline="always")
+@walk_function()
 def alpha_at(boundary: Any, face: Any, u: Any, v: Any) -> Any:
     """GGX alpha of the interface at (u, v) of a face."""
     row = boundary.parts[part_of(boundary, face)]
@@ -146,34 +146,34 @@ def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel:
     return _textured(boundary, face, u, v, channel)
 
 
-@walk_function(inline="always")
+@walk_function()
 def is_compensated(boundary: Any, face: Any) -> Any:
     """Whether the interface at a face, where it is rough, gives back what single scattering loses."""
     return boundary.losses.shape[0] > 0 and boundary.parts[part_of(boundary, face), COMPENSATED] != 0.0
 
 
-@walk_function(inline="always")
+@walk_function()
 def sees_sky(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray that leaves the face along d is known to meet nothing any more."""
     row = boundary.faces[face]
     return row[OPEN] != 0.0 and d[0] * row[0] + d[1] * row[1] + d[2] * row[2] > 0.0
 
 
-@walk_function(inline="always")
+@walk_function()
 def met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray along d meets the face from inside its part."""
     g = boundary.faces[face]
     return d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
 
 
-@walk_function(inline="always")
+@walk_function()
 def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
     """The mask of a walker that meets the face along d: its side tells whether it is in the face's part."""
     bit = 1 << part_of(boundary, face)
     return mask | bit if met_from_behind(boundary, face, d) else mask & ~bit
 
 
-@walk_function(inline="always")
+@walk_function()
 def meet(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) -> Any:
     """What a walker with `mask` meets at p + t d, where `ray` has just hit a face: the face that decides, where on it
     (u, v), and the masks before and behind that place.
@@ -213,7 +213,7 @@ def _meet_together(
     return face, u, v, before, after
 
 
-@walk_function(inline="always")
+@walk_function()
 def crossing(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     """Kind of interface, and relative index, at a face with these masks of the walker before and behind it."""
     kind = boundary.kind
@@ -223,7 +223,7 @@ def crossing(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     return kind, eta
 
 
-@walk_function(inline="always")
+@walk_function()
 def _index(boundary: Any, region: Any) -> Any:
     return 1.0 if region == 0 else boundary.parts[region - 1, INDEX]
 
@@ -258,7 +258,7 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
     return x, y, z
 
 
-@walk_function(inline="always")
+@walk_function()
 def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: Any) -> Any:
     """The nearest face along p + t d between `at`, where `face` lies (−1: none), and `far`, and its distance t.
 

@@ -49,7 +49,7 @@ _ALWAYS_LOOKED = 2.0
 """Events at less than so many mean free paths from any face always look at the light."""
 
 
-@walk_function(inline="always")
+@walk_function()
 def look_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
     """With what probability a scattering event looks at the light: that of getting out, where it lies deep inside."""
     depth = media.regions[region_of(boundary, counts), MINORANT] * state[ROOM]

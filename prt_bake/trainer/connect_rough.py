@@ -53,7 +53,7 @@ ENTERING = 4
 """The event at x, where every walk is let in; beside SCATTERING, REFLECTING and SURFACE."""
 
 
-@walk_function(inline="always")
+@walk_function()
 def is_outermost(boundary: Any, before: Any, after: Any) -> Any:
     """Whether outside lies on either side of a face with these masks before and behind it."""
     return boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0

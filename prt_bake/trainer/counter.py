@@ -19,7 +19,7 @@ _ONE = np.uint64(1)
 _TO_UNIT = 1.0 / 9007199254740992.0
 
 
-@walk_function(inline="always")
+@walk_function()
 def mix(z: Any) -> Any:
     """The SplitMix64 finaliser: a bijection of 64-bit words in which every input bit reaches every output bit."""
     z = (z ^ (z >> _S30)) * _FIRST
@@ -37,7 +37,7 @@ def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
     stream[1] = mix(key + _GOLDEN) | _ONE
 
 
-@walk_function(inline="always")
+@walk_function()
 def uniform(stream: Any) -> Any:
     """The next number of the stream, uniform in [0, 1), with 53 random bits."""
     stream[0] += stream[1]

@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from prt_bake.compilation import compiled
 from prt_bake.surface_grid import closest
+from prt_bake.threads import in_threads
 
 Array = NDArray[np.float64]
 
@@ -22,13 +22,13 @@ def grid_distances(triangles: Array, shape: NDArray[np.int64], corner: Array, sp
     middles = relative.mean(axis=1)
     radii = np.linalg.norm(relative - middles[:, None], axis=2).max(axis=1, initial=0.0)
     distances = np.full(tuple(int(n) for n in shape), reach / spacing)
-    _lower(relative, middles, radii, reach / spacing, distances)
+    in_threads(_lower, len(distances), relative, middles, radii, reach / spacing, distances)
     return np.asarray(spacing * distances)
 
 
-@compiled(parallel=True)
-def _lower(triangles: Any, middles: Any, radii: Any, reach: Any, distances: Any) -> None:
-    for i in prange(distances.shape[0]):
+@compiled(nogil=True)
+def _lower(begun: Any, ended: Any, triangles: Any, middles: Any, radii: Any, reach: Any, distances: Any) -> None:
+    for i in range(begun, ended):
         p = np.empty(3)
         p[0] = i
         first, last = np.zeros(3, np.int64), np.zeros(3, np.int64)

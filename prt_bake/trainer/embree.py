@@ -121,7 +121,7 @@ def new_ray() -> Any:
     return room[(4 - first) % 4 : (4 - first) % 4 + RAY_FLOATS]
 
 
-@walk_function(inline="always")
+@walk_function()
 def _intersect(
     address: Any, scene: Any, ray: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any, near: Any, far: Any
 ) -> Any:

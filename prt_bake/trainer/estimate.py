@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.scene import Scene
+from prt_bake.threads import in_threads
 from prt_bake.trainer.boundary import SMOOTHEST
 from prt_bake.trainer.interface import ROUGH
 from prt_bake.trainer.media import PHASE_G
@@ -117,7 +118,9 @@ def estimate_transport(
     def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
         from prt_bake.trainer.kernels import sum_transport
 
-        sum_transport(
+        in_threads(
+            sum_transport,
+            len(chunks),
             prepared.boundary,
             prepared.medium,
             tuple(part[chosen] for part in queries),
@@ -159,8 +162,16 @@ def estimate_coefficients(
     def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
         from prt_bake.trainer.kernels import sum_coefficients
 
-        sum_coefficients(
-            prepared.boundary, prepared.medium, tuple(part[chosen] for part in queries), chunks, degree, seed, sums
+        in_threads(
+            sum_coefficients,
+            len(chunks),
+            prepared.boundary,
+            prepared.medium,
+            tuple(part[chosen] for part in queries),
+            chunks,
+            degree,
+            seed,
+            sums,
         )
 
     size = (degree + 1) ** 2

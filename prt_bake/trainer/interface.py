@@ -18,7 +18,7 @@ from prt_bake.trainer.counter import uniform
 MATCHED, SMOOTH, ROUGH = 0, 1, 2
 
 
-@walk_function(inline="always")
+@walk_function()
 def fresnel(cosine: Any, eta: Any) -> Any:
     """Reflectance of unpolarised light, `cosine` ≥ 0 on the side of incidence; 1 on total internal reflection."""
     squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
@@ -30,7 +30,7 @@ def fresnel(cosine: Any, eta: Any) -> Any:
     return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
-@walk_function(inline="always")
+@walk_function()
 def masking(cosine: Any, alpha: Any) -> Any:
     """Smith's G1 of GGX for a direction at `cosine` to the normal (Walter 2007, eq. 34)."""
     squared = cosine * cosine
@@ -39,7 +39,7 @@ def masking(cosine: Any, alpha: Any) -> Any:
     return 2.0 / (1.0 + math.sqrt(1.0 + alpha * alpha * (1.0 - squared) / squared))
 
 
-@walk_function(inline="always")
+@walk_function()
 def microfacet_density(cosine: Any, alpha: Any) -> Any:
     """GGX's D (Walter 2007, eq. 33), written to stay accurate for small alpha."""
     squared = cosine * cosine
@@ -73,7 +73,7 @@ def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) 
     return mx * scale, my * scale, mz * scale
 
 
-@walk_function(inline="always")
+@walk_function()
 def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
     """Where a microfacet at `cosine` to i refracts light to; along the facet where it reflects all."""
     across = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))

@@ -1,11 +1,10 @@
-"""The estimators' loops: chunks of paths in parallel, four power sums of every value, the same numbers for any thread
-count.
+"""The estimators' loops over slices of chunks or of queries, for `in_threads`: four power sums of every value, the same
+numbers for any thread count.
 """
 
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from prt_bake.compilation import compiled
 from prt_bake.trainer.boundary import contained
@@ -115,7 +114,7 @@ def _receive_rough(
     return alive
 
 
-@walk_function(inline="always")
+@walk_function()
 def _receive(
     boundary: Any,
     media: Any,
@@ -141,7 +140,7 @@ def _receive(
     return _take(boundary, media, state, counts, event, stream)
 
 
-@walk_function(inline="always")
+@walk_function()
 def _take(boundary: Any, media: Any, state: Any, counts: Any, event: Any, stream: Any) -> bool:
     """Send the walk on from its event; False where it ends there."""
     if event == SURFACE:
@@ -153,9 +152,19 @@ def _take(boundary: Any, media: Any, state: Any, counts: Any, event: Any, stream
     return True
 
 
-@compiled(parallel=True, nogil=True)
+@compiled(nogil=True)
 def sum_transport(
-    boundary: Any, media: Any, queries: Any, chunks: Any, incident: Any, share: Any, aims: Any, seed: Any, sums: Any
+    begun: Any,
+    ended: Any,
+    boundary: Any,
+    media: Any,
+    queries: Any,
+    chunks: Any,
+    incident: Any,
+    share: Any,
+    aims: Any,
+    seed: Any,
+    sums: Any,
 ) -> None:
     """Power sums [chunks, 4, D·3 + 4] of Ŝ towards incident [N,D,3], then of the unscattered share and of what was
     lost.
@@ -165,7 +174,7 @@ def sum_transport(
     """
     keys, positions, outgoing, faces, barycentric = queries
     directions = incident.shape[1]
-    for i in prange(chunks.shape[0]):
+    for i in range(begun, ended):
         n = chunks[i, 0]
         ray = new_ray()
         state, counts, room = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(12)
@@ -222,12 +231,14 @@ def walk_out(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, strea
             return False
 
 
-@compiled(parallel=True, nogil=True)
-def sum_coefficients(boundary: Any, media: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any) -> None:
+@compiled(nogil=True)
+def sum_coefficients(
+    begun: Any, ended: Any, boundary: Any, media: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any
+) -> None:
     """Power sums [chunks, 4, K·3 + 4] of throughput · Y_lm(exit), of the unscattered share and of what was lost."""
     keys, positions, outgoing, faces, barycentric = queries
     size = (degree + 1) * (degree + 1)
-    for i in prange(chunks.shape[0]):
+    for i in range(begun, ended):
         n = chunks[i, 0]
         ray = new_ray()
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
@@ -253,13 +264,22 @@ def sum_coefficients(boundary: Any, media: Any, queries: Any, chunks: Any, degre
             _add_powers(value, sums[i])
 
 
-@compiled(parallel=True, nogil=True)
+@compiled(nogil=True)
 def draw_exits(
-    boundary: Any, media: Any, queries: Any, paths: Any, seed: Any, directions: Any, throughput: Any, scattered: Any
+    begun: Any,
+    ended: Any,
+    boundary: Any,
+    media: Any,
+    queries: Any,
+    paths: Any,
+    seed: Any,
+    directions: Any,
+    throughput: Any,
+    scattered: Any,
 ) -> None:
     """One exit a path: directions [N,P,3], throughput [N,P,3] (0: never left), scattered [N,P] (0: it met nothing)."""
     keys, positions, outgoing, faces, barycentric = queries
-    for n in prange(len(keys)):
+    for n in range(begun, ended):
         ray = new_ray()
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
         stream = np.zeros(2, np.uint64)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from formats.scene import Scene
 from prt_bake.surface import Location
+from prt_bake.threads import in_threads
 from prt_bake.trainer.interface import MATCHED
 from prt_bake.trainer.prepared import interface_kind, prepare, smooth_part
 
@@ -84,7 +85,9 @@ def walk_lit(
         rows = chosen.stop - begin
         chunks = np.stack([np.arange(rows), np.zeros(rows, np.int64), np.full(rows, paths)], axis=1)
         sums = np.zeros((rows, 4, numbers))
-        sum_transport(
+        in_threads(
+            sum_transport,
+            rows,
             prepared.boundary,
             prepared.medium,
             tuple(part[chosen] for part in queries),
@@ -116,7 +119,9 @@ def walk_out(
     prepared = prepare(scene)
     directions, throughput = np.zeros((len(faces), paths, 3)), np.zeros((len(faces), paths, 3))
     scattered = np.zeros((len(faces), paths), np.int64)
-    draw_exits(
+    in_threads(
+        draw_exits,
+        len(faces),
         prepared.boundary,
         prepared.medium,
         prepared.queries(_location(faces, barycentric), np.asarray(outgoing, np.float64), keys),

@@ -43,7 +43,7 @@ STEEP = 36
 REGION_SIZE = 37
 
 
-@walk_function(inline="always")
+@walk_function()
 def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     """The lower cell and the fraction beyond it on one axis of a grid with values at cell centres, clamped."""
     g = (position - low) * per_length * count - 0.5
@@ -52,7 +52,7 @@ def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     return first, g - first
 
 
-@walk_function(inline="always")
+@walk_function()
 def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
     """A channel of the grid that `row` of a region describes from column `grid` on."""
     first, channels = int(row[grid]), int(row[grid + 1])
@@ -113,7 +113,7 @@ def is_uneven(media: Any) -> bool:
     return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())
 
 
-@walk_function(inline="always")
+@walk_function()
 def phase(cosine: Any, g: Any) -> Any:
     """Henyey–Greenstein per solid angle; `cosine` is between the directions of flight before and after."""
     g2 = g * g

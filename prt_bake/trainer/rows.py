@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.surface import Location
+from prt_bake.threads import in_threads
 from prt_bake.trainer.lit import Exits
 from prt_bake.trainer.prepared import PreparedScene, is_unbent, smooth_part
 from prt_bake.trainer.queries import EDGE_SHARE, Queries, QuerySource
@@ -246,7 +247,9 @@ def render(
     chunks = np.stack([np.arange(count), np.zeros(count, int), np.full(count, walks)], axis=1)
     sums = np.zeros((count, 4, directions * 3 + 4))
     placed: tuple[Any, ...] = source.for_kernel(queries)
-    sum_transport(
+    in_threads(
+        sum_transport,
+        count,
         prepared.boundary,
         prepared.medium,
         placed,
@@ -272,7 +275,9 @@ def render_exits(prepared: PreparedScene, source: QuerySource, queries: Queries,
     count = len(queries.keys)
     directions, throughput = np.zeros((count, walks, 3)), np.zeros((count, walks, 3))
     scattered = np.zeros((count, walks), np.int64)
-    draw_exits(
+    in_threads(
+        draw_exits,
+        count,
         prepared.boundary,
         prepared.medium,
         source.for_kernel(queries),

@@ -12,11 +12,11 @@ systematic sampling II"; the octahedral map: Engelhardt and Dachsbacher 2008.
 from typing import Any
 
 import numpy as np
-from numba import prange
 from numpy.typing import NDArray
 
 from prt_bake.compilation import compiled
 from prt_bake.randomness import uniforms
+from prt_bake.threads import in_threads
 
 Array = NDArray[np.float64]
 
@@ -35,18 +35,21 @@ def thinned(directions: Array, carried: Array, kept: int, seed: int, keys: NDArr
     """
     drawn, drawn_carry = np.zeros((2, len(carried), kept, 3))
     drawn[..., 2] = 1.0
-    draw_systematically(directions, carried, uniforms((_STREAM, seed, keys), 1)[:, 0], drawn, drawn_carry)
+    offsets = uniforms((_STREAM, seed, keys), 1)[:, 0]
+    in_threads(draw_systematically, len(carried), directions, carried, offsets, drawn, drawn_carry, least=16)
     return drawn, drawn_carry
 
 
-@compiled(parallel=True, nogil=True)
-def draw_systematically(directions: Any, carried: Any, offsets: Any, drawn: Any, throughput: Any) -> None:
-    """Fill drawn and throughput [N,K,3] from directions and what they carry [N,P,3]; offsets [N] in [0, 1).
+@compiled(nogil=True)
+def draw_systematically(
+    begun: Any, ended: Any, directions: Any, carried: Any, offsets: Any, drawn: Any, throughput: Any
+) -> None:
+    """Fill rows of drawn and throughput [N,K,3] from directions and what they carry [N,P,3]; offsets [N] in [0, 1).
 
     Queries that carry nothing are left as they are; a walk that is not finite is all that is drawn of its query.
     """
     walks, kept = carried.shape[1], drawn.shape[1]
-    for n in prange(len(carried)):
+    for n in range(begun, ended):
         place, light = np.empty(walks, np.int64), np.empty(walks)
         for p in range(walks):
             place[p] = along_curve(directions[n, p, 0], directions[n, p, 1], directions[n, p, 2])

@@ -33,7 +33,7 @@ _DARK = 0.05
 """Transmittances below this share of what they began with go on by roulette."""
 
 
-@walk_function(inline="always")
+@walk_function()
 def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any) -> Any:
     """The block on one axis at p + probe d, and where the ray leaves it; the outermost blocks have no end."""
     if count == 1:
@@ -46,7 +46,7 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
     return i, np.inf
 
 
-@walk_function(inline="always")
+@walk_function()
 def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     """The block of the region's grid at p + t d, and where the ray leaves it (beyond t, whatever the rounding)."""
     row = media.regions[region]
@@ -59,7 +59,7 @@ def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     return first + (z * ny + y) * nx + x, max(min(tx, min(ty, tz)), probe)
 
 
-@walk_function(inline="always")
+@walk_function()
 def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stream: Any) -> Any:
     """Distance to the next scattering event along p + t d, infinite where none comes before `far`.
 
@@ -174,7 +174,7 @@ def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any
     return t if t < far else np.inf
 
 
-@walk_function(inline="always")
+@walk_function()
 def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any) -> None:
     """Multiply kept [3] by an unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`.
 

@@ -54,7 +54,7 @@ _LOOK_OUT_EVERY = 8
 _WEIGHT_WINDOW = 0.1
 
 
-@walk_function(inline="always")
+@walk_function()
 def _towards_ball(p: Any, d: Any, radius: Any) -> Any:
     """How far p + t d stays in the ball of the object (an upper bound for every crossing)."""
     along = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
@@ -65,7 +65,7 @@ def _towards_ball(p: Any, d: Any, radius: Any) -> Any:
     return max(0.0, -along + math.sqrt(root))
 
 
-@walk_function(inline="always")
+@walk_function()
 def frame(nx: Any, ny: Any, nz: Any) -> Any:
     """Two unit vectors across n (Duff et al. 2017)."""
     sign = math.copysign(1.0, nz)
@@ -74,7 +74,7 @@ def frame(nx: Any, ny: Any, nz: Any) -> Any:
     return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
 
 
-@walk_function(inline="always")
+@walk_function()
 def region_of(boundary: Any, counts: Any) -> Any:
     """The region that the walker is in."""
     return boundary.region_of_mask[counts[MASK]]
@@ -178,7 +178,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         return SCATTERING
 
 
-@walk_function(inline="always")
+@walk_function()
 def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     """(Distance, face) of the next face through what is clear; (inf, −1) for the sky."""
     p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
@@ -186,7 +186,7 @@ def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     return t, face
 
 
-@walk_function(inline="always")
+@walk_function()
 def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
     """(Distance, −1) of a scattering event, (distance, face) of a face met before, or (inf, −1)."""
     p = state[POSITION : POSITION + 3]
@@ -228,7 +228,7 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
     return t, face
 
 
-@walk_function(inline="always")
+@walk_function()
 def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, before: Any, after: Any) -> Any:
     """Set the walk on a face that it has met, by barycentric coordinates (more exact than p + t d), and through it
     where nothing stands there. Returns the kind of interface, negative where the walk has passed.

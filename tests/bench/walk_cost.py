@@ -54,7 +54,8 @@ def scatterings(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> fl
     scattered = np.zeros(shape, np.int64)
     placed = prepared.place(positions, outgoing, np.arange(len(positions), dtype=np.uint64))
     directions, throughput = np.zeros((*shape, 3)), np.zeros((*shape, 3))
-    draw_exits(prepared.boundary, prepared.medium, placed, PATHS_COUNTED, 1, directions, throughput, scattered)
+    exits = directions, throughput, scattered
+    draw_exits(0, len(positions), prepared.boundary, prepared.medium, placed, PATHS_COUNTED, 1, *exits)
     return float(scattered.mean())
 
 
