@@ -52,7 +52,9 @@ def main() -> None:
             stated = np.mean([picture.error[inside].astype(np.float64) ** 2 for picture in pictures], axis=0)
             seen, signal = images.var(axis=0, ddof=1), (images**2).mean(axis=0).sum()
             told, true = (np.sqrt(part.sum() / signal) for part in (stated, seen))
-            off, usual = np.sqrt((seen / stated).mean()), np.median(np.sqrt(stated / seen))
+            lit = (seen > 0.0) & (stated > 0.0)
+            off = np.sqrt((seen[lit] / stated[lit]).mean())
+            usual = np.median(np.sqrt(stated[lit] / seen[lit]))
             row = f"{told:9.2%}{true:9.2%}{told / true:10.2f}{off:8.2f}{usual:8.2f}"
             print(f"{Path(name).name:32}{suns:8}{row}", flush=True)
 
