@@ -19,7 +19,6 @@ from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
 from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.preview.settling import Settler
-from prt_bake.radiance_error import radiance_error
 from prt_bake.sun_light import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
@@ -330,6 +329,8 @@ class Preview:
 
     def _error(self, eye: ArrayLike) -> NDArray[np.float64]:
         """One sigma, rms over channels, over the rms radiance of all vertices [V], see `radiance_error`."""
+        from prt_bake.radiance_error import radiance_error  # what a first picture can do without
+
         radiance = self._radiance.draw(eye).astype(np.float64)
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))
         light = None
