@@ -57,11 +57,6 @@ def neighbour_errors(coefficients: Array, sectors: int) -> Array:
     return difference.reshape(coefficients.shape)
 
 
-def neighbour_variance(coefficients: Array, sectors: int) -> Array:
-    """Variance [n,B] of coefficients [n,B,K,3] from the fourth difference along each ring."""
-    return np.asarray((neighbour_errors(coefficients, sectors) ** 2).mean(axis=(2, 3)))
-
-
 def halves_variance(errors: Array, rough: Array, sectors: int) -> Array:
     """Variance [n,B] of the mean of two independent estimates; `errors` [n,B,K,3] is half of what they differ by, and
     `rough` [n,B] what their fits leave over.

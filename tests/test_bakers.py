@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from bakers.baker import Block, Sampling, Task, bake_block, block_size, cuts
-from bakers.error_estimate import choose_estimator, halves_variance, held_against, neighbour_variance, suspect
+from bakers.error_estimate import choose_estimator, halves_variance, held_against, neighbour_errors, suspect
 from bakers.horizon import LOWEST_COSINE, bend_to_horizon, vertex_faces
 from bakers.in_order import in_order
 from bakers.path_traced import WALKS_AT_ONCE, Walks
@@ -90,10 +90,10 @@ def test_neighbour_variance_sees_the_noise_and_not_the_signal(sectors: int) -> N
     signal = (1.0 + 0.5 * np.cos(phi) + 0.2 * np.sin(2 * phi))[None, None, :, None, None]
     signal = np.broadcast_to(signal, (50, 2, sectors, 9, 3)).reshape(50, 2 * sectors, 9, 3)
     noise = 0.01 * rng.normal(size=signal.shape)
-    estimate = neighbour_variance(signal + noise, sectors)
-    assert estimate.shape == (50, 2 * sectors)
-    assert estimate.mean() == pytest.approx(1e-4, rel=0.03)
-    assert neighbour_variance(signal, sectors).max() < 1e-6
+    estimate = neighbour_errors(signal + noise, sectors)
+    assert estimate.shape == signal.shape
+    assert (estimate**2).mean() == pytest.approx(1e-4, rel=0.03)
+    assert (neighbour_errors(signal, sectors) ** 2).mean(axis=(2, 3)).max() < 1e-6
 
 
 def test_what_neighbours_differ_by_is_held_against_pairs_where_it_may_be_view() -> None:

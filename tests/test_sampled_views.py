@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from test_baking import ball
 from transports import Counting
 
-from bakers.error_estimate import neighbour_variance
+from bakers.error_estimate import neighbour_errors
 from prt_bake import bake
 
 Array = NDArray[np.float64]
@@ -30,6 +30,6 @@ def test_what_changes_with_the_view_is_not_told_as_an_error(samples: int) -> Non
     stated = asset.standard_error.astype(np.float64)
     assert np.sqrt((stated**2).mean() / squared.mean()) == pytest.approx(1.0, abs=0.2)
     # Neighbours differ by a hundred times as much.
-    assert neighbour_variance(asset.coefficients.astype(np.float64), 64).mean() > 1e4 * squared.mean()
+    assert (neighbour_errors(asset.coefficients.astype(np.float64), 64) ** 2).mean() > 1e4 * squared.mean()
     # Four bins of each vertex are evaluated twice.
     assert counted.evaluations == asset.provenance["evaluations"] == len(mesh.positions) * (256 + 4) * samples
