@@ -18,6 +18,7 @@ error of the quadrature, 1e-6 but for needles), the other coefficients are met t
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -64,20 +65,65 @@ def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
     """
     numbers = np.asarray(coefficients, np.float64)
     degree = sh.degree_of(numbers.shape[1])
-    rows = np.ascontiguousarray(numbers.transpose(0, 2, 1).reshape(-1, numbers.shape[1]))
-    energy = math.sqrt(4.0 * math.pi) * rows[:, 0]
-    lit = energy > 0.0
-    means = np.divide(rows[:, 1:], energy[:, None], out=np.zeros_like(rows[:, 1:]), where=lit[:, None])
-    for l in range(1, degree + 1):
-        band = means[:, l * l - 1 : (l + 1) ** 2 - 1]
-        # No positive function has more of a degree than a needle has.
-        needle = math.sqrt((2 * l + 1) / (4.0 * math.pi))
+    energy, means = _means(numbers)
+    for band, needle in _bands(means):
         band *= (needle / np.maximum(np.linalg.norm(band, axis=1), needle))[:, None]
-    multipliers, logarithm = np.zeros(means.shape), np.full(len(rows), math.log(4.0 * math.pi))
+    multipliers, logarithm = np.zeros(means.shape), np.full(len(means), math.log(4.0 * math.pi))
     if degree > 0:
         in_threads(_fit, len(means), means, *_tables(degree), (RIDGE, LARGE), multipliers, logarithm)
     shape = (len(numbers), numbers.shape[2])
     return PositiveTransport(energy.reshape(shape), logarithm.reshape(shape), multipliers.reshape(*shape, -1))
+
+
+def slopes(
+    coefficients: ArrayLike, transport: PositiveTransport, directions: ArrayLike, irradiance: ArrayLike
+) -> Array:
+    """∂/∂a_k [n,K,C] of Σ_d f(ω_d) E_d: what small errors of `coefficients` [n,K,C] make of their `transport` under
+    suns in `directions` [D,3] of `irradiance` [D,C].
+
+    By the theorem of implicit functions: the gradient of the module's text stays 0, so that its Hessian says how the
+    multipliers follow m.
+    """
+    numbers = np.asarray(coefficients, np.float64)
+    degree, (count, _, channels) = sh.degree_of(numbers.shape[1]), numbers.shape
+    energy, means = _means(numbers)
+    towards = sh.evaluate(directions, degree)[:, 1:]
+    along, constant = np.zeros(means.shape), np.empty(len(means))
+    exponents, logarithm = transport.multipliers.reshape(means.shape), transport.logarithm.ravel()
+    lit = np.ascontiguousarray(np.broadcast_to(np.asarray(irradiance, np.float64).T, (count, channels, len(towards))))
+    lit = lit.reshape(len(means), -1)
+    in_threads(
+        _follow, len(means), exponents, logarithm, towards, lit, *_tables(degree), (RIDGE, LARGE), along, constant
+    )
+    for band, raw in zip(_bands(along), _bands(means), strict=True):
+        _hold(band[0], *raw)
+    along[energy <= 0.0] = 0.0
+    whole = math.sqrt(4.0 * math.pi) * (constant - np.einsum("nk,nk->n", along, means))
+    found = np.concatenate([whole[:, None], along], axis=1)
+    return np.asarray(found.reshape(count, channels, -1).transpose(0, 2, 1))
+
+
+def _means(coefficients: Array) -> tuple[Array, Array]:
+    """∫ f [M] and m [M,K−1] of the rows of all vertices and channels; 0 where ∫ f is not above 0."""
+    rows = coefficients.transpose(0, 2, 1).reshape(-1, coefficients.shape[1])
+    energy = math.sqrt(4.0 * math.pi) * rows[:, 0]
+    means = np.zeros((len(rows), rows.shape[1] - 1))
+    return energy, np.divide(rows[:, 1:], energy[:, None], out=means, where=(energy > 0.0)[:, None])
+
+
+def _bands(means: Array) -> Iterator[tuple[Array, float]]:
+    """Views [M,2l+1] of m by degree, and what a needle has of it, which no positive function exceeds."""
+    for l in range(1, sh.degree_of(means.shape[1] + 1) + 1):
+        yield means[:, l * l - 1 : (l + 1) ** 2 - 1], math.sqrt((2 * l + 1) / (4.0 * math.pi))
+
+
+def _hold(slope: Array, band: Array, needle: float) -> None:
+    """Make of `slope` [M,2l+1] by what was held to the needle's length the one by the `band` as it was."""
+    length = np.linalg.norm(band, axis=1)
+    beyond = length > needle
+    unit = band[beyond] / length[beyond, None]
+    across = slope[beyond] - np.einsum("mk,mk->m", slope[beyond], unit)[:, None] * unit
+    slope[beyond] = across * (needle / length[beyond])[:, None]
 
 
 @cache
@@ -112,6 +158,43 @@ def _fit(
                 break
             found[:], value, logarithm[n] = trial, reached, total
         multipliers[n] = found
+
+
+@compiled(nogil=True)
+def _follow(
+    begun: Any,
+    ended: Any,
+    multipliers: Any,
+    logarithm: Any,
+    towards: Any,
+    irradiance: Any,
+    harmonics: Any,
+    weights: Any,
+    price: Any,
+    along: Any,
+    constant: Any,
+) -> None:
+    """Set `along` [M,K−1] to the change of Σ_d f E_d / ∫ f with m, and `constant` [M] to that sum."""
+    unknowns, nodes = harmonics.shape
+    for n in range(begun, ended):
+        density, gradient, hessian = np.empty(nodes), np.zeros(unknowns), np.empty((unknowns, unknowns))
+        found, change = multipliers[n], along[n]
+        _dual(found, gradient, harmonics, weights, price, density)
+        _derivatives(found, gradient, harmonics, price, density, gradient, hessian)
+        total = 0.0
+        for d in range(towards.shape[0]):
+            exponent = -logarithm[n]
+            for k in range(unknowns):
+                exponent += found[k] * towards[d, k]
+            lit = irradiance[n, d] * math.exp(exponent)
+            total += lit
+            for k in range(unknowns):
+                change[k] += lit * towards[d, k]
+        constant[n] = total
+        for k in range(unknowns):
+            for d in range(nodes):
+                change[k] -= total * density[d] * harmonics[k, d]
+        _solve(hessian, change)
 
 
 @compiled(fastmath=True)

@@ -1,11 +1,15 @@
 """By how much radiance may be off for what a bake has left in the coefficients. Never loads torch."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
+from formats.lights import DirectionalLight
 from prt_bake import sphere
 from prt_bake.sphere import BinCoordinates
+from prt_bake.sun_light import sun_slopes
 from prt_bake.vertex_shading import light_of, towards
 from prt_bake.view_frames import ViewFrames
 
@@ -13,27 +17,35 @@ Array = NDArray[np.float64]
 
 
 def radiance_error(
-    asset: Asset, light: ArrayLike | None, eye: ArrayLike, visible: NDArray[np.bool_] | None = None
+    asset: Asset,
+    light: ArrayLike | None,
+    eye: ArrayLike,
+    visible: NDArray[np.bool_] | None = None,
+    suns: Sequence[DirectionalLight] = (),
 ) -> Array:
     """One sigma [V,3] of what `shade` gives, by the asset's standard errors: σ² · channels_c · b_cᵀ C b_c for light b.
 
     C is how the errors of a vertex's harmonics hang together in the frame of the view (`formats.error_shape`); where an
     asset does not say, they do not. Between bins errors that bins have in common stay, and others go by the squares
-    of the weights. Of what the model itself is off it knows nothing. Arguments and errors as those of `shade_vertices`.
+    of the weights. Suns that shine besides are met by what small errors do to them (`sun_light.sun_slopes`), which is
+    added to b vertex by vertex. Of what the model itself is off it knows nothing. Arguments and errors as those of
+    `shade_vertices`.
     """
     weights = light_of(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     sigma, (at, outgoing) = asset.standard_error, towards(asset, eye, vertices)
     error = np.zeros((len(asset.valid), 3))
+    lights = np.broadcast_to(weights, (len(vertices), *weights.shape))
+    if suns:
+        lights = lights + sun_slopes(asset, suns, vertices, at)
     if asset.error_shape is None:
-        apart, times = np.zeros(len(vertices)), np.broadcast_to((weights**2).sum(axis=0), (len(vertices), 3))
+        apart, times = np.zeros(len(vertices)), (lights**2).sum(axis=1)
     else:
         shape = asset.error_shape.of(vertices)
         apart, frames = (
             shape.apart[:, 0].astype(np.float64),
             ViewFrames(asset.mesh.normals, np.asarray(asset.tangents, np.float64)),
         )
-        lights = np.broadcast_to(weights, (len(vertices), *weights.shape))
         times = shape.under(frames.in_view(vertices, _of_bins(asset, vertices, at, outgoing), lights))
     error[vertices] = between(sigma, vertices, at, asset.sectors, apart)[:, None] * np.sqrt(times)
     return error

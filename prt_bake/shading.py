@@ -95,7 +95,7 @@ def render_picture(
     visible[corners] = True
     towards_eye = camera.towards(asset.mesh.positions)
     shading = shade_vertices(asset, harmonics, towards_eye, visible, apart)
-    sigma = radiance_error(asset, whole, towards_eye, visible)
+    sigma = radiance_error(asset, harmonics, towards_eye, visible, apart)
     shares = corner_shares(asset, corners, seen.barycentric)
     sent = np.einsum("nk,nkc->nc", shares, shading.radiance[corners])
     error = over_faces(asset, shares, corners, sigma)

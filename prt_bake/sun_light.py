@@ -84,13 +84,36 @@ def sun_radiance(
     radiance = np.zeros((len(vertices), 3))
     if not suns or not len(vertices):
         return radiance
-    directions, irradiance = (np.concatenate(part) for part in zip(*map(_points_of, suns), strict=True))
-    coefficients = gathered(asset, vertices, at)
-    if (coefficients == coefficients[:, :, :1]).all():  # one channel stands for all
-        coefficients = coefficients[:, :, :1]
-    transport = positive_transport(coefficients).towards(directions)
+    directions, irradiance = _points(suns)
+    transport = positive_transport(_channels(asset, vertices, at)).towards(directions)
     radiance += np.einsum("ncd,dc->nc", np.broadcast_to(transport, (len(vertices), 3, len(directions))), irradiance)
     return radiance
+
+
+def sun_slopes(
+    asset: Asset, suns: Sequence[DirectionalLight], vertices: NDArray[np.int64], at: BinCoordinates
+) -> Array:
+    """∂/∂a_k [n,K,3] of `sun_radiance`, by the coefficients between the view bins: the harmonics of a light under which
+    small errors of them are what they are under these suns.
+    """
+    from prt_bake.positive_transport import positive_transport, slopes
+
+    found = np.zeros((len(vertices), (asset.degree + 1) ** 2, 3))
+    if suns and len(vertices):
+        coefficients = np.broadcast_to(_channels(asset, vertices, at), found.shape)
+        found += slopes(coefficients, positive_transport(coefficients), *_points(suns))
+    return found
+
+
+def _points(suns: Sequence[DirectionalLight]) -> tuple[Array, Array]:
+    directions, irradiance = (np.concatenate(part) for part in zip(*map(_points_of, suns), strict=True))
+    return directions, irradiance
+
+
+def _channels(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
+    """Coefficients [n,K,C]; one channel where it stands for all."""
+    coefficients = gathered(asset, vertices, at)
+    return coefficients[:, :, :1] if (coefficients == coefficients[:, :, :1]).all() else coefficients
 
 
 def gathered(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:

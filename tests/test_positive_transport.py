@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from prt_bake import sh, sphere
-from prt_bake.positive_transport import LARGE, RIDGE, positive_transport
+from prt_bake.positive_transport import LARGE, RIDGE, positive_transport, slopes
 
 FINE, WEIGHTS = sh.quadrature(40)
 
@@ -115,3 +115,27 @@ def test_narrow_transport_is_nearer_than_by_its_harmonics() -> None:
     theirs = np.einsum("dk,nkc->ncd", sh.evaluate(FINE, 2), coefficients)
     errors = [math.sqrt(float(((answer - truth) ** 2 @ WEIGHTS)[0, 0])) for answer in (ours, theirs)]
     assert errors[0] < 0.2 * errors[1]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_slopes_are_differences_of_fits(degree: int) -> None:
+    """Soft and narrow transports, those of no positive function, and one whose mean is below 0."""
+    rng = np.random.default_rng(5)
+    directions, irradiance = sphere.fibonacci(2), rng.uniform(0.5, 2.0, (2, 3))
+    soft = moments_of(lobes(0.7, 3), degree)
+    # Not quite a needle: there m is held, and the slope jumps.
+    needle = np.repeat(sh.evaluate(sphere.fibonacci(3), degree)[..., None], 3, axis=2)
+    needle *= np.where(np.arange(soft.shape[1]) > 0, 0.95, 1.0)[:, None]
+    beyond = soft * np.where(np.arange(soft.shape[1]) > 0, 4.0, 1.0)[:, None]
+    coefficients = np.concatenate([soft, needle, beyond, -soft[:1], 1e-12 * soft[:1], 1e9 * soft[:1]])
+
+    def radiance(numbers: np.ndarray) -> np.ndarray:
+        return np.einsum("ncd,dc->nc", positive_transport(numbers).towards(directions), irradiance)
+
+    found = slopes(coefficients, positive_transport(coefficients), directions, irradiance)
+    step = 1e-5 * np.abs(coefficients[:, :1])
+    for k in range(coefficients.shape[1]):
+        moved = step * (np.arange(coefficients.shape[1]) == k)[:, None]
+        by_fits = (radiance(coefficients + moved) - radiance(coefficients - moved)) / (2.0 * step[:, 0])
+        scale = np.linalg.norm(found, axis=1)
+        assert (np.abs(found[:, k] - by_fits) < 1e-3 * scale + 1e-9).all(), k
