@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
-    "error_covariance": ("f", ("N", "P")),
+    "error_covariance": ("f", ("N", "pairs")),
     "error_channels": ("f", ("N", "3|1")),
     "error_apart": ("f", ("N", "2")),
     "error_row": ("iu", ("V",)),

@@ -11,6 +11,7 @@ from command_line import Run
 from shapes import ball
 from test_shading import VIEWS, constant, front, make_asset, make_light
 
+from bakers.error_shape import unshaped
 from formats.asset import Asset, check_asset, read_asset, write_asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
@@ -244,10 +245,12 @@ def test_what_cannot_be_compressed_is_refused(tmp_path) -> None:
 
 
 def test_the_command_says_what_it_came_to(tmp_path, prtbake: Run) -> None:
-    write_asset(holding(of_rank(3, 0.01, bins=256), 8, 32), tmp_path / "a.h5")
+    asset = holding(of_rank(3, 0.01, bins=256), 8, 32)
+    write_asset(dataclasses.replace(asset, error_shape=unshaped(len(asset.valid), 9)), tmp_path / "a.h5")
     ended = prtbake("compress", tmp_path / "a.h5", "--error", "0.01")
     assert (ended.code, ended.err) == (0, "")
     compact = read_asset(tmp_path / "a.compact.h5")
+    assert compact.error_shape is not None
     table = compact.provenance["compression"]
     for told in (
         "1/",

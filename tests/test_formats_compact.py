@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_formats_asset import assert_same, make_asset
+from test_formats_asset import assert_same, make_asset, make_shape
 from test_formats_asset_faults import changed, put
 
 from formats.asset import Asset, check_asset, read_asset, write_asset
@@ -24,6 +24,7 @@ def compact_asset(
 ) -> Asset:
     """An asset whose codes are drawn, many of them 0."""
     rng = np.random.default_rng(seed)
+    rows = others.pop("error_shape", None)
     plain = make_asset(vertices, rings, sectors, degree, seed, views=views, channels=channels, **others)
     terms = 1 if plain.quantity == "radiance" else (degree + 1) ** 2
     width = 4
@@ -51,7 +52,11 @@ def compact_asset(
         added=AddedError(0.01, 0.005, 0.006, 0.02, coarse(rng.random(vertices))),
     )
     return dataclasses.replace(
-        plain, coefficients=compact, standard_error=coarse(rng.random((vertices, 1))), storage="float32"
+        plain,
+        coefficients=compact,
+        standard_error=coarse(rng.random((vertices, 1))),
+        storage="float32",
+        error_shape=None if rows is None else make_shape(vertices, terms, channels, rows or None),
     )
 
 
@@ -82,6 +87,7 @@ def legal_compact_assets(draw) -> Asset:
         valid=draw(st.lists(st.booleans(), min_size=vertices, max_size=vertices)),
         quantity=draw(st.sampled_from(["transfer", "radiance"])),
         complete=draw(st.booleans()),
+        error_shape=draw(st.sampled_from([None, 0, 2])),
         selftest={
             "light": np.ones((terms, 3)),
             "vertex": np.arange(2),
