@@ -1,5 +1,9 @@
 """HDR-FLIP: the largest FLIP over exposures, over a range that follows from the reference."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -138,3 +142,18 @@ def test_suns_leave_no_pixel_without_a_figure(peak: float) -> None:
 def test_a_range_that_is_none_is_refused(start: float, stop: float) -> None:
     with pytest.raises(QueryError, match="a range within ±128 stops"):
         exposures_between(start, stop)
+
+
+@pytest.mark.parametrize(("asked", "policy"), [(None, "PASSIVE"), ("active", "ACTIVE")])
+def test_threads_of_flip_wait_asleep_unless_told_otherwise(asked: str | None, policy: str) -> None:
+    program = (
+        "import os, numpy\n"
+        "from prt_bake.flip import flip_map\n"
+        "flip_map(numpy.zeros((8, 8, 3)), numpy.ones((8, 8, 3)))\n"
+        "print(os.environ.get('OMP_WAIT_POLICY'))\n"
+    )
+    said = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    said |= {"OMP_DISPLAY_ENV": "true"} | ({} if asked is None else {"OMP_WAIT_POLICY": asked})
+    ran = subprocess.run([sys.executable, "-c", program], env=said, capture_output=True, text=True, check=True)
+    assert f"OMP_WAIT_POLICY = '{policy}'" in ran.stderr
+    assert ran.stdout.strip() == str(asked)
