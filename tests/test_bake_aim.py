@@ -75,10 +75,23 @@ def test_the_best_of_the_trials_is_kept(
 
 
 def test_trials_that_are_all_far_off_are_out_of_reach(refinement: Refinement, monkeypatch: pytest.MonkeyPatch) -> None:
-    scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02, 0.02, 0.02], monkeypatch)
+    tried = scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02, 0.02, 0.02] * 6, monkeypatch)
     monkeypatch.setattr(pilots, "_untold", lambda _pilot, way, _error: Spent(1 if way.lattices == "own" else 2))
     with pytest.raises(QueryError, match="out of reach"):
         aimed(Pilot(site_of(Lobed())), refinement, ERROR)
+    assert tried[-1].begin == len(refinement.lattice.sizes)
+
+
+def test_trials_that_are_all_far_off_make_way_for_more_directions(
+    refinement: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of what they told is kept: it led nowhere."""
+    tried = scripted([0.05] * pilots.MOST_PILOTS + [0.0085] * 2, monkeypatch)
+    aim = pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    assert aim.error == 0.0085
+    assert [how.begin - tried[0].begin for how in tried] == [0] * pilots.MOST_PILOTS + [2]
+    assert tried[-1].noise == tried[0].noise
+    assert tried[-1].light == tried[0].light
 
 
 def test_errors_that_are_too_small_loosen_what_is_tolerated(

@@ -246,7 +246,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     """Tolerances that lead to the error at a few vertices, the cheapest of those tried, or what comes nearest."""
     few, most = int(pilot.site.many < MANY), len(refinement.lattice.sizes)
     learned = refinement.lattices == "learned"
-    dials = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
+    dials = untried = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
     trials, spent, before = list[Aim](), Spent(), Tally(0)
     while len(trials) < MOST_PILOTS:
         aim, tally = _trial(pilot, dials.refinement(), error)
@@ -261,10 +261,18 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
         if missed and dials.begin < most:
             # Most bins do not see what some do: what they say of their error is worth nothing.
             dials, trials = dials.beginning(min(dials.begin + 2, most)), []
+        elif len(trials) == MOST_PILOTS and dials.begin < most and not learned and _stuck(trials, error):
+            # What the first directions say of their error leads nowhere.
+            dials, trials = untried.beginning(min(dials.begin + 2, most)), []
         else:
             dials = dials.turned(tally, aim)
         before = tally
     return replace(min(trials, key=lambda aim: _dearness(aim, error)), spent=spent)
+
+
+def _stuck(trials: list[Aim], error: float) -> bool:
+    """Whether none of them comes near the error."""
+    return min(trial.error for trial in trials) > OUT_OF_REACH * error
 
 
 def _dearness(aim: Aim, error: float) -> float:
