@@ -96,13 +96,16 @@ def sun_slopes(
     """∂/∂a_k [n,K,3] of `sun_radiance`, by the coefficients between the view bins: the harmonics of a light under which
     small errors of them are what they are under these suns.
     """
-    from prt_bake.positive_transport import positive_transport, slopes
+    from prt_bake.positive_transport import PositiveTransport, positive_transport, slopes
 
-    found = np.zeros((len(vertices), (asset.degree + 1) ** 2, 3))
-    if suns and len(vertices):
-        coefficients = np.broadcast_to(_channels(asset, vertices, at), found.shape)
-        found += slopes(coefficients, positive_transport(coefficients), *_points(suns))
-    return found
+    shape = (len(vertices), (asset.degree + 1) ** 2, 3)
+    if not suns or not len(vertices):
+        return np.zeros(shape)
+    coefficients = _channels(asset, vertices, at)
+    fitted = positive_transport(coefficients)
+    fields = (fitted.energy, fitted.logarithm, fitted.multipliers)
+    of_each = PositiveTransport(*(np.broadcast_to(part, (len(part), 3, *part.shape[2:])) for part in fields))
+    return slopes(np.broadcast_to(coefficients, shape), of_each, *_points(suns))
 
 
 def _points(suns: Sequence[DirectionalLight]) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from prt_bake.light_harmonics import project_lighting
 from prt_bake.lighting import Lighting, Sky
 from prt_bake.radiance_error import radiance_error
 from prt_bake.shading import render_picture, shade, shade_vertices
-from prt_bake.sun_light import gathered, sun_radiance, suns_apart
+from prt_bake.sun_light import gathered, sun_radiance, sun_slopes, suns_apart
 from prt_bake.suns import WIDEST
 from prt_bake.view_frames import ViewFrames
 
@@ -95,6 +95,16 @@ def test_errors_are_told_as_suns_have_them(lights: tuple[Sky, ...]) -> None:
     behind = asset.mesh.normals @ sun().direction < -0.3
     assert np.median(np.abs(np.log(told / np.sqrt(squares))[behind])) < 0.06
     assert np.median(np.abs(np.log(plain / np.sqrt(squares))[behind])) > 0.25
+
+
+def test_slopes_of_equal_channels_are_told_from_one() -> None:
+    """By fits of all three, and of one that stands for all; the suns are of other colours."""
+    asset, suns, everything = lobed(), (sun(), sun((-0.6, 0.0, 0.8), (0.5, 1.0, 2.0))), np.arange(66)
+    at = vertex_shading.between_bins(asset, EYE, everything)
+    found = sun_slopes(asset, suns, everything, at)
+    asset.coefficients[:, :, 0, 1] *= 1.0 + 1e-6
+    np.testing.assert_allclose(sun_slopes(asset, suns, everything, at), found, rtol=1e-3, atol=1e-4)
+    assert not sun_slopes(asset, (), everything, at).any()
 
 
 def test_suns_add_up_and_scale() -> None:
