@@ -69,6 +69,18 @@ def test_shade_takes_what_a_lighting_is_divided_into() -> None:
         prt.shade(fixed, None, EYE, suns=light.suns)
 
 
+def test_a_picture_under_a_sun_alone_tells_its_error() -> None:
+    """All light is met apart: none is left in the harmonics."""
+    asset, lights, view = lobed(), Lighting((), (sun(),)), front()
+    split, plain = (render_picture(asset, lights, view, background=False, suns=name) for name in ("split", "plain"))
+    inside = split.coverage > 0.99
+    assert (split.error[inside] > 0.0).all()
+    # In the harmonics it is the same everywhere; slopes are steeper where more of the sun is sent on.
+    np.testing.assert_allclose(plain.error[inside], plain.error[inside][:1] * np.ones((inside.sum(), 1)), rtol=1e-5)
+    assert split.error[inside].max() > 1.2 * plain.error[inside].max()
+    assert np.corrcoef(split.error[inside][:, 0], split.image[inside][:, 0])[0, 1] > 0.9
+
+
 @pytest.mark.parametrize("lights", [(), (Sky(0.03 * clouds(64), "y", np.eye(3)),)], ids=["sun", "sun and sky"])
 def test_errors_are_told_as_suns_have_them(lights: tuple[Sky, ...]) -> None:
     """Errors drawn along one line among the harmonics, of skies and suns together; as harmonics have them is wrong."""
