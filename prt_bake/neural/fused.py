@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}
-VIEWS_AT_ONCE = 256
-"""Views whose features are computed at once: they stay in cache."""
+VIEWS_AT_ONCE = {"cpu": 256, "cuda": 1024}
+"""Views whose features are computed at once: they stay in cache; a card takes as long for a few as for many."""
 LIGHTS_AT_ONCE = 1024
 """Incident directions whose features are computed at once: a product of one shape, whatever their number."""
 TABLES = 12
@@ -55,7 +55,8 @@ class FusedNetwork:
         self.precision = precision
         self._dtype = PRECISIONS[precision]
         self._device = torch.device(device)
-        self._rows = ROWS_PER_TILE["cpu" if self._device.type == "cpu" else "cuda"]
+        kind = "cpu" if self._device.type == "cpu" else "cuda"
+        self._rows, self._views_at_once = ROWS_PER_TILE[kind], VIEWS_AT_ONCE[kind]
         settings = network.settings
         self._skips = [settings.sources(layer) for layer in range(1, settings.layers + 1)]
         self._activation = settings.activation
@@ -158,9 +159,9 @@ class FusedNetwork:
         are cut.
         """
         parts = []
-        for first in range(0, len(view), VIEWS_AT_ONCE):
-            some = view[first : first + VIEWS_AT_ONCE]
-            seen = torch.zeros((VIEWS_AT_ONCE, view.shape[1]), dtype=view.dtype, device=self._device)
+        for first in range(0, len(view), self._views_at_once):
+            some = view[first : first + self._views_at_once]
+            seen = torch.zeros((self._views_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
             seen[: len(some)] = some
             parts.append(late.bins(seen))
         of_bins = torch.cat([part for part, _lobes in parts], dim=1)
@@ -232,9 +233,9 @@ class FusedNetwork:
         count = len(positions)
         features = torch.empty((count, self.network.settings.view_inputs), device=self._device)
         frame = torch.zeros((count, self.network.settings.frame_rows, 3), device=self._device)
-        for first in range(0, count, VIEWS_AT_ONCE):
-            some = slice(first, min(first + VIEWS_AT_ONCE, count))
-            x, eye = torch.zeros((2, VIEWS_AT_ONCE, 3), dtype=torch.float64, device=self._device)
+        for first in range(0, count, self._views_at_once):
+            some = slice(first, min(first + self._views_at_once, count))
+            x, eye = torch.zeros((2, self._views_at_once, 3), dtype=torch.float64, device=self._device)
             x[: some.stop - first], eye[: some.stop - first] = positions[some], outgoing[some]
             told = self.network.told(x, eye)
             features[some] = self.network.view_features(x, eye, told)[: some.stop - first]

@@ -171,22 +171,23 @@ class ViewFeatures(nn.Module):
         return normals(lambda points: self._inside(0, points), self.interior.spacing, x)
 
     def _ray(self, x: Tensor, back: Tensor) -> Ray:
-        """The rays of view from x [N,3] along −back [N,3]."""
+        """The rays of view from x [N,3] along −back [N,3]; those that turn are followed by the processor, wherever x is:
+        step by step, each after a look at the one before, a card takes thousands of small steps for it.
+        """
         if not self._turns:
             return Ray.straight(x, back)
         spacing, eta, longest = self.interior.spacing, self.interior.eta, float(self.edges[-1])
-        if self.tensors_alone or x.device.type != "cpu":
+        if self.tensors_alone:
             return folded(lambda points: self._inside(0, points), spacing, eta, self._turns, longest, x, back)
         from prt_bake.neural.view_kernel import folded_rows
 
         pieces = len(x), self._turns + 1
         starts, towards, begins = torch.empty((*pieces, 3)), torch.empty((*pieces, 3)), torch.empty(pieces)
         numbers = [np.float32(number) for number in (spacing, eta, longest)]
-        told = [tensor.numpy() for tensor in (x - self.corner, -back, starts, towards, begins)]
-        folded_rows(
-            self.levels[0].numpy(), numbers[0], numbers[1], numbers[2], told[0], told[1], told[2], told[3], told[4]
-        )
-        return Ray(starts + self.corner, towards, begins)
+        known = (tensor.cpu() for tensor in (self.levels[0], x - self.corner, -back))
+        told = [tensor.numpy() for tensor in (*known, starts, towards, begins)]
+        folded_rows(told[0], numbers[0], numbers[1], numbers[2], told[1], told[2], told[3], told[4], told[5])
+        return Ray(starts.to(x.device) + self.corner, towards.to(x.device), begins.to(x.device))
 
     def _exit(self, ray: Ray) -> Tensor:
         """Where rays go on to [N,3] once they have left the object, bent where they leave it first; a ray that is

@@ -1,9 +1,11 @@
 """Speed of the network in a bake: evaluations of Ŝ per second and core, and the share of what a matrix product reaches.
 
     python tests/bench/network_speed.py
+    python tests/bench/network_speed.py --device cuda
 
 The product is one of 2048 × 2048 matrices of the same type on the same core (512 × 512 where that would take half a
-minute), by whichever of two operators is faster.
+minute), by whichever of two operators is faster; on a card one of 8192 × 8192. Off is the relative RMS difference to
+the processor's plain float32 path, of some of the answers.
 Useful are the FLOP of the layers as the settings have them, sines, cosines and padding not counted; done are those that
 are left where layers that do not see ωi are run once for all 64 directions of a bin.
 """
@@ -12,19 +14,23 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
 
 from prt_bake import sphere
 from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF
-from prt_bake.neural.fused import PRECISIONS, _onednn_answers, _onednn_linear
+from prt_bake.neural.fused import PRECISIONS, FusedNetwork, _onednn_answers, _onednn_linear
 from prt_bake.neural.interior import LEVELS, REACH, Interior
+from prt_bake.sources import require_device
 
 VERTICES, BINS, DIRECTIONS, COPIES = 4, 1024, 64, 256
 REPEATS = 5
 LONGEST = 30.0
-SMALL, LARGE = 512, 2048
+SMALL, LARGE, ON_A_CARD = 512, 2048, 8192
+COMPARED = 32
+"""Bins whose answers are compared."""
 
 
 def best_time(work: Callable[[], object]) -> float:
@@ -37,18 +43,31 @@ def best_time(work: Callable[[], object]) -> float:
     return min(times)
 
 
-def peak(precision: str) -> float:
+def peak(precision: str, device: str) -> float:
     """FLOP/s of one large matrix product, which is smaller where a small one takes its time already."""
+    if device != "cpu":
+        return product_rate(precision, ON_A_CARD, device)
     rate = product_rate(precision, SMALL)
     return product_rate(precision, LARGE) if 2 * LARGE**3 / rate < LONGEST else rate
 
 
-def product_rate(precision: str, side: int) -> float:
-    one, other = torch.rand(2, side, side).to(PRECISIONS[precision])
-    none = torch.zeros(side, dtype=one.dtype)
-    ways = [lambda: torch.mm(one, other), lambda: _onednn_linear(one, other, none, "none")]
+def product_rate(precision: str, side: int, device: str = "cpu") -> float:
+    one, other = torch.rand(2, side, side, device=device).to(PRECISIONS[precision])
+    none = torch.zeros(side, dtype=one.dtype, device=device)
+    # Cards work on after they were asked: one number of the result is waited for.
+    ways = [lambda: torch.mm(one, other)[0, 0].cpu(), lambda: _onednn_linear(one, other, none, "none")]
     with torch.inference_mode():
         return 2 * side**3 / min(best_time(way) for way in (ways if _onednn_answers(one) else ways[:1]))
+
+
+def off(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...]) -> float:
+    """Relative RMS difference of some of a block's answers to the plain float32 path."""
+    incident, rotation, positions, outgoing = block
+    rotation, eye, x = rotation[0, :COMPARED], outgoing[0, :COMPARED], np.tile(positions[0], (COMPARED, 1))
+    expected = network.evaluate(incident[rotation], x, eye)
+    return float(
+        np.linalg.norm(fused.evaluate_block(incident, rotation[:, None], x, eye[:, None])[:, 0] - expected)
+    ) / float(np.linalg.norm(expected))
 
 
 def flop(settings: NetworkSettings) -> tuple[int, float]:
@@ -72,7 +91,10 @@ def ball(places: int) -> Interior:
 
 
 def main() -> None:
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    device = parser.parse_args().device
+    require_device(device)
     torch.set_num_threads(1)
     incident = sphere.uniform(COPIES * DIRECTIONS, 1).reshape(COPIES, DIRECTIONS, 3)
     outgoing = sphere.uniform(VERTICES * BINS, 2).reshape(VERTICES, BINS, 3)
@@ -80,18 +102,21 @@ def main() -> None:
     rotation = np.random.default_rng(4).integers(0, COPIES, (VERTICES, BINS))
     evaluations = VERTICES * BINS * DIRECTIONS
     print(
-        f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}"
+        f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}{'off':>9}"
     )
     measured = PRESETS["measured"]
     less = {"no lobes": replace(measured, lobes=0), "no shape": replace(measured, lobes=0, shape_places=0)}
     for preset, settings in {**PRESETS, **less}.items():
         network = NeuralBSSRDF(settings, interior=ball(64) if settings.ray_samples else None)
         for precision in PRECISIONS:
-            fused, top = network.prepared(precision), peak(precision)
+            fused, top = network.prepared(precision, device), peak(precision, device)
             block = (incident, rotation, positions, outgoing)
             rate = evaluations / best_time(lambda f=fused, b=block: f.evaluate_block(*b))  # type: ignore[misc]
             shares = "".join(f"{rate * work / 1e9:8.0f}{rate * work / top:7.0%}" for work in flop(settings))
-            print(f"{preset:10}{precision:11}{rate:15,.0f}{top / 1e9:9.0f}{shares}", flush=True)
+            print(
+                f"{preset:10}{precision:11}{rate:15,.0f}{top / 1e9:9.0f}{shares}{off(network, fused, block):9.1e}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
