@@ -42,6 +42,8 @@ class Block:
     """[n], share of the squared error that all bins of a vertex have in common; None: all of it."""
     shape: ErrorShape | None = None
     """How the errors of each vertex hang together, where that is known."""
+    bound: float = 1.0
+    """How many times the root mean square error `standard_error` is, such that 1.96 of it are a 95 % bound."""
 
 
 @dataclass(frozen=True)

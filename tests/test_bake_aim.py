@@ -18,7 +18,6 @@ from prt_bake.to_error.aim import (
     CHECKS_A_VERTEX,
     Aim,
     Pilot,
-    Spent,
     aimed,
     coarse,
     refined_block,
@@ -37,12 +36,13 @@ def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch) -> list[Refin
     """Trials come to these errors, each cheaper than the one before; what was tried is in the list."""
     tried: list[Refinement] = []
 
-    def trial(_pilot: Pilot, how: Refinement, _error: float) -> tuple[Aim, Tally]:
+    def trial(_pilot: Pilot, how: Refinement, _error: float, _checks: float) -> tuple[Aim, Tally]:
         tried.append(how)
         tally = Tally(1)
         tally.variance[:], tally.done[:] = errors[len(tried) - 1], True
         per_vertex = 1000.0 / len(tried)
-        return replace(coarse(how, ERROR), error=errors[len(tried) - 1], evaluations_per_vertex=per_vertex), tally
+        aim = replace(coarse(how, ERROR), error=errors[len(tried) - 1])
+        return replace(aim, evaluations_per_vertex=per_vertex, evaluations_per_check=per_vertex), tally
 
     monkeypatch.setattr(pilots, "_trial", trial)
     return tried
@@ -69,14 +69,13 @@ def test_the_best_of_the_trials_is_kept(
     errors: list[float], best: int, trials: int, refinement: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted(errors, monkeypatch)
-    aim = pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    aim = pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR, [])
     assert len(tried) == trials
     assert aim.error == errors[best]
 
 
 def test_trials_that_are_all_far_off_are_out_of_reach(refinement: Refinement, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02, 0.02, 0.02] * 6, monkeypatch)
-    monkeypatch.setattr(pilots, "_untold", lambda _pilot, way, _error: Spent(1 if way.lattices == "own" else 2))
     with pytest.raises(QueryError, match="out of reach"):
         aimed(Pilot(site_of(Lobed())), refinement, ERROR)
     assert tried[-1].begin == len(refinement.lattice.sizes)
@@ -87,10 +86,10 @@ def test_trials_that_are_all_far_off_make_way_for_more_directions(
 ) -> None:
     """Nothing of what they told is kept: it led nowhere."""
     tried = scripted([0.05] * pilots.MOST_PILOTS + [0.0085] * 2, monkeypatch)
-    aim = pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    aim = pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR, [])
     assert aim.error == 0.0085
     assert [how.begin - tried[0].begin for how in tried] == [0] * pilots.MOST_PILOTS + [2]
-    assert tried[-1].noise == tried[0].noise
+    assert tried[-1].pool_noise == tried[0].pool_noise
     assert tried[-1].light == tried[0].light
 
 
@@ -98,7 +97,7 @@ def test_errors_that_are_too_small_loosen_what_is_tolerated(
     refinement: Refinement, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted([0.002, 0.003, 0.0085], monkeypatch)
-    pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR)
+    pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR, [])
     assert tried[0].light < tried[1].light < tried[2].light
 
 
@@ -121,9 +120,7 @@ def test_checks_that_are_dearer_than_all_the_rest_are_a_few_of_each_vertex() -> 
     assert aim.evaluations_per_check * many > aim.evaluations_per_vertex * len(site.vertices)
 
 
-@pytest.mark.parametrize(
-    ("lattices", "least", "most"), [("own", 0.0, 0.01), ("shared", 0.6, 1.0), ("learned", 0.6, 1.0)]
-)
+@pytest.mark.parametrize(("lattices", "least", "most"), [("own", 0.0, 0.01), ("learned", 0.6, 1.0)])
 def test_what_bins_have_in_common_is_the_lattice_that_they_share(lattices: str, least: float, most: float) -> None:
     site = site_of(Edged(), 4, 16)
     how = replace(coarse(first_refinement(site)[0], 0.05).refinement, lattices=lattices)

@@ -117,7 +117,7 @@ class ParedSink:
 
     def _pared(self, block: Block) -> Block:
         needs = self._needs
-        a, variance = block.coefficients.astype(np.float64), block.standard_error.astype(np.float64) ** 2
+        a, variance = block.coefficients.astype(np.float64), (block.standard_error / np.float64(block.bound)) ** 2
         squares = (a**2).mean(axis=(2, 3))
         variance += needs.rounding**2 * squares
         off, shape = np.zeros(variance.shape), block.shape
@@ -150,7 +150,7 @@ class ParedSink:
             times = self._under(shape, light, block)
             variance = variance * times.mean(axis=2)
             shape = None if shape is None else shape_of(np.ones((len(a), 1)), times.mean(axis=1), shape.apart, 1)
-        stated = np.sqrt(variance).astype(np.float32)
+        stated = (block.bound * np.sqrt(variance)).astype(np.float32)
         return replace(block, coefficients=a.astype(np.float32), standard_error=stated, shape=shape)
 
     def _under(self, shape: ErrorShape | None, light: Array, block: Block) -> Array:

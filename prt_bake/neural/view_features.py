@@ -171,8 +171,8 @@ class ViewFeatures(nn.Module):
         return normals(lambda points: self._inside(0, points), self.interior.spacing, x)
 
     def _ray(self, x: Tensor, back: Tensor) -> Ray:
-        """The rays of view from x [N,3] along −back [N,3]; those that turn are followed by the processor, wherever x is:
-        step by step, each after a look at the one before, a card takes thousands of small steps for it.
+        """The rays of view from x [N,3] along −back [N,3]. Those that turn are followed by the processor, wherever x
+        is: a card takes thousands of small steps for it, each after a look at the one before.
         """
         if not self._turns:
             return Ray.straight(x, back)

@@ -14,6 +14,7 @@ from bakers.crew import ALONE, Crew, pieces
 from bakers.refined import Lattices, Refined, Refinement
 from bakers.refinement import refine
 from bakers.verdict import Correction, Tally
+from prt_bake.baker.forecast import COST
 from prt_bake.baker.light import checked_bins, drawn
 from prt_bake.to_error.first_look import (
     FEWEST_CHECKS,
@@ -31,6 +32,8 @@ Index = NDArray[np.int64]
 AIM, AIM_BY_FEW = 0.92, 0.88
 """Of the error asked for, what tolerances are chosen for, and by a pilot of few bins: what it says of all is not exact.
 """
+NEARBY_AIM = 0.8
+"""The same where most vertices are foretold from others, at those that are not."""
 VIEW_OVER_LIGHT = 2.0
 VIEW_RANGE = 0.3, 2.0
 PILOTS, MOST_PILOTS = (5, 5), 8
@@ -45,20 +48,18 @@ PILOT_AT_ONCE = 1 << 14
 """Bins of a piece of a pilot: it cannot be stopped in the middle of one."""
 PILOT_VERTICES, PILOT_SHARE = 24, 12
 """Most vertices of the pilot, and of how many vertices it takes one."""
-COMPARED = 2
-"""Of how many of the pilot's vertices one is enough to compare lattices at."""
-PILOT_CHECKS = 128, 640
-"""Bins that a pilot of few bins, and of many, is held against others at."""
+PILOT_CHECKS, PILOT_CHECK_COST, MORE_CHECKS = (128, 640), 0.03, 1.5
+"""Bins that a pilot of few bins, and of many, is held against others at; what share of a whole pass the checks of one
+of few may cost, and times as many as there were, from which on a trial is done again with more.
+"""
 NEAR = 0.8, 0.85
 """Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
-LATTICES: tuple[Lattices, ...] = ("own", "both", "shared", "learned")
-ALIKE = 1.3
-"""Times the least evaluations that a way may take to be tried out with checks."""
+LATTICES: tuple[Lattices, ...] = ("own", "learned")
 CHECK_NOISE, LEAST_CHECK_NOISE = 0.7, 0.25
 """Of each of the two lattices of a check, over the error asked for; and where as many are made as are of use."""
 CHECK_COST = 0.3
 """Of the evaluations of a pass, what more checks than the fewest, or less noisy ones, may come to."""
-DEAR, DEAR_NOISE, CHECKS_A_VERTEX = 3.0, 1.0, 4
+DEAR, DEAR_NOISE, CHECKS_A_VERTEX = 3.0, 1.0, 2
 """Times all the rest, that checks may cost before there are fewer; the noise of each of their two lattices then, and
 how many of each vertex there are at least."""
 LEARNED_CHECKS = 8
@@ -159,20 +160,25 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     refinement = replace(refinement, answers=Answers(pilot_vertices(pilot.site), pilot.site.bins))
     aims, trials = list[Aim](), list[Spent]()
     if learnable:
-        aims.append(_calibrated(pilot, replace(refinement, lattices="learned"), LEARNED_AIM * error))
-        trials.append(aims[0].spent)
+        aims.append(_calibrated(pilot, replace(refinement, lattices="learned"), LEARNED_AIM * error, trials))
     if not aims or aims[0].error > error or aims[0].evaluations_per_vertex > RECOGNISED * pilot.site.bins:
-        tried = _cheapest(pilot, refinement, error, trials)
-        aims += [_calibrated(pilot, way, error) for way in tried]
-        trials += [aim.spent for aim in aims[-len(tried) :]]
+        aims.append(_calibrated(pilot, replace(refinement, lattices="own"), error, trials))
     best = min(aims, key=lambda aim: _dearness(aim, error))
     if best.error > OUT_OF_REACH * error:
         raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
     nearby, looked = nearby_for(pilot.site, refinement, error, best.evaluations_per_vertex, best.evaluations_per_check)
     best = replace(best, spent=sum(trials, Spent(looked)))
     if nearby is not None:
-        best = replace(best, nearby=nearby, evaluations_per_vertex=nearby.on_average)
+        best = _foretelling(best, nearby, error)
     return _checked(pilot.site, best, error, _seconds_each(trials))
+
+
+def _foretelling(aim: Aim, nearby: Nearby, error: float) -> Aim:
+    """The same with most vertices foretold from others: these err besides by what differs from vertex to vertex."""
+    finer = min(1.0, NEARBY_AIM * error / max(aim.error, 1e-300))
+    refinement = replace(aim.refinement, light=finer * aim.refinement.light, view=finer * aim.refinement.view)
+    aim = replace(aim, refinement=refinement, nearby=nearby, error=finer * aim.error)
+    return replace(aim, evaluations_per_vertex=nearby.on_average * finer**-COST)
 
 
 def _learnable(refinement: Refinement, error: float) -> bool:
@@ -180,17 +186,6 @@ def _learnable(refinement: Refinement, error: float) -> bool:
     seen = float(refinement.missed.max(initial=0.0)) <= LEARNED_MISSED * error
     seen &= sum(len(level.bins) for level in refinement.levels) >= LEARNED_BINS
     return seen and refinement.survey is not None and refinement.survey.learnable(error)
-
-
-def _cheapest(pilot: Pilot, refinement: Refinement, error: float, trials: list[Spent]) -> list[Refinement]:
-    """The ways to lay lattices that cost least, as far as is known without checks; `trials` takes what that took."""
-    ways = [replace(refinement, lattices=which) for which in LATTICES if which != "learned"]
-    beforehand = [_untold(pilot, way, error) for way in ways]
-    trials += beforehand
-    costs = [spent.wanted for spent in beforehand]
-    # What checks make of it may reorder ways that cost about the same; trying all of them out pays on large objects.
-    near = ALIKE if pilot.site.many >= MANY else 1.0
-    return [way for way, cost in zip(ways, costs, strict=True) if cost <= near * min(costs)]
 
 
 def _seconds_each(trials: list[Spent]) -> float:
@@ -222,14 +217,6 @@ def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
     return replace(aim, refinement=refinement, seconds=seconds * (aim.evaluations_per_vertex + of_checks))
 
 
-def _untold(pilot: Pilot, refinement: Refinement, error: float) -> Spent:
-    """What some of the pilot's vertices take, without checks."""
-    vertices = pilot_vertices(pilot.site)
-    checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
-    how = replace(coarse(refinement, error).refinement, checks=checks)
-    return sum((spent for _some, _refined, spent in pilot.tried(how, vertices[::COMPARED])), Spent())
-
-
 def _timed_block(site: Site, how: Refinement, vertices: Index) -> tuple[Refined, Spent]:
     began = time.monotonic()
     found = refined_block(site, how, vertices)[0]
@@ -242,21 +229,30 @@ def pilot_vertices(site: Site) -> Index:
     return site.vertices[np.sort(drawn(site.seed, len(site.vertices), count))]
 
 
-def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
-    """Tolerances that lead to the error at a few vertices, the cheapest of those tried, or what comes nearest."""
+def _calibrated(pilot: Pilot, refinement: Refinement, error: float, spent: list[Spent]) -> Aim:
+    """Tolerances that lead to the error at a few vertices, the cheapest of those tried, or what comes nearest; `spent`
+    takes what each trial took.
+    """
     few, most = int(pilot.site.many < MANY), len(refinement.lattice.sizes)
     learned = refinement.lattices == "learned"
     dials = untried = _Dials(replace(refinement, begin=refinement.begin_for(error)), error, AIM_BY_FEW if few else AIM)
-    trials, spent, before = list[Aim](), Spent(), Tally(0)
+    trials, before = list[Aim](), Tally(0)
+    checks = float(PILOT_CHECKS[1 - few])
     while len(trials) < MOST_PILOTS:
-        aim, tally = _trial(pilot, dials.refinement(), error)
-        spent += aim.spent
+        aim, tally = _trial(pilot, dials.refinement(), error, checks)
+        spent.append(aim.spent)
+        of_all = aim.evaluations_per_vertex * len(pilot.site.vertices)
+        affordable = min(PILOT_CHECK_COST * of_all / max(aim.evaluations_per_check, 1.0), PILOT_CHECKS[1])
+        if not learned and affordable > MORE_CHECKS * checks:
+            checks = affordable
+            continue
         trials.append(aim)
-        enough = len(trials) >= PILOTS[1 - few] or aim.error >= NEAR[1 - few] * error or learned
+        enough = len(trials) >= PILOTS[1 - few] or aim.error >= NEAR[1 - few] * error
+        enough |= learned and aim.evaluations_per_vertex <= RECOGNISED * pilot.site.bins
         if aim.error <= 0.0 or (aim.error <= error and (enough or np.array_equal(tally.variance, before.variance))):
             break
         missed = max(aim.correction.shared, aim.correction.alone) > MISSED
-        if learned and aim.evaluations_per_vertex > RECOGNISED * pilot.site.bins:
+        if learned and aim.error > error and aim.evaluations_per_vertex > RECOGNISED * pilot.site.bins:
             break
         if missed and dials.begin < most:
             # Most bins do not see what some do: what they say of their error is worth nothing.
@@ -267,7 +263,7 @@ def _calibrated(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
         else:
             dials = dials.turned(tally, aim)
         before = tally
-    return replace(min(trials, key=lambda aim: _dearness(aim, error)), spent=spent)
+    return min(trials, key=lambda aim: _dearness(aim, error))
 
 
 def _stuck(trials: list[Aim], error: float) -> bool:
@@ -308,8 +304,7 @@ class _Dials:
         """The noise and the error of prediction as they were seen; and what is tolerated, by what that alone would lead
         to.
         """
-        seen, noise, pool_noise = aim.correction, self.begun.noise, self.begun.pool_noise
-        noise = replace(noise, of_differences=noise.of_differences * seen.shared)
+        seen, pool_noise = aim.correction, self.begun.pool_noise
         over_pools = seen.shared if self.begun.lattices == "learned" else seen.alone
         pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(over_pools))
         view = float(np.clip(self.view / np.sqrt(seen.foretold), *VIEW_RANGE))
@@ -317,14 +312,13 @@ class _Dials:
         alike = tally.variance.sum(axis=1) @ [seen.foretold * (view / self.view) ** 2, 1.0, 1.0, seen.nearby]
         expected = aim.error * np.sqrt(alike / variance)
         tightness = self.tightness * float(np.clip((self.aim * self.asked / expected) ** RESPONSE, 0.5, 1.6))
-        begun = replace(self.begun, noise=noise, pool_noise=pool_noise)
+        begun = replace(self.begun, pool_noise=pool_noise)
         return replace(self, begun=begun, view=view, tightness=tightness)
 
 
-def _trial(pilot: Pilot, how: Refinement, error: float) -> tuple[Aim, Tally]:
+def _trial(pilot: Pilot, how: Refinement, error: float, many: float) -> tuple[Aim, Tally]:
     """What such a refinement leads to at the pilot's vertices."""
     site, chosen = pilot.site, pilot_vertices(pilot.site)
-    many = PILOT_CHECKS[int(site.many >= MANY)]
     if how.lattices == "learned":
         many = min(many, LEARNED_CHECKS * len(chosen))
     share = max(many / (len(chosen) * site.bins), FEWEST_CHECKS / site.many)

@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -314,7 +314,8 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
             for rows in np.split(np.arange(len(vertices)), np.flatnonzero(np.diff(vertices) > 1) + 1):
                 parts = coefficients[rows], standard_error[rows], valid[rows]
                 shape = refined.shape.of(rows)
-                sink.write(Block(int(vertices[rows[0]]), *parts, 0, together=refined.together[rows], shape=shape))
+                block = Block(int(vertices[rows[0]]), *parts, 0, together=refined.together[rows], shape=shape)
+                sink.write(replace(block, bound=done.correction.bound))
         invalid = np.flatnonzero(done.tally.invalid)
         own = {
             "evaluations": run.work.evaluations,
@@ -333,7 +334,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
                     name: float(factor) for name, factor in zip(WAYS, done.correction.by_way, strict=True)
                 },
                 "bound_factor": done.correction.bound,
-                "lattice_gain": {"shared": vars(aim.refinement.noise), "alone": vars(aim.refinement.pool_noise)},
+                "lattice_gain": vars(aim.refinement.pool_noise),
             },
         }
         run.asset = sink.finish(run.work.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
