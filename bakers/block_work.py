@@ -179,6 +179,7 @@ class Work:
         """How errors of this variance [n,B] hang together: what is foretold errs as what it was foretold from, which
         bins beside each other have in common, and by what was not foreseen.
         """
+        self.add_shapes()
         foretold = self.spent == 0
         apart = np.where(foretold, 0.0, self.alone).sum(axis=0) / variance.sum(axis=1)
         shared, alone = (np.where(self.apart == which, self.noise, 0.0) for which in (False, True))
@@ -194,6 +195,9 @@ class Work:
     def views(self, rows: Index, bins: Index) -> Array:
         """What takes coefficients there, [M,K,K]."""
         return self.how.frames.matrices(self.vertices[rows], self.outgoing[rows, bins], self.lattice.count)
+
+    def add_shapes(self) -> None:
+        """Tells how errors hang together that bins have from lattices that they share."""
 
     def _way(self) -> NDArray[np.uint8]:
         """How each bin [B,n] was come by: places in `bakers.refined.WAYS`."""

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 BEFORE = 8.0
 """How many measured bins weigh as much as what is believed beforehand."""
 USUAL_GAIN, USUAL_SLOPE = 3.0, 0.7
+USUAL_OF_DIFFERENCES = 4.0
 AT = 64.0
 SLOPES = 0.3, 2.0
 GAINS = np.log(0.01), np.log(1e4)
@@ -33,6 +34,10 @@ class LightNoise:
 
     gain: float = USUAL_GAIN
     slope: float = USUAL_SLOPE
+    of_differences: float = USUAL_OF_DIFFERENCES
+    """How many times more variance a difference to what was foretold has than Ŝ itself of the same roughness: it is
+    made of finer detail, which a lattice does not gain as much on.
+    """
 
     def variance(self, share: float, size: int) -> float:
         """Variance of a coefficient (mean over K) per squared roughness, fitted over so many directions; `share` is

@@ -1,9 +1,12 @@
 """A lattice of directions that grows: each of its sizes is a lattice whose points all later ones keep."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from bakers.error_shape import of_residuals, products
 
 Array = NDArray[np.float64]
 
@@ -27,15 +30,30 @@ class NestedLattice:
         """K"""
         return int(self.harmonics.shape[1])
 
+    @cached_property
+    def products(self) -> tuple[Array, ...]:
+        """[D,P] of each size, see `bakers.error_shape`."""
+        return tuple(products(weights) for weights in self.weights)
+
     def fitted(self, values: NDArray[np.floating], step: int) -> tuple[Array, Array]:
         """Coefficients [M,K·3] of values [M,D,3] in the directions of size number `step`, and the mean square [M] of
         what they leave over, per degree of freedom, mean over channels.
         """
         exact = values.astype(np.float64)
         coefficients = self.weights[step] @ exact
-        left = exact - self.harmonics[: self.sizes[step]] @ coefficients
+        left = self._left_over(exact, coefficients, step)
         rough = (left**2).sum(axis=1).mean(axis=1) / (self.sizes[step] - self.count)
         return coefficients.reshape(len(values), -1), np.asarray(rough)
+
+    def shape(self, values: NDArray[np.floating], step: int) -> tuple[Array, Array]:
+        """How the errors of such a fit hang together: covariance [M,P] and channels [M,3] of any size
+        (`bakers.error_shape.of_residuals`).
+        """
+        exact = values.astype(np.float64)
+        return of_residuals(self._left_over(exact, self.weights[step] @ exact, step), self.products[step])
+
+    def _left_over(self, exact: Array, coefficients: Array, step: int) -> Array:
+        return np.asarray(exact - self.harmonics[: self.sizes[step]] @ coefficients)
 
 
 def nested_lattice(directions: Array, harmonics: Array, sizes: tuple[int, ...]) -> NestedLattice:

@@ -28,7 +28,7 @@ HELD = "way", "stated", "squared", "noise"
 OF_VERTICES = "coefficients", "deviation", "directions", "way", "together", "covariance", "channels", "apart"
 """What there is of every vertex of a block."""
 MISSED_OF_ERROR = 0.3
-Lattices = Literal["own", "learned"]
+Lattices = Literal["own", "shared", "learned"]
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,14 @@ class Refinement:
     """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
     rotate: Callable[[Array], Array]
     """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
+    noise: LightNoise
+    """Of the lattice that all of a vertex share."""
     pools: Pools
     pool_noise: LightNoise
     lattices: Lattices
-    """Which lattices bins are integrated over: "own", each over one of its own; "learned", in few directions, by what
-    their vertex has learned of its light over lattices that they share.
+    """Which lattices bins are integrated over: "own", each over one of its own; "shared", all of a vertex over one that
+    grows, so that finer bins can be held against coarser ones in as many directions, and those that need more over one
+    of their own; "learned", in few directions, by what their vertex has learned of its light over a few lattices.
     """
     roughness: float
     """What a fit leaves over, over the mean square coefficient, as it is on average."""

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from bakers.block_work import Work
 from bakers.learned_light import LearnedWork
 from bakers.refined import Lattices, Refined, Refinement
+from bakers.shared_lattice import SharedWork
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-WORKS: dict[Lattices, type[Work]] = {"own": Work, "learned": LearnedWork}
+WORKS: dict[Lattices, type[Work]] = {"own": Work, "shared": SharedWork, "learned": LearnedWork}
 
 
 def refine(transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array) -> Refined:

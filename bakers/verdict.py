@@ -22,6 +22,10 @@ BEFORE = 6.0
 LEAST, MOST = 0.05, 1e4
 BOUND, BOUND_BEFORE = 1.96, 20.0
 """Sigmas that 95 % of the errors lie within, and how many checks weigh as much as that being so already."""
+FAINT = 0.01
+"""Of the usual variance of its vertex, below which that of a bin is not held against what its check says: checks are as
+noisy at all bins of a vertex.
+"""
 _CHECKED: dict[str, type] = {"rows": np.int64, "way": np.uint8, **dict.fromkeys(HELD[1:], np.float64)}
 
 
@@ -95,8 +99,14 @@ class Tally:
         corrected = found.by_way[way] * stated
         beforehand = float(usual(self.together[vertices]).mean()) if len(vertices) else 0.0
         scatter = measured(vertices, corrected, squared, beforehand)
-        bound = _bound(corrected, squared, noise, _independent(vertices, self.together))
+        plain = corrected >= FAINT * self._usual(found)[vertices]
+        independent = _independent(vertices[plain], self.together)
+        bound = _bound(corrected[plain], squared[plain], noise[plain], independent)
         return replace(found, bound=bound, scatter=scatter)
+
+    def _usual(self, correction: Correction) -> Array:
+        """The mean variance [V] of the bins of each vertex."""
+        return np.asarray(correction.by_way @ self.variance * (self.done.sum() / max(1, self.bins)))
 
     def relative(self, correction: Correction, smaller: Array | float = 1.0) -> tuple[float, float]:
         """Relative RMSE over everything done so far, and the 95th percentile over vertices of what it may be at one;

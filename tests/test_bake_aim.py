@@ -120,7 +120,47 @@ def test_checks_that_are_dearer_than_all_the_rest_are_a_few_of_each_vertex() -> 
     assert aim.evaluations_per_check * many > aim.evaluations_per_vertex * len(site.vertices)
 
 
-@pytest.mark.parametrize(("lattices", "least", "most"), [("own", 0.0, 0.01), ("learned", 0.6, 1.0)])
+@pytest.mark.parametrize(
+    ("transport", "rings", "sectors", "lattices"),
+    [
+        # Alike from all views: what is foretold of a bin is right, and only that is held against it.
+        (Edged(), 4, 32, "shared"),
+        # A lobe that moves with the view: hardly anything is gained, and what is missed is missed at all bins.
+        (Lobed(), 4, 32, "own"),
+        # Of many bins few are evaluated.
+        (Lobed(), 16, 64, "own"),
+    ],
+)
+def test_bins_share_a_lattice_where_that_pays(transport: object, rings: int, sectors: int, lattices: str) -> None:
+    site = site_of(transport, rings, sectors)
+    assert aimed(Pilot(site), first_refinement(site)[0], ERROR).refinement.lattices == lattices
+
+
+def test_a_pilot_of_few_bins_holds_as_many_against_others_as_is_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a larger object, of which the same pilot is a smaller part, it holds more."""
+    tried: list[tuple[Refinement, int]] = []
+    trial = pilots._trial
+
+    def counting(pilot: Pilot, how: Refinement, error: float, checks: float) -> tuple[Aim, Tally]:
+        aim, tally = trial(pilot, how, error, checks)
+        tried.append((how, tally.checked))
+        return aim, tally
+
+    monkeypatch.setattr(pilots, "_trial", counting)
+    for mesh, many in ((MESH, 128), (icosphere(4), 640)):
+        tried.clear()
+        vertices = np.arange(len(mesh.positions))
+        site = Site(Lobed(), mesh, vertices, views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
+        first, _spent = first_refinement(site)
+        pilots._calibrated(Pilot(site), replace(first.for_views(0.1, 0.2), lattices="own"), 0.1, [])
+        assert tried[-1][1] == pytest.approx(min(many, len(pilots.pilot_vertices(site)) * 32), rel=0.2)
+        # What was said by fewer is not believed: the same is tried again.
+        assert (len(tried) > 1 and tried[0][0].light == tried[1][0].light) == (many > 128)
+
+
+@pytest.mark.parametrize(
+    ("lattices", "least", "most"), [("own", 0.0, 0.01), ("shared", 0.3, 1.0), ("learned", 0.6, 1.0)]
+)
 def test_what_bins_have_in_common_is_the_lattice_that_they_share(lattices: str, least: float, most: float) -> None:
     site = site_of(Edged(), 4, 16)
     how = replace(coarse(first_refinement(site)[0], 0.05).refinement, lattices=lattices)

@@ -56,6 +56,18 @@ def test_bounds_hold_what_they_say_whatever_the_noise_of_the_checks(noise: float
     assert 0.94 < within < 0.97
 
 
+def test_bounds_are_not_held_against_checks_of_bins_that_are_far_too_faint_for_them() -> None:
+    """Checks are as noisy at all bins of a vertex; of one that errs by a thousandth of that they tell nothing."""
+    random = np.random.default_rng(6)
+    stated = np.where(np.arange(COUNT) % 2 == 0, 1.0, 1e-6)
+    errors = np.sqrt(stated)[:, None] * random.normal(size=(COUNT, NUMBERS))
+    squared, noises = checked(errors, 0.5, 7)
+    correction = tallied(stated, squared, noises, np.arange(COUNT), 0.0).correction(Correction())
+    within = (np.sqrt((errors**2).mean(axis=1)) <= 1.96 * correction.bound * np.sqrt(stated)).mean()
+    assert correction.alone == pytest.approx(1.0, abs=0.05)
+    assert 0.94 < within < 0.97
+
+
 def test_the_noise_beside_a_square_varies_as_that_in_it() -> None:
     errors = np.random.default_rng(0).normal(size=(1, NUMBERS)) * np.ones((COUNT, 1))
     squared, noise = checked(errors, 1.3, 3)

@@ -54,7 +54,13 @@ of few may cost, and times as many as there were, from which on a trial is done 
 """
 NEAR = 0.8, 0.85
 """Of the error asked for, what a pilot of few bins, and of many, comes to at least before it is content."""
-LATTICES: tuple[Lattices, ...] = ("own", "learned")
+LATTICES: tuple[Lattices, ...] = ("own", "shared", "learned")
+SHARED_PAYS = 1.3
+"""Times the evaluations that bins take over a lattice that they share, what they must take over lattices of their own
+for it to be tried: what it misses of a bin's detail it misses at every bin of a vertex, and tells too little of.
+"""
+COMPARED = 2
+"""Of how many of the pilot's vertices one is enough to compare them at."""
 CHECK_NOISE, LEAST_CHECK_NOISE = 0.7, 0.25
 """Of each of the two lattices of a check, over the error asked for; and where as many are made as are of use."""
 CHECK_COST = 0.3
@@ -162,7 +168,8 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     if learnable:
         aims.append(_calibrated(pilot, replace(refinement, lattices="learned"), LEARNED_AIM * error, trials))
     if not aims or aims[0].error > error or aims[0].evaluations_per_vertex > RECOGNISED * pilot.site.bins:
-        aims.append(_calibrated(pilot, replace(refinement, lattices="own"), error, trials))
+        way: Lattices = "shared" if _sharing_pays(pilot, refinement, error, trials) else "own"
+        aims.append(_calibrated(pilot, replace(refinement, lattices=way), error, trials))
     best = min(aims, key=lambda aim: _dearness(aim, error))
     if best.error > OUT_OF_REACH * error:
         raise out_of_reach(error, refinement.lattice.sizes[-1], best.error)
@@ -186,6 +193,25 @@ def _learnable(refinement: Refinement, error: float) -> bool:
     seen = float(refinement.missed.max(initial=0.0)) <= LEARNED_MISSED * error
     seen &= sum(len(level.bins) for level in refinement.levels) >= LEARNED_BINS
     return seen and refinement.survey is not None and refinement.survey.learnable(error)
+
+
+def _sharing_pays(pilot: Pilot, refinement: Refinement, error: float, trials: list[Spent]) -> bool:
+    """Whether bins of a vertex have so much in common that they had better share a lattice; `trials` takes what it took
+    to find out. Many bins are evaluated so rarely that nothing is gained by it, or their light is learned.
+    """
+    if pilot.site.bins >= LEARNED_BINS:
+        return False
+    own, shared = (_untold(pilot, replace(refinement, lattices=way), error) for way in LATTICES[:2])
+    trials += [own, shared]
+    return own.wanted >= SHARED_PAYS * shared.wanted
+
+
+def _untold(pilot: Pilot, refinement: Refinement, error: float) -> Spent:
+    """What some of the pilot's vertices take, without checks."""
+    vertices = pilot_vertices(pilot.site)
+    checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
+    how = replace(coarse(refinement, error).refinement, checks=checks)
+    return sum((spent for _some, _refined, spent in pilot.tried(how, vertices[::COMPARED])), Spent())
 
 
 def _seconds_each(trials: list[Spent]) -> float:
@@ -304,7 +330,8 @@ class _Dials:
         """The noise and the error of prediction as they were seen; and what is tolerated, by what that alone would lead
         to.
         """
-        seen, pool_noise = aim.correction, self.begun.pool_noise
+        seen, noise, pool_noise = aim.correction, self.begun.noise, self.begun.pool_noise
+        noise = replace(noise, of_differences=noise.of_differences * seen.shared)
         over_pools = seen.shared if self.begun.lattices == "learned" else seen.alone
         pool_noise = replace(pool_noise, gain=pool_noise.gain / np.sqrt(over_pools))
         view = float(np.clip(self.view / np.sqrt(seen.foretold), *VIEW_RANGE))
@@ -312,7 +339,7 @@ class _Dials:
         alike = tally.variance.sum(axis=1) @ [seen.foretold * (view / self.view) ** 2, 1.0, 1.0, seen.nearby]
         expected = aim.error * np.sqrt(alike / variance)
         tightness = self.tightness * float(np.clip((self.aim * self.asked / expected) ** RESPONSE, 0.5, 1.6))
-        begun = replace(self.begun, pool_noise=pool_noise)
+        begun = replace(self.begun, noise=noise, pool_noise=pool_noise)
         return replace(self, begun=begun, view=view, tightness=tightness)
 
 

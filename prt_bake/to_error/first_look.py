@@ -117,6 +117,7 @@ def first_refinement(site: Site, crew: Crew = ALONE) -> tuple[Refinement, int]:
         lattice=lattice,
         rotations=vertex_turns(site.seed),
         rotate=partial(sh.rotations, degree=site.degree),
+        noise=noise,
         pools=pools,
         pool_noise=pool_noise,
         lattices="own",

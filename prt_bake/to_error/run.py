@@ -334,7 +334,7 @@ def _write(run: Run, shelf: _Shelf, aim: Aim, done: Pass) -> None:
                     name: float(factor) for name, factor in zip(WAYS, done.correction.by_way, strict=True)
                 },
                 "bound_factor": done.correction.bound,
-                "lattice_gain": vars(aim.refinement.pool_noise),
+                "lattice_gain": {"shared": vars(aim.refinement.noise), "alone": vars(aim.refinement.pool_noise)},
             },
         }
         run.asset = sink.finish(run.work.report | own, np.array(run.rows).reshape(-1, 3), complete=done.whole)
