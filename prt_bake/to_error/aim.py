@@ -197,12 +197,15 @@ def _learnable(refinement: Refinement, error: float) -> bool:
 
 def _sharing_pays(pilot: Pilot, refinement: Refinement, error: float, trials: list[Spent]) -> bool:
     """Whether bins of a vertex have so much in common that they had better share a lattice; `trials` takes what it took
-    to find out. Many bins are evaluated so rarely that nothing is gained by it, or their light is learned.
+    to find out. Where there are many and most are foretold, nothing is gained by it.
     """
-    if pilot.site.bins >= LEARNED_BINS:
+    own = _untold(pilot, replace(refinement, lattices="own"), error)
+    trials.append(own)
+    tried = pilot.site.bins * len(pilot_vertices(pilot.site)[::COMPARED])
+    if pilot.site.bins >= LEARNED_BINS and own.wanted < refinement.lattice.sizes[0] * tried:
         return False
-    own, shared = (_untold(pilot, replace(refinement, lattices=way), error) for way in LATTICES[:2])
-    trials += [own, shared]
+    shared = _untold(pilot, replace(refinement, lattices="shared"), error)
+    trials.append(shared)
     return own.wanted >= SHARED_PAYS * shared.wanted
 
 

@@ -1,0 +1,48 @@
+"""What a bake takes by the error that is asked for: evaluations a bin, how many passes, and what is told in the end.
+
+    PYTHONPATH=tests python tests/bench/errors_asked.py [--errors 0.1 0.05 0.03 0.02 0.01] [--seeds 3] \
+        [--rings 4] [--sectors 8] [--model MODEL.pt --mesh MESH]
+
+A coarser error must not cost more than a finer one.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import prt_bake
+from formats.mesh import read_mesh
+from prt_bake import bake
+from prt_bake.network import load_model
+
+SHIPPED = Path(prt_bake.__file__).parent / "shipped"
+
+
+def main() -> None:
+    """Print a row for each error and seed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--errors", type=float, nargs="+", default=[0.1, 0.05, 0.03, 0.02, 0.01])
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--rings", type=int, default=4)
+    parser.add_argument("--sectors", type=int, default=8)
+    parser.add_argument("--model", type=Path, default=SHIPPED / "spot.pt")
+    parser.add_argument("--mesh", type=Path, default=SHIPPED / "spot.obj")
+    given = parser.parse_args()
+    network, mesh = load_model(given.model), read_mesh(given.mesh, drop_flat_faces=True)
+    bins = len(mesh.positions) * given.rings * given.sectors
+    print(f"{'asked':>7}{'seed':>6}{'a bin':>8}{'passes':>8}{'told':>8}{'95 %':>8}{'seconds':>9}")
+    for error in given.errors:
+        for seed in range(given.seeds):
+            began = time.perf_counter()
+            told = bake(network, mesh, rings=given.rings, sectors=given.sectors, error=error, seed=seed).provenance
+            reached = told["estimated_relative_rmse"]
+            print(
+                f"{error:7.1%}{seed:6}{told['evaluations'] / bins:8.1f}{told['refinement']['passes']:8}"
+                f"{reached['total']:8.2%}{reached['percentile_95_over_vertices']:8.2%}"
+                f"{time.perf_counter() - began:9.1f}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
