@@ -5,6 +5,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pretend_card
@@ -112,12 +113,12 @@ def test_a_bake_on_a_card_is_the_processors(asked: dict[str, float], card: str) 
 
 def learn_on_both(folder: Path) -> None:
     scene, card = make_scene(folder, eta=1.3), pretend_card.install()
-    fit.chosen_device = lambda name: name  # type: ignore[assignment]
-    for settings in (SMALL, replace(PRESETS["measured"], features=16, width=16)):
-        here, there = (learnt(scene, 20, settings=settings, device=device) for device in ("cpu", card))
-        assert there.frequencies.device.type == card
-        for (name, found), expected in zip(there.named_parameters(), here.parameters(), strict=True):
-            assert apart(found.detach().cpu().numpy(), expected.detach().numpy()) < 1e-3, name
+    with mock.patch.object(fit, "chosen_device", lambda name: name):
+        for settings in (SMALL, replace(PRESETS["measured"], features=16, width=16)):
+            here, there = (learnt(scene, 20, settings=settings, device=device) for device in ("cpu", card))
+            assert there.frequencies.device.type == card
+            for (name, found), expected in zip(there.named_parameters(), here.parameters(), strict=True):
+                assert apart(found.detach().cpu().numpy(), expected.detach().numpy()) < 1e-3, name
 
 
 def test_networks_learn_on_a_card_what_they_learn_on_the_processor(tmp_path: Path) -> None:

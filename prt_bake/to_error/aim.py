@@ -26,6 +26,7 @@ from prt_bake.to_error.first_look import (
     out_of_reach,
 )
 from prt_bake.to_error.nearby_choice import Nearby, nearby_for
+from prt_bake.to_error.spent import Spent, seconds_each
 
 Index = NDArray[np.int64]
 
@@ -92,7 +93,7 @@ class Aim:
     """What the pilot came to: the larger of the object's relative RMSE and its 95th percentile over vertices."""
     seconds: float
     """Of one worker for one vertex."""
-    spent: "Spent"
+    spent: Spent
     """By the pilot."""
     evaluations_per_vertex: float
     """Of a pass, checks apart."""
@@ -106,24 +107,6 @@ class Aim:
     def foretelling(self) -> Nearby | None:
         """How vertices are foretold in this pass: those that are done again are all evaluated."""
         return self.nearby if self.again is None else None
-
-
-@dataclass(frozen=True)
-class Spent:
-    """By trials: evaluations, those that were recalled apart, and seconds of one worker."""
-
-    evaluations: int = 0
-    recalled: int = 0
-    seconds: float = 0.0
-
-    def __add__(self, other: "Spent") -> "Spent":
-        recalled = self.recalled + other.recalled
-        return Spent(self.evaluations + other.evaluations, recalled, self.seconds + other.seconds)
-
-    @property
-    def wanted(self) -> int:
-        """Evaluations, those that were recalled among them."""
-        return self.evaluations + self.recalled
 
 
 class Stopped(Exception):
@@ -177,7 +160,7 @@ def aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
     best = replace(best, spent=sum(trials, Spent(looked)))
     if nearby is not None:
         best = _foretelling(best, nearby, error)
-    return _checked(pilot.site, best, error, _seconds_each(trials))
+    return _checked(pilot.site, best, error, seconds_each(trials))
 
 
 def _foretelling(aim: Aim, nearby: Nearby, error: float) -> Aim:
@@ -215,15 +198,6 @@ def _untold(pilot: Pilot, refinement: Refinement, error: float) -> Spent:
     checks = checked_bins(pilot.site.seed, pilot.site.bins, 0.0)
     how = replace(coarse(refinement, error).refinement, checks=checks)
     return sum((spent for _some, _refined, spent in pilot.tried(how, vertices[::COMPARED])), Spent())
-
-
-def _seconds_each(trials: list[Spent]) -> float:
-    """Seconds of one evaluation, and of what is done with it, by trials of which some recalled more than others."""
-    from scipy.optimize import nnls
-
-    counts = np.array([[trial.evaluations, trial.wanted] for trial in trials], np.float64)
-    largest = max(counts.max(), 1.0)
-    return float(nnls(counts / largest, [trial.seconds for trial in trials])[0].sum() / largest)
 
 
 def _checked(site: Site, aim: Aim, error: float, seconds: float) -> Aim:
