@@ -84,7 +84,12 @@ def test_what_is_copied_is_seen_as_all_of_its_copies_are() -> None:
     assert smooth / 42 == pytest.approx(whole / 240, rel=0.1)
 
 
-def test_errors_of_views_that_err_apart_are_not_those_of_their_mean() -> None:
+@pytest.mark.parametrize("pays", [1.3, np.inf])
+def test_errors_of_views_that_err_apart_are_not_those_of_their_mean(
+    pays: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over a lattice that they share, and over lattices of their own, where what they differ by is noise alone."""
+    monkeypatch.setattr("prt_bake.to_error.aim.SHARED_PAYS", pays)
     mesh = icosphere(2)
     asset = bake(Grey(), mesh, **SMALL, error=0.01, leave_out=baking.ITEMS)
     assert [item["item"] for item in asset.left_out] == ["views", "channels"]
