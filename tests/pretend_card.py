@@ -38,6 +38,9 @@ class OnCard(torch.Tensor):
         made.held = held
         return made
 
+    def __array__(self, *_how: Any) -> Any:
+        raise TypeError(f"{NAME} tensors have no numpy: take them to the processor first")
+
     @classmethod
     def __torch_dispatch__(cls, operation: Any, _types: Any, args: Any = (), kwargs: Any = None) -> Any:
         given = tree_leaves((args, kwargs or {}))
@@ -47,11 +50,14 @@ class OnCard(torch.Tensor):
             raise RuntimeError(f"{operation}: expected all tensors on one device, found some on {NAME} and some on cpu")
         if operation.overloadpacket.__name__ not in VIEWS:
             steps[operation] += 1
+        if here or operation.overloadpacket is aten._local_scalar_dense:
+            waits[operation] += 1
         result = operation(*tree_map(_held, args), **tree_map(_held, kwargs or {}))
         if operation.overloadpacket in (aten.copy_, aten.index_put_):
             return args[0]
         asked = [one for one in given if isinstance(one, torch.device)]
         if asked and asked[0].type == "cpu":
+            waits[operation] += 1
             return tree_map(lambda one: one.clone() if any(one is own.held for own in there) else one, result)
         known = {id(one.held): one for one in there}
         return tree_map(lambda one: known[id(one)] if id(one) in known else _on_card(one), result)
@@ -59,6 +65,10 @@ class OnCard(torch.Tensor):
 
 steps: Counter[Any] = Counter()
 """What was done on the card, each what a real one is asked for at a time; not counted: views, which cost nothing."""
+
+
+waits: Counter[Any] = Counter()
+"""What a real card cannot record to play it back: numbers that come from the processor, or go there."""
 
 
 class _Module(backend_registration._DummyBackendModule):
@@ -101,5 +111,7 @@ def _empty_strided(size: Any, stride: Any, dtype: Any = None, **_how: Any) -> On
 
 
 def _copy_from(source: torch.Tensor, target: torch.Tensor, _non_blocking: bool = False) -> torch.Tensor:
+    if isinstance(source, OnCard) != isinstance(target, OnCard):
+        waits["copy"] += 1
     _held(target).copy_(_held(source))
     return target

@@ -20,7 +20,7 @@ from prt_bake import shipped
 from prt_bake.baking import bake
 from prt_bake.network import PRESETS, NeuralBSSRDF, load_model
 from prt_bake.neural import fused
-from prt_bake.neural.pairs import pair_transport
+from prt_bake.neural.pairs import content_hash, pair_transport
 from prt_bake.sphere import uniform
 from prt_bake.trainer import fit
 
@@ -109,6 +109,16 @@ def test_a_bake_on_a_card_is_the_processors(asked: dict[str, float], card: str) 
     assert apart(baked[1].coefficients, baked[0].coefficients) < OFF["float32"]
     np.testing.assert_allclose(baked[1].standard_error, baked[0].standard_error, rtol=1e-3, atol=1e-7)
     np.testing.assert_array_equal(baked[1].error_vs_time[:, 1], baked[0].error_vs_time[:, 1])
+
+
+def test_a_network_that_lies_on_a_card_is_baked(card: str, tmp_path: Path) -> None:
+    """As commands hand it over: loaded onto the card."""
+    round_one = ball(1, 0.45)
+    network, mesh = network_of("turning"), build_mesh(round_one.positions + 0.5, round_one.faces)
+    how = {"rings": 2, "sectors": 4, "samples": 16, "out": tmp_path / "asset.h5"}
+    baked, known = bake(network, mesh, **how).coefficients[:], content_hash(network)
+    assert apart(bake(network.to(card), mesh, device=card, **how).coefficients[:], baked) < OFF["float32"]
+    assert content_hash(network) == known
 
 
 def learn_on_both(folder: Path) -> None:

@@ -40,8 +40,7 @@ def looked(ray: LightRay, starts: Any, incident: Any) -> np.ndarray:
 
 def grids(ray: LightRay) -> list[tuple[np.ndarray, np.ndarray, float]]:
     """Each level's grid, the place of its first value, and its spacing."""
-    levels = range(len(ray._corners))
-    return [(ray._grid(n).numpy().astype(np.float64), ray._corners[n], ray._spacings[n]) for n in levels]
+    return [(level.grid.numpy().astype(np.float64), level.corner, level.spacing) for level in ray.pyramid()]
 
 
 def test_places_lie_ever_farther_away_and_are_told_more_coarsely() -> None:
@@ -49,7 +48,7 @@ def test_places_lie_ever_farther_away_and_are_told_more_coarsely() -> None:
     assert ray.distances[0] == NEAREST
     np.testing.assert_allclose(np.diff(np.log(ray.distances)), np.log(GROWTH))
     wanted = 0.2 * np.array(ray.distances)
-    spacing = np.array([ray._spacings[level] for level in ray._levels])
+    spacing = np.array([ray.pyramid()[level].spacing for level in ray.level_at])
     coarse = wanted > 0.015
     assert (np.abs(np.log2(spacing / wanted))[coarse] <= 0.5 + 1e-9).all()
     np.testing.assert_allclose(spacing[~coarse], 0.015)
@@ -99,7 +98,7 @@ def test_tensors_and_kernel_look_up_as_scipy_does() -> None:
     starts = RNG.uniform(-0.4, 1.4, (200, 2, 3)).astype(np.float32)
     incident = unit(RNG, 200, 3).astype(np.float32)
     expected = np.empty((200, 3, 2, 8))
-    for place, (distance, level) in enumerate(zip(ray.distances, ray._levels, strict=True)):
+    for place, (distance, level) in enumerate(zip(ray.distances, ray.level_at, strict=True)):
         grid, corner, spacing = grids(ray)[level]
         points = starts[:, None].astype(np.float64) + distance * incident[:, :, None]
         at = ((points - corner) / spacing).reshape(-1, 3).T

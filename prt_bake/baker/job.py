@@ -113,7 +113,8 @@ def refuse_foreign(transport: Any, mesh: Mesh) -> None:
         transport.refuse_foreign(mesh)
     if not hasattr(transport, "box_min") or not hasattr(transport, "box_side"):
         return
-    low = np.asarray(transport.box_min, np.float64)
+    corner = transport.box_min
+    low = np.asarray(corner.cpu() if hasattr(corner, "cpu") else corner, np.float64)
     side = float(transport.box_side)
     beyond = np.maximum(low - mesh.positions, mesh.positions - low - side).max(axis=1)
     outside = np.flatnonzero(beyond > OUTSIDE * side)

@@ -25,6 +25,9 @@ class FeatureGrid(nn.Module):
 
     number_at: Tensor
     corner: Tensor
+    last: Tensor
+    strides: Tensor
+    around: Tensor
 
     def __init__(self, interior: Interior, per_side: int, numbers: int, reach: float) -> None:
         """reach: how deep in the object rays of view are followed, in box sides."""
@@ -35,6 +38,10 @@ class FeatureGrid(nn.Module):
         self.per_side = per_side
         self.register_buffer("number_at", torch.from_numpy(number_at.astype(np.int64)), persistent=False)
         self.register_buffer("corner", torch.tensor(interior.corner, dtype=torch.float32), persistent=False)
+        _, ny, nz = number_at.shape
+        self.register_buffer("last", torch.tensor(number_at.shape) - 1, persistent=False)
+        self.register_buffer("strides", torch.tensor([ny * nz, nz, 1]), persistent=False)
+        self.register_buffer("around", torch.tensor(list(np.ndindex(2, 2, 2))), persistent=False)
         self.rows = nn.Parameter(torch.zeros(1 + int(kept.sum()), numbers))
 
     def forward(self, points: Tensor, weights: Tensor) -> Tensor:
@@ -52,15 +59,11 @@ class FeatureGrid(nn.Module):
 
     def _around(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """The rows of the eight places around points [N,K,8], and the shares that they have."""
-        _, ny, nz = self.number_at.shape
-        last = torch.tensor(self.number_at.shape, device=points.device) - 1
-        at = torch.minimum(((points - self.corner) * self.per_side).clamp(min=0.0), last.float())
-        low = torch.minimum(at.long(), last - 1)
+        at = torch.minimum(((points - self.corner) * self.per_side).clamp(min=0.0), self.last.float())
+        low = torch.minimum(at.long(), self.last - 1)
         upper = at - low
-        strides = torch.tensor([ny * nz, nz, 1], device=points.device)
-        corners = torch.tensor(list(np.ndindex(2, 2, 2)), device=points.device)
-        flat = (low * strides).sum(dim=-1, keepdim=True) + (corners * strides).sum(dim=-1)
-        shares = torch.where(corners == 1, upper[..., None, :], 1.0 - upper[..., None, :]).prod(dim=-1)
+        flat = (low * self.strides).sum(dim=-1, keepdim=True) + (self.around * self.strides).sum(dim=-1)
+        shares = torch.where(self.around == 1, upper[..., None, :], 1.0 - upper[..., None, :]).prod(dim=-1)
         return self.number_at.flatten()[flat], shares
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -39,6 +39,19 @@ TABLES = 12
 """Whole tables that are remembered, those of the arrays that were handed in last."""
 TABLE_ROWS = 1 << 14
 """Most (rotation, direction) rows whose exponentials are held at once: 32 MiB with 256 frequencies."""
+
+
+class OfLight(NamedTuple):
+    """What is known of directions of incidence beforehand.
+
+    Attributes:
+        table: [R,D,2F] cosines and sines of their phases, or what they add to late layers [layers,R,D,width].
+        towards: themselves [R,D,3], float32.
+    """
+
+    table: Tensor
+    towards: Tensor
+
 
 Linear = Callable[[Tensor, Tensor, Tensor, str], Tensor]
 
@@ -65,10 +78,8 @@ class FusedNetwork:
         self._biases = [layer.bias.detach().to(self._dtype) for layer in layers]
         self._linear: Linear = _onednn_linear if _onednn_answers(self._weights[-1]) else _plain_linear
         self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
-        if self._late is None and self._device.type != "cpu":
-            self._weights[0] = _interleave(self._weights[0], settings.features)
         self._lock = Lock()
-        self._tables: OrderedDict[int, tuple[ArrayLike, Tensor]] = OrderedDict()
+        self._tables: OrderedDict[int, tuple[ArrayLike, OfLight]] = OrderedDict()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies in other processes lay out the weights for the processor that they are on."""
@@ -80,7 +91,7 @@ class FusedNetwork:
 
     def exact(self) -> "FusedNetwork":
         """The same network in float32."""
-        return self if self.precision == "float32" else FusedNetwork(self.network, "float32", str(self._device))
+        return self if self.precision == "float32" else self.network.prepared("float32", str(self._device))
 
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
@@ -104,15 +115,14 @@ class FusedNetwork:
             view, frame = self._views(positions, outgoing)
             eye = _float32(np.reshape(outgoing, (-1, 3)), self._device)
             for first, last in pairwise(bounds):
-                towards = light[:, first:last]
-                table = self._light_table(incident, towards, whole=last - first == directions)
+                known = self._known_of_light(incident, light[:, first:last], whole=last - first == directions)
                 if self._late is None and self._device.type == "cpu":
-                    self._fill_swept(answer[:, first:last], table, chosen, view)
+                    self._fill_swept(answer[:, first:last], known.table, chosen, view)
                 elif self._late is None:
-                    self._fill(answer[:, first:last], table, chosen, view)
+                    self._fill(answer[:, first:last], known.table, chosen, view)
                 else:
-                    between = _float32(towards, self._device), eye, frame
-                    self._fill_late(self._late, answer[:, first:last], table, chosen, view, between)
+                    between = known.towards, eye, frame
+                    self._fill_late(self._late, answer[:, first:last], known.table, chosen, view, between)
         return answer.reshape(vertices, bins, directions, 3)
 
     def _fill_late(
@@ -189,17 +199,15 @@ class FusedNetwork:
 
     def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
-        directions, features = table.shape[1:]
+        directions, width = table.shape[1:]
         tile = max(1, self._rows // directions)
-        product = torch.ones((tile, directions, features), dtype=torch.complex64, device=self._device)
-        cast = torch.empty((tile * directions, 2 * features), dtype=self._dtype, device=self._device)
-        rows = torch.view_as_real(product).view(tile * directions, 2 * features)
+        rows = torch.ones((tile, directions, width), dtype=self._dtype, device=self._device)
         for first in range(0, len(chosen), tile):
             bins = min(tile, len(chosen) - first)
-            part = product[:bins]
-            torch.index_select(table, 0, chosen[first : first + bins], out=part)
-            part.mul_(view[first : first + bins, None, :])
-            radiance = self._layers(rows if self._dtype is torch.float32 else cast.copy_(rows))
+            a, b = table[chosen[first : first + bins]].chunk(2, dim=-1)
+            c, s = view[first : first + bins, None].chunk(2, dim=-1)
+            rows[:bins] = torch.cat((a * c - b * s, a * s + b * c), dim=-1)
+            radiance = self._layers(rows.flatten(0, 1))
             radiance = radiance.view(tile, directions, 3)[:bins].float() * self.network.output_scale
             answer[first : first + bins] = radiance.cpu().numpy()
 
@@ -218,10 +226,7 @@ class FusedNetwork:
         """
         if self.network.view is None:
             exponentials = self._view_exponentials(positions, outgoing)
-            none = torch.empty((len(exponentials), 0, 3), device=self._device)
-            if self._late is None and self._device.type != "cpu":
-                return exponentials, none
-            return _planes(exponentials), none
+            return _planes(exponentials), torch.empty((len(exponentials), 0, 3), device=self._device)
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
@@ -249,10 +254,8 @@ class FusedNetwork:
         along = self.network.cycles("outgoing", outgoing)
         return _exponential(at_x[:, None, :] + along).reshape(-1, along.shape[-1])
 
-    def _light_table(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> Tensor:
-        """What is known of incident directions [R,D] beforehand: exp(i·phase), or what they add to late layers; a few
-        whole tables are remembered by the arrays they came from.
-        """
+    def _known_of_light(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> OfLight:
+        """What is known of incident directions [R,D,3] beforehand; that of a few whole arrays is remembered."""
         if not whole:
             return self._of_light(light)
         with self._lock:
@@ -264,10 +267,10 @@ class FusedNetwork:
             self._tables.move_to_end(id(key))
             return self._tables[id(key)][1]
 
-    def _of_light(self, light: NDArray[Any]) -> Tensor:
+    def _of_light(self, light: NDArray[Any]) -> OfLight:
+        towards = _float32(light, self._device)
         if self._late is None:
-            exponentials = _exponential(self.network.cycles("incident", light))
-            return _planes(exponentials) if self._device.type == "cpu" else exponentials
+            return OfLight(_planes(_exponential(self.network.cycles("incident", light))), towards)
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
         rows, parts = directions.reshape(-1, 3), []
         for first in range(0, len(rows), LIGHTS_AT_ONCE):
@@ -277,7 +280,7 @@ class FusedNetwork:
             some[: last - first] = rows[first:last]
             table = self._late.light_table(self.network.light_features(some))
             parts.append(table[:, : last - first])
-        return torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1])
+        return OfLight(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), towards)
 
 
 def _together(parts: Sequence[Iterable[Tensor]], more: int) -> Iterator[Tensor]:
@@ -302,11 +305,6 @@ def _exponential(cycles: Tensor) -> Tensor:
 def _planes(exponentials: Tensor) -> Tensor:
     """Cosines, then sines."""
     return torch.cat((exponentials.real, exponentials.imag), dim=-1)
-
-
-def _interleave(weight: Tensor, features: int) -> Tensor:
-    """Columns (all cosines, all sines) → cosine and sine of each frequency side by side, as complex numbers lie."""
-    return weight.view(-1, 2, features).transpose(1, 2).reshape(-1, 2 * features).contiguous()
 
 
 def _plain_linear(h: Tensor, weight: Tensor, bias: Tensor, activation: str) -> Tensor:

@@ -32,7 +32,7 @@ class LateLayers:
         told = [weight[:, -settings.light_inputs :] for weight in self._weights[self._trunk : -1]]
         features = 2 * settings.light_features
         self._light = [weight[:, :features].contiguous() for weight in told]
-        self._pairs = [weight[:, features:].T.contiguous() for weight in told]
+        self.pair_weights = [weight[:, features:].T.contiguous() for weight in told]
         self._lobes: Any = network.lobes
         if self._lobes is not None:
             self._lobes = self._lobes.weight.detach().to(dtype), self._lobes.bias.detach().to(dtype)
@@ -48,6 +48,10 @@ class LateLayers:
         shared = [piece for source, piece in zip(inputs, pieces, strict=True) if source <= self._trunk]
         own = [(source, piece) for source, piece in zip(inputs, pieces, strict=True) if source > self._trunk]
         return (torch.cat(shared, dim=1) if shared else weight[:, :0]), own
+
+    def squares(self) -> list[Tensor]:
+        """What acts on the directions' own, [width,width] each, of layers that are told nothing but the one before."""
+        return [weight for _shared, own in self._split for _source, weight in own]
 
     def light_table(self, features: Tensor) -> Tensor:
         """What directions with the features [..., 2·light_features] add to each later layer [layers, ..., width]."""
@@ -84,7 +88,7 @@ class LateLayers:
         rows = pairs.to(self._zero.dtype).flatten(0, 1)
         for layer, part in enumerate(added):
             part += bins[layer][:, None]
-            part.flatten(0, 1).addmm_(rows, self._pairs[layer])
+            part.flatten(0, 1).addmm_(rows, self.pair_weights[layer])
         return added.flatten(1, 2)
 
     def radiance(self, added: Tensor) -> Tensor:

@@ -7,9 +7,11 @@ one before: Crassin et al. 2011, "Interactive indirect illumination using voxel 
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from prt_bake.neural.interior import LEVELS, REACH, Interior
@@ -18,8 +20,16 @@ NEAREST, GROWTH = 0.04, 1.6
 """How far away the first place is, in box sides, and how many times as far each next one."""
 _OPENING = 0.2
 """Of the cones: the spacing of the grid that a place is looked up in over its distance."""
-_OF_SHARE = 5.0
+OF_SHARE = 5.0
 """Of the share that is inside, among features whose mean square is ½."""
+
+
+class Level(NamedTuple):
+    """How much of the object lies around places `spacing` apart, the first of them at `corner`: grid [X,Y,Z]."""
+
+    grid: Tensor
+    corner: NDArray[np.float32]
+    spacing: float
 
 
 class LightRay(nn.Module):
@@ -31,10 +41,10 @@ class LightRay(nn.Module):
         self.tensors_alone = False
         self.distances = [NEAREST * GROWTH**place for place in range(places)]
         wanted = [math.log2(max(_OPENING * distance / interior.spacing, 1.0)) for distance in self.distances]
-        self._levels = [round(level) for level in wanted]
+        self.level_at = [round(level) for level in wanted]
         corner, spacing, grid = np.array(interior.corner), interior.spacing, _solid(interior)
         self._corners, self._spacings = [], []
-        for level in range(max(self._levels, default=0) + 1):
+        for level in range(max(self.level_at, default=0) + 1):
             if level:
                 corner, spacing, grid = corner - 0.5 * spacing, 2.0 * spacing, _half_as_fine(grid)
             self.register_buffer(f"grid{level}", grid, persistent=False)
@@ -53,32 +63,34 @@ class LightRay(nn.Module):
             else:
                 shares = torch.empty(shape)
                 self._look(starts, incident, shares)
-            return shares.mul_(_OF_SHARE).flatten(2)
+            return shares.mul_(OF_SHARE).flatten(2)
 
-    def _grid(self, level: int) -> Tensor:
-        return self.get_buffer(f"grid{level}")
+    def pyramid(self) -> list[Level]:
+        """Its grids, the finest first."""
+        each = zip(self._corners, self._spacings, strict=True)
+        return [Level(self.get_buffer(f"grid{level}"), *where) for level, where in enumerate(each)]
 
     def _look(self, starts: Tensor, incident: Tensor, shares: Tensor) -> None:
         from prt_bake.neural.light_kernel import shares_along
 
         told = starts.numpy(), incident.numpy(), np.array(self.distances, np.float32), shares.numpy()
-        levels = np.array(self._levels)
-        for level, corner in enumerate(self._corners):
-            places = np.flatnonzero(levels == level)
+        levels = np.array(self.level_at)
+        for number, level in enumerate(self.pyramid()):
+            places = np.flatnonzero(levels == number)
             if len(places):
-                per_length = np.float32(1.0 / self._spacings[level])
-                shares_along(self._grid(level).numpy(), per_length, corner, *told[:3], places, told[3])
+                per_length = np.float32(1.0 / level.spacing)
+                shares_along(level.grid.numpy(), per_length, level.corner, *told[:3], places, told[3])
 
     def _looked_up(self, starts: Tensor, incident: Tensor) -> Tensor:
-        found = []
-        for distance, level in zip(self.distances, self._levels, strict=True):
-            grid = self._grid(level)
-            last = torch.tensor(grid.shape, device=grid.device, dtype=torch.float32) - 1.0
-            corner = torch.from_numpy(self._corners[level]).to(grid.device)
+        found, pyramid = [], self.pyramid()
+        for distance, number in zip(self.distances, self.level_at, strict=True):
+            level = pyramid[number]
+            last = torch.tensor(level.grid.shape, device=level.grid.device, dtype=torch.float32) - 1.0
+            corner = torch.from_numpy(level.corner).to(level.grid.device)
             points = starts[:, None] + distance * incident[:, :, None]
-            at = (points - corner) * (2.0 / self._spacings[level]) / last - 1.0
+            at = (points - corner) * (2.0 / level.spacing) / last - 1.0
             # The sampler counts its axes from the last one.
-            rows = nn.functional.grid_sample(grid[None, None], at.flip(-1)[None], align_corners=True)
+            rows = nn.functional.grid_sample(level.grid[None, None], at.flip(-1)[None], align_corners=True)
             found.append(rows[0, 0])
         return torch.stack(found, dim=-1)
 

@@ -56,7 +56,9 @@ def content_hash(network: Any) -> str:
         numbers = [getattr(network, name, None) for name in ("box_side", "output_scale")]
         view = getattr(network, "view", None)
         numbers.append(None if view is None else view.interior.content_hash)
-        digest.update(json.dumps([numbers, np.asarray(getattr(network, "box_min", [])).tolist()]).encode())
+        corner = getattr(network, "box_min", np.empty(0))
+        corner = np.asarray(corner.cpu() if isinstance(corner, Tensor) else corner)
+        digest.update(json.dumps([numbers, corner.tolist()]).encode())
         for name, tensor in sorted(network.state_dict().items()):
             digest.update(name.encode() + tensor.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
@@ -81,9 +83,6 @@ class PairNetwork(FusedNetwork):
         """Copies the weights to `device` in `precision`, as `FusedNetwork`."""
         super().__init__(network, precision, device)
         settings, frequencies = network.settings, network.frequencies.detach().double().cpu()
-        # Features lie here as the network itself lays them: all cosines, then all sines.
-        first: Any = self.network.hidden[0]
-        self._weights[0] = first.weight.detach().to(self._dtype).contiguous()
         self._mean = settings.feature_mean
         self._across = 0 if settings.trunk else settings.across  # inputs that a direction of incidence enters by
         deviation = np.zeros((3, settings.features), np.float32)

@@ -38,20 +38,16 @@ def blurred(interior: Interior) -> Tensor:
 
 
 def looked_up(told: Tensor, spacing: float, points: Tensor) -> Tensor:
-    """What `blurred` tells at points [N,3] from the grid's corner, linear between places: [N,SHAPE]; outside, what the
-    border has.
+    """What a grid [X,Y,Z,C], as `blurred` makes it, tells at points [...,3] from its corner, linear between places:
+    [...,C]; outside, what the border has.
     """
-    last = torch.tensor(told.shape[:3], device=points.device) - 1
-    at = torch.minimum((points / spacing).clamp(min=0.0), last.float())
-    low = torch.minimum(at.long(), last - 1)
-    share = (at - low)[:, None]
-    found = torch.zeros((len(points), told.shape[3]), device=points.device)
-    for corner in np.ndindex(2, 2, 2):
-        upper = torch.tensor(corner, device=points.device)
-        weight = torch.where(upper == 1, share, 1.0 - share).prod(dim=-1)
-        i, j, k = (low + upper).unbind(dim=1)
-        found += weight * told[i, j, k]
-    return found
+    # The sampler counts its axes from the last one.
+    axes = zip(points.unbind(dim=-1), told.shape[:3], strict=True)
+    at = torch.stack([along * (2.0 / (spacing * (places - 1))) - 1.0 for along, places in axes][::-1], dim=-1)
+    found = torch.nn.functional.grid_sample(
+        told.movedim(-1, 0)[None], at.reshape(1, -1, 1, 1, 3), padding_mode="border", align_corners=True
+    )
+    return found[0, :, :, 0, 0].T.reshape(*points.shape[:-1], told.shape[3])
 
 
 def _gaussian(sigma: float, places: int, shift: int = 0) -> Tensor:

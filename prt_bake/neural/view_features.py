@@ -84,7 +84,7 @@ class ViewFeatures(nn.Module):
     def __init__(self, settings: NetworkSettings, frequencies: Tensor, interior: Interior) -> None:
         """frequencies [F,6] of (x, ωo), the network's own."""
         super().__init__()
-        self.tensors_alone = False
+        self.tensors_alone = self.by_kernels = False
         self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
         self._tells_exit = settings.lobes > 0
         apart = self._samples / max(settings.shape_places - 1, 1)
@@ -101,10 +101,10 @@ class ViewFeatures(nn.Module):
             ("shape", blurred(interior) if self._tells_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
-        reach = float(self.edges[-1])
+        self._reach = float(self.edges[-1])
         self.light = LightRay(interior, settings.light_places // len(STARTS)) if settings.light_places else None
         numbers = settings.grid_numbers
-        self.grid = FeatureGrid(interior, settings.grid_places, numbers, reach) if settings.grid_places else None
+        self.grid = FeatureGrid(interior, settings.grid_places, numbers, self._reach) if settings.grid_places else None
 
     def forward(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> Tensor:
         """Features [N, settings.view_inputs] in float32: positions [N,3] in the box's sides from its corner, unit
@@ -144,9 +144,9 @@ class ViewFeatures(nn.Module):
         ray = self._ray(x, back)
         places, opacity = self._places(self._depths(ray))
         points, weight = ray.points(places), self._gain * opacity
-        parts += [places * (2.0 / float(self.edges[-1])), weight[:, None]]
+        parts += [places * (2.0 / self._reach), weight[:, None]]
         if self._tells_shape:
-            parts.append(self._shape(torch.cat((x[:, None], points[:, self._shape_at]), dim=1)))
+            parts.append(self._shape(torch.stack([x, *(points[:, at] for at in self._shape_at)], dim=1)))
             slopes = parts[-1][:, :SHAPE].reshape(len(x), len(SCALES), -1)[..., 1:]
             axes = torch.cat((axes, slopes / OF_SLOPE / STEEPEST), dim=1)
         if self._tells_exit:
@@ -161,6 +161,9 @@ class ViewFeatures(nn.Module):
 
     def _known_or_found(self, normals: Tensor, x: Tensor) -> Tensor:
         unknown = ~normals.any(dim=1)
+        if x.device.type != "cpu":
+            # A look at what is unknown would keep the card waiting.
+            return torch.where(unknown[:, None], self._normal(x), normals)
         if bool(unknown.any()):
             normals = normals.clone()
             normals[unknown] = self._normal(x[unknown])
@@ -172,13 +175,18 @@ class ViewFeatures(nn.Module):
 
     def _ray(self, x: Tensor, back: Tensor) -> Ray:
         """The rays of view from x [N,3] along −back [N,3]. Those that turn are followed by the processor, wherever x
-        is: a card takes thousands of small steps for it, each after a look at the one before.
+        is, unless a card has a kernel for it: with tensors alone it takes thousands of small steps, each after a look
+        at the one before.
         """
         if not self._turns:
             return Ray.straight(x, back)
-        spacing, eta, longest = self.interior.spacing, self.interior.eta, float(self.edges[-1])
+        spacing, eta, longest = self.interior.spacing, self.interior.eta, self._reach
         if self.tensors_alone:
             return folded(lambda points: self._inside(0, points), spacing, eta, self._turns, longest, x, back)
+        if self.by_kernels:
+            from prt_bake.neural.card_rays import folded_rays
+
+            return folded_rays(self.levels[0], self.corner, spacing, eta, self._turns, longest, x, back)
         from prt_bake.neural.view_kernel import folded_rows
 
         pieces = len(x), self._turns + 1
@@ -219,13 +227,7 @@ class ViewFeatures(nn.Module):
         """Signed distances [N,K] to a body's boundary at points [N,K,3], over REACH spacings, in −1 … 1."""
         grid = self.levels[body]
         if self.tensors_alone or points.device.type != "cpu":
-            last = torch.tensor(grid.shape, device=grid.device, dtype=torch.float32) - 1.0
-            at = (points - self.corner) * (2.0 / self.interior.spacing) / last - 1.0
-            # The sampler counts its axes from the last one.
-            found = nn.functional.grid_sample(
-                grid[None, None], at.flip(-1)[None, :, :, None], padding_mode="border", align_corners=True
-            )
-            return found[0, 0, :, :, 0]
+            return looked_up(grid[..., None], self.interior.spacing, points - self.corner)[..., 0]
         from prt_bake.neural.view_kernel import distance_rows
 
         distances = torch.empty(points.shape[:2])

@@ -25,7 +25,8 @@ from prt_bake.neural.fused import PRECISIONS, FusedNetwork, _onednn_answers, _on
 from prt_bake.neural.interior import LEVELS, REACH, Interior
 from prt_bake.sources import require_device
 
-VERTICES, BINS, DIRECTIONS, COPIES = 4, 1024, 64, 256
+BINS, DIRECTIONS, COPIES = 1024, 64, 256
+VERTICES = {"cpu": 4, "cuda": 64}
 REPEATS = 5
 LONGEST = 30.0
 SMALL, LARGE, ON_A_CARD = 512, 2048, 8192
@@ -97,10 +98,11 @@ def main() -> None:
     require_device(device)
     torch.set_num_threads(1)
     incident = sphere.uniform(COPIES * DIRECTIONS, 1).reshape(COPIES, DIRECTIONS, 3)
-    outgoing = sphere.uniform(VERTICES * BINS, 2).reshape(VERTICES, BINS, 3)
-    positions = np.random.default_rng(3).uniform(size=(VERTICES, 3))
-    rotation = np.random.default_rng(4).integers(0, COPIES, (VERTICES, BINS))
-    evaluations = VERTICES * BINS * DIRECTIONS
+    vertices = VERTICES[device]
+    outgoing = sphere.uniform(vertices * BINS, 2).reshape(vertices, BINS, 3)
+    positions = np.random.default_rng(3).uniform(size=(vertices, 3))
+    rotation = np.random.default_rng(4).integers(0, COPIES, (vertices, BINS))
+    evaluations = vertices * BINS * DIRECTIONS
     print(
         f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}{'off':>9}"
     )

@@ -1,0 +1,314 @@
+"""A frozen network on a graphics card: one kernel from a block's rows to RGB, and views as one recorded graph.
+
+What a bake asks for at a time is little (some hundred views): a card would spend its time being asked for hundreds of
+steps, each of some microseconds. Here a lot of views is one step, and so are all their rows (`card_kernels`). Answers
+arrive in page-locked memory while later ones are computed: elsewhere it takes longer to fetch them than to find them.
+"""
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from itertools import pairwise
+from threading import Lock
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from prt_bake.neural.fused import FusedNetwork, OfLight
+from prt_bake.neural.lobes import Bands, Lobes, bands_of
+from prt_bake.neural.settings import STARTS, NetworkSettings
+
+if TYPE_CHECKING:
+    from prt_bake.network import NeuralBSSRDF
+
+ROWS, WARPS, STAGES = 128, 8, 3
+"""Of a program of a kernel."""
+LATE_ROWS, LATE_WARPS = {"float32": 128, "bfloat16": 64}, {"float32": 8, "bfloat16": 4}
+PIECE = {"float32": 32, "bfloat16": 64}
+"""Frequencies that a program turns into features at once."""
+VIEWS_AT_ONCE = 2048
+"""A lot of views takes a card as long if it is full as if it holds one."""
+LEAST = 16
+"""Rows and columns of the smallest product that matrix units do."""
+MOST_WIDTH = 128
+ROWS_AT_ONCE = 1 << 20
+"""Whose answers are fetched while those of the next are computed."""
+TABLE_ROWS = 1 << 17
+"""Most (rotation, direction) rows whose table is held at once: 256 MiB with 256 frequencies."""
+
+
+def fits(settings: NetworkSettings) -> bool:
+    """Whether the kernels are there (Triton comes with torch for cards) and can do such layers."""
+    return find_spec("triton") is not None and takes(settings)
+
+
+def takes(settings: NetworkSettings) -> bool:
+    """Whether the kernels can do such layers."""
+    width = settings.width
+    if width & (width - 1) or not LEAST <= width <= MOST_WIDTH:
+        return False
+    if not settings.trunk:
+        joined = all(source == target - 2 for source, target in settings.skips)
+        once = len(set(settings.skips)) == len(settings.skips)
+        return joined and once and settings.features % max(PIECE.values()) == 0
+    return all(source <= settings.trunk for source, target in settings.skips if target > settings.trunk)
+
+
+class Seen(NamedTuple):
+    """Views [N]: what they add to the late layers [layers,N,width], what is held against ωi [N,·,3], and lobes."""
+
+    added: Tensor
+    frame: Tensor
+    lobes: tuple[Tensor, ...]
+
+
+class CardNetwork(FusedNetwork):
+    """As `FusedNetwork`, for settings that `takes` says yes to."""
+
+    def __init__(self, network: "NeuralBSSRDF", precision: str = "float32", device: str = "cuda") -> None:
+        """Copies the weights to `device` in `precision`, laid out for the kernels."""
+        super().__init__(network, precision, device)
+        settings = self.network.settings
+        if self.network.view is not None:
+            self.network.view.by_kernels = True
+        self._outputs = _padded(self._weights[-1], LEAST)
+        self._bias = _padded(self._biases[-1].float(), LEAST)
+        if self._late is None:
+            width = settings.width
+            blocks = [part for weight in self._weights[1:-1] for part in torch.split(weight, width, dim=1)]
+            blocks = blocks or [torch.zeros((width, width), dtype=self._dtype, device=self._device)]
+            self._square = torch.stack([*blocks, torch.zeros_like(blocks[0])])
+            self._bias = torch.cat([*(bias.float() for bias in self._biases[:-1]), self._bias])
+        else:
+            squares = self._late.squares()
+            self._square = torch.stack(squares) if squares else self._outputs
+            self._pair_columns = PairColumns.of(self.network)
+            told = [_padded(weight, self._pair_columns.columns).T for weight in self._late.pair_weights]
+            self._of_pairs = torch.stack(told).contiguous()
+            self._views_of = _Recorded(self._seen, VIEWS_AT_ONCE, self._device)
+        self._copying = _stream(self._device) if self._device.type == "cuda" else None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CardNetwork, (self.network, self.precision, str(self._device))
+
+    def evaluate_block(
+        self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
+    ) -> NDArray[np.float32]:
+        """Ŝ [N,B,D,3] in 1/sr, float32: `FusedNetwork.evaluate_block`."""
+        light = np.asarray(incident)
+        copies, directions = light.shape[:2]
+        shape = np.shape(rotation)
+        step = -(-directions // -(-directions // max(1, TABLE_ROWS // copies)))
+        bounds = [*range(0, directions, step), directions]
+        parts = []
+        with torch.inference_mode():
+            chosen = torch.from_numpy(np.array(rotation, np.int32).reshape(-1)).to(self._device)
+            launch = self._launch_whole if self._late is None else self._launch_late
+            ask = launch(chosen, positions, outgoing)
+            for first, last in pairwise(bounds):
+                known = self._known_of_light(incident, light[:, first:last], whole=last - first == directions)
+                parts.append(self._fetched(len(chosen), last - first, ask(known)))
+        answer = [part.reshape(*shape, -1, 3) for part in parts]
+        return answer[0] if len(answer) == 1 else np.concatenate(answer, axis=2)
+
+    def _launch_whole(self, chosen: Tensor, positions: ArrayLike, outgoing: ArrayLike) -> "Ask":
+        """What computes rows of a network whose first layer sees everything, for these views."""
+        from prt_bake.neural.card_kernels import network_rows
+
+        settings, view = self.network.settings, self._views(positions, outgoing)[0]
+        view = view.half() if self.precision == "bfloat16" else view
+        joined = sum(1 << target for _source, target in settings.skips)
+
+        def ask(known: OfLight) -> "Launch":
+            def launch(answer: Tensor, some: slice) -> None:
+                network_rows[(-(-len(answer) // ROWS),)](
+                    answer, known.table, chosen[some], view[some], self._weights[0], self._square, self._bias,
+                    self._outputs, len(answer), known.towards.shape[1], self.network.output_scale,
+                    FEATURES=settings.features, WIDTH=settings.width, LAYERS=settings.layers, JOINED=joined,
+                    PIECE=PIECE[self.precision], ROWS=ROWS, num_warps=WARPS, **self._how(),
+                )  # fmt: skip
+
+            return launch
+
+        return ask
+
+    def _launch_late(self, chosen: Tensor, positions: ArrayLike, outgoing: ArrayLike) -> "Ask":
+        """What computes rows of a network that sees ωi late."""
+        from prt_bake.neural.card_kernels import late_rows
+
+        settings, columns = self.network.settings, self._pair_columns
+        asked = self._asked_of(positions, outgoing)
+        seen, along = self._views_of(asked), asked[:, 3:6].float().contiguous()
+        lobes, band = seen.lobes or (seen.frame,) * 3, self.network.band
+        rows_each = LATE_ROWS[self.precision]
+
+        def ask(known: OfLight) -> "Launch":
+            sets, directions = known.towards.shape[:2]
+
+            def launch(answer: Tensor, some: slice) -> None:
+                late_rows[(-(-len(answer) // rows_each),)](
+                    answer, known.table, chosen[some], seen.added[:, some], known.towards, along[some],
+                    seen.frame[some], columns.grids, columns.numbers, columns.lengths, self._of_pairs, self._square,
+                    self._outputs, self._bias, *(part[some] for part in lobes), len(answer), directions, sets,
+                    seen.added.shape[1], self.network.output_scale,
+                    WIDTH=settings.width, LAYERS=settings.light_layers, POWERS=settings.angle_powers,
+                    HELD=seen.frame.shape[1], WAYS=settings.light_places, PAIRS=columns.columns,
+                    LOBES=settings.lobes, BANDS=0 if band is None else band + 1, ROWS=rows_each,
+                    num_warps=LATE_WARPS[self.precision], **self._how(),
+                )  # fmt: skip
+
+            return launch
+
+        return ask
+
+    def _how(self) -> dict[str, Any]:
+        relu = self.network.settings.activation == "relu"
+        return {"RELU": relu, "EXACT": self.precision == "float32", "OUTPUTS": LEAST, "num_stages": STAGES}
+
+    def _fetched(self, views: int, directions: int, launch: "Launch") -> NDArray[np.float32]:
+        """Answers [views,D,3], fetched as they come."""
+        there = torch.empty((views, directions, 3), device=self._device)
+        here = torch.empty(there.shape, pin_memory=True) if self._copying is not None else there
+        at_once = max(1, ROWS_AT_ONCE // directions)
+        for first in range(0, views, at_once):
+            some = slice(first, min(first + at_once, views))
+            launch(there[some].view(-1, 3), some)
+            if self._copying is not None:
+                self._copying.wait_stream(torch.cuda.current_stream(self._device))
+                with torch.cuda.stream(self._copying):
+                    here[some].copy_(there[some], non_blocking=True)
+        if self._copying is not None:
+            self._copying.synchronize()
+        return np.asarray(here.numpy())
+
+    def _of_light(self, light: NDArray[Any]) -> OfLight:
+        known = super()._of_light(light)
+        halved = self._late is None and self.precision == "bfloat16"
+        return known._replace(table=known.table.half()) if halved else known
+
+    def _asked_of(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
+        """Of each view position, outgoing direction, and normal, which is 0 where no mesh tells it [N·B,9]: all that a
+        card must be sent of it, at once.
+        """
+        eye = np.asarray(outgoing, np.float64)
+        asked = np.zeros((*eye.shape[:2], 9))
+        asked[..., :3], asked[..., 3:6] = np.asarray(positions, np.float64)[:, None], eye
+        asked = asked.reshape(-1, 9)
+        normals = self.network._normals(torch.from_numpy(asked[:, :3]), torch.from_numpy(asked[:, 3:6]))
+        if normals is not None:
+            asked[:, 6:] = normals.numpy()
+        return torch.from_numpy(asked).to(self._device)
+
+    def _seen(self, asked: Tensor) -> Seen:
+        """What is known of views before any light falls on them; in steps that can be recorded."""
+        x, eye, normals = torch.split(asked, 3, dim=1)
+        network, late = self.network, self._late
+        assert late is not None
+        frame = torch.zeros((len(x), network.settings.frame_rows, 3), device=self._device)
+        if network.view is None:
+            features = network.view_features(x, eye)
+        else:
+            told = network.view.told(network._relative(x), eye, normals)
+            features, frame = network.view.learnt(told), told.frame
+        added, lobes = late.bins(features)
+        known: Lobes | Bands | None = lobes
+        if lobes is not None and network.band is not None:
+            known = bands_of(lobes, network.band)
+        return Seen(added, frame, tuple(part.float().contiguous() for part in known or ()))
+
+
+_stream: Any = torch.cuda.Stream
+"""Torch gives it no types."""
+Launch = Callable[[Tensor, slice], None]
+"""(answers [n·D,3], views): computes the rows of some views."""
+Ask = Callable[[OfLight], Launch]
+"""What is known of directions of incidence → what computes a block's rows."""
+
+
+class PairColumns(NamedTuple):
+    """What the kernel must know to tell of views and directions together: `card_kernels._told_of_pairs`."""
+
+    columns: int
+    """With those that fill up."""
+    numbers: Tensor
+    lengths: Tensor
+    grids: Tensor
+
+    @staticmethod
+    def of(network: "NeuralBSSRDF") -> "PairColumns":
+        """Those of a network that sees ωi late."""
+        settings, at = network.settings, network.frequencies.device
+        count = max(LEAST, 1 << (settings.pair_inputs - 1).bit_length()) if settings.pair_inputs else LEAST
+        numbers, lengths = np.zeros((count, 5), np.int32), np.zeros((count, 5), np.float32)
+        light = None if network.view is None else network.view.light
+        grids = [torch.zeros(1, device=at)]
+        if light is not None:
+            pyramid = light.pyramid()
+            begins = np.cumsum([1, *(level.grid.numel() for level in pyramid)])
+            each = [(start, place) for start in range(len(STARTS)) for place in range(len(light.distances))]
+            for column, (start, place) in enumerate(each, start=settings.angle_powers):
+                which = light.level_at[place]
+                level = pyramid[which]
+                numbers[column] = start, begins[which], *level.grid.shape
+                lengths[column] = light.distances[place], *level.corner, 1.0 / level.spacing
+            grids += [level.grid.flatten() for level in pyramid]
+        axes = settings.angle_powers + settings.light_places
+        numbers[axes : axes + settings.light_axes, 0] = len(STARTS) + np.arange(settings.light_axes)
+        told = torch.from_numpy(numbers).to(at), torch.from_numpy(lengths).to(at)
+        return PairColumns(count, *told, torch.cat(grids))
+
+
+class _Recorded:
+    """A function of views, in lots of one size, recorded once and played back on a card: its many steps are one."""
+
+    def __init__(self, function: Callable[[Tensor], Seen], size: int, device: torch.device) -> None:
+        self._function, self._size, self._device = function, size, device
+        self._lock = Lock()
+        self._graph: Any = None
+        self._asked = torch.empty((0, 0))
+        self._found = Seen(torch.empty(0), torch.empty(0), ())
+
+    def __call__(self, asked: Tensor) -> Seen:
+        """The function's answers, of any number of views [N,·]."""
+        lots = [self._lot(some) for some in torch.split(asked, self._size)]
+        if len(lots) == 1:
+            return lots[0]
+        added, frame = torch.cat([lot.added for lot in lots], dim=1), torch.cat([lot.frame for lot in lots])
+        return Seen(added, frame, tuple(torch.cat(alike) for alike in zip(*(lot.lobes for lot in lots), strict=True)))
+
+    def _lot(self, asked: Tensor) -> Seen:
+        many = len(asked)
+        with self._lock:
+            if not len(self._asked):
+                self._asked = asked.new_zeros((self._size, asked.shape[1]))
+                self._record()
+            self._asked[:many] = asked
+            if self._graph is None:
+                found = self._function(self._asked)
+            else:
+                self._graph.replay()
+                found = self._found
+            # Copies: the next lot is written over these.
+            lobes = tuple(part[:many].clone() for part in found.lobes)
+            return Seen(found.added[:, :many].contiguous().clone(), found.frame[:many].clone(), lobes)
+
+    def _record(self) -> None:
+        if self._device.type != "cuda":
+            return
+        beside = _stream(self._device)
+        beside.wait_stream(torch.cuda.current_stream(self._device))
+        with torch.cuda.stream(beside):
+            # Once before: what is compiled or allocated for the first time cannot be recorded.
+            self._function(self._asked)
+        torch.cuda.current_stream(self._device).wait_stream(beside)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph, capture_error_mode="thread_local"):
+            self._found = self._function(self._asked)
+        self._graph = graph
+
+
+def _padded(rows: Tensor, count: int) -> Tensor:
+    """With zeros behind, `count` of them in all."""
+    return torch.cat((rows, rows.new_zeros((count - len(rows), *rows.shape[1:])))).contiguous()

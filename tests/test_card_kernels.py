@@ -1,0 +1,144 @@
+"""The kernels for graphics cards: on one where there is one, else in Triton's interpreter, in float32 alone."""
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pretend_card
+import pytest
+import torch
+from test_network_lobes import LOBED, glass_ball
+from test_view_ray import TURNING, cube, looking, rays, trapped
+
+from prt_bake import shipped
+from prt_bake.network import PRESETS, NeuralBSSRDF, load_model
+from prt_bake.neural import card
+from prt_bake.neural.fused import FusedNetwork
+from prt_bake.neural.settings import NetworkSettings
+from prt_bake.sphere import uniform
+
+REAL = torch.cuda.is_available()
+DEVICE = "cuda" if REAL else "cpu"
+OFF = {"float32": 5e-6, "bfloat16": 2e-2}
+PAPER = replace(PRESETS["paper"], features=64, width=32)
+LATE = replace(LOBED, width=16, lobes=0)
+SETTINGS = {
+    "paper": PAPER,
+    "one layer": replace(PAPER, layers=1, skips=()),
+    "other skips": replace(PAPER, activation="silu", skips=((1, 3), (3, 5))),
+    "late": replace(PAPER, directions="cartesian", features=9, light_layers=2, skips=((1, 3),)),
+    "late alone": replace(PAPER, features=9, light_layers=1, angle_powers=3),
+    "three late": replace(PAPER, features=9, light_layers=3, skips=((1, 4), (2, 5)), angle_powers=1),
+    "looking": LATE,
+    "lobes": replace(LATE, lobes=3),
+}
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(card, "VIEWS_AT_ONCE", 16)
+
+
+def network_of(name: str) -> NeuralBSSRDF:
+    if name in ("shipped", "bands"):
+        network = load_model(Path(shipped.__file__).parent / "spot.pt")
+        return network if name == "shipped" else network_of("lobes").up_to(2)
+    settings = SETTINGS[name]
+    network = NeuralBSSRDF(settings, output_scale=0.7, interior=glass_ball(1.4) if settings.ray_samples else None)
+    generator = torch.Generator().manual_seed(5)
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight += 0.05 * torch.randn(weight.shape, generator=generator)
+    return network
+
+
+def queries(network: NeuralBSSRDF) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A block: directions [R,D,3], which of them [N,B], positions [N,3] on the object, outgoing directions [N,B,3]."""
+    incident = uniform(3 * 21, 1).reshape(3, 21, 3)
+    rotation = np.random.default_rng(2).integers(0, 3, (2, 13))
+    positions = network.box_min.cpu().numpy() + network.box_side * (0.5 + 0.45 * uniform(2, 7))
+    return incident, rotation, positions, uniform(26, 3).reshape(2, 13, 3)
+
+
+def apart(found: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(found.astype(float) - expected) / np.linalg.norm(expected))
+
+
+@pytest.mark.parametrize("precision", [*OFF] if REAL else ["float32"])
+@pytest.mark.parametrize("name", [*SETTINGS, "shipped", "bands"])
+def test_kernels_answer_as_the_processor(name: str, precision: str) -> None:
+    network = network_of(name)
+    assert card.fits(network.settings)
+    asked = queries(network)
+    found = card.CardNetwork(network, precision, DEVICE).evaluate_block(*asked)
+    assert found.dtype == np.float32
+    assert apart(found, network.prepared().evaluate_block(*asked)) < OFF[precision]
+
+
+@pytest.mark.parametrize("name", ["paper", "lobes"])
+def test_answers_depend_on_no_cut(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = card.CardNetwork(network_of(name), "float32", DEVICE)
+    incident, rotation, positions, outgoing = queries(network.network)
+    whole = network.evaluate_block(incident, rotation, positions, outgoing)
+    for n, b in ((0, slice(None)), (1, slice(5, 6))):
+        part = network.evaluate_block(incident, rotation[n : n + 1, b], positions[n : n + 1], outgoing[n : n + 1, b])
+        np.testing.assert_array_equal(part, whole[n : n + 1, b])
+    monkeypatch.setattr(card, "ROWS_AT_ONCE", 70)
+    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), whole)
+    monkeypatch.setattr(card, "TABLE_ROWS", 24)
+    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), whole)
+    again = pickle.loads(pickle.dumps(network))
+    assert isinstance(again, card.CardNetwork)
+    np.testing.assert_array_equal(again.evaluate_block(incident, rotation, positions, outgoing), whole)
+
+
+def test_rays_turn_as_on_the_processor() -> None:
+    """More of them than are followed in step, some of which never turn."""
+    x, towards = trapped(24)
+    x, towards = np.concatenate([x, x]), np.concatenate([towards, np.tile([0.0, 0.0, -1.0], (24, 1))])
+    view = looking(cube(), replace(TURNING, ray_turns=4)).to(DEVICE)
+    x, towards = x.astype(np.float32), towards.astype(np.float32)
+    view.by_kernels = True
+    at = torch.from_numpy(x).to(DEVICE), torch.from_numpy(-towards).to(DEVICE)
+    found = view._ray(*at)
+    expected = rays(looking(cube(), replace(TURNING, ray_turns=4)), x, towards)
+    assert torch.isfinite(expected.begins[:24, 1]).float().mean() > 0.8
+    assert not torch.isfinite(expected.begins[24:, 1:]).any()
+    for kernel, processor in zip(
+        (found.starts, found.towards, found.begins), (expected.starts, expected.towards, expected.begins), strict=True
+    ):
+        torch.testing.assert_close(kernel.cpu(), processor, atol=2e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["late", "lobes", "shipped", "bands"])
+def test_what_is_recorded_waits_for_nothing(name: str) -> None:
+    """A real card refuses to record steps that need numbers from the processor, or a look at its own."""
+    there = pretend_card.install()
+    network = card.CardNetwork(network_of(name), "float32", there)
+    _incident, _rotation, positions, outgoing = queries(network.network)
+    with torch.inference_mode():
+        asked = network._asked_of(positions, outgoing)
+        pretend_card.waits.clear()
+        network._seen(asked)
+    assert not pretend_card.waits
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        replace(PAPER, width=48),
+        replace(PAPER, width=8),
+        replace(PAPER, features=40),
+        replace(PAPER, skips=((1, 4),)),
+        replace(PAPER, light_layers=3, skips=((3, 5),)),
+    ],
+    ids=["no power of two", "narrow", "features", "far skip", "late skip"],
+)
+def test_what_the_kernels_cannot_do_is_left_to_others(
+    settings: NetworkSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not card.takes(settings)
+    monkeypatch.setattr(card, "CardNetwork", None)
+    monkeypatch.setattr(FusedNetwork, "__init__", lambda *_arguments: None)
+    assert type(NeuralBSSRDF(settings).prepared(device="cuda")) is FusedNetwork
