@@ -64,7 +64,8 @@ def product_rate(precision: str, side: int, device: str = "cpu") -> float:
 def off(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...]) -> float:
     """Relative RMS difference of some of a block's answers to the plain float32 path."""
     incident, rotation, positions, outgoing = block
-    rotation, eye, x = rotation[0, :COMPARED], outgoing[0, :COMPARED], np.tile(positions[0], (COMPARED, 1))
+    some = np.linspace(0, rotation.size - 1, COMPARED).astype(np.int64)
+    rotation, eye, x = rotation.reshape(-1)[some], outgoing.reshape(-1, 3)[some], positions[some // BINS]
     expected = network.evaluate(incident[rotation], x, eye)
     return float(
         np.linalg.norm(fused.evaluate_block(incident, rotation[:, None], x, eye[:, None])[:, 0] - expected)
@@ -100,7 +101,7 @@ def main() -> None:
     incident = sphere.uniform(COPIES * DIRECTIONS, 1).reshape(COPIES, DIRECTIONS, 3)
     vertices = VERTICES[device]
     outgoing = sphere.uniform(vertices * BINS, 2).reshape(vertices, BINS, 3)
-    positions = np.random.default_rng(3).uniform(size=(vertices, 3))
+    positions = 0.5 + 0.5 * sphere.uniform(vertices, 3)
     rotation = np.random.default_rng(4).integers(0, COPIES, (vertices, BINS))
     evaluations = vertices * BINS * DIRECTIONS
     print(
