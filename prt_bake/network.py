@@ -314,10 +314,9 @@ class NeuralBSSRDF(nn.Module):
     def prepared(self, precision: str = "float32", device: str = "cpu") -> FusedNetwork:
         """A frozen copy with the fused `evaluate_block`; precision ("float32", "bfloat16") is the matrix work's."""
         if device == "cuda" and precision in PRECISIONS:
-            from prt_bake.neural import card
+            from prt_bake.neural.card import network_on
 
-            if card.fits(self.settings):
-                return card.CardNetwork(self, precision, device)
+            return network_on(self, precision, device)
         return FusedNetwork(self, precision, device)
 
     def evaluate_block(

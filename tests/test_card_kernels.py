@@ -11,15 +11,18 @@ import torch
 from test_network_lobes import LOBED, glass_ball
 from test_view_ray import TURNING, cube, looking, rays, trapped
 
+from formats.mesh import read_mesh
 from prt_bake import shipped
 from prt_bake.network import PRESETS, NeuralBSSRDF, load_model
 from prt_bake.neural import card
 from prt_bake.neural.fused import FusedNetwork
+from prt_bake.neural.pairs import pair_transport
 from prt_bake.neural.settings import NetworkSettings
 from prt_bake.sphere import uniform
 
 REAL = torch.cuda.is_available()
 DEVICE = "cuda" if REAL else "cpu"
+MESH = read_mesh(Path(shipped.__file__).parent / "spot.obj")
 OFF = {"float32": 5e-6, "bfloat16": 2e-2}
 PAPER = replace(PRESETS["paper"], features=64, width=32)
 LATE = replace(LOBED, width=16, lobes=0)
@@ -33,6 +36,12 @@ SETTINGS = {
     "looking": LATE,
     "lobes": replace(LATE, lobes=3),
 }
+
+
+@pytest.fixture
+def hopper(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A card of the generation that has all kernels."""
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _device: (9, 0))
 
 
 @pytest.fixture(autouse=True)
@@ -58,6 +67,8 @@ def queries(network: NeuralBSSRDF) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     incident = uniform(3 * 21, 1).reshape(3, 21, 3)
     rotation = np.random.default_rng(2).integers(0, 3, (2, 13))
     positions = network.box_min.cpu().numpy() + network.box_side * (0.5 + 0.45 * uniform(2, 7))
+    if network.metadata.get("scene"):
+        positions = MESH.positions[[100, 2000]]
     return incident, rotation, positions, uniform(26, 3).reshape(2, 13, 3)
 
 
@@ -69,7 +80,7 @@ def apart(found: np.ndarray, expected: np.ndarray) -> float:
 @pytest.mark.parametrize("name", [*SETTINGS, "shipped", "bands"])
 def test_kernels_answer_as_the_processor(name: str, precision: str) -> None:
     network = network_of(name)
-    assert card.fits(network.settings)
+    assert card.takes(network.settings)
     asked = queries(network)
     found = card.CardNetwork(network, precision, DEVICE).evaluate_block(*asked)
     assert found.dtype == np.float32
@@ -135,10 +146,34 @@ def test_what_is_recorded_waits_for_nothing(name: str) -> None:
     ],
     ids=["no power of two", "narrow", "features", "far skip", "late skip"],
 )
-def test_what_the_kernels_cannot_do_is_left_to_others(
-    settings: NetworkSettings, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_kernels_cannot_do_is_left_to_others(settings: NetworkSettings, hopper: None) -> None:
     assert not card.takes(settings)
-    monkeypatch.setattr(card, "CardNetwork", None)
-    monkeypatch.setattr(FusedNetwork, "__init__", lambda *_arguments: None)
-    assert type(NeuralBSSRDF(settings).prepared(device="cuda")) is FusedNetwork
+    assert type(card.network_on(NeuralBSSRDF(settings), "float32", DEVICE)) is FusedNetwork
+
+
+def test_kernels_are_taken_where_there_are_some(hopper: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = network_of("paper")
+    assert type(card.network_on(network, "float32", DEVICE)) is card.CardNetwork
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _device: (7, 5))
+    assert type(card.network_on(network, "float32", DEVICE)) is FusedNetwork
+
+
+def test_kernels_that_cannot_be_made_are_done_without_and_it_is_said(
+    hopper: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(network: object) -> None:
+        raise RuntimeError("Failed to find C compiler")
+
+    monkeypatch.setattr(card, "tried", failing)
+    with pytest.warns(RuntimeWarning, match=r"cannot be used on .*RuntimeError: Failed to find C compiler"):
+        network = card.network_on(network_of("paper"), "float32", DEVICE)
+    assert type(network) is FusedNetwork
+
+
+@pytest.mark.parametrize("name", ["paper", "lobes"])
+def test_pictures_ask_for_pairs(name: str) -> None:
+    network = network_of(name)
+    incident, rotation, positions, outgoing = queries(network)
+    asked = incident[rotation[:, 0]], positions, outgoing[:, 0]
+    found = pair_transport(network, "float32", DEVICE).evaluate_pairs(*asked)
+    assert apart(found, network.evaluate(*asked)) < 1e-5

@@ -5,6 +5,7 @@ steps, each of some microseconds. Here a lot of views is one step, and so are al
 arrive in page-locked memory while later ones are computed: elsewhere it takes longer to fetch them than to find them.
 """
 
+import warnings
 from collections.abc import Callable
 from importlib.util import find_spec
 from itertools import pairwise
@@ -23,25 +24,48 @@ from prt_bake.neural.settings import STARTS, NetworkSettings
 if TYPE_CHECKING:
     from prt_bake.network import NeuralBSSRDF
 
-ROWS, WARPS, STAGES = 128, 8, 3
+ROWS, WARPS = 128, 8
 """Of a program of a kernel."""
+OPTIONS = {"num_stages": 3, "enable_fp_fusion": True}
 LATE_ROWS, LATE_WARPS = {"float32": 128, "bfloat16": 64}, {"float32": 8, "bfloat16": 4}
 PIECE = {"float32": 32, "bfloat16": 64}
 """Frequencies that a program turns into features at once."""
-VIEWS_AT_ONCE = 2048
+VIEWS_AT_ONCE = 4096
 """A lot of views takes a card as long if it is full as if it holds one."""
 LEAST = 16
 """Rows and columns of the smallest product that matrix units do."""
 MOST_WIDTH = 128
 ROWS_AT_ONCE = 1 << 20
 """Whose answers are fetched while those of the next are computed."""
-TABLE_ROWS = 1 << 17
-"""Most (rotation, direction) rows whose table is held at once: 256 MiB with 256 frequencies."""
+TABLE_ROWS = 1 << 16
+"""Most (rotation, direction) rows whose table is held at once: 128 MiB with 256 frequencies."""
+GENERATIONS = {"float32": (9, 10), "bfloat16": (8, 9, 10, 11, 12)}
+"""Of cards that have kernels: the others lack the memory that those of float32 need, or units that do the products."""
 
 
-def fits(settings: NetworkSettings) -> bool:
-    """Whether the kernels are there (Triton comes with torch for cards) and can do such layers."""
-    return find_spec("triton") is not None and takes(settings)
+def network_on(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNetwork:
+    """The network on a card: by kernels where there are some for it (Triton comes with torch for cards), else step by
+    step; with a RuntimeWarning where there should be some.
+    """
+    major = torch.cuda.get_device_capability(device)[0]
+    if takes(network.settings) and major in GENERATIONS[precision] and find_spec("triton") is not None:
+        try:
+            return tried(CardNetwork(network, precision, device))
+        except Exception as fault:  # whatever a compiler, a driver or a small card may say
+            warnings.warn(
+                f"the kernels for networks cannot be used on {device} ({type(fault).__name__}: {fault}); without them "
+                "it takes several times as long, and Triton needs a C compiler, such as gcc, to make them",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+    return FusedNetwork(network, precision, device)
+
+
+def tried(network: "CardNetwork") -> "CardNetwork":
+    """The same, once its kernels have answered: they are compiled then."""
+    up, middle = np.array([0.0, 0.0, 1.0]), network.network.box_min.cpu().numpy() + 0.5 * network.network.box_side
+    network.evaluate_block(up[None, None], np.zeros((1, 1), np.int64), middle[None], up[None, None])
+    return network
 
 
 def takes(settings: NetworkSettings) -> bool:
@@ -165,7 +189,7 @@ class CardNetwork(FusedNetwork):
 
     def _how(self) -> dict[str, Any]:
         relu = self.network.settings.activation == "relu"
-        return {"RELU": relu, "EXACT": self.precision == "float32", "OUTPUTS": LEAST, "num_stages": STAGES}
+        return {"RELU": relu, "EXACT": self.precision == "float32", "OUTPUTS": LEAST, **OPTIONS}
 
     def _fetched(self, views: int, directions: int, launch: "Launch") -> NDArray[np.float32]:
         """Answers [views,D,3], fetched as they come."""

@@ -30,7 +30,7 @@ def folded_rays(
     begins = torch.empty(pieces, device=x.device)
     _folded[(-(-len(x) // ROWS),)](
         starts, towards, begins, levels, (x - corner).contiguous(), (-back).contiguous(), len(x), *levels.shape,
-        spacing, eta, longest, PIECES=turns + 1, ROWS=ROWS, num_warps=1,
+        spacing, eta, longest, PIECES=turns + 1, ROWS=ROWS, num_warps=1, enable_fp_fusion=True,
     )  # fmt: skip
     return Ray(starts + corner, towards, begins)
 
