@@ -32,15 +32,17 @@ def site_of(transport: object, rings: int = 16, sectors: int = 64) -> Site:
     return Site(transport, MESH, vertices, views_of(MESH, rings, sectors)[1], sphere.view_bins(rings, sectors), 2, 0)
 
 
-def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch) -> list[Refinement]:
-    """Trials come to these errors, each cheaper than the one before; what was tried is in the list."""
+def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch, first: float = 1000.0) -> list[Refinement]:
+    """Trials come to these errors, each cheaper than the one before, the first so many evaluations; what was tried is
+    in the list.
+    """
     tried: list[Refinement] = []
 
     def trial(_pilot: Pilot, how: Refinement, _error: float, _checks: float) -> tuple[Aim, Tally]:
         tried.append(how)
         tally = Tally(1)
         tally.variance[:], tally.done[:] = errors[len(tried) - 1], True
-        per_vertex = 1000.0 / len(tried)
+        per_vertex = first / len(tried)
         aim = replace(coarse(how, ERROR), error=errors[len(tried) - 1])
         return replace(aim, evaluations_per_vertex=per_vertex, evaluations_per_check=per_vertex), tally
 
@@ -99,6 +101,17 @@ def test_errors_that_are_too_small_loosen_what_is_tolerated(
     tried = scripted([0.002, 0.003, 0.0085], monkeypatch)
     pilots._calibrated(Pilot(site_of(Lobed())), refinement, ERROR, [])
     assert tried[0].light < tried[1].light < tried[2].light
+
+
+@pytest.mark.parametrize(("bin_takes", "trials"), [(11.0, 1), (30.0, 2)])
+def test_learned_light_that_is_dear_for_being_too_exact_is_loosened(
+    bin_takes: float, trials: int, refinement: Refinement, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it is cheap as it is, no more is tried."""
+    site, learned = site_of(Lobed()), replace(refinement, lattices="learned")
+    tried = scripted([0.002, 0.0085, 0.0085], monkeypatch, first=bin_takes * site.bins)
+    assert pilots._calibrated(Pilot(site), learned, ERROR, []).error == [0.002, 0.0085][trials - 1]
+    assert [how.light > tried[0].light for how in tried] == [False, True][:trials]
 
 
 @pytest.mark.parametrize("transport", [Lobed(), Incoherent()])

@@ -52,7 +52,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 def network_of(name: str) -> NeuralBSSRDF:
     if name in ("shipped", "bands"):
         network = load_model(Path(shipped.__file__).parent / "spot.pt")
-        return network if name == "shipped" else network_of("lobes").up_to(2)
+        return network if name == "shipped" else network_of("lobes").up_to(4)
     settings = SETTINGS[name]
     network = NeuralBSSRDF(settings, output_scale=0.7, interior=glass_ball(1.4) if settings.ray_samples else None)
     generator = torch.Generator().manual_seed(5)
