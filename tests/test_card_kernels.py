@@ -1,8 +1,11 @@
 """The kernels for graphics cards: on one where there is one, else in Triton's interpreter, in float32 alone."""
 
 import pickle
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pretend_card
@@ -14,7 +17,8 @@ from test_view_ray import TURNING, cube, looking, rays, trapped
 from formats.mesh import read_mesh
 from prt_bake import shipped
 from prt_bake.network import PRESETS, NeuralBSSRDF, load_model
-from prt_bake.neural import card
+from prt_bake.neural import card, card_views
+from prt_bake.neural.card_views import Recorded, Seen
 from prt_bake.neural.fused import FusedNetwork
 from prt_bake.neural.pairs import pair_transport
 from prt_bake.neural.settings import NetworkSettings
@@ -177,3 +181,71 @@ def test_pictures_ask_for_pairs(name: str) -> None:
     asked = incident[rotation[:, 0]], positions, outgoing[:, 0]
     found = pair_transport(network, "float32", DEVICE).evaluate_pairs(*asked)
     assert apart(found, network.evaluate(*asked)) < 1e-5
+
+
+class Stream:
+    """What torch has for cards, as far as it is used."""
+
+    def __init__(self, _device: object = None) -> None:
+        self.waited = 0
+
+    def wait_stream(self, other: "Stream") -> None:
+        assert isinstance(other, Stream)
+
+    def synchronize(self) -> None:
+        self.waited += 1
+
+
+class Graph:
+    """Plays what was recorded over what it answered."""
+
+    def __init__(self, recorded: Recorded) -> None:
+        self.recorded = recorded
+
+    def replay(self) -> None:
+        found, fresh = self.recorded._found, self.recorded._function(self.recorded._asked)
+        for kept, new in zip((*found[:2], *found.lobes), (*fresh[:2], *fresh.lobes), strict=True):
+            kept.copy_(new)
+
+
+@pytest.fixture
+def pretended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streams and graphs, without a card; what is recorded is not done."""
+    monkeypatch.setattr(card, "stream", Stream)
+    monkeypatch.setattr(card_views, "stream", Stream)
+    for name, there in (("current_stream", Stream), ("stream", nullcontext)):
+        monkeypatch.setattr(torch.cuda, name, there)
+    monkeypatch.setattr(torch.cuda, "graph", lambda graph, capture_error_mode: nullcontext(graph))
+
+
+def test_lots_that_are_played_back_leave_earlier_ones_as_they_were(
+    pretended: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = torch.arange(33.0).view(11, 3)
+    called = []
+
+    def seen(views: torch.Tensor) -> Seen:
+        called.append(len(views))
+        return Seen((2.0 * views).repeat(2, 1, 1), views[:, None] + 1.0, (views**2,))
+
+    recorded = Recorded(seen, 4, cast(torch.device, SimpleNamespace(type="cuda")))
+    monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: Graph(recorded), raising=False)
+    first, found = recorded(asked[:3]), recorded(asked)
+    assert called == [4] * 6  # once before it is recorded, once recorded, four times played
+    torch.testing.assert_close(found.added, (2.0 * asked).repeat(2, 1, 1))
+    torch.testing.assert_close(found.frame, asked[:, None] + 1.0)
+    torch.testing.assert_close(found.lobes, (asked**2,))
+    torch.testing.assert_close(first.frame, asked[:3, None] + 1.0)
+
+
+def test_answers_are_fetched_as_they_come(pretended: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = card.CardNetwork(network_of("paper"), "float32", "cpu")
+    asked = queries(network.network)
+    whole = network.evaluate_block(*asked)
+    fetching = Stream()
+    empty = torch.empty
+    monkeypatch.setattr(network, "_copying", fetching)
+    monkeypatch.setattr(card, "ROWS_AT_ONCE", 100)
+    monkeypatch.setattr(torch, "empty", lambda *size, pin_memory=False, **how: empty(*size, **how))
+    np.testing.assert_array_equal(network.evaluate_block(*asked), whole)
+    assert fetching.waited == 1
