@@ -18,10 +18,6 @@ from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli import progress
 from prt_bake.cli.main import main
 
-if not Path("/dev/nvidiactl").exists():
-    # Kernels for graphics cards are interpreted then; Triton looks at this once, when anything imports it.
-    os.environ["TRITON_INTERPRET"] = "1"
-
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
