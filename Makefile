@@ -19,7 +19,7 @@ picture: .venv/installed-evaluate
 	$(BIN)/prtbake demo --out demo/picture --quality fine
 	cp demo/picture/spot.png demo/picture/comparison.png docs/
 
-test: .venv/installed-dev
+test: .venv/installed-dev .venv/apart/installed
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 lint: .venv/installed-dev
@@ -61,6 +61,14 @@ shipped: .venv/installed-evaluate
 
 clean:
 	rm -rf .venv demo bench
+
+# What runs kernels for graphics cards where there is none lies apart: its LLVM and that of OpenGL's do not go together in
+# one process, and torch loads it wherever it is found.
+.venv/apart/installed: constraints.txt | .venv/installed-dev
+	@mkdir -p .venv/apart
+	@test "$$(uname -s)" != Linux || $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --no-compile \
+		--no-deps --upgrade --constraint constraints.txt --target .venv/apart triton
+	@touch $@
 
 # The name of the stamp is that of the extra which is installed with the package.
 .venv/installed-%: pyproject.toml constraints.txt
