@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from formats.errors import ModelError
 from formats.mesh import Mesh
 from prt_bake.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
-from prt_bake.neural.fused import PRECISIONS, FusedNetwork
+from prt_bake.neural.fused import FusedNetwork, prepared_for
 from prt_bake.neural.interior import Interior
 from prt_bake.neural.late_layers import joined
 from prt_bake.neural.lobes import NUMBERS, Lobes, in_directions, lobes_from
@@ -313,11 +313,7 @@ class NeuralBSSRDF(nn.Module):
 
     def prepared(self, precision: str = "float32", device: str = "cpu") -> FusedNetwork:
         """A frozen copy with the fused `evaluate_block`; precision ("float32", "bfloat16") is the matrix work's."""
-        if device == "cuda" and precision in PRECISIONS:
-            from prt_bake.neural.card import network_on
-
-            return network_on(self, precision, device)
-        return FusedNetwork(self, precision, device)
+        return prepared_for(self, precision, device)
 
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike

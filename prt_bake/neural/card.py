@@ -54,7 +54,7 @@ def network_on(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNet
                 f"the kernels for networks cannot be used on {device} ({type(fault).__name__}: {fault}); without them "
                 "it takes several times as long, and Triton needs a C compiler, such as gcc, to make them",
                 RuntimeWarning,
-                stacklevel=3,
+                stacklevel=4,
             )
     return FusedNetwork(network, precision, device)
 

@@ -283,6 +283,15 @@ class FusedNetwork:
         return OfLight(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), towards)
 
 
+def prepared_for(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNetwork:
+    """A frozen copy of the network for a device: on a graphics card by its kernels, where it has some."""
+    if device == "cuda" and precision in PRECISIONS:
+        from prt_bake.neural.card import network_on
+
+        return network_on(network, precision, device)
+    return FusedNetwork(network, precision, device)
+
+
 def _together(parts: Sequence[Iterable[Tensor]], more: int) -> Iterator[Tensor]:
     """Tuples of tensors [N,...], one after another and then zeros for `more`."""
     for alike in zip(*parts, strict=True):

@@ -14,6 +14,7 @@ import torch
 from test_network_lobes import LOBED, glass_ball
 from test_view_ray import TURNING, cube, looking, rays, trapped
 
+from formats.errors import QueryError
 from formats.mesh import read_mesh
 from prt_bake import shipped
 from prt_bake.network import PRESETS, NeuralBSSRDF, load_model
@@ -153,6 +154,14 @@ def test_what_is_recorded_waits_for_nothing(name: str) -> None:
 def test_what_the_kernels_cannot_do_is_left_to_others(settings: NetworkSettings, hopper: None) -> None:
     assert not card.takes(settings)
     assert type(card.network_on(NeuralBSSRDF(settings), "float32", DEVICE)) is FusedNetwork
+
+
+def test_a_network_is_prepared_for_a_card_by_its_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(card, "network_on", lambda _network, precision, device: (precision, device))
+    assert NeuralBSSRDF(PAPER).prepared("bfloat16", "cuda") == ("bfloat16", "cuda")
+    assert type(NeuralBSSRDF(PAPER).prepared()) is FusedNetwork
+    with pytest.raises(QueryError, match="precision must be one of"):
+        NeuralBSSRDF(PAPER).prepared("float16", "cuda")
 
 
 def test_kernels_are_taken_where_there_are_some(hopper: None, monkeypatch: pytest.MonkeyPatch) -> None:
