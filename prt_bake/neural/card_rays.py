@@ -53,6 +53,13 @@ def _distance(levels, x, y, z, nx, ny, nz):
 
 
 @_kernel
+def _store(vectors, at, x, y, z, where):
+    tl.store(vectors + 3 * at, x, mask=where)
+    tl.store(vectors + 3 * at + 1, y, mask=where)
+    tl.store(vectors + 3 * at + 2, z, mask=where)
+
+
+@_kernel
 def _folded(
     starts, towards, begins, levels, points, along, count, nx, ny, nz, spacing, eta, longest,
     PIECES: tl.constexpr, ROWS: tl.constexpr,
@@ -67,12 +74,8 @@ def _folded(
     for piece in tl.static_range(PIECES):
         at = n * PIECES + piece
         tl.store(begins + at, begun if piece == 0 else begun + float("inf"), mask=going)
-        tl.store(starts + 3 * at, x, mask=going)
-        tl.store(starts + 3 * at + 1, y, mask=going)
-        tl.store(starts + 3 * at + 2, z, mask=going)
-        tl.store(towards + 3 * at, u, mask=going)
-        tl.store(towards + 3 * at + 1, v, mask=going)
-        tl.store(towards + 3 * at + 2, w, mask=going)
+        _store(starts, at, x, y, z, going)
+        _store(towards, at, u, v, w, going)
     pieces, entered = tl.zeros((ROWS,), tl.int32), tl.zeros((ROWS,), tl.int1)
     per_length = 1.0 / spacing
     while tl.max(going.to(tl.int32), axis=0) > 0:
@@ -105,10 +108,6 @@ def _folded(
             entered = entered & ~turned
             at = n * PIECES + pieces
             tl.store(begins + at, begun, mask=turned)
-            tl.store(starts + 3 * at, x, mask=turned)
-            tl.store(starts + 3 * at + 1, y, mask=turned)
-            tl.store(starts + 3 * at + 2, z, mask=turned)
-            tl.store(towards + 3 * at, u, mask=turned)
-            tl.store(towards + 3 * at + 1, v, mask=turned)
-            tl.store(towards + 3 * at + 2, w, mask=turned)
+            _store(starts, at, x, y, z, turned)
+            _store(towards, at, u, v, w, turned)
         going = going & (length < longest)
