@@ -147,9 +147,10 @@ def test_what_is_recorded_waits_for_nothing(name: str) -> None:
         replace(PAPER, width=8),
         replace(PAPER, features=40),
         replace(PAPER, skips=((1, 4),)),
+        replace(PAPER, skips=((1, 3), (1, 3))),
         replace(PAPER, light_layers=3, skips=((3, 5),)),
     ],
-    ids=["no power of two", "narrow", "features", "far skip", "late skip"],
+    ids=["no power of two", "narrow", "features", "far skip", "same skip", "late skip"],
 )
 def test_what_the_kernels_cannot_do_is_left_to_others(settings: NetworkSettings, hopper: None) -> None:
     assert not card.takes(settings)
