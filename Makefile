@@ -29,26 +29,26 @@ lint: .venv/installed-dev
 	$(BIN)/lint-imports
 
 bench: .venv/installed-dev
-	$(BIN)/python tests/bench/bake_error.py --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --out bench
-	$(BIN)/python tests/bench/network_speed.py
-	$(BIN)/python tests/bench/detail_in_light.py
-	$(BIN)/python tests/bench/training.py --out bench/training.json
-	$(BIN)/python tests/bench/smooth_training.py
-	$(BIN)/python tests/bench/noise_of_a_walk.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/importance.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/network_render.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/frames.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/preview.py
-	$(BIN)/python tests/bench/large_skies.py
-	$(BIN)/python tests/bench/noise_free_comparison.py
-	$(BIN)/python tests/bench/picture_error.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/mitsuba_speed.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/walk_cost.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/extremes.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/bake_stability.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/bake_needs.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/bake_accidents.py
-	PYTHONPATH=tests $(BIN)/python tests/bench/reliable_share.py grape serpent head spot_1 --most 65536
+	$(BIN)/python -m tests.bench.bake_error --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --out bench
+	$(BIN)/python -m tests.bench.network_speed
+	$(BIN)/python -m tests.bench.detail_in_light
+	$(BIN)/python -m tests.bench.training --out bench/training.json
+	$(BIN)/python -m tests.bench.smooth_training
+	$(BIN)/python -m tests.bench.noise_of_a_walk
+	$(BIN)/python -m tests.bench.importance
+	$(BIN)/python -m tests.bench.network_render
+	$(BIN)/python -m tests.bench.frames
+	$(BIN)/python -m tests.bench.preview
+	$(BIN)/python -m tests.bench.large_skies
+	$(BIN)/python -m tests.bench.noise_free_comparison
+	$(BIN)/python -m tests.bench.picture_error
+	$(BIN)/python -m tests.bench.mitsuba_speed
+	$(BIN)/python -m tests.bench.walk_cost
+	$(BIN)/python -m tests.bench.extremes
+	$(BIN)/python -m tests.bench.bake_stability
+	$(BIN)/python -m tests.bench.bake_needs
+	$(BIN)/python -m tests.bench.bake_accidents
+	$(BIN)/python -m tests.bench.reliable_share grape serpent head spot_1 --most 65536
 
 # What lies in prt_bake/shipped, made anew from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
 shipped: .venv/installed-evaluate

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bakers.error_covariance import Frames, of_errors, shape_of
 from bakers.error_estimate import Estimator, halves_variance, held_against, neighbour_errors, suspect
-from bakers.error_shape import Frames, of_errors, shape_of
 from bakers.path_traced import Account, Walks, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
 from bakers.projection import DirectionPool, left_over, project, residual_variance
 from bakers.transport import as_radiance, way_in
-from formats.error_shape import ErrorShape
+from formats.asset.error_covariance import ErrorShape
 
 Array = NDArray[np.float64]
 
@@ -169,7 +169,7 @@ def _sample(
 
 
 def _of_fits(residuals: Array, pool: DirectionPool, rotation: NDArray[np.int64]) -> Array:
-    """Numbers [n,B,K,D·3] that vary as the errors of fits that leave residuals [n,B,D,3] (`bakers.error_shape`)."""
+    """Numbers [n,B,K,D·3] that vary as the errors of fits with residuals [n,B,D,3] (`bakers.error_covariance`)."""
     weighted = pool.weights[rotation][..., None] * residuals[:, :, None]
     return np.asarray(weighted.reshape(*weighted.shape[:3], -1))
 

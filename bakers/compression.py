@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.compact_file import deflated, digit_planes
-from formats.compact_record import FactorisedViews, LearnedViews
+from formats.asset.compact_file import deflated, digit_planes
+from formats.asset.compact_record import FactorisedViews, LearnedViews
 
 Array = NDArray[np.float64]
 

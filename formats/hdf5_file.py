@@ -7,8 +7,8 @@ from typing import Any
 
 import h5py
 
+from formats.atomic import existing
 from formats.errors import FormatError
-from formats.whole import existing
 
 DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
 """What h5py raises on damaged files."""

@@ -18,8 +18,8 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
+from formats.atomic import refuse_unwritable, remove_parts, replacing, storage_error
 from formats.errors import StorageError
-from formats.whole import refuse_unwritable, remove_parts, replacing, storage_error
 
 _IDENTITY, _LOCK = "identity.json", "lock"
 

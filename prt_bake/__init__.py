@@ -15,24 +15,24 @@ if TYPE_CHECKING:
     from formats.mesh import Mesh, read_mesh, write_mesh
     from formats.scene import Scene
     from formats.scene import read_scene as load_scene
-    from prt_bake import sh, sphere
-    from prt_bake.baking import bake
-    from prt_bake.camera import Camera
-    from prt_bake.camera import fit as fit_camera
-    from prt_bake.comparison import compare
-    from prt_bake.compressing import compress, unpacked
-    from prt_bake.environment import project as project_environment
-    from prt_bake.environment import read_environment, rotate_light
-    from prt_bake.frames import Frames
-    from prt_bake.lighting import Lighting, read_lighting
-    from prt_bake.mitsuba_export import mitsuba_dictionary
-    from prt_bake.network import NeuralBSSRDF, load_model, save_model
-    from prt_bake.renderer.network import render_network
-    from prt_bake.rendering import render_scene
-    from prt_bake.shading import render_picture, shade
-    from prt_bake.sun_light import suns_apart
-    from prt_bake.trainer.estimate import estimate_coefficients, estimate_transport
-    from prt_bake.trainer.fit import train
+    from prt_bake.baking.bake import bake
+    from prt_bake.baking.compress import compress, unpacked
+    from prt_bake.comparison.metrics import compare
+    from prt_bake.export.mitsuba import mitsuba_dictionary
+    from prt_bake.geometry.camera import Camera
+    from prt_bake.geometry.camera import fit as fit_camera
+    from prt_bake.lights.environment import project as project_environment
+    from prt_bake.lights.environment import read_environment, rotate_light
+    from prt_bake.lights.lighting import Lighting, read_lighting
+    from prt_bake.mathematics import sh, sphere
+    from prt_bake.network.bssrdf import NeuralBSSRDF, load_model, save_model
+    from prt_bake.rendering.network import render_network
+    from prt_bake.rendering.scene import render_scene
+    from prt_bake.shading.frames.frames import Frames
+    from prt_bake.shading.picture import render_picture, shade
+    from prt_bake.shading.suns import suns_apart
+    from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
+    from prt_bake.trainer.train import train
 
 __all__ = [
     "Asset",
@@ -78,40 +78,40 @@ __all__ = [
 # Public name → module, and the name within it; an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),
-    "Camera": ("prt_bake.camera", "Camera"),
-    "Frames": ("prt_bake.frames", "Frames"),
-    "Lighting": ("prt_bake.lighting", "Lighting"),
+    "Camera": ("prt_bake.geometry.camera", "Camera"),
+    "Frames": ("prt_bake.shading.frames.frames", "Frames"),
+    "Lighting": ("prt_bake.lights.lighting", "Lighting"),
     "Mesh": ("formats.mesh", "Mesh"),
-    "NeuralBSSRDF": ("prt_bake.network", "NeuralBSSRDF"),
+    "NeuralBSSRDF": ("prt_bake.network.bssrdf", "NeuralBSSRDF"),
     "PrtbakeError": ("formats.errors", "PrtbakeError"),
     "Scene": ("formats.scene", "Scene"),
-    "bake": ("prt_bake.baking", "bake"),
-    "compare": ("prt_bake.comparison", "compare"),
-    "compress": ("prt_bake.compressing", "compress"),
-    "estimate_coefficients": ("prt_bake.trainer.estimate", "estimate_coefficients"),
-    "estimate_transport": ("prt_bake.trainer.estimate", "estimate_transport"),
-    "fit_camera": ("prt_bake.camera", "fit"),
-    "load_model": ("prt_bake.network", "load_model"),
+    "bake": ("prt_bake.baking.bake", "bake"),
+    "compare": ("prt_bake.comparison.metrics", "compare"),
+    "compress": ("prt_bake.baking.compress", "compress"),
+    "estimate_coefficients": ("prt_bake.tracer.estimate", "estimate_coefficients"),
+    "estimate_transport": ("prt_bake.tracer.estimate", "estimate_transport"),
+    "fit_camera": ("prt_bake.geometry.camera", "fit"),
+    "load_model": ("prt_bake.network.bssrdf", "load_model"),
     "load_scene": ("formats.scene", "read_scene"),
-    "mitsuba_dictionary": ("prt_bake.mitsuba_export", "mitsuba_dictionary"),
-    "project_environment": ("prt_bake.environment", "project"),
+    "mitsuba_dictionary": ("prt_bake.export.mitsuba", "mitsuba_dictionary"),
+    "project_environment": ("prt_bake.lights.environment", "project"),
     "read_asset": ("formats.asset", "read_asset"),
-    "read_environment": ("prt_bake.environment", "read_environment"),
+    "read_environment": ("prt_bake.lights.environment", "read_environment"),
     "read_image": ("formats.image", "read_image"),
     "read_layers": ("formats.image", "read_layers"),
-    "read_lighting": ("prt_bake.lighting", "read_lighting"),
+    "read_lighting": ("prt_bake.lights.lighting", "read_lighting"),
     "read_mesh": ("formats.mesh", "read_mesh"),
-    "render_network": ("prt_bake.renderer.network", "render_network"),
-    "render_picture": ("prt_bake.shading", "render_picture"),
-    "render_scene": ("prt_bake.rendering", "render_scene"),
-    "rotate_light": ("prt_bake.environment", "rotate_light"),
-    "save_model": ("prt_bake.network", "save_model"),
-    "sh": ("prt_bake.sh", ""),
-    "shade": ("prt_bake.shading", "shade"),
-    "sphere": ("prt_bake.sphere", ""),
-    "suns_apart": ("prt_bake.sun_light", "suns_apart"),
-    "train": ("prt_bake.trainer.fit", "train"),
-    "unpacked": ("prt_bake.compressing", "unpacked"),
+    "render_network": ("prt_bake.rendering.network", "render_network"),
+    "render_picture": ("prt_bake.shading.picture", "render_picture"),
+    "render_scene": ("prt_bake.rendering.scene", "render_scene"),
+    "rotate_light": ("prt_bake.lights.environment", "rotate_light"),
+    "save_model": ("prt_bake.network.bssrdf", "save_model"),
+    "sh": ("prt_bake.mathematics.sh", ""),
+    "shade": ("prt_bake.shading.picture", "shade"),
+    "sphere": ("prt_bake.mathematics.sphere", ""),
+    "suns_apart": ("prt_bake.shading.suns", "suns_apart"),
+    "train": ("prt_bake.trainer.train", "train"),
+    "unpacked": ("prt_bake.baking.compress", "unpacked"),
     "write_asset": ("formats.asset", "write_asset"),
     "write_image": ("formats.image", "write_image"),
     "write_mesh": ("formats.mesh", "write_mesh"),

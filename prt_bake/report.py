@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset import Asset
+from formats.atomic import replacing
 from formats.errors import PrtbakeError
 from formats.image import write_image
-from formats.whole import replacing
-from prt_bake.renderer.state import relative_noise
+from prt_bake.rendering.state import relative_noise
 
 if TYPE_CHECKING:
-    from prt_bake.camera import Camera
+    from prt_bake.geometry.camera import Camera
 
 REACHED = 1.02
 """Times the error asked for, that is told as reached."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.whole import replacing
+from formats.atomic import replacing
 
 Array = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.solid_texture import share
+from formats.scene.solid_texture import share
 
 Array = NDArray[np.float64]
 

@@ -7,16 +7,16 @@ import signal
 import subprocess
 from pathlib import Path
 
-import compiling
 import numpy as np
 import pytest
 import trimesh
-from command_line import SCENE, Outcome, Run
 
 from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
-from prt_bake.cli import progress
 from prt_bake.cli.main import main
+from prt_bake.cli.shared import progress
+from tests.cli.command_line import SCENE, Outcome, Run
+from tests.jit import compiling
 
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
@@ -68,7 +68,7 @@ def prtbake(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A model, a mesh, a scene, a sky and an asset, all small and sound."""
-    from prt_bake.network import NetworkSettings, NeuralBSSRDF, save_model
+    from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
 
     path = tmp_path_factory.mktemp("cli")
     sphere = trimesh.creation.icosphere(subdivisions=1)

@@ -2,14 +2,14 @@
 
 import re
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from formats.scene_schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile
+from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile
+from tests import ROOT
 
-TEXT = (Path(__file__).parents[1] / "docs" / "scene_files.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "scene_files.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
 WHOLE = tomllib.loads(EXAMPLES[0])
 

@@ -65,7 +65,7 @@ def test_shading_and_everything_it_asks_for_load_no_torch() -> None:
     program = (
         "import sys\n"
         "import prt_bake as prt\n"
-        "import prt_bake.camera, prt_bake.shading\n"
+        "import prt_bake.geometry.camera, prt_bake.shading.picture\n"
         "prt.shade, prt.read_asset, prt.write_asset, prt.read_mesh, prt.read_image\n"
         "prt.project_environment, prt.bake, prt.load_scene\n"
         "print('torch' in sys.modules)"

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from shapes import ball
-from test_shading import constant, front, make_asset
 
 import prt_bake as prt
 from formats.errors import QueryError
+from tests.shading.test_picture import constant, front, make_asset
+from tests.shapes import ball
 
 ASSET = make_asset(ball(2))
 LIGHT = np.zeros((9, 3))

@@ -1,1 +1,4 @@
-"""The door: one small file a command, which declares, reads, calls one verb and writes."""
+"""The command line: one module a command. `shared` holds what commands have in common, `reports` the reports.
+
+May import: everything. Heavy imports happen inside the commands. Begin with `main.py`.
+"""

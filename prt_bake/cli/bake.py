@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Device, OnlyEye, ReportFile, Seed, output_option, within
-from prt_bake.cli.plan import plan_lines
-from prt_bake.cli.progress import bake_progress, reporting, say, stopping
+from prt_bake.cli.shared.options import Device, OnlyEye, ReportFile, Seed, output_option, within
+from prt_bake.cli.shared.plan import plan_lines
+from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
 
 def bake(
@@ -108,9 +108,9 @@ def bake(
         raise typer.BadParameter("Missing option '--output' / '-o'; --dry-run alone does without.")
     from formats.journal import journal_folder
     from formats.mesh import read_mesh
-    from prt_bake import baking
+    from prt_bake.baking import bake as baking
+    from prt_bake.baking.sources import open_source, origin
     from prt_bake.report import bake_report, write_report
-    from prt_bake.sources import open_source, origin
 
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
@@ -197,9 +197,9 @@ def _but(kept: list[str], items: tuple[str, ...]) -> list[str]:
 
 
 def _light(sky: Path, degree: int, up: str) -> Any:
-    from formats.whole import sha256
-    from prt_bake import environment
-    from prt_bake.baking import Light
+    from formats.atomic import sha256
+    from prt_bake.baking.bake import Light
+    from prt_bake.lights import environment
 
     return Light(environment.project(environment.open_environment(sky, say=say), degree, up), sky.name, sha256(sky))
 

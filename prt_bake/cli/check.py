@@ -15,7 +15,7 @@ def check(
 
     One line each; the exit code is 1 if there is any. Remarks (what is allowed, but seldom meant) leave it 0.
     """
-    from prt_bake.inspection import find_faults, find_remarks
+    from prt_bake.inspection.files import find_faults, find_remarks
 
     faults = find_faults(file)
     for fault in faults:

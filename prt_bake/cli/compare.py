@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from prt_bake.cli.bounds import Bounds, FailAbove, FailBelow
-from prt_bake.cli.options import AsJson, Exposure, optional_output
-from prt_bake.cli.progress import say
+from prt_bake.cli.shared.bounds import Bounds, FailAbove, FailBelow
+from prt_bake.cli.shared.options import AsJson, Exposure, optional_output
+from prt_bake.cli.shared.progress import say
 
 if TYPE_CHECKING:
-    from formats.exr import Layers
-    from prt_bake.noise_free_comparison import NoiseFree
-    from prt_bake.picture_noise import PixelErrors
+    from formats.image.exr import Layers
+    from prt_bake.comparison.noise import PixelErrors
+    from prt_bake.comparison.noise_free import NoiseFree
 
 _MAPS = (".png", ".exr")
 
@@ -84,10 +84,10 @@ def compare(
     both pictures do not count.
     """
     from formats.image import read_layers
-    from prt_bake import comparison_sheet as sheet
-    from prt_bake.comparison import checked
-    from prt_bake.comparison import compare as measure
-    from prt_bake.picture_alpha import weighted
+    from prt_bake.comparison import sheet
+    from prt_bake.comparison.alpha import weighted
+    from prt_bake.comparison.metrics import checked
+    from prt_bake.comparison.metrics import compare as measure
     from prt_bake.report import as_text
 
     bounds = Bounds.of(fail_above or [], fail_below or [])
@@ -140,7 +140,7 @@ def _refuse_other_sizes(image: Path, pixels: Any, *others: Any) -> None:
 def _read_mask(path: Path) -> Any:
     """The mask of a picture: its alpha where it has one, else its colour."""
     from formats.image import read_layers
-    from prt_bake.picture_alpha import alpha_of
+    from prt_bake.comparison.alpha import alpha_of
 
     picture = read_layers(path)
     alpha = alpha_of(picture)
@@ -152,7 +152,7 @@ def _read_mask(path: Path) -> Any:
 
 def _mask_by_alpha(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> Any:
     """The pixels that show something, where both pictures are transparent in some; says what is done with an alpha."""
-    from prt_bake.picture_alpha import alpha_of, seen_in_either
+    from prt_bake.comparison.alpha import alpha_of, seen_in_either
 
     seen = seen_in_either(layered, layered_reference)
     if seen is not None:
@@ -194,7 +194,7 @@ def _errors(image: Path, reference: Path, layered: "Layers", layered_reference: 
     """What the pictures say of their errors; None, with a word, where that cannot be used."""
     import numpy as np
 
-    from prt_bake.picture_noise import errors_of, same_numbers, unusable
+    from prt_bake.comparison.noise import errors_of, same_numbers, unusable
 
     reasons = [unusable(path, each) for path, each in ((image, layered), (reference, layered_reference))]
     for reason in filter(None, reasons):
@@ -220,7 +220,7 @@ def _errors(image: Path, reference: Path, layered: "Layers", layered_reference: 
 def _without_noise(
     ours: Any, theirs: Any, errors: "PixelErrors", mask: Any, exposure: float, exposures: Any
 ) -> "NoiseFree":
-    from prt_bake.noise_free_comparison import compare_without_noise
+    from prt_bake.comparison.noise_free import compare_without_noise
 
     found = compare_without_noise(ours, theirs, errors, mask, exposure, hdr=exposures)
     if found.figures["mse"].high < 0.0:

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from prt_bake.cli.options import optional_output
-from prt_bake.cli.progress import reporting, say
+from prt_bake.cli.shared.options import optional_output
+from prt_bake.cli.shared.progress import reporting, say
 
 
 def compress(
@@ -27,7 +27,7 @@ def compress(
     Several forms are tried, and the smallest that meets the error is written. The compact asset is used like any other,
     and shaded as it is.
     """
-    from prt_bake.compressing import compress_file
+    from prt_bake.baking.compress import compress_file
 
     target = out or asset.with_name(f"{asset.stem}.compact{asset.suffix}")
     with reporting("compress") as show:

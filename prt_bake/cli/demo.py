@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.progress import bake_progress, reporting, stopping
+from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 
 
 def demo(
@@ -20,7 +20,7 @@ def demo(
     ] = None,
 ) -> None:
     """Bake and relight the shipped object, and measure it."""
-    from prt_bake.demonstration import FINE, QUICK, demonstrate
+    from prt_bake.shipped.demonstration import FINE, QUICK, demonstrate
 
     settings = {"quick": QUICK, "fine": FINE}[quality]
     with reporting("bake") as show, stopping() as stop:

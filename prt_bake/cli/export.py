@@ -17,10 +17,10 @@ def export(
     The middle of the object's bounding box is at the origin, and a white sky shines. Mitsuba renders it by itself:
     `mitsuba FOLDER/scene.xml`.
     """
+    from formats.atomic import storage_error
     from formats.errors import StorageError
     from formats.scene import read_scene
-    from formats.whole import storage_error
-    from prt_bake.mitsuba_xml import write_mitsuba_scene
+    from prt_bake.export.mitsuba_xml import write_mitsuba_scene
 
     read = read_scene(scene)
     if output.exists() and not output.is_dir():

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Device, Seed
-from prt_bake.cli.progress import reporting, stopping
+from prt_bake.cli.shared.options import Device, Seed
+from prt_bake.cli.shared.progress import reporting, stopping
 
 
 def importance(
@@ -33,10 +33,10 @@ def importance(
     from dataclasses import replace
 
     from formats.mesh import read_mesh
-    from prt_bake.importance import IMPORTANCE_PRESETS, importance_path, save_importance
-    from prt_bake.importance_fit import fit_importance
-    from prt_bake.network import load_model
-    from prt_bake.sources import require_device
+    from prt_bake.baking.sources import require_device
+    from prt_bake.importance.fit import fit_importance
+    from prt_bake.importance.module import IMPORTANCE_PRESETS, importance_path, save_importance
+    from prt_bake.network.bssrdf import load_model
 
     require_device(device)
     network, surface = load_model(model, device), read_mesh(mesh, drop_flat_faces=True)

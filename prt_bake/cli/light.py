@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from prt_bake.cli.options import AsJson, Mend, Rotate, Up
-from prt_bake.cli.progress import say
+from prt_bake.cli.shared.options import AsJson, Mend, Rotate, Up
+from prt_bake.cli.shared.progress import say
 
 _ROWS_FOR_SUNS = 2048
 
@@ -32,9 +32,9 @@ def light(
     l(l+1)+m; nothing is pre-convolved. Suns are small strong sources in skies, part of those harmonics, which
     `prtbake shade` splits from them.
     """
-    from prt_bake.light_harmonics import project_lighting
-    from prt_bake.lighting import read_lighting
-    from prt_bake.suns import split_suns
+    from prt_bake.lights.harmonics import project_lighting
+    from prt_bake.lights.lighting import read_lighting
+    from prt_bake.lights.suns import split_suns
 
     axis = up or "y"
     # Of a larger sky the suns are found in a smaller copy, made while its harmonics are summed.

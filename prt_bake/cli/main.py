@@ -13,9 +13,9 @@ from prt_bake.cli.check import check
 from prt_bake.cli.compare import compare
 from prt_bake.cli.compress import compress
 from prt_bake.cli.demo import demo
-from prt_bake.cli.describe import describe
 from prt_bake.cli.export import export
 from prt_bake.cli.importance import importance
+from prt_bake.cli.info import describe
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
 from prt_bake.cli.report import report

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import (
+from prt_bake.cli.shared.options import (
     IMAGE_SUFFIXES,
     USUAL_FOV,
     Device,
@@ -29,10 +29,10 @@ from prt_bake.cli.options import (
     output_option,
     refuse_unseen_exposure,
 )
-from prt_bake.cli.progress import reporting, say, stopping
+from prt_bake.cli.shared.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
-    from prt_bake.renderer.loop import Rendering
+    from prt_bake.rendering.loop import Rendering
 
 _USUAL_SPP = {"scene": 64, "network": 256}
 
@@ -130,9 +130,9 @@ def render(
     are honest. Ctrl-C ends the work early: the picture so far is written, and --resume goes on from it.
     """
     from formats.mesh import read_mesh
-    from prt_bake.cli.viewing import camera_for
-    from prt_bake.lighting import read_lighting
-    from prt_bake.renderer.state import asked_of, checkpoint_path
+    from prt_bake.cli.shared.viewing import camera_for
+    from prt_bake.lights.lighting import read_lighting
+    from prt_bake.rendering.state import asked_of, checkpoint_path
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
@@ -165,12 +165,12 @@ def render(
         if preview is not None:
             options["preview"] = lambda so_far: _write(preview, so_far, texts, exposure)
         if is_scene:
-            from prt_bake.rendering import render_scene
+            from prt_bake.rendering.scene import render_scene
 
             options["shown"] = "all" if unscattered else "scattered"
             picture = render_scene(opened, lighting, view, spp, seed, **options)
         else:
-            from prt_bake.renderer.network import render_network
+            from prt_bake.rendering.network import render_network
 
             importance = _importance(source, sampling, device)
             options |= {"sampling": sampling, "importance": importance, "precision": precision, "device": device}
@@ -210,14 +210,14 @@ def _refuse_network_options(sampling: str | None, device: str, precision: str, w
 
 def _open(source: Path, surface: Any, device: str) -> Any:
     from formats.scene import read_scene
-    from prt_bake.sources import open_source
+    from prt_bake.baking.sources import open_source
 
     return read_scene(source) if source.suffix.lower() == ".toml" else open_source(source, surface, device)
 
 
 def _importance(source: Path, sampling: str | None, device: str) -> Any:
     """The model's importance module; None where it is not wanted, or not asked for and not there."""
-    from prt_bake.importance import importance_path, load_importance
+    from prt_bake.importance.module import importance_path, load_importance
 
     if sampling == "light" or (sampling is None and not importance_path(source).is_file()):
         return None
@@ -263,7 +263,7 @@ def _report(path: Path, command: str, seed: int, picture: "Rendering", view: Any
 def _identity_texts(opened: Any, is_scene: bool) -> dict[str, str]:
     if is_scene:
         return {"prtbake.scene": opened.content_hash}
-    from prt_bake.neural.pairs import content_hash
+    from prt_bake.network.inference.pairs import content_hash
 
     return {"prtbake.model": content_hash(opened)}
 

@@ -2,9 +2,9 @@
 
 import typer
 
-from prt_bake.cli.report_bake import bake
-from prt_bake.cli.report_paper import paper
-from prt_bake.cli.report_training import training
+from prt_bake.cli.reports.bake import bake
+from prt_bake.cli.reports.paper import paper
+from prt_bake.cli.reports.training import training
 
 report = typer.Typer(
     help="Measure a model, a bake, or all that the paper measures, and write down how good it is.",

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Seed, output_option
-from prt_bake.cli.progress import reporting, stopping
+from prt_bake.cli.shared.options import Seed, output_option
+from prt_bake.cli.shared.progress import reporting, stopping
 
 
 def sample(
@@ -24,7 +24,7 @@ def sample(
     asks other queries.
     """
     from formats.scene import read_scene
-    from prt_bake.trainer.record import record_samples
+    from prt_bake.trainer.samples.record import record_samples
 
     with reporting("sample") as show, stopping() as stop:
         done = record_samples(

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from prt_bake.cli.options import (
+from prt_bake.cli.shared.options import (
     ANIMATION_SUFFIXES,
     IMAGE_SUFFIXES,
     USUAL_FOV,
@@ -28,7 +28,7 @@ from prt_bake.cli.options import (
     refuse_unseen_exposure,
     within,
 )
-from prt_bake.cli.progress import Report, reporting, say
+from prt_bake.cli.shared.progress import Report, reporting, say
 
 _FRAMES, _SECONDS = 36, 3.0
 _LAYERS = "position, normal, vertex, radiance, subsurface, reflection"
@@ -97,9 +97,9 @@ def shade(
     the object's coverage (coverage.Y).
     """
     from formats.asset import read_asset
-    from prt_bake.cli.viewing import camera_for
-    from prt_bake.lighting import read_lighting
-    from prt_bake.smaller_sky import rows_shown
+    from prt_bake.cli.shared.viewing import camera_for
+    from prt_bake.lights.downsampled import rows_shown
+    from prt_bake.lights.lighting import read_lighting
 
     _refuse_useless(output, transparent, layers, turntable, error_picture, reflection, roughness)
     refuse_unseen_exposure(exposure, output)
@@ -127,7 +127,7 @@ def shade(
     else:
         picture = _turn(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
     if error_picture is not None:
-        from prt_bake.error_picture import write_error_picture
+        from prt_bake.shading.error_picture import write_error_picture
 
         write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
@@ -148,7 +148,7 @@ def _suns_met(count: int, treatment: str) -> str:
 
 def _write(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:
     from formats.image import write_image
-    from prt_bake.shading import render_picture
+    from prt_bake.shading.picture import render_picture
 
     picture = render_picture(baked, lighting, view, **options)
     write_image(
@@ -174,8 +174,8 @@ def _turn(
     seconds: float,
 ) -> Any:
     """Write a turntable; its last picture."""
-    from formats.animation import write_animation, write_sequence
-    from prt_bake.turntable import turntable
+    from formats.image.animation import write_animation, write_sequence
+    from prt_bake.shading.turntable import turntable
 
     last: list[Any] = []
 
@@ -238,7 +238,7 @@ def _read_roughness(said: str) -> Any:
 
 
 def _names(layers: str, with_error_picture: bool) -> tuple[str, ...]:
-    from prt_bake.picture_layers import LAYERS
+    from prt_bake.shading.layers import LAYERS
 
     asked = tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
     return asked if not with_error_picture or "radiance" in asked else (*asked, "radiance")
@@ -251,7 +251,7 @@ def _shows(picture: Any) -> str:
 
 
 def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: Any, reflection: bool) -> Iterator[str]:
-    from prt_bake.surface_gloss import reflects
+    from prt_bake.shading.surface_reflection import reflects
 
     yield from _shown_otherwise(baked, lights, rotate, eye)
     if not baked.complete:
@@ -275,6 +275,6 @@ def _shown_otherwise(baked: Any, lights: list[str], rotate: float, eye: Any) -> 
 
 
 def _same_light(baked: Any, lights: list[str]) -> bool:
-    from formats.whole import sha256
+    from formats.atomic import sha256
 
     return len(lights) == 1 and Path(lights[0]).is_file() and baked.folded_in == f"light {sha256(Path(lights[0]))}"

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
-from prt_bake.cli.options import Seed, output_option
-from prt_bake.cli.progress import reporting, say, stopping
+from prt_bake.cli.shared.options import Seed, output_option
+from prt_bake.cli.shared.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
-    from prt_bake.trainer.fit import TrainingRow
+    from prt_bake.trainer.train import TrainingRow
 
 
 def train(
@@ -59,10 +59,10 @@ def train(
     from dataclasses import replace
 
     from formats.scene import read_scene
-    from prt_bake.cli import after_training
-    from prt_bake.neural.settings import PRESETS
+    from prt_bake.cli.shared import after_training
+    from prt_bake.network.settings import PRESETS
     from prt_bake.trainer.cores import chosen_device
-    from prt_bake.trainer.fit import train as fit
+    from prt_bake.trainer.train import train as fit
 
     learning_on, read = chosen_device(device), read_scene(scene)
     with reporting("train") as show, stopping() as stop:

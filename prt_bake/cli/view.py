@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from formats.errors import QueryError, StorageError
-from prt_bake.cli.options import (
+from prt_bake.cli.shared.options import (
     USUAL_FOV,
     Exposure,
     Eye,
@@ -24,13 +24,13 @@ from prt_bake.cli.options import (
     optional_output,
     read_size,
 )
-from prt_bake.cli.progress import say
+from prt_bake.cli.shared.progress import say
 
 if TYPE_CHECKING:
     from formats.asset import Asset
-    from prt_bake.camera import Camera
+    from prt_bake.geometry.camera import Camera
     from prt_bake.preview.state import Preview
-    from prt_bake.sun_light import SunTreatment
+    from prt_bake.shading.suns import SunTreatment
 
 DEFAULT_SIZE = Size(960, 720)
 _WITHOUT_DISPLAY = "there is no display to open a window on; --screenshot F.png writes the picture without one"
@@ -127,8 +127,8 @@ class _Opened(NamedTuple):
 
 def _open(baked: "Asset", asked: _Asked, settled: bool) -> _Opened:
     """The asset under its lights, with the colours of its first picture worked out; `settled` as after a while."""
-    from prt_bake import camera
-    from prt_bake.cli.viewing import camera_for
+    from prt_bake.cli.shared.viewing import camera_for
+    from prt_bake.geometry import camera
     from prt_bake.preview.lights import LightSource
     from prt_bake.preview.state import Preview
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from formats.atomic import replacing, sha256
 from formats.errors import PrtbakeError, StorageError
-from formats.whole import replacing, sha256
 
 Facts = dict[str, Any]
 Say = Callable[[str], None]

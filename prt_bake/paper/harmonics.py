@@ -10,13 +10,13 @@ import numpy as np
 from formats.asset import read_asset
 from formats.image import write_image
 from formats.mesh import Mesh, build_mesh
-from prt_bake.baking import bake
-from prt_bake.camera import Camera
-from prt_bake.lighting import Sky
-from prt_bake.network import load_model
+from prt_bake.baking.bake import bake
+from prt_bake.geometry.camera import Camera
+from prt_bake.lights.lighting import Sky
+from prt_bake.network.bssrdf import load_model
 from prt_bake.paper.artefacts import Artefact, Facts, Stopped
 from prt_bake.paper.scenes import BakeSettings
-from prt_bake.shading import render_picture
+from prt_bake.shading.picture import render_picture
 
 DEGREE = 2
 _RAYS_A_PIXEL_SIDE = 4

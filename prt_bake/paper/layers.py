@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from formats.scene import Scene
-from prt_bake.network import PRESETS, NetworkSettings
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings
 from prt_bake.paper.artefacts import Artefacts
 from prt_bake.paper.models import trained
 

@@ -7,12 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from formats.atomic import replacing, sha256
 from formats.errors import ModelError
 from formats.mesh import Mesh
 from formats.scene import Scene
-from formats.whole import replacing, sha256
-from prt_bake.importance import importance_path, load_importance, save_importance
-from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
+from prt_bake.importance.module import importance_path, load_importance, save_importance
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 
 Progress = Callable[[float, str], None]
@@ -46,8 +46,8 @@ def trained(
     settings: NetworkSettings | None = None,
 ) -> Artefact:
     """A network trained for `minutes`, with `settings` or the usual ones; goes on where an earlier run was stopped."""
-    from prt_bake.trainer.fit import LearningSettings, train
-    from prt_bake.trainer.rows import StreamSettings
+    from prt_bake.trainer.samples.rows import StreamSettings
+    from prt_bake.trainer.train import LearningSettings, train
 
     usual = {"learning": asdict(LearningSettings()), "walks": asdict(StreamSettings())}
     chosen = (settings or PRESETS["measured"]).as_json()
@@ -108,7 +108,7 @@ def scene_importance(
     fitted: Facts = {"model": model.sha256, "mesh": mesh.content_hash, "seconds": seconds}
 
     def build(path: Path) -> Facts:
-        from prt_bake.importance_fit import fit_importance
+        from prt_bake.importance.fit import fit_importance
 
         module = fit_importance(load_model(model.path), mesh, seconds=seconds, device=device, progress=progress)
         artefacts.check()

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from formats.image import write_image
 from formats.mesh import Mesh
-from prt_bake.camera import Camera
-from prt_bake.importance import load_importance
-from prt_bake.lighting import Lighting
-from prt_bake.network import load_model
+from prt_bake.geometry.camera import Camera
+from prt_bake.importance.module import load_importance
+from prt_bake.lights.lighting import Lighting
+from prt_bake.network.bssrdf import load_model
 from prt_bake.paper.artefacts import Artefact, Facts, Stopped
-from prt_bake.renderer.mixture import Sampling
+from prt_bake.rendering.mixture import Sampling
 
 
 def network_picture(
@@ -33,7 +33,7 @@ def network_picture(
     For "lobe" and "mis", `importance_of` is the model beside which the importance module lies. Raises
     Stopped where it was stopped.
     """
-    from prt_bake.renderer.network import render_network
+    from prt_bake.rendering.network import render_network
 
     picture = render_network(
         load_model(model.path, device),

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from formats.atomic import replacing
 from formats.errors import PrtbakeError
-from formats.whole import replacing
 from prt_bake.paper.results import BARS
 from prt_bake.paper.times import Trained, heading
 

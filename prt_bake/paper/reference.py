@@ -1,6 +1,6 @@
 """A path-traced reference that grows: many pictures of few walks, summed in two halves, kept after each of them.
 
-The halves tell what the reference's own noise does to any figure (`prt_bake.halves`).
+The halves tell what the reference's own noise does to any figure (`prt_bake.rendering.half_buffers`).
 """
 
 import hashlib
@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.atomic import replacing
 from formats.image import read_layers, write_image
 from formats.scene import Scene
-from formats.whole import replacing
-from prt_bake.camera import Camera
-from prt_bake.halves import Halves, Traced
-from prt_bake.lighting import Lighting
+from prt_bake.geometry.camera import Camera
+from prt_bake.lights.lighting import Lighting
+from prt_bake.mathematics.random import hashed
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
-from prt_bake.randomness import hashed
-from prt_bake.rendering import Rendering, render_scene
+from prt_bake.rendering.half_buffers import Halves, Traced
+from prt_bake.rendering.scene import Rendering, render_scene
 
 Array = NDArray[np.float64]
 Trace = Callable[[int, int, Path], Rendering]

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from formats.atomic import replacing
 from formats.errors import StorageError
 from formats.image import read_image
-from formats.whole import replacing
 from prt_bake.paper import results as records
 from prt_bake.paper.artefacts import Artefacts
 from prt_bake.paper.layers import ablation

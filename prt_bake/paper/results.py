@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from prt_bake.paper.scenes import SCENES, PaperRow, PaperScene
-from prt_bake.renderer.mixture import Sampling
+from prt_bake.rendering.mixture import Sampling
 
 SAMPLINGS: tuple[Sampling, ...] = ("light", "lobe", "mis")
 METHODS = (*SAMPLINGS, "sh")

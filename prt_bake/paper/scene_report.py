@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.atomic import replacing
 from formats.image import read_image, read_layers, write_image
-from formats.whole import replacing
-from prt_bake import object_figures
-from prt_bake.camera import Camera
-from prt_bake.environment import read_environment, rotation
-from prt_bake.lighting import Lighting, Sky
+from prt_bake.comparison import object_figures
+from prt_bake.geometry.camera import Camera
+from prt_bake.lights.environment import read_environment, rotation
+from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
 from prt_bake.paper.harmonics import DEGREE, bake_asset, harmonics_picture
 from prt_bake.paper.models import scene_importance, scene_model
@@ -25,9 +25,9 @@ from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
 from prt_bake.paper.surface import surface_picture
-from prt_bake.renderer.mixture import Sampling
-from prt_bake.rendering import render_scene
-from prt_bake.trainer.prepared import has_unscattered
+from prt_bake.rendering.mixture import Sampling
+from prt_bake.rendering.scene import render_scene
+from prt_bake.tracer.prepared import has_unscattered
 
 Progress = Callable[[str, float, str], None]
 """progress(what, share done, a few words)."""

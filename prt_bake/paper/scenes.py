@@ -8,8 +8,8 @@ import numpy as np
 from formats.errors import QueryError, SceneError
 from formats.mesh import Mesh
 from formats.scene import Scene, read_scene
-from prt_bake import camera
-from prt_bake.camera import Camera, Visibility, directions
+from prt_bake.geometry import camera
+from prt_bake.geometry.camera import Camera, Visibility, directions
 
 LEAST_SHARE = 0.4
 """Of the picture, at least, the object fills."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from formats.atomic import replacing
 from formats.errors import PrtbakeError
-from formats.whole import replacing
-from prt_bake.comparison import displayed
+from prt_bake.comparison.metrics import displayed
 
 CELL = 192
 """Width and height of a picture on the sheet, in pixels."""

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from formats.atomic import replacing
 from formats.mesh import Mesh
-from formats.whole import replacing
-from prt_bake.camera import Camera, Visibility, directions
-from prt_bake.importance import load_importance
+from prt_bake.geometry.camera import Camera, Visibility, directions
+from prt_bake.importance.module import load_importance
 from prt_bake.paper.sheet import CELL, INK, PAPER, coloured, fitted
 
 _SCALE, _LABEL, _GAP = 14, 18, 6

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Scene
-from prt_bake.camera import Camera, Visibility, directions
-from prt_bake.lighting import Lighting
+from prt_bake.geometry.camera import Camera, Visibility, directions
+from prt_bake.lights.lighting import Lighting
+from prt_bake.mathematics.random import hashed, uniforms
 from prt_bake.paper.artefacts import Stopped
-from prt_bake.randomness import hashed, uniforms
-from prt_bake.reflection import Reflector
-from prt_bake.surface_finish import interface_alpha, interface_normals
+from prt_bake.reflection.finish import interface_alpha, interface_normals
+from prt_bake.reflection.reflector import Reflector
 
 Array = NDArray[np.float64]
 

@@ -1,1 +1,4 @@
-"""The preview window: `lights`, `state` and `colours` say what is shown and need no VTK, `window` shows it."""
+"""The preview window: an asset under any light, seen from anywhere.
+
+May import: `prt_bake.shading`, `prt_bake.lights` and the rooms below. Begin with `window.py`.
+"""

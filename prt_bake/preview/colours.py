@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from formats.png import to_linear
+from formats.image.png import to_linear
 
 _FROM_ZERO = np.array([[24, 15, 62], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]]) / 255.0
 _ABOUT_ZERO = np.array([[33, 102, 214], [146, 197, 242], [240, 240, 240], [250, 178, 112], [200, 62, 16]]) / 255.0

@@ -5,7 +5,7 @@ import textwrap
 from numpy.typing import ArrayLike
 
 from prt_bake.preview.state import Mode, Preview
-from prt_bake.sun_light import SunTreatment
+from prt_bake.shading.suns import SunTreatment
 
 _LETTER = 8
 """Pixels that a letter takes, about."""

@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import PrtbakeError
-from formats.lights import SkyLight, read_lights
 from formats.mesh import Mesh
-from prt_bake import environment, sh
-from prt_bake.light_harmonics import project_lighting
-from prt_bake.lighting import Lighting, read_lighting
+from formats.scene.lights import SkyLight, read_lights
+from prt_bake.lights import environment
+from prt_bake.lights.harmonics import project_lighting
+from prt_bake.lights.lighting import Lighting, read_lighting
+from prt_bake.mathematics import sh
 from prt_bake.preview.mirrored import shrunk
-from prt_bake.sun_light import SunsApart, SunTreatment, suns_apart
+from prt_bake.shading.suns import SunsApart, SunTreatment, suns_apart
 
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512
@@ -59,7 +60,7 @@ class LightSource:
         say: Callable[[str], None] = warnings.warn,
         mesh: Mesh | None = None,
     ) -> None:
-        """Read it; `mend`, `say`, `mesh` and what is raised are those of `prt_bake.lighting.read_lighting`."""
+        """Read it; `mend`, `say`, `mesh` and what is raised are those of `prt_bake.lights.lighting.read_lighting`."""
         self.text, self._up, self._degree = text, up, degree
         self._mend, self._say, self._mesh = mend, say, mesh
         self.name = text if text.startswith(_NOT_FILES) else Path(text).name

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
-from formats.compact_record import CompactCoefficients
-from prt_bake import environment, sh, sphere
+from formats.asset.compact_record import CompactCoefficients
+from prt_bake.lights import environment
+from prt_bake.mathematics import sh, sphere
 
 if TYPE_CHECKING:
-    from prt_bake.frames import Frames
+    from prt_bake.shading.frames.frames import Frames
 
 _VERTICES_AT_ONCE = 1 << 12
 _VERTICES_A_THREAD = 1 << 16
@@ -46,7 +47,7 @@ class VertexRadiance:
     def load(self) -> None:
         """Load the kernels; from another thread than the one that draws, too, if it does nothing else of numba's."""
         if self._frames is None:
-            from prt_bake.frames import Frames
+            from prt_bake.shading.frames.frames import Frames
 
             frames = Frames(self._asset)
             if self._asset.quantity == "transfer":

@@ -1,4 +1,4 @@
-"""What the graphics card runs: pictures are linear until the last line, which is that of `formats.png`."""
+"""What the graphics card runs: pictures are linear until the last line, which is that of `formats.image.png`."""
 
 ENCODE = """
 vec3 encoded(vec3 linear) {
@@ -16,7 +16,7 @@ vec3 fromSky(vec3 direction) {
   return texture(actortexture, vec2(u, clamp(v, halfRow, 1.0 - halfRow))).rgb;
 }
 """
-"""As `prt_bake.environment.lookup`. Uniforms: toSky, and halfRow, half of a row of the picture."""
+"""As `prt_bake.lights.environment.lookup`. Uniforms: toSky, and halfRow, half of a row of the picture."""
 
 FULL_SCREEN = "gl_Position = vec4(vertexMC.xy, 1.0, 1.0);\n"
 

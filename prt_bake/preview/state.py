@@ -13,13 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake import camera, environment, sh
+from prt_bake.geometry import camera
+from prt_bake.lights import environment
+from prt_bake.mathematics import sh
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import mirrored_sky
 from prt_bake.preview.radiance import VertexRadiance
-from prt_bake.preview.settling import Settler
-from prt_bake.sun_light import SunsApart, SunTreatment
+from prt_bake.preview.refinement import Settler
+from prt_bake.shading.suns import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
 _SAME_INDEX = 1e-9
@@ -311,7 +313,7 @@ class Preview:
         if self._radiance.loaded:
             return  # kernels of numba's must not be called by two threads at once
         if self.relightable and self.asset.degree > 0:
-            from prt_bake.positive_transport import positive_transport
+            from prt_bake.shading.maximum_entropy import positive_transport
 
             positive_transport(np.ones((1, self._harmonics, 1)))
         # Last: who finds them loaded may call any of them.
@@ -329,7 +331,7 @@ class Preview:
 
     def _error(self, eye: ArrayLike) -> NDArray[np.float64]:
         """One sigma, rms over channels, over the rms radiance of all vertices [V], see `radiance_error`."""
-        from prt_bake.radiance_error import radiance_error  # what a first picture can do without
+        from prt_bake.shading.radiance_error import radiance_error  # what a first picture can do without
 
         radiance = self._radiance.draw(eye).astype(np.float64)
         signal = math.sqrt(float((radiance[self.asset.valid] ** 2).mean()))

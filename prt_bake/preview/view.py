@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from vtkmodules.util import numpy_support
 from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
+from formats.atomic import replacing
 from formats.errors import QueryError
-from formats.whole import replacing
-from prt_bake import camera
+from prt_bake.geometry import camera
 from prt_bake.preview.actors import Object, Reference, Sky
 from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.state import Preview

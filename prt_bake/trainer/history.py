@@ -3,7 +3,7 @@
 import time
 from dataclasses import dataclass
 
-from prt_bake.trainer.rows import Done
+from prt_bake.trainer.samples.rows import Done
 
 
 @dataclass(frozen=True)

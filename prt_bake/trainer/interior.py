@@ -8,12 +8,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from formats.scene import Medium, Part, Scene
-from prt_bake.neural.feature_grid import kept_places
-from prt_bake.neural.interior import LEVELS, REACH, Interior
-from prt_bake.neural.settings import NetworkSettings
-from prt_bake.neural.view_features import edges_of
-from prt_bake.trainer.distances import grid_distances
-from prt_bake.trainer.rows import Box
+from prt_bake.geometry.distances import grid_distances
+from prt_bake.network.features.feature_grid import kept_places
+from prt_bake.network.features.interior import LEVELS, REACH, Interior
+from prt_bake.network.features.view_features import edges_of
+from prt_bake.network.settings import NetworkSettings
+from prt_bake.trainer.samples.rows import Box
 
 Array = NDArray[np.float64]
 Corner = tuple[float, float, float]

@@ -11,14 +11,23 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
-from prt_bake.directions import rotations
-from prt_bake.network import NeuralBSSRDF
-from prt_bake.neural.lobes import Lobes, in_directions, mean_square
-from prt_bake.neural.view_features import Told
-from prt_bake.sphere import fibonacci
+from prt_bake.mathematics.directions import rotations
+from prt_bake.mathematics.sphere import fibonacci
+from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.network.features.view_features import Told
+from prt_bake.network.lobes import Lobes, in_directions, mean_square
 from prt_bake.trainer.objective import Loss, SomeLobes, of_exits, of_values
 from prt_bake.trainer.precision import bfloat16_pays
-from prt_bake.trainer.rows import BEFORE_RAYS, CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, RowSource, rays_of
+from prt_bake.trainer.samples.rows import (
+    BEFORE_RAYS,
+    CHANNELS,
+    INCIDENT,
+    OUTGOING,
+    POSITION,
+    Batch,
+    RowSource,
+    rays_of,
+)
 
 Schedule = Literal["cosine", "constant", "exponential"]
 

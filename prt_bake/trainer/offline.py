@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.atomic import sha256
 from formats.errors import SamplesError
 from formats.samples import Samples, read_samples
 from formats.scene import Scene
-from formats.whole import sha256
-from prt_bake.network import NeuralBSSRDF
-from prt_bake.randomness import uniforms
+from prt_bake.mathematics.random import uniforms
+from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.cores import undivided
-from prt_bake.trainer.in_turn import Shuffled
 from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.material import box_of
-from prt_bake.trainer.prepared import prepare
-from prt_bake.trainer.queries import Queries
-from prt_bake.trainer.rows import Batch, Box, Done, RowSource, batch_of
+from prt_bake.trainer.samples.queries import Queries
+from prt_bake.trainer.samples.repeatable import Shuffled
+from prt_bake.trainer.samples.rows import Batch, Box, Done, RowSource, batch_of
+from prt_bake.trainer.training_data import box_of
 from prt_bake.trainer.validation import HeldOut, Reference, final_figures
 
 VALIDATION_SHARE, TEST_SHARE = 0.05, 0.05

@@ -4,8 +4,8 @@ import io
 from pathlib import Path
 from typing import Any
 
+from formats.atomic import replacing
 from formats.errors import ModelError
-from formats.whole import replacing
 
 _VERSION = 3
 

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from bakers.transport import up_to
 from formats.scene import Scene
-from prt_bake import sh
-from prt_bake.sphere import fibonacci
-from prt_bake.trainer.estimate import estimate_coefficients
-from prt_bake.trainer.prepared import PreparedScene, is_unbent, prepare, smooth_part
-from prt_bake.trainer.queries import Queries, QuerySource
-from prt_bake.trainer.rows import render
+from prt_bake.mathematics import sh
+from prt_bake.mathematics.sphere import fibonacci
+from prt_bake.tracer.estimate import estimate_coefficients
+from prt_bake.tracer.prepared import PreparedScene, is_unbent, prepare, smooth_part
+from prt_bake.trainer.samples.queries import Queries, QuerySource
+from prt_bake.trainer.samples.rows import render
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Accidents amid bakes: whether what is resumed is the same bits, and the seconds that each accident costs.
 
-    PYTHONPATH=tests python tests/bench/bake_accidents.py [--bakes 10] [--kills 3] [--seed 0]
+    python -m tests.bench.bake_accidents [--bakes 10] [--kills 3] [--seed 0]
 
 A small object whose transport takes its time. Bakes are killed (SIGKILL) at moments drawn over the whole of them, and
 resumed with one or two workers and blocks of another size; a worker of a cluster of processes is killed, or its
@@ -20,17 +20,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
-from killing import KINDS, Slow, ended, process
-from test_cluster import Processes, after_first_block
-from test_resume import GROUPS, contents
-from transports import icosphere
-
-import prt_bake.to_error.first_look
+import prt_bake.baking.adaptive.pilot
 from formats.errors import ClusterError, StorageError
 from prt_bake import bake
+from tests.bakers.transports import icosphere
+from tests.baking.killing import KINDS, Slow, ended, process
+from tests.baking.test_cluster import Processes, after_first_block
+from tests.baking.test_resume import GROUPS, contents
 
 SMALL = {"rings": 2, "sectors": 16}
-FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset_file.AssetFile.close"}
+FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset.file.AssetFile.close"}
 """What is called where the disk has no room left."""
 SUBDIVISIONS, PAUSE = 2, 5e-7
 """Of the mesh of 162 vertices, and seconds that each evaluation takes at least."""
@@ -109,7 +108,7 @@ def _finished(out: Path, kind: str, block: int) -> float:
 def small_blocks() -> Iterator[None]:
     """Blocks of five vertices."""
     with (
-        mock.patch.object(prt_bake.to_error.first_look, "BINS_AT_ONCE", 5 * 32),
+        mock.patch.object(prt_bake.baking.adaptive.pilot, "BINS_AT_ONCE", 5 * 32),
         mock.patch("bakers.baker.vertices_at_once", return_value=5),
     ):
         yield

@@ -1,6 +1,6 @@
 """Error of baked coefficients against evaluations of Ŝ: what each way of choosing the light's directions costs.
 
-    python tests/bench/bake_error.py [--model MODEL.pt --mesh MESH] [--out bench]
+    python -m tests.bench.bake_error [--model MODEL.pt --mesh MESH] [--out bench]
 
 Prints a table of relative RMSE against directions per view bin, the slope of each way and how many times fewer
 evaluations it needs than uniform Monte Carlo at 1 %; draws the same as a plot. The transports are two analytic ones (a
@@ -21,10 +21,10 @@ from bakers.baker import Sampling, Task, bake_block
 from bakers.horizon import bend_to_horizon
 from bakers.projection import direction_pool
 from formats.mesh import Mesh, read_mesh
-from prt_bake import sh, sphere
-from prt_bake.baker.job import horizons
-from prt_bake.baker.sampling import DirectionKind, direction_sets
-from prt_bake.network import load_model
+from prt_bake.baking.job.job import horizons
+from prt_bake.baking.job.sampling import DirectionKind, direction_sets
+from prt_bake.mathematics import sh, sphere
+from prt_bake.network.bssrdf import load_model
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """What is left out of a bake where the scene does not need it: what that saves, and the error that it adds.
 
-    PYTHONPATH=tests python tests/bench/bake_needs.py [--error 0.01] [--only WORDS]
+    python -m tests.bench.bake_needs [--error 0.01] [--only WORDS]
 
 Each scene is baked whole and with what may be left out, through files. Evaluations (in thousands), kilobytes of the
 file and seconds: of the whole bake, of the other, and evaluations as the plan foretold them. `adds` is the relative
@@ -16,13 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from needless_scenes import Flat, Grey, Nearly, doubled, finned, nested, pierced, soup, two_skinned
 from numpy.typing import NDArray
-from transports import Array, Counting, Edged, Lobed, exact, icosphere
 
 from formats.asset import Asset, read_asset
 from formats.mesh import Mesh
-from prt_bake import bake, baking, sh, sphere
+from prt_bake import bake
+from prt_bake.baking import bake as baking
+from prt_bake.mathematics import sh, sphere
+from tests.bakers.transports import Array, Counting, Edged, Lobed, exact, icosphere
+from tests.baking.prunable_scenes import Flat, Grey, Nearly, doubled, finned, nested, pierced, soup, two_skinned
 
 RINGS, SECTORS = 8, 32
 TOLERATED = 0.25

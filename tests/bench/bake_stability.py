@@ -1,6 +1,6 @@
 """Bakes to an error of transports that are as bad as they come: is it reached, is it told, and is what is amiss said?
 
-    PYTHONPATH=tests python tests/bench/bake_stability.py [--error 0.01] [--seeds 2] [--only WORDS]
+    python -m tests.bench.bake_stability [--error 0.01] [--seeds 2] [--only WORDS]
 
 On 12 or 42 vertices, against fits over 4,096 directions and more. The worst of the seeds: `true` is the relative RMSE
 of the object, `95 %` that of the vertex which 95 % do not exceed; told over true is a range, and so is the share of
@@ -16,14 +16,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bad_transports import Case, cases
-from transports import Array, Counting, exact, icosphere
 
 from formats.asset import Asset
 from formats.errors import PrtbakeError
 from formats.mesh import Mesh
 from prt_bake import bake
 from prt_bake.report import bake_report
+from tests.bakers.transports import Array, Counting, exact, icosphere
+from tests.baking.bad_transports import Case, cases
 
 NEGLIGIBLE = 1e-3
 """Of the error asked for: what is smaller need not be told to the point."""

@@ -1,7 +1,7 @@
 """What compaction comes to: bytes against error and seconds, and the time of shading a compact asset and a plain one.
 
-    PYTHONPATH=tests python tests/bench/compression.py ASSET.h5 [--errors 0.005,0.01,0.02]
-    PYTHONPATH=tests python tests/bench/compression.py --model MODEL.pt --mesh MESH [--error 0.01]
+    python -m tests.bench.compression ASSET.h5 [--errors 0.005,0.01,0.02]
+    python -m tests.bench.compression --model MODEL.pt --mesh MESH [--error 0.01]
 
 An asset is taken as it is, or baked first to an error. Shading is all of `shade_vertices` at every vertex, a new light
 and a new view each time, median of 15; reading is from the file to the asset.
@@ -17,9 +17,9 @@ import numpy as np
 from scipy.fft import dct
 
 from formats.asset import Asset, read_asset
-from prt_bake import sh
-from prt_bake.compressing import compress_file
-from prt_bake.shading import shade_vertices
+from prt_bake.baking.compress import compress_file
+from prt_bake.mathematics import sh
+from prt_bake.shading.picture import shade_vertices
 
 REPEATS = 15
 

@@ -1,6 +1,6 @@
 """How much detail Ŝ has in the direction of incidence: path-traced and as a network says, degree by degree.
 
-    python tests/bench/detail_in_light.py [SCENE.toml MODEL.pt] [--vertices 150] [--walks 4096]
+    python -m tests.bench.detail_in_light [SCENE.toml MODEL.pt] [--vertices 150] [--walks 4096]
 
 Over vertices and views, in percent of Σ|a|² of degrees 0 to 2: the squares of path-traced coefficients of each degree
 (their noise taken out), those of the network, and the network's squared error. Then what a bake at degree 2 misses of
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from formats.mesh import Mesh
 from formats.scene import read_scene
-from prt_bake import sh
-from prt_bake.demonstration import SHIPPED
-from prt_bake.network import NeuralBSSRDF, load_model
-from prt_bake.sphere import fibonacci, random_rotations
-from prt_bake.surface import Surface
-from prt_bake.trainer.estimate import estimate_coefficients
+from prt_bake.geometry.surface import Surface
+from prt_bake.mathematics import sh
+from prt_bake.mathematics.sphere import fibonacci, random_rotations
+from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
+from prt_bake.shipped.demonstration import SHIPPED
+from prt_bake.tracer.estimate import estimate_coefficients
 
 DEGREE = 10
 FINE = 1024

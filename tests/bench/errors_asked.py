@@ -1,6 +1,6 @@
 """What a bake takes by the error that is asked for: evaluations a bin, how many passes, and what is told in the end.
 
-    PYTHONPATH=tests python tests/bench/errors_asked.py [--errors 0.1 0.05 0.03 0.02 0.01] [--seeds 3] \
+    python -m tests.bench.errors_asked [--errors 0.1 0.05 0.03 0.02 0.01] [--seeds 3] \
         [--rings 4] [--sectors 8] [--model MODEL.pt --mesh MESH]
 
 A coarser error must not cost more than a finer one.
@@ -13,7 +13,7 @@ from pathlib import Path
 import prt_bake
 from formats.mesh import read_mesh
 from prt_bake import bake
-from prt_bake.network import load_model
+from prt_bake.network.bssrdf import load_model
 
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 

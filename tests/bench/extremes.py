@@ -1,6 +1,6 @@
 """What extreme scenes cost, and whether they stay sound: relative error bar, seconds, energy lost, and what is amiss.
 
-    PYTHONPATH=tests python tests/bench/extremes.py [--paths 1024] [--queries 16] [--scenes]
+    python -m tests.bench.extremes [--paths 1024] [--queries 16] [--scenes]
 
 A row for Ŝ (one direction a query) where connections exist, and one for a_00, of random queries; `error` is the median
 error bar over its value, `unreliable` the share of queries so flagged. With --scenes, the scenes of `scenes/` follow,
@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from nested_scenes import CLEAR, nested_scene
-from scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
-from soundness import ROOT, connects
 
 from formats.mesh import Mesh, build_mesh
 from formats.scene import Scene, read_scene
-from prt_bake.trainer.estimate import Estimate, estimate_coefficients, estimate_transport
-from prt_bake.trainer.prepared import prepare
+from prt_bake.tracer.estimate import Estimate, estimate_coefficients, estimate_transport
+from prt_bake.tracer.prepared import prepare
+from tests.tracer.nested_scenes import CLEAR, nested_scene
+from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
+from tests.tracer.soundness import SQRT_4_PI, connects
 
 ROUGH: dict[str, Any] = {"eta": 1.4, "roughness": 0.3}
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -102,9 +102,9 @@ def agreement(scene: Scene, count: int, paths: int, lots: int = 16) -> str:
             4.0 * np.pi * estimate_transport(scene, positions, outgoing, incident, paths, seed).mean.mean(axis=1)
         )
     exits = estimate_coefficients(scene, positions, outgoing, 0, lots * paths, 999)
-    error = np.hypot(np.std(means, axis=0, ddof=1) / np.sqrt(lots), ROOT * exits.standard_error[:, 0])
-    z = (np.mean(means, axis=0) - ROOT * exits.mean[:, 0]) / error
-    ratio = np.mean(means) / np.mean(ROOT * exits.mean[:, 0])
+    error = np.hypot(np.std(means, axis=0, ddof=1) / np.sqrt(lots), SQRT_4_PI * exits.standard_error[:, 0])
+    z = (np.mean(means, axis=0) - SQRT_4_PI * exits.mean[:, 0]) / error
+    ratio = np.mean(means) / np.mean(SQRT_4_PI * exits.mean[:, 0])
     return f"  z {np.abs(z).max():.1f} of {z.size}, ratio {ratio:.3f}"
 
 

@@ -1,7 +1,7 @@
 """Vertices foretold from those around them: what that saves on fine meshes, and what it leaves of the truth.
 
-    PYTHONPATH=tests python tests/bench/fine_meshes.py --subdivisions 5
-    PYTHONPATH=tests python tests/bench/fine_meshes.py --subdivisions 2 \
+    python -m tests.bench.fine_meshes --subdivisions 5
+    python -m tests.bench.fine_meshes --subdivisions 2 \
         --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj
 
 Spheres with analytic transports, or a network's mesh, subdivided (Loop) so many times. Each is baked twice, with every
@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from transports import Edged, Lobed, Ringed, icosphere
 
-import prt_bake.to_error.aim
+import prt_bake.baking.adaptive.tolerances
+from bakers.evaluation import values_at
 from bakers.transport import on_mesh, up_to
-from bakers.values import values_at
 from formats.mesh import Mesh, build_mesh, read_mesh
-from prt_bake import bake, sh, sphere
-from prt_bake.baker.job import prepared, views_of
-from prt_bake.network import load_model
+from prt_bake import bake
+from prt_bake.baking.job.job import prepared, views_of
+from prt_bake.mathematics import sh, sphere
+from prt_bake.network.bssrdf import load_model
+from tests.bakers.transports import Edged, Lobed, Ringed, icosphere
 
 VERTICES, BINS, DIRECTIONS = 150, 4, 4096
 NONE = "every vertex evaluated"
@@ -56,9 +57,9 @@ def true_errors(transport: Any, mesh: Mesh, rings: int, sectors: int, asset: Any
 
 
 def one(name: str, transport: Any, mesh: Mesh, error: float, rings: int, sectors: int) -> None:
-    chosen = prt_bake.to_error.aim.nearby_for
+    chosen = prt_bake.baking.adaptive.tolerances.nearby_for
     for way in (NONE, "most foretold"):
-        prt_bake.to_error.aim.nearby_for = (lambda *_all: (None, 0)) if way == NONE else chosen
+        prt_bake.baking.adaptive.tolerances.nearby_for = (lambda *_all: (None, 0)) if way == NONE else chosen
         began = time.perf_counter()
         with bake(transport, mesh, error=error, rings=rings, sectors=sectors) as asset:
             seconds, told = time.perf_counter() - began, asset.provenance

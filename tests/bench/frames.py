@@ -1,7 +1,7 @@
 """What a frame costs, beside a plain gather of the same lines, a memory copy and a plain NumPy shader, all in one run.
 
-    PYTHONPATH=tests python tests/bench/frames.py [--only vertices|visible|bins|threads|storage|small|compact|light]
-    PYTHONPATH=tests python tests/bench/frames.py --asset baked.h5 [--compact baked.c.h5]
+    python -m tests.bench.frames [--only vertices|visible|bins|threads|storage|small|compact|light]
+    python -m tests.bench.frames --asset baked.h5 [--compact baked.c.h5]
 
 A ring of V vertices, coefficients of degree 2 and three channels filled with random numbers, an eye that circles it.
 Of 16×64 view bins, 300,000 vertices would take 16.6 GB of float16: where it says so there are fewer bins, and more
@@ -18,15 +18,15 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from assets import asset_of
 from numba import get_num_threads, njit, prange, set_num_threads
-from shapes import ring
 
 from formats.asset import Asset, read_asset
 from formats.mesh import Mesh
-from prt_bake import sh, sphere
-from prt_bake.compressing import compress
-from prt_bake.frames import Frames
+from prt_bake.baking.compress import compress
+from prt_bake.mathematics import sh, sphere
+from prt_bake.shading.frames.frames import Frames
+from tests.shading.assets import asset_of
+from tests.shapes import ring
 
 LINE = 64
 ROUNDS = 21

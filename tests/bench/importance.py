@@ -1,6 +1,6 @@
 """What a lobe buys: KL divergence and variance of the one-sample estimator, by its shape, its axis and their number.
 
-    PYTHONPATH=tests python tests/bench/importance.py [MODEL.pt MESH] [--steps N] [--blocks N]
+    python -m tests.bench.importance [MODEL.pt MESH] [--steps N] [--blocks N]
 
 One uniform sky; `variance` is that of one sample relative to the square of its mean, averaged over queries that were
 not learnt from. `CPU s` is the fit alone, `ns` the draw and the density of one direction. All lobes have a uniform
@@ -17,11 +17,11 @@ import numpy as np
 import torch
 
 from formats.mesh import read_mesh
-from prt_bake.importance import IMPORTANCE_PRESETS, ImportanceModule, ImportanceSettings
-from prt_bake.importance_fit import descend, gather
-from prt_bake.importance_loss import TargetTensors, assess, assess_constant, uniform_fitness
-from prt_bake.importance_targets import LUMINANCE
-from prt_bake.network import NeuralBSSRDF, load_model
+from prt_bake.importance.fit import descend, gather
+from prt_bake.importance.loss import TargetTensors, assess, assess_constant, uniform_fitness
+from prt_bake.importance.module import IMPORTANCE_PRESETS, ImportanceModule, ImportanceSettings
+from prt_bake.importance.targets import LUMINANCE
+from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
 
 MEASURED, PAPER = IMPORTANCE_PRESETS["measured"], IMPORTANCE_PRESETS["paper"]
 SHAPES = (1.0, 1.5, 2.0, 3.0, 4.0)

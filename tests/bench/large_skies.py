@@ -1,6 +1,6 @@
 """What large skies take: seconds against those of plain decoding, and the most memory that a command held.
 
-    PYTHONPATH=tests python tests/bench/large_skies.py [--height 8192] [--asset ASSET.h5] [--kinds zip,piz,none]
+    python -m tests.bench.large_skies [--height 8192] [--asset ASSET.h5] [--kinds zip,piz,none]
 
 For each compression and type a sky twice as wide as high is written, with a sun of 10⁵. `decode` is OpenEXR's own
 reading of all of it, `project` the spherical harmonics from the file, `smaller` these with the copy that `shade` shows
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from prt_bake import environment, smaller_sky
+from prt_bake.lights import downsampled, environment
 
 REPEATS = 3
 COMPRESSIONS = {
@@ -57,7 +57,7 @@ def seconds(path: Path) -> list[float]:
     ways: list[Callable[[], object]] = [
         lambda: OpenEXR.File(str(path), separate_channels=True),
         lambda: environment.project(environment.open_environment(path)),
-        lambda: smaller_sky.shrink(environment.open_environment(path), smaller_sky.rows_shown(480, 30.0), 2, "y"),
+        lambda: downsampled.shrink(environment.open_environment(path), downsampled.rows_shown(480, 30.0), 2, "y"),
     ]
     taken = np.zeros((REPEATS, len(ways)))
     for i in range(REPEATS):

@@ -1,6 +1,6 @@
 """Cost linear in vertices, in flat memory: analytic transports on a ring of V vertices at 4×8 view bins, to disk.
 
-    PYTHONPATH=tests python tests/bench/many_vertices.py [--side 320 1000] [--samples 32] [--error 0.01]
+    python -m tests.bench.many_vertices [--side 320 1000] [--samples 32] [--error 0.01]
 
 Each bake in a process of its own, whose largest resident memory is printed, and how much of it the mesh alone takes.
 """
@@ -13,8 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from shapes import ring
-from transports import Lobed
+from tests.bakers.transports import Lobed
+from tests.shapes import ring
 
 
 def resident() -> float:

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from formats.scene import Scene
-from prt_bake.mitsuba_export import mitsuba_dictionary
+from prt_bake.export.mitsuba import mitsuba_dictionary
 
 BATCHES = 32
 _LONGEST_SIDE = 100.0

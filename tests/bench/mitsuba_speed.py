@@ -1,6 +1,6 @@
 """What a second of path tracing on one thread buys, beside Mitsuba 3 on the same queries and machine.
 
-    PYTHONPATH=tests python tests/bench/mitsuba_speed.py [--queries 20] [--seed 1]
+    python -m tests.bench.mitsuba_speed [--queries 20] [--seed 1]
 
 Efficiency is 1 / (relative variance · seconds), its geometric mean over queries; those darker than 2 % of the brightest
 are left out for both. Variances are those of the means of 64 independent batches. Every second line is for 64 lights a
@@ -18,14 +18,14 @@ from typing import Any
 
 import numba
 import numpy as np
-from efficiency import Batches, Run, ours, paths_for, timed
-from half_space import reflected
-from mitsuba_variant import working_variants
-from scenes import blotches, lumpy, make_scene, moved, queries, sphere, unit_directions
 
 from formats.mesh import Mesh
 from formats.scene import Scene
-from prt_bake.directions import fibonacci
+from prt_bake.mathematics.directions import fibonacci
+from tests.bench.efficiency import Batches, Run, ours, paths_for, timed
+from tests.bench.mitsuba_variant import working_variants
+from tests.tracer.half_space import reflected
+from tests.tracer.scenes import blotches, lumpy, make_scene, moved, queries, sphere, unit_directions
 
 DIRECTIONS = 64
 SAMPLED_DIRECTIONS = 2
@@ -124,7 +124,7 @@ def pairs(case: Case, world: Any, scene: Scene, count: int, seed: int, lights: n
 
 def fastest(case: Case, scene: Scene, variants: list[str]) -> Any:
     """Mitsuba's scene in the variant with the most paths a second, for one query."""
-    from mitsuba_paths import MitsubaPaths
+    from tests.bench.mitsuba_paths import MitsubaPaths
 
     (position,), (outgoing,), _ = queries(scene.mesh, 1, 0)
     seconds = []

@@ -1,7 +1,7 @@
 """Noise of a network's pictures at equal time, sampled by light, lobe and both, the pilot included.
 
-    python tests/bench/network_render.py [--size 96] [--spp 256] [--minutes 1] [--only LIGHT ...]
-    python tests/bench/network_render.py --model grape.pt --mesh grape.obj --sky indoor.hdr
+    python -m tests.bench.network_render [--size 96] [--spp 256] [--minutes 1] [--only LIGHT ...]
+    python -m tests.bench.network_render --model grape.pt --mesh grape.obj --sky indoor.hdr
 
 The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand; with --sky,
 that sky from four sides instead. An importance module is fitted first where the model has none beside it. A row gives,
@@ -18,15 +18,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from formats.lights import parse_sun
 from formats.mesh import Mesh, read_mesh
-from prt_bake import camera
-from prt_bake.environment import read_environment
-from prt_bake.importance import ImportanceModule, importance_path, load_importance, save_importance
-from prt_bake.importance_fit import fit_importance
-from prt_bake.lighting import Lighting, as_lighting
-from prt_bake.network import load_model
-from prt_bake.renderer.network import render_network
+from formats.scene.lights import parse_sun
+from prt_bake.geometry import camera
+from prt_bake.importance.fit import fit_importance
+from prt_bake.importance.module import ImportanceModule, importance_path, load_importance, save_importance
+from prt_bake.lights.environment import read_environment
+from prt_bake.lights.lighting import Lighting, as_lighting
+from prt_bake.network.bssrdf import load_model
+from prt_bake.rendering.network import render_network
 
 SHIPPED = Path(__file__).resolve().parents[2] / "prt_bake" / "shipped"
 WAYS = ("light", "lobe", "mis")

@@ -1,7 +1,7 @@
 """Speed of the network in a bake: evaluations of Ŝ per second and core, and the share of what a matrix product reaches.
 
-    python tests/bench/network_speed.py
-    python tests/bench/network_speed.py --device cuda
+    python -m tests.bench.network_speed
+    python -m tests.bench.network_speed --device cuda
 
 The product is one of 2048 × 2048 matrices of the same type on the same core (512 × 512 where that would take half a
 minute), by whichever of two operators is faster; on a card one of 8192 × 8192. Off is the relative RMS difference to
@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from prt_bake import sphere
-from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF
-from prt_bake.neural.fused import PRECISIONS, FusedNetwork, _onednn_answers, _onednn_linear
-from prt_bake.neural.interior import LEVELS, REACH, Interior
-from prt_bake.sources import require_device
+from prt_bake.baking.sources import require_device
+from prt_bake.mathematics import sphere
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
+from prt_bake.network.features.interior import LEVELS, REACH, Interior
+from prt_bake.network.inference.fused import PRECISIONS, FusedNetwork, _onednn_answers, _onednn_linear
 
 BINS, DIRECTIONS, COPIES = 1024, 64, 256
 VERTICES = {"cpu": 4, "cuda": 64}

@@ -1,6 +1,6 @@
 """Whether figures without noise are the same however noisy the pictures: Spot at 16, 64 and 256 walks a pixel.
 
-    python tests/bench/noise_free_comparison.py [--size 96] [--seeds 2] [--reference 2048]
+    python -m tests.bench.noise_free_comparison [--size 96] [--seeds 2] [--reference 2048]
 
 Each picture is path traced and held against a reference of other random numbers, over the pixels that Spot covers:
 as it is (what is left without noise is nothing), and multiplied by waves of 30 % and a tint, whose figures without
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from formats.mesh import read_mesh
 from formats.scene import read_scene
-from prt_bake import camera
-from prt_bake.comparison import compare
-from prt_bake.demonstration import MESH, SKY
-from prt_bake.environment import read_environment
-from prt_bake.noise_free_comparison import compare_without_noise
-from prt_bake.picture_noise import PixelErrors
-from prt_bake.renderer.loop import Rendering
-from prt_bake.rendering import render_scene
+from prt_bake.comparison.metrics import compare
+from prt_bake.comparison.noise import PixelErrors
+from prt_bake.comparison.noise_free import compare_without_noise
+from prt_bake.geometry import camera
+from prt_bake.lights.environment import read_environment
+from prt_bake.rendering.loop import Rendering
+from prt_bake.rendering.scene import render_scene
+from prt_bake.shipped.demonstration import MESH, SKY
 
 SPP = (16, 64, 256)
 FIGURES = ("mse", "relative_mse", "relative_rmse", "ssim", "ssim_quarter", "flip", "hdr_flip")

@@ -1,10 +1,10 @@
 """What a walk says about the coefficients, and what it costs: exits against connections to directions of incidence.
 
-    python tests/bench/noise_of_a_walk.py [SCENE.toml ...] [--queries 300]
+    python -m tests.bench.noise_of_a_walk [SCENE.toml ...] [--queries 300]
 
 Of each way of asking: CPU microseconds a walk, the relative variance v of the degree-2 coefficients that follow from
 one walk (for connections to D directions only the walk's own noise, not that of the directions), and their product,
-what a given error takes. The training asks the way whose product is least (`prt_bake.trainer.rows`).
+what a given error takes. The training asks the way whose product is least (`prt_bake.trainer.samples.rows`).
 """
 
 import argparse
@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from formats.scene import read_scene
-from prt_bake import sh
-from prt_bake.demonstration import SHIPPED
-from prt_bake.trainer.estimate import estimate_coefficients
-from prt_bake.trainer.prepared import PreparedScene, prepare, smooth_part
-from prt_bake.trainer.queries import Queries, QuerySource
-from prt_bake.trainer.rows import render, render_exits
+from prt_bake.mathematics import sh
+from prt_bake.shipped.demonstration import SHIPPED
+from prt_bake.tracer.estimate import estimate_coefficients
+from prt_bake.tracer.prepared import PreparedScene, prepare, smooth_part
+from prt_bake.trainer.samples.queries import Queries, QuerySource
+from prt_bake.trainer.samples.rows import render, render_exits
 
 WAYS = [(1, 1), (2, 2), (4, 2), (4, 4), (8, 1), (8, 2), (8, 4), (8, 8), (16, 8)]
 WALKS, ROUNDS, EACH = 192, 8, 4

@@ -1,6 +1,6 @@
 """Whether pictures are off by what they say: bakes of a model with other seeds, under each light.
 
-    python tests/bench/picture_error.py [LIGHT ...] [--rings 4] [--sectors 8] [--samples 64 | --error E] [--bakes 4]
+    python -m tests.bench.picture_error [LIGHT ...] [--rings 4] [--sectors 8] [--samples 64 | --error E] [--bakes 4]
         [--size 64] [--model M.pt --mesh M.ply] [--compress E]
 
 The told error of the object (relative RMSE of a picture), the same in truth, by how much the pictures differ, their
@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from prt_bake import bake, compress, load_model, read_lighting, read_mesh
-from prt_bake.camera import fit
-from prt_bake.shading import render_picture
+from prt_bake.geometry.camera import fit
+from prt_bake.shading.picture import render_picture
 
 SHIPPED = Path(str(files("prt_bake.shipped")))
 LIGHTS = (str(SHIPPED / "sky.hdr"), "sun:-1,1,-1:5,5,5:0.5", "sun:1,0.2,0:5,5,5:0.5", "sun:0.3,0.2,1:5,5,5:0.5")

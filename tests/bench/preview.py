@@ -1,6 +1,6 @@
 """How fast the preview starts and draws.
 
-    PYTHONPATH=tests python tests/bench/preview.py [ASSET.h5] [--vertices 10000] [--frames 60] [--starts 5] [--display]
+    python -m tests.bench.preview [ASSET.h5] [--vertices 10000] [--frames 60] [--starts 5] [--display]
 
 Start: `prtbake view ASSET --screenshot` from the shell to the written picture, best and median of several, and the
 time of all processors that it takes. Frames: a window in memory (with --display on the display) with its words and
@@ -22,18 +22,19 @@ import time
 from pathlib import Path
 
 import numpy as np
-from assets import asset_of
 from numpy.typing import NDArray
-from shapes import ring
 
 from formats.asset import Asset
-from prt_bake import camera, sh
+from prt_bake.geometry import camera
+from prt_bake.mathematics import sh
 from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.lights import LightSource
-from prt_bake.preview.settling import facing
+from prt_bake.preview.refinement import facing
 from prt_bake.preview.state import Mode, Preview
 from prt_bake.preview.view import View
 from prt_bake.preview.window import Window
+from tests.shading.assets import asset_of
+from tests.shapes import ring
 
 SKY = str(Path(sys.modules["prt_bake"].__file__ or "").parent / "shipped" / "sky.hdr")
 SIZES = (640, 480), (960, 720), (1280, 720)

@@ -1,7 +1,7 @@
 """Bakes to an error against plain Monte Carlo: evaluations, time, and whether what they say of their error is true.
 
-    PYTHONPATH=tests python tests/bench/refined_bake.py [--error 0.01] [--seeds 6] [--others] [--subdivisions 1]
-    PYTHONPATH=tests python tests/bench/refined_bake.py --model MODEL.pt --mesh MESH [--vertices 64]
+    python -m tests.bench.refined_bake [--error 0.01] [--seeds 6] [--others] [--subdivisions 1]
+    python -m tests.bench.refined_bake --model MODEL.pt --mesh MESH [--vertices 64]
 
 Without a model: analytic transports on 42 vertices (162, …), 16×64 bins, all evaluations counted from outside;
 `--others` are eight more. With one: some
@@ -17,17 +17,18 @@ from typing import Any
 
 import numpy as np
 import torch
-import transports as known
-from transports import Array, Counting, exact, icosphere, uniform_needs
 
-from bakers.answers import NOTHING
+from bakers.adaptive.evaluation_cache import NOTHING
 from bakers.transport import on_mesh, up_to
 from formats.mesh import read_mesh
-from prt_bake import bake, sh, sphere
-from prt_bake.baker.job import limited_threads, prepared, views_of
-from prt_bake.network import load_model
-from prt_bake.to_error.aim import Pilot, aimed, refined_block
-from prt_bake.to_error.first_look import Site, first_refinement
+from prt_bake import bake
+from prt_bake.baking.adaptive.pilot import Site, first_refinement
+from prt_bake.baking.adaptive.tolerances import Pilot, aimed, refined_block
+from prt_bake.baking.job.job import limited_threads, prepared, views_of
+from prt_bake.mathematics import sh, sphere
+from prt_bake.network.bssrdf import load_model
+from tests.bakers import transports as known
+from tests.bakers.transports import Array, Counting, exact, icosphere, uniform_needs
 
 TUNED = known.Edged(), known.Lobed(), known.Incoherent(), known.Chequered()
 OTHERS = (

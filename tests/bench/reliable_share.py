@@ -1,6 +1,6 @@
 """What share of queries is flagged unreliable in the scenes that are shipped, by the number of paths.
 
-    PYTHONPATH=tests python tests/bench/reliable_share.py [NAME …] [--paths 16384] [--most 65536] [--queries 30]
+    python -m tests.bench.reliable_share [NAME …] [--paths 16384] [--most 65536] [--queries 30]
 
 Queries are random: x by area, ωo over the hemisphere above it, one ωi over the whole sphere, so that half of the light
 comes from behind. Paths grow fourfold from --paths to --most; `enough` is where at most one query in twenty is flagged.
@@ -11,11 +11,11 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from scenes import queries, unit_directions
-from soundness import connects
 
 from formats.scene import Scene, read_scene
-from prt_bake.trainer.estimate import estimate_transport
+from prt_bake.tracer.estimate import estimate_transport
+from tests.tracer.scenes import queries, unit_directions
+from tests.tracer.soundness import connects
 
 ROOT = Path(__file__).parents[2]
 ALLOWED = 0.05

@@ -1,6 +1,6 @@
 """Where the serial part of a bake lies: seconds of each stage on one core, and what many workers would make of it.
 
-    python tests/bench/scaling.py --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --error 0.01
+    python -m tests.bench.scaling --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --error 0.01
 
 Blocks, pilot and survey are what workers do; chunks of the asset are packed, and blocks kept in the journal, in threads
 of the process that asked; the rest is serial. Everything is done on one core, which should have nothing else to do.
@@ -16,13 +16,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import formats.chunk_writer
-import prt_bake.baking
-import prt_bake.to_error.run
-from bakers.crew import Threads
+import formats.asset.chunk_writer
+import prt_bake.baking.adaptive.run
+import prt_bake.baking.bake
+from bakers.workers import Threads
 from formats.journal import Journal
 from formats.mesh import read_mesh
-from prt_bake.sources import open_source
+from prt_bake.baking.sources import open_source
 
 WORKERS = 1, 2, 8, 16, 64
 NAMES = {"refined_block": "blocks", "_timed_block": "pilot", "_surveyed": "survey"}
@@ -70,18 +70,18 @@ def main() -> None:
     parser.add_argument("--error", type=float, default=0.01)
     asked = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
-    prt_bake.baking.opened_crew = one_worker
-    watched("what is needed", prt_bake.baking, "needs_of")
-    watched("first look", prt_bake.to_error.run, "first_refinement")
-    watched("aim", prt_bake.to_error.run, "aimed")
-    watched("packing", formats.chunk_writer, "_packed")
+    prt_bake.baking.bake.opened_crew = one_worker
+    watched("what is needed", prt_bake.baking.bake, "needs_of")
+    watched("first look", prt_bake.baking.adaptive.run, "first_refinement")
+    watched("aim", prt_bake.baking.adaptive.run, "aimed")
+    watched("packing", formats.asset.chunk_writer, "_packed")
     watched("journal", Journal, "write")
-    watched("asset written", prt_bake.to_error.run, "_write")
+    watched("asset written", prt_bake.baking.adaptive.run, "_write")
     mesh = read_mesh(asked.mesh)
     transport = open_source(asked.model, mesh, "cpu", None)
     with tempfile.TemporaryDirectory() as folder, timed("in all"):
         prt_bake.baking.bake(
-            transport, mesh, error=asked.error, out=Path(folder) / "a.h5", leave_out=prt_bake.baking.ITEMS
+            transport, mesh, error=asked.error, out=Path(folder) / "a.h5", leave_out=prt_bake.baking.bake.ITEMS
         )
     whole = SECONDS.pop("in all")
     for stage, part in (("first look", "survey"), ("aim", "pilot"), ("asset written", "packing")):

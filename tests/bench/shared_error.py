@@ -1,6 +1,6 @@
 """How much of the error of networks of one scene is the same in all of them, however they were trained.
 
-    python tests/bench/shared_error.py SCENE.toml FIRST.pt SECOND.pt [MORE.pt ...] [--walks 2048]
+    python -m tests.bench.shared_error SCENE.toml FIRST.pt SECOND.pt [MORE.pt ...] [--walks 2048]
 
 Relative RMSE of a_lm over the surface and over vertices and views, the reference's noise taken out: of each network,
 of their mean, and what each two of them share, √(Σ e₁·e₂ / Σ|a|²). A mean of ever more such networks would
@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Scene, read_scene
-from prt_bake.network import load_model
-from prt_bake.trainer.asked import vertex_views
-from prt_bake.trainer.estimate import estimate_coefficients
-from prt_bake.trainer.prepared import prepare
+from prt_bake.network.bssrdf import load_model
+from prt_bake.tracer.estimate import estimate_coefficients
+from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer.report.evaluation import vertex_views
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out_coefficients, network_coefficients
 
 QUERIES, VERTICES, VIEWS, SEED = 1024, 256, 4, 0x5A4E

@@ -1,6 +1,6 @@
 """An asset's pictures beside path-traced ones under a few skies: overcast, indoor, studio, sun, or any other.
 
-    python tests/bench/skies.py SCENE.toml ASSET.h5 [--skies overcast.hdr indoor.hdr …] [--spp 256] [--out FOLDER]
+    python -m tests.bench.skies SCENE.toml ASSET.h5 [--skies overcast.hdr indoor.hdr …] [--spp 256] [--out FOLDER]
 
 `studio` (a dark room with three soft boxes of 10° to 40°) is made here, others are files. Each picture is rendered from
 the scene with `spp` walks a pixel, kept as `FOLDER/scene.sky.exr` and read from there the next time, and shaded from
@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 import prt_bake as prt
 from formats.asset import Asset
 from formats.image import read_layers
-from prt_bake import camera
-from prt_bake.comparison import compare
-from prt_bake.environment import direction_of
-from prt_bake.noise_free_comparison import compare_without_noise
-from prt_bake.picture_noise import PixelErrors
+from prt_bake.comparison.metrics import compare
+from prt_bake.comparison.noise import PixelErrors
+from prt_bake.comparison.noise_free import compare_without_noise
+from prt_bake.geometry import camera
+from prt_bake.lights.environment import direction_of
 from prt_bake.report import write_side_by_side
-from prt_bake.shading import render_picture
+from prt_bake.shading.picture import render_picture
 
 Array = NDArray[np.float64]
 

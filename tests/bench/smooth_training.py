@@ -1,6 +1,6 @@
 """Training behind a smooth interface (from walks' exits) against slightly rough ones (from exits, and from values).
 
-    python tests/bench/smooth_training.py [--steps 1000] [--scene SCENE.toml] [--eta 1.4] [--seeds 2]
+    python -m tests.bench.smooth_training [--steps 1000] [--scene SCENE.toml] [--eta 1.4] [--seeds 2]
 
 The shipped scene with its interface exchanged, equal steps in turns. Prints the relative RMSE of a_lm on fresh queries
 (the reference's noise taken out), mean and half the range over the seeds; the walks; and CPU seconds.
@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from formats.scene import Scene, read_scene
-from prt_bake.demonstration import SHIPPED
-from prt_bake.trainer.fit import LearningSettings, TrainingRow, train
-from prt_bake.trainer.rows import StreamSettings
+from prt_bake.shipped.demonstration import SHIPPED
+from prt_bake.trainer.samples.rows import StreamSettings
+from prt_bake.trainer.train import LearningSettings, TrainingRow, train
 
 VARIANTS: dict[str, tuple[float, StreamSettings]] = {
     "smooth, exits": (0.0, StreamSettings()),

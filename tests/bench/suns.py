@@ -1,6 +1,6 @@
 """How suns are best given to an asset: pictures by several treatments against the path tracer.
 
-    python tests/bench/suns.py REFERENCES SCENE.toml MODEL.pt ASSET.h5 [--lights behind front ...] [--spp 512]
+    python -m tests.bench.suns REFERENCES SCENE.toml MODEL.pt ASSET.h5 [--lights behind front ...] [--spp 512]
 
 For each light a path-traced picture of the scene, 96x96, `REFERENCES/scene.light.exr`, is read, or rendered where it is
 not there; those of `sky` and of one sun added give `sky+sun` of a sun of 1e5 over 0.53 degrees. Against it, over the
@@ -21,16 +21,18 @@ from numpy.typing import NDArray
 import prt_bake as prt
 from formats.asset import Asset
 from formats.image import read_layers
-from prt_bake import camera, sh, vertex_shading
-from prt_bake.comparison import compare
-from prt_bake.demonstration import SHIPPED
-from prt_bake.deringing import windowed
-from prt_bake.directions import fibonacci
-from prt_bake.light_harmonics import project_lighting
-from prt_bake.lighting import Lighting, read_lighting
-from prt_bake.positive_transport import positive_transport
-from prt_bake.sun_light import gathered
-from prt_bake.suns import split_lighting
+from prt_bake.comparison.metrics import compare
+from prt_bake.geometry import camera
+from prt_bake.lights.deringing import windowed
+from prt_bake.lights.harmonics import project_lighting
+from prt_bake.lights.lighting import Lighting, read_lighting
+from prt_bake.lights.suns import split_lighting
+from prt_bake.mathematics import sh
+from prt_bake.mathematics.directions import fibonacci
+from prt_bake.shading import vertices
+from prt_bake.shading.maximum_entropy import positive_transport
+from prt_bake.shading.suns import gathered
+from prt_bake.shipped.demonstration import SHIPPED
 
 Array = NDArray[np.float64]
 
@@ -87,7 +89,7 @@ class Viewed:
         self._shares = np.concatenate([1.0 - flat.sum(axis=1, keepdims=True), flat], axis=1)
         self.vertices, places = np.unique(corners, return_inverse=True)
         self._corners = places.reshape(-1, 3)
-        at = vertex_shading.between_bins(asset, self.view.eye, self.vertices)
+        at = vertices.between_bins(asset, self.view.eye, self.vertices)
         self.coefficients = gathered(asset, self.vertices, at)
         towards = self.view.eye - asset.mesh.positions[self.vertices]
         self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)

@@ -1,6 +1,6 @@
 """Which network and which training: the default against its variants, each trained for the same time.
 
-    python tests/bench/training.py [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
+    python -m tests.bench.training [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
 
 Prints the relative RMSE of Ŝ and of a_lm on fresh queries, the same for all, and of a_lm over vertices as a bake asks
 (reference noise taken out); the walks, the steps, and the model's size on disk. `--only` keeps the variants whose names
@@ -18,14 +18,14 @@ from pathlib import Path
 from typing import Any
 
 from formats.scene import Scene, read_scene
-from prt_bake.demonstration import SHIPPED
-from prt_bake.network import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
-from prt_bake.trainer.asked import vertex_views
-from prt_bake.trainer.estimate import estimate_coefficients
-from prt_bake.trainer.fit import train
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.shipped.demonstration import SHIPPED
+from prt_bake.tracer.estimate import estimate_coefficients
+from prt_bake.tracer.prepared import prepare, smooth_part
 from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.prepared import prepare, smooth_part
-from prt_bake.trainer.rows import StreamSettings
+from prt_bake.trainer.report.evaluation import vertex_views
+from prt_bake.trainer.samples.rows import StreamSettings
+from prt_bake.trainer.train import train
 from prt_bake.trainer.validation import HeldOutCoefficients, hold_out, hold_out_coefficients
 
 OURS = PRESETS["measured"]

@@ -1,6 +1,6 @@
 """What a query costs on one thread as matter grows thick or uneven: seconds, and efficiency beside the first row's.
 
-    PYTHONPATH=tests python tests/bench/walk_cost.py [--queries 5]
+    python -m tests.bench.walk_cost [--queries 5]
 
 Ŝ of a sphere of diameter 1 behind an index-matched boundary, lit from the side that is seen; `seconds` are those of CPU
 to 1 % of a value, `paths/s` those of one query, both geometric means over queries. `events` are the scatterings a path:
@@ -15,12 +15,12 @@ from typing import Any
 
 import numba
 import numpy as np
-from efficiency import ours, paths_for, timed
-from scenes import make_scene, moved, queries, sphere, unit_directions
 
 from formats.scene import Scene
-from prt_bake.trainer.kernels import draw_exits
-from prt_bake.trainer.prepared import prepare
+from prt_bake.tracer.kernels import draw_exits
+from prt_bake.tracer.prepared import prepare
+from tests.bench.efficiency import ours, paths_for, timed
+from tests.tracer.scenes import make_scene, moved, queries, sphere, unit_directions
 
 THICKNESS = (1.0, 10.0, 100.0, 1000.0, 10_000.0)
 CONTRAST = (1.0, 10.0, 100.0, 1000.0, 10_000.0)

@@ -1,0 +1,151 @@
+"""What an asset file must hold: its attributes, and the shape and type of every dataset."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import h5py
+import numpy as np
+
+from formats.asset import compact_layout, error_covariance
+from formats.asset.head import BASIS, FORMAT, FORMULAS
+
+_MISSING = object()
+_ATTRIBUTES = {
+    "": ("up", "handedness", "unit", "complete", "left_out"),
+    "basis": ("kind", "degree", "order", "sign", "normalisation"),
+    "bins": ("rings", "sectors"),
+}
+# Kinds of NumPy types, then lengths: letters are the axes of the asset, a bar allows an axis that was left out.
+_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "mesh/positions": ("f", ("V", "3")),
+    "mesh/normals": ("f", ("V", "3")),
+    "mesh/tangents": ("f", ("V", "3")),
+    "mesh/faces": ("iu", ("F", "3")),
+    "basis/check_directions": ("f", ("2", "3")),
+    "basis/check_values": ("f", ("2", "K")),
+    "bins/directions": ("f", ("B", "3")),
+    "provenance/json": ("O", ()),
+    "provenance/error_vs_time": ("f", ("rows", "3")),
+}
+_PLAIN_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "transfer/coefficients": ("f", ("V", "B|1", "K|1", "3|1")),
+    "transfer/standard_error": ("f", ("V", "B|1")),
+    "transfer/valid": ("iub", ("V",)),
+}
+_OPTIONAL_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "mesh/uv": ("f", ("V", "2")),
+    "mesh/source_vertex": ("iu", ("n",)),
+    "selftest/light": ("f", ("K", "3")),
+    "selftest/vertex": ("iu", ("S",)),
+    "selftest/outgoing": ("f", ("S", "3")),
+    "selftest/radiance": ("f", ("S", "3")),
+}
+
+
+def layout_faults(file: Any) -> Iterator[str]:
+    """Yield a sentence for every attribute or dataset of an open asset that is missing or not as it must be."""
+    if file.attrs.get("format") != FORMAT:
+        yield f"is HDF5 but no prtbake asset: expected the attribute format = '{FORMAT}'"
+        return
+    version = str(file.attrs.get("format_version", "missing"))
+    if version.split(".")[0] != "1":
+        yield f"has format_version {version}; this program reads 1.x, use one that is as new as the asset"
+        return
+    missing = list(_missing_attributes(file))
+    yield from missing
+    if not missing:
+        yield from _attribute_faults(file)
+        yield from _dataset_faults(file)
+
+
+def transfer_group(file: Any) -> str:
+    """Where an open asset keeps its coefficients: "transfer_compact" where there is one, else "transfer"."""
+    return compact_layout.GROUP if compact_layout.GROUP in file else "transfer"
+
+
+def _missing_attributes(file: Any) -> Iterator[str]:
+    compact = transfer_group(file) == compact_layout.GROUP
+    of_transfer = compact_layout.ATTRIBUTES if compact else {"transfer": ("quantity", "folded_in")}
+    for group, names in {**_ATTRIBUTES, **of_transfer}.items():
+        if group and not isinstance(file.get(group), h5py.Group):
+            yield f"/{group} is missing"
+            continue
+        for name in names:
+            if name not in (file[group] if group else file).attrs:
+                yield f"/{group}: the attribute {name} is missing"
+
+
+def _attribute_faults(file: Any) -> Iterator[str]:
+    wrong = {
+        "up": file.attrs["up"] not in ("y", "z"),
+        "handedness": file.attrs["handedness"] != "right",
+        "complete": int(file.attrs["complete"]) not in (0, 1),
+    }
+    yield from (
+        f"the attribute {name} is {file.attrs[name]!r}, which means nothing" for name, bad in wrong.items() if bad
+    )
+    for name, ours in BASIS.items():
+        if (theirs := file["basis"].attrs[name]) != ours:
+            yield f"/basis: the attribute {name} is {str(theirs)!r}; this program reads {ours!r} alone, bake it again"
+    for group, name in (("basis", "degree"), ("bins", "rings"), ("bins", "sectors")):
+        value = np.asarray(file[group].attrs[name])
+        if value.shape != () or value.dtype.kind not in "iu" or not (0 if name == "degree" else 1) <= value <= 10**5:
+            yield f"/{group}: the attribute {name} is {value}, which is no count"
+    group = transfer_group(file)
+    if file[group].attrs["quantity"] not in FORMULAS:
+        yield f"/{group}: quantity is {file[group].attrs['quantity']!r}; expected {' or '.join(FORMULAS)}"
+    if not isinstance(_json(file.attrs["left_out"]), list):
+        yield "the attribute left_out is no JSON list"
+
+
+def _dataset_faults(file: Any) -> Iterator[str]:
+    lengths = {
+        "K": (int(file["basis"].attrs["degree"]) + 1) ** 2,
+        "B": int(file["bins"].attrs["rings"]) * int(file["bins"].attrs["sectors"]),
+        "rings": int(file["bins"].attrs["rings"]),
+        "sectors": int(file["bins"].attrs["sectors"]),
+    }
+    selftest = {f"selftest/{name}" for name in file.get("selftest", ())}
+    compact = transfer_group(file) == compact_layout.GROUP
+    of_transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
+    shapes = {f"{transfer_group(file)}/{name}": axes for name, axes in error_covariance.DATASETS.items()}
+    required = {*_DATASETS, *of_transfer}
+    required |= {name for name in _OPTIONAL_DATASETS if name.startswith("selftest/")} if selftest else set()
+    if any(name in file for name in shapes):
+        required |= {name for name in shapes if not name.endswith("error_row")}
+    for name, (kinds, axes) in {**_DATASETS, **of_transfer, **shapes, **_OPTIONAL_DATASETS}.items():
+        dataset = file.get(name)
+        if not isinstance(dataset, h5py.Dataset):
+            if name in required:
+                yield f"/{name} is missing"
+            continue
+        shape = dataset.shape
+        if dataset.dtype.kind not in kinds:
+            yield f"/{name} has type {dataset.dtype}; expected kind {' or '.join(kinds)}"
+        if len(shape) != len(axes) or not all(_fits(axis, n, lengths) for axis, n in zip(axes, shape, strict=True)):
+            expected = ", ".join(_told(axis, lengths) for axis in axes)
+            yield f"/{name} has shape {list(shape or ())}; expected [{expected}]"
+    if isinstance(text := file.get("provenance/json"), h5py.Dataset) and not isinstance(_json(text[()]), dict):
+        yield "/provenance/json is no JSON object"
+
+
+def _fits(axis: str, length: int, lengths: dict[str, int]) -> bool:
+    """Compare a length with what its axis must have; a letter not met before is settled by it."""
+    choices = axis.split("|")
+    if not choices[0].isdigit():
+        lengths.setdefault(choices[0], length)
+    return length in {int(choice) if choice.isdigit() else lengths[choice] for choice in choices}
+
+
+def _told(axis: str, lengths: dict[str, int]) -> str:
+    return " or ".join(
+        choice if choice.isdigit() else f"{choice} = {lengths.get(choice, 'any')}" for choice in axis.split("|")
+    )
+
+
+def _json(text: Any) -> Any:
+    try:
+        return json.loads(text)
+    except (ValueError, TypeError):
+        return _MISSING

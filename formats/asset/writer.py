@@ -1,0 +1,284 @@
+"""Writes an asset vertex block by vertex block, so that memory stays flat however large the mesh."""
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset.compact_file import write_compact
+from formats.asset.compact_record import CompactCoefficients
+from formats.asset.error_covariance import ErrorShape, write_shape
+from formats.asset.file import AssetFile, chunk_vertices
+from formats.asset.head import FORMULAS
+from formats.asset.record import Asset, AssetHead, Storage
+from formats.atomic import replacing
+from formats.errors import AssetError
+from formats.interrupts import deferred
+
+_FLOAT16_LIMIT = 65520.0  # from here on float16 rounds to infinity
+_ROUNDING_SHARE = 0.1  # of the stated error, which rounding to float16 may reach
+
+
+class AssetWriter:
+    """Writes one asset: the head at once, then blocks of vertices in any order, then `finish`.
+
+    The file grows under another name and takes the place of `path` in `finish`. Left without it (an exception,
+    `abort`), nothing stays behind and an older file is untouched.
+
+    float16 is given up for float32 where a coefficient exceeds 65504, or where rounding, root mean square over all that
+    was written so far, exceeds a tenth of the stated standard error; what was written is then written anew.
+
+    Attributes:
+        block_vertices: vertices in a chunk of the file; blocks that start and end at its multiples are written fastest.
+        shape: of the coefficients, [V,B,K,C].
+        valid: [V], 1 where a vertex was written.
+        storage: "float16" or "float32", as the file has it by now.
+        storage_note: why float16 was given up, one sentence; empty if it was not.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        head: AssetHead,
+        *,
+        storage: Storage = "float16",
+        views: int | None = None,
+        channels: int = 3,
+    ) -> None:
+        """Open the file and write its head.
+
+        Args:
+            path: where the asset will be when it is finished.
+            head: all but the coefficients; an `Asset` will do.
+            storage: type to try, "float16" or "float32".
+            views: length of the view axis, B by default, or 1 where the view does not matter.
+            channels: length of the channel axis, 3, or 1 where the channels are equal.
+        """
+        _refuse_unfit(path, head, views, channels)
+        self._path, self._head = path, head
+        terms = 1 if head.quantity == "radiance" else (head.degree + 1) ** 2
+        self.shape = (len(head.mesh.positions), views or len(head.directions), terms, channels)
+        self.storage: Storage = storage
+        self.storage_note = ""
+        self.block_vertices = chunk_vertices(self.shape, storage)
+        self.valid = np.zeros(self.shape[0], np.uint8)
+        self._rounding_squares = 0.0
+        self._stated_squares = 0.0
+        self._finished = False
+        self._file: AssetFile | None = None
+        self._stack = contextlib.ExitStack()
+        self._part = self._stack.enter_context(replacing(path))
+        try:
+            with self._guarded():
+                self._file = AssetFile(self._part, head, self.shape, storage)
+        except BaseException as cause:
+            self._leave(cause)
+            raise
+
+    def write_block(
+        self, first_vertex: int, coefficients: NDArray[np.floating], standard_error: NDArray[np.floating]
+    ) -> None:
+        """Write the vertices from `first_vertex` on and mark them as valid.
+
+        Args:
+            first_vertex: index of the block's first vertex.
+            coefficients: [n,B,K,C], with the lengths of the axes that the writer was opened with.
+            standard_error: [n,B] or [n,1], one sigma, root mean square over K and C.
+
+        Raises:
+            AssetError: shapes that do not fit, values that are not finite, negative errors.
+            StorageError: the disk is full; the writer is closed then.
+        """
+        rows = slice(first_vertex, first_vertex + len(coefficients))
+        values, errors = self._checked(rows, coefficients, standard_error)
+        with self._guarded():
+            if self.storage == "float16" and (reason := self._float16_fails(values, errors)):
+                self._widen(reason)
+            self._open.write(rows, values.astype(self.storage), errors)
+        self.valid[rows] = 1
+
+    def finish(
+        self,
+        provenance: Mapping[str, Any],
+        error_vs_time: NDArray[np.floating] | None = None,
+        selftest: Mapping[str, NDArray[Any]] | None = None,
+        complete: bool = True,
+        error_shape: ErrorShape | None = None,
+    ) -> str:
+        """Write what is known at the end, and let the file take its place.
+
+        Args:
+            provenance: whatever JSON can hold: command, resolved settings, seed, hashes, device, credits, eta.
+            error_vs_time: [rows,3]: seconds, evaluations, estimated relative error.
+            selftest: light [K,3], vertex [S], outgoing [S,3], radiance [S,3].
+            complete: false for a bake that was stopped; vertices never written have valid = 0.
+            error_shape: how the errors of each vertex hang together, where that is known.
+
+        Returns:
+            `storage_note`: a sentence to tell the user, or nothing.
+
+        Raises:
+            StorageError: the disk is full.
+        """
+        rows = np.zeros((0, 3)) if error_vs_time is None else np.asarray(error_vs_time, "<f8").reshape(-1, 3)
+        text = json.dumps(dict(provenance), ensure_ascii=False, allow_nan=False)
+        with self._guarded():
+            file = self._open.file
+            file.attrs["complete"] = np.uint8(complete)
+            file.create_dataset("transfer/valid", data=self.valid)
+            if error_shape is not None:
+                write_shape(file["transfer"], error_shape)
+            file.create_dataset("provenance/json", data=text)
+            file.create_dataset("provenance/error_vs_time", data=rows)
+            for name, values in (selftest or {}).items():
+                kind = "<u4" if name == "vertex" else "<f8"
+                file.create_dataset(f"selftest/{name}", data=np.asarray(values).astype(kind))
+            self._open.close()
+            self._stack.close()
+        self._finished = True
+        return self.storage_note
+
+    def abort(self) -> None:
+        """Remove the unfinished file; an older one at `path` stays. Harmless after `finish`."""
+        self._leave(None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._leave(cause)
+
+    def _leave(self, cause: BaseException | None) -> None:
+        """Close without finishing; an operating system's error about space or permission becomes a StorageError."""
+        if self._finished:
+            return
+        self._finished = True
+        cause = cause or AssetError(f"{self._path}: the asset was not finished")
+        with deferred(), contextlib.suppress(AssetError):
+            if self._file is not None:
+                self._file.discard()
+            self._stack.__exit__(type(cause), cause, cause.__traceback__)
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        with deferred():
+            try:
+                yield
+            except OSError as cause:
+                self._leave(cause)
+                raise
+
+    @property
+    def _open(self) -> AssetFile:
+        if self._file is None or self._finished:
+            raise AssetError(f"{self._path}: the writer is closed")
+        return self._file
+
+    def _checked(
+        self, rows: slice, coefficients: NDArray[np.floating], standard_error: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the block in float32, the errors spread over the view axis."""
+        count = len(coefficients)
+        if np.shape(coefficients)[1:] != self.shape[1:] or not 0 <= rows.start <= rows.stop <= self.shape[0]:
+            raise AssetError(
+                f"{self._path}: a block at vertex {rows.start} has shape {list(np.shape(coefficients))}; expected "
+                f"[n, {', '.join(map(str, self.shape[1:]))}] within {self.shape[0]} vertices"
+            )
+        if np.shape(standard_error) not in {(count, self.shape[1]), (count, 1)}:
+            found = list(np.shape(standard_error))
+            raise AssetError(f"{self._path}: standard errors have shape {found}; expected {[count, self.shape[1]]}")
+        with np.errstate(over="ignore"):
+            values = np.asarray(coefficients).astype(np.float32)
+            errors = np.broadcast_to(standard_error, (count, self.shape[1])).astype(np.float32)
+        unfit = ~np.isfinite(values).all(axis=(2, 3)) | ~np.isfinite(errors) | (errors < 0)
+        if unfit.any():
+            vertex, view = np.argwhere(unfit)[0]
+            raise AssetError(
+                f"{self._path}: {unfit.sum()} view bins have coefficients that are not finite, or errors that are "
+                f"negative or not finite; the first is bin {view} of vertex {rows.start + vertex}"
+            )
+        return values, errors
+
+    def _float16_fails(self, values: NDArray[np.float32], errors: NDArray[np.float32]) -> str:
+        """Say why the block cannot be kept in float16; empty if it can."""
+        largest = float(np.abs(values).max(initial=0))
+        if largest >= _FLOAT16_LIMIT:
+            return f"coefficients up to {largest:.4g} exceed the 65504 of float16"
+        rounding = values.astype(np.float16).astype(np.float32) - values
+        self._rounding_squares += float(np.square(rounding, dtype=np.float64).sum()) / math.prod(self.shape[2:])
+        self._stated_squares += float(np.square(errors, dtype=np.float64).sum())
+        if self._rounding_squares <= _ROUNDING_SHARE**2 * self._stated_squares:
+            return ""
+        return "rounding to float16 would add more than a tenth of the stated error"
+
+    def _widen(self, reason: str) -> None:
+        """Go over to float32: begin the file anew and copy the vertices written so far."""
+        narrow_path = self._part.with_suffix(".narrow.part")
+        self._open.close()
+        os.replace(self._part, narrow_path)
+        self.storage = "float32"
+        self.storage_note = f"coefficients are kept as float32: {reason}"
+        try:
+            self._file = AssetFile(self._part, self._head, self.shape, self.storage)
+            self._file.note(self.storage_note)
+            with h5py.File(narrow_path, "r") as narrow:
+                transfer = narrow["transfer"]
+                for start in range(0, self.shape[0], self.block_vertices):
+                    rows = slice(start, min(start + self.block_vertices, self.shape[0]))
+                    if self.valid[rows].any():
+                        self._file.write(rows, transfer["coefficients"][rows], transfer["standard_error"][rows])
+        finally:
+            narrow_path.unlink(missing_ok=True)
+        self.block_vertices = chunk_vertices(self.shape, self.storage)
+
+
+def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
+    """Write an asset, whole or not at all, keeping `asset.storage` if float16 can hold the coefficients, and compact
+    coefficients compact.
+
+    Raises:
+        AssetError: shapes that do not fit one another, coefficients that are not finite.
+        StorageError: the disk is full or not writable.
+    """
+    if isinstance(asset.coefficients, CompactCoefficients):
+        write_compact(asset, path)
+        return
+    _, views, _, channels = asset.coefficients.shape
+    with AssetWriter(path, asset, storage=asset.storage, views=views, channels=channels) as writer:
+        baked = np.flatnonzero(asset.valid)
+        for start in range(0, len(asset.valid), writer.block_vertices):
+            rows = baked[(baked >= start) & (baked < start + writer.block_vertices)]
+            for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
+                if len(run):
+                    span = slice(int(run[0]), int(run[-1]) + 1)
+                    writer.write_block(span.start, asset.coefficients[span], asset.standard_error[span])
+        shape = asset.error_shape
+        writer.finish(asset.provenance, asset.error_vs_time, asset.selftest, complete=asset.complete, error_shape=shape)
+
+
+def _refuse_unfit(path: str | os.PathLike[str], head: AssetHead, views: int | None, channels: int) -> None:
+    vertices, bins, terms = len(head.mesh.positions), head.rings * head.sectors, (head.degree + 1) ** 2
+    expected = {
+        "tangents": (vertices, 3),
+        "directions": (bins, 3),
+        "check_directions": (2, 3),
+        "check_values": (2, terms),
+    }
+    for name, shape in expected.items():
+        found = np.shape(getattr(head, name))
+        if found != shape:
+            raise AssetError(f"{path}: {name} has shape {list(found)}; expected {list(shape)}")
+    if views not in (None, 1, bins) or channels not in (1, 3) or head.quantity not in FORMULAS:
+        raise AssetError(
+            f"{path}: {views} views of {bins}, {channels} channels and quantity '{head.quantity}' make no asset; "
+            f"expected 1 or {bins} views, 1 or 3 channels, 'transfer' or 'radiance'"
+        )

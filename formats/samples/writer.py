@@ -1,0 +1,158 @@
+"""Writes samples block by block, so that memory stays flat however many there are."""
+
+import contextlib
+import datetime
+import json
+import os
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike
+
+from formats.asset.head import program_version
+from formats.atomic import replacing
+from formats.errors import SamplesError
+from formats.hdf5_sink import Sink
+from formats.interrupts import deferred
+from formats.samples.reader import DATASETS, FORMAT, FORMAT_VERSION, SamplesHead
+
+_CHUNK_BYTES = 2**20
+
+
+class SamplesWriter:
+    """Writes one file of samples: the head at once, then blocks of queries, then `finish`.
+
+    The file grows under another name and takes the place of `path` in `finish`. Left without it (an exception, a kill),
+    an older file is untouched.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], head: SamplesHead) -> None:
+        """Open the file and write its head; raises StorageError where that cannot be."""
+        self._path, self._directions = path, head.directions
+        self.count = 0
+        self._open, self._file = True, None
+        self._stack = contextlib.ExitStack()
+        part = self._stack.enter_context(replacing(path))
+        try:
+            with self._guarded():
+                self._sink = Sink(part)
+                self._file = h5py.File(self._sink, "w", libver="v110")  # with checksums of its own
+                _write_head(self._file, head)
+                self._check()
+        except BaseException as cause:
+            self._leave(cause)
+            raise
+
+    def append(
+        self,
+        keys: ArrayLike,
+        positions: ArrayLike,
+        outgoing: ArrayLike,
+        incident: ArrayLike,
+        mean: ArrayLike,
+        standard_error: ArrayLike,
+    ) -> None:
+        """Write n more queries: keys [n], positions [n,3], outgoing [n,3] and [n,D,3] of the other three.
+
+        Raises SamplesError for shapes that do not fit and for values that are not finite, StorageError where the disk
+        is full; the writer is closed then.
+        """
+        given = (keys, positions, outgoing, incident, mean, standard_error)
+        count = len(np.asarray(keys))
+        lengths = {"N": count, "D": self._directions}
+        blocks = {}
+        for (name, (kind, axes)), values in zip(DATASETS.items(), given, strict=True):
+            array = np.asarray(values)
+            shape = tuple(int(axis) if axis.isdigit() else lengths[axis] for axis in axes)
+            if array.shape != shape:
+                raise SamplesError(f"{self._path}: {name} has shape {list(array.shape)}; expected {list(shape)}")
+            if not np.isfinite(array).all():
+                raise SamplesError(f"{self._path}: {name} has values that are not finite")
+            blocks[name] = array.astype(kind)
+        with self._guarded():
+            file = self._writable()
+            for name, block in blocks.items():
+                file[name].resize(self.count + count, axis=0)
+                file[name][self.count :] = block
+            self._check()
+        self.count += count
+
+    def finish(self, complete: bool = True) -> None:
+        """Let the file take its place; `complete` is false where it was stopped before all queries were there."""
+        with self._guarded():
+            file = self._writable()
+            file.attrs["complete"] = np.uint8(complete)
+            file.close()
+            self._check()
+            self._sink.close()
+            self._stack.close()
+        self._open = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._leave(cause)
+
+    def _writable(self) -> Any:
+        if not self._open:
+            raise SamplesError(f"{self._path}: the writer is closed")
+        return self._file
+
+    def _check(self) -> None:
+        if self._sink.fault is not None:
+            raise self._sink.fault
+
+    def _leave(self, cause: BaseException | None) -> None:
+        """Close without finishing; an operating system's error about space or permission becomes a StorageError."""
+        if not self._open:
+            return
+        self._open = False
+        cause = cause or SamplesError(f"{self._path}: the file was not finished")
+        with deferred(), contextlib.suppress(SamplesError):
+            if self._file is not None:
+                self._sink.close()
+                with contextlib.suppress(OSError, RuntimeError, ValueError):
+                    self._file.close()
+            self._stack.__exit__(type(cause), cause, cause.__traceback__)
+
+    @contextlib.contextmanager
+    def _guarded(self) -> Iterator[None]:
+        with deferred():
+            try:
+                yield
+            except OSError as cause:
+                self._leave(cause)
+                raise
+
+
+def _write_head(file: Any, head: SamplesHead) -> None:
+    source = {"scene": head.scene, "scene_hash": head.scene_hash, "unit": head.unit, "settings": head.settings}
+    texts = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "generator": f"prtbake {program_version()}",
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "source": json.dumps(source, allow_nan=False),
+    }
+    file.attrs.update({name: np.bytes_(text.encode()) for name, text in texts.items()})
+    file.attrs.update(complete=np.uint8(0), seed=np.uint64(head.seed), walks=np.uint64(head.walks))
+    for name, (kind, axes) in DATASETS.items():
+        rest = tuple(int(axis) if axis.isdigit() else head.directions for axis in axes[1:])
+        rows = max(1, _CHUNK_BYTES // (int(np.prod(rest)) * np.dtype(kind).itemsize))
+        file.create_dataset(
+            name,
+            (0, *rest),
+            np.dtype(kind),
+            maxshape=(None, *rest),
+            chunks=(rows, *rest),
+            compression="gzip",
+            compression_opts=1,
+            shuffle=True,
+            fletcher32=True,
+        )

@@ -1,0 +1,14 @@
+"""Scene files and lights files (TOML): a closed object, what is inside it, the media that fill it, and lights.
+
+May import: `formats.mesh`, `formats.image` and the files at the top of `formats`. Begin with `record.py`; `schema.py`
+lists every key.
+"""
+
+from formats.scene.record import Medium, Part, Scene, read_scene
+
+__all__ = [
+    "Medium",
+    "Part",
+    "Scene",
+    "read_scene",
+]

@@ -1,0 +1,162 @@
+"""Reading a scene file's tables, and the words for what is wrong with them."""
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from formats.atomic import existing
+from formats.errors import PrtbakeError, SceneError
+from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
+
+_EXPECTED = {
+    "object": "a table [object]",
+    "interface": "a table [interface]",
+    "medium": "a table [medium]",
+    "inside": "tables [[inside]]",
+    "mesh": "the name of a mesh file",
+    "up": '"y" or "z"',
+    "unit": "the name of the unit of length",
+    "eta": "an index of refraction from 0.25 to 4",
+    "roughness": "a GGX alpha from 0 to 1, or the name of an image",
+    "energy_compensation": "true or false",
+    "normals": '"face" or "vertex"',
+    "unit_in_mm": "a positive number of millimetres",
+    "material": "the name of a measured material",
+    "density": "a positive number",
+    "mix": "a table [medium.mix]",
+    "mix.sigma_t": "one number that is not negative, or three of them (RGB)",
+    "mix.albedo": "a number from 0 to 1, or three of them (RGB)",
+    "pattern": '"noise", "veins" or "turbulence"',
+    "feature": "a positive length in scene units",
+    "seed": "a whole number from 0 to 2^63 - 1",
+    "octaves": "a whole number from 1 to 10",
+    "thresholds": "two numbers, the lower one first",
+    "resolution": "a whole number of cells from 2 to 256",
+    "sigma_t": "one number that is not negative, three of them (RGB), or the name of an .npy grid",
+    "albedo": "a number from 0 to 1, three of them (RGB), or the name of an .npy grid",
+    "phase_g": "a mean cosine between -1 and 1, both excluded",
+    "bounds": "two corners, as in [[-1, -1, -1], [1, 1, 1]]",
+    "name": "a name",
+    "in": "the name of another object",
+    "surface": '"diffuse"',
+    "reflectance": "a number from 0 to 1, three of them (RGB), or the name of an image",
+}
+
+
+def parse_scene(path: Path) -> SceneFile:
+    """Read a scene file's tables and check every key and range; the files it names are not opened.
+
+    Raises:
+        SceneError: no TOML, an unknown or missing key, a value of the wrong type or out of range.
+        StorageError: the file is missing.
+    """
+    tables = _read_tables(path)
+    try:
+        return SceneFile.model_validate(tables)
+    except ValidationError as cause:
+        raise SceneError(f"{path}: {_sentences(cause, tables)[0]}") from cause
+
+
+def find_table_faults(path: Path) -> list[str]:
+    """Every fault of the keys and ranges of a scene file, a sentence for each key; raises as `parse_scene` where there
+    are no tables at all.
+    """
+    tables = _read_tables(path)
+    try:
+        SceneFile.model_validate(tables)
+    except ValidationError as cause:
+        return [f"{path}: {sentence}" for sentence in _sentences(cause, tables)]
+    return []
+
+
+def _read_tables(path: Path) -> dict[str, Any]:
+    try:
+        tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
+    except UnicodeDecodeError as cause:
+        raise SceneError(f"{path}: is not a scene file: it is not text") from cause
+    except tomllib.TOMLDecodeError as cause:
+        asked = "" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
+        raise SceneError(f"{path}: is not TOML: {cause}{asked}") from cause
+    if "object" not in tables and ("directional" in tables or "sky" in tables):
+        raise SceneError(f"{path}: is a lights file, which render takes as --light; expected a scene, with [object]")
+    return tables
+
+
+def _sentences(fault: ValidationError, tables: Mapping[str, object]) -> list[str]:
+    """Tell the faults, each key's first; unknown keys come first, since a misspelt key also makes another one
+    missing.
+    """
+    errors = sorted(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
+    told: dict[str, str] = {}
+    for error in errors:
+        path, found = _located(error["loc"], tables)
+        told.setdefault(".".join(str(part) for part in path), _sentence(error, path, found))
+    return list(told.values())
+
+
+def _sentence(error: "ErrorDetails", path: list[int | str], found: object) -> str:
+    kind, name = error["type"], str(path[-1])
+    key = ".".join(str(part) for part in path)
+    if kind == "extra_forbidden":
+        known = _known_keys(path)
+        close = difflib.get_close_matches(name, known, n=1)
+        advice = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
+        return f"{key}: unknown key; {advice}"
+    if kind == "missing" and len(path) == len(error["loc"]):
+        return f"{key}: is missing; expected {expected(key)}"
+    if kind == "value_error":
+        return f"{key}: {error['msg'].removeprefix('Value error, ')}"
+    return f"{key}: expected {expected(key)}, found {found!r}"
+
+
+def expected(key: str) -> str:
+    """Say what a key, given with its tables, may be: "medium.albedo" is a number, three, or the name of a grid."""
+    tables = key.split(".")
+    return _EXPECTED.get(".".join(tables[-2:])) or _EXPECTED[tables[-1]]
+
+
+@contextmanager
+def named_by(path: Path, key: str) -> Iterator[None]:
+    """Tell the faults of a file that a scene file names by that scene file and the key, before its own sentence."""
+    try:
+        yield
+    except PrtbakeError as fault:
+        if str(fault).startswith(f"{path}: "):
+            raise
+        raise type(fault)(f"{path}: {key}: {fault}") from fault
+
+
+def _located(loc: tuple[int | str, ...], tables: Mapping[str, object]) -> tuple[list[int | str], object]:
+    """Cut what pydantic adds to a location (members of a union, items of an array) and return it with its value."""
+    path: list[int | str] = []
+    value: object = tables
+    for part in loc:
+        if isinstance(value, Mapping):
+            value = value.get(str(part))
+        elif isinstance(value, list) and isinstance(part, int) and path == ["inside"]:
+            value = value[part]
+        else:
+            break
+        path.append(part)
+    return path, value
+
+
+def _known_keys(path: list[int | str]) -> list[str]:
+    tables: dict[str, type[Table]] = {
+        "object": ObjectTable,
+        "interface": InterfaceTable,
+        "medium": MediumTable,
+        "mix": MixTable,
+        "inside": InsideTable,
+    }
+    names = [part for part in path[:-1] if isinstance(part, str)]
+    model = tables[names[-1]] if names else SceneFile
+    return [field.alias or name for name, field in model.model_fields.items()]

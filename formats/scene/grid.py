@@ -1,0 +1,48 @@
+"""Grids of a medium: `.npy` arrays [Z,Y,X] or [Z,Y,X,3], values at the cell centres of a box."""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.atomic import existing
+from formats.errors import SceneError
+
+
+def read_grid(scene_path: Path, key: str, name: str, highest: float) -> NDArray[np.float64]:
+    """Read a grid named in a scene file and check that its values lie between 0 and `highest`.
+
+    Args:
+        scene_path: the scene file, beside which `name` is looked for.
+        key: where the scene file names the grid, for messages.
+        name: the grid's file name.
+        highest: largest value allowed; infinity allows every finite one.
+
+    Raises:
+        SceneError: no `.npy` file, not a real-valued array of these shapes, values NaN or out of range (with their
+            count and the first).
+        StorageError: the file is missing.
+    """
+    path = existing(scene_path.parent / name)
+    try:
+        grid = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as cause:
+        raise SceneError(f"{scene_path}: {key}: {path} is not an .npy array, or truncated") from cause
+    if not isinstance(grid, np.ndarray) or grid.dtype.kind not in "fiu":
+        raise SceneError(
+            f"{scene_path}: {key}: {path} holds no array of real numbers; expected one .npy array of floats"
+        )
+    if grid.ndim not in (3, 4) or 0 in grid.shape or (grid.ndim == 4 and grid.shape[3] != 3):
+        raise SceneError(
+            f"{scene_path}: {key}: {path} has shape {list(grid.shape)}; expected a grid [Z,Y,X] or [Z,Y,X,3]"
+        )
+    grid = np.ascontiguousarray(grid, np.float64)
+    unfit = ~((grid >= 0) & (grid <= highest) & np.isfinite(grid))
+    if unfit.any():
+        first = tuple(int(i) for i in np.argwhere(unfit)[0])
+        span = f"from 0 to {highest:g}" if np.isfinite(highest) else "finite and not negative"
+        raise SceneError(
+            f"{scene_path}: {key}: {path} has {unfit.sum()} of {grid.size} values out of range, the first at "
+            f"[{', '.join(map(str, first))}] is {grid[first]:g}; expected values {span}"
+        )
+    return grid

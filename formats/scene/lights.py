@@ -1,0 +1,223 @@
+"""Lights: a TOML file of suns, spheres and skies, and one light in a word (`sun:x,y,z`, `sphere:x,y,z:radius`)."""
+
+import difflib
+import math
+import os
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+
+from formats.atomic import existing
+from formats.errors import LightError
+
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Irradiance = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Vector = Annotated[tuple[_Number, _Number, _Number], Strict(False)]
+_Colour = Annotated[tuple[_Irradiance, _Irradiance, _Irradiance], Strict(False)]
+
+_EXPECTED = {
+    "directional": "tables [[directional]]",
+    "sphere": "tables [[sphere]]",
+    "sky": "tables [[sky]]",
+    "direction": "three finite numbers [x, y, z], not all 0, that point to the light",
+    "irradiance": "three finite numbers [r, g, b] of 0 or more",
+    "angular_diameter": "degrees from 0 to 180",
+    "position": "three finite numbers [x, y, z] in scene units",
+    "radius": "a number above 0, in scene units",
+    "radiance": "three finite numbers [r, g, b] of 0 or more",
+    "file": "the name of a lat-long picture",
+    "rotate": "degrees",
+    "exposure": "stops from -64 to 64",
+    "tint": "three finite numbers [r, g, b] of 0 or more",
+}
+SUN = "sun:x,y,z[:r,g,b][:degrees]"
+SPHERE = "sphere:x,y,z:radius[:r,g,b]"
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionalLight:
+    """Light from one direction.
+
+    Attributes:
+        direction: unit, towards the light, object space [3].
+        irradiance: linear RGB [3], measured across the light's direction.
+        angular_diameter: of the light's disc in the sky, degrees; 0 is a point at infinity.
+    """
+
+    direction: NDArray[np.float64]
+    irradiance: NDArray[np.float64]
+    angular_diameter: float
+
+
+@dataclass(frozen=True, eq=False)
+class SphereLight:
+    """A sphere that shines evenly, of power 4π² radius² radiance.
+
+    Attributes:
+        position: of its middle, object space [3].
+        radius: in the same units.
+        radiance: linear RGB [3], the same from everywhere.
+    """
+
+    position: NDArray[np.float64]
+    radius: float
+    radiance: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SkyLight:
+    """A lat-long picture `path`, turned by `rotate` degrees about up, its radiance times 2^exposure and `tint` [3]."""
+
+    path: Path
+    rotate: float
+    exposure: float
+    tint: tuple[float, float, float]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class _DirectionalTable(_Table):
+    direction: _Vector
+    irradiance: _Colour = (1.0, 1.0, 1.0)
+    angular_diameter: float = Field(default=0.0, ge=0, le=180)
+
+
+class _SphereTable(_Table):
+    position: _Vector
+    radius: float = Field(gt=0, allow_inf_nan=False)
+    radiance: _Colour = (1.0, 1.0, 1.0)
+
+
+class _SkyTable(_Table):
+    file: str = Field(min_length=1)
+    rotate: float = Field(default=0.0, allow_inf_nan=False)
+    exposure: float = Field(default=0.0, ge=-64, le=64)
+    tint: _Colour = (1.0, 1.0, 1.0)
+
+
+class _LightsFile(_Table):
+    directional: Annotated[tuple[_DirectionalTable, ...], Strict(False)] = ()
+    sphere: Annotated[tuple[_SphereTable, ...], Strict(False)] = ()
+    sky: Annotated[tuple[_SkyTable, ...], Strict(False)] = ()
+
+
+_TABLES: dict[str, type[_Table]] = {
+    **{"": _LightsFile, "directional": _DirectionalTable},
+    **{"sphere": _SphereTable, "sky": _SkyTable},
+}
+
+
+def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | SphereLight | SkyLight, ...]:
+    """Read a lights file: its [[directional]] lights, its [[sphere]] lights, then its [[sky]] pictures, named relative
+    to itself and not opened.
+
+    Raises:
+        LightError: no TOML, an unknown or missing key, a value out of range, no light at all.
+        StorageError: the file is missing.
+    """
+    path = Path(path)
+    try:
+        tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
+    except UnicodeDecodeError as cause:
+        raise LightError(f"{path}: is not a lights file: it is not text") from cause
+    except tomllib.TOMLDecodeError as cause:
+        raise LightError(f"{path}: is not TOML: {cause}") from cause
+    try:
+        lights = _LightsFile.model_validate(tables)
+    except ValidationError as cause:
+        raise LightError(f"{path}: {_sentence(cause, tables)}") from cause
+    if not (lights.directional or lights.sphere or lights.sky):
+        raise LightError(f"{path}: holds no light; expected [[directional]], [[sphere]] or [[sky]]")
+    directional = tuple(
+        _directional(f"{path}: directional.{i}", light.direction, light.irradiance, light.angular_diameter)
+        for i, light in enumerate(lights.directional)
+    )
+    spheres = (
+        SphereLight(np.array(sphere.position), sphere.radius, np.array(sphere.radiance)) for sphere in lights.sphere
+    )
+    skies = (SkyLight(path.parent / sky.file, sky.rotate, sky.exposure, sky.tint) for sky in lights.sky)
+    return (*directional, *spheres, *skies)
+
+
+def parse_sun(text: str) -> DirectionalLight:
+    """A directional light from `sun:x,y,z[:r,g,b][:degrees]`; the irradiance is 1, the size 0 where they are left out.
+
+    Raises LightError for any other text and for values out of range.
+    """
+    numbers = _numbers(text)
+    if [len(word) for word in numbers] not in ([3], [3, 3], [3, 1], [3, 3, 1]):
+        raise LightError(f"--light {text}: expected {SUN}, such as sun:0,1,0.5:3,3,2.8:0.53")
+    irradiance = numbers[1] if len(numbers) > 1 and len(numbers[1]) == 3 else [1.0, 1.0, 1.0]
+    diameter = numbers[-1][0] if len(numbers[-1]) == 1 else 0.0
+    if not all(value >= 0 and math.isfinite(value) for value in irradiance):
+        raise LightError(f"--light {text}: irradiance: expected {_EXPECTED['irradiance']}, found {irradiance}")
+    if not 0 <= diameter <= 180:
+        raise LightError(f"--light {text}: the angular diameter: expected degrees from 0 to 180, found {diameter:g}")
+    return _directional(f"--light {text}", numbers[0], irradiance, diameter)
+
+
+def parse_sphere(text: str) -> SphereLight:
+    """A sphere light from `sphere:x,y,z:radius[:r,g,b]`; the radiance is 1 where it is left out.
+
+    Raises LightError for any other text and for values out of range.
+    """
+    numbers = _numbers(text)
+    if [len(word) for word in numbers] not in ([3, 1], [3, 1, 3]):
+        raise LightError(f"--light {text}: expected {SPHERE}, such as sphere:0,3,1:0.25:40,36,30")
+    position, (radius,), radiance = numbers if len(numbers) == 3 else (*numbers, [1.0, 1.0, 1.0])
+    if not all(math.isfinite(value) for value in position):
+        raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")
+    if not (radius > 0 and math.isfinite(radius)):
+        raise LightError(f"--light {text}: radius: expected {_EXPECTED['radius']}, found {radius:g}")
+    if not all(value >= 0 and math.isfinite(value) for value in radiance):
+        raise LightError(f"--light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")
+    return SphereLight(np.array(position), radius, np.array(radiance))
+
+
+def _numbers(text: str) -> list[list[float]]:
+    """The numbers of a light in one word, by colons; none where a part of it is no number."""
+    try:
+        return [[float(number) for number in word.split(",")] for word in text.split(":")[1:]]
+    except ValueError:
+        return []
+
+
+def _directional(where: str, direction: Any, irradiance: Any, diameter: float) -> DirectionalLight:
+    towards = np.asarray(direction, np.float64)
+    largest = float(np.abs(towards).max())
+    if not (largest > 0 and math.isfinite(largest)):
+        raise LightError(f"{where}: direction: expected {_EXPECTED['direction']}, found {towards.tolist()}")
+    towards = towards / largest
+    return DirectionalLight(towards / np.linalg.norm(towards), np.asarray(irradiance, np.float64), float(diameter))
+
+
+def _sentence(fault: ValidationError, tables: dict[str, Any]) -> str:
+    """The first fault by its key; unknown keys come first, since a misspelt key also makes another one missing."""
+    error = sorted(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")[0]
+    place = error["loc"][:3]
+    key, name = ".".join(str(part) for part in place), str(place[-1])
+    if error["type"] == "extra_forbidden":
+        known = list(_TABLES[str(place[0]) if len(place) > 1 else ""].model_fields)
+        close = difflib.get_close_matches(name, known, n=1)
+        return f"{key}: unknown key; " + (f"did you mean '{close[0]}'?" if close else f"expected {', '.join(known)}")
+    named = name if name in _EXPECTED else str(place[0])
+    if error["type"] == "missing" and len(error["loc"]) == len(place):
+        return f"{key}: is missing; expected {_EXPECTED[named]}"
+    return f"{key}: expected {_EXPECTED[named]}, found {_found(tables, place)!r}"
+
+
+def _found(tables: Any, place: tuple[int | str, ...]) -> Any:
+    value = tables
+    for part in place:
+        try:
+            value = value[part]
+        except (KeyError, IndexError, TypeError):
+            break
+    return value

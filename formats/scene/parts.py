@@ -1,0 +1,202 @@
+"""The parts of a scene: closed surfaces nested in one another, each with its boundary and what fills it."""
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import SceneError
+from formats.image.texture import read_reflectance_texture, read_roughness_texture
+from formats.mesh import Mesh, flipped, open_edges, read_mesh, signed_volume, torn_edges
+from formats.scene.file import named_by
+from formats.scene.medium import Medium, Place, clear_medium, read_medium
+from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
+
+MOST_PARTS = 12
+"""Parts a scene may have, the outermost counted."""
+OUTERMOST = "object"
+"""The name of the outermost part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One closed surface and what fills it.
+
+    Attributes:
+        name: "object" for the outermost.
+        parent: index among the scene's parts of the one it lies in; -1 for the outermost.
+        mesh_path: the mesh file.
+        mesh: closed, wound consistently, faces counter-clockwise seen from outside.
+        flipped: whether the file had the faces wound inside out.
+        eta: absolute index of refraction inside (outside everything: 1); equal to the parent's, it is index-matched.
+        roughness: GGX alpha, 0 is smooth; or a texture float64 [H,W], row 0 on top, by the mesh's `corner_uv`.
+        normals: which normals the boundary uses, "face" or "vertex".
+        energy_compensation: whether the energy that single scattering on a rough boundary loses is given back.
+        diffuse: linear reflectance float64 [3] or a texture [H,W,3], row 0 on top; None for a dielectric boundary.
+        medium: what lies inside; None where the boundary is diffuse.
+    """
+
+    name: str
+    parent: int
+    mesh_path: Path
+    mesh: Mesh
+    flipped: bool
+    eta: float
+    roughness: float | NDArray[np.float64]
+    normals: Literal["face", "vertex"]
+    energy_compensation: bool
+    diffuse: NDArray[np.float64] | None
+    medium: Medium | None
+
+
+def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:
+    """Load every part of a scene, the outermost first, then those inside in the order of the file.
+
+    Raises:
+        SceneError: names that are taken or unknown, parts nested in a circle, a mesh that is not closed or lies outside
+            its parent, a texture or grid that does not fit; the message names the key.
+        MeshError, ImageError: a file is damaged.
+        StorageError: a file is missing.
+    """
+    parents = _parents(tables.inside, path)
+    parts: dict[int, Part] = {0: _outermost(tables, path)}
+    while len(parts) <= len(tables.inside):
+        for index in range(1, len(parents)):
+            if index not in parts and parents[index] in parts:
+                parts[index] = _inner(tables, index, parents[index], parts[parents[index]], path)
+    return tuple(parts[index] for index in sorted(parts))
+
+
+def _outermost(tables: SceneFile, path: Path) -> Part:
+    mesh_path = path.parent / tables.object.mesh
+    mesh, was_flipped = _closed_mesh(mesh_path, path, "object.mesh")
+    return Part(
+        name=OUTERMOST,
+        parent=-1,
+        mesh_path=mesh_path,
+        mesh=mesh,
+        flipped=was_flipped,
+        eta=1.0 if tables.interface.eta is None else tables.interface.eta,
+        roughness=_roughness(tables.interface, mesh, path, "interface"),
+        normals=tables.interface.normals,
+        energy_compensation=tables.interface.energy_compensation,
+        diffuse=None,
+        medium=read_medium(tables.medium, Place(path, "medium", mesh.bounds, tables.object)),
+    )
+
+
+def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path: Path) -> Part:
+    table, key = tables.inside[index - 1], f"inside.{index - 1}"
+    if parent.diffuse is not None:
+        raise SceneError(
+            f"{path}: {key}.in: {table.name!r} lies in {parent.name!r}, which is diffuse: no light gets there; put it "
+            f"into a dielectric"
+        )
+    mesh_path = path.parent / table.mesh
+    mesh, was_flipped = _closed_mesh(mesh_path, path, f"{key}.mesh")
+    _refuse_outside(mesh, parent, f"{path}: {key}.mesh: {mesh_path}")
+    interface = table.interface or InterfaceTable()
+    diffuse = _reflectance(table, mesh, path, key) if table.surface == "diffuse" else None
+    place = Place(path, f"{key}.medium", mesh.bounds, tables.object)
+    filling = clear_medium() if table.medium is None else read_medium(table.medium, place)
+    return Part(
+        name=table.name,
+        parent=parent_index,
+        mesh_path=mesh_path,
+        mesh=mesh,
+        flipped=was_flipped,
+        eta=parent.eta if interface.eta is None else interface.eta,
+        roughness=_roughness(interface, mesh, path, f"{key}.interface"),
+        normals=interface.normals,
+        energy_compensation=interface.energy_compensation,
+        diffuse=diffuse,
+        medium=None if diffuse is not None else filling,
+    )
+
+
+def _parents(inside: tuple[InsideTable, ...], path: Path) -> list[int]:
+    """Return for each part the index of the one it lies in, -1 for the outermost; every chain ends there."""
+    if len(inside) >= MOST_PARTS:
+        raise SceneError(
+            f"{path}: inside: expected at most {MOST_PARTS} parts with the outermost, found {len(inside) + 1}; join "
+            f"objects of one material into one mesh"
+        )
+    names = [OUTERMOST]
+    for i, table in enumerate(inside):
+        if table.name in names:
+            raise SceneError(f"{path}: inside.{i}.name: {table.name!r} is taken already; give every part its own name")
+        names.append(table.name)
+    parents = [-1]
+    for i, table in enumerate(inside):
+        parent = OUTERMOST if table.inside_of is None else table.inside_of
+        if parent not in names:
+            close = difflib.get_close_matches(parent, names, n=1)
+            advice = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(names)}"
+            raise SceneError(f"{path}: inside.{i}.in: there is no part {parent!r}; {advice}")
+        parents.append(names.index(parent))
+    for i in range(1, len(parents)):
+        chain = [i]
+        while parents[chain[-1]] > 0:
+            chain.append(parents[chain[-1]])
+            if chain[-1] == i:
+                circle = " in ".join(repr(names[place]) for place in chain)
+                raise SceneError(f"{path}: inside.{i - 1}.in: parts are nested in a circle: {circle}")
+            if len(chain) > len(parents):
+                break  # The circle lies further up, and is told from there.
+    return parents
+
+
+def _closed_mesh(mesh_path: Path, path: Path, key: str) -> tuple[Mesh, bool]:
+    with named_by(path, key):
+        mesh = read_mesh(mesh_path)
+    if count := open_edges(mesh):
+        raise SceneError(
+            f"{path}: {key}: {mesh_path} is not closed: {count} edges are not shared by exactly two faces; "
+            f"close the holes, or leave parts out that touch"
+        )
+    if count := torn_edges(mesh):
+        raise SceneError(
+            f"{path}: {key}: {mesh_path} has {count} edges between faces wound against one another; make "
+            f"its normals consistent"
+        )
+    return (flipped(mesh), True) if signed_volume(mesh) < 0 else (mesh, False)
+
+
+def _refuse_outside(mesh: Mesh, parent: Part, where: str) -> None:
+    (low, high), (parent_low, parent_high) = mesh.bounds, parent.mesh.bounds
+    if (low >= parent_high).any() or (high <= parent_low).any():
+        raise SceneError(
+            f"{where} lies wholly outside {parent.name!r}: its box is {_box(mesh)}, expected one that meets "
+            f"{_box(parent.mesh)}; move it, or check the unit of length"
+        )
+
+
+def _box(mesh: Mesh) -> str:
+    return " to ".join("(" + ", ".join(f"{x:.4g}" for x in corner) + ")" for corner in mesh.bounds)
+
+
+def _roughness(interface: InterfaceTable, mesh: Mesh, path: Path, key: str) -> float | NDArray[np.float64]:
+    if not isinstance(interface.roughness, str):
+        return interface.roughness
+    _require_uv(mesh, f"{path}: {key}.roughness")
+    with named_by(path, f"{key}.roughness"):
+        return read_roughness_texture(path, f"{key}.roughness", interface.roughness)
+
+
+def _reflectance(table: InsideTable, mesh: Mesh, path: Path, key: str) -> NDArray[np.float64]:
+    if isinstance(table.reflectance, str):
+        _require_uv(mesh, f"{path}: {key}.reflectance")
+        with named_by(path, f"{key}.reflectance"):
+            return read_reflectance_texture(path, f"{key}.reflectance", table.reflectance)
+    return np.broadcast_to(np.asarray(table.reflectance, np.float64), 3).copy()
+
+
+def _require_uv(mesh: Mesh, where: str) -> None:
+    if mesh.corner_uv is None:
+        raise SceneError(
+            f"{where}: an image needs texture coordinates, and the mesh has none; unwrap the mesh in an editor, or "
+            f"give a number"
+        )

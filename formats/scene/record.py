@@ -1,0 +1,148 @@
+"""Scenes: a closed object, what lies inside it and the media that fill them, from a TOML file checked key by key."""
+
+import dataclasses
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.mesh import Mesh
+from formats.scene.file import parse_scene
+from formats.scene.medium import Medium
+from formats.scene.parts import Part, read_parts
+from formats.scene.schema import SceneFile
+
+__all__ = ["Medium", "Part", "Scene", "read_scene"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A scene with everything it names loaded. Lengths are in scene units, `sigma_t` is per scene unit.
+
+    A point belongs to the deepest part that holds it, where a part counts only inside its parent; of siblings that
+    overlap the later one wins. Properties named as those of a part speak of the outermost one.
+
+    Attributes:
+        path: the TOML file.
+        tables: the file's tables as checked.
+        up: the axis that points up.
+        unit: name of the unit of length.
+        parts: the outermost first, then those inside in the order of the file.
+        content_hash: SHA-256 of all that decides the transport: meshes, nesting, interfaces, textures, media, grids.
+    """
+
+    path: Path
+    tables: SceneFile
+    up: Literal["y", "z"]
+    unit: str
+    parts: tuple[Part, ...]
+    content_hash: str = ""
+
+    @property
+    def mesh_path(self) -> Path:
+        """The mesh file of the outermost part."""
+        return self.parts[0].mesh_path
+
+    @property
+    def mesh(self) -> Mesh:
+        """The outermost surface: closed, faces counter-clockwise seen from outside."""
+        return self.parts[0].mesh
+
+    @property
+    def flipped(self) -> bool:
+        """Whether the mesh file had the faces wound inside out."""
+        return self.parts[0].flipped
+
+    @property
+    def eta(self) -> float:
+        """Absolute index of refraction inside (outside: 1); 1 is index-matched."""
+        return self.parts[0].eta
+
+    @property
+    def roughness(self) -> float | NDArray[np.float64]:
+        """GGX alpha, 0 is smooth; or a texture [H,W]."""
+        return self.parts[0].roughness
+
+    @property
+    def normals(self) -> Literal["face", "vertex"]:
+        """Which normals the interface uses."""
+        return self.parts[0].normals
+
+    @property
+    def medium(self) -> Medium:
+        """What fills the outermost part; it is never diffuse."""
+        medium = self.parts[0].medium
+        assert medium is not None
+        return medium
+
+    @property
+    def sigma_t(self) -> float | NDArray[np.float64]:
+        """Extinction: a number, one a channel [3], or a float64 grid [Z,Y,X] or [Z,Y,X,3]."""
+        sigma_t = self.medium.sigma_t
+        return float(sigma_t) if sigma_t.ndim == 0 else sigma_t
+
+    @property
+    def albedo(self) -> NDArray[np.float64]:
+        """Single-scattering albedo in [0,1], float64 [3] or a grid [Z,Y,X] or [Z,Y,X,3]."""
+        return self.medium.albedo
+
+    @property
+    def phase_g(self) -> float:
+        """Mean cosine of the Henyey–Greenstein phase function."""
+        return self.medium.phase_g
+
+    @property
+    def bounds(self) -> NDArray[np.float64] | None:
+        """Lowest and highest corner of the grids' box, float64 [2,3]; None where there is no grid."""
+        return self.medium.bounds
+
+
+def read_scene(path: str | os.PathLike[str]) -> Scene:
+    """Read a scene file and the meshes, textures and grids it names, relative to itself.
+
+    Raises:
+        SceneError: an unknown key, a value out of range, a grid or texture that does not fit, a mesh that is not
+            closed, parts that do not nest; the message names the key.
+        MeshError, ImageError: the mesh or texture itself is damaged.
+        StorageError: a file is missing.
+    """
+    path = Path(path)
+    tables = parse_scene(path)
+    scene = Scene(path, tables, tables.object.up, tables.object.unit, read_parts(tables, path))
+    return dataclasses.replace(scene, content_hash=_content_hash(scene.parts))
+
+
+def _content_hash(parts: tuple[Part, ...]) -> str:
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(_transport_of(part))
+    return digest.hexdigest()
+
+
+def _transport_of(part: Part) -> bytes:
+    """Everything about a part that decides the transport, as bytes; what takes its usual value is left out."""
+    textured = isinstance(part.roughness, np.ndarray) or (part.diffuse is not None and part.diffuse.ndim == 3)
+    medium = part.medium
+    said: list[object] = [
+        part.mesh.content_hash,
+        part.eta,
+        "texture" if isinstance(part.roughness, np.ndarray) else part.roughness,
+        part.normals,
+        0.0 if medium is None else medium.phase_g,
+    ]
+    said += ["energy compensation"] if part.energy_compensation else []
+    said += [{"parent": part.parent, "diffuse": medium is None}] if part.parent >= 0 else []
+    arrays = [None] * 3 if medium is None else [medium.sigma_t, medium.albedo, medium.bounds]
+    arrays += [] if part.diffuse is None else [part.diffuse]
+    arrays += [part.roughness] if isinstance(part.roughness, np.ndarray) else []
+    arrays += [part.mesh.corner_uv] if textured else []
+    pieces = [json.dumps(said).encode()]
+    for values in arrays:
+        array = np.zeros(0) if values is None else np.asarray(values, "<f8")
+        pieces += [json.dumps(array.shape).encode(), np.ascontiguousarray(array).tobytes()]
+    return b"".join(pieces)

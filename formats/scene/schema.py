@@ -1,0 +1,112 @@
+"""What a scene file may say: the tables of the TOML, their keys and ranges."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, field_validator, model_validator
+
+from formats.scene.solid_texture import Pattern
+
+_Unit = Annotated[float, Field(ge=0, le=1)]
+_Extinction = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_Coordinate = Annotated[float, Field(ge=-1e30, le=1e30)]
+_Point = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]
+_Density = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Extinctions = Annotated[tuple[_Extinction, _Extinction, _Extinction], Strict(False)]
+_Colour = Annotated[tuple[_Unit, _Unit, _Unit], Strict(False)]
+
+
+class Table(BaseModel):
+    """A table whose keys are all known."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
+
+
+class ObjectTable(Table):
+    """[object]: the outer surface, a mesh file relative to the scene file."""
+
+    mesh: str = Field(min_length=1)
+    up: Literal["y", "z"] = "y"
+    unit: str = "unit"
+    unit_in_mm: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+
+
+class InterfaceTable(Table):
+    """[interface]: the dielectric boundary; index-matched if left out. A string names a roughness texture."""
+
+    eta: float | None = Field(default=None, ge=0.25, le=4)
+    roughness: _Unit | str = 0.0
+    normals: Literal["face", "vertex"] = "face"
+    energy_compensation: bool = False
+
+
+class MixTable(Table):
+    """[medium.mix]: a second substance, mixed in by a procedural pattern."""
+
+    material: str | None = None
+    density: _Density = 1.0
+    sigma_t: _Extinction | _Extinctions | None = None
+    albedo: _Unit | _Colour | None = None
+    pattern: Pattern
+    feature: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    seed: int = Field(default=0, ge=0, lt=2**63)
+    octaves: int = Field(default=4, ge=1, le=10)
+    thresholds: Annotated[tuple[_Coordinate, _Coordinate], Strict(False)] | None = None
+    resolution: int = Field(default=64, ge=2, le=256)
+
+    @field_validator("thresholds")
+    @classmethod
+    def _apart(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError("the first threshold must be below the second")
+        return value
+
+
+class MediumTable(Table):
+    """[medium]: what scatters and absorbs; a string names a grid file. Either `material`, or `sigma_t` and `albedo`."""
+
+    material: str | None = None
+    density: _Density = 1.0
+    sigma_t: _Extinction | _Extinctions | str | None = None
+    albedo: _Unit | _Colour | str | None = None
+    phase_g: float = Field(default=0.0, gt=-1, lt=1)
+    bounds: Annotated[tuple[_Point, _Point], Strict(False)] | None = None
+    mix: MixTable | None = None
+
+    @field_validator("bounds")
+    @classmethod
+    def _ascending(cls, value: tuple[_Point, _Point] | None) -> tuple[_Point, _Point] | None:
+        if value is not None and not all(low < high for low, high in zip(*value, strict=True)):
+            raise ValueError("the lowest corner must come first and be below the highest in x, y and z")
+        return value
+
+
+class InsideTable(Table):
+    """[[inside]]: an object inside the object, nested by `in`; diffuse, or a dielectric with a medium."""
+
+    name: str = Field(min_length=1)
+    mesh: str = Field(min_length=1)
+    inside_of: str | None = Field(default=None, alias="in")
+    surface: Literal["diffuse"] | None = None
+    reflectance: _Unit | _Colour | str | None = None
+    interface: InterfaceTable | None = None
+    medium: MediumTable | None = None
+
+    @model_validator(mode="after")
+    def _one_surface(self) -> "InsideTable":
+        if self.surface is None and self.reflectance is not None:
+            raise ValueError('reflectance needs surface = "diffuse"; a dielectric has [inside.interface]')
+        if self.surface == "diffuse" and self.reflectance is None:
+            raise ValueError("reflectance is missing; a diffuse surface needs one")
+        if self.surface == "diffuse" and (self.interface is not None or self.medium is not None):
+            table = "interface" if self.interface is not None else "medium"
+            raise ValueError(f'a diffuse surface lets no light in; remove [inside.{table}], or surface = "diffuse"')
+        return self
+
+
+class SceneFile(Table):
+    """A whole scene file."""
+
+    object: ObjectTable
+    interface: InterfaceTable = InterfaceTable()
+    medium: MediumTable
+    inside: Annotated[tuple[InsideTable, ...], Strict(False)] = ()

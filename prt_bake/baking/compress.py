@@ -1,0 +1,358 @@
+"""Compaction of baked assets: the smallest form that meets an error, measured on what is written."""
+
+import dataclasses
+import math
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.compression import Trial, forms, quantised, tried, untransformed
+from bakers.error_covariance import both, gathered, of_errors
+from formats.asset import Asset, read_asset
+from formats.asset.compact_file import Sparse, coarse, joined, sparse, write_compact
+from formats.asset.compact_record import AddedError, CompactCoefficients
+from formats.asset.error_covariance import ErrorShape, pairs
+from formats.atomic import replacing
+from formats.errors import QueryError, refuse_path
+from prt_bake.mathematics import sphere
+from prt_bake.mathematics.view_frames import ViewFrames
+from prt_bake.shading.reconstruction import reconstruct
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+LEAST_ERROR = 1e-6
+SAMPLE_BYTES = 2**28
+"""Coefficients of the vertices that forms are fitted to and tried on, in the type of the work."""
+SINGLE_PRECISION = 1e-3
+"""From this error on float32 is exact enough to multiply by bases."""
+LEAST_SAMPLE = 64
+"""Vertices, however many coefficients one has."""
+AT_ONCE, _AROUND = 64, 8
+_PASSES = 6
+
+
+class Tried(NamedTuple):
+    """A form as it came out on the sample: bytes of all vertices, foretold, the added error, and seconds taken."""
+
+    form: str
+    size: int
+    error: float
+    seconds: float
+
+
+class Outcome(NamedTuple):
+    """What compaction of a file came to; where the compact form is not smaller, the file is a copy and `compact` None.
+
+    raw: bytes in float32. before, after: bytes of the coefficients and their errors in the files.
+    """
+
+    asset: Asset
+    compact: CompactCoefficients | None
+    raw: int
+    before: int
+    after: int
+    seconds: float
+
+
+class Encoded(NamedTuple):
+    """All vertices in one form: the parts of compact codes, the error's squares [V] and the original's [V], and sums of
+    products of the errors of two harmonics [V,P], and of each channel [V,C].
+    """
+
+    parts: list[Sparse]
+    lost: Array
+    original: Array
+    covariance: Array
+    of_channels: Array
+
+
+def compress(asset: Asset, error: float, progress: Progress | None = None) -> Asset:
+    """The asset with compact coefficients whose added relative RMSE is at most `error`.
+
+    The error is ‖decoded − original‖ / ‖original‖ over valid vertices, view bins, harmonics and channels.
+    `standard_error` becomes [V,1]: the root of the mean square of the original's over bins plus the square of what was
+    added. The provenance has a table "compression": bytes before, forms tried, seconds.
+
+    Raises QueryError for an error out of 10⁻⁶ to 1, or an asset that is compact already.
+    """
+    refuse_path("asset", asset, "prt.read_asset")
+    if not LEAST_ERROR <= error < 1.0:
+        raise QueryError(f"error: must be a relative RMSE from {LEAST_ERROR:g} to below 1, found {error:g}")
+    if isinstance(asset.coefficients, CompactCoefficients):
+        raise QueryError("asset: is compact already; compress the one that it was made from")
+    began = time.monotonic()
+    say = progress or (lambda share, words: None)
+    sample = _sample(asset, SAMPLE_BYTES // np.dtype(kind_for(error)).itemsize)
+    squares = float(np.square(sample, dtype=np.float64).sum())
+    trials, table = _trials(asset, sample, error**2 * squares, error, squares, say)
+    share = int(np.count_nonzero(asset.valid)) / max(1, len(sample))
+    if not trials:
+        trials.append(_untransformed(asset, error))
+    best = min(trials, key=lambda trial: share * trial.size + trial.basis)
+    table += [*_trade(best, sample, error, squares, share)]
+    del sample
+    found = _within(asset, best, error, say)
+    if found is None:  # vertices outside the sample are like none in it
+        best = _untransformed(asset, error)
+        found = _within(asset, best, error, say)
+    if found is None:
+        raise QueryError(f"error: {error:g} is finer than whole numbers in 32 bits can tell; ask for a larger one")
+    compact, encoded = found
+    own = np.square(np.asarray(asset.standard_error, np.float64)).mean(axis=1)
+    stated = np.where(asset.valid, np.sqrt(own + np.square(compact.added.per_vertex, dtype=np.float64)), 0.0)
+    noise = float(own[asset.valid].sum()) * math.prod(asset.coefficients.shape[1:])
+    original = float(encoded.original.sum())
+    told = {
+        "form": best.form.name,
+        "components": len(compact.view_component),
+        "codes_that_are_not_zero": len(compact.values),
+        "raw_float32_bytes": raw_bytes(asset),
+        "bytes_before": stored_bytes(asset),
+        "standard_error_before": math.sqrt(noise / original) if original > 0.0 else 0.0,
+        "tried": [row._asdict() for row in table],
+        "seconds": round(time.monotonic() - began, 2),
+    }
+    return dataclasses.replace(
+        asset,
+        coefficients=compact,
+        standard_error=coarse(stated[:, None]),
+        storage="float32",
+        error_shape=_error_shape(asset, own, encoded),
+        selftest=_selftest(asset, compact),
+        provenance={**asset.provenance, "compression": told},
+    )
+
+
+def compress_file(
+    path: str | Path, out: str | Path, error: float, progress: Progress | None = None, command: str | None = None
+) -> Outcome:
+    """Read an asset, write it compact and return what that came to.
+
+    Where the compact form is not smaller than the asset, `out` becomes a copy of the asset as it is.
+
+    Raises as `read_asset`, `compress` and `write_asset` do, and QueryError where `out` is the asset itself.
+    """
+    if Path(out).exists() and Path(out).samefile(path):
+        raise QueryError(f"{out}: is the asset itself; give another name, so that what it was made from stays")
+    began = time.monotonic()
+    asset = read_asset(path, load=False)
+    try:
+        if isinstance(asset.coefficients, CompactCoefficients):
+            raise QueryError(f"{path}: is compact already; compress the asset that it was made from")
+        raw, before = raw_bytes(asset), stored_bytes(asset)
+        made = compress(asset, error, progress)
+    finally:
+        asset.close()
+    made.provenance["compression"]["command"] = command
+    after = write_compact(made, out)
+    if after < before:
+        return Outcome(made, made.coefficients, raw, before, after, time.monotonic() - began)
+    with replacing(out) as part:
+        shutil.copyfile(path, part)
+    return Outcome(asset, None, raw, before, before, time.monotonic() - began)
+
+
+def unpacked(asset: Asset) -> Asset:
+    """The asset with its coefficients in an array in float32, where they are compact; itself otherwise."""
+    if not isinstance(asset.coefficients, CompactCoefficients):
+        return asset
+    return dataclasses.replace(asset, coefficients=asset.coefficients[:])
+
+
+def stored_bytes(asset: Asset) -> int:
+    """Bytes of the coefficients and their errors as they lie in the asset's file; in memory, of the arrays."""
+    if isinstance(asset.coefficients, h5py.Dataset):
+        group = asset.coefficients.parent
+        return sum(int(group[name].id.get_storage_size()) for name in group)
+    return int(math.prod(asset.coefficients.shape) * asset.coefficients.dtype.itemsize + asset.standard_error.nbytes)
+
+
+def raw_bytes(asset: Asset) -> int:
+    """Bytes of the coefficients in float32, axes that were left out not counted."""
+    return 4 * int(math.prod(asset.coefficients.shape))
+
+
+def kind_for(error: float) -> Any:
+    """The type in which coefficients are multiplied by bases."""
+    return np.float32 if error >= SINGLE_PRECISION else np.float64
+
+
+def _sample(asset: Asset, numbers: int) -> NDArray[np.float32]:
+    """Valid vertices evenly from all of them, as many as have so many coefficients."""
+    shape = asset.coefficients.shape
+    valid = np.flatnonzero(asset.valid)
+    if not len(valid):
+        raise QueryError("asset: no vertex was baked, there is nothing to compress; bake it again")
+    count = min(len(valid), max(LEAST_SAMPLE, numbers // math.prod(shape[1:])))
+    chosen = valid[np.linspace(0, len(valid) - 1, count).round().astype(np.int64)]
+    return np.concatenate([_read(asset, chosen[i : i + AT_ONCE]) for i in range(0, count, AT_ONCE)])
+
+
+def _read(asset: Asset, rows: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Coefficients of ascending vertices, 0 where they are not valid."""
+    span = np.asarray(asset.coefficients[int(rows[0]) : int(rows[-1]) + 1])
+    block = np.where(asset.valid[rows, None, None, None], span[rows - rows[0]], 0.0).astype(np.float32)
+    wrong = ~np.isfinite(block).all(axis=(1, 2, 3))
+    if wrong.any():
+        raise QueryError(f"asset: coefficients of vertex {rows[wrong.argmax()]} are not finite; bake it again")
+    return block
+
+
+def _trials(
+    asset: Asset, sample: NDArray[np.float32], allowed: float, error: float, squares: float, say: Progress
+) -> tuple[list[Trial], list[Tried]]:
+    share = int(np.count_nonzero(asset.valid)) / len(sample)
+    trials: list[Trial] = []
+    table: list[Tried] = []
+    for form in forms(sample, asset.rings, asset.sectors, allowed):
+        say(0.1 + 0.1 * len(table), f"trying {form.name}")
+        began = time.monotonic()
+        trial = tried(form, sample, allowed, kind_for(error))
+        if trial is None:
+            continue
+        trials.append(trial)
+        table.append(_row(trial, share, squares, time.monotonic() - began))
+    return trials, table
+
+
+def _trade(best: Trial, sample: NDArray[np.float32], error: float, squares: float, share: float) -> Iterator[Tried]:
+    """What other errors would have come to in the form that was chosen."""
+    for factor in (0.5, 2.0, 4.0):
+        if factor * error < 1.0:
+            began = time.monotonic()
+            trial = tried(best.form, sample, (factor * error) ** 2 * squares, kind_for(factor * error))
+            if trial is not None:
+                yield _row(trial, share, squares, time.monotonic() - began)
+
+
+def _row(trial: Trial, share: float, squares: float, seconds: float) -> Tried:
+    error = math.sqrt(trial.squares / squares) if squares > 0.0 else 0.0
+    return Tried(trial.form.name, round(share * trial.size) + trial.basis, error, round(seconds, 2))
+
+
+def _error_shape(asset: Asset, own: Array, encoded: Encoded) -> ErrorShape | None:
+    """How errors hang together that are of mean variance `own` [V] before compaction, and what compaction adds."""
+    if asset.error_shape is None:
+        return None
+    _, bins, terms, channels = asset.coefficients.shape
+    sums = encoded.covariance / (bins * channels), encoded.of_channels / (bins * terms)
+    whole = both(asset.error_shape.of(np.arange(len(own))), own, *sums)
+    return gathered(whole, np.where(asset.valid, own + sums[1].mean(axis=1), 0.0))
+
+
+def _within(asset: Asset, trial: Trial, error: float, say: Progress) -> tuple[CompactCoefficients, Encoded] | None:
+    """All vertices in the form that was tried, its step made finer until the error is met; None where what the form
+    leaves out is more than the error.
+    """
+    step = trial.step
+    for attempt in range(_PASSES):
+        encoded = _encoded(asset, trial, step, error, lambda done: say(0.5 + 0.5 * done, "encoding"))
+        lost, original = float(encoded.lost.sum()), float(encoded.original.sum())
+        if lost <= error**2 * original:
+            return _compact(asset, trial, step, error, encoded), encoded
+        step *= 0.998 * (error**2 * original / lost) ** (1.0 + attempt)
+    return None
+
+
+def _untransformed(asset: Asset, error: float) -> Trial:
+    """All coefficients by themselves, with a step that meets the error however they are distributed."""
+    _, bins, terms, channels = asset.coefficients.shape
+    rings, sectors = (asset.rings, asset.sectors) if bins > 1 else (1, 1)
+    squares = count = 0.0
+    for first in range(0, len(asset.valid), AT_ONCE):
+        rows = np.arange(first, min(first + AT_ONCE, len(asset.valid)))
+        squares += float(np.square(_read(asset, rows), dtype=np.float64).sum())
+        count += float(asset.valid[rows].sum()) * bins * terms * channels
+    form = untransformed(rings, sectors, terms, channels)
+    channel, view = (part.ravel() for part in np.mgrid[: terms * channels, :bins])
+    return Trial(form, view, channel, error * math.sqrt(2.0 * squares / count) or 1.0, 0.0, 0, 0)
+
+
+def _encoded(asset: Asset, trial: Trial, step: float, error: float, say: Callable[[float], None]) -> Encoded:
+    kind = kind_for(error)
+    form = trial.form
+    analysis = form.analysis(kind)
+    at = trial.view_component, trial.channel_component
+    views, channels = form.views.matrix.T.astype(kind), form.channels.reshape(len(form.channels), -1).astype(kind)
+    vertices, (terms, colours) = len(asset.valid), asset.coefficients.shape[2:]
+    parts, lost, original = [], np.zeros(vertices), np.zeros(vertices)
+    covariance, of_channels = np.zeros((vertices, pairs(terms))), np.zeros((vertices, colours))
+    for first in range(0, vertices, AT_ONCE):
+        rows = np.arange(first, min(first + AT_ONCE, vertices))
+        if not asset.valid[rows].any():
+            parts.append(sparse(np.zeros((1, len(rows)), np.int32)))
+            continue
+        block = _read(asset, rows)
+        numbers = form.numbers(block, analysis)
+        codes = quantised(numbers[:, at[0], at[1]].T.astype(np.float64), step)
+        parts.append(sparse(codes))
+        numbers[:] = 0.0
+        numbers[:, at[0], at[1]] = codes.T * step
+        decoded = np.matmul(views, numbers @ channels)
+        flat = block.reshape(decoded.shape)
+        errors = decoded - flat
+        if asset.error_shape is not None:
+            covariance[rows], of_channels[rows] = _shapes_of(asset, rows, errors.reshape(block.shape))
+        lost[rows] = np.square(errors, dtype=np.float64).sum(axis=(1, 2))
+        original[rows] = np.square(flat, dtype=np.float64).sum(axis=(1, 2))
+        say((first + len(rows)) / vertices)
+    return Encoded(parts, lost, original, covariance, of_channels)
+
+
+def _shapes_of(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Sums [n,P], [n,C] that tell how errors [n,B,K,C] of these vertices hang together, in the frames of the views."""
+    n, bins, terms, channels = errors.shape
+    normals, tangents = (np.asarray(each, np.float64) for each in (asset.mesh.normals, asset.tangents))
+    frames = ViewFrames(normals, tangents)
+    # Views that are kept as one are seen from all around.
+    local = asset.directions if bins == len(asset.directions) else sphere.view_bins(1, _AROUND)
+    outgoing = sphere.to_world(local, normals[vertices, None], tangents[vertices, None])
+    views = outgoing.shape[1]
+    each = np.broadcast_to(errors, (n, views, terms, channels)).astype(np.float64)
+    each = each.reshape(n * views, terms, channels)
+    in_view = frames.in_view(np.repeat(vertices, views), outgoing.reshape(-1, 3), each)
+    covariance, of_channels = of_errors(in_view.reshape(n, views, terms, channels), channels)
+    return covariance * (bins / views), of_channels * (bins / views)
+
+
+def _compact(asset: Asset, trial: Trial, step: float, error: float, encoded: Encoded) -> CompactCoefficients:
+    lost, original, valid = encoded.lost, encoded.original, np.asarray(asset.valid, np.bool_)
+    ratios = np.sqrt(lost[valid] / np.where(original[valid] > 0.0, original[valid], 1.0))
+    starts, components, values = joined(encoded.parts, len(trial.view_component))
+    total = float(original.sum())
+    return CompactCoefficients(
+        step=step,
+        views=trial.form.views,
+        channels=trial.form.channels,
+        view_component=trial.view_component,
+        channel_component=trial.channel_component,
+        starts=starts,
+        components=components,
+        values=values,
+        added=AddedError(
+            asked=error,
+            total=math.sqrt(float(lost.sum()) / total) if total > 0.0 else 0.0,
+            percentile_95=float(np.percentile(ratios, 95)),
+            worst=float(ratios.max()),
+            per_vertex=coarse(np.sqrt(lost / math.prod(asset.coefficients.shape[1:]))),
+        ),
+    )
+
+
+def _selftest(asset: Asset, compact: CompactCoefficients) -> dict[str, NDArray[Any]]:
+    """The original's selftest with the radiance that the compact coefficients give."""
+    if not asset.selftest:
+        return {}
+    vertices = np.asarray(asset.selftest["vertex"], np.int64)
+    tangents = np.asarray(asset.tangents, np.float64)[vertices]
+    local = sphere.to_local(asset.selftest["outgoing"], asset.mesh.normals[vertices], tangents)
+    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    light = np.asarray(asset.selftest["light"], np.float64) if asset.quantity == "transfer" else np.ones((1, 3))
+    return {**asset.selftest, "radiance": reconstruct(compact, vertices, at, asset.sectors, light)}

@@ -1,0 +1,223 @@
+"""Where baked blocks go: into an array, or straight into an asset file so that memory stays flat."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Protocol, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.baker import Block
+from formats.asset import Asset, AssetHead, Storage, read_asset
+from formats.asset.writer import AssetWriter
+from formats.errors import QueryError
+from formats.mesh import Mesh
+from prt_bake.baking.output.covariance_rows import ShapeRows
+from prt_bake.mathematics import sh, sphere
+
+CHECK_DIRECTIONS = np.array([[2.0, 3.0, 6.0], [-6.0, 2.0, -3.0]]) / 7.0
+SELFTEST_LOCAL = np.array(
+    [
+        [0.48, 0.36, 0.8],
+        [-0.64, 0.6, 0.48],
+        [0.0, 0.0, 1.0],
+        [-0.12, 0.09, 0.98869],
+        [0.6, -0.003, 0.79999],
+        [0.6, -0.8, 0.004],
+    ]
+)
+SELFTEST_LOCAL /= np.linalg.norm(SELFTEST_LOCAL, axis=1, keepdims=True)
+"""Local directions to the eye at which an importer's radiance is compared: two anywhere, the pole, beside the pole,
+over the seam of φ, and grazing."""
+
+
+class Sink(Protocol):
+    """Takes blocks in order and closes the asset; a file is discarded if the context is left without `finish`."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def write(self, block: Block) -> None:
+        """Keeps a block; vertices that are not valid are left out."""
+
+    def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
+        """The asset, whole or in part."""
+
+
+def open_sink(
+    out: str | Path | None,
+    head: AssetHead,
+    storage: str,
+    views: int | None = None,
+    channels: int = 3,
+    light: NDArray[np.float64] | None = None,
+) -> Sink:
+    """A sink in memory, or one that streams to the file `out`; raises QueryError on an unknown storage type.
+
+    views: length of the view axis, B by default. channels: of the last axis. light: that radiance was made for [K,3].
+    """
+    if storage not in ("float16", "float32"):
+        raise QueryError(f"storage must be float16 or float32, found {storage!r}")
+    kept = cast(Storage, storage)
+    axes = views or len(head.directions), channels
+    return ArraySink(head, kept, axes, light) if out is None else FileSink(head, kept, axes, light, out)
+
+
+def asset_head(
+    mesh: Mesh, tangents: NDArray[np.float64], rings: int, sectors: int, degree: int, transport: Any
+) -> AssetHead:
+    """All that is known before the first vertex; up and unit are the transport's, from its metadata or attributes."""
+    return AssetHead(
+        mesh=mesh,
+        tangents=tangents,
+        rings=rings,
+        sectors=sectors,
+        directions=sphere.view_bins(rings, sectors),
+        degree=degree,
+        check_directions=CHECK_DIRECTIONS,
+        check_values=sh.evaluate(CHECK_DIRECTIONS, degree),
+        up=str(said_by(transport, "up", "y")),
+        unit=str(said_by(transport, "unit", "unit")),
+    )
+
+
+def said_by(transport: Any, name: str, otherwise: Any) -> Any:
+    """What a transport says of itself, in its metadata or as an attribute."""
+    metadata = getattr(transport, "metadata", None) or {}
+    return metadata.get(name, getattr(transport, name, otherwise))
+
+
+class ArraySink:
+    """Keeps the coefficients in memory, in float32."""
+
+    def __init__(
+        self, head: AssetHead, storage: Storage, axes: tuple[int, int], light: NDArray[np.float64] | None
+    ) -> None:
+        vertices, (views, channels) = len(head.mesh.positions), axes
+        self._head, self._storage, self._light = head, storage, light
+        terms = sh.count(head.degree) if head.quantity == "transfer" else 1
+        self._coefficients = np.zeros((vertices, views, terms, channels), dtype=np.float32)
+        self._standard_error = np.zeros((vertices, views), dtype=np.float32)
+        self._valid = np.zeros(vertices, dtype=np.bool_)
+        self._shapes = ShapeRows(self._coefficients.shape)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        pass
+
+    def write(self, block: Block) -> None:
+        """Keeps the block's valid vertices."""
+        rows = slice(block.first_vertex, block.first_vertex + len(block.valid))
+        self._coefficients[rows] = block.coefficients
+        self._standard_error[rows] = block.standard_error
+        self._valid[rows] = block.valid
+        self._shapes.keep(block)
+
+    def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
+        """Closes the asset and hands it over."""
+        first = int(self._valid.argmax())
+        return Asset(
+            **vars(self._head),
+            coefficients=self._coefficients,
+            standard_error=self._standard_error,
+            valid=self._valid,
+            complete=complete,
+            provenance=provenance,
+            error_vs_time=error_vs_time,
+            selftest=selftest(self._head, first, self._coefficients[first], self._light) if self._valid.any() else {},
+            storage=self._storage,
+            error_shape=self._shapes.finished(),
+        )
+
+
+class FileSink:
+    """Streams the coefficients to an asset file.
+
+    Where `out` exists already the new one takes its place only when it is whole; a part stays beside it as
+    partial-NAME.
+    """
+
+    def __init__(
+        self,
+        head: AssetHead,
+        storage: Storage,
+        axes: tuple[int, int],
+        light: NDArray[np.float64] | None,
+        out: str | Path,
+    ) -> None:
+        self._head, self._light, self._out = head, light, Path(out)
+        replaces = self._out.is_file()
+        self._target = self._out.with_name(f"partial-{self._out.name}") if replaces else self._out
+        self._writer = AssetWriter(self._target, head, storage=storage, views=axes[0], channels=axes[1])
+        self._first: tuple[int, NDArray[np.float32]] | None = None
+        self._shapes = ShapeRows(self._writer.shape)
+
+    def __enter__(self) -> Self:
+        self._writer.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.__exit__(kind, fault, trace)
+
+    def write(self, block: Block) -> None:
+        """Keeps the block's valid vertices."""
+        good = np.flatnonzero(block.valid)
+        for run in np.split(good, np.flatnonzero(np.diff(good) > 1) + 1):
+            if run.size:
+                rows = slice(int(run[0]), int(run[-1]) + 1)
+                self._writer.write_block(
+                    block.first_vertex + rows.start, block.coefficients[rows], block.standard_error[rows]
+                )
+        self._shapes.keep(block)
+        if self._first is None and good.size:
+            self._first = block.first_vertex + int(good[0]), block.coefficients[good[0]].copy()
+
+    def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
+        """Closes the asset and hands it over."""
+        check: dict[str, NDArray[Any]] = {}
+        if self._first is not None:
+            vertex, coefficients = self._first
+            check = selftest(self._head, vertex, coefficients.astype(self._writer.storage), self._light)
+        if self._writer.storage_note:
+            provenance = provenance | {"storage_note": self._writer.storage_note}
+        shape = self._shapes.finished()
+        self._writer.finish(provenance, error_vs_time, check, complete=complete, error_shape=shape)
+        if complete and self._target != self._out:
+            self._target.replace(self._out)
+        return read_asset(self._out if complete else self._target, load=False)
+
+
+def selftest(
+    head: AssetHead, vertex: int, coefficients: NDArray[np.floating], folded: NDArray[np.float64] | None
+) -> dict[str, NDArray[Any]]:
+    """A light, some views of one vertex and the radiance that an importer must find there, coefficients [B,K,C] given.
+
+    The radiance is interpolated between view bins and not clamped. The light is `folded` [K,3] where the coefficients
+    are the radiance that it makes.
+    """
+    count = sh.count(head.degree)
+    fall = 1.0 / (1.0 + np.arange(count))
+    light = np.stack([fall, 0.8 * fall, 0.6 * fall * (-1.0) ** np.arange(count)], axis=-1)
+    a = coefficients.astype(np.float64)
+    if folded is None:
+        by_bin = (a * light).sum(axis=1)
+    else:
+        light, by_bin = folded[:count], np.broadcast_to(a[:, 0], (len(a), 3))
+    local = SELFTEST_LOCAL
+    bins, weights = sphere.bin_weights(local, head.rings, head.sectors)
+    by_bin = np.broadcast_to(by_bin, (head.rings * head.sectors, 3))
+    return {
+        "light": light,
+        "vertex": np.full(len(local), vertex, dtype=np.int64),
+        "outgoing": sphere.to_world(local, head.mesh.normals[vertex], head.tangents[vertex]),
+        "radiance": (by_bin[bins] * weights[..., None]).sum(axis=1),
+    }

@@ -1,0 +1,73 @@
+"""View bins at which ways to bake are held against the truth: one whole ring at each of a few vertices."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.evaluation import values_at
+from formats.mesh import Mesh
+from prt_bake.baking.job.job import views_of
+from prt_bake.baking.job.lattices import drawn
+from prt_bake.mathematics import sh, sphere
+from prt_bake.mathematics.directions import rotations
+from prt_bake.mathematics.random import uniforms
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+VALUES_AT_ONCE = 1 << 21
+_TRUTH_STREAM = 31
+
+
+@dataclass(frozen=True)
+class Bins:
+    """n vertices, and of each the bins [n,b] of one ring, in directions `outgoing` [n,b,3]."""
+
+    mesh: Mesh
+    vertices: Index
+    bins: Index
+    outgoing: Array
+    rings: int
+    sectors: int
+    degree: int
+
+    @property
+    def count(self) -> int:
+        """n·b"""
+        return self.bins.size
+
+
+def drawn_bins(mesh: Mesh, rings: int, sectors: int, degree: int, vertices: int, seed: int) -> Bins:
+    """A ring at each of some vertices drawn by the seed; all rings come up alike."""
+    chosen = drawn(seed, len(mesh.positions), min(vertices, len(mesh.positions)))
+    ring = np.arange(len(chosen)) * rings // len(chosen)
+    bins = ring[:, None] * sectors + np.arange(sectors)
+    views = views_of(mesh, rings, sectors)[1]
+    outgoing = np.stack([views(int(v), int(v) + 1)[0][0, b] for v, b in zip(chosen, bins, strict=True)])
+    return Bins(mesh, chosen, bins, outgoing, rings, sectors, degree)
+
+
+def fitted(transport: Any, positions: Array, outgoing: Array, degree: int, directions: int, seed: int) -> Array:
+    """Coefficients [N,K,3] at positions [N,3] along outgoing [N,3] by least squares over a Fibonacci lattice of so many
+    directions, turned anew for each.
+    """
+    lattice = sphere.fibonacci(directions)
+    y = sh.evaluate(lattice, degree)
+    fit = np.linalg.solve(y.T @ y, y.T)
+    found = np.empty((len(positions), sh.count(degree), 3))
+    step = max(1, VALUES_AT_ONCE // directions)
+    for first in range(0, len(positions), step):
+        some = slice(first, min(first + step, len(positions)))
+        turns = rotations(uniforms((_TRUTH_STREAM, seed, np.arange(some.start, some.stop)), 3))
+        rows = np.arange(some.stop - some.start)
+        values = values_at(transport, lattice @ turns.transpose(0, 2, 1), rows, positions[some], outgoing[some])
+        found[some] = sh.rotations(turns, degree) @ (fit @ values.astype(np.float64))
+    return found
+
+
+def relative(off: Array, truth: Array) -> float:
+    """The root of Σ off² over Σ truth²."""
+    signal = float((truth**2).sum())
+    return float(np.sqrt((off**2).sum() / signal)) if signal > 0.0 else 0.0

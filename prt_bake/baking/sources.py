@@ -1,0 +1,51 @@
+"""What can be baked: a network (`.pt`, `.safetensors`), a TorchScript function (`.pt`), or a scene (`.toml`)."""
+
+from pathlib import Path
+from typing import Any
+
+from formats.atomic import existing, sha256
+from formats.errors import FormatError, QueryError
+from formats.mesh import Mesh
+from formats.scene import read_scene
+from prt_bake.baking.path_traced import PathTraced
+
+
+def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:
+    """Return the transport that a file holds, to be baked on `mesh`.
+
+    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.network.torchscript`), in the
+    bounding box of the mesh; without it a `.pt` file is one of our own networks.
+
+    Raises:
+        FormatError: a suffix that is no source.
+        PrtbakeError: the file is missing, damaged or hostile, or there is no such device.
+    """
+    require_device(device)
+    suffix = existing(path).suffix.lower()
+    if suffix == ".toml":
+        return PathTraced(read_scene(path))
+    if suffix not in (".pt", ".safetensors"):
+        raise FormatError(f"{path}: expected a model (.pt, .safetensors) or a scene (.toml), found {suffix!r}")
+    if convention is not None:
+        from prt_bake.network.torchscript import load_torchscript
+
+        low, high = mesh.bounds
+        return load_torchscript(path, convention, low, float((high - low).max()))
+    from prt_bake.network.bssrdf import load_model
+
+    return load_model(path, device)
+
+
+def require_device(device: str) -> None:
+    """Raise QueryError if a network cannot run on `device`, "cpu" or "cuda"."""
+    if device == "cpu":
+        return
+    import torch
+
+    if device != "cuda" or not torch.cuda.is_available():
+        raise QueryError(f"device: {device!r} is not there (no graphics card that this torch can use); take 'cpu'")
+
+
+def origin(path: str | Path) -> dict[str, str]:
+    """Name and SHA-256 of a source file, for provenance."""
+    return {"source": Path(path).name, "source_sha256": sha256(path)}

@@ -1,0 +1,77 @@
+"""What follows a training by itself: the report and the importance module. The model is whole without either."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from formats.errors import PrtbakeError
+from prt_bake.cli.shared.progress import reporting, say, stopping
+
+if TYPE_CHECKING:
+    from formats.scene import Scene
+    from prt_bake.network.bssrdf import NeuralBSSRDF
+
+_SHARE_OF_THE_TRAINING = 0.1
+_LEAST_SECONDS = 2.0
+_MOST_SECONDS = {"report": 40.0, "importance": 60.0}
+
+
+def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
+    """Write MODEL.report.json and MODEL.report.html, and print the verdicts; what goes wrong is only told."""
+    from prt_bake.trainer.report.report import report_training
+    from prt_bake.trainer.report.summary import criterion
+
+    say("path tracing fresh queries for the report")
+    try:
+        found, page = report_training(network, scene, model, seconds=_seconds(network, "report"), seed=seed)
+    except PrtbakeError as fault:
+        say(f"no report: {fault}; 'prtbake report training {model} {scene.path}' tries again")
+        return
+    except KeyboardInterrupt:
+        say(f"no report; 'prtbake report training {model} {scene.path}' makes it up")
+        return
+    for row in found["criteria"]:
+        print(criterion(row))
+    print(f"{page}: {found['summary'][0]}")
+
+
+def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
+    """Fit and write MODEL.importance.pt; what goes wrong is only told. Ctrl-C keeps what is fitted by then."""
+    from dataclasses import replace
+
+    from prt_bake.importance.fit import fit_importance
+    from prt_bake.importance.module import IMPORTANCE_PRESETS, importance_path, save_importance
+
+    with reporting("importance") as show, stopping() as stop:
+
+        def follow(share: float, words: str) -> None:
+            show(share, words)
+            if stop():
+                raise KeyboardInterrupt
+
+        try:
+            module = fit_importance(
+                network.cpu(),
+                scene.mesh,
+                seconds=_seconds(network, "importance"),
+                seed=seed,
+                settings=replace(IMPORTANCE_PRESETS["measured"], seed=seed),
+                progress=follow,
+            )
+            save_importance(module, model)
+        except PrtbakeError as fault:
+            say(f"no importance module: {fault}")
+            return
+        except KeyboardInterrupt:
+            say(f"no importance module; 'prtbake importance {model} {scene.mesh_path}' makes it up")
+            return
+    fit = module.metadata["fit"]
+    print(
+        f"{importance_path(model)}: KL divergence {fit['module']['divergence']:.3f} "
+        f"(uniform {fit['uniform']['divergence']:.3f}), variance of a sample under a uniform sky "
+        f"{fit['module']['variance']:.3f} (uniform {fit['uniform']['variance']:.3f})"
+    )
+
+
+def _seconds(network: "NeuralBSSRDF", what: str) -> float:
+    trained = float(network.metadata["training"]["seconds"])
+    return min(_MOST_SECONDS[what], max(_LEAST_SECONDS, _SHARE_OF_THE_TRAINING * trained))

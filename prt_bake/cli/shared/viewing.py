@@ -1,0 +1,44 @@
+"""Cameras from the options of commands that make pictures."""
+
+from typing import Any
+
+import typer
+
+from prt_bake.cli.shared.options import USUAL_FOV, Point, Size
+
+
+def camera_for(
+    mesh: Any,
+    size: Size,
+    up: str,
+    eye: Point | None,
+    look_at: Point | None,
+    fov: float,
+    orthographic: bool,
+    extent: float | None,
+    turns: int = 1,
+) -> Any:
+    """The camera that these options ask for; an `extent` makes it orthographic. `turns` as in `camera.fit`.
+
+    Raises typer.BadParameter where an orthographic one is given a field of view.
+    """
+    parallel = orthographic or extent is not None
+    if parallel and fov != USUAL_FOV:
+        raise typer.BadParameter(
+            f"--fov: rays of an orthographic camera are parallel, they have no field of view; leave it out, or "
+            f"{'--orthographic' if extent is None else '--extent'}"
+        )
+    from prt_bake.geometry import camera
+
+    return camera.fit(
+        mesh,
+        size.width,
+        size.height,
+        eye=eye,
+        up=up,
+        fov=fov,
+        target=look_at,
+        orthographic=parallel,
+        extent=extent,
+        turns=turns,
+    )

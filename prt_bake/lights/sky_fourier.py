@@ -1,0 +1,133 @@
+"""Fourier coefficients of the rows of a lat-long picture, and the harmonics that they make up, exact over each pixel.
+
+A row's coefficients, the integrals over φ of its radiance times sin |m|φ (m < 0), 1 and cos mφ, are what an integral
+over the sphere needs of its pixels: [H, 3, 2·degree + 1], m from −degree to degree, polar frame.
+"""
+
+import math
+from collections.abc import Generator
+from contextlib import closing
+from functools import cache
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bakers.in_order import in_order
+from formats.image.rows import Block, ImageRows
+from prt_bake.lights import sky_pixels
+from prt_bake.mathematics import sh
+
+Array = NDArray[np.float64]
+Part = tuple[int, Array]
+"""The number of a first row, and the coefficients of rows from there on."""
+
+LARGE = 1 << 27
+"""Pixels, 16384×8192: numba takes half a second to come, in which NumPy sums about as many."""
+_PROFILES = 1 << 15
+"""Values of Legendre profiles that are held at a time."""
+
+
+def of_picture(rows: ImageRows, degree: int, large: bool = False) -> Array:
+    """The coefficients of every row; `rows` are read once, block by block, and summed by NumPy or, where they are large
+    or said to be, by kernels.
+
+    Raises ImageError if a pixel is not finite (their count and the first one's place).
+    """
+    parts = _by_kernels if large or rows.height * rows.width >= LARGE else _by_matrices
+    return gathered(rows, parts(rows, azimuth_integrals(rows.width, degree)))
+
+
+def gathered(rows: ImageRows, parts: Generator[Part, None, None]) -> Array:
+    """The coefficients of all rows of a picture from those of its parts, in order; raises as `of_picture`."""
+    waves = np.empty((0, 0, 0))
+    with closing(parts):
+        for first, part in parts:
+            # That of m = 0 is a sum with positive weights, which what is not finite leaves not finite.
+            if not np.isfinite(part[..., part.shape[2] // 2]).all():
+                raise sky_pixels.refusal(rows, negative=True)
+            if first == 0:
+                waves = np.empty((rows.height, *part.shape[1:]))
+            waves[first : first + len(part)] = part
+    return waves
+
+
+def harmonics(waves: Array) -> Array:
+    """∫ L Y_lm dω [K, 3], K = (degree + 1)², of the picture whose rows have these coefficients, polar frame."""
+    degree = waves.shape[2] // 2
+    m = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
+    polar = np.zeros((sh.count(degree), 3))
+    step = max(1, _PROFILES // (sh.count(degree) * _node_count(len(waves), degree)))
+    for start in range(0, len(waves), step):
+        part = waves[start : start + step]
+        zenith = _zenith_integrals(np.arange(start, start + len(part)), len(waves), degree)
+        polar += np.einsum("hk,hck->kc", zenith, part[..., m + degree])
+    return polar
+
+
+def azimuth_integrals(width: int, degree: int) -> Array:
+    """∫ dφ over each column of sin |m|φ (m < 0), 1 or cos mφ: [2·degree + 1, W], m from −degree to degree."""
+    half = math.pi / width
+    centres = 2 * math.pi * ((np.arange(width) + 0.5) / width - 0.5)
+    integrals = np.full((2 * degree + 1, width), 2 * half)
+    for m in range(1, degree + 1):
+        chord = 2 * math.sin(m * half) / m
+        integrals[degree + m] = chord * np.cos(m * centres)
+        integrals[degree - m] = chord * np.sin(m * centres)
+    return integrals
+
+
+def _by_matrices(rows: ImageRows, azimuth: Array) -> Generator[Part, None, None]:
+    plane = np.empty((0, rows.width))
+    for first, block in rows.blocks():
+        if len(plane) != len(block):
+            plane = np.empty((len(block), rows.width))
+        waves = np.empty((len(block), 3, len(azimuth)))
+        for channel in range(3):
+            plane[:] = block[..., channel]
+            with np.errstate(invalid="ignore"):  # infinities of both signs, which `gathered` tells of
+                waves[:, channel] = plane @ azimuth.T
+        yield first, waves
+
+
+def _by_kernels(rows: ImageRows, azimuth: Array) -> Generator[Part, None, None]:
+    from prt_bake.lights import sky_strips, sky_sums
+
+    degree, whole = len(azimuth) // 2, sky_strips.fits(rows.width)
+    strips = sky_strips.strip_waves(rows.width, degree)
+
+    def sum_up(numbered: tuple[int, Block]) -> Part:
+        first, planes = numbered[0], sky_sums.as_planes(numbered[1])
+        if whole:
+            return first, sky_strips.row_waves(planes, strips, degree)
+        return first, sky_sums.row_waves(planes, azimuth)
+
+    return in_order(sum_up, rows.blocks(), sky_sums.THREADS)
+
+
+def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> Array:
+    """∫ (√2) P̂_l^|m|(cosθ) sinθ dθ over each of the `rows` of `height` in all: [rows, K], index l(l+1)+m."""
+    nodes, weights = _nodes(_node_count(height, degree))
+    theta = (math.pi / height) * (rows[:, None] + 0.5 + 0.5 * nodes)
+    sin_theta = np.sin(theta)
+    meridian = np.stack([sin_theta, np.zeros_like(theta), np.cos(theta)], axis=-1)
+    # On the meridian φ = 0 the harmonic of m ≥ 0 is its zenith profile.
+    zenith = np.concatenate([l * (l + 1) + abs(np.arange(-l, l + 1)) for l in range(degree + 1)])
+    measure = (0.5 * math.pi / height) * weights * sin_theta
+    return np.asarray(np.einsum("hn,hnk->hk", measure, sh.evaluate(meridian, degree))[:, zenith])
+
+
+@cache
+def _nodes(number: int) -> tuple[Array, Array]:
+    """Gauss–Legendre nodes and weights, which take longer to find than to use."""
+    nodes, weights = np.polynomial.legendre.leggauss(number)
+    return nodes, weights
+
+
+def _node_count(height: int, degree: int) -> int:
+    """The fewest Gauss–Legendre nodes that integrate waves of frequency up to degree + 1 over π/height to rounding.
+
+    The error of n nodes falls as (e x / 4n)^2n, x = (degree + 1)·π/(2·height) half the phase across a row.
+    """
+    phase = (degree + 1) * math.pi / (2 * height)
+    return next(n for n in count(1) if (math.e * phase / (4 * n)) ** (2 * n) < 1e-18)

@@ -1,0 +1,165 @@
+"""Suns of a sky: its strongest small sources taken out as directional lights, and the sky that is left.
+
+What is a sun is a matter of connected bright regions over solid angle, never of a level of radiance, so that it does
+not depend on the picture's resolution or exposure. On a grid of cells, means of the picture over solid angle, cells
+join the regions of their neighbours in order of falling radiance. A region is small as long as it spreads no further
+than a disc of `WIDEST` degrees would. The level at which it first would is what surrounds it; what is above that level
+is its excess, and it is a sun where that is `SMALLEST_SHARE` of the sky's energy or more. Skies that rise slowly to
+their brightest place, and wide windows, have little above the level at which a region of theirs grows wide.
+
+A sun takes the excess of each of its cells, in the colour of that cell; what is left of the cell is spread evenly over
+its pixels. The sums are therefore exact: residual and suns have the energy of the sky, channel by channel.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.scene.lights import DirectionalLight
+from prt_bake.lights import environment
+from prt_bake.lights.bright_sources import Region, small_regions
+from prt_bake.lights.lighting import Lighting, Sky
+from prt_bake.mathematics.box_filter import LineMeans, line_means, zone
+
+Array = NDArray[np.float64]
+
+MOST_SUNS = 8
+SMALLEST_SHARE = 0.02
+"""Of the sky's energy. A light of a share s moves what nine coefficients say by s of the whole at most."""
+WIDEST = 12.0
+"""Diameter in degrees of the widest disc that is a sun."""
+_CELLS = (128, 256)
+_BLOCK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class SplitSky:
+    """The suns of a sky, strongest first, in object space, and the sky without them (the same one where it has none).
+
+    shares: of the sky's energy (radiance over the sphere, mean over channels) that each of the suns took.
+    """
+
+    suns: tuple[DirectionalLight, ...]
+    rest: Sky
+    shares: tuple[float, ...]
+
+
+def split_lighting(lighting: Lighting) -> Lighting:
+    """The lighting with the suns of its skies as directional lights, after those that it has."""
+    parts = [split_suns(sky) for sky in lighting.skies]
+    suns = tuple(sun for part in parts for sun in part.suns)
+    return replace(lighting, skies=tuple(part.rest for part in parts), suns=lighting.suns + suns) if suns else lighting
+
+
+def split_suns(sky: Sky) -> SplitSky:
+    """Take at most `MOST_SUNS` suns out of a sky.
+
+    A sun's direction is the mean of what it took, its angular diameter that of the even disc with the same spread. A
+    sky is read in blocks; a copy is made only where there is a sun. Pictures of texels wider than a sun have none.
+    """
+    grid = _grid_of(sky.image)
+    energy = float((grid.grey * grid.solid_angle).sum())
+    if not energy > 0.0:
+        return SplitSky((), sky, ())
+    spread = math.sin(0.25 * math.radians(WIDEST)) ** 2
+    bright = small_regions(grid.grey, grid.solid_angle, grid.direction, spread, SMALLEST_SHARE * energy)
+    if not bright:
+        return SplitSky((), sky, ())
+    bright.sort(key=lambda region: (-region.excess, int(region.cells[0])))
+    rest = np.array(sky.image, np.float32)
+    to_object = sky.turn @ environment.FROM_POLAR[sky.up]
+    suns = tuple(_take(rest, sky.image, grid, region, to_object) for region in bright[:MOST_SUNS])
+    shares = tuple(float(sun.irradiance.mean()) / energy for sun in suns)
+    return SplitSky(suns, replace(sky, image=rest), shares)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Means of a picture over cells: grey, solid_angle [R,C] and the mean direction [R,C,3] (shorter than 1), polar
+    frame. rows [H], columns [W]: the cell of each pixel's centre.
+    """
+
+    grey: Array
+    solid_angle: Array
+    direction: Array
+    rows: NDArray[np.int64]
+    columns: NDArray[np.int64]
+
+
+def _grid_of(image: NDArray[np.float32]) -> _Grid:
+    height, width = image.shape[:2]
+    rows, columns = min(height, _CELLS[0]), min(width, _CELLS[1])
+    across = line_means(width, columns, np.subtract)
+    # Beyond the end of a cell a column that is there is read, and counts 0.
+    places = np.minimum(across.begins[:, None] + np.arange(across.shares.shape[1]), width - 1)
+    grey = np.empty((rows, columns))
+    for row, line in enumerate(_lines(image, line_means(height, rows, zone))):
+        grey[row] = (line[places] * across.shares).sum(axis=1)
+    direction, solid_angle = _cell_directions(np.arange(rows), np.arange(columns), (rows, columns))
+    return _Grid(
+        grey,
+        solid_angle,
+        direction,
+        ((np.arange(height) + 0.5) * rows / height).astype(np.int64),
+        ((np.arange(width) + 0.5) * columns / width).astype(np.int64),
+    )
+
+
+def _lines(image: NDArray[np.float32], down: LineMeans) -> Iterator[Array]:
+    """For each coarse row of `down`, the mean of an image [H,W,3] over it and over channels [W]."""
+    width = image.shape[1]
+    # Rows are widened while they stay in the processor's cache, and summed before channels are: along memory.
+    step = max(1, _BLOCK_BYTES // (8 * 3 * width))
+    wide = np.empty((step, width, 3))
+    for begin, end, shares in zip(*down, strict=True):
+        line = np.zeros(3 * width)
+        for start in range(begin, end, step):
+            count = min(step, end - start)
+            wide[:count] = image[start : start + count]
+            line += shares[start - begin : start - begin + count] @ wide[:count].reshape(count, 3 * width)
+        yield line.reshape(width, 3).sum(axis=1) / 3.0
+
+
+def _cell_directions(
+    rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
+) -> tuple[Array, Array]:
+    """Mean direction [r,c,3] (∫ ω dω over solid angle, polar frame) and solid angle [r,c] of cells of a grid."""
+    top, bottom = math.pi * rows / shape[0], math.pi * (rows + 1) / shape[0]
+    half = math.pi / shape[1]
+    phi = 2.0 * math.pi * ((columns + 0.5) / shape[1] - 0.5)
+    fall = 2.0 * np.sin(0.5 * (top + bottom)) * np.sin(0.5 * (bottom - top))  # cos(top) − cos(bottom)
+    # ∫ sin²θ dθ and ∫ sinθ cosθ dθ
+    across = 0.5 * (bottom - top) - 0.5 * np.cos(top + bottom) * np.sin(bottom - top)
+    along = 0.5 * np.sin(top + bottom) * np.sin(bottom - top)
+    solid_angle = np.repeat((2.0 * half * fall)[:, None], len(columns), axis=1)
+    chord = math.sin(half) / half
+    sideways = (across / fall * chord)[:, None]
+    upward = np.repeat((along / fall)[:, None], len(columns), axis=1)
+    return np.stack([sideways * np.cos(phi), sideways * np.sin(phi), upward], axis=2), solid_angle
+
+
+def _take(
+    rest: NDArray[np.float32], image: NDArray[np.float32], grid: _Grid, region: Region, to_object: Array
+) -> DirectionalLight:
+    """Level the cells of a region in `rest` [H,W,3], and return what that took from it as a light."""
+    irradiance, moment = np.zeros(3), np.zeros(3)
+    for row in np.unique(region.cells // grid.grey.shape[1]):
+        pixel_rows = np.flatnonzero(grid.rows == row)
+        for column in region.cells[region.cells // grid.grey.shape[1] == row] % grid.grey.shape[1]:
+            pixel_columns = np.flatnonzero(grid.columns == column)
+            direction, solid_angle = _cell_directions(pixel_rows, pixel_columns, image.shape[:2])
+            place = np.ix_(pixel_rows, pixel_columns)
+            radiance = image[place].astype(np.float64)
+            share = min(1.0, region.level / grid.grey[row, column])
+            rest[place] = share * np.einsum("rc,rck->k", solid_angle, radiance) / solid_angle.sum()
+            taken = solid_angle[..., None] * (radiance - rest[place])
+            irradiance += taken.sum(axis=(0, 1))
+            moment += np.einsum("rc,rck->k", taken.mean(axis=2), direction)
+    length = float(np.linalg.norm(moment))
+    mean = length / float(irradiance.mean())
+    # An even disc whose rim is at the cosine c has the mean direction (1 + c) / 2.
+    diameter = 2.0 * math.degrees(math.acos(min(1.0, max(-1.0, 2.0 * mean - 1.0))))
+    return DirectionalLight(to_object @ moment / length, np.maximum(irradiance, 0.0), diameter)

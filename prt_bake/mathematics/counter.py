@@ -1,0 +1,44 @@
+"""Random numbers inside the walk: a counter hashed with a key, nothing shared between paths.
+
+A stream belongs to one (seed, query, path). Its n-th number is mix(start + n·step) with `start` and the odd `step`
+hashed from the key, so that results depend neither on threads nor on chunks nor on a restart. The finaliser is the
+one of SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators").
+"""
+
+from typing import Any
+
+import numpy as np
+
+from prt_bake.jit.without_counts import called_function, walk_function
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_FIRST = np.uint64(0xBF58476D1CE4E5B9)
+_SECOND = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_ONE = np.uint64(1)
+_TO_UNIT = 1.0 / 9007199254740992.0
+
+
+@walk_function()
+def mix(z: Any) -> Any:
+    """The SplitMix64 finaliser: a bijection of 64-bit words in which every input bit reaches every output bit."""
+    z = (z ^ (z >> _S30)) * _FIRST
+    z = (z ^ (z >> _S27)) * _SECOND
+    return z ^ (z >> _S31)
+
+
+@called_function()
+def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
+    """Set `stream` (uint64 [2]: counter, step) to the beginning of the stream of (seed, query, path)."""
+    key = mix(np.uint64(seed) + _GOLDEN)
+    key = mix(key + (np.uint64(query) + _ONE) * _GOLDEN)
+    key = mix(key ^ (np.uint64(path) * _SECOND + _FIRST))
+    stream[0] = key
+    stream[1] = mix(key + _GOLDEN) | _ONE
+
+
+@walk_function()
+def uniform(stream: Any) -> Any:
+    """The next number of the stream, uniform in [0, 1), with 53 random bits."""
+    stream[0] += stream[1]
+    return np.float64(mix(stream[0]) >> _S11) * _TO_UNIT

@@ -1,0 +1,119 @@
+"""Checkpoint files: a JSON text and named tensors, as `.pt` (torch's zip) or `.safetensors`.
+
+Neither form can run code when it is read: `.pt` goes through torch's restricted unpickler (`weights_only=True`),
+`.safetensors` holds no code by construction (https://github.com/huggingface/safetensors#format).
+"""
+
+import io
+import pickle
+import warnings
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from formats.atomic import replacing
+from formats.errors import ModelError
+
+HEAD = "prtbake"
+
+
+def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) -> None:
+    """Writes JSON text `head` and CPU tensors to `path`, whole or not at all.
+
+    Raises ModelError on a suffix other than .pt and .safetensors, StorageError if the file cannot be written.
+    """
+    suffix = _suffix(path)
+    with replacing(Path(path)) as temporary:
+        if suffix == ".safetensors":
+            from safetensors.torch import save
+
+            temporary.write_bytes(save(tensors, metadata={HEAD: head}))
+        else:
+            # Through memory: on a full disk torch's own writer fails in a way of its own.
+            content = io.BytesIO()
+            torch.save({HEAD: head, "tensors": tensors}, content)
+            temporary.write_bytes(content.getvalue())
+
+
+def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
+    """The JSON text and the tensors of a checkpoint; raises ModelError saying what the file is instead."""
+    path = Path(path)
+    suffix = _suffix(path)
+    if not path.is_file():
+        raise ModelError(f"{path}: no such file; expected a model (.pt or .safetensors)")
+    return _read_safetensors(path) if suffix == ".safetensors" else _read_pt(path)
+
+
+def refuse_unsound(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
+    """Raises ModelError unless `tensors` are those named in `shapes`, of these shapes, in finite floats."""
+    for name in sorted(shapes.keys() | tensors.keys()):
+        if name not in tensors or name not in shapes:
+            state = "missing" if name in shapes else "not part of this network"
+            raise ModelError(f"{path}: tensor {name} is {state}")
+        found = tuple(tensors[name].shape)
+        if found != shapes[name]:
+            raise ModelError(f"{path}: tensor {name} has shape {found}, expected {shapes[name]}")
+        if not tensors[name].is_floating_point():
+            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected floats")
+        bad = int((~tensors[name].isfinite()).sum())
+        if bad:
+            raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite")
+
+
+def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
+    try:
+        with warnings.catch_warnings():
+            # Remarks on foreign pickles; what matters of them is refused below.
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as fault:  # torch's restricted reader raises whatever the first bytes of a foreign file lead it to
+        raise ModelError(f"{path}: {_what_it_is(fault)}") from None
+    head, tensors = (content.get(HEAD), content.get("tensors")) if isinstance(content, dict) else (None, None)
+    if not isinstance(head, str) or not isinstance(tensors, dict):
+        raise ModelError(f"{path}: a checkpoint of something else; expected a model written by prtbake")
+    for name, tensor in tensors.items():
+        if not isinstance(name, str) or not isinstance(tensor, Tensor):
+            raise ModelError(f"{path}: {name!r} is not a named tensor")
+    return head, tensors
+
+
+def _what_it_is(fault: Exception) -> str:
+    if "TorchScript" in str(fault):
+        return (
+            "a TorchScript function, which `prtbake bake` alone takes; say there how its 7 inputs are meant, with "
+            '--convention "incident, position, outgoing" for example'
+        )
+    if isinstance(fault, pickle.UnpicklingError):
+        return (
+            "holds something other than plain weights and was refused, nothing in it was run; "
+            "expected a model written by prtbake"
+        )
+    if isinstance(fault, OSError | MemoryError):
+        return f"cannot be read ({_first_line(fault) or type(fault).__name__})"
+    return "not a readable checkpoint: cut short, or not a .pt; expected a model written by prtbake"
+
+
+def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
+    from safetensors import SafetensorError, safe_open
+
+    try:
+        with safe_open(path, framework="pt") as file:
+            head = (file.metadata() or {}).get(HEAD)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError) as fault:
+        raise ModelError(f"{path}: not a readable .safetensors file ({_first_line(fault)})") from None
+    if head is None:
+        raise ModelError(f"{path}: a .safetensors file of something else; expected a model written by prtbake")
+    return head, tensors
+
+
+def _suffix(path: str | Path) -> str:
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".pt", ".safetensors"):
+        raise ModelError(f"{path}: a model's name ends in .pt or .safetensors, found {suffix or 'no suffix'!r}")
+    return suffix
+
+
+def _first_line(fault: Exception) -> str:
+    return (str(fault).splitlines() or [type(fault).__name__])[0][:200]

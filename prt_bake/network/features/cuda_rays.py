@@ -1,0 +1,113 @@
+"""Rays of view that turn, followed on a graphics card."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+import triton
+import triton.language as tl
+from torch import Tensor
+
+from prt_bake.network.features import interior, view_ray
+from prt_bake.network.features.view_ray import Ray
+
+ROWS = 32
+"""Rays that are followed in step."""
+_kernel: Callable[[Callable[..., Any]], Any] = triton.jit
+_REACH = tl.constexpr(interior.REACH)
+_STEP = tl.constexpr(view_ray.STEP)
+_LEAST_STEP = tl.constexpr(view_ray.LEAST_STEP)
+_ENTERED = tl.constexpr(view_ray.ENTERED)
+_LEAST_SLOPE = tl.constexpr(view_ray.LEAST_SLOPE)
+
+
+def folded_rays(
+    levels: Tensor, corner: Tensor, spacing: float, eta: float, turns: int, longest: float, x: Tensor, back: Tensor
+) -> Ray:
+    """`view_ray.folded` in the grid levels [X,Y,Z] that begins at `corner`."""
+    pieces = len(x), turns + 1
+    starts, towards = (torch.empty((*pieces, 3), device=x.device) for _ in range(2))
+    begins = torch.empty(pieces, device=x.device)
+    _folded[(-(-len(x) // ROWS),)](
+        starts, towards, begins, levels, (x - corner).contiguous(), (-back).contiguous(), len(x), *levels.shape,
+        spacing, eta, longest, PIECES=turns + 1, ROWS=ROWS, num_warps=1, enable_fp_fusion=True,
+    )  # fmt: skip
+    return Ray(starts + corner, towards, begins)
+
+
+@_kernel
+def _distance(levels, x, y, z, nx, ny, nz):
+    """The grid's value at points in places from its corner; outside, that of its border."""
+    u = tl.minimum(tl.maximum(x, 0.0), nx - 1.0)
+    v = tl.minimum(tl.maximum(y, 0.0), ny - 1.0)
+    w = tl.minimum(tl.maximum(z, 0.0), nz - 1.0)
+    i, j, k = tl.minimum(u.to(tl.int32), nx - 2), tl.minimum(v.to(tl.int32), ny - 2), tl.minimum(w.to(tl.int32), nz - 2)
+    u, v, w = u - i, v - j, w - k
+    at = levels + (i * ny + j) * nz + k
+    near = (tl.load(at) * (1.0 - w) + tl.load(at + 1) * w) * (1.0 - v)
+    near += (tl.load(at + nz) * (1.0 - w) + tl.load(at + nz + 1) * w) * v
+    at += ny * nz
+    far = (tl.load(at) * (1.0 - w) + tl.load(at + 1) * w) * (1.0 - v)
+    far += (tl.load(at + nz) * (1.0 - w) + tl.load(at + nz + 1) * w) * v
+    return near * (1.0 - u) + far * u
+
+
+@_kernel
+def _store(vectors, at, x, y, z, where):
+    tl.store(vectors + 3 * at, x, mask=where)
+    tl.store(vectors + 3 * at + 1, y, mask=where)
+    tl.store(vectors + 3 * at + 2, z, mask=where)
+
+
+@_kernel
+def _folded(
+    starts, towards, begins, levels, points, along, count, nx, ny, nz, spacing, eta, longest,
+    PIECES: tl.constexpr, ROWS: tl.constexpr,
+):  # fmt: skip
+    """`view_kernel.folded_rows`, ROWS rays in step."""
+    n = tl.program_id(0) * ROWS + tl.arange(0, ROWS)
+    going = n < count
+    n = tl.minimum(n, count - 1)
+    x, y, z = tl.load(points + 3 * n), tl.load(points + 3 * n + 1), tl.load(points + 3 * n + 2)
+    u, v, w = tl.load(along + 3 * n), tl.load(along + 3 * n + 1), tl.load(along + 3 * n + 2)
+    begun, length, inside = x * 0.0, x * 0.0, x * 0.0
+    for piece in tl.static_range(PIECES):
+        at = n * PIECES + piece
+        tl.store(begins + at, begun if piece == 0 else begun + float("inf"), mask=going)
+        _store(starts, at, x, y, z, going)
+        _store(towards, at, u, v, w, going)
+    pieces, entered = tl.zeros((ROWS,), tl.int32), tl.zeros((ROWS,), tl.int1)
+    per_length = 1.0 / spacing
+    while tl.max(going.to(tl.int32), axis=0) > 0:
+        step = spacing * tl.maximum(_STEP * inside, _LEAST_STEP)
+        s = length + step - begun
+        then = _REACH * _distance(
+            levels, (x + s * u) * per_length, (y + s * v) * per_length, (z + s * w) * per_length, nx, ny, nz
+        )
+        met = going & entered & (then <= 0.0)
+        entered = entered | (going & (then > _ENTERED))
+        length += tl.where(going, tl.where(met, inside / tl.maximum(inside - then, 1e-6) * step, step), 0.0)
+        inside = tl.where(met, 0.0, then)
+        if tl.max(met.to(tl.int32), axis=0) > 0:
+            s = length - begun
+            there_x, there_y, there_z = x + s * u, y + s * v, z + s * w
+            p, q, r = there_x * per_length, there_y * per_length, there_z * per_length
+            a = _distance(levels, p - 1.0, q, r, nx, ny, nz) - _distance(levels, p + 1.0, q, r, nx, ny, nz)
+            b = _distance(levels, p, q - 1.0, r, nx, ny, nz) - _distance(levels, p, q + 1.0, r, nx, ny, nz)
+            c = _distance(levels, p, q, r - 1.0, nx, ny, nz) - _distance(levels, p, q, r + 1.0, nx, ny, nz)
+            slope = tl.maximum(tl.sqrt(a * a + b * b + c * c), _LEAST_SLOPE)
+            a, b, c = a / slope, b / slope, c / slope
+            cosine = u * a + v * b + w * c
+            turned = met & (pieces + 1 < PIECES) & (cosine > 0.0) & (eta * eta * (1.0 - cosine * cosine) > 1.0)
+            going = going & ~(met & ~turned)
+            pieces += turned.to(tl.int32)
+            x, y, z = tl.where(turned, there_x, x), tl.where(turned, there_y, y), tl.where(turned, there_z, z)
+            back = tl.where(turned, 2.0 * cosine, 0.0)
+            u, v, w = u - back * a, v - back * b, w - back * c
+            begun = tl.where(turned, length, begun)
+            entered = entered & ~turned
+            at = n * PIECES + pieces
+            tl.store(begins + at, begun, mask=turned)
+            _store(starts, at, x, y, z, turned)
+            _store(towards, at, u, v, w, turned)
+        going = going & (length < longest)

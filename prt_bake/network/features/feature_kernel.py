@@ -1,0 +1,49 @@
+"""Sums over a grid of learnt numbers and their gradients, compiled: what `feature_grid` has in tensors, on a CPU."""
+
+from typing import Any
+
+import numpy as np
+
+from prt_bake.jit.compilation import compiled
+
+_ONE, _ZERO = np.float32(1.0), np.float32(0.0)
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def _cell(number_at: Any, per_side: Any, corner: Any, point: Any) -> Any:
+    """The lowest place around a point, and how far the point is towards the next one along each axis."""
+    nx, ny, nz = number_at.shape
+    u = min(max((point[0] - corner[0]) * per_side, _ZERO), np.float32(nx - 1))
+    v = min(max((point[1] - corner[1]) * per_side, _ZERO), np.float32(ny - 1))
+    w = min(max((point[2] - corner[2]) * per_side, _ZERO), np.float32(nz - 1))
+    i, j, k = min(int(u), nx - 2), min(int(v), ny - 2), min(int(w), nz - 2)
+    return i, j, k, u - np.float32(i), v - np.float32(j), w - np.float32(k)
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def sum_rows(
+    number_at: Any, per_side: Any, corner: Any, rows: Any, points: Any, weights: Any, sums: Any, gradient: Any
+) -> None:
+    """Where `gradient` is empty, set sums [N,C] to what `rows` [R,C] have at points [N,K,3], times weights [N,K];
+    otherwise add to `gradient` [R,C], row 0 left out, that of `sums`, which are then derivatives.
+    """
+    numbers, backward = sums.shape[1], len(gradient) > 0
+    for n in range(len(points)):
+        if not backward:
+            sums[n] = _ZERO
+        for m in range(points.shape[1]):
+            i, j, k, u, v, w = _cell(number_at, per_side, corner, points[n, m])
+            for a in range(2):
+                for b in range(2):
+                    for c in range(2):
+                        row = number_at[i + a, j + b, k + c]
+                        if row == 0:
+                            continue
+                        share = (u if a else _ONE - u) * (v if b else _ONE - v) * (w if c else _ONE - w)
+                        share *= weights[n, m]
+                        if backward:
+                            for d in range(numbers):
+                                gradient[row, d] += share * sums[n, d]
+                        else:
+                            for d in range(numbers):
+                                sums[n, d] += share * rows[row, d]

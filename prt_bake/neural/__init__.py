@@ -1,1 +1,0 @@
-"""Inside the network: settings, features of a view, fused evaluation."""

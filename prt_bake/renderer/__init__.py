@@ -1,1 +1,0 @@
-"""Pictures by Monte Carlo: what a pass sees, how directions are drawn, and the loop that adds passes up."""

@@ -1,0 +1,80 @@
+"""A path-traced reference in two halves, which tell what its own noise does to any figure.
+
+With A and B the means over n_A and n_B passes, the reference is R = (n_A A + n_B B) / N, and
+e = (A − B) √(n_A n_B) / N has the variance of R's error and is uncorrelated with it: a smooth picture P and P + e
+differ by noise as strong as R's own, of its real distribution, bright specks included, without any picture being traced
+twice.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prt_bake.rendering.loop import Rendering
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Traced:
+    """A finished reference: image, standard_error and noise [H,W,3] (the e of the module's text), coverage [H,W]."""
+
+    image: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    noise: NDArray[np.float32]
+    coverage: NDArray[np.float32]
+
+
+@dataclass
+class Halves:
+    """Sums over the passes of two halves: radiance [2,H,W,3], squared errors [H,W,3], coverage [H,W]; their cost."""
+
+    radiance: Array
+    variance: Array
+    coverage: Array
+    passes: list[int] = field(default_factory=lambda: [0, 0])
+    pictures: int = 0
+    spp: int = 0
+    walks: int = 0
+    seconds: float = 0.0
+
+    @classmethod
+    def empty(cls, size: int) -> "Halves":
+        """Nothing traced yet."""
+        return cls(np.zeros((2, size, size, 3)), np.zeros((size, size, 3)), np.zeros((size, size)))
+
+    def add(self, picture: Rendering) -> None:
+        """Add a picture to the half that has fewer passes."""
+        half = int(self.passes[1] < self.passes[0])
+        self.radiance[half] += picture.passes * picture.image.astype(np.float64)
+        self.variance += (picture.passes * picture.standard_error.astype(np.float64)) ** 2
+        self.coverage += picture.passes * picture.coverage.astype(np.float64)
+        self.passes[half] += picture.passes
+        self.pictures += 1
+        self.spp += picture.spp
+        self.walks += picture.walks
+        self.seconds += picture.seconds
+
+    @property
+    def image(self) -> Array:
+        """The reference R [H,W,3]."""
+        return np.asarray(self.radiance.sum(axis=0) / sum(self.passes))
+
+    @property
+    def standard_error(self) -> Array:
+        """One sigma of R [H,W,3], from the spread of passes."""
+        return np.sqrt(self.variance) / sum(self.passes)
+
+    @property
+    def noise(self) -> Array:
+        """The e of the module's text [H,W,3], which has the variance of R's error."""
+        first, second = self.passes
+        difference = self.radiance[0] / first - self.radiance[1] / second
+        return np.asarray(difference * math.sqrt(first * second) / (first + second))
+
+    def traced(self) -> Traced:
+        """What the sums come to."""
+        parts = self.image, self.standard_error, self.noise, self.coverage / sum(self.passes)
+        return Traced(*(part.astype(np.float32) for part in parts))

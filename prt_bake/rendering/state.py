@@ -1,0 +1,174 @@
+"""A path-traced picture as it grows: sums over passes, what they say, and the checkpoint that keeps them.
+
+Passes are independent and alike, so that their spread tells the error of their mean, where in a pixel the rays fell
+included.
+"""
+
+import json
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.atomic import replacing
+from formats.errors import FormatError
+
+Array = NDArray[np.float64]
+
+
+_ARRAYS = ("radiance", "square", "coverage")
+
+
+@dataclass
+class Sums:
+    """Sums over passes of radiance [H,W,3], of its squares, and of coverage [H,W]; what they cost.
+
+    history: rows (seconds, walks, relative noise), after passes 2, 4, 8, … and after the last.
+    """
+
+    radiance: Array
+    square: Array
+    coverage: Array
+    passes: int = 0
+    walks: int = 0
+    seconds: float = 0.0
+    history: list[tuple[float, float, float]] = field(default_factory=list)
+
+    @classmethod
+    def empty(cls, height: int, width: int) -> "Sums":
+        """Nothing seen yet."""
+        return cls(np.zeros((height, width, 3)), np.zeros((height, width, 3)), np.zeros((height, width)))
+
+    def add(self, rows: slice, radiance: Array, coverage: Array) -> None:
+        """Add what one pass has seen in some rows."""
+        self.radiance[rows] += radiance
+        self.square[rows] += radiance * radiance
+        self.coverage[rows] += coverage
+
+    def mean(self) -> Array:
+        """The picture [H,W,3]."""
+        return self.radiance / self.passes
+
+    def standard_error(self) -> Array:
+        """One sigma of the picture [H,W,3]; infinite after a single pass, which says nothing of it."""
+        if self.passes < 2:
+            return np.full_like(self.radiance, np.inf)
+        mean = self.mean()
+        spread = np.maximum(self.square / self.passes - mean * mean, 0.0)
+        return np.sqrt(spread / (self.passes - 1))
+
+    def covered(self) -> Array:
+        """The object's share of each pixel [H,W]."""
+        return self.coverage / self.passes
+
+    def relative_noise(self) -> float:
+        """As the function of that name."""
+        return relative_noise(self.mean(), self.standard_error(), self.covered())
+
+    def is_black(self) -> bool:
+        """As the function of that name."""
+        return is_black(self.mean(), self.covered())
+
+    def note(self) -> None:
+        """Add a row to the history, unless it is there."""
+        if not self.history or self.history[-1][1] != self.walks:
+            self.history.append((self.seconds, float(self.walks), self.relative_noise()))
+
+
+def relative_noise(
+    image: NDArray[np.floating], standard_error: NDArray[np.floating], coverage: NDArray[np.floating]
+) -> float:
+    """Root mean square of the standard error [H,W,3] over the mean of the radiance [H,W,3], on the object.
+
+    On the object are the pixels that it covers wholly (coverage [H,W]), or in part where there are none; 0 where
+    nothing is seen of it, or nothing but black.
+    """
+    inside = object_pixels(coverage)
+    noise, radiance = (np.asarray(part[inside], np.float64) for part in (standard_error, image))
+    if not radiance.size or not radiance.any():
+        return 0.0
+    return float(np.sqrt(np.mean(noise**2)) / np.mean(radiance))
+
+
+def is_black(image: NDArray[np.floating], coverage: NDArray[np.floating]) -> bool:
+    """Whether the object is seen, and no light at all on it."""
+    inside = object_pixels(coverage)
+    return bool(inside.any()) and not image[inside].any()
+
+
+def object_pixels(coverage: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """The pixels [H,W] that are on the object: those that it covers wholly, or in part where there are none."""
+    whole = coverage >= 1.0
+    return np.asarray(whole if whole.any() else coverage > 0.0)
+
+
+def checkpoint_path(output: str | Path) -> Path:
+    """Where the state of the run that writes `output` lies: IMAGE.render.npz beside it."""
+    output = Path(output)
+    return output.with_name(output.name + ".render.npz")
+
+
+def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any], asked: dict[str, Any]) -> None:
+    """Write the sums, what they are of and what they were to become, whole or not at all; raises StorageError if the
+    disk does not take it.
+    """
+    numbers = {"passes": sums.passes, "walks": sums.walks, "seconds": sums.seconds, "history": sums.history}
+    head = np.array(json.dumps({"identity": identity, "numbers": numbers, "asked": asked}))
+    with replacing(path) as part, open(part, "wb") as file:
+        np.savez(file, head=head, **{name: getattr(sums, name) for name in _ARRAYS})
+
+
+def begun_with(path: Path) -> dict[str, Any]:
+    """What the picture of a checkpoint was begun with; empty where `read_checkpoint` will say why it cannot be read."""
+    return _of_head(path, "identity")
+
+
+def asked_of(path: Path) -> dict[str, Any]:
+    """The limits (spp, error, minutes) that the last run of a checkpoint had; empty as `begun_with`."""
+    return _of_head(path, "asked")
+
+
+def _of_head(path: Path, part: str) -> dict[str, Any]:
+    try:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            return dict(json.loads(str(file["head"]))[part])
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return {}
+
+
+def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
+    """The sums of an earlier run.
+
+    Raises FormatError where there are none, where the file is damaged, and where they are of another picture:
+    `identity` names all that decides the picture, and the message what differs.
+    """
+    if not path.is_file():
+        raise FormatError(f"{path}: not found; there is nothing to resume, render without --resume")
+    try:
+        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            head = json.loads(str(file["head"]))
+            radiance, square, coverage = (np.asarray(file[name], np.float64) for name in _ARRAYS)
+        found, numbers = dict(head["identity"]), head["numbers"]
+        history = [(float(a), float(b), float(c)) for a, b, c in numbers["history"]]
+        counts = int(numbers["passes"]), int(numbers["walks"]), float(numbers["seconds"])
+        sums = Sums(radiance, square, coverage, *counts, history)
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
+        kind = type(fault).__name__
+        raise FormatError(f"{path}: not a readable state of a picture ({kind}); render without --resume") from None
+    differing = [name for name in identity if found.get(name) != identity[name]]
+    if differing:
+        differences = "; ".join(_difference(name, found.get(name), identity[name]) for name in differing)
+        raise FormatError(
+            f"{path}: belongs to another picture: {differences}; give what it was begun with, or render "
+            "without --resume"
+        )
+    return sums
+
+
+def _difference(name: str, found: Any, asked: Any) -> str:
+    if isinstance(found, str) and isinstance(asked, str) and len(asked) == 64:
+        return f"the {name} is another"
+    return f"{name} is {json.dumps(found)} there, {json.dumps(asked)} here"

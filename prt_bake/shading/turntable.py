@@ -1,0 +1,39 @@
+"""Pictures of an asset all the way round: the eye goes about it, or the light does."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any, Literal
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from prt_bake.geometry.camera import Camera
+from prt_bake.lights import environment
+from prt_bake.lights.lighting import Lighting
+from prt_bake.shading.picture import Picture, render_picture
+
+
+def turntable(
+    asset: Asset,
+    lighting: Lighting,
+    camera: Camera,
+    frames: int,
+    turning: Literal["eye", "light"],
+    *,
+    up: str | None = None,
+    **options: Any,
+) -> Iterator[Picture]:
+    """`frames` pictures, evenly over one turn about the up axis, counter-clockwise seen from above; the first as it is.
+
+    The eye turns about the axis through what it looks at. Options are those of `render_picture`. Raises QueryError for
+    less than one frame, and as `render_picture` does.
+    """
+    if frames < 1:
+        raise QueryError(f"frames: {frames} where at least 1 is expected")
+    axis = up or asset.up
+    for number in range(frames):
+        degrees = 360.0 * number / frames
+        if turning == "light":
+            yield render_picture(asset, lighting.turned(degrees, axis), camera, up=axis, **options)
+        else:
+            eye = camera.target + environment.rotation(degrees, axis) @ (camera.eye - camera.target)
+            yield render_picture(asset, lighting, replace(camera, eye=eye), up=axis, **options)

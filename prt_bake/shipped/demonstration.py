@@ -1,0 +1,154 @@
+"""The main job on what is shipped: model → asset → relit picture, and its error against a path-traced reference."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset import Asset
+from formats.errors import StorageError
+from formats.image import read_image, write_image
+from formats.mesh import read_mesh
+from prt_bake.baking.bake import Progress, bake
+from prt_bake.baking.job.pilot import LADDER, error_ladder
+from prt_bake.comparison.metrics import Comparison, compare
+from prt_bake.geometry import camera
+from prt_bake.lights.environment import read_environment
+from prt_bake.network.bssrdf import load_model
+from prt_bake.report import bake_report, plot_error, write_report, write_side_by_side
+from prt_bake.shading.picture import Picture, render_picture
+from prt_bake.trainer.precision import bfloat16_pays
+
+SHIPPED = Path(str(resources.files("prt_bake.shipped")))
+MODEL, MESH, SKY = SHIPPED / "spot.pt", SHIPPED / "spot.obj", SHIPPED / "sky.hdr"
+REFERENCE, REFERENCE_REPORT = SHIPPED / "reference.exr", SHIPPED / "reference.json"
+"""A path-traced picture of the scene under the sky, and what `prtbake render --report` said of it."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How much work a demonstration does."""
+
+    error: float
+    """Relative RMSE of the coefficients, of the object and of 95 % of its vertices."""
+    rounded: bool
+    """Whether matrix work is done in bfloat16 where the processor is faster in it."""
+    magnification: int
+    """Width of the picture over that of the reference."""
+    exposure: float = 0.0
+
+    @property
+    def precision(self) -> str:
+        """Of matrix work, on this processor."""
+        return "bfloat16" if self.rounded and bfloat16_pays("cpu") else "float32"
+
+
+QUICK = Settings(error=0.05, rounded=True, magnification=1)
+FINE = Settings(error=0.01, rounded=False, magnification=2)
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """What was written, and how good it is.
+
+    comparison is over the whole picture, sky included; object_comparison over the pixels that the object covers wholly.
+    noise_mse is the mean squared standard error of the reference itself on the object.
+    """
+
+    asset: Asset
+    files: tuple[Path, ...]
+    comparison: Comparison
+    object_comparison: Comparison
+    noise_mse: float
+    ladder: NDArray[np.float64]
+    """Rows (seconds, evaluations, estimated relative error) of bakes with as many directions at every bin."""
+
+
+def demonstrate(
+    folder: Path,
+    settings: Settings = QUICK,
+    workers: int = 1,
+    progress: Progress | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> Demonstration:
+    """Bake the shipped model, relight the asset under the shipped sky, and compare the picture with the reference.
+
+    Writes spot.h5, spot.png, spot.exr, comparison.png, error.png and report.json into `folder`, which is made. The
+    pictures of spot have what its surface reflects, the comparison has not.
+
+    Raises StorageError where `folder` cannot be written to.
+    """
+    _make(folder)
+    asset = _bake(folder / "spot.h5", settings, workers, progress, stop)
+    said = json.loads(REFERENCE_REPORT.read_text(encoding="utf-8"))
+    whole_picture = _relight(asset, said, settings.magnification, reflection=True)
+    write_image(folder / "spot.exr", whole_picture.image)
+    write_image(folder / "spot.png", whole_picture.image, exposure=settings.exposure)
+    # The reference holds the light from under the surface alone.
+    picture = _relight(asset, said, settings.magnification, reflection=False)
+    reference = read_image(REFERENCE)
+    small, coverage = (_shrunk(part, settings.magnification) for part in (picture.image, picture.coverage[..., None]))
+    whole = compare(small, reference, exposure=settings.exposure)
+    inside = compare(small, reference, coverage[..., 0] >= 1.0, settings.exposure)
+    write_side_by_side(small, reference, whole.flip_map, folder / "comparison.png", settings.exposure)
+    ladder = error_ladder(
+        load_model(MODEL),
+        read_mesh(MESH),
+        samples=LADDER,
+        precision=settings.precision,
+        workers=workers,
+        baked=asset,
+    )
+    plot_error(ladder, asset.error_vs_time, folder / "error.png")
+    figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": said}
+    write_report({"bake": bake_report(asset), **figures, "clamped": picture.clamped}, folder / "report.json")
+    names = ("spot.h5", "spot.png", "spot.exr", "comparison.png", "error.png", "report.json")
+    return Demonstration(asset, tuple(folder / name for name in names), whole, inside, said["noise_mse"], ladder)
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise StorageError(f"{folder}: cannot be made: {cause.strerror}; choose another --out") from cause
+
+
+def _bake(
+    output: Path, settings: Settings, workers: int, progress: Progress | None, stop: Callable[[], bool] | None
+) -> Asset:
+    return bake(
+        load_model(MODEL),
+        read_mesh(MESH),
+        error=settings.error,
+        out=output,
+        precision=settings.precision,
+        workers=workers,
+        progress=progress,
+        stop=stop,
+        provenance={"command": "prtbake demo", "source": MODEL.name, "mesh": MESH.name},
+    )
+
+
+def _relight(asset: Asset, reference: dict[str, Any], magnification: int, reflection: bool) -> Picture:
+    """The asset under the shipped sky, from where the reference was seen."""
+    view = camera.Camera(
+        np.array(reference["eye"]),
+        np.array(reference["target"]),
+        np.array(reference["up"]),
+        reference["fov"],
+        magnification * reference["width"],
+        magnification * reference["height"],
+    )
+    return render_picture(asset, read_environment(SKY), view, reflection=reflection)
+
+
+def _shrunk(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """The mean of blocks of factor × factor pixels."""
+    height, width, channels = image.shape
+    blocks = image.reshape(height // factor, factor, width // factor, factor, channels)
+    return np.asarray(blocks.mean(axis=(1, 3)), np.float32)

@@ -1,0 +1,138 @@
+"""Walks of pictures: what each receives from given directions of incidence, and where it leaves the object.
+
+What is counted: `walk_lit` estimates Ŝ, that is every path but the light that crosses the object without a single
+scattering event (README, "What Ŝ counts"). Behind an index-matched boundary that light is a delta function which no
+connection sees: `walk_out` marks the exits that carry it, and a picture adds them under the whole light. Through a
+rough boundary it is a function, connections see it, and no exit is marked.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.scene import Scene
+from prt_bake.geometry.surface import Location
+from prt_bake.jit.threads import in_threads
+from prt_bake.tracer.prepared import interface_kind, prepare, smooth_part
+from prt_bake.tracer.surface.interface import MATCHED
+
+Array = NDArray[np.float64]
+
+_NUMBERS_AT_ONCE = 4_000_000
+
+
+class Exits(NamedTuple):
+    """Directions [N,P,3] in which walks leave, throughput [N,P,3] (0: it never left), and which exits [N,P] carry light
+    that no connection sees.
+    """
+
+    directions: Array
+    throughput: Array
+    unscattered: NDArray[np.bool_]
+
+
+class Connections(NamedTuple):
+    """What connections to one direction of incidence are worth.
+
+    variance: of what one walk receives, over its squared mean. cost: of such a walk, over one that only leaves.
+    """
+
+    variance: float
+    cost: float
+
+
+def connections(scene: Scene) -> Connections | None:
+    """What connections are worth in a scene; None where there are none, behind a smooth interface (`smooth_part`).
+
+    The figures are rough fits to what was measured on a lumpy ball of 4 to 15 mean free paths, alpha 0.02 to 0.3.
+    """
+    if smooth_part(scene) is not None:
+        return None
+    if interface_kind(scene) == MATCHED:
+        return Connections(variance=0.8, cost=1.5)
+    alpha = float(np.mean(scene.roughness))
+    return Connections(variance=0.6 + 0.03 / alpha**1.7, cost=4.0)
+
+
+def walk_lit(
+    scene: Scene,
+    faces: NDArray[np.int64],
+    barycentric: Array,
+    outgoing: Array,
+    keys: NDArray[np.uint64],
+    incident: Array,
+    paths: int,
+    seed: int,
+) -> tuple[Array, Array]:
+    """Ŝ [N,D,3] [1/sr] of N points towards incident, [D,3] or each point's own [N,D,3]: the mean over `paths` walks,
+    and the mean of their squares.
+
+    faces [N] and barycentric (u, v) [N,2] say where, outgoing [N,3] whither the light goes, keys [N] number the
+    queries. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). There must be `connections`.
+    """
+    from prt_bake.tracer.kernels import sum_transport
+
+    prepared = prepare(scene)
+    count, directions = len(faces), np.shape(incident)[-2]
+    towards = np.broadcast_to(np.asarray(incident, np.float64), (count, directions, 3))
+    queries = prepared.queries(_location(faces, barycentric), np.asarray(outgoing, np.float64), keys)
+    means, squares = np.zeros((count, directions, 3)), np.zeros((count, directions, 3))
+    numbers = directions * 3 + 4  # room for what the kernel reports after the last direction
+    step = max(1, _NUMBERS_AT_ONCE // (4 * numbers))
+    for begin in range(0, count, step):
+        chosen = slice(begin, min(begin + step, count))
+        rows = chosen.stop - begin
+        chunks = np.stack([np.arange(rows), np.zeros(rows, np.int64), np.full(rows, paths)], axis=1)
+        sums = np.zeros((rows, 4, numbers))
+        in_threads(
+            sum_transport,
+            rows,
+            prepared.boundary,
+            prepared.medium,
+            tuple(part[chosen] for part in queries),
+            chunks,
+            # A copy that can be written to: for one that cannot, a minute is spent on compiling the kernel anew.
+            np.array(towards[chosen], order="C"),
+            directions,
+            prepared.aims,
+            seed,
+            sums,
+        )
+        powers = sums[:, :, : directions * 3].reshape(rows, 4, directions, 3) / paths
+        means[chosen], squares[chosen] = powers[:, 0], powers[:, 1]
+    return means, squares
+
+
+def walk_out(
+    scene: Scene,
+    faces: NDArray[np.int64],
+    barycentric: Array,
+    outgoing: Array,
+    keys: NDArray[np.uint64],
+    paths: int,
+    seed: int,
+) -> Exits:
+    """Where `paths` walks from each of N points leave the object; arguments as those of `walk_lit`."""
+    from prt_bake.tracer.kernels import draw_exits
+
+    prepared = prepare(scene)
+    directions, throughput = np.zeros((len(faces), paths, 3)), np.zeros((len(faces), paths, 3))
+    scattered = np.zeros((len(faces), paths), np.int64)
+    in_threads(
+        draw_exits,
+        len(faces),
+        prepared.boundary,
+        prepared.medium,
+        prepared.queries(_location(faces, barycentric), np.asarray(outgoing, np.float64), keys),
+        paths,
+        seed,
+        directions,
+        throughput,
+        scattered,
+    )
+    return Exits(directions, throughput, scattered == 0)
+
+
+def _location(faces: NDArray[np.int64], barycentric: Array) -> Location:
+    return Location(np.asarray(faces, np.int64), np.ascontiguousarray(barycentric, np.float64), np.empty((0, 3)))

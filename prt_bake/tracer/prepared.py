@@ -1,0 +1,253 @@
+"""A scene made ready for the kernels: centred, scaled to its longest side, with its Embree tree built once."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.scene import Part, Scene
+from prt_bake.geometry.surface import Location, Surface
+from prt_bake.tracer.next_event import Aim, aim_for
+from prt_bake.tracer.surface.boundary import (
+    ALPHA,
+    COMPENSATED,
+    CORNER_NORMALS,
+    CORNER_UV,
+    CORNERS,
+    FACE_SIZE,
+    FIRST_FACE,
+    FIRST_TEXEL,
+    HEIGHT,
+    INDEX,
+    INTERPOLATED,
+    IS_DIFFUSE,
+    OPEN,
+    PART,
+    PART_SIZE,
+    REFLECTANCE,
+    SAME_INDEX,
+    SMOOTHEST,
+    TREE,
+    WIDTH,
+    Boundary,
+)
+from prt_bake.tracer.surface.clearance import clearance_grid, near_faces, open_faces
+from prt_bake.tracer.surface.embree import TriangleScene, intersect_address
+from prt_bake.tracer.surface.interface import MATCHED, ROUGH, SMOOTH
+from prt_bake.tracer.surface.losses import loss_tables, no_losses
+from prt_bake.tracer.volume.media import MAJORANT
+from prt_bake.tracer.volume.prepared_media import prepare_media
+
+MOST_EVENTS = 10_000_000
+"""Events after which a walk is cut; what it still carried is reported as lost."""
+
+Array = NDArray[np.float64]
+
+
+class PreparedScene:
+    """`boundary` and `medium` for kernels, `surface` to place queries, and the change to the kernels' coordinates."""
+
+    def __init__(self, scene: Scene) -> None:
+        """Build from a scene record; costs the building of an Embree tree."""
+        low, high = scene.mesh.bounds
+        self.center: Array = low + 0.5 * (high - low)
+        self.scale = float((high - low).max())
+        self.surface = Surface(scene.mesh)
+        self.kind = interface_kind(scene)
+        self.medium = prepare_media(scene.parts, self.center, self.scale)
+        self.boundary = self._boundary(scene)
+        self.aims: Aim = aim_for(self.boundary.alpha, self.boundary.eta)
+
+    def _boundary(self, scene: Scene) -> Boundary:
+        parts = scene.parts
+        first = np.cumsum([0] + [len(part.mesh.positions) for part in parts])
+        positions32 = np.concatenate(
+            [((part.mesh.positions - self.center) / self.scale).astype(np.float32) for part in parts]
+        )
+        faces = np.concatenate([part.mesh.faces.astype(np.int64) + first[i] for i, part in enumerate(parts)])
+        self._tree = TriangleScene(np.ascontiguousarray(positions32), np.ascontiguousarray(faces, np.uint32))
+        self._trees = [self._tree]
+        if len(parts) > 1:
+            ends = zip(first[:-1], first[1:], parts, strict=True)
+            self._trees = [TriangleScene(positions32[a:b], part.mesh.faces.astype(np.uint32)) for a, b, part in ends]
+        self.positions = positions32.astype(np.float64)
+        self.faces = np.ascontiguousarray(faces)
+        own = self.positions[: first[1]]
+        thickness = float(self.medium.regions[:, MAJORANT].max())
+        return Boundary(
+            intersect=intersect_address(),
+            scene=self._tree.handle,
+            **_tables(parts, [tree.handle for tree in self._trees], self.positions, self.faces),
+            losses=_losses(parts),
+            region_of_mask=_regions(parts),
+            clearance=clearance_grid(self.positions, self.faces, thickness),
+            near=near_faces(self.positions, self.faces, thickness),
+            nested=len(parts) > 1,
+            kind=self.kind,
+            alpha=_mean_alpha(parts[0]),
+            eta=float(scene.eta),
+            radius=1.001 * float(np.linalg.norm(own, axis=1).max()),
+            most_events=MOST_EVENTS,
+        )
+
+    def place(self, positions: Array, outgoing: Array, keys: NDArray[np.uint64]) -> tuple[Any, ...]:
+        """Queries as the kernels take them: (keys, positions, outgoing, faces, barycentric). Raises QueryError as
+        `Surface.locate`.
+        """
+        return self.queries(self.surface.locate(positions, outgoing), outgoing, keys)
+
+    def queries(self, location: Location, outgoing: Array, keys: NDArray[np.uint64]) -> tuple[Any, ...]:
+        """The same from a location that is known already."""
+        u, v = location.barycentric[:, :1], location.barycentric[:, 1:]
+        corners = self.positions[self.faces[location.faces]]
+        placed = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+        return keys, placed, np.ascontiguousarray(outgoing), location.faces, location.barycentric
+
+
+def interface_kind(scene: Scene) -> int:
+    """Of the object's own boundary: MATCHED where eta is 1, whatever the roughness; SMOOTH without roughness; or
+    ROUGH.
+    """
+    return _kind(scene.parts[0], 1.0)
+
+
+def _kind(part: Part, outside: float) -> int:
+    if abs(part.eta / outside - 1.0) < SAME_INDEX:
+        return MATCHED
+    return ROUGH if _mean_alpha(part) >= SMOOTHEST else SMOOTH
+
+
+def smooth_part(scene: Scene) -> Part | None:
+    """The part whose smooth interface hides the light from connections, if there is one.
+
+    Light that comes through a rough boundary of the object can be connected to whatever stands inside; through an
+    index-matched one it can where nothing smooth stands inside.
+    """
+    outermost = scene.parts[0]
+    if interface_kind(scene) == ROUGH:
+        return None
+    if interface_kind(scene) == SMOOTH:
+        return outermost
+    for part in scene.parts[1:]:
+        if part.diffuse is None and _kind(part, scene.parts[part.parent].eta) == SMOOTH:
+            return part
+    return None
+
+
+def is_unbent(scene: Scene) -> bool:
+    """Whether light leaves the object unbent from wherever it scatters: unscattered light comes along the view itself,
+    and connections need no interface.
+    """
+    return interface_kind(scene) == MATCHED and smooth_part(scene) is None
+
+
+def has_unscattered(scene: Scene) -> bool:
+    """Whether light may cross the object without scattering: nothing that it meets on the way is rough."""
+    return is_unbent(scene) or smooth_part(scene) is not None
+
+
+def has_dielectric_inside(scene: Scene) -> bool:
+    """Whether a part inside the object bends light: of another index than what it stands in."""
+    return any(
+        part.diffuse is None and _kind(part, scene.parts[part.parent].eta) != MATCHED for part in scene.parts[1:]
+    )
+
+
+def _mean_alpha(part: Part) -> float:
+    return float(np.mean(part.roughness))
+
+
+def _mean_reflectance(part: Part) -> Array:
+    if part.diffuse is None:
+        return np.zeros(3)
+    return np.asarray(part.diffuse.reshape(-1, 3).mean(axis=0), np.float64)
+
+
+def _first_faces(parts: tuple[Part, ...]) -> NDArray[np.int64]:
+    return np.cumsum([0] + [len(part.mesh.faces) for part in parts[:-1]]).astype(np.int64)
+
+
+def _tables(parts: tuple[Part, ...], trees: list[int], positions: Array, faces: NDArray[np.int64]) -> dict[str, Any]:
+    """`faces`, `parts` and `texels` of the boundary."""
+    rows, table, texels = np.zeros((len(faces), FACE_SIZE)), np.zeros((len(parts), PART_SIZE)), list[Any]()
+    given = np.concatenate([part.mesh.face_normals for part in parts])
+    rows[:, :CORNERS] = _face_normals(positions, faces, given)
+    rows[:, CORNERS:CORNER_NORMALS] = positions[faces].reshape(-1, 9)
+    for i, (part, first) in enumerate(zip(parts, _first_faces(parts), strict=True)):
+        own = rows[first : first + len(part.mesh.faces)]
+        own[:, CORNER_NORMALS:CORNER_UV] = part.mesh.normals[part.mesh.faces].reshape(-1, 9)
+        own[:, PART] = i
+        if i == 0:
+            own[:, OPEN] = open_faces(own, positions[: len(part.mesh.positions)])
+        row = table[i]
+        row[ALPHA], row[REFLECTANCE : REFLECTANCE + 3] = _mean_alpha(part), _mean_reflectance(part)
+        row[IS_DIFFUSE], row[INTERPOLATED] = part.diffuse is not None, part.normals == "vertex"
+        row[COMPENSATED], row[INDEX] = part.energy_compensation, part.eta
+        row[TREE], row[FIRST_FACE] = trees[i], first
+        image = _texture(part)
+        if image is not None:
+            row[FIRST_TEXEL], row[HEIGHT], row[WIDTH] = sum(map(len, texels)), *image.shape[:2]
+            texels.append(image.ravel())
+            if part.mesh.corner_uv is not None:
+                own[:, CORNER_UV:PART] = part.mesh.corner_uv.reshape(-1, 6)
+    return {
+        "faces": rows,
+        "planes": np.column_stack([rows[:, :3], np.einsum("fi,fi->f", rows[:, :3], rows[:, CORNERS : CORNERS + 3])]),
+        "parts": table,
+        "texels": np.concatenate(texels) if texels else np.zeros(0, np.float32),
+    }
+
+
+def _texture(part: Part) -> NDArray[np.float32] | None:
+    """The part's texture [H,W,3], of reflectance or of roughness, if it has one."""
+    image = np.asarray(part.roughness if part.diffuse is None else part.diffuse, np.float32)
+    if image.ndim < 2:
+        return None
+    return np.ascontiguousarray(np.broadcast_to(image if image.ndim == 3 else image[..., None], (*image.shape[:2], 3)))
+
+
+def _losses(parts: tuple[Part, ...]) -> Array:
+    """Tables for every pair of indices that may meet at a compensated interface, from one side and from the other."""
+    rough = [part for part in parts if part.energy_compensation and part.diffuse is None]
+    rough = [part for part in rough if _mean_alpha(part) >= SMOOTHEST]
+    indices = sorted({1.0} | {float(part.eta) for part in parts})
+    pairs = [(a, b) for a in indices for b in indices if a < b and b / a - 1.0 >= SAME_INDEX]
+    if not rough or not pairs:
+        return no_losses()
+    least = min(float(np.min(part.roughness)) for part in rough)
+    largest = max(float(np.max(part.roughness)) for part in rough)
+    return loss_tables([eta for a, b in pairs for eta in (b / a, a / b)], (least, largest))
+
+
+def _regions(parts: tuple[Part, ...]) -> NDArray[np.int64]:
+    """The region of every mask: the deepest part that counts, the later one of siblings, as part + 1; 0 outside.
+
+    A part counts only where all that it lies in count.
+    """
+    chain = []
+    for i, part in enumerate(parts):
+        bits, above = 1 << i, part.parent
+        while above >= 0:
+            bits |= 1 << above
+            above = parts[above].parent
+        chain.append(bits)
+    regions = np.zeros(1 << len(parts), np.int64)
+    for mask in range(len(regions)):
+        counting = [(chain[i].bit_count(), i) for i in range(len(parts)) if mask & chain[i] == chain[i]]
+        regions[mask] = max(counting)[1] + 1 if counting else 0
+    return regions
+
+
+def _face_normals(positions: Array, faces: NDArray[np.int64], fallback: Array) -> Array:
+    """Unit normals of the faces as Embree holds them; the mesh's own where float32 has made a face flat."""
+    a, b, c = (positions[faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.where(length > 0.0, normals / np.where(length > 0.0, length, 1.0), fallback))
+
+
+@lru_cache(maxsize=4)
+def prepare(scene: Scene) -> PreparedScene:
+    """The prepared scene, kept for the scenes used last."""
+    return PreparedScene(scene)

@@ -1,0 +1,169 @@
+"""What happens at the object's boundary: nothing (index-matched), a smooth dielectric or a rough one.
+
+The rough interface is the single-scattering microfacet model of Walter et al. 2007 with the GGX distribution and
+separable Smith masking; microfacets are drawn from the visible ones (Heitz 2018, "Sampling the GGX distribution of
+visible normals"). `alpha` is the GGX roughness, `eta` the index of the side that light is sent to divided by the side
+it comes from.
+
+All functions work in a local frame whose z axis is the normal on the side of `i`, the direction back along the path.
+Squared index ratios are left out: a path begins and ends outside the object, so that their product is one.
+"""
+
+import math
+from typing import Any
+
+from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.mathematics.counter import uniform
+
+MATCHED, SMOOTH, ROUGH = 0, 1, 2
+
+
+@walk_function()
+def fresnel(cosine: Any, eta: Any) -> Any:
+    """Reflectance of unpolarised light, `cosine` ≥ 0 on the side of incidence; 1 on total internal reflection."""
+    squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
+    if squared <= 0.0:
+        return 1.0
+    other = math.sqrt(squared)
+    parallel = (eta * cosine - other) / (eta * cosine + other)
+    perpendicular = (cosine - eta * other) / (cosine + eta * other)
+    return 0.5 * (parallel * parallel + perpendicular * perpendicular)
+
+
+@walk_function()
+def masking(cosine: Any, alpha: Any) -> Any:
+    """Smith's G1 of GGX for a direction at `cosine` to the normal (Walter 2007, eq. 34)."""
+    squared = cosine * cosine
+    if squared <= 0.0:
+        return 0.0
+    return 2.0 / (1.0 + math.sqrt(1.0 + alpha * alpha * (1.0 - squared) / squared))
+
+
+@walk_function()
+def microfacet_density(cosine: Any, alpha: Any) -> Any:
+    """GGX's D (Walter 2007, eq. 33), written to stay accurate for small alpha."""
+    squared = cosine * cosine
+    root = (1.0 - squared) + alpha * alpha * squared
+    return alpha * alpha / (math.pi * root * root)
+
+
+@called_function()
+def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) -> Any:
+    """A microfacet normal seen from `i` (iz > 0), density G1(i) |i·m| D(m) / iz (Heitz 2018, by the disc)."""
+    x, y, z = alpha * ix, alpha * iy, iz
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    x, y, z = x * scale, y * scale, z * scale
+    plane = x * x + y * y
+    if plane > 1e-14:
+        root = 1.0 / math.sqrt(plane)
+        tx, ty = -y * root, x * root
+    else:
+        tx, ty = 1.0, 0.0
+    bx, by, bz = -z * ty, z * tx, x * ty - y * tx
+    radius = math.sqrt(u1)
+    angle = 2.0 * math.pi * u2
+    p = radius * math.cos(angle)
+    q = radius * math.sin(angle)
+    blend = 0.5 * (1.0 + z)
+    q = (1.0 - blend) * math.sqrt(max(0.0, 1.0 - p * p)) + blend * q
+    r = math.sqrt(max(0.0, 1.0 - p * p - q * q))
+    hx, hy, hz = p * tx + q * bx + r * x, p * ty + q * by + r * y, q * bz + r * z
+    mx, my, mz = alpha * hx, alpha * hy, max(1e-9, hz)
+    scale = 1.0 / math.sqrt(mx * mx + my * my + mz * mz)
+    return mx * scale, my * scale, mz * scale
+
+
+@walk_function()
+def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
+    """Where a microfacet at `cosine` to i refracts light to; along the facet where it reflects all."""
+    across = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
+    along = cosine / eta - across
+    return along * mx - ix / eta, along * my - iy / eta, along * mz - iz / eta
+
+
+@called_function()
+def sample_interface(
+    kind: Any, alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, transmit_only: Any, stream: Any
+) -> Any:
+    """Draw what an eye path that comes along −i does next; returns (ox, oy, oz, weight), oz < 0 where it crosses.
+
+    With `transmit_only` the path crosses always and the weight holds the transmittance (the first event of a query).
+    Weight 0: the path ends (single scattering loses what meets a second microfacet).
+    """
+    if kind == MATCHED:
+        return -ix, -iy, -iz, 1.0
+    mx, my, mz = 0.0, 0.0, 1.0
+    if kind == ROUGH:
+        mx, my, mz = visible_microfacet(ix, iy, iz, alpha, uniform(stream), uniform(stream))
+    cosine = ix * mx + iy * my + iz * mz
+    if cosine <= 0.0:
+        return 0.0, 0.0, 1.0, 0.0
+    reflectance = fresnel(cosine, eta)
+    weight = 1.0
+    if transmit_only:
+        weight = 1.0 - reflectance
+    elif uniform(stream) < reflectance:
+        ox, oy, oz = 2.0 * cosine * mx - ix, 2.0 * cosine * my - iy, 2.0 * cosine * mz - iz
+        if oz <= 0.0:
+            return ox, oy, oz, 0.0
+        if kind == ROUGH:
+            weight = masking(oz, alpha)
+        return ox, oy, oz, weight
+    ox, oy, oz = refract(ix, iy, iz, mx, my, mz, cosine, eta)
+    if oz >= 0.0:
+        return ox, oy, oz, 0.0
+    if kind == ROUGH:
+        weight *= masking(oz, alpha)
+    return ox, oy, oz, weight
+
+
+@called_function()
+def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: Any, u2: Any) -> Any:
+    """Draw a direction by refraction at a visible microfacet, density `microfacet_transport`; oz ≥ 0: none."""
+    mx, my, mz = visible_microfacet(ix, iy, iz, alpha, u1, u2)
+    cosine = ix * mx + iy * my + iz * mz
+    if cosine <= 0.0 or fresnel(cosine, eta) >= 1.0:
+        return 0.0, 0.0, 1.0
+    return refract(ix, iy, iz, mx, my, mz, cosine, eta)
+
+
+@called_function()
+def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
+    """Density of o, per solid angle, when a visible microfacet drawn from i reflects (oz > 0) or refracts (oz < 0).
+
+    Returns it with the reflectance of that microfacet (Walter 2007, eqs. 38 and 40, Heitz 2018).
+    """
+    if iz <= 0.0 or oz == 0.0:
+        return 0.0, 0.0
+    if oz > 0.0:
+        hx, hy, hz = ix + ox, iy + oy, iz + oz
+    else:
+        hx, hy, hz = -(ix + eta * ox), -(iy + eta * oy), -(iz + eta * oz)
+    length = math.sqrt(hx * hx + hy * hy + hz * hz)
+    if length < 1e-12:
+        return 0.0, 0.0
+    if hz < 0.0:
+        length = -length
+    hx, hy, hz = hx / length, hy / length, hz / length
+    from_i = ix * hx + iy * hy + iz * hz
+    to_o = ox * hx + oy * hy + oz * hz
+    if from_i <= 0.0 or to_o * oz <= 0.0:
+        return 0.0, 0.0
+    visible = microfacet_density(hz, alpha) * masking(iz, alpha) / iz
+    reflectance = fresnel(from_i, eta)
+    if oz > 0.0:
+        return 0.25 * visible, reflectance
+    root = from_i + eta * to_o
+    if root == 0.0:
+        return 0.0, 0.0
+    return visible * from_i * eta * eta * abs(to_o) / (root * root), reflectance
+
+
+@called_function()
+def rough_density(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
+    """f(i, o) |o·n| of the rough interface, for reflection (oz > 0) or transmission (oz < 0), per solid angle of o.
+
+    It is `sample_interface`'s weight times its density: Walter 2007, eqs. 20 and 21, less the squared index ratio.
+    """
+    density, reflectance = microfacet_transport(alpha, eta, ix, iy, iz, ox, oy, oz)
+    return density * masking(oz, alpha) * (reflectance if oz > 0.0 else 1.0 - reflectance)

@@ -1,0 +1,134 @@
+"""What fills each region: extinction, albedo and phase function, as the kernels take them.
+
+Grids of all regions lie one after the other in flat arrays; `layout` says where. Lengths are the walk's own (the
+object's longest side is about one).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prt_bake.jit.compilation import compiled
+from prt_bake.jit.without_counts import called_function, walk_function
+
+
+class Media(NamedTuple):
+    """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
+
+    regions: NDArray[np.float64]
+    """[R,37], by the names below."""
+    extinction_cells: NDArray[np.float32]
+    albedo_cells: NDArray[np.float32]
+    blocks: NDArray[np.float64]
+    """[.,2]: least and largest extinction in each block of a grid (`prt_bake.tracer.volume.majorants`)."""
+
+
+MAJORANT, MINORANT, CHROMATIC, PHASE_G = 0, 1, 2, 3
+"""Largest (0: clear) and least extinction in any channel, whether it differs between channels, mean cosine."""
+SIGMA_T, ALBEDO = 4, 7
+"""By channel; what counts where there is no grid."""
+LOW, PER_LENGTH = 10, 13
+"""Lowest corner of the grids' box, and 1 / side of it, along x, y and z."""
+EXTINCTION_GRID, ALBEDO_GRID = 16, 21
+"""First cell, channels (0: no grid), cells along z, y, x."""
+CHANNELS = 1
+BLOCKS = 26
+"""First block, blocks along x, y, z."""
+BLOCKS_LOW, BLOCKS_PER_LENGTH = 30, 33
+"""Where blocks begin, and how many come to a length, along x, y and z; the outermost ones go on without end."""
+STEEP = 36
+"""Blocks of a larger extinction than this are followed cell by cell."""
+REGION_SIZE = 37
+
+
+@walk_function()
+def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
+    """The lower cell and the fraction beyond it on one axis of a grid with values at cell centres, clamped."""
+    g = (position - low) * per_length * count - 0.5
+    g = min(max(g, 0.0), count - 1.0)
+    first = min(int(g), max(count - 2, 0))
+    return first, g - first
+
+
+@walk_function()
+def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
+    """A channel of the grid that `row` of a region describes from column `grid` on."""
+    first, channels = int(row[grid]), int(row[grid + 1])
+    nz, ny, nx = int(row[grid + 2]), int(row[grid + 3]), int(row[grid + 4])
+    x, fx = _cell(p[0], row[LOW], row[PER_LENGTH], nx)
+    y, fy = _cell(p[1], row[LOW + 1], row[PER_LENGTH + 1], ny)
+    z, fz = _cell(p[2], row[LOW + 2], row[PER_LENGTH + 2], nz)
+    across = channels if x + 1 < nx else 0
+    down = channels * nx if y + 1 < ny else 0
+    deep = channels * nx * ny if z + 1 < nz else 0
+    i = first + channels * ((z * ny + y) * nx + x) + channel
+    a = (cells[i] * (1.0 - fx) + cells[i + across] * fx) * (1.0 - fy) + (
+        cells[i + down] * (1.0 - fx) + cells[i + down + across] * fx
+    ) * fy
+    i += deep
+    b = (cells[i] * (1.0 - fx) + cells[i + across] * fx) * (1.0 - fy) + (
+        cells[i + down] * (1.0 - fx) + cells[i + down + across] * fx
+    ) * fy
+    return a * (1.0 - fz) + b * fz
+
+
+@walk_function()
+def extinction(media: Any, region: Any, p: Any, channel: Any) -> Any:
+    """sigma_t of a channel at p, trilinear."""
+    row = media.regions[region]
+    channels = row[EXTINCTION_GRID + CHANNELS]
+    if channels == 0.0:
+        return row[SIGMA_T + channel]
+    return _trilinear(media.extinction_cells, row, EXTINCTION_GRID, p, channel if channels == 3.0 else 0)
+
+
+@walk_function()
+def multiply_albedo(media: Any, region: Any, p: Any, throughput: Any) -> None:
+    """Multiply the throughput [3] by the albedo at p, trilinear."""
+    row = media.regions[region]
+    channels = row[ALBEDO_GRID + CHANNELS]
+    if channels == 0.0:
+        for c in range(3):
+            throughput[c] *= row[ALBEDO + c]
+    else:
+        _multiply_gridded_albedo(media, row, p, throughput)
+
+
+@called_function()
+def _multiply_gridded_albedo(media: Any, row: Any, p: Any, throughput: Any) -> None:
+    if row[ALBEDO_GRID + CHANNELS] == 1.0:
+        albedo = _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, 0)
+        for c in range(3):
+            throughput[c] *= albedo
+    else:
+        for c in range(3):
+            throughput[c] *= _trilinear(media.albedo_cells, row, ALBEDO_GRID, p, c)
+
+
+@compiled()
+def is_uneven(media: Any) -> bool:
+    """Whether the extinction of any region is a grid, along which transmittances are drawn."""
+    return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())
+
+
+@walk_function()
+def phase(cosine: Any, g: Any) -> Any:
+    """Henyey–Greenstein per solid angle; `cosine` is between the directions of flight before and after."""
+    g2 = g * g
+    root = max(1.0 + g2 - 2.0 * g * cosine, 1e-300)
+    return (1.0 - g2) / (4.0 * math.pi * root * math.sqrt(root))
+
+
+@walk_function()
+def phase_cosine(g: Any, u: Any) -> Any:
+    """The cosine of a Henyey–Greenstein deflection for u in [0, 1), accurate from g = 0 to |g| → 1.
+
+    With v = 2u − 1 the inverse of the distribution is v + g(1 − v²)(3 + 2gv − g²) / 2(1 + gv)² exactly; it neither
+    divides by g nor subtracts numbers that are nearly equal.
+    """
+    v = 2.0 * u - 1.0
+    root = 1.0 + g * v
+    cosine = v + 0.5 * g * (1.0 - v * v) * (3.0 + 2.0 * g * v - g * g) / (root * root)
+    return min(1.0, max(-1.0, cosine))

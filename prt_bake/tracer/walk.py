@@ -1,0 +1,364 @@
+"""The random walk that everything is estimated with: from x along −ωo into the object, until it leaves for good.
+
+A walk is a row of numbers (`state`) that `begin` sets at x and four functions move on: `enter` lets it in, `advance`
+flies to the next event (a scattering, a dielectric boundary, a diffuse surface, or the sky), and `scatter`, `cross` and
+`bounce` choose what happens there. An estimator is a loop over them that reads what it wants at each event.
+Index-matched boundaries are no events: `advance` flies through.
+
+The walker's side is decided by the face it meets: what is met from behind was flown through inside. A ray that slips
+through an edge is therefore put right by the next face it meets, and energy is kept whatever the mesh.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.mathematics.counter import uniform
+from prt_bake.tracer.surface.boundary import (
+    DIFFUSE,
+    OPAQUE,
+    PASS,
+    alpha_at,
+    crossing,
+    facing_normal,
+    is_compensated,
+    mask_before,
+    meet,
+    met_from_behind,
+    next_face,
+    normal_at,
+    part_of,
+    place_on,
+    reflectance_at,
+    sees_sky,
+)
+from prt_bake.tracer.surface.compensation import sample_compensated
+from prt_bake.tracer.surface.interface import MATCHED, ROUGH, sample_interface
+from prt_bake.tracer.surface.nearby_faces import meet_nearby, room_about
+from prt_bake.tracer.volume.media import CHROMATIC, MAJORANT, PHASE_G, multiply_albedo, phase, phase_cosine
+from prt_bake.tracer.volume.tracking import flight_by_channel, free_flight
+
+SCATTERING, SURFACE, SKY, REFLECTING = 0, 1, 2, 3
+POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN, ORIGIN, ARRIVED = 0, 3, 6, 9, 12, 13, 16, 17, 18, 21
+U, V, LOOKED, ROOM = 24, 25, 26, 27
+"""In state[ROOM]: a distance within which the walk, from where it is, meets no face."""
+STATE_SIZE = 32
+FACE, MASK, EVENTS, SCATTERED, BEFORE, BEHIND, ORIGIN_FACE = 0, 1, 2, 3, 4, 5, 6
+COUNTS_SIZE = 8
+"""The walker's mask, and where it has come to a face those before and behind it."""
+AHEAD = -1.0
+"""In state[PHASE]: what the next arrival at the object's boundary receives is counted already."""
+_LOOK_OUT_EVERY = 8
+_WEIGHT_WINDOW = 0.1
+
+
+@walk_function()
+def _towards_ball(p: Any, d: Any, radius: Any) -> Any:
+    """How far p + t d stays in the ball of the object (an upper bound for every crossing)."""
+    along = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
+    squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2] - radius * radius
+    root = along * along - squared
+    if root <= 0.0:
+        return 0.0
+    return max(0.0, -along + math.sqrt(root))
+
+
+@walk_function()
+def frame(nx: Any, ny: Any, nz: Any) -> Any:
+    """Two unit vectors across n (Duff et al. 2017)."""
+    sign = math.copysign(1.0, nz)
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
+
+
+@walk_function()
+def region_of(boundary: Any, counts: Any) -> Any:
+    """The region that the walker is in."""
+    return boundary.region_of_mask[counts[MASK]]
+
+
+@called_function()
+def begin(
+    boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, held: Any
+) -> None:
+    """Set a walk of throughput 1 at `position` on `face`, seen from `outgoing`, before it is let in.
+
+    `held` is the mask of the parts inside the object that hold x too (`contained`).
+    """
+    for k in range(3):
+        state[POSITION + k] = position[k]
+        state[DIRECTION + k] = -outgoing[k]
+        state[THROUGHPUT + k] = 1.0
+    state[LOST], state[PHASE], state[U], state[V], state[ROOM] = 0.0, 0.0, u, v, 0.0
+    normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
+    counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, held, 0, 0
+    counts[BEFORE], counts[BEHIND], counts[ORIGIN_FACE] = held, held | 1 << part_of(boundary, face), -1
+
+
+@called_function()
+def clear_view(boundary: Any, position: Any, outgoing: Any, face: Any, inward: Any, ray: Any) -> Any:
+    """How far all walks of a query that `enter` does not bend fly before they can meet a face; 0 where it does.
+
+    `inward` is room for a direction.
+    """
+    if boundary.kind != MATCHED:
+        return 0.0
+    for k in range(3):
+        inward[k] = -outgoing[k]
+    met, t = next_face(boundary, ray, position, inward, 0.0, np.inf, face)
+    return t if met >= 0 and met_from_behind(boundary, met, inward) else 0.0
+
+
+@walk_function()
+def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
+    """Let a walk in: the transmission inwards is its first weight. False where it ends there."""
+    kind, _eta = crossing(boundary, counts[FACE], counts[BEFORE], counts[BEHIND])
+    enters = True
+    if kind == MATCHED:
+        counts[MASK] = counts[BEHIND]
+        for k in range(3):
+            state[ARRIVED + k] = state[DIRECTION + k]
+    elif kind == DIFFUSE:
+        # A diffuse part reaches the very surface: nothing of the object lies before it.
+        enters = False
+    else:
+        enters = cross(boundary, state, counts, True, stream)
+    state[BEGUN] = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
+    return enters
+
+
+@walk_function()
+def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
+    """Fly to the next event: SCATTERING at a point inside, SURFACE at a dielectric boundary, REFLECTING at a diffuse
+    surface, or SKY where nothing is met any more.
+    """
+    p = state[POSITION : POSITION + 3]
+    while True:
+        region = region_of(boundary, counts)
+        majorant = media.regions[region, MAJORANT]
+        if counts[FACE] >= 0 and sees_sky(boundary, counts[FACE], state[DIRECTION : DIRECTION + 3]):
+            return SKY
+        if majorant <= 0.0:
+            flight, face = _to_next_face(boundary, state, counts, ray)
+        elif media.regions[region, CHROMATIC] != 0.0:
+            flight, face = _fly_by_channel(boundary, media, region, state, counts, ray, stream)
+        else:
+            flight, face = _fly(boundary, media, region, state, counts, ray, stream)
+        if face >= 0:
+            d = state[DIRECTION : DIRECTION + 3]
+            face, u, v, before, after = meet(boundary, ray, p, d, flight, face, counts[MASK])
+            if boundary.region_of_mask[before] != region:
+                counts[MASK] = before
+                continue
+            kind = _arrive(boundary, state, counts, face, u, v, before, after)
+            if kind == OPAQUE:
+                for c in range(3):
+                    state[THROUGHPUT + c] = 0.0
+                return SKY
+            if kind == DIFFUSE:
+                counts[EVENTS] += 1
+                counts[SCATTERED] += 1
+                return REFLECTING
+            if kind >= 0:
+                return SURFACE
+            continue
+        if flight == np.inf:
+            return SKY
+        d = state[DIRECTION : DIRECTION + 3]
+        for k in range(3):
+            p[k] += flight * d[k]
+        state[ROOM] = room_about(boundary, p)
+        counts[FACE] = -1
+        counts[EVENTS] += 1
+        counts[SCATTERED] += 1
+        multiply_albedo(media, region, p, state[THROUGHPUT : THROUGHPUT + 3])
+        return SCATTERING
+
+
+@walk_function()
+def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
+    """(Distance, face) of the next face through what is clear; (inf, −1) for the sky."""
+    p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
+    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
+    return t, face
+
+
+@walk_function()
+def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
+    """(Distance, −1) of a scattering event, (distance, face) of a face met before, or (inf, −1)."""
+    p = state[POSITION : POSITION + 3]
+    d = state[DIRECTION : DIRECTION + 3]
+    ball = _towards_ball(p, d, boundary.radius)
+    flight = free_flight(media, region, p, d, ball, state[AT : AT + 3], stream)
+    if flight < state[ROOM]:
+        return flight, -1
+    face, t, u, v, inside = meet_nearby(boundary, p, d, counts[FACE])
+    if inside and flight < t:
+        return flight, -1
+    if inside and face >= 0:
+        ray[15], ray[16] = u, v
+        return t, face
+    far = flight
+    if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
+        far = np.inf
+    face, t = next_face(boundary, ray, p, d, 0.0, far, counts[FACE])
+    if face < 0:
+        return (np.inf if far == np.inf else flight), -1
+    if t <= flight or boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
+        return t, face
+    return flight, -1
+
+
+@called_function()
+def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
+    """The same where extinction differs between channels: what reaches a face is weighted too, so it is found first."""
+    p = state[POSITION : POSITION + 3]
+    d = state[DIRECTION : DIRECTION + 3]
+    face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
+    if face < 0:
+        return np.inf, -1
+    if boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
+        return t, face
+    flight = flight_by_channel(media, region, p, d, t, state[THROUGHPUT : THROUGHPUT + 3], state[AT : AT + 3], stream)
+    if flight < t:
+        return flight, -1
+    return t, face
+
+
+@walk_function()
+def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, before: Any, after: Any) -> Any:
+    """Set the walk on a face that it has met, by barycentric coordinates (more exact than p + t d), and through it
+    where nothing stands there. Returns the kind of interface, negative where the walk has passed.
+    """
+    place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
+    state[ROOM] = 0.0
+    kind, _eta = crossing(boundary, face, before, after)
+    counts[FACE] = face
+    if kind == PASS or kind == MATCHED:
+        counts[MASK] = after
+        return PASS
+    counts[MASK], counts[BEFORE], counts[BEHIND] = before, before, after
+    state[U], state[V] = u, v
+    normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
+    if kind == DIFFUSE:
+        part = boundary.region_of_mask[after] - 1
+        for k in range(3):
+            state[THROUGHPUT + k] *= reflectance_at(boundary, face, part, u, v, k)
+    return kind
+
+
+@called_function()
+def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: Any) -> bool:
+    """Take the dielectric's event at the face that the walk has reached; False where the walk ends there.
+
+    The direction of flight before it stays in state[ARRIVED].
+    """
+    d = state[DIRECTION : DIRECTION + 3]
+    for k in range(3):
+        state[ARRIVED + k] = d[k]
+    counts[EVENTS] += 1
+    state[PHASE] = 0.0
+    face = counts[FACE]
+    kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
+    if kind == ROUGH:
+        counts[SCATTERED] += 1
+    nx, ny, nz = facing_normal(boundary, face, state[NORMAL : NORMAL + 3], d)
+    sx, sy, sz, tx, ty, tz = frame(nx, ny, nz)
+    ix = -(d[0] * sx + d[1] * sy + d[2] * sz)
+    iy = -(d[0] * tx + d[1] * ty + d[2] * tz)
+    iz = -(d[0] * nx + d[1] * ny + d[2] * nz)
+    alpha = alpha_at(boundary, face, state[U], state[V])
+    if kind == ROUGH and is_compensated(boundary, face):
+        ox, oy, oz, weight = sample_compensated(boundary.losses, alpha, eta, ix, iy, iz, transmit_only, stream)
+    else:
+        ox, oy, oz, weight = sample_interface(kind, alpha, eta, ix, iy, iz, transmit_only, stream)
+    if weight <= 0.0:
+        return False
+    g = boundary.faces[face]
+    before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
+    x, y, z = ox * sx + oy * tx + oz * nx, ox * sy + oy * ty + oz * ny, ox * sz + oy * tz + oz * nz
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    d[0], d[1], d[2] = x * scale, y * scale, z * scale
+    behind = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
+    crossed = oz < 0.0
+    if (before * behind > 0.0) != crossed:
+        return False
+    if crossed:
+        counts[MASK] = counts[BEHIND]
+    for c in range(3):
+        state[THROUGHPUT + c] *= weight
+    return True
+
+
+@walk_function()
+def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> None:
+    """Send the walk along (x, y, z), drawn by `density`, and note where it starts."""
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    state[DIRECTION], state[DIRECTION + 1], state[DIRECTION + 2] = x * scale, y * scale, z * scale
+    state[PHASE] = density
+    for k in range(3):
+        state[ORIGIN + k] = state[POSITION + k]
+    counts[ORIGIN_FACE] = counts[FACE]
+
+
+@walk_function()
+def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> None:
+    """Draw a new direction from the phase function; its density stays in state[PHASE], its place in state[ORIGIN]."""
+    d = state[DIRECTION : DIRECTION + 3]
+    g = media.regions[region_of(boundary, counts), PHASE_G]
+    cosine = phase_cosine(g, uniform(stream))
+    sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
+    angle = 2.0 * math.pi * uniform(stream)
+    sx, sy, sz, tx, ty, tz = frame(d[0], d[1], d[2])
+    a, b = sine * math.cos(angle), sine * math.sin(angle)
+    _depart(
+        state,
+        counts,
+        a * sx + b * tx + cosine * d[0],
+        a * sy + b * ty + cosine * d[1],
+        a * sz + b * tz + cosine * d[2],
+        phase(cosine, g),
+    )
+
+
+@called_function()
+def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
+    """Send the walk back from a diffuse surface by the cosine; density and place are kept as by `scatter`."""
+    nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], state[DIRECTION : DIRECTION + 3])
+    squared = uniform(stream)
+    r, cosine = math.sqrt(squared), math.sqrt(1.0 - squared)
+    angle = 2.0 * math.pi * uniform(stream)
+    sx, sy, sz, tx, ty, tz = frame(nx, ny, nz)
+    a, b = r * math.cos(angle), r * math.sin(angle)
+    _depart(
+        state,
+        counts,
+        a * sx + b * tx + cosine * nx,
+        a * sy + b * ty + cosine * ny,
+        a * sz + b * tz + cosine * nz,
+        cosine / math.pi,
+    )
+
+
+@walk_function()
+def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
+    """Unbiased roulette on walks that carry little of what they began with.
+
+    Walks past `most_events` end, with what they carried noted as lost.
+    """
+    largest = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
+    if largest <= 0.0:
+        return False
+    if counts[EVENTS] >= boundary.most_events:
+        state[LOST] = largest
+        return False
+    if largest < _WEIGHT_WINDOW * state[BEGUN]:
+        survival = largest / (3.0 * _WEIGHT_WINDOW * state[BEGUN])
+        if uniform(stream) >= survival:
+            return False
+        for c in range(3):
+            state[THROUGHPUT + c] /= survival
+    return True

@@ -1,0 +1,288 @@
+"""The report of a training as two files: JSON for programs, and one page for people that needs nothing beside it."""
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from formats.atomic import replacing
+from prt_bake.report import as_text
+from prt_bake.trainer.report.plots import draw
+
+_STYLE = """
+:root { color-scheme: light dark; --ground: #ffffff; --ink: #1c1f24; --soft: #5c6470; --line: #d9dde3; --panel: #f5f6f8;
+  --met: #1d7a3e; --missed: #b3261e; --open: #8a6100 }
+@media (prefers-color-scheme: dark) { :root { --ground: #16181c; --ink: #e4e6ea; --soft: #9aa2ae; --line: #363b44;
+  --panel: #1e2126; --met: #6fcf8f; --missed: #ff8a80; --open: #e6b450 } }
+body { background: var(--ground); color: var(--ink); font: 16px/1.5 system-ui, sans-serif; margin: 0 auto;
+  max-width: 62rem; padding: 1.5rem }
+h1 { font-size: 1.5rem; margin: 0 0 .2rem } h2 { font-size: 1.15rem; margin: 2.2rem 0 .5rem }
+p.under { color: var(--soft); margin: .2rem 0 1rem }
+table { border-collapse: collapse; font-size: .9rem; width: 100% }
+th, td { border-bottom: 1px solid var(--line); padding: .3rem .6rem .3rem 0; text-align: left; vertical-align: top }
+td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap }
+div.wide { overflow-x: auto } ul { padding-left: 1.2rem } li { margin: .35rem 0 }
+img { display: block; height: auto; width: 100%; image-rendering: pixelated }
+svg { display: block; height: auto; max-width: 100%; width: 100%; margin: .6rem 0 }
+svg text { font-family: system-ui, sans-serif !important }
+.met { color: var(--met) } .not { color: var(--missed) } .undecided { color: var(--open) }
+b.verdict { white-space: nowrap }
+"""
+
+
+def report_paths(model: str | Path) -> tuple[Path, Path]:
+    """Where the report of MODEL.pt lies: MODEL.report.json and MODEL.report.html beside it."""
+    path = Path(model)
+    return path.with_name(path.stem + ".report.json"), path.with_name(path.stem + ".report.html")
+
+
+def write_training_report(assessment_json: dict[str, Any], json_path: str | Path, page_path: str | Path) -> None:
+    """Write an assessment (`Assessment.as_json`) as JSON and as a page, each whole or not at all, the JSON first.
+
+    Raises StorageError if a place cannot be written, PrtbakeError (the JSON is written by then) where matplotlib is
+    not installed.
+    """
+    with replacing(json_path) as part:
+        part.write_text(as_text(assessment_json) + "\n", encoding="utf-8")
+    page = training_page(assessment_json)
+    with replacing(page_path) as part:
+        part.write_text(page, encoding="utf-8")
+
+
+def training_page(report: dict[str, Any]) -> str:
+    """The page as HTML, plots and all."""
+    plots = draw(report)
+    model, reference = report["model"], report["reference"]
+    sections = [
+        f"<h1>How well the model of {escape(model['scene'])} answers</h1>",
+        f'<p class="under">{_trained(model)} Intervals hold the truth 95 times in 100.</p>',
+        _criteria(report["criteria"]),
+        f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'])}</ul>",
+        _section("The network's error and the reference's noise", plots["split"], _split_table(report)),
+        *(_picture(part) for part in report.get("pictures", [])),
+        _section("Error against time", plots.get("history", "<p>The model keeps no history.</p>"), _prediction(report)),
+        _section(
+            f"Error against angle, of {'Ŝ' if report['angles']['of'] == 'transport' else 'the coefficients'}",
+            plots["angles"],
+            "<p class='under'>n is the normal of the face. Bins with few queries have wide intervals.</p>",
+        ),
+        _section("Error against position", plots["positions"], _regions(report["regions"])),
+        _section("Predicted against measured", plots["predicted"], _white_sky(report["white_sky"])),
+        _section("Worst queries", _worst(report["worst"]), ""),
+        _section("Seams and poles of spherical coordinates", plots["seams"], _seams(report["seams"])),
+        _section("What was traced", _reference(reference), ""),
+    ]
+    body = "\n".join(sections)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(model['scene'])}: training report</title><style>{_STYLE}</style></head>\n"
+        f"<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _section(title: str, *parts: str) -> str:
+    return "\n".join([f"<h2>{escape(title)}</h2>", *parts])
+
+
+def _table(head: list[str], rows: list[list[str]], numbers_from: int = 1) -> str:
+    """Cells are HTML; columns from `numbers_from` on are numbers."""
+
+    def line(tag: str, cells: list[str]) -> str:
+        marks = [' class="n"' if place >= numbers_from else "" for place in range(len(cells))]
+        return "".join(f"<{tag}{mark}>{cell}</{tag}>" for mark, cell in zip(marks, cells, strict=True))
+
+    body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{line("th", head)}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _percent(figure: dict[str, Any]) -> str:
+    value = f"{100 * figure['value']:.2f} %"
+    if figure["low"] is None or figure["low"] != figure["low"]:
+        return value
+    return f"{value} ({100 * figure['low']:.2f} to {100 * figure['high']:.2f})"
+
+
+def _trained(model: dict[str, Any]) -> str:
+    if not model["walks"]:
+        return f"{model['weights']:,} weights."
+    return (
+        f"{model['weights']:,} weights, trained for {model['training_seconds'] / 60:.1f} minutes: "
+        f"{model['steps']:,} steps on {model['walks']:,} walks, {model['walks_per_second']:,.0f} a second."
+    )
+
+
+def _criteria(rows: list[dict[str, Any]]) -> str:
+    told = []
+    for row in rows:
+        verdict = f'<b class="verdict {row["verdict"].split()[0]}">{escape(row["verdict"])}</b>'
+        if "unit" in row:
+            bound, figure = f"{row['bound']:g}", f"{row['value']:.4f} ({row['low']:.4f} to {row['high']:.4f})"
+        else:
+            bound, figure = (f"{100 * row['bound']:g} %", _percent(row)) if "bound" in row else ("", "")
+        told.append([escape(row["name"]), bound, figure, verdict])
+    return _table(["asked", "at most", "found", ""], told)
+
+
+def _split_table(report: dict[str, Any]) -> str:
+    coefficients = report["coefficients"]
+    parts = [
+        ("Ŝ on fresh queries", report["transport"]),
+        ("a_lm over the surface", coefficients["surface"]),
+        ("a_lm over vertices and views", coefficients["vertices"]),
+    ]
+    rows = [
+        [name, _percent(p["network"]), f"{p['noise']:.2%}", f"{p['together']:.2%}", f"{p['rests_on']:.0f} of {p['of']}"]
+        for name, p in parts
+        if p is not None
+    ]
+    return (
+        _table(["relative RMSE", "network", "noise", "as seen together", "rests on"], rows)
+        + "<p class='under'>Noise is subtracted in squares, without bias. “Rests on”: how many queries or positions of "
+        "equal weight would tell as much; where few, the figure is poorly known. 95th percentile over vertices of a "
+        f"vertex's own relative RMSE: {_percent(coefficients['percentile_95'])}; "
+        f"{coefficients['percentile_95_uncorrected']:.2%} before the scatter of views and walks is taken out.</p>"
+    )
+
+
+def _picture(part: dict[str, Any]) -> str:
+    strip = (
+        f'<img src="data:image/png;base64,{part["png"]}" width="{3 * part["size"]}" height="{part["size"]}" '
+        "alt=\"The network's picture, the path tracer's, and FLIP between them\">"
+    )
+    return _section(
+        f"A picture, the sun {part['sun']}",
+        strip,
+        f"<p class='under'>The network's, the path tracer's ({part['walks']} walks a pixel, {part['seconds']:.0f} s) "
+        f"and FLIP between them, white 1; under {escape(part['light'])}. Light from under the surface alone.</p>",
+        _table(
+            ["", "found", "without the reference's noise", "noise alone"],
+            [
+                ["mean FLIP of the picture", *_flips(part)],
+                ["of the object's pixels alone", *_flips(part["on_object"])],
+                ["relative RMSE of the object's radiance", "", f"{part['error']:.2%}", f"{part['noise']:.2%}"],
+            ],
+        ),
+    )
+
+
+def _flips(part: dict[str, Any]) -> list[str]:
+    return [f"{part[name]:.4f}" for name in ("flip", "flip_without_noise", "flip_of_noise")]
+
+
+def _prediction(report: dict[str, Any]) -> str:
+    part = report["prediction"]
+    v = part["v"]
+    interval = "" if v["low"] is None or v["low"] != v["low"] else f" ({v['low']:.3g} to {v['high']:.3g})"
+    rows = [
+        ["v, relative variance of one walk", f"{v['value']:.3g}{interval}"],
+        ["weights", f"{part['weights']:,}"],
+        ["walks", f"{part['walks']:,.0f}"],
+        ["walks per second in training", f"{report['model']['walks_per_second']:,.0f}"],
+    ]
+    if part["walks"] and part["weights"]:
+        rows.append(["prediction sqrt(weights · v / walks)", _percent(part["predicted"])])
+    rows.append(["reached", _percent(part["reached"])])
+    return _table([f"of {'Ŝ' if part['of'] == 'transport' else 'the coefficients'}", ""], rows)
+
+
+def _regions(regions: list[dict[str, Any]]) -> str:
+    rows = [[_box(region), str(region["vertices"]), _percent(region)] for region in regions]
+    return _table(["part of the object: box, in scene units", "vertices", "relative RMSE of a_lm"], rows)
+
+
+def _box(region: dict[str, Any]) -> str:
+    ends = zip("xyz", region["box_low"], region["box_high"], strict=True)
+    return ", ".join(f"{axis} {low:.3g} … {high:.3g}" for axis, low, high in ends)
+
+
+def _white_sky(part: dict[str, Any]) -> str:
+    rows = [
+        ["object's mean, signed", _percent(part["object"])],
+        *(
+            [f"of it {name}", _percent(figure)]
+            for name, figure in zip(("red", "green", "blue"), part["object_by_channel"], strict=True)
+        ),
+        ["95th percentile over vertices, mean of the views", _percent(part["percentile_95"])],
+        ["95th percentile over vertices, rms over the views", _percent(part["percentile_95_of_views"])],
+    ]
+    mean = ", ".join(f"{value:.3f}" for value in part["mean"])
+    return _table(["√(4π) a₀₀: radiance under a white sky", "error"], rows) + (
+        f"<p class='under'>Measured mean over vertices and views: {mean} (RGB). Noise and the scatter of views "
+        f"are taken out of the percentiles; before that they are {part['percentile_95_uncorrected']:.2%} and "
+        f"{part['percentile_95_of_views_uncorrected']:.2%}.</p>"
+    )
+
+
+def _worst(part: dict[str, Any]) -> str:
+    transport = part["of"] == "transport"
+    rows = []
+    for row in part["rows"]:
+        incident = [_vector(row["incident"])] if transport else []
+        rows.append(
+            [
+                _vector(row["position"]),
+                *incident,
+                _vector(row["outgoing"]),
+                f"{row['predicted']:.4g}",
+                f"{row['measured']:.4g} ± {row['standard_error']:.2g}",
+                f"{row['z']:.1f}",
+            ]
+        )
+    quantity = "Ŝ [1/sr]" if transport else "√(4π) a₀₀"
+    head = ["position", *(["ωi"] if transport else []), "ωo", f"predicted {quantity}", "measured ± 1 σ", "z"]
+    return _table(head, rows, numbers_from=len(head) - 3) + (
+        "<p class='under'>Mean over RGB. Picked by the first walks, measured again by others: the noise that had a "
+        "part in picking them has none in these figures.</p>"
+    )
+
+
+def _vector(values: list[float]) -> str:
+    return "(" + ", ".join(f"{value:.3f}" for value in values) + ")"
+
+
+def _seams(part: dict[str, Any]) -> str:
+    jumps = [
+        [
+            name,
+            f"{row['there']:.4%}",
+            f"{row['elsewhere']:.4%}",
+            f"{row['z']:.1f}",
+            "visible" if row["visible"] else "no",
+        ]
+        for name, row in part["jumps"].items()
+    ]
+    near = [
+        [
+            name,
+            f"{row['there']:.2%}",
+            f"{row['elsewhere']:.2%}",
+            f"{row['z']:.1f}",
+            "yes" if row["stands_out"] else "no",
+        ]
+        for name, row in part["errors_near"].items()
+    ]
+    return (
+        _table(["jump of the network, over the rms of Ŝ", "there", "elsewhere", "z", "stands out"], jumps)
+        + _table(["relative RMSE within 10° of the seam, 15° of a pole", "there", "elsewhere", "z", "stands out"], near)
+        + "<p class='under'>Ŝ is continuous: what a network jumps by is its own error, known without noise. z beyond 4 "
+        "stands out; jumps below 1 % no eye sees.</p>"
+    )
+
+
+def _reference(part: dict[str, Any]) -> str:
+    reasons = {"noise": "noise a third of the error", "time": "time given was used up", "size": "most walks allowed"}
+    rows = [
+        [
+            escape(name),
+            f"{row['walks']:,}",
+            f"{row['walks_per_second']:,.0f}",
+            f"{row['seconds']:.1f}",
+            reasons[row["ended_by"]],
+        ]
+        for name, row in part.items()
+        if isinstance(row, dict)
+    ]
+    return _table(["path traced", "walks a query", "walks a second", "seconds", "ended by"], rows) + (
+        f"<p class='under'>{part['queries']} queries of {part['directions']} directions, {part['vertices']} vertices "
+        f"of {part['views']} views, seed {part['seed']}; none of them was learnt from.</p>"
+    )

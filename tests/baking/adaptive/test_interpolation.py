@@ -1,0 +1,187 @@
+"""Fine meshes: most vertices are foretold from those around them, what that saves, and that it hides nothing."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from bakers.adaptive.vertex_validation import held_against
+from formats.asset import Asset
+from prt_bake import bake
+from prt_bake.baking.adaptive.parent_vertices import Nearby, cells
+from prt_bake.baking.adaptive.pilot import Site, first_refinement
+from prt_bake.baking.adaptive.tolerances import Pilot, aimed
+from prt_bake.baking.bake import plan
+from prt_bake.baking.job.job import views_of
+from prt_bake.mathematics import sh, sphere
+from tests.bakers.transports import Array, Counting, Lobed, Ringed, exact, icosphere, patched
+from tests.baking.test_resume import same
+
+ERROR, RINGS, SECTORS = 0.02, 4, 32
+SMALL = {"error": ERROR, "rings": RINGS, "sectors": SECTORS}
+MESH = icosphere(4)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("nearby") / "whole.h5"
+
+
+class Whole(NamedTuple):
+    """A bake to the end: its asset, what it asked for, and what it told of how far it was, (done, seconds left)."""
+
+    asset: Asset
+    evaluations: int
+    told: list[tuple[int, float | None]]
+
+
+@pytest.fixture(scope="module")
+def followed(path: Path) -> Iterator[Whole]:
+    told: list[tuple[int, float | None]] = []
+    counted = Counting(Ringed())
+    follow = {"progress": lambda done, _of, row: told.append((done, row.left))}
+    with bake(counted, MESH, **SMALL, **follow, out=path) as asset:
+        yield Whole(asset, counted.evaluations, told)
+
+
+@pytest.fixture
+def whole(followed: Whole) -> Asset:
+    return followed.asset
+
+
+def true_errors(asset: Asset, transport: Ringed, vertices: Array) -> tuple[Array, Array]:
+    """Squared errors [n,B] and squares [n,B] of coefficients, mean over them, against a fit over many directions."""
+    lattice, views = sphere.fibonacci(1024), views_of(MESH, RINGS, SECTORS)[1]
+    fit = np.linalg.pinv(sh.evaluate(lattice, 2))
+    off, signal = [], []
+    for vertex in vertices:
+        outgoing = views(int(vertex), int(vertex) + 1)[0][0]
+        count = len(outgoing)
+        answers = transport.evaluate(
+            np.broadcast_to(lattice, (count, *lattice.shape)), np.tile(MESH.positions[vertex], (count, 1)), outgoing
+        )
+        truth = np.einsum("kd,bdc->bkc", fit, answers)
+        off.append(((asset.coefficients[vertex] - truth) ** 2).mean(axis=(1, 2)))
+        signal.append((truth**2).mean(axis=(1, 2)))
+    return np.array(off), np.array(signal)
+
+
+def some_vertices(count: int = 150) -> Array:
+    return np.random.default_rng(0).choice(len(MESH.positions), count, replace=False)
+
+
+def foretold(asset: Asset) -> int:
+    return int(asset.provenance["refinement"]["vertices_foretold"])
+
+
+def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(whole: Asset) -> None:
+    off, signal = true_errors(whole, Ringed(), some_vertices())
+    true = np.sqrt(off.sum() / signal.sum())
+    told = whole.provenance["estimated_relative_rmse"]["total"]
+    assert foretold(whole) > 0.6 * len(MESH.positions)
+    assert true < 1.1 * ERROR
+    assert 0.8 < told / true < 1.25
+    standard_error = np.asarray(whole.standard_error)[some_vertices()]
+    assert 0.92 < (np.sqrt(off) <= 1.96 * standard_error).mean() < 0.99
+
+
+def test_it_saves_evaluations_and_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
+    foreseen = plan(Ringed(), MESH, **SMALL).evaluations
+    monkeypatch.setattr("prt_bake.baking.adaptive.tolerances.nearby_for", lambda *_all: (None, 0))
+    without = plan(Ringed(), MESH, **SMALL).evaluations
+    assert foreseen < 0.7 * without
+    assert whole.provenance["evaluations"] < without / 1.5
+
+
+def test_a_patch_between_the_vertices_that_were_tried_is_seen() -> None:
+    transport = Ringed(patch=0.15)
+    with bake(transport, MESH, **SMALL) as asset:
+        edge = np.flatnonzero(patched(MESH.positions, 0.25) & ~patched(MESH.positions, 0.08))
+        off, signal = true_errors(asset, transport, edge)
+        assert foretold(asset) > 0.5 * len(MESH.positions)
+        assert np.sqrt(off.sum() / signal.sum()) < 1.5 * ERROR
+        assert np.sqrt((off.sum(axis=1) / signal.sum(axis=1)).max()) < 6.0 * ERROR
+
+
+def test_where_no_vertex_foretells_another_none_does() -> None:
+    transport = Ringed(sharp=True)
+    with bake(transport, MESH, **SMALL) as asset:
+        off, signal = true_errors(asset, transport, some_vertices())
+        assert foretold(asset) == 0
+        assert np.sqrt(off.sum() / signal.sum()) < 1.1 * ERROR
+
+
+def test_a_vertex_where_nothing_is_finite_spoils_no_other() -> None:
+    with bake(Ringed(blind=MESH.positions[7]), MESH, **SMALL) as asset:
+        assert asset.provenance["vertices_not_finite"] == {"count": 1, "first": [7]}
+        assert np.flatnonzero(~np.asarray(asset.valid)).tolist() == [7]
+        assert foretold(asset) > 0.5 * len(MESH.positions)
+
+
+def test_numbers_depend_neither_on_workers_nor_on_the_cut(
+    whole: Asset, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.vertices_at_once", lambda *_all: 77)
+    bake(Ringed(), MESH, **SMALL, workers=2, out=tmp_path / "cut.h5").close()
+    same(tmp_path / "cut.h5", path)
+
+
+@pytest.mark.parametrize("asked", [14, 20])
+def test_stopped_between_the_vertices_that_come_first_and_gone_on_with(
+    whole: Asset, path: Path, tmp_path: Path, asked: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A slow machine would ask within the pilot, too.
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.PILOT_UNASKED", math.inf)
+    out, calls = tmp_path / "stopped.h5", iter([False] * asked + [True] * 1000)
+    with bake(Ringed(), MESH, **SMALL, out=out, stop=lambda: next(calls)) as part:
+        assert part.complete
+        assert part.provenance["estimated_relative_rmse"]["total"] > ERROR
+    kept = {path.name[:9] for path in (tmp_path / "stopped.h5.journal").iterdir()}
+    assert "evaluated" in kept
+    bake(Ringed(), MESH, **SMALL, out=out, resume=True).close()
+    same(out, path)
+    assert [path.name for path in tmp_path.iterdir()] == ["stopped.h5"]
+
+
+def test_progress_never_goes_back_and_all_that_is_asked_is_counted(followed: Whole) -> None:
+    assert followed.evaluations == followed.asset.provenance["evaluations"]
+    done = [count for count, _left in followed.told]
+    ends = [place for place, count in enumerate(done) if count == len(MESH.positions)]
+    assert len(ends) >= 2
+    last = done[ends[-2] + 1 :]
+    assert last == sorted(last)
+    assert 0 < last[0] < len(MESH.positions) / 3
+    assert all(left is None or left >= 0.0 for _done, left in followed.told)
+
+
+def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() -> None:
+    views = views_of(MESH, RINGS, SECTORS)[1]
+    site = Site(
+        Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
+    )
+    found: list[Nearby] = [cells(site, spacing, ERROR, 1, 64.0, 1e5) for spacing in (0.1, 0.2, 0.4)]
+    shares = [len(each.numbers) / len(MESH.positions) for each in found]
+    assert shares == sorted(shares, reverse=True)
+    for each, share in zip(found, shares, strict=True):
+        assert 1e5 * share < each.on_average < 1e5
+        assert each.ahead == pytest.approx(1e5 * share / each.on_average)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03])
+def test_foretold_vertices_are_held_against_the_transport_less_the_noise_of_that(scale: float) -> None:
+    mesh, transport = icosphere(1), Lobed()
+    views = views_of(mesh, 4, 16)[1]
+    site = Site(transport, mesh, np.arange(42), views, sphere.view_bins(4, 16), 2, 0, (4, 16))
+    how = replace(aimed(Pilot(site), first_refinement(site)[0], ERROR).refinement, checked=2.0 * ERROR)
+    outgoing = np.concatenate([views(vertex, vertex + 1)[0] for vertex in range(42)])
+    foretold = scale * exact(transport, mesh, 4, 16, directions=1024)
+    bins = np.tile(np.arange(64), (42, 1))
+    off, spent = held_against(transport, how, np.arange(42), mesh.positions, outgoing, foretold, bins)
+    # The noise of the directions is four times the squared error asked for: a sixteenth of it may be left.
+    assert off.mean() == pytest.approx((1.0 - 1.0 / scale) ** 2, abs=0.25 * ERROR**2)
+    assert off.shape == (42, 64)
+    assert spent >= off.size * how.lattice.sizes[0]

@@ -1,0 +1,116 @@
+"""Meshes and transports of which a bake does not need everything, or only just does."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from formats.mesh import Mesh, build_mesh
+from tests.bakers.transports import Array
+
+
+@dataclass(frozen=True)
+class Grey:
+    """A clamped cosine, alike in all channels but at one vertex, and from all views but at another."""
+
+    coloured: Array | None = None
+    changing: Array | None = None
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
+        value = np.repeat(cosine[..., None], 3, axis=-1)
+        if self.coloured is not None:
+            value[np.isclose(positions, self.coloured).all(axis=1)] *= [1.0, 0.9, 0.8]
+        if self.changing is not None:
+            there = np.isclose(positions, self.changing).all(axis=1)
+            value[there] *= 1.0 + (outgoing[there] * positions[there]).sum(axis=1)[:, None, None]
+        return value
+
+
+class Flat:
+    """Constant and linear bands alone."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        value = 0.5 + 0.4 * np.einsum("ndi,ni->nd", incident, positions)
+        return value[..., None] * (1.0 + (outgoing * positions).sum(axis=1))[:, None, None] * [1.0, 0.5, 0.2]
+
+
+@dataclass(frozen=True)
+class Nearly:
+    """Alike in all channels, from all views and without band 2, but for so much of the coefficients each."""
+
+    coloured: float = 0.0
+    changing: float = 0.0
+    banded: float = 0.0
+    at: Array | None = None
+    """The only vertex where it is so."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        here = np.ones(len(positions)) if self.at is None else np.isclose(positions, self.at).all(axis=1)
+        cosine = np.einsum("ndi,ni->nd", incident, positions)
+        # 3 c² − 1 has the norm √(16π/5) and the constant √(4π): the share that is asked for.
+        value = 1.0 + here[:, None] * self.banded * np.sqrt(5.0 / 4.0) * (3.0 * cosine**2 - 1.0)
+        # Along the normal the bins' cosines are uniform: these have a mean of 0 and a variance of 1.
+        seen = np.sqrt(12.0) * ((outgoing * positions).sum(axis=1) - 0.5)
+        value *= 1.0 + (here * self.changing * seen)[:, None]
+        spread = np.sqrt(1.5) * self.coloured * np.array([1.0, -1.0, 0.0])
+        return np.asarray(value[..., None] * (1.0 + here[:, None, None] * spread))
+
+
+def nested(*radii: float) -> tuple[Mesh, NDArray[np.bool_]]:
+    """Balls in one another, the largest first, and which vertices lie inside another."""
+    balls = [trimesh.creation.icosphere(subdivisions=1, radius=radius) for radius in radii]
+    each = len(balls[0].vertices)
+    faces = np.concatenate([ball.faces + number * each for number, ball in enumerate(balls)])
+    mesh = build_mesh(np.concatenate([ball.vertices for ball in balls]), faces)
+    return mesh, np.arange(each * len(radii)) >= each
+
+
+def pierced(width: float) -> tuple[Mesh, NDArray[np.bool_]]:
+    """A ball in a ball of which one face is drawn in, by that share, within its plane: of the inner one no other faces
+    are seen than those that some corner of the gap lies in front of.
+    """
+    mesh, inside = nested(1.0, 0.5)
+    corners = mesh.positions[mesh.faces[0]]
+    drawn = corners.mean(axis=0) + (1.0 - width) * (corners - corners.mean(axis=0))
+    faces = np.concatenate([mesh.faces[1:], len(mesh.positions) + np.arange(3)[None]])
+    in_front = (corners[None, :, None] - mesh.positions[mesh.faces][:, None]) * mesh.face_normals[:, None, None]
+    shown = (in_front.sum(axis=-1) > 0.0).any(axis=(1, 2)) & inside[mesh.faces].all(axis=1)
+    hidden = np.append(inside, [False] * 3)
+    hidden[mesh.faces[shown]] = False
+    return build_mesh(np.concatenate([mesh.positions, drawn]), faces), hidden
+
+
+def finned() -> tuple[Mesh, NDArray[np.bool_]]:
+    """Three sheets on one edge, a bow tie, a face without area and a vertex of no face."""
+    around = [[np.cos(angle), np.sin(angle), height] for angle in (0.0, 2.1, 4.2) for height in (0.0, 1.0)]
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], *around, [3.0, 0.0, 0.0], [3.0, 1.0, 0.0], [9.0, 9.0, 9.0]])
+    sheets = [[0, 1, 2 * n + 3] for n in (0, 1, 2)] + [[0, 2 * n + 3, 2 * n + 2] for n in (0, 1, 2)]
+    faces = np.array([*sheets, [2, 8, 9], [0, 0, 1]])
+    normals = np.array([0.6, 0.0, 0.8]) * np.ones((len(points), 1))
+    return Mesh(points, faces.astype(np.int32), normals), np.zeros(len(points), bool)
+
+
+def two_skinned() -> tuple[Mesh, NDArray[np.bool_]]:
+    """A ball of which every face is there twice, back to back: no vertex is hidden."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, np.int32)
+    both = np.concatenate([faces, faces[:, ::-1] + len(vertices)])
+    mesh = Mesh(np.concatenate([vertices, vertices]), both, np.concatenate([vertices, -vertices]))
+    return mesh, np.zeros(2 * len(vertices), bool)
+
+
+def doubled() -> Mesh:
+    """A ball whose every vertex is there twice: half of its faces have the one, half the other."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, np.int32).copy()
+    faces[::2] += len(vertices)
+    return Mesh(np.concatenate([vertices] * 2), faces, np.concatenate([vertices] * 2))
+
+
+def soup() -> Mesh:
+    """A ball each of whose faces has vertices of its own, with the ball's normals."""
+    ball = trimesh.creation.icosphere(subdivisions=1)
+    vertices = np.asarray(ball.vertices)[np.asarray(ball.faces).reshape(-1)]
+    return Mesh(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), vertices.copy())

@@ -1,0 +1,216 @@
+"""Bakes by the workers of a dask.distributed scheduler, in processes of their own, some of which are killed."""
+
+import gc
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prt_bake.baking.cluster
+from formats.asset import Asset
+from formats.errors import ClusterError, QueryError
+from prt_bake import bake
+from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
+from tests import ROOT
+from tests.bakers.transports import Array, Incoherent, icosphere
+from tests.baking.test_resume import Walker, same
+
+SMALL = {"rings": 2, "sectors": 16}
+
+
+class Processes:
+    """A scheduler and its workers, each in its own process."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._number = folder, 0
+        self._readers: list[threading.Thread] = []
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        self.address = self._said(self.scheduler, "Scheduler at:").split()[-1]
+        self.workers: list[subprocess.Popen[str]] = []
+
+    def hire(self, count: int) -> None:
+        new = [self._start("worker", self.address, "--no-nanny", "--nthreads", "1") for _ in range(count)]
+        for worker in new:
+            self._said(worker, "Registered to:")
+        self.workers += new
+
+    def end(self) -> None:
+        for process in [*self.workers, self.scheduler]:
+            process.kill()
+            process.wait()
+        for reader in self._readers:
+            reader.join()
+
+    def _start(self, kind: str, *arguments: str) -> subprocess.Popen[str]:
+        self._number += 1
+        paths = os.pathsep.join([str(ROOT), *(path for path in sys.path if path)])
+        own = ["--no-dashboard", *arguments]
+        if kind == "worker":
+            own += ["--local-directory", str(self._folder / str(self._number))]
+        command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *own]
+        environment = os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
+        return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+
+    def _said(self, process: subprocess.Popen[str], words: str) -> str:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if words in line:
+                # What else it says is let go, so that it never waits for a reader.
+                self._readers.append(threading.Thread(target=read_to_end, args=[process]))
+                self._readers[-1].start()
+                return line
+        raise AssertionError(f"a process ended without saying {words!r}")
+
+
+def read_to_end(process: subprocess.Popen[str]) -> None:
+    assert process.stderr is not None
+    with process.stderr:
+        process.stderr.read()
+
+
+@pytest.fixture
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
+    processes = Processes(tmp_path_factory.mktemp("cluster"))
+    try:
+        processes.hire(2)
+        yield processes
+    finally:
+        processes.end()
+
+
+def after_first_block(act: Callable[[], None]) -> Callable[..., None]:
+    """Progress that acts once, when a first block is there and others are under way."""
+    done: list[int] = []
+
+    def progress(*_row: object) -> None:
+        if not done:
+            done.append(1)
+            act()
+
+    return progress
+
+
+def alike(one: Asset, other: Asset) -> None:
+    for name in ("coefficients", "standard_error", "valid"):
+        assert np.asarray(getattr(one, name)).tobytes() == np.asarray(getattr(other, name)).tobytes(), name
+
+
+def test_a_cluster_bakes_the_same_bits_though_a_worker_is_killed(
+    cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 32)
+    monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 5)
+    mesh = icosphere(1)
+    for kind in ({"error": 0.08}, {"samples": 32}):
+        bake(Slow(), mesh, **SMALL, **kind, out=tmp_path / "here.h5")
+        progress = after_first_block(cluster.workers[0].kill)
+        bake(Slow(), mesh, **SMALL, **kind, out=tmp_path / "there.h5", scheduler=cluster.address, progress=progress)
+        assert cluster.workers.pop(0).wait() != 0
+        same(tmp_path / "there.h5", tmp_path / "here.h5")
+        cluster.hire(1)
+    # Networks are laid out anew at the workers; walks have a process to themselves.
+    network = NeuralBSSRDF(NetworkSettings(width=16, layers=3, features=8, skips=()), box_min=(-1.1,) * 3, box_side=2.2)
+    asked = {"rings": 2, "sectors": 16, "samples": 16}
+    alike(bake(network, mesh, **asked, scheduler=cluster.address), bake(network, mesh, **asked))
+    there = bake(Walker(), mesh, **asked, scheduler=cluster.address)
+    alike(there, bake(Walker(), mesh, **asked))
+    assert there.provenance["walks"]["unscattered"] == pytest.approx(0.25 / 32)
+
+
+def test_a_scheduler_that_goes_leaves_what_can_be_gone_on_with(
+    cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 5)
+    mesh, out = icosphere(1), tmp_path / "a.h5"
+    # What the work raises is raised here, and no fault of the cluster.
+    with pytest.raises(QueryError, match="answered"):
+        bake(Misshapen(), mesh, **SMALL, scheduler=cluster.address)
+    with pytest.raises(ZeroDivisionError):
+        bake(Faulty(), mesh, **SMALL, scheduler=cluster.address)
+    import dask
+
+    with (
+        dask.config.set({"distributed.comm.timeouts.connect": "2s"}),
+        pytest.raises(ClusterError, match="--resume"),
+    ):
+        bake(Slow(), mesh, **SMALL, out=out, scheduler=cluster.address, progress=after_first_block(cluster.end))
+    assert 1 <= len(list((tmp_path / "a.h5.journal").glob("block-*"))) < 9
+    bake(Slow(), mesh, **SMALL, out=out, resume=True)
+    bake(Slow(), mesh, **SMALL, out=tmp_path / "whole.h5")
+    same(out, tmp_path / "whole.h5")
+
+
+class Slow(Incoherent):
+    """Takes its time at the workers, so that they are killed amid a block."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        if threading.current_thread() is not threading.main_thread():
+            time.sleep(0.01)
+        return super().evaluate(incident, positions, outgoing)
+
+
+class Misshapen(Incoherent):
+    """Answers in another shape."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        return super().evaluate(incident, positions, outgoing)[:, :-1]
+
+
+class Faulty(Incoherent):
+    """Has a fault."""
+
+    def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
+        return np.asarray(len(positions) / 0)
+
+
+def test_schedulers_that_are_none_and_workers_that_are_not_there(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import dask
+    from distributed import Client  # whose settings are to be there before one of them is changed
+
+    with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
+        for address in ("tcp://127.0.0.1:9", "nonsense://nowhere", ""):
+            with pytest.raises(ClusterError, match="8786"):
+                bake(Incoherent(), icosphere(0), **SMALL, scheduler=address)
+            # One that is not closed closes itself when it is collected, and may stop another for ever as it begins.
+            assert {each.status for each in gc.get_objects() if type(each) is Client} <= {"closed"}
+    with pytest.raises(QueryError, match="workers or a scheduler"):
+        bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
+    monkeypatch.setattr(prt_bake.baking.cluster, "PATIENCE", 0.2)
+    monkeypatch.setattr(prt_bake.baking.cluster, "ASKED_EVERY", 0.1)
+    none = Processes(tmp_path)
+    try:
+        with pytest.raises(ClusterError, match="no worker"):
+            bake(Incoherent(), icosphere(0), **SMALL, scheduler=none.address)
+    finally:
+        none.end()
+
+
+def test_a_client_that_has_given_its_scheduler_up_is_a_cluster_that_has_gone() -> None:
+    class Closed:
+        def nthreads(self) -> dict[str, int]:
+            raise RuntimeError("ConnectionPool is closed")
+
+    with pytest.raises(ClusterError, match="--resume"):
+        _workers = prt_bake.baking.cluster.Cluster(Closed(), "tcp://host:8786", False).workers
+
+
+def test_other_versions_at_a_worker_are_refused() -> None:
+    packed = prt_bake.baking.cluster._packed({"some": "thing"})
+    other = prt_bake.baking.cluster.Packed(packed.name, packed.content, packed.versions | {"numpy": "1.0"})
+    assert prt_bake.baking.cluster._unpacked(packed, "w") is prt_bake.baking.cluster._unpacked(packed, "w")
+    with pytest.raises(ClusterError, match=r"worker w: numpy 1.0 is needed, found"):
+        prt_bake.baking.cluster._unpacked(other, "w")
+
+
+def test_without_the_extra_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ClusterError, match=r"prt-bake\[cluster\]"):
+        bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9")

@@ -1,0 +1,113 @@
+"""What a bake would cost, held against what it then costs."""
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from bakers.adaptive.records import Refined
+from bakers.workers import Threads
+from prt_bake import bake
+from prt_bake.baking.adaptive import pilot_pass
+from prt_bake.baking.adaptive.pilot import Site, first_refinement
+from prt_bake.baking.adaptive.tolerances import Aim, Pilot, aimed, pilot_vertices
+from prt_bake.baking.bake import plan
+from prt_bake.baking.job.job import views_of
+from prt_bake.mathematics import sphere
+from tests.bakers.transports import Counting, Edged, Incoherent, Lobed, icosphere
+
+MESH = icosphere(3)
+GRID: dict[str, Any] = {"rings": 4, "sectors": 32}
+
+
+class Slow:
+    """Takes its time for every evaluation, and far more for the first ones, as what makes tables does."""
+
+    EACH, FIRST = 1e-6, 0.4
+
+    def __init__(self) -> None:
+        self.transport, self.asked = Lobed(), 0
+
+    def evaluate(self, incident: Any, positions: Any, outgoing: Any) -> Any:
+        until = time.monotonic() + self.EACH * incident.shape[0] * incident.shape[1] + (0 if self.asked else self.FIRST)
+        self.asked += 1
+        answer = self.transport.evaluate(incident, positions, outgoing)
+        time.sleep(max(until - time.monotonic(), 0.0))
+        return answer
+
+
+def site_of(transport: object, vertices: int = len(MESH.positions)) -> Site:
+    views, local = views_of(MESH, **GRID)[1], sphere.view_bins(**GRID)
+    return Site(transport, MESH, np.arange(vertices), views, local, 2, 0, (GRID["rings"], GRID["sectors"]))
+
+
+@pytest.mark.parametrize("error", [0.03, 0.05])
+@pytest.mark.parametrize("transport", [Edged, Lobed, Incoherent])
+def test_evaluations_are_those_of_the_bake(transport: type, error: float) -> None:
+    asked: dict[str, Any] = GRID | {"error": error, "seed": 2}
+    baked = bake(transport(), MESH, **asked).provenance
+    assert baked["refinement"]["passes"] == 1
+    assert plan(transport(), MESH, **asked).evaluations == pytest.approx(baked["evaluations"], rel=0.15)
+
+
+def test_evaluations_of_a_second_pass_are_foreseen() -> None:
+    asked: dict[str, Any] = {"rings": 8, "sectors": 32, "error": 0.03, "seed": 1}
+    asset = bake(Incoherent(), MESH, **asked)
+    assert asset.provenance["refinement"]["passes"] == 2
+    assert plan(Incoherent(), MESH, **asked).evaluations == pytest.approx(asset.provenance["evaluations"], rel=0.2)
+
+
+def test_seconds_are_those_of_the_bake_though_much_is_done_for_the_first_time() -> None:
+    foreseen = plan(Slow(), MESH, **GRID, error=0.05)
+    began = time.monotonic()
+    bake(Slow(), MESH, **GRID, error=0.05)
+    taken = time.monotonic() - began
+    assert foreseen.seconds == pytest.approx(taken, rel=0.3)
+    assert foreseen.seconds_between is not None
+    low, high = foreseen.seconds_between
+    assert low < foreseen.seconds < high
+
+
+def test_vertices_are_tried_until_their_mean_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of vertices a tenth of which cost ten times as much the mean lies within what is told of it."""
+    site = site_of(Edged(), 600)
+    dear = np.arange(600) % 10 == 0
+    tried: list[np.ndarray] = []
+
+    def block(site: Site, how: object, vertices: Any) -> tuple[Refined, int]:
+        tried.append(vertices)
+        found, bent = original(site, how, vertices)
+        found.directions[:] = np.where(dear[vertices], 500, 50)[:, None]
+        return found, bent
+
+    original = pilot_pass.refined_block
+    monkeypatch.setattr(pilot_pass, "refined_block", block)
+    monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 16 * site.bins)
+    monkeypatch.setattr(pilot_pass, "MOST", 0.5)
+    how = first_refinement(site)[0].for_views(0.1, 0.1)
+    found = pilot_pass.rehearsed(site, how, Threads(1))
+    vertices = np.concatenate(tried)
+    assert found.vertices == len(vertices) == len(np.unique(vertices)) == 304
+    mean = np.where(dear[vertices], 500, 50).mean()
+    assert abs(mean - 95.0) < 3.0 * found.deviation * mean
+    monkeypatch.setattr(pilot_pass, "ENOUGH", 2.0 * found.deviation)
+    assert pilot_pass.rehearsed(site, how, Threads(1)).vertices < 200
+
+
+def test_nothing_of_the_pilot_is_recalled() -> None:
+    counted = Counting(Edged())
+    site = site_of(counted)
+    aim: Aim = aimed(Pilot(site), first_refinement(site)[0], 0.05)
+    before = counted.evaluations
+    found = pilot_pass.rehearsed(site, aim.refinement, Threads(1))
+    assert found.tally.done[pilot_vertices(site)].any()
+    assert found.tally.recalled == 0
+    assert counted.evaluations - before == found.tally.evaluations
+
+
+def test_a_plan_by_samples_does_not_bake_it_all() -> None:
+    counted = Counting(Incoherent())
+    foreseen = plan(counted, MESH, **GRID, samples=64)
+    assert foreseen.seconds is not None
+    assert counted.evaluations < 0.5 * foreseen.evaluations

@@ -1,0 +1,62 @@
+"""What half precision adds to the error of a bake is measured and told, never hidden."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prt_bake
+from bakers.transport import on_mesh
+from formats.errors import QueryError
+from formats.mesh import read_mesh
+from prt_bake import bake, load_model
+from prt_bake.baking.job.job import prepared, views_of
+from prt_bake.baking.pruning.rounding import rounding_of
+from prt_bake.baking.report.budget import error_budget
+from prt_bake.geometry.camera import Camera
+from tests.bakers.transports import Lobed, icosphere
+
+SHIPPED = Path(prt_bake.__file__).parent / "shipped"
+
+
+def test_half_precision_is_told_in_every_figure() -> None:
+    mesh, network = read_mesh(SHIPPED / "spot.obj"), load_model(SHIPPED / "spot.pt")
+    bound = on_mesh(network, mesh)
+    whole = {p: bake(bound, mesh, 2, 1, 4, samples=32, precision=p, seed=3) for p in ("float32", "bfloat16")}
+    exact, rounded = (whole[p].coefficients.astype(np.float64) for p in ("float32", "bfloat16"))
+    true = np.sqrt(((rounded - exact) ** 2).sum() / (exact**2).sum())
+    told = {p: asset.provenance["estimated_relative_rmse"] for p, asset in whole.items()}
+    assert "rounding" not in told["float32"]
+    assert 0.5 < told["bfloat16"]["rounding"] / true < 2.0
+    expected = np.hypot(told["float32"]["total"], told["bfloat16"]["rounding"])
+    assert told["bfloat16"]["total"] == pytest.approx(expected, rel=0.02)
+    assert (whole["bfloat16"].standard_error >= 0.99 * whole["float32"].standard_error).mean() > 0.9
+
+
+def test_an_error_below_rounding_is_refused() -> None:
+    mesh, network = read_mesh(SHIPPED / "spot.obj"), load_model(SHIPPED / "spot.pt")
+    for directions in ("fibonacci", "sobol"):
+        with pytest.raises(QueryError, match=r"rounding alone adds 0\.002.*float32"):
+            bake(network, mesh, 2, 1, 4, directions, error=0.001, precision="bfloat16")
+
+
+def test_what_is_exact_is_not_measured() -> None:
+    mesh = icosphere(0)
+    assert rounding_of(Lobed(), mesh, views_of(mesh, 4, 8)[1], 32, 2, 0) == (0.0, 0)
+    shipped = read_mesh(SHIPPED / "spot.obj")
+    network = prepared(on_mesh(load_model(SHIPPED / "spot.pt"), shipped), "float32", "cpu")
+    assert rounding_of(network, shipped, views_of(shipped, 4, 8)[1], 32, 2, 0) == (0.0, 0)
+    assert network.exact() is network
+
+
+def test_the_budget_has_a_part_for_it() -> None:
+    mesh = read_mesh(SHIPPED / "spot.obj")
+    sky = np.ones((8, 16, 3), np.float32)
+    view = Camera(np.array([0.0, 0.0, 4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 40.0, 16, 16)
+    network = on_mesh(load_model(SHIPPED / "spot.pt"), mesh)
+    for precision in ("float32", "bfloat16"):
+        fast = prepared(network, precision, "cpu")
+        parts = error_budget(fast, fast, mesh, sky, view, degree=1, rings=1, sectors=4, up="y", points=8, seed=0)
+        own = [part for part in parts if part.name == "bfloat16"]
+        assert len(own) == (precision == "bfloat16")
+        assert all(0.0 < part.radiance < 0.05 for part in own)

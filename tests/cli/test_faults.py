@@ -1,0 +1,216 @@
+"""What a user sees when something is wrong: one sentence, exit code 1, and older outputs as they were."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formats.asset import read_asset
+from formats.image import write_image
+from tests.cli.command_line import SCENE, Outcome, Run
+
+Write = Callable[[Path, Path], object]
+"""write(folder of sound files, path of the bad one)."""
+
+
+def _scene(text: str) -> Write:
+    return lambda folder, path: path.write_text(text.replace('mesh = "', f'mesh = "{folder}/'))
+
+
+def _text(folder: Path, path: Path) -> None:
+    path.write_text("this is a shopping list: milk, bread, eggs\n" * 20)
+
+
+def _truncated(name: str) -> Write:
+    def write(folder: Path, path: Path) -> None:
+        whole = (folder / name).read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+
+    return write
+
+
+def _empty(folder: Path, path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def _nan_vertices(folder: Path, path: Path) -> None:
+    rows = "nan 0 0\n0 1 0\n0 0 1\n1 1 1"
+    properties = "property float x\nproperty float y\nproperty float z"
+    faces = "3 0 1 2\n3 0 3 1\n3 0 2 3\n3 1 3 2"
+    path.write_text(
+        f"ply\nformat ascii 1.0\nelement vertex 4\n{properties}\nelement face 4\n"
+        f"property list uchar int vertex_indices\nend_header\n{rows}\n{faces}\n"
+    )
+
+
+def _flat_faces(folder: Path, path: Path) -> None:
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\nf 1 2 2\n")
+
+
+def _image_with(value: float) -> Write:
+    def write(folder: Path, path: Path) -> None:
+        image = np.ones((8, 16, 3), np.float32)
+        image[4, 5] = value
+        write_image(path, image)
+
+    return write
+
+
+class _Payload:
+    def __reduce__(self) -> tuple[object, ...]:
+        return os.system, ("touch hostile_code_ran",)
+
+
+def _hostile(folder: Path, path: Path) -> None:
+    import torch
+
+    torch.save(_Payload(), path)
+
+
+def _nothing(folder: Path, path: Path) -> None:
+    pass
+
+
+def _folder(folder: Path, path: Path) -> None:
+    path.mkdir()
+
+
+BAD: dict[str, tuple[str, Write]] = {
+    "unknown key": ("scene.toml", _scene(SCENE + "sigma = 3\n")),
+    "value out of range": ("scene.toml", _scene(SCENE.replace("0.9", "1.9"))),
+    "open mesh": ("scene.toml", _scene(SCENE.replace("sphere", "open"))),
+    "not TOML": ("scene.toml", _text),
+    "NaN vertices": ("mesh.ply", _nan_vertices),
+    "faces without area": ("mesh.obj", _flat_faces),
+    "truncated mesh": ("mesh.ply", _truncated("sphere.ply")),
+    "not a mesh": ("mesh.ply", _text),
+    "not a glTF": ("mesh.glb", _text),
+    "NaN pixel": ("sky.exr", _image_with(np.nan)),
+    "infinite pixel": ("sky.exr", _image_with(np.inf)),
+    "negative pixel": ("sky.exr", _image_with(-1.0)),
+    "truncated sky": ("sky.exr", _truncated("sky.exr")),
+    "truncated hdr": ("sky.hdr", _truncated("sky.hdr")),
+    "not an exr": ("sky.exr", _text),
+    "not an hdr": ("sky.hdr", _text),
+    "truncated model": ("model.pt", _truncated("model.pt")),
+    "not a model": ("model.pt", _text),
+    "hostile model": ("model.pt", _hostile),
+    "not a safetensors": ("model.safetensors", _text),
+    "truncated asset": ("asset.h5", _truncated("asset.h5")),
+    "not an asset": ("asset.h5", _text),
+    **{
+        f"empty {suffix}": (f"empty{suffix}", _empty)
+        for suffix in (".toml", ".ply", ".obj", ".exr", ".hdr", ".pt", ".h5")
+    },
+    **{f"missing {suffix}": (f"none{suffix}", _nothing) for suffix in (".toml", ".ply", ".exr", ".hdr", ".pt", ".h5")},
+    **{f"folder {suffix}": (f"dir{suffix}", _folder) for suffix in (".toml", ".ply", ".exr", ".hdr", ".pt", ".h5")},
+}
+
+COMMAND_OF_SUFFIX = {
+    ".toml": ["bake", "BAD", "sphere.ply", "-o", "OLD"],
+    ".ply": ["bake", "model.pt", "BAD", "-o", "OLD"],
+    ".obj": ["bake", "model.pt", "BAD", "-o", "OLD"],
+    ".glb": ["bake", "model.pt", "BAD", "-o", "OLD"],
+    ".exr": ["shade", "asset.h5", "--light", "BAD", "-o", "OLD"],
+    ".hdr": ["shade", "asset.h5", "--light", "BAD", "-o", "OLD"],
+    ".pt": ["bake", "BAD", "sphere.ply", "-o", "OLD"],
+    ".safetensors": ["bake", "BAD", "sphere.ply", "-o", "OLD"],
+    ".h5": ["shade", "BAD", "--light", "sky.exr", "-o", "OLD"],
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_sentence_and_older_output_stays(
+    prtbake: Run, folder: Path, tmp_path: Path, case: str
+) -> None:
+    name, write = BAD[case]
+    bad, command = tmp_path / name, COMMAND_OF_SUFFIX[Path(name).suffix]
+    write(folder, bad)
+    old = tmp_path / ("old.h5" if command[0] == "bake" else "old.png")
+    old.write_bytes(b"an older output")
+    places = {"BAD": bad, "OLD": old}
+    _assert_one_sentence(prtbake(*(places.get(word, word) for word in command)), bad)
+    assert old.read_bytes() == b"an older output"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted({name, old.name} if bad.exists() else {old.name})
+    assert not (folder / "hostile_code_ran").exists()
+    checked = prtbake("check", bad)
+    assert checked.code == 1
+    assert len(checked.err.splitlines()) == 1
+
+
+def _assert_one_sentence(outcome: Outcome, file: Path) -> None:
+    assert outcome.code == 1
+    assert len(outcome.err.splitlines()) == 1, outcome.err
+    assert outcome.err.startswith("prtbake: ")
+    assert "Traceback" not in outcome.err
+    assert file.name in outcome.err
+
+
+@pytest.mark.parametrize("output", ["missing/a.h5", "a.txt", "folder.h5"])
+def test_an_unusable_output_is_refused_before_the_work(prtbake: Run, tmp_path: Path, output: str) -> None:
+    (tmp_path / "folder.h5").mkdir()
+    path = tmp_path / output
+    _assert_one_sentence(prtbake("bake", "nothing.pt", "sphere.ply", "-o", path), path)
+
+
+def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_path: Path) -> None:
+    """A limit on the size of files stands in for a full disk: writing fails in the same place."""
+    output = tmp_path / "old.h5"
+    output.write_bytes(b"an older output")
+    program = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (65536, 65536));"
+        "from prt_bake.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
+    command = ["bake", "model.pt", "sphere.ply", "-o", str(output), "--samples", "18", "--storage", "float32"]
+    ran = subprocess.run(
+        [sys.executable, "-c", program, *command], cwd=folder, capture_output=True, text=True, check=False
+    )
+    _assert_one_sentence(Outcome(ran.returncode, ran.stdout, ran.stderr), output)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["old.h5"]
+    assert output.read_bytes() == b"an older output"
+
+
+def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
+    """Start a bake that takes minutes, and return once it says that its first vertices are done."""
+    program = (
+        "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "
+        "sys.exit(main.main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, "bake", "model.pt", "sphere.ply", "-o", str(output), "--samples", "1024"]
+    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    assert "of 42 vertices" in process.stderr.readline()
+    return process
+
+
+def test_ctrl_c_leaves_a_valid_partial_asset(folder: Path, tmp_path: Path, prtbake: Run) -> None:
+    process = _start_long_bake(folder, tmp_path / "a.h5")
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    assert "stopped" in err.splitlines()[-1]
+    asset = read_asset(tmp_path / "a.h5")
+    assert not asset.complete
+    assert np.count_nonzero(asset.valid) == asset.provenance["vertices_baked"] < 42
+    assert prtbake("check", tmp_path / "a.h5").code == 0
+
+
+def test_a_bake_killed_in_the_middle_leaves_the_older_asset(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.h5").write_bytes(b"an older output")
+    process = _start_long_bake(folder, tmp_path / "a.h5")
+    process.kill()
+    process.communicate(timeout=60)
+    assert (tmp_path / "a.h5").read_bytes() == b"an older output"
+
+
+def test_sample_refuses_a_smooth_scene_at_once(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+    path = tmp_path / "smooth.toml"
+    _scene(SCENE.replace("eta = 1.0", "eta = 1.3\nroughness = 0.0"))(folder, path)
+    _assert_one_sentence(prtbake("sample", path, "-o", tmp_path / "s.h5", "--count", 1), path)
+    assert not (tmp_path / "s.h5").exists()

@@ -1,0 +1,238 @@
+"""`prtbake shade`, as a user types it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
+from PIL import Image
+
+from formats.asset import write_asset
+from formats.image import read_image, read_layers
+from formats.mesh import build_mesh
+from prt_bake.shading.error_picture import error_figure, relative_errors
+from prt_bake.shading.picture import Picture
+from tests.cli.command_line import Run
+from tests.shading.test_surface_reflection import glossy
+from tests.shapes import ball
+
+
+@pytest.fixture(scope="module")
+def polished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An asset of index 1.5 and roughness 0.3 that sends more where light comes along +x."""
+    path = tmp_path_factory.mktemp("polished") / "polished.h5"
+    asset = glossy(ball(3))
+    asset.coefficients[:, :, 3] = 0.1
+    write_asset(asset, path)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> None:
+    output = tmp_path / f"picture{suffix}"
+    outcome = prtbake("shade", "asset.h5", "--light", "sky.exr", "-o", output, "--size", "40x30", "--rotate", 30)
+    assert outcome.code == 0
+    assert "clamped" in outcome.out
+    image = read_image(output)
+    assert image.shape == (30, 40, 3)
+    assert np.isfinite(image).all()
+    np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
+    assert "error of the projection" in outcome.out
+    if suffix == ".exr":
+        layers = read_layers(output).layers
+        assert layers["error"][15, 20].min() > 0.0
+        assert (layers["error"][0, 0].max(), layers["coverage"][0, 0], layers["coverage"][15, 20]) == (0.0, 0.0, 1.0)
+
+
+def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
+    """A sky, a sun in one word, and a lights file: the picture is the sum of those under each, less what rings."""
+    (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 0.5, 0.2]\n")
+    given = ["sky.exr", "sun:0,0,1:2,2,2", str(tmp_path / "lights.toml")]
+    pictures = []
+    for number, lights in enumerate([[one] for one in given] + [given]):
+        output = tmp_path / f"{number}.exr"
+        words = [word for light in lights for word in ("--light", light)]
+        assert prtbake("shade", "asset.h5", *words, "-o", output, "--size", "16x12").code == 0
+        pictures.append(read_image(output))
+    # Negative radiance is cut off: of the sum there may be less left to cut off than of its parts.
+    apart = sum(pictures[:3])
+    assert (pictures[3] <= apart + 1e-4).all()
+    assert np.isclose(pictures[3], apart, rtol=1e-4).mean() > 0.7
+    assert all(picture[6, 8].min() > 0.05 for picture in pictures[:2])
+    none = prtbake("shade", "asset.h5", "--light", "sun:0,0,0", "-o", tmp_path / "x.png")
+    assert none.code == 1
+    assert "sun:0,0,0: direction: expected" in none.err
+
+
+def test_reflection_is_added_on_request_and_missed_where_it_is_left_out(
+    prtbake: Run, tmp_path: Path, polished: Path
+) -> None:
+    options = ["--light", "sky.exr", "--size", "24x24", "-o"]
+    plain = prtbake("shade", polished, *options, tmp_path / "plain.exr")
+    assert "what its surface reflects (index 1.5) is left out; --reflection adds it" in plain.err
+    shiny = prtbake("shade", polished, *options, tmp_path / "shiny.exr", "--reflection", "--layers", "all")
+    assert (shiny.code, shiny.err) == (0, "")
+    ours, layered = read_image(tmp_path / "plain.exr"), read_layers(tmp_path / "shiny.exr")
+    np.testing.assert_allclose(layered.image - layered.layers["reflection"], ours, atol=1e-6)
+    assert set(layered.layers) == {
+        *("position", "normal", "vertex", "radiance", "subsurface", "reflection", "error", "coverage")
+    }
+    assert "light reflected at the surface" in layered.attributes["prtbake.shows"]
+    told = prtbake("compare", tmp_path / "plain.exr", tmp_path / "shiny.exr").err
+    assert "plain.exr does not: it is in the figures" in told
+    matched = prtbake("shade", "asset.h5", *options, tmp_path / "matched.exr", "--reflection")
+    assert "its index of refraction is 1, its surface reflects nothing" in matched.err
+
+
+def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    shown = {}
+    for name, options in {
+        "fitted": [],
+        "parallel": ["--orthographic"],
+        "wide": ["--extent", 8],
+        "aside": ["--eye", "0,0,6", "--look-at", "1,0,0", "--fov", 50],
+    }.items():
+        output = tmp_path / f"{name}.exr"
+        words = ["--light", "sun:0,0,1", "-o", output, "--size", "32x32", *options]
+        assert prtbake("shade", polished, *words).code == 0
+        shown[name] = read_layers(output).layers["coverage"]
+    assert shown["parallel"].mean() == pytest.approx(np.pi / 4 / 1.08**2, rel=0.02)
+    assert shown["wide"].mean() == pytest.approx(np.pi / 64, rel=0.05)
+    assert np.flatnonzero(shown["aside"].any(axis=0)).mean() < 14
+    for wrong in (["--fov", 180], ["--extent", 0], ["--look-at", "1,2"]):
+        assert prtbake("shade", polished, "--light", "sun:0,0,1", "-o", tmp_path / "x.png", *wrong).code == 2
+
+
+def test_a_transparent_picture_has_an_alpha_channel(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    words = ["--light", "sky.exr", "--size", "24x24", "--transparent", "-o"]
+    assert prtbake("shade", polished, *words, tmp_path / "a.png").code == 0
+    stored = np.asarray(Image.open(tmp_path / "a.png"))
+    assert stored.shape == (24, 24, 4)
+    assert (stored[0, 0] == 0).all()
+    assert stored[12, 12, 3] == 255
+    refused = prtbake("shade", polished, *words, tmp_path / "a.hdr")
+    assert refused.code == 2
+    assert ".hdr has no alpha channel; write .exr or .png" in refused.err
+
+
+def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    words = ["--light", "sky.exr", "--size", "8x8", "-o"]
+    outcome = prtbake("shade", polished, *words, tmp_path / "a.png", "--layers", "normal")
+    assert outcome.code == 2
+    assert ".png holds a picture alone; write .exr" in outcome.err
+    outcome = prtbake("shade", polished, *words, tmp_path / "a.exr", "--layers", "normal, depth")
+    assert outcome.code == 1
+    assert "layers: 'depth' where some of position, normal, vertex" in outcome.err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("turning", ["eye", "light"])
+def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
+    """Turning the eye shows another side of the sky; turning the light by half a turn is the third of four frames."""
+    words = ["--light", "sun:1,0,0.5:3,3,3", "--size", "16x16", *(["--eye", "-2,1,-5"] if turning == "eye" else [])]
+    turned = prtbake("shade", polished, *words, "-o", tmp_path / "t_%d.exr", "--turntable", turning, "--frames", 4)
+    assert turned.code == 0, turned.err
+    frames = [read_image(tmp_path / f"t_{number}.exr") for number in range(4)]
+    assert prtbake("shade", polished, *words, "-o", tmp_path / "first.exr").code == 0
+    np.testing.assert_array_equal(frames[0], read_image(tmp_path / "first.exr"))
+    if turning == "light":
+        assert prtbake("shade", polished, *words, "--rotate", 180, "-o", tmp_path / "half.exr").code == 0
+        np.testing.assert_allclose(frames[2], read_image(tmp_path / "half.exr"), atol=1e-6)
+    assert (
+        prtbake(*("shade", polished, *words, "-o", tmp_path / "t.webp", "--turntable", turning, "--frames", 3)).code
+        == 0
+    )
+    with Image.open(tmp_path / "t.webp") as animation:
+        assert (animation.n_frames, animation.size) == (3, (16, 16))
+
+
+def test_turntables_of_the_eye_show_all_of_a_long_object(prtbake: Run, tmp_path: Path) -> None:
+    """Its length lies along the first view, which would frame it by its narrow end."""
+    long = glossy(build_mesh(ball(2).positions * [0.5, 0.5, 3.0], ball(2).faces))
+    write_asset(long, tmp_path / "long.h5")
+    words = ["--light", "sun:0,1,0:3,3,3", "--size", "24x24", "--turntable", "eye", "--frames", 4]
+    assert prtbake("shade", tmp_path / "long.h5", *words, "-o", tmp_path / "t_%d.exr").code == 0
+    for number in range(4):
+        shown = read_image(tmp_path / f"t_{number}.exr").max(axis=2) > 0.0
+        assert shown[12, 12]
+        assert not np.concatenate([shown[[0, -1]].ravel(), shown[:, [0, -1]].ravel()]).any()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["-o", "x.png", "--roughness", "0.1"], "that of the reflection; add --reflection"),
+        (["-o", "x.png", "--reflection", "--roughness", "1.5"], "--roughness: 1.5 where a GGX alpha from 0 to 1"),
+        (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
+        (["-o", "x_%03d.png"], "is for numbered pictures; add --turntable eye"),
+        (["-o", "x.png", "--frames", "3"], "are those of a turntable; add --turntable eye"),
+        (["-o", "x.png", "--seconds", "1"], "are those of a turntable; add --turntable eye"),
+        (["-o", "x.png", "--error-picture", "./x.png"], "is the picture itself; name another file"),
+        (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
+        (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background, no layers and no error picture"),
+        (["-o", "x.exr", "--exposure", "2"], "--exposure: radiance is kept as it is in .exr; write .png"),
+        (
+            ["-o", "x_%03d.hdr", "--turntable", "eye", "--exposure", "1"],
+            "--exposure: radiance is kept as it is in .hdr",
+        ),
+        (
+            ["-o", "x.png", "--orthographic", "--fov", "50"],
+            "no field of view; leave it out, or --orthographic",
+        ),
+        (["-o", "x.png", "--extent", "3", "--fov", "50"], "no field of view; leave it out, or --extent"),
+    ],
+)
+def test_options_that_need_others_say_so(prtbake: Run, polished: Path, words, sentence) -> None:
+    outcome = prtbake("shade", polished, "--light", "sky.exr", *words)
+    assert outcome.code == 2
+    assert sentence in outcome.err
+
+
+def test_each_suffix_of_an_output_is_named_once(prtbake: Run, polished: Path) -> None:
+    outcome = prtbake("shade", polished, "--light", "sky.exr", "-o", "x.tif")
+    assert outcome.code == 1
+    known = ".png or .exr or .hdr or .webp or .gif"
+    assert outcome.err == f"prtbake: x.tif: expected a name that ends in {known}, found '.tif'\n"
+
+
+def test_the_error_of_every_pixel_is_shown(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+    words = ["--light", "sky.exr", "--size", "40x30", "-o", tmp_path / "a.png"]
+    outcome = prtbake("shade", polished, *words, "--error-picture", tmp_path / "error.png")
+    assert outcome.code == 0, outcome.err
+    shown = np.asarray(Image.open(tmp_path / "error.png").convert("RGB")).reshape(-1, 3)
+    assert len(np.unique(shown, axis=0)) > 20
+    assert prtbake("shade", polished, *words, "--error-picture", tmp_path / "error.exr").code == 1
+
+
+@pytest.mark.parametrize("size", [(1, 1), (16, 16), (64, 64), (400, 20), (20, 400), (320, 240)])
+def test_words_of_an_error_picture_lie_within_it(size: tuple[int, int]) -> None:
+    width, height = size
+    nothing = np.ones((height, width, 3), np.float32)
+    layers = {"radiance": nothing}
+    picture = Picture(nothing, nothing[..., 0], 0.0, 1, 0.0, 0.0, 0.111 * nothing, 0.111, layers)
+    figure = error_figure(picture)
+    FigureCanvasAgg(figure).draw()
+    words = [text for text in figure.findobj(Text) if text.get_text() and text.get_visible()]
+    assert {"11 % of the object's radiance in all", "one sigma, % of the radiance"} <= {w.get_text() for w in words}
+    for text in words:
+        box, around = text.get_window_extent(), figure.bbox
+        assert box.x0 >= around.x0
+        assert box.y0 >= around.y0
+        assert box.x1 <= around.x1
+        assert box.y1 <= around.y1
+    image = figure.axes[0].get_window_extent()
+    assert min(image.width / width, image.height / height) >= 0.95  # a pixel of the picture is one of the figure's
+
+
+def test_relative_errors_are_sigma_over_radiance_and_dark_pixels_are_held_against_the_mean() -> None:
+    radiance = np.zeros((2, 2, 3))
+    radiance[0] = [[2.0, 2.0, 2.0], [1e-6, 0.0, 0.0]]
+    coverage = np.array([[1.0, 1.0], [0.0, 0.0]], np.float32)
+    error = np.zeros((2, 2, 3), np.float32)
+    error[0] = 0.1
+    picture = Picture(radiance.astype(np.float32), coverage, 0.0, 1, 0.0, 0.0, error, 0.05)
+    relative = relative_errors(picture, radiance)
+    assert relative[0, 0] == pytest.approx(0.05)
+    assert relative[0, 1] == pytest.approx(0.1 / 0.01, rel=0.01)
+    assert np.isnan(relative[1]).all()

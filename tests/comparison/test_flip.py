@@ -1,0 +1,159 @@
+"""HDR-FLIP: the largest FLIP over exposures, over a range that follows from the reference."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from formats.errors import QueryError
+from formats.image.png import to_srgb
+from prt_bake.comparison.flip import Exposures, exposures_between, flip_map, hdr_flip_map, paper_exposures
+from prt_bake.comparison.metrics import compare
+
+
+def bright(seed: int, height: int = 20, width: int = 24) -> np.ndarray:
+    """A picture over a few decades."""
+    generator = np.random.default_rng(seed)
+    return np.exp(1.2 * generator.normal(size=(height, width, 3)) + 0.5)
+
+
+def aces(radiance: np.ndarray) -> np.ndarray:
+    """Narkowicz's fit with the scale by 0.6 first, written out another way than in the product."""
+    x = 0.6 * radiance
+    return np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0.0, 1.0)
+
+
+def test_hdr_flip_is_the_largest_flip_of_what_each_exposure_shows() -> None:
+    image, reference = bright(1), bright(2)
+    exposures = Exposures(-3.0, 1.0, 5)
+    of_each = [
+        flip_map(*(to_srgb(aces(2.0**stops * part)) for part in (image, reference)))
+        for stops in np.linspace(*exposures)
+    ]
+    found = hdr_flip_map(image, reference, exposures)
+    np.testing.assert_allclose(found, np.max(of_each, axis=0), atol=2e-5)
+    at_none = flip_map(*(to_srgb(aces(part)) for part in (image, reference)))
+    assert (found >= at_none - 2e-5).all()
+    assert (found > at_none + 1e-3).any()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_range_is_that_of_its_authors(seed: int) -> None:
+    import flip_evaluator
+
+    reference = bright(seed, 21, 25).astype(np.float32)
+    options = {"applyMagma": False, "computeMeanError": True, "parameters": {"ppd": 67.0}}
+    _map, mean, theirs = flip_evaluator.evaluate(reference, 1.3 * reference, "HDR", **options)
+    ours = paper_exposures(reference)
+    assert ours.start == pytest.approx(theirs["startExposure"], abs=1e-4)
+    assert ours.stop == pytest.approx(theirs["stopExposure"], abs=1e-4)
+    assert ours.steps == theirs["numExposures"]
+    assert compare(1.3 * reference, reference, hdr=True).hdr_flip == pytest.approx(mean, rel=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-30.0, 30.0), st.integers(0, 2**32 - 1))
+def test_exposure_moves_the_range_and_changes_nothing(stops: float, seed: int) -> None:
+    reference = bright(seed, 8, 9)
+    image = reference * np.random.default_rng(seed).uniform(0.7, 1.4, reference.shape)
+    plain, lifted = (compare(image, reference, exposure=e, hdr=True) for e in (0.0, stops))
+    assert plain.hdr_exposures is not None
+    assert lifted.hdr_exposures is not None
+    assert lifted.hdr_exposures.start == pytest.approx(plain.hdr_exposures.start - stops, abs=1e-6)
+    assert lifted.hdr_flip == pytest.approx(plain.hdr_flip, abs=1e-4)
+
+
+def test_a_wider_range_shows_no_less() -> None:
+    image, reference = bright(3), bright(4)
+    narrow, wide = (hdr_flip_map(image, reference, Exposures(-2.0 - more, 1.0 + more, 4 + 2 * more)) for more in (0, 2))
+    assert (wide >= narrow - 1e-6).all()
+
+
+def test_equal_pictures_differ_nowhere_and_both_ways_are_alike() -> None:
+    image, reference = bright(5), bright(6)
+    assert compare(image, image, hdr=True).hdr_flip == 0.0
+    there, back = (compare(a, b, hdr=(-3.0, 2.0)) for a, b in ((image, reference), (reference, image)))
+    assert there.hdr_flip == pytest.approx(back.hdr_flip, abs=1e-6)
+    assert there.flip == pytest.approx(back.flip, abs=1e-6)
+    assert there.ssim == pytest.approx(back.ssim, abs=1e-12)
+    assert there.mse == back.mse
+
+
+def test_figures_grow_with_a_disturbance() -> None:
+    reference = bright(7)
+    disturbance = np.random.default_rng(8).normal(size=reference.shape) * reference
+    found = [compare(reference + size * disturbance, reference, hdr=(-3.0, 1.0)) for size in (0.01, 0.03, 0.1, 0.3)]
+    for name in ("mse", "relative_mse", "relative_rmse", "flip", "hdr_flip"):
+        values = [getattr(each, name) for each in found]
+        assert values == sorted(values)
+        assert values[0] < values[-1]
+    assert [each.ssim for each in found] == sorted((each.ssim for each in found), reverse=True)
+
+
+def test_the_mask_chooses_what_counts() -> None:
+    reference = bright(9)
+    image = reference.copy()
+    image[:, 20:] *= 3.0
+    mask = np.zeros(reference.shape[:2])
+    mask[:, :2] = 1.0
+    assert compare(image, reference, mask, hdr=True).hdr_flip == pytest.approx(0.0, abs=1e-6)
+    assert compare(image, reference, 1.0 - mask, hdr=True).hdr_flip > compare(image, reference, hdr=True).hdr_flip > 0
+
+
+@pytest.mark.parametrize(
+    ("reference", "expected"),
+    [
+        (np.zeros((4, 4, 3)), Exposures(0.0, 0.0, 2)),
+        (np.full((4, 4, 3), -1.0), Exposures(0.0, 0.0, 2)),
+        (np.full((1, 1, 3), 2.0), None),
+    ],
+)
+def test_pictures_without_range_have_one(reference: np.ndarray, expected: Exposures | None) -> None:
+    exposures = paper_exposures(reference)
+    assert expected in (None, exposures)
+    assert exposures.start == exposures.stop
+    assert hdr_flip_map(np.abs(reference) + 0.5, reference, exposures).max() > 0.05
+
+
+def test_an_object_on_black_is_looked_at_as_without_the_black() -> None:
+    framed = np.zeros((40, 24, 3))
+    framed[:16] = bright(10, 16)
+    assert paper_exposures(framed) == paper_exposures(framed[:16])
+
+
+@pytest.mark.parametrize("peak", [1e5, 1e12, 1e30])
+def test_suns_leave_no_pixel_without_a_figure(peak: float) -> None:
+    reference = bright(11)
+    reference[3, 4] = peak
+    image = reference.copy()
+    image[3, 4] *= 0.2
+    found = compare(image, reference, hdr=True)
+    assert found.hdr_flip_map is not None
+    assert np.isfinite(found.hdr_flip_map).all()
+    assert found.hdr_flip_map[3, 4] > 0.05 or peak > 1e15
+    assert found.flip == 0.0
+
+
+@pytest.mark.parametrize(("start", "stop"), [(1.0, 0.0), (-200.0, 0.0), (0.0, np.nan), (np.inf, np.inf)])
+def test_a_range_that_is_none_is_refused(start: float, stop: float) -> None:
+    with pytest.raises(QueryError, match="a range within ±128 stops"):
+        exposures_between(start, stop)
+
+
+@pytest.mark.parametrize(("asked", "policy"), [(None, "PASSIVE"), ("active", "ACTIVE")])
+def test_threads_of_flip_wait_asleep_unless_told_otherwise(asked: str | None, policy: str) -> None:
+    program = (
+        "import os, numpy\n"
+        "from prt_bake.comparison.flip import flip_map\n"
+        "flip_map(numpy.zeros((8, 8, 3)), numpy.ones((8, 8, 3)))\n"
+        "print(os.environ.get('OMP_WAIT_POLICY'))\n"
+    )
+    said = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    said |= {"OMP_DISPLAY_ENV": "true"} | ({} if asked is None else {"OMP_WAIT_POLICY": asked})
+    ran = subprocess.run([sys.executable, "-c", program], env=said, capture_output=True, text=True, check=True)
+    assert f"OMP_WAIT_POLICY = '{policy}'" in ran.stderr
+    assert ran.stdout.strip() == str(asked)

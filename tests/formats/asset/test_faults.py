@@ -1,0 +1,280 @@
+"""Damaged, foreign and half-written assets: each is refused in one sentence that names what is wrong."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from formats.asset import AssetWriter, check_asset, read_asset, reader, write_asset
+from formats.errors import AssetError, StorageError
+from formats.hdf5_sink import Sink
+from tests import ROOT
+from tests.formats.asset.test_asset import make_asset, make_shape
+
+
+def assert_refused(path: Path, sentence: str = "") -> None:
+    with pytest.raises(AssetError, match=sentence) as caught:
+        read_asset(path)
+    told = str(caught.value)
+    assert told.startswith(f"{path}: ")
+    assert "\n" not in told
+    faults = check_asset(path)
+    assert faults
+    assert all(fault.startswith(f"{path}: ") for fault in faults)
+    assert any(re.search(sentence, fault) for fault in faults)
+
+
+def test_an_asset_cut_anywhere_is_refused(tmp_path):
+    write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
+    whole = (tmp_path / "a.h5").read_bytes()
+    for tenth in range(10):
+        (tmp_path / "cut.h5").write_bytes(whole[: len(whole) * tenth // 10])
+        assert_refused(tmp_path / "cut.h5", "truncated" if tenth else "empty")
+    (tmp_path / "cut.h5").write_bytes(whole[:-1])
+    size = len(whole)
+    assert_refused(tmp_path / "cut.h5", f"cut.h5: is truncated: has {size - 1} bytes of {size}; copy or bake it again$")
+
+
+def test_a_damaged_chunk_is_refused(tmp_path):
+    write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        place = file["transfer/coefficients"].id.get_chunk_info(0)
+    content = bytearray((tmp_path / "a.h5").read_bytes())
+    middle = place.byte_offset + place.size // 2
+    content[middle : middle + 40] = bytes(40)
+    (tmp_path / "a.h5").write_bytes(content)
+    where = "/transfer/coefficients: rows 0 to 29 cannot be unpacked"
+    assert_refused(tmp_path / "a.h5", f"a.h5: is damaged: {where}; copy or bake it again$")
+
+
+@pytest.mark.parametrize("place", ["open", "faults"])
+@pytest.mark.parametrize(
+    ("cause", "told"),
+    [
+        (OSError("Can't synchronously read data (filter returned failure during read)"), "is damaged"),
+        (RuntimeError("Unable to get group info (wrong B-tree signature)"), "is damaged"),
+        (
+            OSError(5, "[Errno 5] Can't synchronously read data (file read failed)"),
+            "cannot be read: Input/output error",
+        ),
+    ],
+)
+def test_a_damaged_file_is_told_in_words_of_ours(tmp_path, monkeypatch, place, cause, told):
+    write_asset(make_asset(3, 1, 4, 2), tmp_path / "a.h5")
+
+    def fail(*_: object) -> None:
+        raise cause
+
+    if place == "open":
+        monkeypatch.setattr(h5py, "File", fail)
+    else:
+        monkeypatch.setattr(reader, "_faults", fail)
+    assert_refused(tmp_path / "a.h5", f"{told}.*; copy or bake it again$")
+    (fault,) = check_asset(tmp_path / "a.h5")
+    assert "synchronously" not in fault
+    assert "B-tree" not in fault
+
+
+def test_coefficients_that_are_all_nan_are_one_fault(tmp_path, monkeypatch):
+    monkeypatch.setattr(reader, "_BLOCK_BYTES", 5000)
+    write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["transfer/valid"][:7] = 0
+        file["transfer/valid"][7:] = 1
+        file["transfer/coefficients"][...] = np.nan
+        assert len(list(reader._blocks(file["transfer"]))) > 3
+    fault = "/transfer/coefficients: 23 of 30 vertices have NaN or infinite values, the first is vertex 7"
+    assert check_asset(tmp_path / "a.h5") == [f"{tmp_path / 'a.h5'}: {fault}"]
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "a.h5").write_text("v 0 0 0\nf 1 2 3\n")
+    assert_refused(tmp_path / "a.h5", "expected an HDF5 file")
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file["x"] = 1
+    assert_refused(tmp_path / "b.h5", "no prtbake asset")
+    with pytest.raises(StorageError, match="no such file"):
+        read_asset(tmp_path / "missing.h5")
+
+
+def put(file, name, values):
+    del file[name]
+    file.create_dataset(name, data=values)
+
+
+def changed(file, name, place, value):
+    values = file[name][...]
+    values[place] = value
+    put(file, name, values)
+
+
+CHANGES = {
+    r"format_version 2\.0": lambda file: file.attrs.__setitem__("format_version", "2.0"),
+    "format_version missing": lambda file: file.attrs.__delitem__("format_version"),
+    "attribute up is 'x'": lambda file: file.attrs.__setitem__("up", "x"),
+    "attribute unit is missing": lambda file: file.attrs.__delitem__("unit"),
+    "left_out is no JSON": lambda file: file.attrs.__setitem__("left_out", "nothing"),
+    "/transfer is missing": lambda file: file.__delitem__("transfer"),
+    "/mesh/tangents is missing": lambda file: file.__delitem__("mesh/tangents"),
+    "/transfer/coefficients is missing": lambda file: file.__delitem__("transfer/coefficients"),
+    "/basis: the attribute degree is missing": lambda file: file["basis"].attrs.__delitem__("degree"),
+    "/basis: the attribute kind is 'zonal'": lambda file: file["basis"].attrs.__setitem__("kind", "zonal"),
+    "/basis: the attribute sign is 'Condon-Shortley phase'; .* 'no Condon-Shortley phase'": lambda file: file[
+        "basis"
+    ].attrs.__setitem__("sign", "Condon-Shortley phase"),
+    "/basis: the attribute degree is -1": lambda file: file["basis"].attrs.__setitem__("degree", -1),
+    "/bins: the attribute rings is 0": lambda file: file["bins"].attrs.__setitem__("rings", 0),
+    r"/basis/check_values has shape \[2, 4\]; expected \[2, K = 9\]": lambda file: file["basis"].attrs.__setitem__(
+        "degree", 2
+    ),
+    r"shape \[5, 6, 4, 2\]; expected \[V = 5, B = 6 or 1, K = 4 or 1, 3 or 1\]": lambda file: put(
+        file, "transfer/coefficients", np.zeros((5, 6, 4, 2), "f4")
+    ),
+    "/transfer/coefficients has type int32": lambda file: put(
+        file, "transfer/coefficients", np.zeros((5, 6, 4, 3), "i4")
+    ),
+    r"/mesh/normals has shape \[4, 3\]": lambda file: put(file, "mesh/normals", np.zeros((4, 3), "f4")),
+    r"/transfer/valid has shape \[4\]": lambda file: put(file, "transfer/valid", np.ones(4, "u1")),
+    "/transfer/coefficients: 1 of 5 vertices have NaN .* vertex 2": lambda file: changed(
+        file, "transfer/coefficients", (2, 1, 0, 0), np.nan
+    ),
+    "/transfer/standard_error: 1 of 5 rows are negative or NaN, the first is row 4": lambda file: changed(
+        file, "transfer/standard_error", (4, 0), np.nan
+    ),
+    "/mesh/positions: 1 of 5 rows are not finite": lambda file: changed(file, "mesh/positions", (1, 0), np.inf),
+    "/mesh/normals: 1 of 5 rows are not of length 1": lambda file: changed(file, "mesh/normals", 3, 0),
+    "/mesh/tangents: .* not perpendicular": lambda file: changed(file, "mesh/tangents", 3, file["mesh/normals"][3]),
+    "/mesh/faces: 1 of 5 rows are of vertices": lambda file: changed(file, "mesh/faces", (2, 1), 5),
+    "attribute origin is no point": lambda file: file["mesh/positions"].attrs.__setitem__("origin", [0.0, np.nan, 0]),
+    "/provenance/json is no JSON": lambda file: put(file, "provenance/json", "[1, 2"),
+    "/selftest/vertex is missing": lambda file: file.__delitem__("selftest/vertex"),
+    "/selftest/vertex: 1 of 2 rows": lambda file: changed(file, "selftest/vertex", 1, 9),
+    "quantity is 'colour'": lambda file: file["transfer"].attrs.__setitem__("quantity", "colour"),
+    "compact": lambda file: file.move("transfer", "transfer_compact"),
+    "/transfer/error_apart is missing": lambda file: file.__delitem__("transfer/error_apart"),
+    r"/transfer/error_channels has shape \[3, 3\]; expected \[N = 2, 3 or 1\]": lambda file: put(
+        file, "transfer/error_channels", np.ones((3, 3), "f2")
+    ),
+    "/transfer/error_covariance has rows of 9; expected 10": lambda file: put(
+        file, "transfer/error_covariance", np.ones((2, 9), "f2")
+    ),
+    "/transfer/error_covariance: 1 of 2 rows mean nothing, the first is row 1": lambda file: changed(
+        file, "transfer/error_covariance", (1, 0), 9.0
+    ),
+    "/transfer/error_channels: 2 of 2 rows mean nothing": lambda file: changed(
+        file, "transfer/error_channels", slice(None), [-1.0, 2.0, 2.0]
+    ),
+    "/transfer/error_apart: 1 of 2 rows mean nothing, the first is row 0": lambda file: changed(
+        file, "transfer/error_apart", (0, 1), np.nan
+    ),
+    "/transfer/error_row names rows from 2 on": lambda file: changed(file, "transfer/error_row", 3, 2),
+    "/transfer/error_covariance has 2 rows; expected 1 or 5": lambda file: file.__delitem__("transfer/error_row"),
+}
+
+
+@pytest.mark.parametrize("sentence", CHANGES)
+def test_every_fault_is_named(tmp_path, sentence):
+    selftest = {
+        "light": np.ones((4, 3)),
+        "vertex": np.arange(2),
+        "outgoing": np.eye(3)[:2],
+        "radiance": np.ones((2, 3)),
+    }
+    write_asset(make_asset(selftest=selftest, error_shape=make_shape(5, 4, 3, 2)), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        CHANGES[sentence](file)
+    assert_refused(tmp_path / "a.h5", sentence)
+
+
+def test_nan_in_vertices_that_were_not_baked_does_not_matter(tmp_path):
+    write_asset(make_asset(valid=[1, 1, 0, 1, 1]), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        changed(file, "transfer/coefficients", 2, np.nan)
+        changed(file, "transfer/standard_error", 2, np.nan)
+    assert check_asset(tmp_path / "a.h5") == []
+
+
+def test_a_newer_minor_version_is_read(tmp_path):
+    write_asset(make_asset(), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file.attrs["format_version"] = "1.7"
+    assert check_asset(tmp_path / "a.h5") == []
+
+
+def test_an_abandoned_writer_leaves_the_old_asset(tmp_path):
+    path = tmp_path / "a.h5"
+    path.write_text("old")
+    asset = make_asset()
+    with AssetWriter(path, asset) as writer:
+        writer.write_block(0, asset.coefficients, asset.standard_error)
+    writer.abort()
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.h5"]
+
+
+PROGRAM = """
+import os, resource, signal, sys
+sys.path.insert(0, sys.argv[2])
+from tests.formats.asset.test_asset import make_asset
+from formats.asset import AssetWriter
+from formats.errors import StorageError
+asset = make_asset(400, 4, 16, 2)
+writer = AssetWriter(sys.argv[1], asset, storage=sys.argv[4])
+if sys.argv[3] == "full":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, resource.RLIM_INFINITY))
+try:
+    for start in range(0, 400, 40):
+        if sys.argv[3] == "kill" and start == 200:
+            os.kill(os.getpid(), signal.SIGKILL)
+        writer.write_block(start, asset.coefficients[start:start + 40], asset.standard_error[start:start + 40])
+    writer.finish({})
+except StorageError as fault:
+    print(fault)
+"""
+
+
+def test_ctrl_c_while_a_block_is_written_loses_nothing(tmp_path, monkeypatch):
+    asset = make_asset()
+    write_to_disk = Sink.write
+    monkeypatch.setattr(Sink, "write", lambda *pair: (signal.raise_signal(signal.SIGINT), write_to_disk(*pair))[1])
+    with pytest.raises(KeyboardInterrupt):
+        AssetWriter(tmp_path / "unopened.h5", asset)
+    monkeypatch.undo()
+    with AssetWriter(tmp_path / "a.h5", asset, storage="float32") as writer:
+        writer.write_block(0, asset.coefficients[:2], asset.standard_error[:2])
+        monkeypatch.setattr(Sink, "write", lambda *pair: (signal.raise_signal(signal.SIGINT), write_to_disk(*pair))[1])
+        with pytest.raises(KeyboardInterrupt):
+            writer.finish({}, complete=False)
+    assert read_asset(tmp_path / "a.h5").valid.tolist() == [True, True, False, False, False]
+
+
+def run(path: Path, how: str, storage: str) -> subprocess.CompletedProcess[str]:
+    arguments = [sys.executable, "-c", PROGRAM, str(path), str(ROOT), how, storage]
+    return subprocess.run(arguments, check=False, capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("storage", ["float16", "float32"])
+def test_a_disk_that_takes_no_more_leaves_the_old_asset(tmp_path, storage):
+    path = tmp_path / "a.h5"
+    path.write_text("old")
+    ended = run(path, "full", storage)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.stdout.startswith(f"{path}: cannot be written: ")
+    assert ended.stdout.count("\n") == 1
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.h5"]
+
+
+def test_a_bake_killed_in_the_middle_leaves_the_old_asset(tmp_path):
+    path = tmp_path / "a.h5"
+    write_asset(make_asset(), path)
+    before = path.read_bytes()
+    assert run(path, "kill", "float32").returncode == -signal.SIGKILL
+    assert path.read_bytes() == before
+    assert check_asset(path) == []

@@ -1,0 +1,98 @@
+"""Lights files and directional lights in one word: what they hold, and what is said of those that hold none."""
+
+import numpy as np
+import pytest
+
+from formats.errors import LightError, StorageError
+from formats.scene.lights import DirectionalLight, SkyLight, parse_sun, read_lights
+
+
+def test_a_file_of_every_kind_of_light(tmp_path):
+    (tmp_path / "a.toml").write_text(
+        "[[directional]]\ndirection = [0, 3, 4]\nirradiance = [3, 2.5, 2]\nangular_diameter = 0.53\n"
+        "[[directional]]\ndirection = [-1e-200, 0, 0]\n"
+        '[[sky]]\nfile = "night.hdr"\nrotate = 90\nexposure = -2\ntint = [1, 0.5, 0]\n[[sky]]\nfile = "day.exr"\n'
+    )
+    sun, second, night, day = read_lights(tmp_path / "a.toml")
+    assert isinstance(sun, DirectionalLight)
+    assert isinstance(second, DirectionalLight)
+    np.testing.assert_allclose(sun.direction, [0, 0.6, 0.8], rtol=1e-15)
+    assert (sun.irradiance.tolist(), sun.angular_diameter) == ([3, 2.5, 2], 0.53)
+    assert (second.direction.tolist(), second.irradiance.tolist(), second.angular_diameter) == ([-1, 0, 0], [1] * 3, 0)
+    assert night == SkyLight(tmp_path / "night.hdr", 90.0, -2.0, (1.0, 0.5, 0.0))
+    assert day == SkyLight(tmp_path / "day.exr", 0.0, 0.0, (1.0, 1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "irradiance", "diameter"),
+    [
+        ("sun:0,0,2", [1, 1, 1], 0),
+        ("sun:0,0,2:3,2,1", [3, 2, 1], 0),
+        ("sun:0,0,2:0.5", [1, 1, 1], 0.5),
+        ("sun:0,0,2:3,2,1:0.5", [3, 2, 1], 0.5),
+    ],
+)
+def test_a_sun_in_one_word(text, irradiance, diameter):
+    sun = parse_sun(text)
+    assert (sun.direction.tolist(), sun.irradiance.tolist(), sun.angular_diameter) == ([0, 0, 1], irradiance, diameter)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("sun:", "expected sun:x,y,z"),
+        ("sun:1,2", "expected sun:x,y,z"),
+        ("sun:1,2,x", "expected sun:x,y,z"),
+        ("sun:1,2,3:1:2", "expected sun:x,y,z"),
+        ("sun:1,2,3:1,1,1:2:3", "expected sun:x,y,z"),
+        ("sun:0,0,0", "direction: expected three"),
+        ("sun:0,inf,0", "direction: expected three"),
+        ("sun:nan,0,1", "direction: expected three"),
+        ("sun:0,1,0:1,-1,1", "irradiance: expected three"),
+        ("sun:0,1,0:1,nan,1", "irradiance: expected three"),
+        ("sun:0,1,0:-0.5", "angular diameter: expected degrees"),
+        ("sun:0,1,0:181", "angular diameter: expected degrees"),
+    ],
+)
+def test_a_word_that_is_no_sun_is_one_sentence(text, sentence):
+    with pytest.raises(LightError, match=sentence) as caught:
+        parse_sun(text)
+    assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "holds no light"),
+        ("sun = 3", "sun: unknown key"),
+        ("[directional]\ndirection = [0, 1, 0]", r"directional: expected tables \[\[directional\]\]"),
+        ("[[directional]]\ndirection = [0, 1, 0]\nsize = 1", "directional.0.size: unknown key; expected direction"),
+        ("[[directional]]\ndirektion = [0, 1, 0]", "did you mean 'direction'"),
+        ("[[directional]]\nirradiance = [1, 1, 1]", "directional.0.direction: is missing"),
+        ("[[directional]]\ndirection = [0, 0, 0]", "directional.0: direction: expected three"),
+        ("[[directional]]\ndirection = [0, 1]", "directional.0.direction: expected three"),
+        ("[[directional]]\ndirection = [0, nan, 1]", "directional.0.direction: expected three"),
+        ("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, -1, 1]", "irradiance: expected three"),
+        ("[[directional]]\ndirection = [0, 1, 0]\nirradiance = 3.0", "irradiance: expected three"),
+        ("[[directional]]\ndirection = [0, 1, 0]\nangular_diameter = -1", "expected degrees from 0 to 180, found -1"),
+        ('[[sky]]\nfile = "a.hdr"\ntint = [1, -1, 1]', "sky.0.tint: expected three finite numbers"),
+        ('[[sky]]\nfile = "a.hdr"\nexposure = "much"', "sky.0.exposure: expected stops from -64 to 64, found 'much'"),
+        ("[[sky]]\nrotate = 3", "sky.0.file: is missing"),
+        ("no toml", "is not TOML"),
+    ],
+)
+def test_a_file_that_holds_no_lights_is_one_sentence(tmp_path, text, sentence):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(LightError, match=sentence) as caught:
+        read_lights(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_files_that_are_not_text_or_not_there(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(LightError, match="not text"):
+        read_lights(tmp_path / "a.toml")
+    with pytest.raises(StorageError, match="no such file"):
+        read_lights(tmp_path / "b.toml")

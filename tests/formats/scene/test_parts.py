@@ -1,0 +1,189 @@
+"""Scenes of several parts: nesting, boundaries, textures, and every fault named by its key."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from formats.errors import ImageError, SceneError
+from formats.image import write_image
+from formats.mesh import Mesh, write_mesh
+from formats.scene import read_scene
+from tests.tracer.scenes import moved, sphere
+
+OUTER = '[object]\nmesh = "glass.ply"\n[interface]\neta = 1.5\n[medium]\nsigma_t = 0\nalbedo = 1\n'
+LIQUID = '[[inside]]\nname = "liquid"\nmesh = "liquid.ply"\n[inside.interface]\neta = 1.33\nroughness = 0.1\n'
+LIQUID += 'normals = "vertex"\nenergy_compensation = true\n[inside.medium]\nsigma_t = [1, 2, 3]\nalbedo = 0.9\n'
+SEED = '[[inside]]\nname = "seed"\nmesh = "seed.ply"\nin = "liquid"\nsurface = "diffuse"\nreflectance = 0.5\n'
+BUBBLE = '[[inside]]\nname = "bubble"\nmesh = "seed.ply"\nin = "liquid"\n'
+PLAIN = '[[inside]]\nname = "plain"\nmesh = "seed.ply"\n'
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("parts")
+    ball = sphere(1)
+    for name, radius in (("glass", 1.0), ("liquid", 0.8), ("seed", 0.2)):
+        write_mesh(moved(ball, radius), folder / f"{name}.ply")
+    write_mesh(moved(ball, 0.2, 3.0), folder / "far.ply")
+    seed = moved(ball, 0.2)
+    write_mesh(Mesh(seed.positions, seed.faces, seed.normals, uv=seed.positions[:, :2]), folder / "unwrapped.ply")
+    Image.fromarray(np.array([[0, 51], [102, 255]], np.uint8)).save(folder / "alpha.png")
+    Image.fromarray(np.array([[[188, 0, 255]]], np.uint8)).save(folder / "colour.png")
+    write_image(folder / "linear.exr", np.array([[[0.25, 0.5, 1.0]]]))
+    write_image(folder / "bright.exr", np.array([[[0.25, 0.5, 1.5]]]))
+    return folder
+
+
+def scene(folder, text):
+    (folder / "scene.toml").write_text(text)
+    return read_scene(folder / "scene.toml")
+
+
+def test_parts_come_out_in_the_order_of_the_file_with_what_they_say(folder):
+    read = scene(folder, OUTER + LIQUID + SEED)
+    assert [part.name for part in read.parts] == ["object", "liquid", "seed"]
+    assert [part.parent for part in read.parts] == [-1, 0, 1]
+    outer, liquid, seed = read.parts
+    assert outer.mesh is read.mesh
+    assert (liquid.eta, liquid.roughness, liquid.normals, liquid.energy_compensation) == (1.33, 0.1, "vertex", True)
+    assert liquid.medium.sigma_t.tolist() == [1, 2, 3]
+    assert liquid.medium.albedo.tolist() == [0.9] * 3
+    assert liquid.diffuse is None
+    assert (seed.diffuse.tolist(), seed.medium) == ([0.5] * 3, None)
+    assert seed.mesh_path == folder / "seed.ply"
+
+
+def test_what_an_inner_part_leaves_out_is_its_parent_s_index_and_nothing_in_it(folder):
+    bubble = scene(folder, OUTER + LIQUID + BUBBLE).parts[2]
+    assert (bubble.eta, bubble.roughness, bubble.normals) == (1.33, 0, "face")
+    assert bubble.medium.sigma_t.tolist() == 0
+    assert scene(folder, OUTER + PLAIN).parts[1].eta == 1.5
+    assert scene(folder, OUTER.replace("eta = 1.5", "") + PLAIN).parts[1].eta == 1
+
+
+def test_a_parent_may_be_named_before_it_stands_in_the_file(folder):
+    read = scene(folder, OUTER + BUBBLE + LIQUID)
+    assert [(part.name, part.parent) for part in read.parts] == [("object", -1), ("bubble", 2), ("liquid", 0)]
+    assert read.parts[1].eta == 1.33
+
+
+@settings(max_examples=20, deadline=None, derandomize=True, database=None)
+@given(parents=st.lists(st.integers(0, 11), min_size=1, max_size=11))
+def test_any_tree_is_read_and_any_circle_refused(folder, parents):
+    parents = [min(parent, len(parents)) for parent in parents]
+    names = ["object"] + [f"part {i}" for i in range(len(parents))]
+    tables = [
+        f'[[inside]]\nname = "{name}"\nmesh = "seed.ply"\nin = "{names[parent]}"\n'
+        for name, parent in zip(names[1:], parents, strict=True)
+    ]
+    chains = []
+    for i in range(1, len(names)):
+        chain = [i]
+        while chain[-1] and len(chain) <= len(names):
+            chain.append(parents[chain[-1] - 1])
+        chains.append(chain[-1] == 0)
+    if all(chains):
+        assert [part.parent for part in scene(folder, OUTER + "".join(tables)).parts] == [-1, *parents]
+    else:
+        with pytest.raises(SceneError, match="nested in a circle: 'part"):
+            scene(folder, OUTER + "".join(tables))
+
+
+def test_a_roughness_texture_is_taken_as_stored_and_a_reflectance_decoded(folder):
+    rough = LIQUID.replace("liquid.ply", "unwrapped.ply").replace("roughness = 0.1", 'roughness = "alpha.png"')
+    alpha = scene(folder, OUTER + rough).parts[1].roughness
+    np.testing.assert_allclose(alpha, [[0, 0.2], [0.4, 1]], atol=1e-15)
+    textured = SEED.replace("seed.ply", "unwrapped.ply").replace('in = "liquid"\n', "").replace("0.5", '"colour.png"')
+    diffuse = scene(folder, OUTER + textured).parts[1].diffuse
+    np.testing.assert_allclose(diffuse, [[[0.50289, 0, 1]]], atol=1e-5)
+    diffuse = scene(folder, OUTER + textured.replace("colour.png", "linear.exr")).parts[1].diffuse
+    np.testing.assert_array_equal(diffuse, [[[0.25, 0.5, 1]]])
+
+
+def test_the_hash_follows_every_part(folder):
+    unwrapped = SEED.replace("seed.ply", "unwrapped.ply")
+    texts = [
+        OUTER,
+        OUTER + LIQUID,
+        OUTER + LIQUID + SEED,
+        OUTER + LIQUID + SEED.replace("0.5", "0.6"),
+        OUTER + LIQUID + SEED.replace('in = "liquid"\n', ""),
+        OUTER + SEED.replace('in = "liquid"\n', "") + LIQUID,
+        OUTER + LIQUID + unwrapped.replace("0.5", '"colour.png"'),
+        OUTER + LIQUID + unwrapped.replace("0.5", '"linear.exr"'),
+        OUTER + LIQUID + BUBBLE,
+        OUTER + LIQUID.replace("1.33", "1.34"),
+        OUTER + LIQUID.replace("[1, 2, 3]", "[1, 2, 4]"),
+        OUTER + LIQUID.replace("energy_compensation = true", ""),
+    ]
+    assert len({scene(folder, text).content_hash for text in texts}) == len(texts)
+    named = (OUTER + LIQUID + SEED).replace("liquid", "wine").replace("wine.ply", "liquid.ply")
+    assert scene(folder, named).content_hash == scene(folder, OUTER + LIQUID + SEED).content_hash
+
+
+FAULTS = [
+    (LIQUID + LIQUID, "inside.1.name: 'liquid' is taken already"),
+    (PLAIN.replace("plain", "object"), "inside.0.name: 'object' is taken already"),
+    (
+        LIQUID + SEED.replace('in = "liquid"', 'in = "liqid"'),
+        "inside.1.in: there is no part 'liqid'; did you mean 'liq",
+    ),
+    (SEED.replace('"liquid"', '"x"'), "inside.0.in: there is no part 'x'; expected one of object, seed"),
+    (BUBBLE.replace('"liquid"', '"bubble"'), "inside.0.in: parts are nested in a circle: 'bubble' in 'bubble'"),
+    (LIQUID + SEED + PLAIN + 'in = "seed"\n', "inside.2.in: 'plain' lies in 'seed', which is diffuse"),
+    (
+        SEED + "[inside.medium]\nsigma_t = 1\nalbedo = 1\n",
+        "inside.0: a diffuse surface lets no light in; remove [inside.m",
+    ),
+    (
+        SEED + "[inside.interface]\neta = 1.2\n",
+        "inside.0: a diffuse surface lets no light in; remove [inside.interface]",
+    ),
+    (PLAIN + "reflectance = 0.5\n", 'inside.0: reflectance needs surface = "diffuse"'),
+    (PLAIN + 'surface = "diffuse"\n', "inside.0: reflectance is missing"),
+    (PLAIN + 'surface = "metal"\n', "inside.0.surface: expected \"diffuse\", found 'metal'"),
+    (SEED.replace("0.5", "1.5"), "inside.0.reflectance: expected a number from 0 to 1"),
+    (SEED.replace("surface", "surfac"), "inside.0.surfac: unknown key; did you mean 'surface'?"),
+    (
+        PLAIN + "[inside.interface]\nroughnes = 1\n",
+        "inside.0.interface.roughnes: unknown key; did you mean 'roughness'?",
+    ),
+    (PLAIN + "[inside.medium]\nsigma_t = -1\nalbedo = 1\n", "inside.0.medium.sigma_t: expected one number"),
+    (PLAIN.replace("seed.ply", "far.ply"), "inside.0.mesh: .*far.ply lies wholly outside 'object'"),
+    (
+        SEED.replace("0.5", '"colour.png"').replace('in = "liquid"', ""),
+        "inside.0.reflectance: an image needs texture coord",
+    ),
+    (
+        "".join(PLAIN.replace("plain", f"plain {i}") for i in range(12)),
+        "inside: expected at most 12 parts with the outermost, found 13",
+    ),
+    (
+        SEED.replace("seed.ply", "unwrapped.ply").replace('in = "liquid"', "").replace("0.5", '"bright.exr"'),
+        "inside.0.reflectance: .*bright.exr has 1 of 3 values out of range, the first in row 0, column 0 is 1.5",
+    ),
+]
+
+
+@pytest.mark.parametrize(("inside", "sentence"), FAULTS)
+def test_every_fault_names_its_key(folder, inside, sentence):
+    with pytest.raises(SceneError) as caught:
+        scene(folder, OUTER + inside)
+    told = str(caught.value)
+    assert told.startswith(f"{folder / 'scene.toml'}: ")
+    assert "\n" not in told
+    for part in sentence.split(".*"):
+        assert part in told
+
+
+def test_a_texture_that_is_no_picture_is_named(folder):
+    rough = PLAIN.replace("seed.ply", "unwrapped.ply") + '[inside.interface]\nroughness = "seed.ply"\n'
+    with pytest.raises(ImageError, match=r"seed\.ply"):
+        scene(folder, OUTER + rough)
+
+
+def test_twelve_parts_are_read(folder):
+    inside = "".join(PLAIN.replace("plain", f"plain {i}") for i in range(11))
+    assert len(scene(folder, OUTER + inside).parts) == 12

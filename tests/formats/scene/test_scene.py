@@ -1,0 +1,245 @@
+"""Scene files: what they say is what comes out, and every fault names its key."""
+
+import numpy as np
+import pytest
+
+from formats.errors import MeshError, PrtbakeError, SceneError, StorageError
+from formats.mesh import build_mesh, flipped, signed_volume, write_mesh
+from formats.scene import read_scene
+from prt_bake.inspection.files import find_faults, find_remarks
+
+SCENE = """
+[object]
+mesh = "ball.ply"
+up = "z"
+unit = "cm"
+[interface]
+eta = 1.3
+roughness = 0.25
+normals = "vertex"
+[medium]
+sigma_t = 12.0
+albedo = [0.98, 0.90, 0.75]
+phase_g = 0.3
+bounds = [[-1, -1, -1], [1, 1, 2]]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    positions = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+    mesh = build_mesh(positions, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    write_mesh(mesh, tmp_path / "ball.ply")
+    write_mesh(flipped(mesh), tmp_path / "inside_out.ply")
+    write_mesh(build_mesh(positions, mesh.faces[1:]), tmp_path / "open.ply")
+    write_mesh(build_mesh(2 * positions, mesh.faces), tmp_path / "larger.ply")
+    torn = mesh.faces.copy()
+    torn[0] = torn[0][::-1]
+    write_mesh(build_mesh(positions, torn), tmp_path / "torn.ply")
+    grid = np.random.default_rng(2).random((2, 3, 4), np.float32)
+    np.save(tmp_path / "grid.npy", grid)
+    np.save(tmp_path / "colour.npy", np.stack([grid] * 3, axis=3))
+    return tmp_path
+
+
+def scene(folder, old="", new=""):
+    assert old in SCENE
+    path = folder / "scene.toml"
+    path.write_text(SCENE.replace(old, new, 1) if old else SCENE + new)
+    return read_scene(path)
+
+
+def test_everything_that_is_said_comes_out(folder):
+    read = scene(folder)
+    assert (read.up, read.unit, read.eta, read.roughness, read.normals) == ("z", "cm", 1.3, 0.25, "vertex")
+    assert (read.sigma_t, read.albedo.tolist(), read.phase_g) == (12, [0.98, 0.9, 0.75], 0.3)
+    assert len(read.parts) == 1
+    assert (read.parts[0].name, read.parts[0].parent, read.parts[0].diffuse) == ("object", -1, None)
+    assert read.parts[0].energy_compensation is False
+    assert (read.bounds, read.flipped, len(read.mesh.faces)) == (None, False, 4)
+    assert read.mesh_path == folder / "ball.ply"
+    assert read.tables.medium.sigma_t == 12
+
+
+def test_what_may_be_left_out(folder):
+    (folder / "scene.toml").write_text('[object]\nmesh = "ball.ply"\n[medium]\nsigma_t = 0\nalbedo = 1\n')
+    read = read_scene(folder / "scene.toml")
+    assert (read.up, read.eta, read.roughness, read.normals, read.phase_g) == ("y", 1, 0, "face", 0)
+    assert read.albedo.tolist() == [1, 1, 1]
+
+
+def test_grids_are_loaded_and_keep_their_values(folder):
+    read = scene(folder, "12.0", '"grid.npy"')
+    np.testing.assert_array_equal(read.sigma_t, np.load(folder / "grid.npy").astype(np.float64))
+    np.testing.assert_array_equal(read.bounds, [[-1, -1, -1], [1, 1, 2]])
+    assert scene(folder, "[0.98, 0.90, 0.75]", '"colour.npy"').albedo.shape == (2, 3, 4, 3)
+    assert scene(folder, "[0.98, 0.90, 0.75]", '"grid.npy"').albedo.shape == (2, 3, 4)
+    assert scene(folder, "12.0", '"colour.npy"').sigma_t.shape == (2, 3, 4, 3)
+
+
+def test_extinction_may_differ_by_channel(folder):
+    read = scene(folder, "12.0", "[1, 2.5, 3]")
+    assert read.sigma_t.tolist() == [1, 2.5, 3]
+    assert read.sigma_t.dtype == np.float64
+    assert read.content_hash != scene(folder, "12.0", "[3, 2.5, 1]").content_hash
+
+
+def test_a_mesh_wound_inside_out_is_turned(folder):
+    read = scene(folder, "ball.ply", "inside_out.ply")
+    assert read.flipped
+    assert signed_volume(read.mesh) > 0
+    np.testing.assert_allclose(read.mesh.normals, scene(folder).mesh.normals, atol=1e-15)
+
+
+def test_the_hash_follows_what_decides_the_transport(folder):
+    same = scene(folder).content_hash
+    assert scene(folder, 'unit = "cm"', 'unit = "mm"').content_hash == same
+    assert scene(folder, "0.98, 0.90", "0.98, 0.9").content_hash == same
+    assert scene(folder, "ball.ply", "inside_out.ply").content_hash == same
+    changes = [("1.3", "1.31"), ("0.25", "0.2"), ("vertex", "face"), ("12.0", "13"), ("0.75", "0.76"), ("0.3", "0")]
+    changes += [("12.0", '"grid.npy"'), ("[0.98, 0.90, 0.75]", '"grid.npy"'), ("ball.ply", "larger.ply")]
+    changes += [("0.25", "0.25\nenergy_compensation = true"), ("12.0", "[12, 12, 12]")]
+    hashes = {scene(folder, *change).content_hash for change in changes}
+    assert len(hashes | {same}) == len(changes) + 1
+
+
+FAULTS = [
+    ("albedo", "albdo", "medium.albdo: unknown key; did you mean 'albedo'?"),
+    ("[medium]", "[medum]", "medum: unknown key; did you mean 'medium'?"),
+    (
+        "phase_g",
+        'colour = "red"\nphase_g',
+        "medium.colour: unknown key; expected one of material, density, sigma_t, albedo, phase_g, bounds, mix",
+    ),
+    ("sigma_t = 12.0", "", "medium.sigma_t: is missing"),
+    (
+        "12.0",
+        "-1",
+        "medium.sigma_t: expected one number that is not negative, three of them (RGB), or the name of an .npy",
+    ),
+    ("12.0", "nan", "medium.sigma_t: expected one number"),
+    ("12.0", "inf", "medium.sigma_t: expected one number"),
+    ("12.0", "true", "medium.sigma_t: expected one number"),
+    ("12.0", "1979-05-27", "medium.sigma_t: expected one number"),
+    ("12.0", "[1, 2]", "medium.sigma_t: expected one number that is not negative, three of them (RGB)"),
+    ("12.0", "[1, 2, -3]", "medium.sigma_t: expected one number that is not negative, three of them (RGB)"),
+    ("12.0", '"ball.ply"', "is not an .npy array"),
+    ("[0.98, 0.90, 0.75]", "1.01", "medium.albedo: expected a number from 0 to 1"),
+    ("[0.98, 0.90, 0.75]", "[0.5, 0.5]", "medium.albedo: expected a number from 0 to 1, three of them"),
+    ("[0.98, 0.90, 0.75]", "[0.5, -0.5, 0.5]", "medium.albedo: expected a number from 0 to 1, three of them"),
+    ("0.3", "1.0", "medium.phase_g: expected a mean cosine between -1 and 1"),
+    ("1.3", "0", "interface.eta: expected an index"),
+    ("0.25", "1.5", "interface.roughness: expected a GGX alpha"),
+    ('"vertex"', '"smooth"', 'interface.normals: expected "face" or "vertex", found \'smooth\''),
+    ('"z"', '"x"', 'object.up: expected "y" or "z", found \'x\''),
+    ("[1, 1, 2]", "[1, 1, -1]", "medium.bounds: the lowest corner must come first"),
+    ("[1, 1, 2]", "[1, 1]", "medium.bounds: expected two corners"),
+    ("12.0", "1e308", "medium.sigma_t: an extinction of 1e+308 per scene unit makes the part .* mean free paths long"),
+    ("12.0", "1.1e9", "makes the part 1.1e+09 mean free paths long; expected at most 1e+09"),
+    (
+        "sigma_t = 12.0\nalbedo = [0.98, 0.90, 0.75]",
+        'material = "marble"\ndensity = 1e308',
+        "medium.density: an extinction of inf",
+    ),
+    ("[1, 1, 2]", "[1, 1, 1e300]", "medium.bounds: expected two corners"),
+    ("= 12.0", "= = 12", "is not TOML"),
+    ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply is not closed: 3 edges"),
+    ('mesh = "ball.ply"', 'mesh = "torn.ply"', "object.mesh: .*torn.ply has 3 edges between faces wound against"),
+    ("0.25", '"alpha.png"', "interface.roughness: an image needs texture coordinates, and the mesh has none"),
+    ("0.25", '0.25\nenergy_compensation = "yes"', "interface.energy_compensation: expected true or false"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "sentence"), FAULTS)
+def test_every_fault_names_its_key(folder, old, new, sentence):
+    with pytest.raises(SceneError) as caught:
+        scene(folder, old, new)
+    told = str(caught.value)
+    assert told.startswith(f"{folder / 'scene.toml'}: ")
+    assert "\n" not in told
+    for part in sentence.split(".*"):
+        assert part in told
+
+
+def test_a_check_names_the_faults_of_all_keys(folder):
+    text = SCENE.replace("0.25", "7").replace("12.0", "[-1, 2]").replace("unit =", "unti =").replace("0.3", '"x"')
+    (folder / "scene.toml").write_text(text)
+    told = [
+        fault.removeprefix(f"{folder / 'scene.toml'}: ").split(":")[0] for fault in find_faults(folder / "scene.toml")
+    ]
+    assert told == ["object.unti", "interface.roughness", "medium.sigma_t", "medium.phase_g"]
+    (folder / "scene.toml").write_text(SCENE.replace("ball.ply", "none.ply"))
+    (missing,) = find_faults(folder / "scene.toml")
+    assert "none.ply: there is no such file" in missing
+    (folder / "scene.toml").write_text(SCENE)
+    assert find_faults(folder / "scene.toml") == []
+
+
+def test_a_lights_file_is_told_from_a_scene(folder):
+    (folder / "sun.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\n")
+    with pytest.raises(SceneError, match=r"sun\.toml: is a lights file, which render takes as --light"):
+        read_scene(folder / "sun.toml")
+
+
+def test_grids_out_of_range_are_told_with_count_and_place(folder):
+    grid = np.full((2, 3, 4), 0.5)
+    grid[1, 2, 3], grid[1, 0, 0] = np.nan, -2
+    np.save(folder / "bad.npy", grid)
+    with pytest.raises(
+        SceneError, match=r"medium\.sigma_t: .*bad\.npy has 2 of 24 values .*first at \[1, 0, 0\] is -2"
+    ):
+        scene(folder, "12.0", '"bad.npy"')
+    np.save(folder / "bad.npy", np.full((2, 2, 2), 1.5))
+    with pytest.raises(SceneError, match="expected values from 0 to 1"):
+        scene(folder, "[0.98, 0.90, 0.75]", '"bad.npy"')
+    for wrong in (np.zeros((2, 3)), np.zeros((2, 3, 4, 2)), np.zeros((0, 3, 4)), np.array(["a"]), np.zeros(3, complex)):
+        np.save(folder / "bad.npy", wrong)
+        with pytest.raises(SceneError, match=r"bad\.npy"):
+            scene(folder, "12.0", '"bad.npy"')
+
+
+def test_a_pickled_grid_is_refused_and_never_run(folder):
+    np.save(folder / "bad.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(SceneError, match=r"bad\.npy"):
+        scene(folder, "12.0", '"bad.npy"')
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("ball.ply", "none.ply", r"object\.mesh: .*none\.ply: there is no such file"),
+        ("ball.ply", "grid.npy", r"object\.mesh: .*grid\.npy: is not a mesh this can read"),
+        ("12.0", '"none.npy"', r"medium\.sigma_t: .*none\.npy: there is no such file"),
+    ],
+)
+def test_a_fault_of_a_file_is_told_by_the_key_that_names_it(folder, old, new, sentence):
+    with pytest.raises(PrtbakeError, match=rf"scene\.toml: {sentence}"):
+        scene(folder, old, new)
+
+
+def test_a_grid_that_lies_beside_the_object_is_remarked_upon(folder):
+    (folder / "scene.toml").write_text(
+        SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", "[[1, 0, 0], [2, 1, 1]]")
+    )
+    (remark,) = (remark for remark in find_remarks(folder / "scene.toml") if "wholly beside" in remark)
+    assert "'object': the grids' box [[1.0, 0.0, 0.0], [2.0, 1.0, 1.0]] lies wholly beside the part's" in remark
+
+
+def test_a_grid_needs_its_box(folder):
+    (folder / "scene.toml").write_text(SCENE.replace("12.0", '"grid.npy"').replace("bounds", "#"))
+    with pytest.raises(SceneError, match=r"medium\.bounds: is missing; a grid needs its box"):
+        read_scene(folder / "scene.toml")
+
+
+def test_missing_and_damaged_files_are_named(folder):
+    with pytest.raises(StorageError, match=r"nowhere\.npy: there is no such file"):
+        scene(folder, "12.0", '"nowhere.npy"')
+    with pytest.raises(StorageError, match=r"nowhere\.ply: there is no such file"):
+        scene(folder, "ball.ply", "nowhere.ply")
+    with pytest.raises(StorageError, match=r"nowhere\.toml: there is no such file"):
+        read_scene(folder / "nowhere.toml")
+    with pytest.raises(MeshError, match=r"grid\.npy"):
+        scene(folder, "ball.ply", "grid.npy")
+    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(SceneError, match="not text"):
+        read_scene(folder / "binary.toml")

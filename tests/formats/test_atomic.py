@@ -1,0 +1,123 @@
+"""Files are whole or not there: faults, full disks and killed processes leave the older file as it was."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formats import atomic
+from formats.atomic import existing, replacing, sha256
+from formats.errors import ImageError, StorageError
+from formats.image import write_image
+
+
+def test_the_new_file_takes_the_place_of_the_old(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with replacing(path) as part:
+        part.write_text("new")
+        assert path.read_text() == "old"
+        assert part.parent == tmp_path
+    assert path.read_text() == "new"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_a_link_stays_a_link(tmp_path):
+    (tmp_path / "real").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    with replacing(tmp_path / "link") as part:
+        part.write_text("new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "real").read_text() == "new"
+
+
+@pytest.mark.parametrize("fault", [ValueError("x"), KeyboardInterrupt(), OSError(errno.ENOENT, "x")])
+def test_a_fault_in_the_middle_leaves_the_old_file(tmp_path, fault):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def write_half() -> None:
+        with replacing(path) as part:
+            part.write_text("half")
+            raise fault
+
+    with pytest.raises(type(fault)):
+        write_half()
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_a_full_disk_is_told_in_one_sentence(tmp_path, monkeypatch):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def full(part: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(atomic, "_flush", full)
+    with pytest.raises(StorageError, match=r"a\.txt: cannot be written: the disk is full"), replacing(path) as part:
+        part.write_text("new")
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_unusable_places_are_refused_before_anything_is_written(tmp_path):
+    for path, sentence in ((tmp_path / "no" / "a.txt", "folder .*no does not exist"), (tmp_path, "it is a folder")):
+        with pytest.raises(StorageError, match=sentence), replacing(path):
+            pytest.fail("the block must not be entered")
+    with pytest.raises(StorageError, match="device"), replacing("/dev/null"):
+        pytest.fail("the block must not be entered")
+
+
+def test_files_to_be_read_must_exist(tmp_path):
+    with pytest.raises(StorageError, match="no such file"):
+        existing(tmp_path / "a")
+    with pytest.raises(StorageError, match="is a folder"):
+        existing(tmp_path)
+
+
+def test_sha256_of_known_bytes(tmp_path):
+    (tmp_path / "abc").write_bytes(b"abc")
+    assert sha256(tmp_path / "abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_a_killed_process_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    program = (
+        "import os, signal, sys\nfrom formats.atomic import replacing\n"
+        "with replacing(sys.argv[1]) as part:\n    part.write_text('half')\n    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
+def test_images_that_grow_too_large_leave_the_old_one(tmp_path, suffix):
+    import resource
+
+    path = tmp_path / f"a{suffix}"
+    path.write_text("old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        with pytest.raises(StorageError, match="cannot be written"):
+            write_image(path, np.random.default_rng(1).random((64, 64, 3)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == [path.name]
+
+
+def test_an_image_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    path = tmp_path / "a.hdr"
+    path.write_text("old")
+    with pytest.raises(ImageError, match="row 0, column 1"):
+        write_image(path, np.array([[[1, 1, 1], [1, -1, 1]]], np.float32))
+    assert path.read_text() == "old"

@@ -1,0 +1,94 @@
+"""`prtbake check` names what makes an asset, whose file is as it should be, mean or show something else."""
+
+import dataclasses
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from formats.asset import write_asset
+from prt_bake.inspection.assets import selftest_error, soundness_faults
+from prt_bake.mathematics import sphere
+from tests.cli.command_line import Run
+from tests.shading.test_picture import make_asset
+from tests.shapes import ball
+
+
+@pytest.fixture
+def baked(folder: Path, prtbake: Run, tmp_path: Path) -> Path:
+    path = tmp_path / "a.h5"
+    path.write_bytes((folder / "asset.h5").read_bytes())
+    assert prtbake("check", path).out.strip() == f"{path}: sound"
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (lambda file: _times(file["basis/check_values"], -1.0), "of another basis or damaged"),
+        (lambda file: _times(file["transfer/coefficients"], 1.01), "/selftest: its radiance is off"),
+        (lambda file: _times(file["selftest/radiance"], 0.99), "/selftest: its radiance is off"),
+        (lambda file: file["transfer/valid"].write_direct(np.zeros_like(file["transfer/valid"][...])), "no vertex"),
+    ],
+)
+def test_what_an_asset_says_of_itself_is_looked_at(prtbake: Run, baked: Path, change, sentence: str) -> None:
+    with h5py.File(baked, "r+") as file:
+        change(file)
+    outcome = prtbake("check", baked)
+    assert outcome.code == 1
+    told = outcome.out + outcome.err
+    assert sentence in told
+    assert str(baked) in told
+
+
+@pytest.mark.parametrize("part", ["mesh", "positions", "faces", "origin"])
+def test_a_mesh_that_was_changed_inside_an_asset_is_a_fault(prtbake: Run, baked: Path, part: str) -> None:
+    """Of vertices that the self-test does not look at."""
+    with h5py.File(baked, "r+") as file:
+        mesh = file["mesh"]
+        first, second = np.setdiff1d(np.arange(len(mesh["positions"])), file["selftest/vertex"][...])[:2]
+        if part == "origin":
+            mesh["positions"].attrs["origin"] = [1e-6, 0.0, 0.0]
+        elif part == "faces":
+            mesh["faces"][...] = mesh["faces"][...][::-1]
+        for name in ("positions", "normals", "tangents") if part == "mesh" else ("positions",) * (part == "positions"):
+            rows = mesh[name][...]
+            rows[[first, second]] = rows[[second, first]]
+            mesh[name][...] = rows
+    outcome = prtbake("check", baked)
+    assert outcome.code == 1
+    assert "/mesh: is not the one that was baked, or its vertices are in another order" in outcome.out
+
+
+def test_an_asset_that_keeps_no_digest_of_its_mesh_is_sound(prtbake: Run, baked: Path) -> None:
+    with h5py.File(baked, "r+") as file:
+        del file["mesh"].attrs["sha256"]
+    assert prtbake("check", baked).code == 0
+
+
+def test_an_asset_without_a_selftest_is_sound_and_one_that_reproduces_it_too() -> None:
+    asset = make_asset(ball(2))
+    assert list(soundness_faults(asset)) == []
+    local = sphere.uniform(5, 3)
+    vertices = np.array([0, 3, 9, 20, 41])
+    outgoing = sphere.to_world(local, asset.mesh.normals[vertices], asset.tangents[vertices])
+    light = np.random.default_rng(1).normal(size=(9, 3))
+    selftest = {"light": light, "vertex": vertices, "outgoing": outgoing, "radiance": np.zeros((5, 3))}
+    asset = dataclasses.replace(asset, selftest=selftest)
+    assert selftest_error(asset) == 1.0
+    assert len(list(soundness_faults(asset))) == 1
+
+
+def _times(dataset: h5py.Dataset, factor: float) -> None:
+    dataset[...] = dataset[...] * factor
+
+
+def test_an_asset_is_written_with_a_selftest_that_it_reproduces(baked: Path, tmp_path: Path) -> None:
+    from formats.asset import read_asset
+
+    asset = read_asset(baked)
+    assert asset.selftest
+    assert selftest_error(asset) < 1e-6
+    write_asset(asset, tmp_path / "again.h5")
+    assert selftest_error(read_asset(tmp_path / "again.h5")) < 1e-6

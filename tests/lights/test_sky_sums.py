@@ -1,0 +1,210 @@
+"""Sums over rows of pictures by kernels: as NumPy and sparse matrices make them, bit by bit the same in any blocks."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.sparse import csr_array
+
+from formats.errors import ImageError
+from formats.image import write_image
+from formats.image.rows import ImageRows, rows_of
+from prt_bake.jit import strip_vectors, vectors
+from prt_bake.lights import downsampled, environment, sky_fourier, sky_strips, sky_sums
+
+KINDS = ["float16", "float32", "float64"]
+
+
+def painted(height: int, width: int, kind: str = "float64", seed: int = 1) -> np.ndarray:
+    return (10 ** np.random.default_rng(seed).uniform(-2, 4, (height, width, 3))).astype(kind)
+
+
+def layouts(image: np.ndarray) -> dict[str, np.ndarray]:
+    """The same pixels, in the orders in which files and pictures have them."""
+    height, width, _ = image.shape
+    store = np.zeros((height, 5 + 3 * width), image.dtype)  # blue, green and red after one another, as files do
+    backward = store[:, 3 : 3 + 3 * width].reshape(height, 3, width)[:, ::-1].swapaxes(1, 2)
+    backward[:] = image
+    return {
+        "interleaved": image,
+        "planes": np.moveaxis(np.ascontiguousarray(np.moveaxis(image, 2, 0)), 0, 2),
+        "backward": backward,
+        "upside down": image[::-1].copy()[::-1],
+        "every other column": np.repeat(image, 2, axis=1)[:, ::2],
+        "other byte order": image.astype(image.dtype.newbyteorder()),
+    }
+
+
+def uneven(image: np.ndarray) -> ImageRows:
+    """In blocks of 1, 2, 3 … rows."""
+    cuts = np.cumsum(range(len(image)))
+    return ImageRows("image", *image.shape[:2], lambda: iter(np.split(image, cuts[(cuts > 0) & (cuts < len(image))])))
+
+
+def shrunk_by_matrices(image: np.ndarray, height: int) -> np.ndarray:
+    """A copy as `downsampled` says, by sparse matrices of shares; slow, and all of it at once."""
+    width = max(1, round(image.shape[1] * height / image.shape[0]))
+    down, across = (
+        shares_of(fine, coarse, measure)
+        for fine, coarse, measure in (
+            (image.shape[0], height, lambda end, begin: np.cos(np.pi * begin) - np.cos(np.pi * end)),
+            (image.shape[1], width, np.subtract),
+        )
+    )
+    return np.stack([down @ image[..., c].astype(np.float64) @ across.T for c in range(3)], axis=-1)
+
+
+def shares_of(fine: int, coarse: int, measure: object) -> csr_array:
+    cuts = np.union1d(np.arange(fine + 1) * coarse, np.arange(coarse + 1) * fine)
+    begins, ends = cuts[:-1], cuts[1:]
+    size = measure(ends / (fine * coarse), begins / (fine * coarse))
+    size /= np.bincount(begins // fine, size)[begins // fine]
+    return csr_array((size, (begins // fine, begins // coarse)), (coarse, fine))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("rows", "width", "degree"), [(1, 1, 0), (5, 7, 2), (9, 600, 4), (4, 1025, 1), (6, 1030, 20)])
+def test_waves_are_sums_over_columns(kind: str, rows: int, width: int, degree: int) -> None:
+    image, azimuth = painted(rows, width, kind), sky_fourier.azimuth_integrals(width, degree)
+    expected = np.einsum("rwc,mw->rcm", image.astype(np.float64), azimuth)
+    scale = 1e-15 * np.abs(image.astype(np.float64)).sum() * np.abs(azimuth).max()
+    for name, block in layouts(image).items():
+        found = sky_sums.row_waves(sky_sums.as_planes(block), azimuth)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=scale, err_msg=name)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("rows", "width", "degree"), [(1, 16, 0), (5, 48, 1), (9, 1024, 2), (6, 1040, 3), (5, 2080, 20)]
+)
+def test_strips_are_sums_over_columns(kind: str, rows: int, width: int, degree: int) -> None:
+    """Half a strip, one, and several, the last of them short; one wave of a pair alone, and none."""
+    image, azimuth = painted(rows, width, kind), sky_fourier.azimuth_integrals(width, degree)
+    expected = np.einsum("rwc,mw->rcm", image.astype(np.float64), azimuth)
+    scale = 1e-15 * np.abs(image.astype(np.float64)).sum() * np.abs(azimuth).max()
+    for name, block in layouts(image).items():
+        planes = sky_sums.as_planes(block)
+        found = sky_strips.row_waves(planes, sky_strips.strip_waves(width, degree), degree)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=scale, err_msg=name)
+
+
+def test_planes_are_the_pixels_themselves() -> None:
+    """No copy of what a file's rows are read into, nor of a luminance that stands for three channels."""
+    for name, block in layouts(painted(4, 9, "float16")).items():
+        shared = np.shares_memory(sky_sums.as_planes(block).numbers, block)
+        assert shared == (name in ("planes", "backward")), name
+    plane = painted(4, 9)[..., 0].copy()
+    assert np.shares_memory(sky_sums.as_planes(np.broadcast_to(plane[..., None], (4, 9, 3))).numbers, plane)
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_every_half_is_widened_exactly(monkeypatch: pytest.MonkeyPatch, native: bool) -> None:
+    """With and without help from the processor; what is not finite stays so."""
+    monkeypatch.setattr(vectors, "_processor_widens", lambda own=vectors._processor_widens: native and own())
+    as_double = vectors.as_double
+
+    @njit
+    def widened(bits: np.ndarray) -> np.ndarray:
+        numbers = np.empty(len(bits))
+        for i in range(len(bits)):
+            numbers[i] = as_double(bits[i])
+        return numbers
+
+    @njit
+    def in_strips(bits: np.ndarray) -> np.ndarray:
+        numbers, half, waves = np.empty(len(bits)), len(bits) // 2, np.zeros(len(bits))
+        strip_vectors.strip_sums_set(bits, 0, half, half, waves, 0, numbers, 0, half, 1.0)
+        return numbers
+
+    every = np.arange(65536, dtype=np.uint16)
+    expected = every.view(np.float16).astype(np.float64)
+    finite = np.isfinite(expected)
+    for found in (widened(every), in_strips(every)):
+        np.testing.assert_array_equal(found[finite], expected[finite])
+        assert not np.isfinite(found[~finite]).any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("shape", [(37, 20), (12, 7), (150, 64)])
+def test_large_and_small_pictures_are_summed_alike(
+    monkeypatch: pytest.MonkeyPatch, kind: str, shape: tuple[int, int]
+) -> None:
+    image = painted(*shape, kind)
+    small = environment.project(image, 6)
+    monkeypatch.setattr(sky_fourier, "LARGE", 0)
+    monkeypatch.setattr(sky_fourier, "_by_matrices", None)
+    np.testing.assert_allclose(environment.project(image, 6), small, rtol=0, atol=1e-13 * np.abs(small).max())
+
+
+def test_numbers_that_are_no_halves_are_taken_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sky_fourier, "LARGE", 0)
+    whole = np.random.default_rng(2).integers(0, 60000, (6, 8, 3)).astype(np.uint16)
+    np.testing.assert_array_equal(environment.project(whole), environment.project(whole.astype(np.float64)))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("width", [70, 80, 1056])
+def test_blocks_and_threads_change_no_bit(monkeypatch: pytest.MonkeyPatch, width: int, kind: str) -> None:
+    image = painted(90, width, kind)
+    monkeypatch.setattr(sky_fourier, "LARGE", 0)
+    found = []
+    for threads, rows in ((1, rows_of(image, rows=90)), (1, rows_of(image, rows=1)), (3, uneven(image))):
+        monkeypatch.setattr(sky_sums, "THREADS", threads)
+        copies = [downsampled.shrink(rows, height, 3, "z") for height in (1, 7, 60)]
+        found.append([environment.project(rows, 3), *(part for copy in copies for part in copy)])
+    for others in found[1:]:
+        for one, other in zip(found[0], others, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("shape", "height"),
+    [
+        ((64, 128), 23), ((31, 50), 30), ((50, 9), 1), ((7, 9), 7), ((40, 2080), 13), ((33, 1056), 25), ((30, 48), 7),
+        ((9, 1072), 1), ((50, 16), 1), ((12, 32), 12),
+    ],
+)  # fmt: skip
+def test_copies_are_those_of_sparse_matrices(shape: tuple[int, int], height: int) -> None:
+    image = painted(*shape, "float32")
+    expected = shrunk_by_matrices(image, height)
+    for rows in (rows_of(image, rows=5), rows_of(image)):
+        copy, residual = downsampled.shrink(rows, height, 4, "y")
+        np.testing.assert_allclose(copy, expected, rtol=1e-7)
+        whole = environment.project(image, 4)
+        lost = whole - environment.project(copy, 4)
+        np.testing.assert_allclose(residual, lost, rtol=0, atol=1e-13 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("width", [8, 16])
+def test_what_is_not_finite_is_refused_with_its_place(
+    monkeypatch: pytest.MonkeyPatch, width: int, kind: str, value: float
+) -> None:
+    """One channel is enough, and two infinities that cancel."""
+    image = painted(40, width, kind)
+    image[33, 5, 1] = value
+    image[35, 1, 2], image[35, 5, 2] = value, -value
+    refusals = []
+    for large in (1 << 27, 0):
+        monkeypatch.setattr(sky_fourier, "LARGE", large)
+        with pytest.raises(ImageError, match=rf"found 3 of {40 * width} pixels .* row 33, column 5") as refusal:
+            environment.project(rows_of(image, rows=8))
+        refusals.append(str(refusal.value))
+    assert refusals[0] == refusals[1]
+    with pytest.raises(ImageError, match=rf"found 3 of {40 * width} pixels .* row 33, column 5"):
+        downsampled.shrink(rows_of(image, rows=8), 11, 2, "y")
+
+
+def test_small_skies_do_not_wait_for_numba(tmp_path: Path) -> None:
+    write_image(tmp_path / "sky.exr", painted(8, 16))
+    program = (
+        "import sys\nfrom prt_bake.cli.main import main\n"
+        f"assert main(['light', {str(tmp_path / 'sky.exr')!r}]) == 0\n"
+        "print('numba' in sys.modules, file=sys.stderr)"
+    )
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stderr.split() == ["False"]

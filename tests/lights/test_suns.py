@@ -1,0 +1,238 @@
+"""Suns split from skies: energy, resolution, places where pictures are awkward, and what is no sun."""
+
+import math
+
+import numpy as np
+import pytest
+
+from formats.scene.lights import DirectionalLight
+from prt_bake.lights import environment, suns
+from prt_bake.lights.bright_sources import small_regions
+from prt_bake.lights.lighting import Lighting, Sky
+from prt_bake.lights.suns import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
+from prt_bake.mathematics import sphere
+
+TURN = sphere.random_rotations(1, 8)[0]
+
+
+def directions(width: int) -> np.ndarray:
+    """Of the pixels' centres [H,W,3]."""
+    u, v = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(width // 2) + 0.5) / (width // 2))
+    return environment.direction_of(u, v)
+
+
+def clouds(width: int) -> np.ndarray:
+    """A smooth coloured sky about 1 bright."""
+    d = directions(width)
+    return (1.0 + 0.5 * d @ np.array([[0.2, 0.5, 0.1], [0.6, 0.7, 0.9], [0.3, -0.1, 0.4]])).astype(np.float32)
+
+
+def disc(width: int, towards, degrees: float, radiance) -> np.ndarray:
+    inside = directions(width) @ (np.asarray(towards) / np.linalg.norm(towards)) >= math.cos(math.radians(degrees / 2))
+    return (inside[..., None] * np.asarray(radiance)).astype(np.float32)
+
+
+def energy(image: np.ndarray) -> np.ndarray:
+    """∫ L dω [3], exactly."""
+    return environment.project(image, 0)[0] * math.sqrt(4.0 * math.pi)
+
+
+def split(image: np.ndarray, turn=None, up: str = "y") -> SplitSky:
+    return split_suns(Sky(np.asarray(image, np.float32), up, np.eye(3) if turn is None else turn))
+
+
+def reduced(image: np.ndarray, factor: int) -> np.ndarray:
+    """The mean over blocks of pixels by solid angle, as a picture of fewer pixels would have been taken."""
+    h, w = image.shape[0] // factor, image.shape[1] // factor
+    rows = np.diff(-np.cos(np.pi * np.arange(len(image) + 1) / len(image)))
+    weighted = (image * rows[:, None, None]).reshape(h, factor, w, factor, 3).sum(axis=(1, 3))
+    return weighted / (factor * rows.reshape(h, factor).sum(axis=1))[:, None, None]
+
+
+def angle(a, b) -> float:
+    return math.degrees(2.0 * math.asin(min(1.0, 0.5 * float(np.linalg.norm(np.asarray(a) - np.asarray(b))))))
+
+
+SUNNY = clouds(512) + disc(512, (0.3, 0.6, -0.5), 1.2, (9e4, 8e4, 6e4)) + disc(512, (-1, 0.2, 0.1), 5.0, (600, 300, 90))
+
+
+def overlaps(fine: np.ndarray, coarse: np.ndarray) -> np.ndarray:
+    """The share [C,F] of each coarse interval that each fine one covers; both are given by their edges."""
+    common = np.minimum(fine[None, 1:], coarse[1:, None]) - np.maximum(fine[None, :-1], coarse[:-1, None])
+    return np.maximum(common, 0.0) / np.diff(coarse)[:, None]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 700), (128, 256), (300, 31), (129, 257), (1000, 1999)])
+def test_cells_are_means_over_solid_angle(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int]) -> None:
+    """Of all pixels at once, in more digits; whatever share of a cell's rows is read at a time."""
+    image = np.random.default_rng(5).random((*shape, 3), np.float32)
+    height, width = (np.arange(size + 1).astype(np.longdouble) / size for size in shape)
+    rows, columns = (np.arange(n + 1).astype(np.longdouble) / n for n in (min(shape[0], 128), min(shape[1], 256)))
+    down = overlaps(np.sin(height * np.pi / 2) ** 2, np.sin(rows * np.pi / 2) ** 2)
+    expected = down @ image.mean(axis=2, dtype=np.longdouble) @ overlaps(width, columns).T
+    for size in (1, suns._BLOCK_BYTES):
+        monkeypatch.setattr(suns, "_BLOCK_BYTES", size)
+        np.testing.assert_allclose(suns._grid_of(image).grey, expected.astype(np.float64), rtol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(512, 1024), (256, 512), (200, 300), (90, 777)])
+def test_suns_and_the_rest_have_the_energy_of_the_sky_in_every_channel(shape: tuple[int, int]) -> None:
+    image = np.random.default_rng(1).random((*shape, 3)).astype(np.float32)
+    for place in ((0.4, 0.3), (0.1, 0.8)):
+        image[int(place[0] * shape[0]), int(place[1] * shape[1])] = (1e5, 5e4, 2e4)
+    found = split(image)
+    assert len(found.suns) == 2
+    assert (found.rest.image >= 0.0).all()
+    assert found.rest.image.max() < 10.0
+    whole = sum(sun.irradiance for sun in found.suns) + energy(found.rest.image)
+    np.testing.assert_allclose(whole, energy(image), rtol=1e-6)
+    assert sum(found.shares) == pytest.approx(1.0 - energy(found.rest.image).mean() / energy(image).mean(), rel=1e-5)
+
+
+def test_the_sky_that_was_given_stays_as_it_was() -> None:
+    before = SUNNY.copy()
+    split(SUNNY)
+    np.testing.assert_array_equal(SUNNY, before)
+    calm = Sky(clouds(256), "y", np.eye(3))
+    assert split_suns(calm).rest is calm
+
+
+def test_a_reduced_picture_has_the_same_suns() -> None:
+    """2048 columns to 256: within a hundredth of their light, and a small part of the coarse pixel in place."""
+    fine = (
+        clouds(2048) + disc(2048, (0.3, 0.6, -0.5), 0.6, (1e5, 9e4, 7e4)) + disc(2048, (-1, 0.2, 0.1), 5, (250, 99, 9))
+    )
+    expected = split(fine).suns
+    assert len(expected) == 2
+    for factor in (2, 4, 8):
+        found = split(reduced(fine, factor)).suns
+        assert len(found) == 2
+        for ours, theirs in zip(found, expected, strict=True):
+            np.testing.assert_allclose(ours.irradiance, theirs.irradiance, rtol=1e-2)
+            assert angle(ours.direction, theirs.direction) < 0.5 * 360.0 * factor / 2048
+
+
+def test_a_sun_is_where_it_is_as_strong_and_as_wide() -> None:
+    for degrees in (1.0, 5.0):
+        towards = np.array([0.48, 0.6, 0.64])
+        bright = disc(2048, towards, degrees, np.array([1000.0, 500.0, 250.0]) * (5.0 / degrees) ** 2)
+        found = split(clouds(2048) + bright)
+        (sun,) = found.suns
+        assert (
+            np.abs((found.rest.image - clouds(2048)).mean(axis=2)).max() < 0.2
+        )  # what surrounds it goes on where it was
+        assert angle(sun.direction, towards) < 0.02
+        assert sun.angular_diameter == pytest.approx(degrees, rel=0.03)
+        np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=1e-2)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_turned_sky_has_turned_suns(up: str) -> None:
+    still, turned = split(SUNNY, None, up), split(SUNNY, TURN, up)
+    assert len(still.suns) == 2
+    for ours, theirs in zip(turned.suns, still.suns, strict=True):
+        np.testing.assert_allclose(ours.direction, TURN @ theirs.direction, atol=1e-12)
+        np.testing.assert_array_equal(ours.irradiance, theirs.irradiance)
+
+
+@pytest.mark.parametrize("columns", [64, 213])
+def test_rolled_columns_turn_the_suns(columns: int) -> None:
+    still, rolled = split(SUNNY), split(np.roll(SUNNY, columns, axis=1))
+    turn = environment.rotation(-360.0 * columns / 512, "y")
+    for ours, theirs in zip(rolled.suns, still.suns, strict=True):
+        # A roll by less than a cell moves what is spread over its cells.
+        assert angle(ours.direction, turn @ theirs.direction) < (1e-6 if columns % 2 == 0 else 0.05)
+        np.testing.assert_allclose(ours.irradiance, theirs.irradiance, rtol=1e-6 if columns % 2 == 0 else 1e-2)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 0.25, 1024.0])
+def test_a_brighter_sky_has_suns_as_much_brighter(factor: float) -> None:
+    still, scaled = split(SUNNY), split(SUNNY * np.float32(factor))
+    for ours, theirs in zip(scaled.suns, still.suns, strict=True):
+        np.testing.assert_allclose(ours.irradiance, factor * theirs.irradiance, rtol=1e-5)
+        np.testing.assert_allclose(ours.direction, theirs.direction, atol=1e-6)
+    np.testing.assert_allclose(scaled.rest.image, factor * still.rest.image, rtol=1e-5)
+
+
+@pytest.mark.parametrize("towards", [(-1, 0.02, 0.0), (0, 1, 0), (0, -1, 0), (0.02, 1, 0.01), (1, 0, 0)])
+@pytest.mark.parametrize("degrees", [1.0, 5.0])
+def test_seams_and_poles_are_no_obstacles(towards, degrees: float) -> None:
+    """The first lies across the seam, the others on and near the poles."""
+    bright = disc(1024, towards, degrees, np.array([2e3, 1e3, 1e3]) * (5.0 / degrees) ** 2)
+    (sun,) = split(clouds(1024) + bright).suns
+    assert angle(sun.direction, towards / np.linalg.norm(towards)) < 0.1
+    np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=2e-2)
+
+
+def test_cells_across_a_pole_touch() -> None:
+    values, solid_angle, direction = np.zeros((64, 128)), np.full((64, 128), 1e-3), np.zeros((64, 128, 3))
+    values[-1, [0, 64]] = 5.0
+    direction[-1] = [0.0, 0.0, -1.0]
+    (region,) = small_regions(values, solid_angle, direction, 0.1, 1e-3)
+    assert region.cells.tolist() == [63 * 128, 63 * 128 + 64]
+    assert region.excess == pytest.approx(1e-2)
+
+
+def test_opposite_suns_are_two_and_near_ones_stay_apart() -> None:
+    towards = np.array([0.48, 0.6, 0.64])
+    found = split(clouds(512) + disc(512, towards, 2, [3e3] * 3) + disc(512, -towards, 2, [2e3] * 3)).suns
+    assert [angle(sun.direction, sign * towards) < 0.3 for sun, sign in zip(found, (1, -1), strict=True)] == [
+        True,
+        True,
+    ]
+    near = split(clouds(512) + disc(512, (1, 0, 0), 2, [3e3] * 3) + disc(512, (1, 0, 0.4), 2, [3e3] * 3)).suns
+    assert len(near) == 2
+
+
+def test_one_texel_is_a_sun_and_one_on_black_is_all_of_it() -> None:
+    image = np.zeros((64, 128, 3), np.float32)
+    image[20, 127] = (3e4, 2e4, 1e4)
+    found = split(image)
+    (sun,) = found.suns
+    np.testing.assert_allclose(sun.irradiance, energy(image), rtol=1e-6)
+    assert not found.rest.image.any()
+    assert found.shares == pytest.approx((1.0,))
+    assert 1.0 < sun.angular_diameter < 360.0 / 128 * 1.5
+
+
+def test_there_are_a_few_at_most_the_strongest_first() -> None:
+    image = clouds(512)
+    for i in range(12):
+        image = image + disc(512, (math.cos(i / 2), 0.4, math.sin(i / 2)), 2.0, [3e3 + 100 * i] * 3)
+    found = split(image).suns
+    powers = [float(sun.irradiance.mean()) for sun in found]
+    assert len(found) == MOST_SUNS
+    assert powers == sorted(powers, reverse=True)
+    assert found[0].direction @ np.array([math.cos(5.5), 0.4, math.sin(5.5)]) > 1.0
+
+
+NO_SUNS = {
+    "black": np.zeros((64, 128, 3)),
+    "one pixel": np.full((1, 1, 3), 7.0),
+    "two pixels": np.array([[[1.0, 1.0, 1.0], [9e4, 9e4, 9e4]]]),
+    "constant": np.full((256, 512, 3), 3.0),
+    "smooth": clouds(512),
+    "noise": np.random.default_rng(2).random((256, 512, 3)),
+    "a bright half": disc(512, (0, 1, 0), 180.0, (9, 9, 9)),
+    "a window": disc(512, (1, 0.2, 0.3), 25.0, (500, 500, 500)) + 0.1,
+    "a noisy window": disc(512, (1, 0.2, 0.3), 25.0, (500, 500, 500))
+    * (0.9 + 0.2 * np.random.default_rng(2).random((256, 512, 1))),
+    "a bright horizon": np.repeat(np.where(abs(np.arange(256) - 128) < 3, 100.0, 0.1)[:, None, None], 512, 1)
+    * np.ones(3),
+    "pixels wider than suns": np.where(np.arange(16 * 8).reshape(8, 16, 1) == 40, 1e5, 1.0) * np.ones(3),
+}
+
+
+@pytest.mark.parametrize("name", NO_SUNS)
+def test_what_is_wide_or_even_has_no_sun(name: str) -> None:
+    assert split(NO_SUNS[name]).suns == ()
+
+
+def test_a_lighting_keeps_its_own_suns_and_all_of_its_energy() -> None:
+    own = DirectionalLight(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.5)
+    found = split_lighting(Lighting((Sky(SUNNY, "y", TURN), Sky(clouds(64), "z", TURN)), (own,)))
+    assert found.suns[0] is own
+    assert len(found.suns) == 3
+    calm = Lighting((Sky(clouds(64), "z", TURN),), (own,))
+    assert split_lighting(calm) is calm
+    assert all(sun.angular_diameter < WIDEST for sun in found.suns)

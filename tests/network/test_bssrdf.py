@@ -1,0 +1,348 @@
+"""Laws of the neural BSSRDF: its size, its features, its two ways to evaluate, its files."""
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from formats.errors import ModelError, QueryError
+from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
+from prt_bake.network.features.interior import LEVELS, Interior
+from prt_bake.network.settings import NetworkSettings as Settings
+
+SMALL = {"features": 12, "width": 16}
+
+
+def unit(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:
+    vectors = rng.normal(size=(*shape, 3))
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def trained(network: NeuralBSSRDF) -> NeuralBSSRDF:
+    """The network with biases, which a fresh one has not: what forgets them shows."""
+    generator = torch.Generator().manual_seed(11)
+    with torch.no_grad():
+        for name, weights in network.named_parameters():
+            if name.endswith("bias"):
+                weights.normal_(0.0, 0.3, generator=generator)
+    return network
+
+
+@pytest.fixture(params=["paper", "measured"])
+def network(request: pytest.FixtureRequest) -> NeuralBSSRDF:
+    settings = PRESETS[request.param]
+    # As fine as the trainer would have it in an object that fills its box.
+    settings = replace(settings, grid_places=20) if settings.grid_places else settings
+    inside = rough_interior(40) if settings.ray_samples else None
+    return trained(NeuralBSSRDF(settings, (-1.0, -2.0, 0.5), 3.0, output_scale=0.7, interior=inside))
+
+
+def rough_interior(places: int) -> Interior:
+    """Inside and outside in turns, anyhow; 40 places a side take about as much as an object's may."""
+    levels = np.random.default_rng(7).integers(-LEVELS, LEVELS + 1, (1, *(places,) * 3))
+    return Interior(levels.astype(np.int8), (-0.1, -0.1, -0.1), 1.2 / (places - 1), (4.0,), 1.4)
+
+
+def test_default_network_has_the_papers_number_of_weights() -> None:
+    assert sum(weights.numel() for weights in NeuralBSSRDF().parameters()) == 164_867
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
+def test_file_has_the_papers_size_and_gives_the_same_network_back(
+    network: NeuralBSSRDF, suffix: str, tmp_path: Path
+) -> None:
+    network.metadata = {"up": "z", "eta": 1.3, "training": {"steps": 5}}
+    path = tmp_path / f"model{suffix}"
+    if network.view is not None:
+        network = network.rounded()  # as trainers write it
+    save_model(network, path)
+    least, most = (640, 660) if network.view is None else (560, 660)
+    assert least * 1024 <= path.stat().st_size <= most * 1024
+    again = load_model(path)
+    assert again.settings == network.settings
+    assert again.metadata == network.metadata
+    rng = np.random.default_rng(1)
+    query = unit(rng, 5, 2), rng.uniform(-1, 1, (5, 3)), unit(rng, 5)
+    np.testing.assert_array_equal(again.evaluate(*query), network.evaluate(*query))
+
+
+def test_a_rounded_network_takes_half_the_bytes_and_answers_nearly_the_same(
+    network: NeuralBSSRDF, tmp_path: Path
+) -> None:
+    rounded = network.rounded()
+    save_model(rounded, tmp_path / "model.pt")
+    assert (tmp_path / "model.pt").stat().st_size <= (372 if network.view is None else 660) * 1024
+    again = load_model(tmp_path / "model.pt")
+    rng = np.random.default_rng(1)
+    query = unit(rng, 64, 2), rng.uniform(-1, 1, (64, 3)), unit(rng, 64)
+    np.testing.assert_array_equal(again.evaluate(*query), rounded.evaluate(*query))
+    plain = network.evaluate(*query)
+    assert 0.0 < np.linalg.norm(rounded.evaluate(*query) - plain) < 1e-3 * np.linalg.norm(plain)
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_beyond_half_precision_are_kept(tmp_path: Path) -> None:
+    network = NeuralBSSRDF(NetworkSettings(**SMALL))
+    with torch.no_grad():
+        network.output.weight[0, 0], network.output.weight[0, 1] = 1e6, 1.0 / 3.0
+    save_model(network.rounded(), tmp_path / "model.pt")
+    kept = load_model(tmp_path / "model.pt").output.weight[0, :2].tolist()
+    assert kept == [1e6, float(np.float16(1.0 / 3.0))]
+
+
+def test_features_are_those_of_the_definition_even_far_from_the_origin() -> None:
+    """cos 2πGu and sin 2πGu in float64, with mean 18 and an object a million units away."""
+    box_min = np.array([1e6, -2e6, 3e6])
+    network = NeuralBSSRDF(box_min=box_min, box_side=2.0)
+    rng = np.random.default_rng(2)
+    wi, wo, relative = unit(rng, 50), unit(rng, 50), rng.uniform(0, 1, (50, 3))
+    angles = [
+        np.stack([np.arccos(w[:, 2]) / np.pi, np.arctan2(w[:, 1], w[:, 0]) % (2 * np.pi) / (2 * np.pi)], axis=1)
+        for w in (wi, wo)
+    ]
+    u = np.concatenate([angles[0], relative, angles[1]], axis=1)
+    phase = 2 * np.pi * u @ network.frequencies.double().numpy().T
+    query = [torch.as_tensor(array) for array in (wi, box_min + 2.0 * relative, wo)]
+    features = network.fourier_features(network.inputs(*query)).numpy()
+    np.testing.assert_allclose(features, np.concatenate([np.cos(phase), np.sin(phase)], axis=1), atol=2e-5)
+
+
+def test_forward_is_the_architecture_of_the_paper() -> None:
+    """Five hidden layers, layer 1 joined to layer 3's input and layer 2 to layer 4's, written out by hand."""
+    network = trained(NeuralBSSRDF(NetworkSettings(**SMALL), output_scale=2.0))
+    rng = np.random.default_rng(3)
+    query = [torch.as_tensor(array) for array in (unit(rng, 7), rng.uniform(0, 1, (7, 3)), unit(rng, 7))]
+    w = {name: weights.detach().double().numpy() for name, weights in network.named_parameters()}
+    x = network.fourier_features(network.inputs(*query)).double().numpy()
+
+    def layer(number: int, h: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(h @ w[f"hidden.{number - 1}.weight"].T + w[f"hidden.{number - 1}.bias"], 0.0)
+
+    h1 = layer(1, x)
+    h2 = layer(2, h1)
+    h3 = layer(3, np.concatenate([h2, h1], axis=1))
+    h4 = layer(4, np.concatenate([h3, h2], axis=1))
+    expected = 2.0 * (layer(5, h4) @ w["output.weight"].T + w["output.bias"])
+    np.testing.assert_allclose(network(*query).detach().numpy(), expected, atol=1e-5)
+
+
+def test_forward_lets_the_light_in_late() -> None:
+    """Two of four layers see ωi and powers of ωi·ωo, written out by hand; skips lead from 1 to 3 and from 2 to 4."""
+    late: dict[str, Any] = {"light_layers": 2, "light_features": 5, "light_spread": 0.4, "angle_powers": 3}
+    settings = NetworkSettings(6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", **late)
+    network = trained(NeuralBSSRDF(settings, output_scale=2.0))
+    rng = np.random.default_rng(8)
+    wi, x, wo = unit(rng, 7, 3), rng.uniform(0, 1, (7, 3)), unit(rng, 7)
+    w = {name: weights.detach().double().numpy() for name, weights in network.named_parameters()}
+
+    def features(vectors: NDArray[np.float64], frequencies: torch.Tensor) -> NDArray[np.float64]:
+        phase = 2 * np.pi * vectors @ frequencies.double().numpy().T
+        return np.concatenate([np.cos(phase), np.sin(phase)], axis=-1)
+
+    def layer(number: int, *parts: NDArray[np.float64]) -> NDArray[np.float64]:
+        h = np.concatenate(parts, axis=-1) @ w[f"hidden.{number - 1}.weight"].T + w[f"hidden.{number - 1}.bias"]
+        return h / (1.0 + np.exp(-h))
+
+    cosine = np.einsum("ndk,nk->nd", wi, wo)[..., None]
+    light = np.concatenate([features(wi, network.light_frequencies), cosine, cosine**2, cosine**3], axis=-1)
+    h1 = layer(1, np.repeat(features(np.concatenate([x, wo], axis=1), network.frequencies)[:, None], 3, axis=1))
+    h2 = layer(2, h1)
+    h3 = layer(3, h2, h1, light)
+    h4 = layer(4, h3, h2, light)
+    expected = 2.0 * (h4 @ w["output.weight"].T + w["output.bias"])
+    query = [torch.as_tensor(array) for array in (wi, x, wo)]
+    np.testing.assert_allclose(network.radiance(*query).detach().numpy(), expected, atol=1e-5)
+    np.testing.assert_allclose(network.evaluate(wi, x, wo), expected, atol=1e-5)
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-5), ("bfloat16", 3e-2)])
+def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precision: str, tolerance: float) -> None:
+    rng = np.random.default_rng(4)
+    incident, rotation = unit(rng, 4, 10), rng.integers(0, 4, (3, 70))
+    positions, outgoing = rng.uniform(-1, 2, (3, 3)), unit(rng, 3, 70)
+    block = network.prepared(precision).evaluate_block(incident, rotation, positions, outgoing)
+    plain = network.evaluate(
+        incident[rotation].reshape(-1, 10, 3), np.repeat(positions, 70, axis=0), outgoing.reshape(-1, 3)
+    )
+    assert block.shape == (3, 70, 10, 3)
+    np.testing.assert_allclose(block.reshape(plain.shape), plain, atol=tolerance * np.abs(plain).max())
+
+
+@pytest.mark.parametrize("late", [0, 1, 2, 3])
+@pytest.mark.parametrize("activation", ["relu", "silu"])
+def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
+    """Odd widths, other skips and another activation; more directions than one tile or table holds."""
+    skips = ((1, 3), (1, 4), (2, 4))
+    told: dict[str, Any] = {"activation": activation, "light_layers": late, "angle_powers": max(0, late - 1)}
+    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, directions="cartesian", **told)
+    network = trained(NeuralBSSRDF(settings))
+    rng = np.random.default_rng(5)
+    incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)
+    rotation = np.array([[19, 0, 7]])
+    block = network.evaluate_block(incident, rotation, positions, outgoing)
+    plain = network.evaluate(incident[rotation[0]], np.repeat(positions, 3, axis=0), outgoing[0])
+    np.testing.assert_allclose(block[0], plain, atol=2e-5 * np.abs(plain).max())
+
+
+def test_powers_of_the_angle_need_layers_that_take_them() -> None:
+    with pytest.raises(ModelError, match="angle_powers must not be negative, and without light_layers"):
+        NetworkSettings(angle_powers=2)
+    with pytest.raises(ModelError, match="found -1"):
+        NetworkSettings(light_layers=1, angle_powers=-1)
+
+
+LATE = NetworkSettings(features=9, directions="cartesian", light_layers=2, angle_powers=2)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_block_does_not_depend_on_how_it_is_cut(network: NeuralBSSRDF, precision: str) -> None:
+    assert_any_cut_is_alike(network, precision)
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+def test_block_of_a_network_that_sees_the_light_late_does_neither(precision: str) -> None:
+    assert_any_cut_is_alike(trained(NeuralBSSRDF(LATE)), precision)
+
+
+def assert_any_cut_is_alike(network: NeuralBSSRDF, precision: str) -> None:
+    """156 bins of 13 directions fill a tile; 2,100 are more than views are taken at once."""
+    rng = np.random.default_rng(6)
+    incident, rotation = unit(rng, 8, 13), rng.integers(0, 8, (3, 700))
+    positions, outgoing = rng.uniform(0, 1, (3, 3)), unit(rng, 3, 700)
+    fused = network.prepared(precision)
+    whole = fused.evaluate_block(incident, rotation, positions, outgoing)
+    part = fused.evaluate_block(incident, rotation[1:2, 3:], positions[1:2], outgoing[1:2, 3:])
+    np.testing.assert_array_equal(part, whole[1:2, 3:])
+
+
+def test_shared_directions_are_each_querys_own_repeated(network: NeuralBSSRDF) -> None:
+    rng = np.random.default_rng(7)
+    incident, positions, outgoing = unit(rng, 6), rng.uniform(0, 1, (4, 3)), unit(rng, 4)
+    own = np.broadcast_to(incident, (4, 6, 3))
+    np.testing.assert_array_equal(
+        network.evaluate(incident, positions, outgoing), network.evaluate(own, positions, outgoing)
+    )
+
+
+def test_preparing_leaves_the_network_as_it_was(network: NeuralBSSRDF) -> None:
+    network.train()
+    network.prepared("bfloat16")
+    assert network.training
+    assert network.output.weight.dtype is torch.float32
+
+
+class Hostile:
+    """Would write a file when unpickled."""
+
+    def __init__(self, target: Path) -> None:
+        self.target = target
+
+    def __reduce__(self) -> tuple[object, tuple[str, str]]:
+        return open, (str(self.target), "w")
+
+
+def test_hostile_pickle_is_refused_and_never_runs(tmp_path: Path) -> None:
+    target = tmp_path / "it ran"
+    torch.save({"prtbake": "{}", "tensors": Hostile(target)}, tmp_path / "model.pt")
+    with pytest.raises(ModelError, match=r"model\.pt.*refused"):
+        load_model(tmp_path / "model.pt")
+    (tmp_path / "bare.pt").write_bytes(pickle.dumps(Hostile(target)))
+    with pytest.raises(ModelError, match=r"bare\.pt"):
+        load_model(tmp_path / "bare.pt")
+    assert not target.exists()
+
+
+def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
+    """A small model with some tensors replaced (None: taken out)."""
+    path = tmp_path / "model.pt"
+    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
+    content = torch.load(path, weights_only=True)
+    for name, tensor in change.items():
+        content["tensors"][name] = tensor
+    content["tensors"] = {name: tensor for name, tensor in content["tensors"].items() if tensor is not None}
+    torch.save(content, path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"hidden.2.weight": torch.full((16, 32), torch.nan)},
+            r"hidden\.2\.weight holds 512 values that are not finite",
+        ),
+        ({"hidden.1.bias": torch.zeros(15)}, r"hidden\.1\.bias has shape \(15,\), expected \(16,\)"),
+        ({"output.bias": None}, r"output\.bias is missing"),
+        ({"extra": torch.zeros(2)}, r"extra is not part"),
+        ({"output.bias": torch.zeros(3, dtype=torch.int32)}, r"output\.bias holds torch\.int32"),
+        ({"output.bias": "words"}, r"'output\.bias' is not a named tensor"),
+    ],
+)
+def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ModelError, match=sentence):
+        load_model(damaged(tmp_path, change))
+
+
+@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
+def test_files_of_another_kind_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"model{suffix}"
+    with pytest.raises(ModelError, match="no such file"):
+        load_model(path)
+    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
+    whole = path.read_bytes()
+    for content in (b"", b"ply\nformat ascii 1.0\n", whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(ModelError, match=f"model\\{suffix}: "):
+            load_model(path)
+    with pytest.raises(ModelError, match="ends in"):
+        load_model(tmp_path / "model.onnx")
+
+
+def test_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
+    torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
+    with pytest.raises(ModelError, match="something else"):
+        load_model(tmp_path / "other.pt")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "sentence"),
+    [
+        ("colour", 1, "unknown key 'colour'"),
+        ("width", "wide", "width must be of type int"),
+        ("skips", [[3, 1]], r"skip \(3, 1\)"),
+        ("skips", 4, "pairs"),
+        ("layers", 0, "layers must be at least 1"),
+        ("activation", "sine", "activation must be relu or silu"),
+    ],
+)
+def test_settings_that_make_no_network_are_refused(key: str, value: object, sentence: str) -> None:
+    with pytest.raises(ModelError, match=sentence):
+        Settings.from_json(Settings().as_json() | {key: value})
+
+
+def test_settings_survive_json() -> None:
+    for settings in PRESETS.values():
+        assert Settings.from_json(json.loads(json.dumps(settings.as_json()))) == settings
+
+
+def test_unsound_network_is_not_saved_over_a_good_file(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    network = NeuralBSSRDF(NetworkSettings(**SMALL))
+    save_model(network, path)
+    before = path.read_bytes()
+    with torch.no_grad():
+        network.output.bias[1] = torch.inf
+    with pytest.raises(ModelError, match=r"output\.bias holds 1 value"):
+        save_model(network, path)
+    assert path.read_bytes() == before
+
+
+def test_unknown_precision_is_refused(network: NeuralBSSRDF) -> None:
+    with pytest.raises(QueryError, match="float32, bfloat16"):
+        network.prepared("float16")

@@ -1,0 +1,204 @@
+"""Lobes of networks: what they are, how they are summed, learnt from and left out."""
+
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+
+from formats.errors import ModelError
+from prt_bake.mathematics.sphere import fibonacci, uniform
+from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model, save_model
+from prt_bake.network.features.interior import LEVELS, REACH, Interior
+from prt_bake.network.features.view_features import ViewFeatures
+from prt_bake.network.inference.pairs import PairNetwork
+from prt_bake.network.lobes import NUMBERS, in_directions, lobes_from, mean_square
+from prt_bake.network.settings import EXIT, NetworkSettings
+from prt_bake.trainer.learner import Learner
+from prt_bake.trainer.objective import SomeLobes, of_exits
+from prt_bake.trainer.samples.rows import Batch
+from prt_bake.trainer.train import train
+from tests.network.test_view_ray import cube
+from tests.shapes import ball
+from tests.tracer.scenes import make_scene
+from tests.trainer import small_training
+
+LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, ray_turns=0, lobes=3)
+SPACING = 0.02
+
+
+def told(views: int, lobes: int, spread: float, seed: int = 1) -> torch.Tensor:
+    return spread * torch.randn((views, NUMBERS * lobes), generator=torch.Generator().manual_seed(seed))
+
+
+def unit(count: int, seed: int) -> torch.Tensor:
+    return torch.from_numpy(uniform(count, seed)).float()
+
+
+def glass_ball(eta: float) -> Interior:
+    """A clear ball of radius 0.45 in the middle of the box."""
+    at = -0.1 + SPACING * np.arange(61)
+    x, y, z = np.meshgrid(*[at - 0.5] * 3, indexing="ij")
+    levels = np.rint((0.45 - np.sqrt(x * x + y * y + z * z)) * (LEVELS / (REACH * SPACING)))
+    return Interior(np.clip(levels, -LEVELS, LEVELS)[None].astype(np.int8), (-0.1, -0.1, -0.1), SPACING, (0.5,), eta)
+
+
+def lobed() -> NeuralBSSRDF:
+    network = NeuralBSSRDF(LOBED, output_scale=0.7, interior=glass_ball(1.4))
+    assert network.lobes is not None
+    with torch.no_grad():
+        network.lobes.weight.normal_(0.0, 0.5, generator=torch.Generator().manual_seed(2))
+        network.lobes.bias.normal_(0.0, 0.5, generator=torch.Generator().manual_seed(3))
+    return network
+
+
+def over_the_sphere(lobes: int, spread: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Values in 40,000 directions [5,D,3], the mean that the numbers tell, and the mean of the square as computed."""
+    numbers = told(5, lobes, spread)
+    found = lobes_from(numbers, unit(5, 4))
+    everywhere = torch.from_numpy(fibonacci(40_000)).float().expand(5, -1, 3)
+    carried = torch.nn.functional.softplus(numbers.reshape(5, lobes, NUMBERS)[..., :3] - 3.0).sum(dim=1)
+    each = [part.double().numpy() for part in (in_directions(found, everywhere), carried, mean_square(found))]
+    return each[0], each[1], each[2]
+
+
+@pytest.mark.parametrize("lobes", [1, 3])
+@pytest.mark.parametrize("spread", [0.0, 0.5, 3.0])
+def test_means_over_the_sphere_are_what_lobes_carry_and_the_mean_square_is_exact(lobes: int, spread: float) -> None:
+    """At a spread of 3 some lobes are as sharp and some as wide as they may be."""
+    values, carried, square = over_the_sphere(lobes, spread)
+    np.testing.assert_allclose(values.mean(axis=1), carried, rtol=1e-3)
+    np.testing.assert_allclose((values**2).mean(axis=1), square, rtol=2e-3)
+
+
+def test_numbers_that_are_zero_are_a_faint_lobe_where_the_ray_leaves() -> None:
+    exits = unit(4, 5)
+    lobes = lobes_from(torch.zeros((4, NUMBERS)), exits)
+    torch.testing.assert_close(lobes.axes[:, 0], exits)
+    through, back = (in_directions(lobes, sign * exits[:, None])[:, 0, 0] for sign in (1.0, -1.0))
+    assert 1.0 < float(through.min()) < 4.0
+    assert float(back.max()) < 1e-6
+
+
+@pytest.mark.parametrize("turns", [0, 4])
+@pytest.mark.parametrize("eta", [0.8, 1.0, 1.4])
+def test_rays_leave_a_ball_as_snells_law_says(eta: float, turns: int) -> None:
+    """In a ball both ends of a chord have the same angles: what goes in comes out, bent twice as far."""
+    view = ViewFeatures(replace(LOBED, ray_turns=turns), torch.zeros((LOBED.features, 6)), glass_ball(eta))
+    normal, eye = uniform(400, 21), uniform(400, 22)
+    cosine = np.sum(normal * eye, axis=1)
+    seen = cosine > (0.7 if eta < 1.0 else 0.1)
+    normal, eye, cosine = normal[seen], eye[seen], cosine[seen, None]
+    inner = np.sqrt(1.0 - (1.0 - cosine**2) / eta**2)
+    back = eye / eta + (inner - cosine / eta) * normal
+    other = normal - 2.0 * inner * back
+    expected = -eta * back + (cosine - eta * inner) * other
+    x = torch.from_numpy(0.5 + 0.45 * normal)
+    found = view(x, torch.from_numpy(eye), torch.from_numpy(normal)).detach().numpy()[:, -EXIT:]
+    off = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1.0, 1.0)))
+    assert np.median(off) < 1.5
+    assert np.mean(off < 6.0) > 0.9
+
+
+def test_a_ray_that_turns_leaves_along_its_last_piece() -> None:
+    """In a cube of index 1.5 a wall that is met at 53° reflects; the bottom, met at 37°, lets through."""
+    x, eye = torch.tensor([[0.7, 0.5, 1.0]]), torch.tensor([[-0.9, 0.0, (1.0 - 0.81) ** 0.5]])
+    view = ViewFeatures(replace(LOBED, ray_turns=4), torch.zeros((LOBED.features, 6)), cube(0.5, 1.5))
+    found = view(x, eye, torch.tensor([[0.0, 0.0, 1.0]]))[:, -EXIT:]
+    torch.testing.assert_close(found, -eye * torch.tensor([-1.0, 1.0, 1.0]), atol=0.03, rtol=0.0)
+
+
+def test_lobes_begin_much_alike_by_the_seed_alone() -> None:
+    one, same, other = (NeuralBSSRDF(replace(LOBED, seed=seed), interior=glass_ball(1.4)).lobes for seed in (1, 1, 2))
+    assert one is not None
+    assert same is not None
+    assert other is not None
+    assert torch.equal(one.weight, same.weight)
+    assert not torch.equal(one.weight, other.weight)
+    assert 0.01 < float(one.weight.detach().std()) < 0.03
+    assert not one.bias.any()
+
+
+def test_a_network_is_its_layers_and_its_lobes_on_every_path(tmp_path: Path) -> None:
+    network = lobed()
+    incident, positions, outgoing = uniform(6, 6).reshape(3, 2, 3), np.full((3, 3), 0.4), uniform(3, 7)
+    query = [torch.from_numpy(part) for part in (incident, positions, outgoing)]
+    with torch.no_grad():
+        smooth, lobes = network.parts(*query)
+        assert lobes is not None
+        expected = 0.7 * (smooth + in_directions(lobes, query[0])).numpy()
+    assert np.abs(expected - 0.7 * smooth.numpy()).max() > 0.1 * np.abs(expected).max()
+    np.testing.assert_allclose(network.evaluate(incident, positions, outgoing), expected, rtol=1e-6)
+    pairs = PairNetwork(network).evaluate_pairs(incident, positions, outgoing)
+    np.testing.assert_allclose(pairs, expected, atol=2e-5)
+    block = network.evaluate_block(incident, np.arange(3)[:, None], positions, outgoing[:, None])
+    np.testing.assert_allclose(block[:, 0], expected, atol=2e-5)
+    save_model(network, tmp_path / "model.pt")
+    read = load_model(tmp_path / "model.pt").evaluate(incident, positions, outgoing)
+    np.testing.assert_array_equal(read, network.evaluate(incident, positions, outgoing))
+
+
+def test_the_loss_of_exits_takes_the_square_of_lobes_exactly() -> None:
+    """Few directions see the square of sharp lobes with much noise: its mean stays, its noise goes."""
+    draws, spread = 4000, 8
+    lobes = lobes_from(told(1, 2, 1.5).expand(draws, -1), unit(1, 8).expand(draws, -1))
+    everywhere = unit(draws * spread, 9).reshape(draws, spread, 3)
+    smooth = 0.3 + 0.2 * everywhere
+    added = in_directions(lobes, everywhere)
+    none = torch.zeros((draws, 1, 3))
+    plain = of_exits(none, none, smooth + added, "l2", 0.01)
+    exact = of_exits(none, none, smooth + added, "l2", 0.01, SomeLobes(added, mean_square(lobes)))
+    difference = (plain - exact).double()
+    assert abs(float(difference.mean())) < 4.0 * float(difference.std()) / draws**0.5
+    assert float(exact.std()) < 0.3 * float(plain.std())
+
+
+def test_what_lobes_alone_are_learnt_from_hangs_on_no_draw() -> None:
+    """Where nothing but lobes answers, directions all over the sphere say nothing that is not known exactly."""
+    network = lobed()
+    with torch.no_grad():
+        network.output.weight.zero_()
+        network.output.bias.zero_()
+    rng = np.random.default_rng(10)
+    rows = np.concatenate([rng.uniform(0.3, 0.7, (64, 3)), uniform(64, 11), np.zeros((64, 12))], axis=1)
+    rows_of_rays = rows[:, 6:].reshape(64, 2, 6)
+    rows_of_rays[..., :3], rows_of_rays[..., 3:] = uniform(128, 12).reshape(64, 2, 3), rng.uniform(0.0, 2.0, (64, 2, 3))
+    batch = Batch(rows.astype(np.float32), np.arange(64))
+    settings = replace(small_training.LEARNING, bfloat16=False, warm_up=0.0)
+    losses = [
+        Learner(deepcopy(network), settings).learn(Exits(), batch, 0.5, np.random.default_rng(seed)) for seed in (1, 2)
+    ]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-5)
+
+
+class Exits:
+    """A source of exits, as far as the learner asks."""
+
+    exits = True
+
+    def where(self, number: int) -> str:
+        return f"query {number}"
+
+
+def test_lobes_need_a_ray_that_leads_to_them() -> None:
+    with pytest.raises(ModelError, match="lobes must not be negative, and without tells_normal"):
+        NetworkSettings(lobes=1)
+    with pytest.raises(ModelError, match="found -1"):
+        replace(LOBED, lobes=-1)
+
+
+@pytest.mark.parametrize(
+    ("eta", "roughness", "sigma_t", "lobes"),
+    [(1.0, 0.2, 0.5, 0), (1.4, 0.2, 0.5, 2), (1.4, 0.0, 0.5, 0), (1.4, 0.2, 3.0, 0)],
+)
+def test_lobes_are_for_rough_objects_that_light_crosses(
+    tmp_path: Path, eta: float, roughness: float, sigma_t: float, lobes: int
+) -> None:
+    """A ball of diameter 2: clear up to an optical depth of 4. What crosses a smooth interface is no part of Ŝ."""
+    scene = make_scene(tmp_path, ball(3), eta=eta, roughness=roughness, sigma_t=sigma_t)
+    settings = replace(PRESETS["measured"], features=8, width=8)
+    given = {"stream": small_training.STREAM, "learning": small_training.LEARNING}
+    assert train(scene, steps=1, synchronous=True, settings=settings, **given).settings.lobes == lobes

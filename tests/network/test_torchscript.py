@@ -1,0 +1,85 @@
+"""TorchScript files as transports: the seven numbers they are handed, and what is refused."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from formats.errors import ModelError, QueryError
+from prt_bake.network.torchscript import Convention, load_torchscript
+
+
+class FirstThree(torch.nn.Module):
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return rows[:, 0:3] + 10.0 * rows[:, 3:6] + 100.0 * rows[:, 6:7]
+
+
+class Wide(torch.nn.Module):
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return rows[:, 0:4]
+
+
+class Narrow(torch.nn.Module):
+    def forward(self, rows: torch.Tensor) -> torch.Tensor:
+        return rows @ torch.ones(9, 3)
+
+
+def script(module: torch.nn.Module, tmp_path: Path) -> Path:
+    path = tmp_path / "script.pt"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.jit.save(torch.jit.script(module), str(path))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("convention", "rows"),
+    [
+        ("incident, position, outgoing", [0.5, 0.25, 0.25, 0.5, 0.75, 0.5, 0.75]),
+        ("position,outgoing,incident; position=object", [1.5, 2.0, 2.5, 0.5, 0.75, 0.5, 0.25]),
+        ("outgoing,position,incident; angles=radians; axis=y", [np.pi, 0, 0.25, 0.5, 0.75, 0, 0]),
+    ],
+)
+def test_seven_numbers_are_what_the_convention_says(convention: str, rows: list[float], tmp_path: Path) -> None:
+    transport = load_torchscript(script(FirstThree(), tmp_path), convention, (1.0, 1.0, 1.0), 2.0)
+    answer = transport.evaluate([[0.0, 1.0, 0.0]], [[1.5, 2.0, 2.5]], [[0.0, -1.0, 0.0]])
+    expected = np.array(rows[0:3]) + 10 * np.array(rows[3:6]) + 100 * rows[6]
+    np.testing.assert_allclose(answer[0, 0], expected, rtol=1e-6)
+
+
+def test_own_directions_and_shared_ones_agree(tmp_path: Path) -> None:
+    transport = load_torchscript(script(FirstThree(), tmp_path))
+    light, positions = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]]), np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
+    own = np.stack([light, light])
+    np.testing.assert_array_equal(
+        transport.evaluate(light, positions, light), transport.evaluate(own, positions, light)
+    )
+
+
+@pytest.mark.parametrize("module", [Wide(), Narrow()])
+def test_functions_of_another_shape_are_refused(module: torch.nn.Module, tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"script\.pt"):
+        load_torchscript(script(module, tmp_path))
+
+
+def test_other_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="no such file"):
+        load_torchscript(tmp_path / "none.pt")
+    (tmp_path / "words.pt").write_text("words")
+    with pytest.raises(ModelError, match=r"words\.pt: not a TorchScript file"):
+        load_torchscript(tmp_path / "words.pt")
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("incident, outgoing", "in some order"),
+        ("incident, position, outgoing; colour=red", "unknown key 'colour'"),
+        ("incident, position, outgoing; axis=x", "axis must be z or y"),
+    ],
+)
+def test_conventions_that_say_nothing_are_refused(text: str, sentence: str) -> None:
+    with pytest.raises(QueryError, match=sentence):
+        Convention.parse(text)

@@ -1,0 +1,270 @@
+"""The report from end to end on a few pixels, resumed and told; models given, trained and gone on with."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from formats.errors import ModelError
+from formats.image import read_image, read_layers
+from formats.mesh import read_mesh
+from formats.scene import read_scene
+from prt_bake.importance.module import ImportanceModule, save_importance
+from prt_bake.importance.settings import ImportanceSettings
+from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, load_model, save_model
+from prt_bake.paper.artefacts import Artefacts, Stopped
+from prt_bake.paper.layers import ablation
+from prt_bake.paper.models import scene_model
+from prt_bake.paper.report import PaperReport
+from prt_bake.paper.results import METHODS, Result
+from prt_bake.paper.scenes import SCENES, BakeSettings
+from prt_bake.paper.settings import ReportSettings
+from prt_bake.paper.times import heading
+from prt_bake.shipped.demonstration import SHIPPED
+from prt_bake.trainer.learner import LearningSettings
+from prt_bake.trainer.samples.rows import StreamSettings
+from tests import ROOT
+from tests.cli.command_line import Run
+
+SKY = ROOT / "scenes/skies/outdoor.hdr"
+SETTINGS = ReportSettings(size=32, spp=32, reference_spp=16)
+LUCY = replace(SCENES[-1], files=("spot.toml",), bake=BakeSettings(0, 1, 4, 16))
+"""The shipped object under the name of one of the five."""
+GOAL = "path tracing 16 walks a pixel"
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scenes")
+    for name in ("spot.toml", "spot.obj", "sigma_t.npy", "albedo.npy"):
+        shutil.copy(SHIPPED / name, folder / name)
+    (folder / "models").mkdir()
+    model = folder / "models/lucy.pt"
+    shutil.copy(SHIPPED / "spot.pt", model)
+    low, high = read_mesh(SHIPPED / "spot.obj").bounds
+    save_importance(ImportanceModule(ImportanceSettings(), low, float((high - low).max())), model)
+    return folder
+
+
+def run(out: Path, scenes: Path, said: list[str], **options: Any) -> list[Result]:
+    told: list[Result] = []
+    work = PaperReport(out, scenes, SETTINGS, say=said.append, **options)
+    work.run([LUCY], {"outdoor": SKY}, told.append)
+    return told
+
+
+def test_a_report_from_end_to_end_is_made_once(tmp_path: Path, scenes: Path) -> None:
+    said: list[str] = []
+    (first,) = run(tmp_path, scenes, said)
+    assert sum("to be made" in sentence for sentence in said) == 11
+    assert [line.method for line in first.lines] == list(METHODS)
+    assert all(0.0 < line.alone["flip"] < 0.5 and line.whole for line in first.lines)
+    assert first.line("light").megabytes < first.line("lobe").megabytes
+    assert first.framing["object_share"] > 0.4
+    page = (tmp_path / "tables.md").read_text()
+    assert f"{first.line('mis').alone['flip']:.4f}" in page
+    read = json.loads((tmp_path / "tables.json").read_text())
+    assert read["results"][0]["lines"][0]["alone"]["flip"] == first.lines[0].alone["flip"]
+    for name in ("sheet", "everything", "sigma", "training"):
+        assert np.asarray(Image.open(tmp_path / f"{name}.png")).std() > 5.0
+
+    truth = read_layers(tmp_path / "lucy/outdoor/reference.exr")
+    off = np.s_[:4, :4]  # a corner, far from the object
+    assert not truth.layers["coverage"][off].any()
+    for image in (truth.image, read_image(tmp_path / "lucy/outdoor/sh.exr")):
+        assert not image[off].any()
+    surface = read_image(tmp_path / "lucy/outdoor/surface.exr")
+    assert (surface[off] > 0.0).all()
+
+    said.clear()
+    (again,) = run(tmp_path, scenes, said)
+    assert said == []
+    assert again == first
+    (tmp_path / "lucy/outdoor/sh.exr").unlink()
+    run(tmp_path, scenes, said)
+    assert said == ["lucy/outdoor/sh.exr: to be made"]
+
+
+def test_a_report_that_is_stopped_keeps_what_is_whole(tmp_path: Path, scenes: Path) -> None:
+    said: list[str] = []
+    with pytest.raises(Stopped, match="goes on"):
+        run(tmp_path, scenes, said, stop=lambda: len(said) >= 3)
+    assert (tmp_path / "lucy/model.importance.pt.made.json").is_file()
+    assert not (tmp_path / "tables.md").exists()
+    kept = len(said)
+    with pytest.raises(Stopped):
+        run(tmp_path, scenes, said, stop=lambda: len(said) > kept)
+    assert said[kept:] == [f"lucy/outdoor/reference.exr: {GOAL}, 0 walks a pixel are there"]
+
+
+class FakeTraining:
+    """Stands for the trainer: writes a model and notes how it was asked."""
+
+    def __init__(self, network: NeuralBSSRDF, error: float = 0.1) -> None:
+        self.network = network
+        self.asked: list[dict[str, Any]] = []
+        self.error = error
+        self.refuses_to_go_on = False
+
+    def __call__(self, scene: Any, **asked: Any) -> Any:
+        self.asked.append(asked)
+        if self.refuses_to_go_on and asked["resume"]:
+            raise ModelError("model.train.pt: is of version 2, expected 3")
+        network = self.network
+        network.metadata["scene_hash"] = scene.content_hash
+        layers = asked["settings"].layers if asked["settings"] else 5
+        network.metadata["training"] = {
+            **{"relative_rmse": {"transport": self.error / layers, "coefficients": 0.1}},
+            **{"seconds": 1.0, "walks": 1000},
+        }
+        save_model(network, asked["output"])
+        asked["output"].with_suffix(".train.pt").write_bytes(b"state")
+        asked["progress"](SimpleNamespace(share=1.0, validation=0.5, walks_per_second=1.0))
+        return network
+
+
+@pytest.fixture
+def training(monkeypatch: pytest.MonkeyPatch) -> FakeTraining:
+    fake = FakeTraining(NeuralBSSRDF(NetworkSettings(features=8, width=16), (-1.0, -1.0, -1.0), 2.0))
+    monkeypatch.setattr("prt_bake.trainer.train.train", fake)
+    return fake
+
+
+def test_longer_trainings_are_compared_on_pictures(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    said: list[str] = []
+    training.network = load_model(SHIPPED / "spot.pt")
+    work = PaperReport(tmp_path, scenes, SETTINGS, say=said.append)
+    (rows,) = work.run_times([LUCY], {"outdoor": SKY}).values()
+    assert [asked["minutes"] for asked in training.asked] == [1.25, 2.5, 5.0, 10.0]
+    assert [row.minutes for row in rows] == [1.25, 2.5, 5.0, 10.0]
+    # All four are the shipped network: the same picture, and no law to be seen.
+    assert len({row.flip for row in rows}) == 1
+    assert 0.0 < rows[0].flip_without_noise <= rows[0].flip < 0.5
+    assert heading(rows, "flip").slope == pytest.approx(0.0, abs=1e-9)
+    assert json.loads((tmp_path / "times.json").read_text())["lucy, outdoor"]["trainings"][3]["flip"] == rows[3].flip
+    assert np.asarray(Image.open(tmp_path / "times.png")).std() > 5.0
+    said.clear()
+    assert work.run_times([LUCY], {"outdoor": SKY}) == {"lucy, outdoor": rows}
+    assert said == []
+
+
+def quiet(*words: object) -> None:
+    pass
+
+
+def test_a_model_of_another_scene_is_not_taken(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    said: list[str] = []
+    artefacts = Artefacts(tmp_path, said.append)
+    (tmp_path / "other.toml").write_text((scenes / "spot.toml").read_text().replace("eta = 1.3", "eta = 1.4"))
+    for name in ("spot.obj", "sigma_t.npy", "albedo.npy"):
+        shutil.copy(scenes / name, tmp_path / name)
+    other, given = read_scene(tmp_path / "other.toml"), scenes / "models/lucy.pt"
+    scene_model(artefacts, "lucy", read_scene(scenes / "spot.toml"), given, 1.0, "cpu", quiet)
+    assert not training.asked
+    model = scene_model(artefacts, "other", other, given, 1.0, "cpu", quiet)
+    assert len(training.asked) == 1
+    assert "was trained on another scene" in said[1]
+    assert load_model(model.path).metadata["scene_hash"] == other.content_hash
+    assert sorted(path.name for path in model.path.parent.iterdir()) == ["model.pt", "model.pt.made.json"]
+
+
+def test_a_training_that_was_stopped_goes_on(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    scene, missing = read_scene(scenes / "spot.toml"), tmp_path / "none.pt"
+    asked_to_stop = [False]
+    artefacts = Artefacts(tmp_path, quiet, lambda: asked_to_stop[0] and bool(training.asked))
+
+    def stopped(minutes: float) -> None:
+        asked_to_stop[0] = True
+        training.asked.clear()
+        with pytest.raises((Stopped, KeyboardInterrupt)):
+            scene_model(artefacts, "lucy", scene, missing, minutes, "cpu", quiet)
+        asked_to_stop[0] = False
+
+    stopped(1.0)
+    stopped(1.0)
+    assert [asked["resume"] for asked in training.asked] == [True]
+    stopped(2.0)
+    assert [asked["resume"] for asked in training.asked] == [False]
+    scene_model(artefacts, "lucy", scene, missing, 2.0, "cpu", quiet)
+    assert [asked["resume"] for asked in training.asked] == [False, True]
+    scene_model(artefacts, "lucy", scene, missing, 2.0, "cpu", quiet)
+    assert len(training.asked) == 2
+
+
+def test_what_was_learnt_by_another_rule_is_trained_anew(
+    tmp_path: Path, scenes: Path, training: FakeTraining, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene, missing, said = read_scene(scenes / "spot.toml"), tmp_path / "none.pt", list[str]()
+    artefacts = Artefacts(tmp_path, said.append)
+    others = {
+        "learning": ("prt_bake.trainer.train.LearningSettings", LearningSettings(spread=7)),
+        "walks": ("prt_bake.trainer.samples.rows.StreamSettings", StreamSettings(exits=5)),
+    }
+    for rule, (name, settings) in others.items():
+        scene_model(artefacts, "lucy", scene, missing, 1.0, "cpu", quiet)
+        with monkeypatch.context() as patched:
+            patched.setattr(name, Mock(return_value=settings))
+            scene_model(artefacts, "lucy", scene, missing, 1.0, "cpu", quiet)
+        assert said[-1] == f"lucy/model.pt: made anew, another {rule}"
+
+
+def test_what_another_release_began_is_trained_anew(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    scene, missing, said = read_scene(scenes / "spot.toml"), tmp_path / "none.pt", list[str]()
+    stopping = Artefacts(tmp_path, quiet, lambda: bool(training.asked))
+    with pytest.raises((Stopped, KeyboardInterrupt)):
+        scene_model(stopping, "lucy", scene, missing, 1.0, "cpu", quiet)
+    training.refuses_to_go_on = True
+    scene_model(Artefacts(tmp_path, said.append), "lucy", scene, missing, 1.0, "cpu", quiet)
+    assert [asked["resume"] for asked in training.asked] == [False, True, False]
+    assert any("is of version 2, expected 3; it is trained anew" in line for line in said)
+
+
+def test_a_model_error_of_a_new_training_is_not_tried_twice(
+    tmp_path: Path, scenes: Path, training: FakeTraining, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(scene: Any, **asked: Any) -> Any:
+        training.asked.append(asked)
+        raise ModelError("broken")
+
+    monkeypatch.setattr("prt_bake.trainer.train.train", broken)
+    with pytest.raises(ModelError, match="broken"):
+        scene_model(
+            Artefacts(tmp_path, quiet),
+            "lucy",
+            read_scene(scenes / "spot.toml"),
+            tmp_path / "none.pt",
+            1.0,
+            "cpu",
+            quiet,
+        )
+    assert len(training.asked) == 1
+
+
+def test_layers_are_compared_with_seven_and_kept(tmp_path: Path, scenes: Path, training: FakeTraining) -> None:
+    scene, artefacts = read_scene(scenes / "spot.toml"), Artefacts(tmp_path, quiet)
+    found = ablation(artefacts, "lucy", scene, 1.0, "cpu", quiet)
+    assert found["7"] == 1.0
+    assert found["5*"] == found["5"] == pytest.approx((7 / 5) ** 2)
+    assert ablation(artefacts, "lucy", scene, 1.0, "cpu", quiet) == found
+    assert len(training.asked) == 10
+    assert (tmp_path / "lucy/layers/5_without_skips.pt").is_file()
+
+
+def test_the_command_refuses_what_is_not_there(prtbake: Run) -> None:
+    for arguments, sentence in (
+        (["--scene", "teapot"], "'teapot' is no scene of the paper"),
+        (["--sky", "nowhere.hdr"], "nowhere.hdr: there is no such sky"),
+        (["--scenes", "nowhere"], "nowhere/skies/outdoor.hdr: there is no such sky"),
+    ):
+        outcome = prtbake("report", "paper", *arguments)
+        assert outcome.code == 1
+        assert sentence in outcome.err
+        assert outcome.err.count("\n") == 1
+    assert prtbake("report", "paper", "--size", "none").code == 2

@@ -1,0 +1,38 @@
+"""The trained models of the paper's scenes are of those very scenes, small, and made the way their folder says."""
+
+import json
+
+import pytest
+
+from formats.scene import read_scene
+from prt_bake.network.bssrdf import load_model
+from prt_bake.paper.scenes import SCENES, PaperScene
+from tests import ROOT
+
+SCENES_FOLDER = ROOT / "scenes"
+MODELS = SCENES_FOLDER / "models"
+
+
+@pytest.mark.parametrize("paper", SCENES, ids=lambda paper: paper.name)
+def test_a_model_was_trained_ten_minutes_on_its_scene(paper: PaperScene) -> None:
+    path = MODELS / f"{paper.name}.pt"
+    scene = read_scene(SCENES_FOLDER / paper.files[-1])
+    metadata = load_model(path).metadata
+    assert metadata["scene_hash"] == scene.content_hash
+    assert metadata["training"]["seconds"] == pytest.approx(600.0, abs=5.0)
+    assert path.stat().st_size <= 660 * 1024
+
+
+@pytest.mark.parametrize("paper", SCENES, ids=lambda paper: paper.name)
+def test_a_models_report_is_of_that_model(paper: PaperScene) -> None:
+    report = json.loads((MODELS / f"{paper.name}.report.json").read_text(encoding="utf-8"))
+    training = load_model(MODELS / f"{paper.name}.pt").metadata["training"]
+    said = report["model"]
+    assert (said["steps"], said["walks"]) == (training["steps"], training["walks"])
+    assert said["scene"] in (MODELS / "README.md").read_text(encoding="utf-8")
+    assert report["criteria"]
+
+
+def test_all_of_them_are_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in MODELS.iterdir()}
+    assert sum(sizes.values()) < 6_000_000, sizes

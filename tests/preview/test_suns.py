@@ -1,0 +1,248 @@
+"""Suns in the preview: while it moves in the harmonics, once it stands still as `shade` meets them."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from formats.mesh import build_mesh
+from prt_bake.lights import environment
+from prt_bake.lights.lighting import as_lighting
+from prt_bake.preview import legend, refinement
+from prt_bake.preview import window as windows
+from prt_bake.preview.lights import LightSource
+from prt_bake.preview.refinement import facing, is_closed
+from prt_bake.preview.state import Mode, Preview
+from prt_bake.shading.picture import shade
+from prt_bake.shading.suns import suns_apart
+from prt_bake.shading.vertices import shade_vertices
+from tests.preview.windows import bare_picture, drag, open_window, press, slide, write_sky
+from tests.shading.test_picture import make_asset, painted_sky
+from tests.shading.test_suns import lobed
+from tests.shapes import ball, ring
+
+EYE = np.array([0.3, 1.2, 3.5])
+
+
+def sunny() -> np.ndarray:
+    """Texels of 2.8°, so that one is a sun."""
+    sky = np.repeat(np.repeat(0.05 * painted_sky(), 4, axis=0), 4, axis=1)
+    sky[20, 70] = [900.0, 700.0, 400.0]
+    return sky
+
+
+@pytest.fixture
+def sky(tmp_path, monkeypatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    return write_sky(tmp_path / "sunny.exr", sunny())
+
+
+def made(sky: str, asset: Asset | None = None, **chosen) -> Preview:
+    asset = lobed() if asset is None else asset
+    return Preview(asset, [LightSource(sky, asset.up, asset.degree)], **chosen)
+
+
+def of_shade(preview: Preview, treatment: str = "split", eye=EYE) -> np.ndarray:
+    """What `prtbake shade` gives at the vertices."""
+    asset = preview.asset
+    lit = suns_apart(as_lighting(sunny(), asset.up, preview.rotation), asset.degree, treatment)
+    return shade_vertices(asset, lit.harmonics, eye, None, lit.suns).radiance
+
+
+@pytest.mark.parametrize("rotation", [0.0, 130.0])
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_settled_colours_are_those_of_shade(sky, up, rotation) -> None:
+    preview = made(sky, dataclasses.replace(lobed(), up=up), rotation=rotation)
+    split, plain = of_shade(preview), of_shade(preview, "plain")
+    seen = facing(preview.asset.mesh, EYE) & preview.asset.valid
+    assert 0.2 < seen.mean() < 0.8
+    assert np.abs(split - plain)[seen].max() > 0.05
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], plain, atol=1e-5)
+    assert preview.settle(EYE)
+    shown = preview.colours(EYE)[:, :3]
+    np.testing.assert_allclose(shown[seen], split[seen], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(shown[~seen], plain[~seen], atol=1e-5)
+
+
+def test_of_an_object_that_is_not_closed_all_vertices_are_settled(sky) -> None:
+    whole = lobed()
+    open_mesh = build_mesh(whole.mesh.positions, whole.mesh.faces[3:])
+    preview = made(sky, dataclasses.replace(whole, mesh=open_mesh))
+    preview.settle(EYE)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], of_shade(preview), rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("treatment", ["plain", "window"])
+def test_other_treatments_are_shown_at_once_and_stay(sky, treatment) -> None:
+    preview = made(sky, suns=treatment)
+    expected = of_shade(preview, treatment)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], expected, atol=1e-5)
+    assert not preview.unsettled(EYE)
+    assert not preview.settle(EYE)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], expected, atol=1e-5)
+    assert preview.suns_shown(EYE) == treatment
+
+
+def test_what_settles_in_slices_is_what_settles_at_once(sky, monkeypatch) -> None:
+    at_once, sliced = made(sky), made(sky)
+    at_once.settle(EYE)
+    monkeypatch.setattr(refinement, "_VERTICES_AT_ONCE", 8)
+    before = sliced.colours(EYE).copy()
+    slices = 0
+    while not sliced.settle(EYE, 0.0):
+        slices += 1
+        np.testing.assert_array_equal(sliced.colours(EYE), before)  # nothing half done is shown
+    assert slices > 1
+    np.testing.assert_array_equal(sliced.colours(EYE), at_once.colours(EYE))
+
+
+def test_it_unsettles_with_the_eye_and_the_light_alone(sky) -> None:
+    preview = made(sky)
+    preview.settle(EYE)
+    settled = preview.colours(EYE).copy()
+    preview.expose(2.0)
+    preview.flip_background()
+    assert preview.suns_shown(EYE) == "split"
+    np.testing.assert_array_equal(preview.colours(EYE), settled)
+    assert preview.suns_shown(-EYE) == "plain"
+    np.testing.assert_allclose(preview.colours(-EYE)[:, :3], of_shade(preview, "plain", -EYE), atol=1e-5)
+    preview.turn_to(20.0)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], of_shade(preview, "plain"), atol=1e-5)
+    preview.turn_to(0.0)
+    preview.settle(EYE)
+    np.testing.assert_array_equal(preview.colours(EYE), settled)
+
+
+def test_a_sky_without_a_sun_has_nothing_to_settle(tmp_path) -> None:
+    preview = made(write_sky(tmp_path / "sky.exr", painted_sky()))
+    assert not preview.unsettled(EYE)
+    assert preview.suns_shown(EYE) is None
+    assert "u" not in dict(legend.keys(preview, None))
+    preview.flip_suns()
+    assert "no suns" in preview.message
+
+
+def test_nothing_is_settled_of_errors_and_coefficients_or_from_inside(sky) -> None:
+    preview = made(sky)
+    preview.show(Mode.ERROR)
+    assert not preview.settle(EYE)
+    preview.show(Mode.ERROR)
+    assert not preview.settle(np.zeros(3))
+    with pytest.raises(QueryError, match="inside"):
+        preview.colours(np.zeros(3))
+
+
+def test_one_light_has_no_suns() -> None:
+    asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
+    preview = Preview(asset, [])
+    assert not preview.settle(EYE)
+    assert preview.suns_shown(EYE) is None
+
+
+def test_closed_objects_are_told_from_others() -> None:
+    closed = ball(2)
+    assert is_closed(closed)
+    assert is_closed(ring())
+    inside_out = dataclasses.replace(closed, faces=closed.faces[:, ::-1])
+    one_turned = closed.faces.copy()
+    one_turned[5] = one_turned[5, ::-1]
+    for faces in (inside_out.faces, closed.faces[1:], np.concatenate([closed.faces, closed.faces[:1]]), one_turned):
+        assert not is_closed(dataclasses.replace(closed, faces=faces))
+
+
+def test_a_ball_shows_the_cap_that_its_tangents_enclose() -> None:
+    mesh = ball(4)
+    height = mesh.positions @ (EYE / np.linalg.norm(EYE))
+    edge = 1.0 / np.linalg.norm(EYE)
+    seen = facing(mesh, EYE)
+    assert seen[height > edge].all()
+    assert not seen[height < edge - 0.15].any()
+
+
+@pytest.fixture
+def opened(sky, monkeypatch):
+    """A window under a sky with a sun and one without."""
+    window = open_window(lobed(), [sky, write_sky(windows.Path("sky.exr"), painted_sky())])
+    yield window
+    window.view.canvas.close()
+
+
+def tick_when_still(window) -> None:
+    """What the timer does from when nothing moves any more."""
+    interactor = window.view.canvas.interactor
+    for _ in range(100):
+        interactor.InvokeEvent("TimerEvent")
+        if not window.view.unsettled:
+            return
+    pytest.fail("it never settles")
+
+
+def status(window) -> str:
+    return window.overlay.status.GetInput()
+
+
+def test_what_stands_still_is_shown_as_shade_shows_it(opened, monkeypatch) -> None:
+    preview, eye = opened.view.preview, opened.view.eye
+    plain = of_shade(preview, "plain", eye)
+    np.testing.assert_allclose(opened.view.shown[:, :3], plain, atol=1e-5)
+    assert "suns as harmonics" in status(opened)
+    monkeypatch.setattr(windows, "_STILL", 1e9)
+    opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+    assert "suns as harmonics" in status(opened)
+    monkeypatch.setattr(windows, "_STILL", 0.0)
+    tick_when_still(opened)
+    seen = facing(preview.asset.mesh, eye) & preview.asset.valid
+    np.testing.assert_allclose(opened.view.shown[seen, :3], of_shade(preview, "split", eye)[seen], rtol=1e-6, atol=1e-7)
+    assert "suns apart" in status(opened)
+
+
+def test_while_it_moves_it_is_harmonics_and_says_so(opened, monkeypatch) -> None:
+    monkeypatch.setattr(windows, "_STILL", 0.0)
+    for move in (lambda: drag(opened, (60, 45), (80, 50)), lambda: slide(opened.rotation, 30.0)):
+        tick_when_still(opened)
+        assert "suns apart" in status(opened)
+        move()
+        preview, eye = opened.view.preview, opened.view.eye
+        np.testing.assert_allclose(opened.view.shown[:, :3], of_shade(preview, "plain", eye), atol=1e-5)
+        assert "suns as harmonics" in status(opened)
+
+
+def test_a_key_takes_suns_as_harmonics_and_apart_again(opened, monkeypatch) -> None:
+    monkeypatch.setattr(windows, "_STILL", 0.0)
+    tick_when_still(opened)
+    apart = opened.view.shown.copy()
+    press(opened, "u")
+    preview, eye = opened.view.preview, opened.view.eye
+    for _ in range(3):
+        opened.view.canvas.interactor.InvokeEvent("TimerEvent")
+        np.testing.assert_allclose(opened.view.shown[:, :3], of_shade(preview, "plain", eye), atol=1e-5)
+    assert "suns as harmonics" in status(opened)
+    press(opened, "u")
+    tick_when_still(opened)
+    np.testing.assert_array_equal(opened.view.shown, apart)
+    press(opened, "n")
+    assert "suns" not in status(opened)
+
+
+def test_a_saved_picture_is_the_settled_one(opened, monkeypatch) -> None:
+    at_once = bare_picture(opened)
+    monkeypatch.setattr(windows, "_STILL", 0.0)
+    tick_when_still(opened)
+    np.testing.assert_array_equal(bare_picture(opened), at_once)
+    press(opened, "u")
+    assert np.abs(bare_picture(opened) - at_once).max() > 3.0
+
+
+def test_a_sun_of_the_command_line_is_met_apart_too(tmp_path) -> None:
+    asset = lobed()
+    preview = Preview(asset, [LightSource("sun:1,2,3:4,4,4", asset.up, asset.degree)], rotation=25.0)
+    turned = environment.rotation(25.0, "y") @ np.array([1.0, 2.0, 3.0]) / math.sqrt(14.0)
+    preview.settle(EYE)
+    seen = facing(asset.mesh, EYE) & asset.valid
+    other = Preview(asset, [LightSource(f"sun:{','.join(map(repr, turned.tolist()))}:4,4,4", "y", asset.degree)])
+    other.settle(EYE)
+    np.testing.assert_allclose(preview.colours(EYE)[seen], other.colours(EYE)[seen], rtol=1e-5)
+    assert np.abs(preview.colours(EYE)[:, :3] - shade(asset, other.light.harmonics, EYE))[seen].max() > 0.01

@@ -1,0 +1,74 @@
+"""Windows in memory for the tests of the preview, and what drives them: the events that VTK sends on a screen."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.asset import Asset
+from formats.image import read_image, write_image
+from formats.image.png import to_srgb
+from prt_bake.geometry import camera
+from prt_bake.preview.canvas import Canvas
+from prt_bake.preview.lights import LightSource
+from prt_bake.preview.state import Preview
+from prt_bake.preview.view import View
+from prt_bake.preview.window import Window
+
+
+def open_window(
+    asset: Asset,
+    lights: Sequence[str],
+    size: tuple[int, int] = (120, 90),
+    eye: NDArray[np.float64] | None = None,
+    reference: NDArray[np.float32] | None = None,
+    **chosen: float,
+) -> Window:
+    preview = Preview(asset, [LightSource(text, asset.up, asset.degree) for text in lights], **chosen)
+    start = camera.fit(asset.mesh, *size, eye=eye, up=asset.up)
+    view = View(preview, Canvas(*size, True), start, reference)
+    window = Window(view, "ball.h5", None if reference is None else "reference.exr")
+    window.render()
+    return window
+
+
+def bare_picture(window: Window) -> NDArray[np.float64]:
+    """Of the object and what is behind it, without words and sliders."""
+    saved = Path("bare.png").resolve()
+    window.save(saved)
+    picture = np.rint(255.0 * to_srgb(read_image(saved)))
+    saved.unlink()
+    return picture
+
+
+def press(window: Window, *keys: str) -> None:
+    interactor = window.view.canvas.interactor
+    for key in keys:
+        interactor.SetKeySym(key)
+        for event in ("KeyPressEvent", "CharEvent", "KeyReleaseEvent"):
+            interactor.InvokeEvent(event)
+
+
+def drag(window: Window, start: tuple[int, int], end: tuple[int, int]) -> None:
+    interactor = window.view.canvas.interactor
+    interactor.SetEventInformation(*start, 0, 0, "\0", 0, None)
+    interactor.InvokeEvent("LeftButtonPressEvent")
+    interactor.SetEventInformation(*end, 0, 0, "\0", 0, None)
+    interactor.InvokeEvent("MouseMoveEvent")
+    interactor.InvokeEvent("LeftButtonReleaseEvent")
+
+
+def slide(slider: object, value: float) -> None:
+    slider.GetRepresentation().SetValue(value)
+    slider.InvokeEvent("InteractionEvent")
+
+
+def encoded(image: NDArray[np.floating], exposure: float = 0.0) -> NDArray[np.float64]:
+    """What a PNG of it holds."""
+    return np.rint(255.0 * to_srgb(image * 2.0**exposure))
+
+
+def write_sky(path: Path, sky: NDArray[np.floating]) -> str:
+    write_image(path, sky)
+    return str(path)

@@ -1,0 +1,309 @@
+"""Pictures that end early, go on, and say so: passes, checkpoints, time, noise; and the command."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formats.errors import FormatError, StorageError
+from formats.image import read_image, read_layers
+from formats.scene import Scene, read_scene
+from formats.scene.lights import DirectionalLight
+from prt_bake.lights.lighting import Lighting
+from prt_bake.rendering.scene import SHOWS, Rendering, render_scene
+from prt_bake.rendering.state import checkpoint_path, read_checkpoint
+from tests.cli.command_line import Run
+from tests.rendering.pictures import WHITE, front, make_scene, uneven_sky
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Scene:
+    return make_scene(tmp_path, "[0.9, 0.7, 0.5]")
+
+
+def render(scene: Scene, spp: int | None = 64, seed: int = 1, **options) -> Rendering:
+    return render_scene(scene, uneven_sky(), options.pop("camera", front(size=8)), spp=spp, seed=seed, **options)
+
+
+def after(passes: int) -> Callable[[], bool]:
+    """Ctrl-C in the middle of a pass, the answer to the question asked after it."""
+    asked = 0
+
+    def stop() -> bool:
+        nonlocal asked
+        asked += 1
+        return asked >= passes
+
+    return stop
+
+
+def assert_same(one: Rendering, other: Rendering) -> None:
+    np.testing.assert_array_equal(one.image, other.image)
+    np.testing.assert_array_equal(one.standard_error, other.standard_error)
+    np.testing.assert_array_equal(one.coverage, other.coverage)
+    assert (one.walks, one.passes, one.spp) == (other.walks, other.passes, other.spp)
+
+
+def test_stopped_and_resumed_is_the_picture_of_one_run(scene: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "a.render.npz"
+    whole = render(scene)
+    assert (whole.passes, whole.spp, whole.complete) == (32, 64, True)
+    part = render(scene, checkpoint=path, stop=after(5))
+    assert (part.passes, part.complete) == (5, False)
+    assert_same(part, render(scene, spp=10))
+    assert np.isfinite(part.standard_error).all()
+    assert part.standard_error.max() > 0
+    part = render(scene, spp=40, checkpoint=path, resume=True, stop=after(9))
+    assert part.passes == 14 - 1
+    whole_again = render(scene, checkpoint=path, resume=True)
+    assert_same(whole_again, whole)
+    assert path.exists()  # whoever has the picture safe removes it
+    assert whole_again.seconds > part.seconds
+    seconds, walks, _noise = whole_again.history.T
+    assert (np.diff(seconds) > 0).all()
+    assert (np.diff(walks) > 0).all()
+    assert walks[-1] == whole.walks
+
+
+def test_more_walks_than_before_go_on_from_a_checkpoint(scene: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "a.render.npz"
+    render(scene, spp=32, checkpoint=path, stop=after(4))
+    assert_same(render(scene, spp=64, checkpoint=path, resume=True), render(scene, spp=64))
+    render(scene, spp=32, checkpoint=path, stop=after(8))
+    enough = render(scene, spp=8, checkpoint=path, resume=True)
+    assert (enough.passes, enough.complete) == (8, True)
+
+
+def test_one_pass_says_nothing_of_its_error(scene: Scene, tmp_path: Path) -> None:
+    picture = render(scene, stop=after(1))
+    assert picture.passes == 1
+    assert np.isinf(picture.standard_error).all()
+    assert np.isfinite(picture.image).all()
+    assert picture.relative_noise == np.inf
+
+
+def test_checkpoints_are_written_now_and_then(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, seen = tmp_path / "a.render.npz", list[bool]()
+    monkeypatch.setattr("prt_bake.rendering.loop._CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr("prt_bake.rendering.loop._CHECKPOINT_SHARE", 1e9)
+    render(scene, spp=8, checkpoint=path, progress=lambda share: seen.append(path.exists()))
+    assert seen == [False, True, True, True]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.render.npz", "ball.ply", "ball.toml"]
+
+
+def test_time_and_noise_end_the_work(scene: Scene, tmp_path: Path) -> None:
+    quick = render(scene, spp=None, minutes=0.0)
+    assert (quick.passes, quick.complete) == (2, True)
+    path = tmp_path / "a.render.npz"
+    unfinished = render(scene, spp=64, minutes=0.0, checkpoint=path)
+    assert (unfinished.passes, unfinished.complete) == (2, False)
+    assert path.exists()
+    good = render(scene, spp=None, error=0.05)
+    assert good.complete
+    assert 0.045 < good.relative_noise <= 0.05
+    inside = good.coverage == 1
+    noise = np.sqrt(np.mean(good.standard_error[inside].astype(np.float64) ** 2))
+    assert good.relative_noise == pytest.approx(noise / good.image[inside].mean(), rel=1e-6)
+    assert good.history[-1, 2] == pytest.approx(good.relative_noise, rel=1e-5)
+    assert render(scene, spp=None, error=1.0).passes == 8
+
+
+def test_an_object_that_no_light_was_met_on_is_not_without_noise(tmp_path: Path) -> None:
+    """Of a narrow sun behind a smooth interface most passes see nothing; of a black object none ever does."""
+    smooth = make_scene(tmp_path, eta=1.4)
+    narrow = Lighting(suns=(DirectionalLight(np.array([0.0, 0.0, 1.0]), np.ones(3), 12.0),))
+    found = render_scene(smooth, narrow, front(size=2), spp=None, error=0.9, seed=1, background=False)
+    assert found.passes > 8
+    assert not found.black
+    coal = make_scene(tmp_path, "0.0", sigma_t=1e4)
+    black = render_scene(coal, WHITE, front(size=2), spp=None, error=0.5, background=False)
+    assert (black.passes, black.black, black.complete) == (256, True, True)
+
+
+DIFFERENT = {
+    "seed is 1 there, 2 here": {"seed": 2},
+    "camera is": {"camera": front((0.0, 0.0, 5.0), 8)},
+    r"size is \[8, 8\] there, \[9, 9\] here": {"camera": front(size=9)},
+    "the light is another": {"rotate": 1.0},
+    "background is true there, false here": {"background": False},
+}
+
+
+@pytest.mark.parametrize("difference", DIFFERENT)
+def test_a_checkpoint_of_another_picture_is_refused(scene: Scene, tmp_path: Path, difference: str) -> None:
+    path = tmp_path / "a.render.npz"
+    render(scene, checkpoint=path, stop=after(2))
+    with pytest.raises(FormatError, match=rf"a\.render\.npz: belongs to another picture: {difference}"):
+        render(scene, checkpoint=path, resume=True, **DIFFERENT[difference])
+    (tmp_path / "ball.toml").write_text((tmp_path / "ball.toml").read_text().replace("0.4", "0.5"))
+    with pytest.raises(FormatError, match="the scene is another; give what it was begun with"):
+        render(read_scene(tmp_path / "ball.toml"), checkpoint=path, resume=True)
+    assert path.exists()
+
+
+def test_a_damaged_checkpoint_is_refused(scene: Scene, tmp_path: Path) -> None:
+    path = tmp_path / "a.render.npz"
+    with pytest.raises(FormatError, match=r"a\.render\.npz: not found; there is nothing to resume"):
+        render(scene, checkpoint=path, resume=True)
+    render(scene, checkpoint=path, stop=after(2))
+    whole = path.read_bytes()
+    for content in (b"", b"no archive", whole[: len(whole) // 2], whole[:200] + b"\x00" * 64 + whole[264:]):
+        path.write_bytes(content)
+        with pytest.raises(FormatError, match="not a readable state of a picture"):
+            read_checkpoint(path, {})
+    for arrays in ({"head": np.array("{}")}, {"radiance": np.zeros((8, 8, 3))}):
+        np.savez(path, **arrays)
+        with pytest.raises(FormatError, match="not a readable state of a picture"):
+            read_checkpoint(path, {})
+
+
+COMMAND = ["render", "scene.toml", "sphere.ply", "--size", "12x10"]
+
+
+def test_the_command_writes_layers_texts_and_a_report(prtbake: Run, tmp_path: Path) -> None:
+    output, report = tmp_path / "a.exr", tmp_path / "a.json"
+    lights = ["--light", "sky.exr", "--light", "sun:0,1,-1:3,3,2:0.5"]
+    outcome = prtbake(*COMMAND, *lights, "-o", output, "--spp", 16, "--seed", 7, "--report", report)
+    assert (outcome.code, outcome.err) == (0, "")
+    read = read_layers(output)
+    np.testing.assert_array_equal(read.image, read_image(output))
+    assert read.layers["error"].shape == (10, 12, 3)
+    assert read.layers["coverage"].shape == (10, 12)
+    assert 0.2 < read.layers["coverage"].mean() < 1.0
+    assert read.layers["error"][read.layers["coverage"] == 1].min() > 0
+    texts = {name.removeprefix("prtbake."): text for name, text in read.attributes.items()}
+    said = json.loads(report.read_text())
+    assert (texts["spp"], texts["seed"], texts["complete"]) == ("16", "7", "yes")
+    assert texts["scene"] == read_scene("scene.toml").content_hash
+    assert float(texts["seconds"]) == pytest.approx(said["seconds"], abs=1e-3)
+    assert (said["spp"], said["passes"], said["seed"], said["complete"]) == (16, 8, 7, True)
+    assert said["error_vs_time"]["columns"] == ["seconds", "walks", "relative noise"]
+    assert [row[1] for row in said["error_vs_time"]["rows"]][-1] == said["walks"]
+    assert len(said["error_vs_time"]["rows"]) == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.json"]
+
+
+@pytest.mark.parametrize("left_out", [True, False])
+def test_the_command_leaves_out_what_crosses_unscattered(prtbake: Run, tmp_path: Path, left_out: bool) -> None:
+    output, option = tmp_path / "a.exr", ["--no-unscattered"] if left_out else []
+    assert prtbake(*COMMAND, "--light", "sky.exr", "-o", output, "--spp", 2, *option).code == 0
+    shows = read_layers(output).attributes["prtbake.shows"]
+    assert shows == SHOWS["scattered" if left_out else "all"]
+
+
+@pytest.mark.parametrize("options", [["--minutes", "0"], ["--error", "0.5"], []])
+def test_the_command_ends_on_time_on_noise_or_after_its_usual_walks(
+    prtbake: Run, tmp_path: Path, options: list[str]
+) -> None:
+    outcome = prtbake(*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", *options)
+    assert outcome.code == 0
+    expected = {"--minutes": "4", "--error": "16"}.get(options[0] if options else "", "64")
+    assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == expected
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path) -> None:
+    picture = [*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", "--spp", 8]
+    outcome = prtbake(*picture, "--minutes", 0)
+    assert outcome.code == 0
+    assert "the time was up after 4 walks a pixel; --resume goes on" in outcome.err
+    assert read_layers(tmp_path / "a.exr").attributes["prtbake.complete"] == "no"
+    refused = prtbake(*picture, "--resume", "--seed", 3)
+    assert refused.code == 1
+    assert refused.err.startswith(
+        f"prtbake: {tmp_path}/a.exr.render.npz: belongs to another picture: seed is 0 there, 3"
+    )
+    again = prtbake(*picture[:-2], "--resume")  # the limits are those of before: 8 walks, no minute
+    assert "the time was up after 4 walks a pixel" in again.err
+    assert prtbake(*picture, "--resume").code == 0
+    assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == "8"
+    resumed = read_image(tmp_path / "a.exr")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
+    assert prtbake(*picture).code == 0
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), resumed)
+
+
+def full(path: Path, *_: object, **__: object) -> None:
+    raise StorageError(f"{path}: no space left on the device")
+
+
+def test_a_picture_that_cannot_be_written_can_be_resumed(
+    prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prt_bake.rendering.loop._CHECKPOINT_SECONDS", 0.0)
+    picture = [*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", "--spp", 8]
+    with monkeypatch.context() as patched:
+        patched.setattr("formats.image.write_image", full)
+        assert prtbake(*picture).code == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr.render.npz"]
+    assert prtbake(*picture, "--resume").code == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
+
+
+def test_two_pictures_of_one_name_have_their_own_states(prtbake: Run, tmp_path: Path) -> None:
+    start = [*COMMAND, "--light", "sky.exr"]
+    assert prtbake(*start, "-o", tmp_path / "a.exr", "--spp", 8, "--minutes", 0).code == 0
+    assert prtbake(*start, "-o", tmp_path / "a.png", "--spp", 2).code == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.exr.render.npz", "a.png"]
+
+
+def test_no_light_is_wrong_usage_and_bad_lights_are_one_sentence(prtbake: Run, tmp_path: Path) -> None:
+    assert prtbake(*COMMAND, "-o", tmp_path / "a.exr").code == 2
+    (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\ncolour = [1, 1, 1]\n")
+    (tmp_path / "smooth.toml").write_text(
+        Path("scene.toml").read_text().replace("eta = 1.0", "eta = 1.5").replace('"sphere', f'"{Path.cwd()}/sphere')
+    )
+    cases = {
+        "directional.0.colour: unknown key": ["--light", tmp_path / "lights.toml"],
+        "direction: expected three": ["--light", "sun:0,0,0"],
+        "irradiance: expected three": ["--light", "sun:0,1,0:-1,1,1"],
+        "angular diameter: expected degrees": ["--light", "sun:0,1,0:-1"],
+        "there is no such file": ["--light", "none.hdr"],
+        "nothing to resume": ["--light", "sky.exr", "--resume"],
+    }
+    for sentence, options in cases.items():
+        outcome = prtbake(*COMMAND, "-o", tmp_path / "a.exr", *options)
+        assert (outcome.code, len(outcome.err.splitlines())) == (1, 1), sentence
+        assert sentence in outcome.err
+    smooth = ["render", tmp_path / "smooth.toml", "sphere.ply", "-o", tmp_path / "a.exr", "--light", "sun:0,1,0"]
+    outcome = prtbake(*smooth)
+    assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
+    assert "give the light an angular diameter" in outcome.err
+    assert not (tmp_path / "a.exr").exists()
+
+
+@pytest.mark.usefixtures("compiled_kernels")
+def test_ctrl_c_leaves_a_valid_picture_that_can_go_on(folder: Path, tmp_path: Path) -> None:
+    program = (
+        "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "
+        "sys.exit(main.main(sys.argv[1:]))"
+    )
+    command = [sys.executable, "-c", program, *COMMAND, "--light", "sky.exr", "-o", str(tmp_path / "a.exr")]
+    process = subprocess.Popen(
+        [*command, "--spp", "1000000"], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    for _ in range(3):
+        assert "1000000 walks a pixel" in process.stderr.readline()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    assert "stopped" in err.splitlines()[-1]
+    read = read_layers(tmp_path / "a.exr")
+    spp = int(read.attributes["prtbake.spp"])
+    assert 4 <= spp < 1000000
+    assert read.attributes["prtbake.complete"] == "no"
+    assert np.isfinite(read.layers["error"]).all()
+    assert checkpoint_path(tmp_path / "a.exr").is_file()
+    done = subprocess.run(
+        [*command, "--resume", "--spp", str(spp + 2)], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == str(spp + 2)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]

@@ -1,0 +1,303 @@
+"""What a baked surface reflects: furnaces with and without a bounce, suns, mirrors, agreement with unbiased samples."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from formats.mesh import Mesh, build_mesh
+from formats.scene.lights import DirectionalLight
+from prt_bake.geometry.camera import Hits, Visibility
+from prt_bake.lights import environment
+from prt_bake.lights.lighting import Lighting, Sky
+from prt_bake.mathematics import sh
+from prt_bake.reflection.microfacet import fresnel, mirrored
+from prt_bake.reflection.reflector import Reflector
+from prt_bake.shading.picture import render_picture, shade
+from prt_bake.shading.suns import SunTreatment
+from prt_bake.shading.surface_reflection import SurfaceGloss, reflects
+from tests.shading.test_picture import constant, front, make_asset
+from tests.shapes import ring
+from tests.tracer.scenes import lumpy, sphere
+
+POINTS = 9
+DARK = np.zeros((9, 3))
+
+
+def glossy(mesh: Mesh, roughness=0.3, eta=1.5, sent=1.0, normals="face") -> Asset:
+    """An asset that sends `sent` everywhere, whatever the light of unit radiance comes from."""
+    asset = make_asset(mesh, provenance={"eta": eta, "roughness": roughness, "model": {"normals": normals}})
+    coefficients = np.zeros_like(asset.coefficients)
+    coefficients[:, :, 0] = sent / math.sqrt(4 * math.pi)
+    return dataclasses.replace(asset, coefficients=coefficients)
+
+
+def white_weights() -> np.ndarray:
+    weights = np.zeros((9, 3))
+    weights[0] = math.sqrt(4 * math.pi)
+    return weights
+
+
+def blotchy(seed=1) -> Sky:
+    image = np.random.default_rng(seed).random((16, 32, 3)).astype(np.float32) ** 4
+    return Sky(image, "y", environment.rotation(30.0, "y"))
+
+
+def places(mesh: Mesh, count: int, seed=0):
+    """Faces, (u, v), directions to an eye above them, and the keys of as many whole pixels."""
+    generator = np.random.default_rng(seed)
+    faces = np.repeat(generator.integers(0, len(mesh.faces), count), POINTS)
+    barycentric = generator.dirichlet([1, 1, 1], len(faces))[:, :2]
+    outgoing = mesh.face_normals[faces] + 0.7 * np.repeat(generator.normal(size=(count, 3)), POINTS, axis=0)
+    outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
+    return faces, barycentric, outgoing, np.arange(len(faces))
+
+
+def pixels(values: np.ndarray) -> np.ndarray:
+    return values.reshape(-1, POINTS, 3).mean(axis=1)
+
+
+@pytest.mark.parametrize("roughness", [0.0, 0.02, 0.3, 1.0])
+def test_in_a_white_furnace_the_bounce_hides_where_the_object_is(roughness: float) -> None:
+    """A ring that sends what the sky sends reflects as much as it would alone: its directional albedo."""
+    mesh = ring()
+    asset = glossy(mesh, roughness)
+    white = Lighting((Sky(np.ones((8, 16, 3), np.float32), "y", np.eye(3)),))
+    where = places(mesh, 400)
+    seen = Visibility(mesh)
+    whole, without = (
+        pixels(SurfaceGloss(asset, white, weights, seen, POINTS).radiance(*where)[0])
+        for weights in (white_weights(), DARK)
+    )
+    assert (without <= whole + 1e-12).all()
+    assert (without < 0.9 * whole).any()
+
+    class Free:
+        def first_hits(self, _origins, rays):
+            return Hits(np.full(len(rays), -1), np.zeros((len(rays), 2)))
+
+    alone = SurfaceGloss(asset, white, DARK, Free(), POINTS).radiance(*where)[0]
+    np.testing.assert_allclose(whole, pixels(alone), rtol=1e-5, atol=1e-9)
+
+
+def with_sun(sky: Sky) -> Sky:
+    """The sky with a sun of 1e5 in one pixel of a finer picture."""
+    image = np.repeat(np.repeat(sky.image, 16, axis=0), 16, axis=1)
+    image[90, 300] = 1e5
+    return dataclasses.replace(sky, image=image)
+
+
+def with_window(sky: Sky) -> Sky:
+    """The sky with a pixel of 11 degrees that is taken out of it, and is wide beside most lobes."""
+    image = sky.image.copy()
+    image[4, 9] = 3e3
+    return dataclasses.replace(sky, image=image)
+
+
+@pytest.mark.parametrize(
+    ("sky", "most"),
+    [(blotchy(), 0.08), (with_sun(blotchy()), 0.08), (with_window(blotchy()), 0.15)],
+    ids=["blotchy", "sun", "window"],
+)
+@pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
+def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float, sky: Sky, most: float) -> None:
+    """Without a bounce, as the path tracer's pictures have it."""
+    mesh = lumpy(2)
+    asset, lighting = glossy(mesh, roughness), Lighting((sky,))
+    faces, barycentric, outgoing, keys = places(mesh, 300)
+    seen = Visibility(mesh)
+    ours, differing = SurfaceGloss(asset, lighting, DARK, seen, POINTS).radiance(faces, barycentric, outgoing, keys)
+    reflector, normals, alpha = Reflector(mesh, lighting, 1.5, seen), mesh.face_normals[faces], np.full(2700, roughness)
+    rounds = 120
+    samples = [
+        pixels(reflector.reflected(faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), seed))
+        for seed in range(rounds)
+    ]
+    truth, noise = np.mean(samples, axis=0), np.var(samples, axis=0).sum() / rounds
+    squared = ((pixels(ours) - truth) ** 2).sum()
+    signal = (truth**2).sum()
+    error = math.sqrt(max(0.0, squared - noise) / signal)
+    told = math.sqrt((pixels(differing) ** 2).sum() / signal)
+    assert error < most
+    assert error < 1.3 * told < 6.0 * max(error, 0.01)
+    assert pixels(ours).sum() == pytest.approx(truth.sum(), rel=max(0.02, error))
+
+
+def test_a_sun_without_size_is_connected_to() -> None:
+    mesh = sphere(2)
+    sun = DirectionalLight(np.array([0.0, 0.6, 0.8]), np.array([3.0, 2.0, 1e5]), 0.0)
+    faces, barycentric, outgoing, keys = places(mesh, 200)
+    lighting = Lighting((), (sun,))
+    gloss = SurfaceGloss(glossy(mesh), lighting, DARK, Visibility(mesh), POINTS)
+    ours, differing = gloss.radiance(faces, barycentric, outgoing, keys)
+    reflector = Reflector(mesh, lighting, 1.5)
+    due = reflector.reflected(
+        faces, barycentric, mesh.face_normals[faces], outgoing, np.full(1800, 0.3), keys.astype(np.uint64), 0
+    )
+    np.testing.assert_allclose(ours, due, rtol=1e-9)
+    assert ours.any()
+    assert not differing.any()
+
+
+def test_a_mirror_shows_the_sky_as_it_is() -> None:
+    mesh = sphere(2)
+    lighting = Lighting((blotchy(),), (DirectionalLight(np.array([0.0, 1.0, 0.0]), np.full(3, 2.0), 60.0),))
+    faces, barycentric, outgoing, keys = places(mesh, 200)
+    gloss = SurfaceGloss(glossy(mesh, 0.0), lighting, DARK, Visibility(mesh), POINTS)
+    normals = mesh.face_normals[faces]
+    towards = mirrored(outgoing, normals)
+    due = fresnel((outgoing * normals).sum(axis=1), 1.5)[:, None] * lighting.radiance(towards)
+    above = ((outgoing * normals).sum(axis=1) > 1e-6) & ((towards * normals).sum(axis=1) > 1e-6)
+    np.testing.assert_allclose(
+        gloss.radiance(faces, barycentric, outgoing, keys)[0][above], due[above], rtol=1e-9, atol=1e-12
+    )
+
+
+def test_a_ray_that_meets_the_object_sees_what_the_asset_sends_along_it() -> None:
+    """A polished ring whose radiance depends on the view: each hit by itself, by `shade` along the ray."""
+    mesh = ring()
+    asset = dataclasses.replace(
+        make_asset(mesh, rings=8, sectors=16), provenance={"eta": 1.5, "roughness": 0.0, "model": {}}
+    )
+    asset.coefficients[:] *= np.random.default_rng(3).uniform(0.2, 2.0, asset.coefficients.shape[:2])[:, :, None, None]
+    black = Lighting((Sky(np.zeros((2, 4, 3), np.float32), "y", np.eye(3)),))
+    seen = Visibility(mesh)
+    faces, barycentric, outgoing, keys = (part[::POINTS] for part in places(mesh, 400))
+    sent = SurfaceGloss(asset, black, white_weights(), seen, 1).radiance(faces, barycentric, outgoing, keys)[0]
+    normals = mesh.face_normals[faces]
+    towards = mirrored(outgoing, normals)
+    corners = mesh.positions[mesh.faces[faces]]
+    shares = np.concatenate([1 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
+    hits = seen.first_hits(np.einsum("nk,nki->ni", shares, corners) + 1e-5 * normals, towards)
+    share = fresnel((outgoing * normals).sum(axis=1), 1.5)
+    met = np.flatnonzero((hits.faces >= 0) & ((towards * normals).sum(axis=1) > 1e-3))
+    assert len(met) > 20
+    for n in met:
+        at_vertices = shade(asset, white_weights(), np.broadcast_to(-towards[n], mesh.positions.shape))
+        u, v = hits.barycentric[n]
+        due = np.array([1 - u - v, u, v]) @ at_vertices[mesh.faces[hits.faces[n]]]
+        np.testing.assert_allclose(sent[n], share[n] * due, rtol=2e-3)
+
+
+def test_turning_object_sky_and_eye_together_changes_nothing() -> None:
+    turn = environment.rotation(50.0, "y")
+    mesh = lumpy(2)
+    turned = build_mesh(mesh.positions @ turn.T, mesh.faces)
+    sky = blotchy()
+    faces, barycentric, outgoing, keys = places(mesh, 200)
+    still = SurfaceGloss(glossy(mesh), Lighting((sky,)), white_weights(), Visibility(mesh), POINTS)
+    other = SurfaceGloss(
+        glossy(turned), Lighting((sky,)).turned(50.0, "y"), white_weights(), Visibility(turned), POINTS
+    )
+    ours = pixels(still.radiance(faces, barycentric, outgoing, keys)[0])
+    theirs = pixels(other.radiance(faces, barycentric, outgoing @ turn.T, keys)[0])
+    # Single rays may graze the object here and miss it there.
+    assert (abs(ours - theirs).max(axis=1) < 1e-5).mean() > 0.98
+    assert abs(ours - theirs).mean() < 1e-5
+
+
+def test_it_is_linear_in_the_light() -> None:
+    mesh = lumpy(2)
+    asset, where = glossy(mesh), places(mesh, 60)
+    first, second = blotchy(1), blotchy(2)
+    sun = DirectionalLight(np.array([0.6, 0.0, 0.8]), np.array([1e5, 1e4, 1.0]), 0.5)
+    seen = Visibility(mesh)
+
+    def reflected(*lights: Sky | DirectionalLight, weights: np.ndarray) -> np.ndarray:
+        skies = tuple(light for light in lights if isinstance(light, Sky))
+        suns = tuple(light for light in lights if isinstance(light, DirectionalLight))
+        return SurfaceGloss(asset, Lighting(skies, suns), weights, seen, POINTS).radiance(*where)[0]
+
+    parts = [reflected(light, weights=DARK) for light in (first, second, sun)]
+    together = reflected(first, second, sun, weights=DARK)
+    np.testing.assert_allclose(together, sum(parts), rtol=1e-6, atol=1e-9)
+
+
+def test_pictures_are_the_sum_of_their_parts_and_an_index_of_1_reflects_nothing() -> None:
+    mesh = ring()
+    picture = render_picture(
+        glossy(mesh), constant(), front(), reflection=True, layers=("radiance", "subsurface", "reflection")
+    )
+    layers = picture.layers
+    np.testing.assert_allclose(layers["radiance"], layers["subsurface"] + layers["reflection"], atol=1e-6)
+    assert layers["reflection"].max() > 0.03
+    assert picture.reflects
+    without = render_picture(glossy(mesh), constant(), front(), layers=("reflection",))
+    assert not without.layers["reflection"].any()
+    np.testing.assert_allclose(picture.image - without.image, layers["reflection"], atol=1e-6)
+    matched = render_picture(glossy(mesh, eta=1.0), constant(), front(), reflection=True)
+    assert not matched.reflects
+    np.testing.assert_array_equal(matched.image, without.image)
+    assert not reflects(glossy(mesh, eta=1.0))
+
+
+def test_interpolated_normals_reflect_smoothly() -> None:
+    mesh = sphere(2)
+    sky = np.zeros((64, 128, 3), np.float32)
+    sky[:32] = 1.0
+    flat, smooth = (
+        render_picture(
+            glossy(mesh, 0.05, normals=normals, sent=0.0), sky, front(64, 64), reflection=True, background=False
+        )
+        for normals in ("face", "vertex")
+    )
+    assert abs(flat.image - smooth.image).max() > 0.01
+
+
+def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
+    asset = glossy(ring())
+    bare = dataclasses.replace(asset, provenance={"eta": 1.5})
+    with pytest.raises(QueryError, match="does not say how rough"):
+        render_picture(bare, constant(), front(), reflection=True)
+    assert render_picture(bare, constant(), front(), reflection=True, roughness=0.2).reflects
+    with pytest.raises(QueryError, match="a GGX alpha from 0 to 1"):
+        render_picture(bare, constant(), front(), reflection=True, roughness=1.5)
+    with pytest.raises(QueryError, match="finite index"):
+        render_picture(
+            dataclasses.replace(asset, provenance={"eta": -1.0, "roughness": 0.1}), constant(), front(), reflection=True
+        )
+
+
+def test_roughness_from_a_texture_is_that_of_each_place() -> None:
+    mesh = sphere(3)
+    left = mesh.positions[:, 0] < 0.0
+    mesh = dataclasses.replace(mesh, uv=np.stack([np.where(left, 0.25, 0.75), np.full(len(left), 0.5)], axis=1))
+    asset, sun = glossy(mesh), DirectionalLight(np.array([0.0, 0.6, 0.8]), np.ones(3), 0.0)
+
+    def picture(roughness) -> np.ndarray:
+        return render_picture(asset, Lighting((), (sun,)), front(), reflection=True, roughness=roughness).image
+
+    mixed, smooth, rough = picture(np.array([[0.2, 0.6]])), picture(0.2), picture(0.6)
+    halves = [(abs(mixed - whole) <= 1e-6 * whole).all(axis=2) for whole in (smooth, rough)]
+    assert (abs(smooth - rough).max(axis=2) > 1e-3).sum() > 100
+    assert halves[0][:, :18].all()
+    assert halves[1][:, 22:].all()
+    with pytest.raises(QueryError, match="no texture coordinates"):
+        render_picture(glossy(ring()), constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
+
+
+@pytest.mark.parametrize("suns", ["split", "window", "plain"])
+def test_turning_the_light_of_a_picture_is_turning_object_and_camera_the_other_way(suns: SunTreatment) -> None:
+    """Sky, a sun in it, a sun beside it, and what the ring reflects of itself."""
+    asset = make_asset(ring(), provenance={"eta": 1.5, "roughness": 0.3, "model": {"normals": "face"}})
+    sky = with_window(blotchy())
+    back = environment.rotation(-37.0, "y")
+    light = Lighting((sky,), (DirectionalLight(np.array([0.6, 0.48, 0.64]), np.ones(3), 0.5),))
+    about = light.turned(37.0, "y")
+    turned = dataclasses.replace(
+        asset,
+        mesh=dataclasses.replace(
+            asset.mesh, positions=asset.mesh.positions @ back.T, normals=asset.mesh.normals @ back.T
+        ),
+        tangents=asset.tangents @ back.T,
+        coefficients=(sh.rotation(back, 2) @ asset.coefficients).astype(np.float32),
+    )
+    view = front()
+    seen_back = dataclasses.replace(view, eye=back @ view.eye, target=back @ view.target)
+    one = render_picture(asset, about, view, reflection=True, suns=suns)
+    other = render_picture(turned, light, seen_back, reflection=True, suns=suns)
+    assert one.coverage.sum() > 100.0
+    np.testing.assert_allclose(other.image, one.image, rtol=1e-5, atol=1e-5 * one.image.mean())

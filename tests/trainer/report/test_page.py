@@ -1,0 +1,129 @@
+"""The report's two files: what a program reads, and a page that needs nothing beside it."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from html import escape
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from formats.errors import StorageError
+from prt_bake.cli.main import main
+from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer.report.assessment import assess
+from prt_bake.trainer.report.page import report_paths, training_page, write_training_report
+from prt_bake.trainer.report.picture import SUNS, sentence
+from tests.tracer.scenes import make_scene, sphere
+from tests.trainer.report.test_assessment import Network, NoisyTruth, truth
+
+MOST_BYTES = 400 * 1024
+EMPTY = {"meta", "link", "br", "hr", "img", "path", "use"}
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    scene = make_scene(tmp_path_factory.mktemp("ball"), sphere(2))
+    network = Network(lambda *query: 1.05 * truth(*query))
+    history = [[6.0 * k, 1000.0 * k, 0.5 / np.sqrt(k)] for k in range(1, 20)]
+    return assess(
+        network,
+        scene,
+        prepare(scene),
+        queries=256,
+        walks=64,
+        seconds=0.2,
+        tracer=NoisyTruth(1.0),
+        history=history,
+    ).as_json()
+
+
+@pytest.fixture(scope="module")
+def page(report):
+    return training_page(report)
+
+
+def test_the_files_lie_beside_the_model(tmp_path):
+    assert report_paths(tmp_path / "cow.pt") == (tmp_path / "cow.report.json", tmp_path / "cow.report.html")
+
+
+def test_the_json_holds_finite_numbers_and_the_page_is_made_of_it_alone(report, tmp_path):
+    write_training_report(report, tmp_path / "a.json", tmp_path / "a.html")
+    read = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
+    assert training_page(read) == (tmp_path / "a.html").read_text()
+    assert read["history"]["of"] == "transport"
+    assert read["transport"]["network"]["value"] == pytest.approx(0.05, rel=0.2)
+
+
+def test_the_page_is_small_whole_and_needs_nothing_beside_it(page):
+    assert len(page.encode()) < MOST_BYTES
+    elsewhere = re.sub(r'xmlns(:\w+)?="[^"]*"|<!DOCTYPE[^>]*>', "", page)
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!data:|#)|url\((?!#)|https?://""", elsewhere)
+    open_tags = []
+
+    class Balance(HTMLParser):
+        def handle_starttag(self, tag, attributes):
+            if tag not in EMPTY:
+                open_tags.append(tag)
+
+        def handle_endtag(self, tag):
+            if tag not in EMPTY:
+                assert open_tags.pop() == tag
+
+    Balance().feed(page)
+    assert open_tags == []
+
+
+def test_every_plot_takes_the_page_s_colour_and_has_its_own_names(page):
+    plots = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
+    assert len(plots) == 6
+    names = []
+    for plot in plots:
+        root = ElementTree.fromstring(plot)
+        found = [element.get("id") for element in root.iter() if element.get("id")]
+        used = re.findall(r"(?:url\(#|href=\"#)([^)\"]+)", plot)
+        assert set(used) <= set(found)
+        names += found
+        assert "currentColor" in plot
+        assert not re.search(r"#000000|#010203", plot)
+    assert len(names) == len(set(names))
+
+
+def test_the_page_says_the_figures_with_their_intervals(report, page):
+    network = report["transport"]["network"]
+    assert f"{100 * network['value']:.2f} % ({100 * network['low']:.2f} to {100 * network['high']:.2f})" in page
+    for row in report["criteria"]:
+        assert escape(row["name"]) in page
+    assert "prefers-color-scheme: dark" in page
+
+
+def test_a_page_that_cannot_be_written_leaves_the_older_one(report, tmp_path):
+    with pytest.raises(StorageError):
+        write_training_report(report, tmp_path / "none" / "a.json", tmp_path / "a.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capfd):
+    scene = make_scene(tmp_path, sphere(1))
+    settings = NetworkSettings(features=8, width=8, layers=2, skips=(), directions="cartesian")
+    network = NeuralBSSRDF(settings, [-1.0] * 3, 2.0, 0.05, {"scene_hash": scene.content_hash})
+    save_model(network, tmp_path / "m.pt")
+    words = ["report", "training", str(tmp_path / "m.pt"), str(scene.path)]
+    assert main([*words, "--seconds", "0.1", "--queries", "16", "--vertices", "16"]) == 0
+    assert "not met" in capfd.readouterr().out
+    read = json.loads((tmp_path / "m.report.json").read_text())
+    assert read["transport"]["network"]["value"] > 0.1
+    assert (tmp_path / "m.report.html").stat().st_size < MOST_BYTES
+    assert [picture["sun"] for picture in read["pictures"]] == list(SUNS)
+    page = (tmp_path / "m.report.html").read_text()
+    for picture in read["pictures"]:
+        assert sentence(picture) in read["summary"]
+        assert sum(f"the sun {picture['sun']}" in row["name"] for row in read["criteria"]) == 1
+        assert f"{picture['flip']:.4f}" in page
+        assert picture["png"] in page
+    network.metadata["scene_hash"] = "another"
+    save_model(network, tmp_path / "m.pt")
+    assert main(words) == 1
+    assert "was trained on another scene" in capfd.readouterr().err

@@ -1,0 +1,110 @@
+"""The picture of a training report: its light, its figures against independent pictures, and its verdict."""
+
+import base64
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from formats.errors import QueryError
+from prt_bake.geometry import camera
+from prt_bake.lights.environment import project
+from prt_bake.rendering.scene import render_scene
+from prt_bake.trainer.report import picture as training_picture
+from prt_bake.trainer.report.picture import FLIP, SIZE, SUNS, picture_error, sunny, verdict
+from tests.tracer.scenes import make_scene, sphere
+from tests.trainer.report.test_assessment import Network
+
+
+def fluence(image):
+    """The sky's radiance over the whole sphere [3]."""
+    return np.sqrt(4.0 * np.pi) * project(image, 0)[0]
+
+
+@pytest.mark.parametrize(("sun", "towards_the_eye"), [("aside", (0.0, 0.5)), ("behind", (-0.95, -0.7))])
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_two_thirds_of_the_light_are_the_suns_from_above(tmp_path, up, sun, towards_the_eye):
+    light = sunny(replace(make_scene(tmp_path, sphere(1)), up=up), sun)
+    (sky,), (disc,) = light.skies, light.suns
+    whole = fluence(sky.image).mean()
+    assert disc.irradiance.mean() / (disc.irradiance.mean() + whole) == pytest.approx(2.0 / 3.0, rel=0.02)
+    above = disc.direction[{"y": 1, "z": 2}[up]]
+    assert 0.4 < above < 0.7
+    eye = camera._VIEW[up] / np.linalg.norm(camera._VIEW[up])
+    assert towards_the_eye[0] < float(eye @ disc.direction) < towards_the_eye[1]
+    overhead, below = (light.radiance(side * np.eye(3)[[{"y": 1, "z": 2}[up]]])[0] for side in (1.0, -1.0))
+    assert (overhead > 3.0 * below).all()
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return make_scene(tmp_path_factory.mktemp("ball"), sphere(2))
+
+
+def constant(value):
+    return Network(lambda incident, positions, outgoing: np.full((*incident.shape[:2], 3), value))
+
+
+@pytest.mark.parametrize("sun", SUNS)
+def test_the_error_is_that_against_independent_pictures(scene, sun):
+    """A network that is the same everywhere: its picture is Ŝ times all of the light, known without rendering."""
+    light, view = sunny(scene, sun), camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
+    first, second = (render_scene(scene, light, view, 16, seed, background=False).image for seed in (7, 8))
+    coverage = render_scene(scene, light, view, 4, 9, background=False).coverage >= 1.0
+    first, second = (part[coverage].astype(np.float64) for part in (first, second))
+    (sky,), (disc,) = light.skies, light.suns
+    whole = fluence(sky.image) + disc.irradiance
+    value = float(np.median(first.mean(axis=1)) / whole.mean())
+    found = picture_error(constant(value), scene, sun, 2.0, 3)
+    expected = np.sqrt(np.mean((value * whole - first) * (value * whole - second)) / np.mean(first * second))
+    assert found["error"] == pytest.approx(expected, rel=0.1)
+    assert 0.0 < found["flip_of_noise"] < found["flip"] < 1.0
+    assert found["flip_without_noise"] <= found["flip"]
+    assert found["walks"] >= 8
+    # All of the difference is on the object, but for what FLIP's filters carry over its rim.
+    share = 0.5 * coverage.mean(), 1.5 * coverage.mean()
+    assert share[0] < found["flip"] / found["on_object"]["flip"] < share[1]
+    picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(found["png"]))))
+    assert picture.shape == (SIZE, 3 * SIZE, 3)
+    ours, theirs, flip = np.split(picture.astype(np.float64), 3, axis=1)
+    # A few pixels at the rim are covered wholly by four rays, and by more only in part.
+    assert np.ptp(np.percentile(ours[coverage], [10, 90], axis=0), axis=0).max() <= 2.0
+    assert np.ptp(theirs[coverage], axis=0).min() > 50.0
+    np.testing.assert_array_equal(flip[..., 0], flip[..., 2])
+
+
+def test_pictures_depend_on_the_seed_alone_of_what_is_random(scene, monkeypatch):
+    """The two halves are traced apart: another seed shares none of them."""
+    seeds = []
+
+    def traced(*asked, **named):
+        seeds.append(asked[4])
+        return render_scene(*asked[:3], 4, asked[4], background=False)
+
+    monkeypatch.setattr(training_picture, "render_scene", traced)
+    found = [picture_error(constant(0.05), scene, "aside", 1.0, seed)["flip"] for seed in (0, 1, 0)]
+    assert found[0] == found[2] != found[1]
+    assert len(set(seeds)) == 4
+
+
+@pytest.mark.parametrize(
+    ("flip", "without", "noise", "expected"),
+    [
+        (0.9 * FLIP, 0.5 * FLIP, 0.3 * FLIP, "met"),
+        (1.4 * FLIP, 1.2 * FLIP, 0.6 * FLIP, "not met"),
+        (1.4 * FLIP, 0.8 * FLIP, 0.9 * FLIP, "undecided"),
+        (1.4 * FLIP, 1.2 * FLIP, 1.1 * FLIP, "undecided"),
+    ],
+)
+def test_the_verdict_is_no_harder_than_the_noise_allows(flip, without, noise, expected):
+    row = verdict({"sun": "behind", "flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
+    assert row["verdict"] == expected
+    assert row["bound"] == FLIP == 0.05
+
+
+def test_where_no_light_comes_out_there_is_no_picture(tmp_path):
+    black = make_scene(tmp_path, sphere(1), albedo=0.0)
+    with pytest.raises(QueryError, match="no light reaches it"):
+        picture_error(constant(0.05), black, "aside", 0.1, 0)
