@@ -13,7 +13,7 @@ from formats.asset import read_asset
 from formats.image import read_image, write_image
 from formats.mesh import read_mesh
 from prt_bake import load_model
-from prt_bake.baking.bake import bake
+from prt_bake.baking import bake
 from prt_bake.rendering.loop import SHOWS_REFLECTION
 from prt_bake.rendering.network import SHOWS as SHOWS_NETWORK
 from prt_bake.rendering.scene import SHOWS, SHOWS_ROUGH

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from formats.errors import QueryError
-from prt_bake.comparison.metrics import compare, object_figures
+from prt_bake.comparison import object_figures
+from prt_bake.comparison.metrics import compare
 from prt_bake.paper.artefacts import Artefact
 from prt_bake.paper.reference import Reference
 
