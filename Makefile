@@ -1,4 +1,4 @@
-# `make demo` and `make test` do everything on a fresh machine: each makes the virtual environment .venv by itself.
+# `make demo` and `make test` do everything on a fresh machine: each creates the virtual environment .venv.
 # Torch comes from the configured package index; PIP_EXTRA_INDEX_URL may name one whose wheels have no GPU libraries.
 
 PYTHON = $(shell for candidate in python3.13 python3.12 python3.11 python3; do \
@@ -10,7 +10,8 @@ BIN := .venv/bin
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test lint bench shipped clean
+.PHONY: demo picture test test-statistics lint bench shipped clean
+PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate
 	$(BIN)/prtbake demo --out demo
@@ -20,7 +21,11 @@ picture: .venv/installed-evaluate
 	cp demo/picture/spot.png demo/picture/comparison.png docs/
 
 test: .venv/installed-dev .venv/apart/installed
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	$(PYTEST) -m "not statistics"
+
+# What needs many samples: calibration, the independent renderer, extremes, whole bakes and trainings.
+test-statistics: .venv/installed-dev .venv/apart/installed
+	$(PYTEST) -m statistics
 
 lint: .venv/installed-dev
 	$(BIN)/ruff check

@@ -10,7 +10,7 @@ from prt_bake.tracer.prepared import PreparedScene, prepare
 from prt_bake.trainer.cores import divided, undivided
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.samples.repeatable import InTurn
-from prt_bake.trainer.samples.rows import Box, RowSource, RowWalks, StreamSettings, row_walks
+from prt_bake.trainer.samples.rows import Box, RowSource, RowTracer, StreamSettings, row_tracer
 from prt_bake.trainer.samples.stream import Renderer
 from prt_bake.trainer.validation import Reference, final_figures, reference_for
 
@@ -56,7 +56,7 @@ class OnlineMaterial:
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
         """A renderer, its kernel compiled."""
-        walks: RowWalks = row_walks(self.scene, self._prepared, self.box, self._stream, self._seed)
+        walks: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
         walks.render(0, 1)
         if self._synchronous:
             return InTurn(walks, self._stream, undivided().walkers, self._seed, state)

@@ -7,7 +7,7 @@ from prt_bake.mathematics import sh
 from prt_bake.mathematics.directions import uniform
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.samples.resampling import along_curve, thinned
-from prt_bake.trainer.samples.rows import ExitWalks, StreamSettings
+from prt_bake.trainer.samples.rows import ExitTracer, StreamSettings
 from prt_bake.trainer.training_data import box_of
 from tests.trainer.small_training import make_scene
 
@@ -114,7 +114,7 @@ def test_the_curve_goes_everywhere_and_from_neighbour_to_neighbour():
 @pytest.mark.parametrize(("exits", "kept"), [(8, 3), (3, 8), (4, 4)])
 def test_rows_have_as_many_rays_as_are_kept(rough_scene, exits, kept):
     """Of fewer walks some are told twice, so that all rows are alike whatever the haste."""
-    walks = ExitWalks(prepare(rough_scene), box_of(rough_scene), StreamSettings(exits=exits, kept=kept), 0)
+    walks = ExitTracer(prepare(rough_scene), box_of(rough_scene), StreamSettings(exits=exits, kept=kept), 0)
     assert walks.render(0, 10).rays.shape == (10, kept, 6)
     assert walks.walks_a_query == exits
 
@@ -122,7 +122,7 @@ def test_rows_have_as_many_rays_as_are_kept(rough_scene, exits, kept):
 def test_rows_of_thinned_walks_mean_what_walks_mean(rough_scene):
     """The same queries and walks, thinned or not: a query's light is the same."""
     prepared, box = prepare(rough_scene), box_of(rough_scene)
-    thin = ExitWalks(prepared, box, StreamSettings(exits=WALKS, kept=KEPT), 0).render(0, 50)
-    full = ExitWalks(prepared, box, StreamSettings(exits=WALKS, kept=WALKS), 0).render(0, 50)
+    thin = ExitTracer(prepared, box, StreamSettings(exits=WALKS, kept=KEPT), 0).render(0, 50)
+    full = ExitTracer(prepared, box, StreamSettings(exits=WALKS, kept=WALKS), 0).render(0, 50)
     np.testing.assert_array_equal(thin.rows[:, :6], full.rows[:, :6])
     np.testing.assert_allclose(thin.rays[..., 3:].mean(axis=(1, 2)), full.rays[..., 3:].mean(axis=(1, 2)), rtol=1e-5)

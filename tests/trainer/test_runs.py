@@ -15,7 +15,7 @@ from prt_bake.trainer import cores
 from prt_bake.trainer.history import every_tenth
 from prt_bake.trainer.resume import state_path
 from prt_bake.trainer.samples.repeatable import InTurn, Shuffled
-from prt_bake.trainer.samples.rows import Batch, Box, Done, StreamSettings, ValueWalks, row_walks
+from prt_bake.trainer.samples.rows import Batch, Box, Done, StreamSettings, ValueTracer, row_tracer
 from prt_bake.trainer.samples.stream import Renderer
 from prt_bake.trainer.training_data import OnlineMaterial, box_of
 from tests.trainer.small_training import LEARNING, SMALL, STREAM, learnt, make_scene
@@ -135,16 +135,16 @@ def test_cores_are_divided_and_share_one(monkeypatch, share, learn):
 def test_rays_are_values_where_light_leaves_unbent_and_exits_elsewhere(scene, rough_scene, tmp_path):
     smooth = make_scene(tmp_path, eta=1.4)
     for some, exits in ((scene, False), (rough_scene, True), (smooth, True)):
-        assert row_walks(some, prepare(some), box_of(some), STREAM, 0).exits is exits
+        assert row_tracer(some, prepare(some), box_of(some), STREAM, 0).exits is exits
     asked = dataclasses.replace(STREAM, rays="values")
-    assert not row_walks(rough_scene, prepare(rough_scene), box_of(rough_scene), asked, 0).exits
+    assert not row_tracer(rough_scene, prepare(rough_scene), box_of(rough_scene), asked, 0).exits
     with pytest.raises(QueryError, match="is smooth, and behind it Ŝ has no values"):
-        row_walks(smooth, prepare(smooth), box_of(smooth), asked, 0)
+        row_tracer(smooth, prepare(smooth), box_of(smooth), asked, 0)
 
 
 def test_a_renderer_that_is_ahead_rests(scene):
     stream = dataclasses.replace(STREAM, queries_a_batch=64, capacity=512)
-    renderer = Renderer(ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, least=64)
+    renderer = Renderer(ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, least=64)
     renderer.start()
     try:
         while renderer.done().rows <= 256:
@@ -159,7 +159,7 @@ def test_a_renderer_that_is_ahead_rests(scene):
 
 
 def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
-    walks, begun = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), STREAM, seed=0), threading.Event()
+    walks, begun = ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), STREAM, seed=0), threading.Event()
     render = walks.render
 
     def slow(first, count):
@@ -188,7 +188,7 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
 def test_a_renderer_that_is_ahead_walks_more_often_from_each_query(rough_scene):
     """And less often while the learner waits, within the settings' bounds; the walks are counted as they were."""
     stream = dataclasses.replace(STREAM, queries_a_batch=64, exits=9, least_exits=3, kept=4, capacity=1024)
-    walks = row_walks(rough_scene, prepare(rough_scene), Box(np.zeros(3), 1.0), stream, 0)
+    walks = row_tracer(rough_scene, prepare(rough_scene), Box(np.zeros(3), 1.0), stream, 0)
     asked, render = [], walks.render
 
     def noted(first, count):
@@ -212,7 +212,7 @@ def test_a_renderer_that_is_ahead_walks_more_often_from_each_query(rough_scene):
 
 def test_a_buffer_smaller_than_a_batch_stops_nobody(scene):
     stream = dataclasses.replace(STREAM, queries_a_batch=8, capacity=16, reuse=1)
-    renderer = Renderer(ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, 16, reuse=1)
+    renderer = Renderer(ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, 16, reuse=1)
     renderer.start()
     drawing = threading.Thread(target=lambda: [renderer.draw(200, np.random.default_rng(0)) for _ in range(3)])
     drawing.start()
@@ -349,7 +349,7 @@ def test_lines_of_progress_say_who_waited_and_who_walked(scene):
 
 
 def test_what_breaks_the_renderer_reaches_the_learner(scene):
-    walks = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), STREAM, seed=0)
+    walks = ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), STREAM, seed=0)
 
     def broken(first, count):
         raise MemoryError("no room to walk")
@@ -386,7 +386,7 @@ def test_blocks_go_on_from_any_row():
 
 def test_a_block_made_again_is_not_walked_twice(scene):
     settings = StreamSettings(queries_a_batch=8, directions=2, walks=3)
-    walks = ValueWalks(prepare(scene), Box(np.zeros(3), 1.0), settings, seed=0)
+    walks = ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), settings, seed=0)
     source = InTurn(walks, settings, threads=1, seed=0)
     source.draw(20, np.random.default_rng(0))
     assert source.done()[:2] == Done(72, 24, 0.0)[:2]

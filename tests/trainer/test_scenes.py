@@ -9,7 +9,7 @@ from prt_bake.mathematics import sh
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.learner import Learner
-from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, ExitWalks, StreamSettings
+from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, ExitTracer, StreamSettings
 from prt_bake.trainer.training_data import OnlineMaterial, box_of
 from prt_bake.trainer.validation import hold_out_coefficients, network_coefficients, noise_free_ratio
 from tests.tracer.scenes import make_scene, sphere
@@ -27,7 +27,7 @@ def test_exits_carry_the_coefficients(tmp_path):
     """Rows of exits are what a_lm = E[T · Y_lm(exit)] is made of, without what met nothing."""
     thin = make_scene(tmp_path, sphere(2), eta=1.4, sigma_t=0.5)  # most walks meet nothing
     settings = StreamSettings(exits=2000, kept=2000, face_share=0.0)
-    walks = ExitWalks(prepare(thin), box_of(thin), settings, seed=0x7E57)
+    walks = ExitTracer(prepare(thin), box_of(thin), settings, seed=0x7E57)
     batch = walks.render(0, 4)
     reference = hold_out_coefficients(thin, 4, 4000, 0x7E57, 64)
     rays = batch.rays.astype(np.float64)

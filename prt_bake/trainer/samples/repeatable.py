@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from prt_bake.trainer.samples.rows import Batch, Done, RowWalks, StreamSettings
+from prt_bake.trainer.samples.rows import Batch, Done, RowTracer, StreamSettings
 
 _SHUFFLE_STREAM = 0x5F
 
@@ -53,7 +53,7 @@ class InTurn:
     """A renderer that takes turns with the learner: whenever its rows are used up it walks on, in the same thread."""
 
     def __init__(
-        self, walks: RowWalks, settings: StreamSettings, threads: int, seed: int, state: dict[str, int] | None = None
+        self, walks: RowTracer, settings: StreamSettings, threads: int, seed: int, state: dict[str, int] | None = None
     ) -> None:
         """`threads` cores are taken for the walks, on which no number depends; `state` is another's, to go on."""
         self.exits = walks.exits

@@ -130,7 +130,7 @@ class Done(NamedTuple):
     walking: float
 
 
-class RowWalks(Protocol):
+class RowTracer(Protocol):
     """Path traces numbered queries to rows."""
 
     exits: bool
@@ -145,7 +145,7 @@ class RowWalks(Protocol):
         """Words that name a query by its number."""
 
 
-class ValueWalks:
+class ValueTracer:
     """Rows whose rays are values: D directions of incidence that share the query's walks."""
 
     exits = False
@@ -169,7 +169,7 @@ class ValueWalks:
         return query_words(self._source, number)
 
 
-class ExitWalks:
+class ExitTracer:
     """Rows whose rays are exits: the ends of the query's walks, told by some of them that stand for all."""
 
     exits = True
@@ -197,9 +197,9 @@ class ExitWalks:
         return query_words(self._source, number)
 
 
-def row_walks(
+def row_tracer(
     scene: Scene, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int
-) -> ValueWalks | ExitWalks:
+) -> ValueTracer | ExitTracer:
     """The walks whose rays `settings` ask for; raises QueryError for values behind a smooth interface."""
     smooth = smooth_part(scene)
     if settings.rays == "values" and smooth is not None:
@@ -208,7 +208,7 @@ def row_walks(
             "directions; let rays be exits"
         )
     values = settings.rays == "values" or (settings.rays == "auto" and is_unbent(scene))
-    return (ValueWalks if values else ExitWalks)(prepared, box, settings, seed)
+    return (ValueTracer if values else ExitTracer)(prepared, box, settings, seed)
 
 
 def batch_of(

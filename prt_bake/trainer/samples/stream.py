@@ -16,7 +16,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.samples.rows import Batch, Done, RowWalks, StreamSettings, render
+from prt_bake.trainer.samples.rows import Batch, Done, RowTracer, StreamSettings, render
 
 __all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
 
@@ -63,7 +63,7 @@ class Renderer:
 
     def __init__(
         self,
-        walks: RowWalks,
+        walks: RowTracer,
         settings: StreamSettings,
         threads: int,
         least: int,
