@@ -68,9 +68,6 @@ class WalkBlockTransport(Protocol):
         """
 
 
-AnyTransport = Transport | BlockTransport | CoefficientTransport
-
-
 def way_in(transport: object) -> WayIn:
     """The fastest way the object offers, found by its methods, never by its type; raises QueryError if it has none."""
     if isinstance(transport, CoefficientTransport):

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from formats.errors import PrtbakeError
 from formats.image import write_image
-from formats.png import to_linear
+from formats.png import to_linear, to_srgb
 from formats.whole import replacing
-from prt_bake.comparison import Comparison, displayed
+from prt_bake.comparison import Comparison
 from prt_bake.flip import PIXELS_PER_DEGREE
 from prt_bake.noise_free import Interval
 
@@ -92,7 +92,7 @@ def write_sheet(
     layout = _Layout(3 + len(maps), difference.shape, len(rows))
     figure = Figure(figsize=layout.size, dpi=_DOTS)
     for number, (picture, name) in enumerate(zip(lifted, names, strict=True)):
-        _plain(layout.panel(figure, number), name).imshow(displayed(picture), interpolation=layout.interpolation)
+        _plain(layout.panel(figure, number), name).imshow(to_srgb(picture), interpolation=layout.interpolation)
     counts = np.ones(difference.shape, np.bool_) if mask is None else mask
     reach = _reach(difference[counts])
     _mapped(layout, figure, 2, difference, "RdBu_r", (-reach, reach), "difference, image − reference", mask)

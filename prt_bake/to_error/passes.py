@@ -23,9 +23,6 @@ from prt_bake.to_error.first_look import Site
 from prt_bake.to_error.nearby import Library, block_from_nearby
 from prt_bake.to_error.nearby_choice import Nearby
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 AGAIN = 0.8, 0.6, 0.4, 0.25, 0.15
 """Of their error, what vertices that are done again may come down to."""
 

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prt_bake.noise_free import (
     Interval,
@@ -17,8 +16,6 @@ from prt_bake.noise_free import (
     sums,
 )
 from prt_bake.trainer.asked import VIEWS, Asked
-
-Array = NDArray[np.float64]
 
 _WHITE = float(np.sqrt(4.0 * np.pi))
 

@@ -16,7 +16,6 @@ from prt_bake.trainer.distances import grid_distances
 from prt_bake.trainer.rows import Box
 
 Array = NDArray[np.float64]
-Corner = tuple[float, float, float]
 
 MOST_BYTES = 49_152
 """Of the grids as a model keeps them; with its weights a model stays below 660 KiB."""
