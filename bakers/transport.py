@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.mesh import Mesh
 
+OUTSIDE = 0.01
+"""How far a mesh may leave the model's box, in sides of it."""
+
 WayIn = Literal["coefficients", "block", "evaluate"]
 
 
@@ -68,9 +71,6 @@ class WalkBlockTransport(Protocol):
         """
 
 
-AnyTransport = Transport | BlockTransport | CoefficientTransport
-
-
 def way_in(transport: object) -> WayIn:
     """The fastest way the object offers, found by its methods, never by its type; raises QueryError if it has none."""
     if isinstance(transport, CoefficientTransport):
@@ -95,6 +95,39 @@ def up_to(transport: Any, degree: int) -> Any:
     may leave out what is orthogonal to them and narrower than few directions see.
     """
     return transport.up_to(degree) if hasattr(transport, "up_to") else transport
+
+
+def refuse_foreign(transport: Any, mesh: Mesh) -> None:
+    """Raise QueryError where the mesh is not the transport's own: where it leaves the box that a network was trained in
+    (beyond it a network is wild), or whatever the transport itself says of it.
+    """
+    if hasattr(transport, "refuse_foreign"):
+        transport.refuse_foreign(mesh)
+    if not hasattr(transport, "box_min") or not hasattr(transport, "box_side"):
+        return
+    corner = transport.box_min
+    low = np.asarray(corner.cpu() if hasattr(corner, "cpu") else corner, np.float64)
+    side = float(transport.box_side)
+    beyond = np.maximum(low - mesh.positions, mesh.positions - low - side).max(axis=1)
+    outside = np.flatnonzero(beyond > OUTSIDE * side)
+    if len(outside):
+        first = int(outside[0])
+        raise QueryError(
+            f"mesh: {len(outside)} of {len(mesh.positions)} vertices lie outside the box that the model was trained "
+            f"in; the first is number {first}, {beyond[first]:.3g} away; bake the mesh of the model's own scene"
+        )
+
+
+def prepared(transport: Any, precision: str, device: str) -> Any:
+    """The transport in its fast form, if it has one."""
+    if hasattr(transport, "prepared"):
+        return transport.prepared(precision=precision, device=device)
+    if precision != "float32" or device != "cpu":
+        raise QueryError(
+            f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
+            f"asked for {precision} on {device}: those are for networks"
+        )
+    return transport
 
 
 def as_radiance(answer: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:

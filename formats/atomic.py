@@ -1,4 +1,7 @@
-"""Files are written whole or not at all: under another name beside the old one, and renamed when they are complete."""
+"""Files are written whole or not at all: under another name beside the old one, and renamed when they are complete.
+
+No library: python-atomicwrites is archived, and what a full or read-only disk means in words is here anyway.
+"""
 
 import contextlib
 import errno

@@ -1,4 +1,7 @@
-"""Ctrl-C, kept waiting or only noticed while a library that cannot bear it is at work."""
+"""Ctrl-C, kept waiting or only noticed while a library that cannot bear it is at work.
+
+No library: the standard library sets handlers, but does not defer a signal until a block ends.
+"""
 
 import contextlib
 import signal

@@ -2,6 +2,8 @@
 
 A folder NAME.journal with what the work was (`identity.json`), one file a block, and a lock that is held while one
 works with it. Each block appears whole, by rename, so that a process can be killed at any moment.
+
+No library: caches such as joblib's and diskcache unpickle what they read, and do not tell which setting has changed.
 """
 
 import contextlib

@@ -1,6 +1,7 @@
 """Rows of a chunked HDF5 dataset, whole chunks of which are packed on several threads.
 
-HDF5 itself packs in the thread that writes, one chunk after the other: that is the most of what writing an asset takes.
+HDF5 itself packs in the thread that writes, one chunk after the other, at 24 MB/s: 9.5 of the 106 seconds that a bake
+of spot to 1 % takes on one core (docs/baking.md) would stay serial.
 Chunks that are written whole are shuffled and deflated here, just as its own filters do it, and handed to it as they
 are; what is left of others goes the usual way.
 """

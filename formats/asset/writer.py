@@ -29,8 +29,8 @@ _ROUNDING_SHARE = 0.1  # of the stated error, which rounding to float16 may reac
 class AssetWriter:
     """Writes one asset: the head at once, then blocks of vertices in any order, then `finish`.
 
-    The file grows under another name and takes the place of `path` in `finish`. Left without it (an exception,
-    `abort`), nothing stays behind and an older file is untouched.
+    The file grows under another name and takes the place of `path` in `finish`. Where the context is left
+    without it, nothing stays behind and an older file is untouched.
 
     float16 is given up for float32 where a coefficient exceeds 65504, or where rounding, root mean square over all that
     was written so far, exceeds a tenth of the stated standard error; what was written is then written anew.
@@ -144,10 +144,6 @@ class AssetWriter:
             self._stack.close()
         self._finished = True
         return self.storage_note
-
-    def abort(self) -> None:
-        """Remove the unfinished file; an older one at `path` stays. Harmless after `finish`."""
-        self._leave(None)
 
     def __enter__(self) -> Self:
         return self

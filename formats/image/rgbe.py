@@ -3,6 +3,9 @@
 Format: Greg Ward, "Real Pixels", Graphics Gems II (1991), and the Radiance file formats reference,
 https://radsite.lbl.gov/radiance/refer/filefmts.pdf. A pixel (r, g, b, e) with e > 0 is (r, g, b)·2^(e−136), with e = 0
 black. The EXPOSURE line is passed over, as other readers of sky maps do.
+
+No library: OpenCV (160 MB) refuses rows that run upward or from the right, decodes complete pictures only, and
+truncates mantissas: errors up to 1/132 of a pixel's largest channel, 1/256 here.
 """
 
 import os

@@ -3,6 +3,9 @@
 Format: Greg Turk, "The PLY Polygon File Format" (1994), http://paulbourke.net/dataformats/ply/. Read are the vertex
 properties x y z, nx ny nz and u v (or s t, texture_u texture_v), the face list vertex_indices (or vertex_index) and
 the face list texcoord (two numbers a corner, as MeshLab writes it); everything else is passed over.
+
+No library: trimesh reads a truncated ASCII file without its last face, accepts lists of negative length and writes
+float32; plyfile is under the GPL.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The rows of a PLY file, in ascii or binary: single values and lists of varying length."""
+"""The rows of a PLY file, in ascii or binary: single values and lists of varying length (no library: `formats.ply`)."""
 
 import os
 from dataclasses import dataclass, field

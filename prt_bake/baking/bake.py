@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bakers.transport import on_mesh, up_to, way_in
+from bakers.transport import on_mesh, prepared, refuse_foreign, up_to, way_in
 from bakers.workers import Crew, Threads
 from formats.asset import Asset
 from formats.atomic import refuse_unwritable
@@ -23,13 +23,14 @@ from prt_bake.baking.adaptive.run import Run, bake_to_error
 from prt_bake.baking.fixed_samples import bake_by_samples
 from prt_bake.baking.job.arguments import refuse_unusable
 from prt_bake.baking.job.identity import identity_of
-from prt_bake.baking.job.job import limited_threads, prepared, refuse_foreign
+from prt_bake.baking.job.pruning_record import Light
 from prt_bake.baking.job.work import Progress, Work
 from prt_bake.baking.output.checkpoint import Store, opened_store
 from prt_bake.baking.output.pruned_sink import NotSo
 from prt_bake.baking.output.sink import asset_head, said_by
 from prt_bake.baking.plan import plan
-from prt_bake.baking.pruning.pruning import ITEMS, Light, as_light, as_point, needs_of
+from prt_bake.baking.pruning.pruning import ITEMS, as_light, as_point, needs_of
+from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sphere
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from bakers.baker import bake_block, cuts
 from bakers.path_traced import Walks
 from bakers.plan import BakePlan, plan_bake
-from bakers.transport import on_mesh, up_to, way_in
+from bakers.transport import on_mesh, prepared, refuse_foreign, up_to, way_in
 from bakers.workers import Crew, Threads
 from formats.mesh import Mesh
 from prt_bake.baking.adaptive.pilot import Site, first_refinement, refuse_out_of_reach, vertices_at_once
@@ -21,12 +21,14 @@ from prt_bake.baking.adaptive.run import COARSE, coarse_first
 from prt_bake.baking.adaptive.run import as_arrays as kept_refined
 from prt_bake.baking.adaptive.tolerances import Pilot, aimed, coarse, pilot_vertices
 from prt_bake.baking.job.arguments import refuse_unusable
-from prt_bake.baking.job.job import Job, limited_threads, prepared, refuse_foreign, resolve
+from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.pilot import reach
+from prt_bake.baking.job.pruning_record import Light, Needs
 from prt_bake.baking.output.checkpoint_store import as_arrays as kept_block
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.output.writing_time import keeping_time, writing_time
-from prt_bake.baking.pruning.pruning import Light, Needs, as_light, as_point, needs_of
+from prt_bake.baking.pruning.pruning import as_light, as_point, needs_of
+from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.random import hashed
 

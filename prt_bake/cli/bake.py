@@ -107,10 +107,11 @@ def bake(
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; --dry-run alone does without.")
     from formats.journal import journal_folder
+    from formats.json_report import write_report
     from formats.mesh import read_mesh
     from prt_bake.baking import bake as baking
+    from prt_bake.baking.report.summary import bake_report
     from prt_bake.baking.sources import open_source, origin
-    from prt_bake.report import bake_report, write_report
 
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)

@@ -84,11 +84,11 @@ def compare(
     both pictures do not count.
     """
     from formats.image import read_layers
+    from formats.json_report import as_text
     from prt_bake.comparison import sheet
     from prt_bake.comparison.alpha import weighted
     from prt_bake.comparison.metrics import checked
     from prt_bake.comparison.metrics import compare as measure
-    from prt_bake.report import as_text
 
     bounds = Bounds.of(fail_above or [], fail_below or [])
     layered, layered_reference = (weighted(path, read_layers(path)) for path in (image, reference))

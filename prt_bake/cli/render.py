@@ -251,7 +251,8 @@ def _closing(output: Path, picture: "Rendering", is_scene: bool) -> str:
 
 
 def _report(path: Path, command: str, seed: int, picture: "Rendering", view: Any) -> None:
-    from prt_bake.report import rendering_report, write_report
+    from formats.json_report import write_report
+    from prt_bake.rendering.report import rendering_report
 
     names = ("spp", "passes", "walks", "seconds", "complete", "shows", "sampling")
     cost = {name: getattr(picture, name) for name in names}

@@ -10,7 +10,7 @@ from prt_bake.cli.shared.options import Seed, output_option
 from prt_bake.cli.shared.progress import reporting, say, stopping
 
 if TYPE_CHECKING:
-    from prt_bake.trainer.train import TrainingRow
+    from prt_bake.trainer.train import TrainingProgress
 
 
 def train(
@@ -61,13 +61,13 @@ def train(
     from formats.scene import read_scene
     from prt_bake.cli.shared import after_training
     from prt_bake.network.settings import PRESETS
-    from prt_bake.trainer.cores import chosen_device
+    from prt_bake.trainer.cores import select_device
     from prt_bake.trainer.train import train as fit
 
-    learning_on, read = chosen_device(device), read_scene(scene)
+    learning_on, read = select_device(device), read_scene(scene)
     with reporting("train") as show, stopping() as stop:
 
-        def follow(row: "TrainingRow") -> None:
+        def follow(row: "TrainingProgress") -> None:
             show(row.share, _told(row))
             if stop():
                 raise KeyboardInterrupt
@@ -97,7 +97,7 @@ def train(
         after_training.importance(network, read, output, seed)
 
 
-def _told(row: "TrainingRow") -> str:
+def _told(row: "TrainingProgress") -> str:
     return (
         f"step {row.step}, loss {row.loss:.4g}, validation error {row.validation:.2%}, "
         f"{row.queries_per_second:,.0f} queries/s ({row.reuse:.2g} times each, {row.waited:.0%} waiting), "

@@ -3,6 +3,9 @@
 FLIP (Andersson et al., "FLIP: A difference evaluator for alternating images", 2020) is of pictures as they are shown.
 HDR-FLIP (Andersson et al., "Visualizing errors in rendered high dynamic range images", Eurographics 2021) is the
 largest FLIP of a pixel over a range of exposures, each shown through the ACES curve: no highlight and no shadow hides.
+
+flip-evaluator computes both. The range of exposures is own code: the library's goes up to 24 stops where half of the
+reference is black, as in pictures without a background.
 """
 
 import math

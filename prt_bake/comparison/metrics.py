@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError, refuse_path
+from formats.image.png import to_srgb
 from prt_bake.comparison.flip import (
     Exposures,
     evaluate_extra,
@@ -87,7 +88,7 @@ def compare(
     ours, theirs, chosen = checked(image, reference, mask, exposure, names)
     squared = (ours - theirs) ** 2
     signal = float((theirs[chosen] ** 2).sum())
-    shown, wanted = displayed(ours), displayed(theirs)
+    shown, wanted = to_srgb(ours), to_srgb(theirs)
     map_of_flip = flip_map(shown, wanted)
     exposures = None if hdr is False else paper_exposures(theirs) if hdr is True else exposures_between(*hdr)
     map_of_hdr = None if exposures is None else hdr_flip_map(ours, theirs, exposures)
@@ -145,13 +146,6 @@ def quartered(image: Array) -> Array:
 def quarter_mask(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The blocks of 4×4 pixels of which more than half are chosen."""
     return np.asarray(quartered(chosen[..., None].astype(np.float64))[..., 0] > 0.5)
-
-
-def displayed(image: Array) -> Array:
-    """Linear radiance as it is shown: the sRGB curve of IEC 61966-2-1, cut to [0,1]."""
-    linear = np.clip(image, 0.0, 1.0)
-    curve = 1.055 * np.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055
-    return np.where(linear <= 0.0031308, 12.92 * linear, curve)
 
 
 def _picture(image: ArrayLike, name: str) -> Array:

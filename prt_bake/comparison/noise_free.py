@@ -25,8 +25,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from formats.errors import QueryError
+from formats.image.png import to_srgb
 from prt_bake.comparison.flip import Exposures, flip_map, hdr_flip_map
-from prt_bake.comparison.metrics import RELATIVE_FLOOR, checked, displayed, quarter_mask, quartered, ssim_map
+from prt_bake.comparison.metrics import RELATIVE_FLOOR, checked, quarter_mask, quartered, ssim_map
 from prt_bake.comparison.noise import NoiseLike, PixelErrors
 from prt_bake.mathematics.noise_free import Interval, ratio
 
@@ -184,7 +185,7 @@ def _seen(
 
 def _blocks(ours: Array, theirs: Array, chosen: Mask, hdr: Exposures | None) -> dict[str, tuple[Array, Array]]:
     """Means of each figure over the chosen pixels of blocks, and the blocks' shares of those pixels."""
-    shown, wanted = displayed(ours), displayed(theirs)
+    shown, wanted = to_srgb(ours), to_srgb(theirs)
     figures = {
         "ssim": _in_blocks(ssim_map(shown, wanted), chosen, _BLOCK),
         "ssim_quarter": _in_blocks(ssim_map(quartered(shown), quartered(wanted)), quarter_mask(chosen), _BLOCK // 4),

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from formats.atomic import replacing
 from formats.errors import PrtbakeError
 from formats.image import write_image
-from formats.image.png import to_linear
+from formats.image.png import to_linear, to_srgb
 from prt_bake.comparison.flip import PIXELS_PER_DEGREE
-from prt_bake.comparison.metrics import Comparison, displayed
+from prt_bake.comparison.metrics import Comparison
 from prt_bake.mathematics.noise_free import Interval
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def write_sheet(
     layout = _Layout(3 + len(maps), difference.shape, len(rows))
     figure = Figure(figsize=layout.size, dpi=_DOTS)
     for number, (picture, name) in enumerate(zip(lifted, names, strict=True)):
-        _plain(layout.panel(figure, number), name).imshow(displayed(picture), interpolation=layout.interpolation)
+        _plain(layout.panel(figure, number), name).imshow(to_srgb(picture), interpolation=layout.interpolation)
     counts = np.ones(difference.shape, np.bool_) if mask is None else mask
     reach = _reach(difference[counts])
     _mapped(layout, figure, 2, difference, "RdBu_r", (-reach, reach), "difference, image − reference", mask)

@@ -1,4 +1,7 @@
-"""Mitsuba's dictionaries as its scene files: XML, whose numbers, words and plug-ins are nested elements."""
+"""Mitsuba's dictionaries as its scene files: XML, whose numbers, words and plug-ins are nested elements.
+
+No library: Mitsuba 3.9 has no writer of scene files, and an export needs no Mitsuba.
+"""
 
 import os
 import xml.etree.ElementTree as ET

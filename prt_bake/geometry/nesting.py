@@ -1,4 +1,8 @@
-"""Whether the parts of a scene lie inside their parents: winding numbers, and distances of what sticks out."""
+"""Whether the parts of a scene lie inside their parents: winding numbers, and distances of what sticks out.
+
+No library: trimesh tests containment by the parity of a ray's hits, which edges and gaps spoil, and its distances need
+a further package, rtree.
+"""
 
 from collections.abc import Iterable
 

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from bakers.transport import on_mesh
+from bakers.transport import on_mesh, refuse_foreign
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import refuse_foreign
 from prt_bake.importance.loss import TargetTensors, assess, assess_constant, density, divergence, uniform_fitness
 from prt_bake.importance.module import ImportanceModule, ImportanceSettings
 from prt_bake.importance.targets import DIRECTIONS, QUERIES_PER_BLOCK, BlockTransport, gather_targets

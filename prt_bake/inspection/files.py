@@ -84,10 +84,10 @@ def find_remarks(path: str | Path) -> list[str]:
         return []
     from formats.scene import read_scene
     from prt_bake.geometry.nesting import sticking_out
-    from prt_bake.trainer.scene_remarks import hard_to_learn
+    from prt_bake.trainer.scene_remarks import training_warning
 
     scene = read_scene(path)
-    parts, hard = scene.parts, hard_to_learn(scene)
+    parts, hard = scene.parts, training_warning(scene)
     every = (*sticking_out(parts), *_beside(parts), *_losing(parts), *([hard] if hard else []))
     return [f"{path}: {sentence}" for sentence in every]
 

@@ -23,11 +23,11 @@ from formats.mesh import Mesh
 from prt_bake.geometry.surface import Surface
 from prt_bake.network.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
 from prt_bake.network.features.interior import Interior
-from prt_bake.network.features.view_features import Told, ViewFeatures
+from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.inference.fused import FusedNetwork, prepared_for
 from prt_bake.network.inference.late_layers import joined
-from prt_bake.network.lobes import NUMBERS, Lobes, in_directions, lobes_from
-from prt_bake.network.settings import EXIT, PRESETS, NetworkSettings
+from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, evaluate_lobes, decode_lobes
+from prt_bake.network.settings import EXIT_INPUTS, PRESETS, NetworkSettings
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
 
@@ -35,7 +35,7 @@ FORMAT = "prtbake model"
 FORMAT_VERSION = 1
 INTERIOR = "interior"
 """The tensor of a checkpoint that holds the interior's grid."""
-ROWS_AT_ONCE = 8192
+ROWS_PER_BATCH = 8192
 _FIRST_LOBES = 0.02
 """Spread of the weights that lobes begin with: all much alike, but not the same."""
 _LARGEST_HALF = float(torch.finfo(torch.float16).max)
@@ -86,7 +86,7 @@ class NeuralBSSRDF(nn.Module):
         self.register_buffer("box_min", corner, persistent=False)
         self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
         self.output = nn.Linear(self.settings.width, 3)
-        self.lobes = nn.Linear(self.settings.width, NUMBERS * self.settings.lobes) if self.settings.lobes else None
+        self.lobes = nn.Linear(self.settings.width, LOBE_PARAMETERS * self.settings.lobes) if self.settings.lobes else None
         self._initialise(generator)
         if (interior is None) != (self.settings.ray_samples == 0):
             raise ModelError(
@@ -133,11 +133,11 @@ class NeuralBSSRDF(nn.Module):
     def radiance(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
         """Ŝ [N,D,3] in 1/sr, as `forward`, for D directions of incidence a query: incident [N,D,3]."""
         smooth, lobes = self.parts(incident, positions, outgoing)
-        answer = smooth if lobes is None else smooth.float() + in_directions(lobes, incident, self.band)
+        answer = smooth if lobes is None else smooth.float() + evaluate_lobes(lobes, incident, self.band)
         return answer * self.output_scale
 
     def parts(
-        self, incident: Tensor, positions: Tensor, outgoing: Tensor, told: Told | None = None
+        self, incident: Tensor, positions: Tensor, outgoing: Tensor, told: ViewEncoding | None = None
     ) -> tuple[Tensor, Lobes | None]:
         """Ŝ over the output scale as what the layers say [N,D,3] and the lobes that are to be added to it.
 
@@ -166,10 +166,10 @@ class NeuralBSSRDF(nn.Module):
             h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
             activations.append(h)
             if self.lobes is not None and number == self.settings.trunk:
-                lobes = lobes_from(self.lobes(h)[:, 0], features[:, -EXIT:])
+                lobes = decode_lobes(self.lobes(h)[:, 0], features[:, -EXIT_INPUTS:])
         return self.output(h), lobes
 
-    def view_features(self, positions: Tensor, outgoing: Tensor, told: Told | None = None) -> Tensor:
+    def view_features(self, positions: Tensor, outgoing: Tensor, told: ViewEncoding | None = None) -> Tensor:
         """What the first layer of a network that sees ωi late is told of views [N, settings.view_inputs], float32."""
         if self.view is None:
             return self.fourier_features(self.inputs(None, positions, outgoing))
@@ -177,7 +177,7 @@ class NeuralBSSRDF(nn.Module):
         assert known is not None
         return self.view.learnt(known)
 
-    def told(self, positions: Tensor, outgoing: Tensor) -> Told | None:
+    def told(self, positions: Tensor, outgoing: Tensor) -> ViewEncoding | None:
         """The part of `view_features` that stays the same while the network learns; None where it is none."""
         if self.view is None:
             return None
@@ -232,7 +232,7 @@ class NeuralBSSRDF(nn.Module):
 
     def pair_features(self, incident: Tensor, outgoing: Tensor, frame: Tensor | None) -> Tensor:
         """What is told of views and directions together [N,D,settings.pair_inputs] in float32: (ωi·ωo)ⁿ, n from 1, what
-        lies on the way to the light, and cosines: incident [N,D,3], outgoing [N,3], `frame` as `Told` has it.
+        lies on the way to the light, and cosines: incident [N,D,3], outgoing [N,3], `frame` as `ViewEncoding` has it.
         """
         with torch.autocast(incident.device.type, enabled=False):
             cosine = incident.float() @ outgoing.float()[..., None]
@@ -302,8 +302,8 @@ class NeuralBSSRDF(nn.Module):
         light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
         directions = light.shape[1]
         answer = np.empty((count, directions, 3), dtype=np.float32)
-        across = min(directions, ROWS_AT_ONCE)
-        queries = max(1, ROWS_AT_ONCE // max(1, across))
+        across = min(directions, ROWS_PER_BATCH)
+        queries = max(1, ROWS_PER_BATCH // max(1, across))
         with torch.inference_mode():
             for n in range(0, count, queries):
                 some = slice(n, n + queries)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-NUMBERS = 7
+LOBE_PARAMETERS = 7
 """That a lobe is made of: what it carries in three channels, the logarithm of its sharpness, its direction."""
 _FAINT = -3.0
 """What a lobe carries at first: the softplus of it, 0.05 of the output scale."""
@@ -57,21 +57,21 @@ class Bands(NamedTuple):
     peaks: Tensor
 
 
-def lobes_from(told: Tensor, exits: Tensor) -> Lobes:
-    """The lobes that numbers [N, NUMBERS·K] tell of views whose rays leave along exits [N,3]: zeros are faint lobes
+def decode_lobes(told: Tensor, exits: Tensor) -> Lobes:
+    """The lobes that numbers [N, LOBE_PARAMETERS·K] tell of views whose rays leave along exits [N,3]: zeros are faint lobes
     there.
     """
-    each = told.float().reshape(len(told), -1, NUMBERS)
+    each = told.float().reshape(len(told), -1, LOBE_PARAMETERS)
     carried = _softplus(each[..., :3] + _FAINT)
     sharpness = (each[..., 3] + _SHARPNESS).clamp(_LEAST, _MOST).exp()
     axes = torch.nn.functional.normalize(each[..., 4:] + exits.float()[:, None], dim=-1)
     return Lobes(axes, sharpness, carried * _peak(sharpness)[..., None])
 
 
-def in_directions(lobes: Lobes, incident: Tensor, degree: int | None = None) -> Tensor:
+def evaluate_lobes(lobes: Lobes, incident: Tensor, degree: int | None = None) -> Tensor:
     """What the lobes add [N,D,3] in directions incident [N,D,3]; of it the bands up to `degree` alone, if given."""
     if degree is not None:
-        return in_bands(bands_of(lobes, degree), incident)
+        return evaluate_bands(lobe_bands(lobes, degree), incident)
     added = torch.zeros_like(incident, dtype=torch.float32)
     for axis, sharpness, peak in zip(*(part.unbind(dim=1) for part in lobes), strict=True):
         shape = torch.exp(sharpness[:, None] * (_cosine(axis, incident) - 1.0))
@@ -79,14 +79,14 @@ def in_directions(lobes: Lobes, incident: Tensor, degree: int | None = None) -> 
     return added
 
 
-def bands_of(lobes: Lobes, degree: int) -> Bands:
+def lobe_bands(lobes: Lobes, degree: int) -> Bands:
     """The bands up to a degree: Σₗ (2l + 1) Aₗ(κ) Pₗ over the value along the axis."""
-    shares = torch.stack(_shares(lobes.sharpness.double(), degree), dim=-1)
+    shares = torch.stack(_band_ratios(lobes.sharpness.double(), degree), dim=-1)
     weights = shares * (2.0 * torch.arange(degree + 1, device=shares.device) + 1.0)
     return Bands(lobes.axes, weights.float(), lobes.peaks / _peak(lobes.sharpness)[..., None])
 
 
-def in_bands(bands: Bands, incident: Tensor) -> Tensor:
+def evaluate_bands(bands: Bands, incident: Tensor) -> Tensor:
     """What these bands add [N,D,3] in directions incident [N,D,3]."""
     added = torch.zeros_like(incident, dtype=torch.float32)
     for axis, weights, peak in zip(*(part.unbind(dim=1) for part in bands), strict=True):
@@ -108,7 +108,7 @@ def _cosine(axis: Tensor, incident: Tensor) -> Tensor:
     return x * a + y * b + z * c
 
 
-def _shares(kappa: Tensor, degree: int) -> list[Tensor]:
+def _band_ratios(kappa: Tensor, degree: int) -> list[Tensor]:
     """A₀ … of a degree for sharpness κ [N].
 
     Aₗ/Aₗ₋₁ = 1/((2l + 1)/κ + Aₗ₊₁/Aₗ), from above downwards, where errors shrink, begun between the bounds of Amos

@@ -13,14 +13,14 @@ Activation = Literal["relu", "silu"]
 DirectionForm = Literal["spherical", "cartesian"]
 
 COSINE_BUMPS = 8
-SHAPE = 16
+SHAPE_INPUTS = 16
 """Numbers that tell of the object's shape around a place."""
-MOST_GRID_PLACES, MOST_GRID_NUMBERS = 128, 64
-SCALES = (0.015, 0.03, 0.06, 0.12)
+MAX_GRID_PLACES, MAX_GRID_NUMBERS = 128, 64
+SHAPE_SCALES = (0.015, 0.03, 0.06, 0.12)
 """At which an object's shape is told: standard deviations of the Gaussians that blur it, in sides of its box."""
-STARTS = ("x", "within")
+LIGHT_RAY_ORIGINS = ("x", "within")
 """Whence the way to the light is looked along: x itself, and half-way between the places along the ray of view."""
-EXIT = 3
+EXIT_INPUTS = 3
 """Numbers that tell where the ray of view goes once it has left the object; they stand last."""
 
 
@@ -114,14 +114,14 @@ class NetworkSettings:
                 f"network settings: shape_places must be from 0 to ray_samples ({self.ray_samples}), "
                 f"found {self.shape_places}"
             )
-        if not (0 <= self.grid_places <= MOST_GRID_PLACES and 1 <= self.grid_numbers <= MOST_GRID_NUMBERS):
+        if not (0 <= self.grid_places <= MAX_GRID_PLACES and 1 <= self.grid_numbers <= MAX_GRID_NUMBERS):
             raise ModelError(
-                f"network settings: grid_places must be from 0 to {MOST_GRID_PLACES} and grid_numbers from 1 to "
-                f"{MOST_GRID_NUMBERS}, found {self.grid_places} and {self.grid_numbers}"
+                f"network settings: grid_places must be from 0 to {MAX_GRID_PLACES} and grid_numbers from 1 to "
+                f"{MAX_GRID_NUMBERS}, found {self.grid_places} and {self.grid_numbers}"
             )
         if self.grid_places and not self.ray_samples:
             raise ModelError(f"network settings: without ray_samples there is no grid; found {self.grid_places} places")
-        if self.light_places < 0 or self.light_places % len(STARTS) or (self.light_places and not self.ray_samples):
+        if self.light_places < 0 or self.light_places % len(LIGHT_RAY_ORIGINS) or (self.light_places and not self.ray_samples):
             raise ModelError(
                 "network settings: light_places must be even and not negative, and without ray_samples there are "
                 f"none; found {self.light_places}"
@@ -156,14 +156,14 @@ class NetworkSettings:
     @property
     def frame_rows(self) -> int:
         """Rows of what is held against ωi: places whence the way to the light is looked along, and axes."""
-        return len(STARTS) + self.light_axes
+        return len(LIGHT_RAY_ORIGINS) + self.light_axes
 
     @property
     def light_axes(self) -> int:
         """Directions of a view whose cosines to ωi are told."""
         if not self.light_cosines:
             return 0
-        return int(self.tells_normal) + (len(SCALES) if self.shape_places else 0)
+        return int(self.tells_normal) + (len(SHAPE_SCALES) if self.shape_places else 0)
 
     @property
     def light_inputs(self) -> int:
@@ -171,17 +171,17 @@ class NetworkSettings:
         return 2 * self.light_features + self.pair_inputs
 
     @property
-    def told_besides(self) -> int:
+    def extra_view_inputs(self) -> int:
         """Numbers that the first layer is told of the ray of view besides the Fourier features."""
         places = self.ray_samples + 1 if self.ray_samples else 0
-        shape = SHAPE * self.shape_places
+        shape = SHAPE_INPUTS * self.shape_places
         grid = 2 * self.grid_numbers if self.grid_places else 0
-        return places + shape + grid + (3 + COSINE_BUMPS if self.tells_normal else 0) + (EXIT if self.lobes else 0)
+        return places + shape + grid + (3 + COSINE_BUMPS if self.tells_normal else 0) + (EXIT_INPUTS if self.lobes else 0)
 
     @property
     def view_inputs(self) -> int:
         """Numbers that the first layer sees."""
-        return 2 * self.features + self.told_besides
+        return 2 * self.features + self.extra_view_inputs
 
     @property
     def layer_shapes(self) -> tuple[tuple[int, int], ...]:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import ModelError, QueryError
 
 DEFAULT_CONVENTION = "incident, position, outgoing; angles=unit; position=unit; axis=z"
-ROWS_AT_ONCE = 8192
+ROWS_PER_BATCH = 8192
 _CHOICES = {"angles": ("unit", "radians"), "position": ("unit", "object"), "axis": ("z", "y")}
 
 
@@ -78,8 +78,8 @@ class TorchScriptTransport:
         rows = np.concatenate([parts[name] for name in self.convention.order], axis=1).astype(np.float32)
         answer = np.empty((len(rows), 3), dtype=np.float32)
         with torch.inference_mode():
-            for first in range(0, len(rows), ROWS_AT_ONCE):
-                answer[first : first + ROWS_AT_ONCE] = self._call(torch.from_numpy(rows[first : first + ROWS_AT_ONCE]))
+            for first in range(0, len(rows), ROWS_PER_BATCH):
+                answer[first : first + ROWS_PER_BATCH] = self._call(torch.from_numpy(rows[first : first + ROWS_PER_BATCH]))
         return answer.reshape(len(x), directions, 3)
 
     def _call(self, rows: torch.Tensor) -> NDArray[np.float32]:

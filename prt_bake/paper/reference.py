@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from formats.atomic import replacing
 from formats.image import read_layers, write_image
@@ -23,7 +22,6 @@ from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 from prt_bake.rendering.half_buffers import Halves, Traced
 from prt_bake.rendering.scene import Rendering, render_scene
 
-Array = NDArray[np.float64]
 Trace = Callable[[int, int, Path], Rendering]
 """trace(walks a pixel, seed, checkpoint): an independent picture; incomplete where it was stopped."""
 

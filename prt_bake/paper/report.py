@@ -11,6 +11,7 @@ import numpy as np
 from formats.atomic import replacing
 from formats.errors import StorageError
 from formats.image import read_image
+from formats.json_report import as_text
 from prt_bake.paper import results as records
 from prt_bake.paper.artefacts import Artefacts
 from prt_bake.paper.layers import ablation
@@ -24,7 +25,6 @@ from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import markdown
 from prt_bake.paper.times import Trained, trainings
 from prt_bake.paper.times import as_json as times_json
-from prt_bake.report import as_text
 
 Tell = Callable[[Result], None]
 

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from formats.atomic import replacing
 from formats.errors import PrtbakeError
-from prt_bake.comparison.metrics import displayed
+from formats.image.png import to_srgb
 
 CELL = 192
 """Width and height of a picture on the sheet, in pixels."""
@@ -65,7 +65,7 @@ def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None
 
 def shown(image: NDArray[np.floating], stops: float) -> NDArray[np.uint8]:
     """A picture [H,W,3] of linear radiance, lifted by `stops`, in 8 bits of sRGB."""
-    return np.rint(255.0 * displayed(np.asarray(image, np.float64) * 2.0**stops)).astype(np.uint8)
+    return np.rint(255.0 * to_srgb(np.asarray(image, np.float64) * 2.0**stops)).astype(np.uint8)
 
 
 def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "magma") -> NDArray[np.uint8]:

@@ -13,11 +13,11 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from bakers.transport import on_mesh
+from bakers.transport import on_mesh, refuse_foreign
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import limited_threads, refuse_foreign
 from prt_bake.geometry.camera import Camera, Visibility, refuse_eye_in_object
+from prt_bake.jit.limits import limited_threads
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.network.inference.pairs import content_hash, pair_transport
 from prt_bake.rendering.lobes import LobeMaker, PixelLobes

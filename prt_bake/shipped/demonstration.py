@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 from formats.asset import Asset
 from formats.errors import StorageError
 from formats.image import read_image, write_image
+from formats.json_report import write_report
 from formats.mesh import read_mesh
 from prt_bake.baking.bake import Progress, bake
 from prt_bake.baking.job.pilot import LADDER, error_ladder
+from prt_bake.baking.report.summary import bake_report, plot_error
 from prt_bake.comparison.metrics import Comparison, compare
+from prt_bake.comparison.side_by_side import write_side_by_side
 from prt_bake.geometry import camera
 from prt_bake.lights.environment import read_environment
 from prt_bake.network.bssrdf import load_model
-from prt_bake.report import bake_report, plot_error, write_report, write_side_by_side
 from prt_bake.shading.picture import Picture, render_picture
-from prt_bake.trainer.precision import bfloat16_pays
+from prt_bake.trainer.precision import bfloat16_is_faster
 
 SHIPPED = Path(str(resources.files("prt_bake.shipped")))
 MODEL, MESH, SKY = SHIPPED / "spot.pt", SHIPPED / "spot.obj", SHIPPED / "sky.hdr"
@@ -45,7 +47,7 @@ class Settings:
     @property
     def precision(self) -> str:
         """Of matrix work, on this processor."""
-        return "bfloat16" if self.rounded and bfloat16_pays("cpu") else "float32"
+        return "bfloat16" if self.rounded and bfloat16_is_faster("cpu") else "float32"
 
 
 QUICK = Settings(error=0.05, rounded=True, magnification=1)

@@ -16,7 +16,7 @@ from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.connect import look_probability, march, sent_by, sent_through
 from prt_bake.tracer.next_event import aim_density, draw_aim, look_ahead
 from prt_bake.tracer.surface.boundary import (
-    CLEARANCE,
+    RAY_EPSILON,
     alpha_at,
     crossing,
     met_from_behind,
@@ -83,7 +83,7 @@ def _received(
         return 0.0
     through, _density = sent_through(boundary, face, normal, alpha_at(boundary, face, u, v), eta, d, w, False)
     if through > 0.0 and not sees_sky(boundary, face, w):
-        near = CLEARANCE if boundary.nested else 0.0
+        near = RAY_EPSILON if boundary.nested else 0.0
         hidden, _t = nearest_hit(boundary.intersect, boundary.scene, ray, q, w, near, np.inf, face)
         if hidden >= 0:
             return 0.0

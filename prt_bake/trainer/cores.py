@@ -1,4 +1,4 @@
-"""Who gets which cores, and which device learns."""
+"""How many threads render and learn, and on which device the network learns."""
 
 import os
 from typing import NamedTuple
@@ -6,56 +6,59 @@ from typing import NamedTuple
 from formats.errors import QueryError
 
 
-class Cores(NamedTuple):
-    """Threads that walk, and threads that learn."""
+class Threads(NamedTuple):
+    """Numbers of threads of the renderer and of the learner."""
 
-    walkers: int
-    learners: int
+    renderer: int
+    learner: int
 
 
-def available() -> int:
+def available_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def divided(share: float, device: str) -> Cores:
-    """Threads of both: about `share` of the cores learn, at least one. The others walk, and one more: walkers rest when
-    they are ahead, and otherwise walks are what is wanting. A graphics card that learns leaves all cores to them.
+def concurrent_threads(learner_share: float, device: str) -> Threads:
+    """Threads of a renderer and a learner that run at the same time.
+
+    The learner gets about `learner_share` of the cores, at least one. The renderer gets the others and one more, since
+    it pauses whenever it is ahead. A learner on a GPU leaves all cores to the renderer.
     """
-    cores = available()
-    learners = 1 if device != "cpu" else max(1, min(cores - 1, round(cores * share)))
-    walkers = cores if device != "cpu" else min(cores, cores - learners + 1)
-    return Cores(_allowed(walkers), learners)
+    cores = available_cores()
+    if device != "cpu":
+        return Threads(_numba_limit(cores), 1)
+    learner = max(1, min(cores - 1, round(cores * learner_share)))
+    return Threads(_numba_limit(min(cores, cores - learner + 1)), learner)
 
 
-def undivided() -> Cores:
-    """Every core walks while nothing learns; half of them learn while nothing walks.
+def alternating_threads() -> Threads:
+    """Threads of a renderer and a learner that take turns: every core renders, half of the cores learn.
 
-    Threads that share a batch wait for one another: with one for each core they do little else as soon as anything
-    else runs.
+    The learner's threads share a batch and wait for one another. With one thread per core they mostly wait as soon as
+    any other process runs.
     """
-    cores = available()
-    return Cores(_allowed(cores), max(1, cores // 2))
+    cores = available_cores()
+    return Threads(_numba_limit(cores), max(1, cores // 2))
 
 
-def _allowed(threads: int) -> int:
+def _numba_limit(threads: int) -> int:
     import numba
 
     return min(threads, int(vars(numba.config)["NUMBA_NUM_THREADS"]))
 
 
-def chosen_device(name: str) -> str:
-    """ "cpu" or "cuda" of "auto" (a graphics card where there is one), "cpu" or "cuda".
+def select_device(name: str) -> str:
+    """ "cpu" or "cuda" for `name` "cpu", "cuda" or "auto" (CUDA if available).
 
-    Raises QueryError where a card is asked for and there is none that this torch can use.
+    Raises QueryError for any other name, and for "cuda" if torch finds no usable GPU.
     """
     import torch
 
     if name == "cpu":
         return name
-    there = torch.cuda.is_available()
+    available = torch.cuda.is_available()
     if name == "auto":
-        return "cuda" if there else "cpu"
-    if name == "cuda" and there:
+        return "cuda" if available else "cpu"
+    if name == "cuda" and available:
         return name
-    raise QueryError(f"device: {name!r} is not there (no graphics card that this torch can use); take 'auto' or 'cpu'")
+    raise QueryError(f"device: {name!r} is not available (torch finds no such GPU); use 'auto' or 'cpu'")

@@ -1,27 +1,27 @@
-"""What a training run says of itself while it goes on."""
+"""Progress of a training run: measured between two reports, and kept as the run's history."""
 
 import time
 from dataclasses import dataclass
 
-from prt_bake.trainer.samples.rows import Done
+from prt_bake.trainer.samples.rows import SourceStatistics
 
 
 @dataclass(frozen=True)
-class TrainingRow:
-    """One line of progress; rates and shares are of the time since the line before.
+class TrainingProgress:
+    """One progress report. Rates and shares cover the time since the report before.
 
     Attributes:
-        seconds, step: how far the run has come, resumed or not.
-        share: the same, from 0 to 1.
-        loss: mean over the steps (less a constant behind an interface, where it is negative).
-        validation: relative RMSE on held-out queries, of Ŝ, or of a_lm behind an interface.
-        queries_per_second: rows learnt from.
-        walks_per_second: walks that the renderer walked.
+        seconds, step: training time and optimiser steps so far, earlier runs that were resumed included.
+        share: the same as a share of the whole run, from 0 to 1.
+        loss: mean over the steps. The loss of exits omits a constant and may be negative.
+        validation: relative RMSE on held-out queries, of Ŝ, or of a_lm where the boundary bends light.
+        queries_per_second: rows that the learner consumed.
+        walks_per_second: walks that the renderer traced.
         walks: walks since the beginning.
-        waited: share of the time that the learner waited for rows, fetching them included.
-        walking: share of the time that the renderer walked; the rest went into handing over, or into its turn's wait.
-        reuse: since the beginning, rows learnt from over rows rendered: above 1 rows are drawn again, below 1 some are
-            never drawn. Of a file, passes over it.
+        waited: share of the time that the learner waited for rows, the time to fetch them included.
+        walking: share of the time that the renderer traced walks.
+        reuse: rows consumed over rows rendered, since the beginning. Above 1 rows are used repeatedly, below 1 some are
+            never used. With a file of samples: passes over the file.
     """
 
     seconds: float
@@ -38,56 +38,55 @@ class TrainingRow:
 
 
 class Meter:
-    """Adds up what happens between two lines of progress."""
+    """Accumulates steps, losses and waiting times between two progress reports."""
 
-    def __init__(self, done: Done) -> None:
-        """Start a line; `done` is what the source had done."""
+    def __init__(self, statistics: SourceStatistics) -> None:
+        """Start measuring; `statistics` are the row source's at this moment."""
         self._begun = time.perf_counter()
-        self._done = done
+        self._before = statistics
         self._steps, self._rows = 0, 0
         self._loss, self._waited = 0.0, 0.0
 
     @property
     def seconds(self) -> float:
-        """Since the line was begun."""
+        """Seconds since the meter was started."""
         return time.perf_counter() - self._begun
 
     def add_wait(self, seconds: float) -> None:
-        """The learner waited."""
+        """Add time that the learner waited."""
         self._waited += seconds
 
     def add_step(self, loss: float, rows: int) -> None:
-        """The learner took a step from `rows`."""
+        """Add an optimiser step on `rows` rows."""
         self._steps += 1
         self._rows += rows
         self._loss += loss
 
     @property
     def empty(self) -> bool:
-        """Whether there is no step to tell of."""
+        """Whether no step was added."""
         return self._steps == 0
 
-    def row(self, seconds: float, step: int, share: float, learnt: int, done: Done, validation: float) -> TrainingRow:
-        """The line; `seconds`, `step`, `share` say how far the run is, `learnt` from how many rows in all.
-
-        `done` is what the source has done by now.
-        """
+    def progress(
+        self, seconds: float, step: int, share: float, consumed: int, now: SourceStatistics, validation: float
+    ) -> TrainingProgress:
+        """The report; `seconds`, `step`, `share` and `consumed` rows are totals of the run, `now` the source's."""
         passed = max(self.seconds, 1e-9)
-        return TrainingRow(
+        return TrainingProgress(
             seconds=seconds,
             step=step,
             share=share,
             loss=self._loss / max(self._steps, 1),
             validation=validation,
             queries_per_second=self._rows / passed,
-            walks_per_second=(done.walks - self._done.walks) / passed,
-            walks=done.walks,
+            walks_per_second=(now.walks - self._before.walks) / passed,
+            walks=now.walks,
             waited=min(1.0, self._waited / passed),
-            walking=min(1.0, (done.walking - self._done.walking) / passed),
-            reuse=learnt / max(done.rows, 1),
+            walking=min(1.0, (now.walking - self._before.walking) / passed),
+            reuse=consumed / max(now.rows, 1),
         )
 
 
-def every_tenth(rows: list[TrainingRow]) -> list[TrainingRow]:
-    """Of the lines, with the first and the last."""
-    return rows[::10] if len(rows) % 10 == 1 else rows[::10] + rows[-1:]
+def every_tenth(reports: list[TrainingProgress]) -> list[TrainingProgress]:
+    """Every tenth report, the first and the last included."""
+    return reports[::10] if len(reports) % 10 == 1 else reports[::10] + reports[-1:]

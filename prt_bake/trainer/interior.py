@@ -11,12 +11,11 @@ from formats.scene import Medium, Part, Scene
 from prt_bake.geometry.distances import grid_distances
 from prt_bake.network.features.feature_grid import kept_places
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
-from prt_bake.network.features.view_features import edges_of
+from prt_bake.network.features.view_features import interval_edges
 from prt_bake.network.settings import NetworkSettings
 from prt_bake.trainer.samples.rows import Box
 
 Array = NDArray[np.float64]
-Corner = tuple[float, float, float]
 
 MOST_BYTES = 49_152
 """Of the grids as a model keeps them; with its weights a model stays below 660 KiB."""
@@ -60,7 +59,7 @@ def interior_of(scene: Scene, box: Box) -> Interior:
 
 def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkSettings:
     """The settings with the finest grid of theirs at most whose numbers take no more than MOST_LEARNT_BYTES."""
-    reach = float(edges_of(interior, settings.ray_turns > 0)[-1])
+    reach = float(interval_edges(interior, settings.ray_turns > 0)[-1])
     places = settings.grid_places
     while places > 1:
         rows = int(kept_places(interior, places, reach).sum())

@@ -14,10 +14,10 @@ from formats.errors import QueryError
 from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.network.features.view_features import Told
-from prt_bake.network.lobes import Lobes, in_directions, mean_square
-from prt_bake.trainer.objective import Loss, SomeLobes, of_exits, of_values
-from prt_bake.trainer.precision import bfloat16_pays
+from prt_bake.network.features.view_features import ViewEncoding
+from prt_bake.network.lobes import Lobes, evaluate_lobes, mean_square
+from prt_bake.trainer.objective import LobeTerms, Loss, exit_loss, value_loss
+from prt_bake.trainer.precision import bfloat16_is_faster
 from prt_bake.trainer.samples.rows import (
     BEFORE_RAYS,
     CHANNELS,
@@ -94,7 +94,7 @@ class LearningSettings:
                 raise QueryError(f"learning settings: {name} cannot be {getattr(self, name)!r}")
 
 
-def rate_at(settings: LearningSettings, share: float) -> float:
+def learning_rate(settings: LearningSettings, share: float) -> float:
     """The learning rate after `share` of the run."""
     share = min(1.0, share)
     rise = min(1.0, (share + 1e-4) / max(settings.warm_up, 1e-4))
@@ -121,12 +121,12 @@ class Learner:
         )
         self.step = 0
         self._device = network.frequencies.device
-        self.bfloat16 = settings.bfloat16 and bfloat16_pays(self._device.type)
+        self.bfloat16 = settings.bfloat16 and bfloat16_is_faster(self._device.type)
 
-    def told(self, batch: Batch) -> Told | None:
+    def told(self, batch: Batch) -> ViewEncoding | None:
         """What the network is told of the rows' views whatever it has learnt; other threads may ask for it."""
         rows = torch.from_numpy(batch.rows[:, :BEFORE_RAYS]).to(self._device)
-        return self.network.told(self._positions(rows), rows[:, OUTGOING])
+        return self.network.encode_views(self._positions(rows), rows[:, OUTGOING])
 
     def learn(
         self,
@@ -134,7 +134,7 @@ class Learner:
         batch: Batch,
         share: float,
         generator: np.random.Generator,
-        told: Told | None = None,
+        told: ViewEncoding | None = None,
     ) -> float:
         """One step from rows that `source` gave, after `share` of the run; returns the loss. `told` is what `told` said
         of the rows, where that has been asked already.
@@ -142,7 +142,7 @@ class Learner:
         Raises QueryError where the loss is not finite, with the query that caused it; no weight is touched then.
         """
         for group in self.optimizer.param_groups:
-            group["lr"] = rate_at(self.settings, share)
+            group["lr"] = learning_rate(self.settings, share)
         rows = torch.from_numpy(batch.rows).to(self._device)
         each = self._from_exits(rows, generator, told) if source.exits else self._from_values(rows, told)
         loss = each.mean()
@@ -175,31 +175,31 @@ class Learner:
         self.step = int(state["step"])
         self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 
-    def _from_values(self, rows: Tensor, told: Told | None) -> Tensor:
+    def _from_values(self, rows: Tensor, told: ViewEncoding | None) -> Tensor:
         rays = rays_of(rows)
         answers, _lobes = self._answers(rays[..., INCIDENT], rows, told)
         values = rays[..., CHANNELS] / self.network.output_scale
-        return of_values(answers, values, self.settings.loss, self.settings.floor)
+        return value_loss(answers, values, self.settings.loss, self.settings.floor)
 
-    def _from_exits(self, rows: Tensor, generator: np.random.Generator, told: Told | None) -> Tensor:
+    def _from_exits(self, rows: Tensor, generator: np.random.Generator, told: ViewEncoding | None) -> Tensor:
         rays, spread = rays_of(rows), self.settings.spread
         if self.step < self.settings.coarse_steps and bool(torch.isfinite(rays).all()):
             rays, spread = every_third(rays, int(generator.integers(3))), math.ceil(spread / 3)
-        everywhere = torch.from_numpy(turned_lattice(len(rows), spread, generator)).to(self._device)
+        everywhere = torch.from_numpy(rotated_lattice(len(rows), spread, generator)).to(self._device)
         answers, lobes = self._answers(torch.cat((rays[..., INCIDENT], everywhere), dim=1), rows, told)
         throughput = rays[..., CHANNELS] / self.network.output_scale
         walks = rays.shape[1]
-        some = None if lobes is None else SomeLobes(in_directions(lobes, everywhere), mean_square(lobes))
+        some = None if lobes is None else LobeTerms(evaluate_lobes(lobes, everywhere), mean_square(lobes))
         settings = self.settings
-        return of_exits(answers[:, :walks], throughput, answers[:, walks:], settings.loss, settings.floor, some)
+        return exit_loss(answers[:, :walks], throughput, answers[:, walks:], settings.loss, settings.floor, some)
 
-    def _answers(self, incident: Tensor, rows: Tensor, told: Told | None) -> tuple[Tensor, Lobes | None]:
+    def _answers(self, incident: Tensor, rows: Tensor, told: ViewEncoding | None) -> tuple[Tensor, Lobes | None]:
         """The network's answers [Q,D,3] towards incident [Q,D,3] over its output scale, in float32, and the lobes in
         them.
         """
         with torch.autocast(self._device.type, torch.bfloat16, enabled=self.bfloat16):
-            answer, lobes = self.network.parts(incident, self._positions(rows), rows[:, OUTGOING], told)
-        return (answer.float() if lobes is None else answer.float() + in_directions(lobes, incident)), lobes
+            answer, lobes = self.network.components(incident, self._positions(rows), rows[:, OUTGOING], told)
+        return (answer.float() if lobes is None else answer.float() + evaluate_lobes(lobes, incident)), lobes
 
     def _positions(self, rows: Tensor) -> Tensor:
         """Positions [Q,3] in the scene."""
@@ -249,7 +249,7 @@ def every_third(rays: Tensor, first: int) -> Tensor:
     return third
 
 
-def turned_lattice(count: int, spread: int, generator: np.random.Generator) -> NDArray[np.float32]:
+def rotated_lattice(count: int, spread: int, generator: np.random.Generator) -> NDArray[np.float32]:
     """`spread` directions for each of `count` queries [count, spread, 3], each uniform over the sphere."""
     turns = rotations(generator.random((count, 3))).astype(np.float32)
     return np.asarray(np.einsum("nij,dj->ndi", turns, fibonacci(spread).astype(np.float32), optimize=True))

@@ -1,12 +1,12 @@
-"""What the learner minimises, for rays that are values and for rays that are exits.
+"""Losses of a batch: squared distance between the network f and Ŝ, from values or from exits of walks.
 
-Both measure the squared distance between the network f and Ŝ, over all queries and directions, in units of the
-network's output scale. From values it is the mean of (f − Ŝ)². From exits it is, up to the constant ∫ Ŝ²,
-∫ f² dω − 2 E[T · f(ω_exit)], since a walk's exit is a sample of Ŝ: E[T · f(ω_exit)] = ∫ Ŝ f dω. The first term is
-estimated in directions drawn uniformly. Divided by 4π, as here, it is the mean over the sphere as it is from values.
+Both losses estimate the squared distance over all queries and directions, in units of the network's output scale. The
+loss of values is the mean of (f − Ŝ)². The loss of exits uses that the exit of a walk with throughput T is a sample of
+Ŝ, E[T · f(ω_exit)] = ∫ Ŝ f dω: up to the constant ∫ Ŝ² it is ∫ f² dω − 2 E[T · f(ω_exit)], with the first term
+estimated in uniform directions. Divided by 4π, it is a mean over the sphere like the loss of values.
 
-The relative form weighs each direction by 1 / (m² + floor), m the network's own answer there, its channels averaged and
-held fixed (Müller et al. 2021, "Real-time neural radiance caching", section 4.3).
+The relative form weights each direction by 1 / (m² + floor), where m is the network's own answer, averaged over channels
+and detached from the gradient (Müller et al. 2021, "Real-time neural radiance caching", section 4.3).
 """
 
 import math
@@ -20,35 +20,35 @@ Loss = Literal["l2", "relative"]
 _SPHERE = 4.0 * math.pi
 
 
-class SomeLobes(NamedTuple):
-    """What lobes add in the directions of `spread` [Q,S,3], and the mean of its square over the sphere [Q,3]."""
+class LobeTerms(NamedTuple):
+    """Sum of the lobes in uniform directions [Q,S,3], and the exact mean of its square over the sphere [Q,3]."""
 
-    spread: Tensor
+    uniform: Tensor
     mean_square: Tensor
 
 
-def of_values(answer: Tensor, value: Tensor, loss: Loss, floor: float) -> Tensor:
-    """Each query's loss [Q]: answers [Q,D,3] and values [Q,D,3], both over the output scale."""
-    return torch.mean(torch.mean((answer - value) ** 2, dim=-1) * _weight(answer, loss, floor), dim=-1)
+def value_loss(predicted: Tensor, value: Tensor, loss: Loss, floor: float) -> Tensor:
+    """Loss [Q] of each query from predictions [Q,D,3] and values [Q,D,3], both over the output scale."""
+    return torch.mean(torch.mean((predicted - value) ** 2, dim=-1) * _weight(predicted, loss, floor), dim=-1)
 
 
-def of_exits(
-    answer: Tensor, throughput: Tensor, spread: Tensor, loss: Loss, floor: float, lobes: SomeLobes | None = None
+def exit_loss(
+    predicted: Tensor, throughput: Tensor, uniform: Tensor, loss: Loss, floor: float, lobes: LobeTerms | None = None
 ) -> Tensor:
-    """Each query's loss [Q], whose expectation is the distance less a constant.
+    """Loss [Q] of each query from the exits of P walks; its expectation is the squared distance less a constant.
 
-    answer [Q,P,3] in the directions of the exits of P walks, throughput [Q,P,3], and spread [Q,S,3], answers in S
-    directions drawn uniformly; all over the output scale. Where narrow lobes are a part of the answers, their own
-    square is put in exactly (loss l2): as S directions see it, it would be most of the noise.
+    predicted [Q,P,3] are the network's values in the exits' directions, throughput [Q,P,3] the walks', uniform [Q,S,3]
+    the network's values in S uniform directions, all over the output scale. With `lobes` (loss "l2" only) the mean
+    square of narrow lobes is exact: estimated from S directions it would be most of the loss's noise.
     """
-    squares = torch.mean(torch.mean(spread**2, dim=-1) * _weight(spread, loss, floor), dim=-1)
+    squares = torch.mean(torch.mean(uniform**2, dim=-1) * _weight(uniform, loss, floor), dim=-1)
     if lobes is not None and loss == "l2":
-        squares = squares + torch.mean(lobes.mean_square - torch.mean(lobes.spread**2, dim=1), dim=-1)
-    carried = torch.mean(torch.mean(throughput * answer, dim=-1) * _weight(answer, loss, floor), dim=-1)
-    return squares - (2.0 / _SPHERE) * carried
+        squares = squares + torch.mean(lobes.mean_square - torch.mean(lobes.uniform**2, dim=1), dim=-1)
+    products = torch.mean(torch.mean(throughput * predicted, dim=-1) * _weight(predicted, loss, floor), dim=-1)
+    return squares - (2.0 / _SPHERE) * products
 
 
-def _weight(answer: Tensor, loss: Loss, floor: float) -> Tensor:
+def _weight(predicted: Tensor, loss: Loss, floor: float) -> Tensor:
     if loss == "l2":
-        return torch.ones((), dtype=answer.dtype, device=answer.device)
-    return 1.0 / (answer.detach().mean(dim=-1) ** 2 + floor)
+        return torch.ones((), dtype=predicted.dtype, device=predicted.device)
+    return 1.0 / (predicted.detach().mean(dim=-1) ** 2 + floor)

@@ -20,16 +20,16 @@ from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.cores import undivided
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.samples.queries import Queries
-from prt_bake.trainer.samples.repeatable import Shuffled
-from prt_bake.trainer.samples.rows import Batch, Box, Done, RowSource, batch_of
+from prt_bake.trainer.samples.repeatable import ShuffledRows
+from prt_bake.trainer.samples.rows import Batch, Box, RowSource, SourceStatistics, build_batch
 from prt_bake.trainer.training_data import box_of
-from prt_bake.trainer.validation import HeldOut, Reference, final_figures
+from prt_bake.trainer.validation import HeldOut, Reference, final_errors
 
 VALIDATION_SHARE, TEST_SHARE = 0.05, 0.05
 _SPLIT_STREAM = 0x5B
 
 
-class Sides(NamedTuple):
+class Split(NamedTuple):
     """Which samples [N] are learnt from, which validate, which test."""
 
     learning: NDArray[np.bool_]
@@ -37,19 +37,19 @@ class Sides(NamedTuple):
     test: NDArray[np.bool_]
 
 
-def sides_of(keys: NDArray[np.uint64]) -> Sides:
+def split_by_key(keys: NDArray[np.uint64]) -> Split:
     """The side of each query, by its key alone."""
     place = _place(keys)
     validation = place < VALIDATION_SHARE
     test = ~validation & (place < VALIDATION_SHARE + TEST_SHARE)
-    return Sides(~validation & ~test, validation, test)
+    return Split(~validation & ~test, validation, test)
 
 
 def _place(keys: NDArray[np.uint64]) -> NDArray[np.float64]:
     return uniforms((_SPLIT_STREAM, keys), 1)[..., 0]
 
 
-class FileMaterial:
+class SampleFileData:
     """The samples of a file, all in memory."""
 
     def __init__(self, scene: Scene, path: str | Path, seed: int, synchronous: bool) -> None:
@@ -66,7 +66,7 @@ class FileMaterial:
                 f"{path}: was sampled from another scene ({self._samples.head.scene}, or it changed since); "
                 f"sample {Path(scene.path).name} anew"
             )
-        self._sides = sides_of(self._samples.keys)
+        self._sides = split_by_key(self._samples.keys)
         self.begun = {"synchronous": synchronous, "samples": sha256(path)}
         for name, side in self._sides._asdict().items():
             if not side.any():
@@ -93,7 +93,7 @@ class FileMaterial:
         """The error on the testing samples, never looked at before, and on fresh queries."""
         test = self._held_out(np.flatnonzero(self._sides.test))
         noise = np.sqrt(np.sum(test.standard_error**2) / max(float(np.sum(test.mean**2)), 1e-300))
-        fresh = final_figures(
+        fresh = final_errors(
             network, self.scene, prepare(self.scene), learning.held_out_queries, learning.held_out_walks
         )
         return {
@@ -140,9 +140,9 @@ class FileRows:
         """Rows of the `chosen` samples, numbered by their place in the file; `state` is another's, to go on."""
         self._batch = _rows(samples, chosen, box)
         self._path = path
-        self._done = Done(len(chosen) * samples.head.walks, len(self._batch.rows), 0.0)
+        self._done = SourceStatistics(len(chosen) * samples.head.walks, len(self._batch.rows), 0.0)
         drawn = 0 if state is None else state["drawn"]
-        self._shuffled = Shuffled(lambda block: self._batch, len(self._batch.rows), None, seed, drawn)
+        self._shuffled = ShuffledRows(lambda block: self._batch, len(self._batch.rows), None, seed, drawn)
 
     def start(self) -> None:
         """Nothing to wait for."""
@@ -158,7 +158,7 @@ class FileRows:
         """Words that name a query by its number."""
         return f"query {number} of {self._path.name}"
 
-    def done(self) -> Done:
+    def done(self) -> SourceStatistics:
         """The walks and rows that the file has to learn from."""
         return self._done
 
@@ -168,7 +168,7 @@ class FileRows:
 
 
 def _rows(samples: Samples, chosen: NDArray[np.int64], box: Box) -> Batch:
-    return batch_of(
+    return build_batch(
         chosen,
         samples.positions[chosen],
         samples.outgoing[chosen],

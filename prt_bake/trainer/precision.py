@@ -1,7 +1,7 @@
-"""Whether matrix work in bfloat16 pays: what a processor names and what it gains are two things.
+"""Whether matrix products in bfloat16 are worth it on this machine.
 
-Processors with matrix units (AMX) are several times as fast in it. Some that have the instructions without the units
-take twice as long as in float32.
+Supporting bfloat16 and being faster in it are different things: processors with matrix units (AMX) are several times as
+fast, while some that have the instructions without the units take twice as long as in float32.
 """
 
 import time
@@ -10,31 +10,31 @@ from functools import cache
 import torch
 
 _ROWS, _WIDTH = 4096, 256
-"""A layer of a batch, about."""
+"""Size of the timed product, similar to a layer on a training batch."""
 _HOPELESS = 50.0
-"""Times as slow: processors without the instructions take a thousand times as long, seconds a product."""
-_REPEATS, _WORTH = 7, 1.3
-"""How much faster it must be: what is rounded must be worth it, and processors are well on one side or the other."""
+"""Slowdown at which timing stops: processors without the instructions are a thousand times slower."""
+_REPEATS, _LEAST_SPEEDUP = 7, 1.3
+"""Least speedup that justifies the rounding. Processors are clearly above or below it."""
 
 
 @cache
-def bfloat16_pays(device_type: str) -> bool:
-    """Whether a matrix product in bfloat16 is at least 1.3 times as fast as in float32; measured once, in 0.1 s.
+def bfloat16_is_faster(device_type: str) -> bool:
+    """Whether matrix products in bfloat16 are at least 1.3 times as fast as in float32.
 
-    device_type: "cpu", or "cuda", where it is taken wherever the card has it.
+    device_type: "cpu" is measured once, in 0.1 s. "cuda" counts as faster if the GPU supports bfloat16.
     """
     if device_type != "cpu":
         return bool(torch.cuda.is_bf16_supported())
-    return _gain() > _WORTH
+    return _speedup() > _LEAST_SPEEDUP
 
 
-def _gain() -> float:
-    """Seconds in float32 over those in bfloat16, the least of a few each, in turns."""
-    pairs = {kind: _operands(kind) for kind in (torch.float32, torch.bfloat16)}
-    least = dict.fromkeys(pairs, float("inf"))
+def _speedup() -> float:
+    """Time in float32 over time in bfloat16: the least of several alternating measurements of each."""
+    operands = {kind: _operands(kind) for kind in (torch.float32, torch.bfloat16)}
+    least = dict.fromkeys(operands, float("inf"))
     with torch.no_grad():
         for _ in range(_REPEATS):
-            for kind, (rows, weights) in pairs.items():
+            for kind, (rows, weights) in operands.items():
                 began = time.perf_counter()
                 torch.nn.functional.linear(rows, weights)
                 least[kind] = min(least[kind], time.perf_counter() - began)

@@ -1,7 +1,8 @@
-"""What the learner takes next, made ready while it learns.
+"""Prefetches batches and their view inputs while the learner works.
 
-What a network is told of a view (where its ray runs, what it meets there) does not change while the network learns, and
-takes up to half as long as learning from it. Threads beside the learner work it out for the next batches.
+The inputs that a network derives from a view (its ray through the object and what the ray meets) do not depend on the
+weights, and computing them takes up to half as long as a step. Threads beside the learner compute them for the next
+batches.
 """
 
 from collections import deque
@@ -15,37 +16,37 @@ from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.samples.rows import Batch, RowSource
 
 
-class Ready(NamedTuple):
-    """Rows, and what the network is told of their views."""
+class PreparedBatch(NamedTuple):
+    """Rows, and the network's inputs of their views (None for networks that have none)."""
 
     batch: Batch
-    told: Told | None
+    view_inputs: Told | None
 
 
-class Ahead:
-    """Batches of a source for a learner, in the source's order."""
+class Prefetcher:
+    """Hands batches of a source to a learner, in the source's order."""
 
     def __init__(self, source: RowSource, learner: Learner, generator: np.random.Generator, threads: int) -> None:
-        """As many batches as there are threads are made ready beforehand; with none, each when it is asked for."""
+        """`threads` batches are prepared in advance; with 0 each batch is prepared when it is drawn."""
         self._source, self._learner, self._generator, self._threads = source, learner, generator, threads
-        self._pool = ThreadPoolExecutor(threads, "prtbake-ahead") if threads else None
-        self._coming: deque[Future[Ready]] = deque()
+        self._pool = ThreadPoolExecutor(threads, "prtbake-prefetch") if threads else None
+        self._pending: deque[Future[PreparedBatch]] = deque()
 
-    def draw(self) -> Ready:
-        """The next batch; raises what broke the source, once it is asked for what comes after this one."""
+    def draw(self) -> PreparedBatch:
+        """The next batch; raises the source's error as soon as prefetching meets it."""
         if self._pool is None:
-            return self._ready(self._rows())
-        while len(self._coming) <= self._threads:
-            self._coming.append(self._pool.submit(self._ready, self._rows()))
-        return self._coming.popleft().result()
+            return self._prepare(self._rows())
+        while len(self._pending) <= self._threads:
+            self._pending.append(self._pool.submit(self._prepare, self._rows()))
+        return self._pending.popleft().result()
 
     def stop(self) -> None:
-        """End the threads; what they have made ready is lost."""
+        """End the threads and discard prefetched batches."""
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
     def _rows(self) -> Batch:
         return self._source.draw(self._learner.settings.batch, self._generator)
 
-    def _ready(self, batch: Batch) -> Ready:
-        return Ready(batch, self._learner.told(batch))
+    def _prepare(self, batch: Batch) -> PreparedBatch:
+        return PreparedBatch(batch, self._learner.view_inputs(batch))

@@ -1,4 +1,4 @@
-"""What a training run needs to go on: `NAME.train.pt` beside the model, plain tensors and numbers only."""
+"""Checkpoints of training runs: `NAME.train.pt` beside the model, made of tensors and plain values only."""
 
 import io
 from pathlib import Path
@@ -11,13 +11,13 @@ _VERSION = 3
 
 
 def state_path(output: str | Path) -> Path:
-    """Where the state of the run that writes `output` lies."""
+    """Path of the checkpoint that belongs to the model `output`."""
     output = Path(output)
     return output.with_name(output.stem + ".train.pt")
 
 
 def require_state(output: str | Path) -> Path:
-    """Where that state lies; raises ModelError where there is none."""
+    """Path of the checkpoint; raises ModelError if it does not exist."""
     path = state_path(output)
     if not path.is_file():
         raise ModelError(f"{path}: not found; there is nothing to resume, train without --resume")
@@ -25,7 +25,7 @@ def require_state(output: str | Path) -> Path:
 
 
 def write_state(output: str | Path, state: dict[str, Any]) -> None:
-    """Write the state, whole or not at all; it holds `scene`, and in `begun` all that a run keeps to its end."""
+    """Write the checkpoint atomically; `state` holds `scene`, a hash, and `begun`, the settings that must not change."""
     import torch
 
     content = io.BytesIO()
@@ -34,11 +34,11 @@ def write_state(output: str | Path, state: dict[str, Any]) -> None:
         part.write_bytes(content.getvalue())
 
 
-def read_state(output: str | Path, scene_hash: str, begun: dict[str, Any]) -> dict[str, Any]:
-    """Read the state of a run that was begun with the same scene and with `begun`.
+def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) -> dict[str, Any]:
+    """Read the checkpoint of a run that began with the same scene and the same settings.
 
-    Raises ModelError where there is none, where it is damaged, and where it is of another scene or begun otherwise,
-    saying in what.
+    Raises ModelError if the checkpoint is missing or damaged, belongs to another scene, or began with other settings;
+    the message names the setting.
     """
     import torch
 
@@ -55,11 +55,11 @@ def read_state(output: str | Path, scene_hash: str, begun: dict[str, Any]) -> di
             f"{path}: belongs to another scene (the mesh, medium or interface changed); train without --resume"
         )
     if version != _VERSION:
-        raise ModelError(f"{path}: is of version {version!r}, expected {_VERSION}; train without --resume")
-    for name, value in begun.items():
+        raise ModelError(f"{path}: has version {version!r}, expected {_VERSION}; train without --resume")
+    for name, value in settings.items():
         if state["begun"].get(name) != value:
             raise ModelError(
-                f"{path}: was begun with {name} {state['begun'].get(name)!r}, asked for is {value!r}; "
-                "ask for the same, or train without --resume"
+                f"{path}: the run began with {name} {state['begun'].get(name)!r}, requested is {value!r}; "
+                "request the same, or train without --resume"
             )
     return state

@@ -1,20 +1,20 @@
-"""What is worth knowing of a scene before it is learnt."""
+"""Warnings about scenes that are hard to learn."""
 
 import numpy as np
 
 from formats.scene import Scene
 
 _CLEAR = 4.0
-"""Optical depths of the object's longest side, behind which a fiftieth of the light is left unscattered."""
+"""Optical depth along the object's longest side below which more than a fiftieth of the light crosses unscattered."""
 
 
-def hard_to_learn(scene: Scene) -> str | None:
-    """A sentence on what keeps networks of the scene from being exact; None where nothing is known to."""
+def training_warning(scene: Scene) -> str | None:
+    """Why networks of the scene will stay inexact, as a sentence; None if no reason is known."""
     side = float(np.ptp(scene.mesh.bounds, axis=0).max())
-    bends_roughly = float(scene.eta) != 1.0 and float(np.mean(scene.roughness)) > 0.0
-    if bends_roughly and float(np.mean(scene.medium.sigma_t)) * side < _CLEAR:
+    rough = float(scene.eta) != 1.0 and float(np.mean(scene.roughness)) > 0.0
+    if rough and float(np.mean(scene.medium.sigma_t)) * side < _CLEAR:
         return (
-            "the object is clear behind a rough interface: light that crosses it without being scattered counts, as a "
-            "lobe that moves with place and view and that networks hardly learn; with roughness = 0 it is left out"
+            "the object is clear behind a rough interface: light that crosses it unscattered forms a lobe that moves "
+            "with position and view, and networks learn it poorly; with roughness = 0 it is not part of the transport"
         )
     return None

@@ -20,21 +20,21 @@ from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.tracer.prepared import interface_kind, is_unbent
 from prt_bake.tracer.surface.interface import ROUGH
-from prt_bake.trainer.cores import chosen_device
-from prt_bake.trainer.history import Meter, TrainingRow, every_tenth
+from prt_bake.trainer.cores import select_device
+from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
 from prt_bake.trainer.interior import interior_of, is_clear, with_fitting_grid
 from prt_bake.trainer.learner import Learner, LearningSettings
-from prt_bake.trainer.offline import FileMaterial
-from prt_bake.trainer.prefetch import Ahead
+from prt_bake.trainer.offline import SampleFileData
+from prt_bake.trainer.prefetch import Prefetcher
 from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.samples.rows import RowSource, StreamSettings
-from prt_bake.trainer.scene_remarks import hard_to_learn
-from prt_bake.trainer.training_data import Material, OnlineMaterial, box_of
+from prt_bake.trainer.scene_remarks import training_warning
+from prt_bake.trainer.training_data import PathTracedData, TrainingData, box_of
 
-__all__ = ["LearningSettings", "TrainingRow", "train"]
+__all__ = ["LearningSettings", "TrainingProgress", "train"]
 
-Progress = Callable[[TrainingRow], None]
-WATCHED = {"transport": "the transport function", "coefficients": "the coefficients a_lm over the surface"}
+Progress = Callable[[TrainingProgress], None]
+QUANTITIES = {"transport": "the transport function", "coefficients": "the coefficients a_lm over the surface"}
 """What a training is watched by, in words."""
 
 
@@ -81,20 +81,20 @@ def train(
             raise QueryError("train: resume needs the output that it goes on from")
         require_state(output)
     tell = say or (lambda sentence: None)
-    if remark := hard_to_learn(scene):
+    if remark := training_warning(scene):
         tell(f"{scene.path}: {remark}")
-    material: Material
+    material: TrainingData
     if samples is not None:
         tell(f"reading {samples}")
-        material = FileMaterial(scene, samples, seed, synchronous)
+        material = SampleFileData(scene, samples, seed, synchronous)
     else:
         tell("path tracing the queries that the training is measured by")
-        material = OnlineMaterial(scene, stream or StreamSettings(), seed, synchronous)
+        material = PathTracedData(scene, stream or StreamSettings(), seed, synchronous)
     run = _Run(
         material,
         _as_the_scene_needs(settings or replace(PRESETS["measured"], seed=seed), scene),
         learning or LearningSettings(),
-        chosen_device(device),
+        select_device(device),
         seed,
     )
     if resume:
@@ -105,7 +105,7 @@ def train(
                 f"{output}: nothing is left to learn: it had {run.learner.step} steps in {run.seconds / 60.0:.3g} "
                 "minutes already, and what is asked for counts from the very beginning; ask for more"
             )
-    tell(f"learning; the validation error is that of {WATCHED[run.reference.of]}")
+    tell(f"learning; the validation error is that of {QUANTITIES[run.reference.of]}")
     run.learn(minutes * 60.0, steps, output, progress)
     tell("path tracing fresh queries for the final figures")
     return run.finish(output)
@@ -115,7 +115,7 @@ class _Run:
     """One training run: what is learnt from, who learns, and how far they have come."""
 
     def __init__(
-        self, material: Material, settings: NetworkSettings, learning: LearningSettings, device: str, seed: int
+        self, material: TrainingData, settings: NetworkSettings, learning: LearningSettings, device: str, seed: int
     ) -> None:
         self.material, self.learning, self.seed = material, learning, seed
         self.scene = material.scene
@@ -137,7 +137,7 @@ class _Run:
         self.seconds = 0.0
         self.source: RowSource | None = None
         self.source_state: dict[str, int] | None = None
-        self.history: list[TrainingRow] = []
+        self.history: list[TrainingProgress] = []
 
     def restore(self, output: str | Path) -> None:
         """Take up where the checkpoint beside `output` was written."""
@@ -147,7 +147,7 @@ class _Run:
         self.learner.restore(state["learner"])
         self.generator.bit_generator.state = json.loads(state["generator"])
         self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
-        self.history = [TrainingRow(**row) for row in state["history"]]
+        self.history = [TrainingProgress(**row) for row in state["history"]]
 
     def state(self) -> dict[str, Any]:
         """What `restore` needs, plain values and tensors."""
@@ -170,7 +170,7 @@ class _Run:
         threads = torch.get_num_threads()
         learning = self.material.learning_threads(self.learning, device)
         beside = 0 if self.begun["synchronous"] or device != "cpu" else learning
-        ahead = Ahead(self.source, self.learner, self.generator, beside)
+        ahead = Prefetcher(self.source, self.learner, self.generator, beside)
         torch.set_num_threads(learning)
         try:
             self._learn(self.source, ahead, seconds, steps, output, progress)
@@ -184,7 +184,7 @@ class _Run:
     def _learn(
         self,
         source: RowSource,
-        ahead: Ahead,
+        ahead: Prefetcher,
         seconds: float,
         steps: int | None,
         output: str | Path | None,

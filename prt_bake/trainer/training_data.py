@@ -9,16 +9,16 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import PreparedScene, prepare
 from prt_bake.trainer.cores import divided, undivided
 from prt_bake.trainer.learner import LearningSettings
-from prt_bake.trainer.samples.repeatable import InTurn
+from prt_bake.trainer.samples.repeatable import AlternatingRenderer
 from prt_bake.trainer.samples.rows import Box, RowSource, RowTracer, StreamSettings, row_tracer
-from prt_bake.trainer.samples.stream import Renderer
-from prt_bake.trainer.validation import Reference, final_figures, reference_for
+from prt_bake.trainer.samples.stream import BackgroundRenderer
+from prt_bake.trainer.validation import Reference, final_errors, validation_reference
 
 _FIRST_FILL = 16
 """Batches that the buffer holds before the learner draws from it."""
 
 
-class Material(Protocol):
+class TrainingData(Protocol):
     """What a training run learns from and is measured by."""
 
     scene: Scene
@@ -39,7 +39,7 @@ class Material(Protocol):
         """What the trained network's metadata say of its errors and of what it learnt from."""
 
 
-class OnlineMaterial:
+class PathTracedData:
     """Walks of a scene, made while the learner learns."""
 
     def __init__(self, scene: Scene, stream: StreamSettings, seed: int, synchronous: bool) -> None:
@@ -52,17 +52,17 @@ class OnlineMaterial:
 
     def reference(self, learning: LearningSettings) -> Reference:
         """Queries of a seed of their own."""
-        return reference_for(self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
+        return validation_reference(self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
         """A renderer, its kernel compiled."""
         walks: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
         walks.render(0, 1)
         if self._synchronous:
-            return InTurn(walks, self._stream, undivided().walkers, self._seed, state)
+            return AlternatingRenderer(walks, self._stream, undivided().walkers, self._seed, state)
         threads = divided(learning.core_share, device).walkers
         reuse = self._stream.reuse if device == "cpu" else math.inf
-        return Renderer(walks, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
+        return BackgroundRenderer(walks, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
 
     def learning_threads(self, learning: LearningSettings, device: str) -> int:
         """One where every bit counts: sums depend on how they are shared out."""
@@ -70,7 +70,7 @@ class OnlineMaterial:
 
     def figures(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
         """Errors on fresh queries, and how the renderer asked."""
-        final = final_figures(network, self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
+        final = final_errors(network, self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
         return {"stream": asdict(self._stream), "relative_rmse": final.as_json()}
 
 

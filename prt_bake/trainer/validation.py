@@ -99,7 +99,7 @@ def hold_out_coefficients(scene: Scene, count: int, walks: int, seed: int, direc
     return HeldOutCoefficients(queries.positions, queries.outgoing, found.mean, found.standard_error, directions)
 
 
-def reference_for(scene: Scene, prepared: PreparedScene, queries: int, walks: int) -> Reference:
+def validation_reference(scene: Scene, prepared: PreparedScene, queries: int, walks: int) -> Reference:
     """What a training of the scene is watched by: values, or coefficients where those are had for a tenth."""
     if is_unbent(scene):
         return hold_out(prepared, queries, 8, walks, VALIDATION_SEED)
@@ -124,7 +124,7 @@ def noise_free_ratio(answer: ArrayLike, mean: Array, error: Array) -> float:
 
 
 @dataclass(frozen=True)
-class FinalFigures:
+class FinalErrors:
     """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the size of the reference's own
     noise; None for Ŝ behind a smooth interface, where it has no point values.
     """
@@ -141,13 +141,13 @@ class FinalFigures:
         return asdict(self)
 
 
-def final_figures(
+def final_errors(
     network: Any, scene: Scene, prepared: PreparedScene, queries: int, walks: int, seed: int = FINAL_SEED
-) -> FinalFigures:
+) -> FinalErrors:
     """The figures of a trained network against the path tracer, on queries of a seed of their own."""
     values = hold_out(prepared, queries, 8, walks, seed) if smooth_part(scene) is None else None
     reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS)
-    return FinalFigures(
+    return FinalErrors(
         transport=None if values is None else values.relative_rmse(network),
         transport_noise=None if values is None else _noise(values),
         coefficients=reference.relative_rmse(network),

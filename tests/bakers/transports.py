@@ -5,7 +5,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from formats.mesh import Mesh, build_mesh
-from prt_bake.baking.job.job import views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.random import uniforms
 

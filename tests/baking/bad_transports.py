@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 import prt_bake
-from bakers.transport import on_mesh, up_to
+from bakers.transport import on_mesh, prepared, up_to
 from formats.mesh import Mesh, build_mesh, read_mesh
-from prt_bake.baking.job.job import prepared
 from prt_bake.mathematics.random import uniforms
 from prt_bake.network.bssrdf import load_model
 from tests.bakers.transports import Array, Chequered, Edged, Lobed, icosphere

@@ -13,7 +13,7 @@ from prt_bake.baking.adaptive import pilot_pass
 from prt_bake.baking.adaptive.pilot import Site, first_refinement
 from prt_bake.baking.adaptive.tolerances import Aim, Pilot, aimed, pilot_vertices
 from prt_bake.baking.bake import plan
-from prt_bake.baking.job.job import views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sphere
 from tests.bakers.transports import Counting, Edged, Incoherent, Lobed, icosphere
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import prt_bake
-from bakers.transport import on_mesh
+from bakers.transport import on_mesh, prepared
 from formats.errors import QueryError
 from formats.mesh import read_mesh
 from prt_bake import bake, load_model
-from prt_bake.baking.job.job import prepared, views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.baking.pruning.rounding import rounding_of
 from prt_bake.baking.report.budget import error_budget
 from prt_bake.geometry.camera import Camera

@@ -21,8 +21,8 @@ from bakers.baker import Sampling, Task, bake_block
 from bakers.horizon import bend_to_horizon
 from bakers.projection import direction_pool
 from formats.mesh import Mesh, read_mesh
-from prt_bake.baking.job.job import horizons
 from prt_bake.baking.job.sampling import DirectionKind, direction_sets
+from prt_bake.baking.job.views import horizons
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
 

@@ -21,7 +21,7 @@ from formats.asset import Asset
 from formats.errors import PrtbakeError
 from formats.mesh import Mesh
 from prt_bake import bake
-from prt_bake.report import bake_report
+from prt_bake.baking.report.summary import bake_report
 from tests.bakers.transports import Array, Counting, exact, icosphere
 from tests.baking.bad_transports import Case, cases
 

@@ -18,10 +18,10 @@ import trimesh
 
 import prt_bake.baking.adaptive.tolerances
 from bakers.evaluation import values_at
-from bakers.transport import on_mesh, up_to
+from bakers.transport import on_mesh, prepared, up_to
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake
-from prt_bake.baking.job.job import prepared, views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
 from tests.bakers.transports import Edged, Lobed, Ringed, icosphere

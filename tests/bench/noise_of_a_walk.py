@@ -19,7 +19,7 @@ from prt_bake.shipped.demonstration import SHIPPED
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import PreparedScene, prepare, smooth_part
 from prt_bake.trainer.samples.queries import Queries, QuerySource
-from prt_bake.trainer.samples.rows import render, render_exits
+from prt_bake.trainer.samples.rows import render, trace_exits
 
 WAYS = [(1, 1), (2, 2), (4, 2), (4, 4), (8, 1), (8, 2), (8, 4), (8, 8), (16, 8)]
 WALKS, ROUNDS, EACH = 192, 8, 4
@@ -29,9 +29,9 @@ def exits(prepared: PreparedScene, count: int, size: float) -> tuple[float, floa
     """CPU seconds a walk, and v, of exits; `size` is Σ|a|²."""
     source = QuerySource(prepared, 1, 1)
     queries = source.draw(0, count)
-    render_exits(prepared, source, queries, 2, 2)
+    trace_exits(prepared, source, queries, 2, 2)
     begun = time.process_time()
-    found = render_exits(prepared, source, queries, WALKS, 3)
+    found = trace_exits(prepared, source, queries, WALKS, 3)
     seconds = (time.process_time() - begun) / (count * WALKS)
     carried = np.where(found.unscattered[..., None], 0.0, found.throughput)
     basis = sh.evaluate(found.directions.reshape(-1, 3), 2).reshape(count, WALKS, 9)

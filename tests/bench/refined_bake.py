@@ -19,12 +19,13 @@ import numpy as np
 import torch
 
 from bakers.adaptive.evaluation_cache import NOTHING
-from bakers.transport import on_mesh, up_to
+from bakers.transport import on_mesh, prepared, up_to
 from formats.mesh import read_mesh
 from prt_bake import bake
 from prt_bake.baking.adaptive.pilot import Site, first_refinement
 from prt_bake.baking.adaptive.tolerances import Pilot, aimed, refined_block
-from prt_bake.baking.job.job import limited_threads, prepared, views_of
+from prt_bake.baking.job.views import views_of
+from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
 from tests.bakers import transports as known

@@ -23,9 +23,9 @@ from formats.image import read_layers
 from prt_bake.comparison.metrics import compare
 from prt_bake.comparison.noise import PixelErrors
 from prt_bake.comparison.noise_free import compare_without_noise
+from prt_bake.comparison.side_by_side import write_side_by_side
 from prt_bake.geometry import camera
 from prt_bake.lights.environment import direction_of
-from prt_bake.report import write_side_by_side
 from prt_bake.shading.picture import render_picture
 
 Array = NDArray[np.float64]

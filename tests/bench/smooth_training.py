@@ -18,7 +18,7 @@ import numpy as np
 from formats.scene import Scene, read_scene
 from prt_bake.shipped.demonstration import SHIPPED
 from prt_bake.trainer.samples.rows import StreamSettings
-from prt_bake.trainer.train import LearningSettings, TrainingRow, train
+from prt_bake.trainer.train import LearningSettings, TrainingProgress, train
 
 VARIANTS: dict[str, tuple[float, StreamSettings]] = {
     "smooth, exits": (0.0, StreamSettings()),
@@ -42,7 +42,7 @@ def learn(scene: Scene, stream: StreamSettings, steps: int, seed: int) -> tuple[
     """Error of a_lm, walks, and CPU seconds of walking and learning."""
     begun, ended = time.process_time(), 0.0
 
-    def follow(row: TrainingRow) -> None:
+    def follow(row: TrainingProgress) -> None:
         nonlocal ended
         ended = time.process_time()
 

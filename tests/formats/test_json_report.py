@@ -5,7 +5,7 @@ import json
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prt_bake.report import as_text
+from formats.json_report import as_text
 
 _NUMBERS = st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.none() | st.booleans()
 _VALUES = st.recursive(

@@ -19,13 +19,13 @@ MAY_MIX = {aten.copy_, aten._to_copy, aten.index, aten.index_put_}
 VIEWS = {"view", "reshape", "expand", "select", "slice", "unsqueeze", "t", "transpose", "detach", "alias", "as_strided"}
 
 
-class OnCard(torch.Tensor):
+class SimulatedTensor(torch.Tensor):
     """A tensor that says it is on the card; `held` has its numbers."""
 
     held: torch.Tensor
 
     @staticmethod
-    def __new__(cls, held: torch.Tensor) -> "OnCard":
+    def __new__(cls, held: torch.Tensor) -> "SimulatedTensor":
         with torch.inference_mode(False):
             made = torch.Tensor._make_wrapper_subclass(
                 cls,
@@ -44,8 +44,8 @@ class OnCard(torch.Tensor):
     @classmethod
     def __torch_dispatch__(cls, operation: Any, _types: Any, args: Any = (), kwargs: Any = None) -> Any:
         given = tree_leaves((args, kwargs or {}))
-        there = [one for one in given if isinstance(one, OnCard)]
-        here = [one for one in given if isinstance(one, torch.Tensor) and not isinstance(one, OnCard) and one.dim()]
+        there = [one for one in given if isinstance(one, SimulatedTensor)]
+        here = [one for one in given if isinstance(one, torch.Tensor) and not isinstance(one, SimulatedTensor) and one.dim()]
         if here and operation.overloadpacket not in MAY_MIX:
             raise RuntimeError(f"{operation}: expected all tensors on one device, found some on {NAME} and some on cpu")
         if operation.overloadpacket.__name__ not in VIEWS:
@@ -95,23 +95,23 @@ _kept: list[torch.library.Library] = []
 def _held(one: Any) -> Any:
     if isinstance(one, torch.device):
         return torch.device("cpu")
-    return one.held if isinstance(one, OnCard) else one
+    return one.held if isinstance(one, SimulatedTensor) else one
 
 
 def _on_card(one: Any) -> Any:
-    return OnCard(one) if isinstance(one, torch.Tensor) else one
+    return SimulatedTensor(one) if isinstance(one, torch.Tensor) else one
 
 
-def _empty(size: Any, dtype: Any = None, **_how: Any) -> OnCard:
-    return OnCard(torch.empty(size, dtype=dtype))
+def _empty(size: Any, dtype: Any = None, **_how: Any) -> SimulatedTensor:
+    return SimulatedTensor(torch.empty(size, dtype=dtype))
 
 
-def _empty_strided(size: Any, stride: Any, dtype: Any = None, **_how: Any) -> OnCard:
-    return OnCard(torch.empty_strided(size, stride, dtype=dtype))
+def _empty_strided(size: Any, stride: Any, dtype: Any = None, **_how: Any) -> SimulatedTensor:
+    return SimulatedTensor(torch.empty_strided(size, stride, dtype=dtype))
 
 
 def _copy_from(source: torch.Tensor, target: torch.Tensor, _non_blocking: bool = False) -> torch.Tensor:
-    if isinstance(source, OnCard) != isinstance(target, OnCard):
+    if isinstance(source, SimulatedTensor) != isinstance(target, SimulatedTensor):
         waits["copy"] += 1
     _held(target).copy_(_held(source))
     return target

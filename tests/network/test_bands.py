@@ -12,8 +12,8 @@ from prt_bake.baking.bake import bake
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.sphere import fibonacci, uniform
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.network.lobes import _shares, in_directions, lobes_from
-from prt_bake.trainer.report.evaluation import answered_coefficients
+from prt_bake.network.lobes import _band_ratios, evaluate_lobes, decode_lobes
+from prt_bake.trainer.report.evaluation import evaluated_coefficients
 from prt_bake.trainer.validation import network_coefficients
 from tests.network.test_lobes import LOBED, glass_ball, lobed, told, unit
 from tests.shapes import ball
@@ -24,7 +24,7 @@ MANY = 40_000
 def coefficients_of(lobes, directions, degree, band=None):
     """a_lm [N,K,3] of lobes by an equal-weight sum over a lattice of directions."""
     lattice = fibonacci(directions)
-    values = in_directions(lobes, torch.from_numpy(lattice).float().expand(len(lobes.axes), -1, 3), band)
+    values = evaluate_lobes(lobes, torch.from_numpy(lattice).float().expand(len(lobes.axes), -1, 3), band)
     return 4.0 * np.pi / directions * np.einsum("dk,ndc->nkc", sh.evaluate(lattice, degree), values.double().numpy())
 
 
@@ -32,7 +32,7 @@ def coefficients_of(lobes, directions, degree, band=None):
 @pytest.mark.parametrize("spread", [0.0, 3.0])
 def test_bands_are_those_of_the_lobes_and_nothing_lies_above(degree, spread):
     """At a spread of 3 some lobes are as sharp and some as wide as they may be."""
-    lobes = lobes_from(told(6, 3, spread), unit(6, 4))
+    lobes = decode_lobes(told(6, 3, spread), unit(6, 4))
     found, whole = (coefficients_of(lobes, MANY, degree + 2, band) for band in (degree, None))
     size = np.abs(whole[:, 0]).max(axis=0)
     kept = sh.count(degree)
@@ -43,7 +43,7 @@ def test_bands_are_those_of_the_lobes_and_nothing_lies_above(degree, spread):
 def test_shares_of_bands_are_ratios_of_bessel_functions():
     """Against SciPy's, for lobes as wide and as sharp as they may be, up to bands that carry nothing."""
     kappa = np.exp(np.linspace(1.6, 5.5, 9))
-    found = torch.stack(_shares(torch.from_numpy(kappa), 40)).numpy()
+    found = torch.stack(_band_ratios(torch.from_numpy(kappa), 40)).numpy()
     expected = np.stack([special.ive(band + 0.5, kappa) / special.ive(0.5, kappa) for band in range(41)])
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
@@ -67,7 +67,7 @@ def test_few_directions_find_what_many_do():
 
 def test_a_report_asks_for_bands_alone():
     network, x, eye = lobes_alone()
-    found = answered_coefficients(network, x, eye[:, None], 0)[:, 0]
+    found = evaluated_coefficients(network, x, eye[:, None], 0)[:, 0]
     assert relative(found, network_coefficients(network, x, eye, 4096)) < 1e-5
 
 

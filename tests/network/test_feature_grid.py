@@ -41,16 +41,16 @@ def learnt(grid: FeatureGrid) -> FeatureGrid:
 def test_sums_are_those_of_scipys_linear_interpolation() -> None:
     """Inside, on the last places and outside, where the border goes on."""
     grid = learnt(FeatureGrid(solid(), 10, 4, 3.0))
-    shape = grid.number_at.shape
+    shape = grid.row_index.shape
     assert tuple(shape) == (13, 13, 13)
-    dense = grid.rows[grid.number_at].detach().double().numpy()
+    dense = grid.rows[grid.row_index].detach().double().numpy()
     points = RNG.uniform(-0.3, 1.3, (50, 6, 3))
     weights = RNG.uniform(0.0, 2.0, (50, 6))
     at = ((points + 0.1) * 10).reshape(-1, 3).T
     values = np.stack([map_coordinates(dense[..., c], at, order=1, mode="nearest") for c in range(4)], axis=-1)
     exact = (values.reshape(50, 6, 4) * weights[..., None]).sum(axis=1)
     for alone in (False, True):
-        grid.tensors_alone = alone
+        grid.torch_only = alone
         found = grid(torch.from_numpy(points).float(), torch.from_numpy(weights).float())
         np.testing.assert_allclose(found.detach().numpy(), exact, atol=2e-4)
 
@@ -62,7 +62,7 @@ def test_gradients_of_kernel_and_tensors_agree() -> None:
     towards = torch.from_numpy(RNG.normal(size=(60, 5))).float()
     found = []
     for alone in (False, True):
-        grid.tensors_alone = alone
+        grid.torch_only = alone
         grid.rows.grad = None
         with torch.autocast("cpu", torch.bfloat16):
             torch.autograd.backward((grid(points, weights.float()) * towards).sum())

@@ -1,4 +1,4 @@
-"""Networks on a graphics card that is not there (`pretend_card`): all they need is on it, and they answer alike."""
+"""Networks on a graphics card that is not there (`simulated_gpu`): all they need is on it, and they answer alike."""
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -19,7 +19,7 @@ from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model
 from prt_bake.network.inference import fused
 from prt_bake.network.inference.pairs import content_hash, pair_transport
 from prt_bake.trainer import train
-from tests.network import simulated_gpu as pretend_card
+from tests.network import simulated_gpu as simulated_gpu
 from tests.network.test_lobes import LOBED, glass_ball
 from tests.shapes import ball
 from tests.trainer.small_training import SMALL, learnt, make_scene
@@ -35,9 +35,9 @@ OFF = {"float32": 1e-5, "bfloat16": 1e-2}
 def card(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Its tiles are small: a processor fills them here."""
     monkeypatch.setitem(fused.ROWS_PER_TILE, "cuda", 2048)
-    monkeypatch.setitem(fused.VIEWS_AT_ONCE, "cuda", 128)
-    yield pretend_card.install()
-    pretend_card.steps.clear()
+    monkeypatch.setitem(fused.VIEWS_PER_BATCH, "cuda", 128)
+    yield simulated_gpu.install()
+    simulated_gpu.steps.clear()
 
 
 def network_of(name: str) -> NeuralBSSRDF:
@@ -70,7 +70,7 @@ def test_a_card_answers_as_the_processor(name: str, precision: str, card: str) -
     incident, rotation, position, outgoing = queries(network)
     expected = network.prepared(precision).evaluate_block(incident, rotation, position, outgoing)
     found = network.prepared(precision, card).evaluate_block(incident, rotation, position, outgoing)
-    assert sum(pretend_card.steps.values()) > 0
+    assert sum(simulated_gpu.steps.values()) > 0
     assert apart(found, expected) < OFF[precision]
     pairs = incident[rotation[0]], np.tile(position, (BINS, 1)), outgoing[0]
     in_pairs = pair_transport(network, precision, card).evaluate_pairs(*pairs)
@@ -90,9 +90,9 @@ def test_rays_that_turn_cost_a_card_no_steps_of_their_own(card: str) -> None:
     steps = []
     for settings in (TURNING, replace(TURNING, ray_turns=0)):
         network = NeuralBSSRDF(settings, interior=glass_ball(1.4))
-        pretend_card.steps.clear()
+        simulated_gpu.steps.clear()
         network.prepared(device=card).evaluate_block(*queries(network))
-        steps.append(sum(pretend_card.steps.values()))
+        steps.append(sum(simulated_gpu.steps.values()))
     assert steps[0] < steps[1] + 60
 
 
@@ -105,7 +105,7 @@ def test_a_bake_on_a_card_is_the_processors(asked: dict[str, float], card: str) 
         bake(network, mesh, rings=2, sectors=4, workers=workers, device=device, **asked)
         for workers, device in ((1, "cpu"), (2, card))
     ]
-    assert pretend_card.steps
+    assert simulated_gpu.steps
     assert apart(baked[1].coefficients, baked[0].coefficients) < OFF["float32"]
     np.testing.assert_allclose(baked[1].standard_error, baked[0].standard_error, rtol=1e-3, atol=1e-7)
     np.testing.assert_array_equal(baked[1].error_vs_time[:, 1], baked[0].error_vs_time[:, 1])
@@ -122,8 +122,8 @@ def test_a_network_that_lies_on_a_card_is_baked(card: str, tmp_path: Path) -> No
 
 
 def learn_on_both(folder: Path) -> None:
-    scene, card = make_scene(folder, eta=1.3), pretend_card.install()
-    with mock.patch.object(train, "chosen_device", lambda name: name):
+    scene, card = make_scene(folder, eta=1.3), simulated_gpu.install()
+    with mock.patch.object(train, "select_device", lambda name: name):
         for settings in (SMALL, replace(PRESETS["measured"], features=16, width=16)):
             here, there = (learnt(scene, 20, settings=settings, device=device) for device in ("cpu", card))
             assert there.frequencies.device.type == card
@@ -145,4 +145,4 @@ def test_the_card_is_as_strict_as_one(card: str) -> None:
         there.numpy()
     there[:2] += 1.0
     np.testing.assert_array_equal(there.cpu().numpy(), [2.0, 2.0, 1.0])
-    assert not isinstance(there.cpu(), pretend_card.OnCard)
+    assert not isinstance(there.cpu(), simulated_gpu.SimulatedTensor)

@@ -217,7 +217,7 @@ def test_tensors_and_kernel_agree(eta: float) -> None:
     x = torch.from_numpy(rng.uniform(0, 1, (200, 3)) * [1.0, 1.0, 0.06] + [0.0, 0.0, 0.47])
     eye = nn.functional.normalize(torch.from_numpy(rng.normal(size=(200, 3))))
     kernel = view(x, eye)
-    view.tensors_alone = True
+    view.torch_only = True
     np.testing.assert_allclose(kernel.numpy(), view(x, eye).numpy(), atol=1e-4)
 
 
@@ -225,7 +225,7 @@ def test_half_precision_leaves_the_phases_alone() -> None:
     """Under autocast products of matrices are rounded to eight bits; features must not be."""
     looking = features(half_space())
     plain = NeuralBSSRDF(replace(LOOKING, ray_samples=0, tells_normal=False))
-    looking.tensors_alone = True
+    looking.torch_only = True
     x, eye = torch.from_numpy(RNG.random((50, 3))), unit(50)
     for told in (looking, plain.view_features, lambda x, eye: plain.light_features(eye)):
         exact = told(x, eye)
@@ -243,7 +243,7 @@ def test_extreme_views_have_finite_features(attenuation: float, eta: float) -> N
         x = torch.tensor([[0.5, 0.5, 0.5], [1e6, 0.0, 0.0], [-50.0, 2.0, 9.0], [0.0, 0.0, 0.0]])
         eye = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
         for alone in (False, True):
-            view.tensors_alone = alone
+            view.torch_only = alone
             found = view(x, eye)
             assert bool(found.isfinite().all())
             assert float(found.abs().max()) <= 1e3

@@ -11,15 +11,15 @@ from scipy.ndimage import map_coordinates
 from formats.errors import ModelError
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, load_model, save_model
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
-from prt_bake.network.features.light_ray import GROWTH, NEAREST, LightRay
-from prt_bake.network.features.shape import blurred, looked_up
+from prt_bake.network.features.light_ray import DISTANCE_RATIO, FIRST_DISTANCE, LightRay
+from prt_bake.network.features.shape import shape_grid, trilinear
 from prt_bake.network.inference.pairs import PairNetwork
 from tests.network.test_bssrdf import rough_interior, trained, unit
 from tests.network.test_interior import LOOKING as UNTOLD
 from tests.network.test_interior import half_space
 
 LOOKING = replace(UNTOLD, ray_samples=12, light_places=8, light_cosines=False)
-OF_SHARE = 5.0
+OCCUPANCY_SCALE = 5.0
 RNG = np.random.default_rng(12)
 
 
@@ -34,7 +34,7 @@ def ball(places: int, radius: float = 0.3) -> Interior:
 
 def looked(ray: LightRay, starts: Any, incident: Any) -> np.ndarray:
     """Shares [N,D,S,places]."""
-    told = ray(torch.as_tensor(np.asarray(starts)), torch.as_tensor(np.asarray(incident))) / OF_SHARE
+    told = ray(torch.as_tensor(np.asarray(starts)), torch.as_tensor(np.asarray(incident))) / OCCUPANCY_SCALE
     return told.numpy().reshape(*told.shape[:2], -1, len(ray.distances))
 
 
@@ -45,8 +45,8 @@ def grids(ray: LightRay) -> list[tuple[np.ndarray, np.ndarray, float]]:
 
 def test_places_lie_ever_farther_away_and_are_told_more_coarsely() -> None:
     ray = LightRay(ball(81), 8)
-    assert ray.distances[0] == NEAREST
-    np.testing.assert_allclose(np.diff(np.log(ray.distances)), np.log(GROWTH))
+    assert ray.distances[0] == FIRST_DISTANCE
+    np.testing.assert_allclose(np.diff(np.log(ray.distances)), np.log(DISTANCE_RATIO))
     wanted = 0.2 * np.array(ray.distances)
     spacing = np.array([ray.pyramid()[level].spacing for level in ray.level_at])
     coarse = wanted > 0.015
@@ -105,7 +105,7 @@ def test_tensors_and_kernel_look_up_as_scipy_does() -> None:
         expected[..., place] = map_coordinates(grid, at, order=1, mode="constant").reshape(200, 3, 2)
     assert (expected > 0.0).mean() > 0.2
     np.testing.assert_allclose(looked(ray, starts, incident), expected, atol=2e-4)
-    ray.tensors_alone = True
+    ray.torch_only = True
     np.testing.assert_allclose(looked(ray, starts, incident), expected, atol=2e-4)
 
 
@@ -146,9 +146,9 @@ def test_every_path_through_a_network_is_told_the_same(told: dict[str, Any]) -> 
         expected = looking.radiance(incident, positions, outgoing).numpy()
         assert looking.view is not None
         assert looking.view.light is not None
-        looking.view.light.tensors_alone = True
+        looking.view.light.torch_only = True
         np.testing.assert_allclose(looking.radiance(incident, positions, outgoing), expected, atol=1e-4)
-        looking.view.light.tensors_alone = False
+        looking.view.light.torch_only = False
     query = [part.numpy() for part in (incident, positions, outgoing)]
     close = {"rtol": 0.0, "atol": 2e-5 * np.abs(expected).max()}
     np.testing.assert_allclose(looking.evaluate(*query), expected, **close)
@@ -172,7 +172,7 @@ def test_the_late_layers_are_told_cosines_to_the_normal_and_to_the_slopes_around
     if tells_normal:
         axes.append(told.features[:, None, besides : besides + 3] / 3.0)
     if shape_places:
-        shape = looked_up(blurred(rough_interior(30)), 1.2 / 29, told.x + 0.1)
+        shape = trilinear(shape_grid(rough_interior(30)), 1.2 / 29, told.x + 0.1)
         axes.append(shape.reshape(30, 4, 4)[..., 1:] / 2.8)
     expected = np.einsum("ndc,nac->nda", incident.numpy(), torch.cat(axes, dim=1).numpy())
     pairs = looking.pair_features(incident, outgoing, told.frame)

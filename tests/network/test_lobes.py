@@ -15,10 +15,10 @@ from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model, save_mode
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.view_features import ViewFeatures
 from prt_bake.network.inference.pairs import PairNetwork
-from prt_bake.network.lobes import NUMBERS, in_directions, lobes_from, mean_square
-from prt_bake.network.settings import EXIT, NetworkSettings
+from prt_bake.network.lobes import LOBE_PARAMETERS, evaluate_lobes, decode_lobes, mean_square
+from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.trainer.learner import Learner
-from prt_bake.trainer.objective import SomeLobes, of_exits
+from prt_bake.trainer.objective import LobeTerms, exit_loss
 from prt_bake.trainer.samples.rows import Batch
 from prt_bake.trainer.train import train
 from tests.network.test_view_ray import cube
@@ -31,7 +31,7 @@ SPACING = 0.02
 
 
 def told(views: int, lobes: int, spread: float, seed: int = 1) -> torch.Tensor:
-    return spread * torch.randn((views, NUMBERS * lobes), generator=torch.Generator().manual_seed(seed))
+    return spread * torch.randn((views, LOBE_PARAMETERS * lobes), generator=torch.Generator().manual_seed(seed))
 
 
 def unit(count: int, seed: int) -> torch.Tensor:
@@ -58,10 +58,10 @@ def lobed() -> NeuralBSSRDF:
 def over_the_sphere(lobes: int, spread: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Values in 40,000 directions [5,D,3], the mean that the numbers tell, and the mean of the square as computed."""
     numbers = told(5, lobes, spread)
-    found = lobes_from(numbers, unit(5, 4))
+    found = decode_lobes(numbers, unit(5, 4))
     everywhere = torch.from_numpy(fibonacci(40_000)).float().expand(5, -1, 3)
-    carried = torch.nn.functional.softplus(numbers.reshape(5, lobes, NUMBERS)[..., :3] - 3.0).sum(dim=1)
-    each = [part.double().numpy() for part in (in_directions(found, everywhere), carried, mean_square(found))]
+    carried = torch.nn.functional.softplus(numbers.reshape(5, lobes, LOBE_PARAMETERS)[..., :3] - 3.0).sum(dim=1)
+    each = [part.double().numpy() for part in (evaluate_lobes(found, everywhere), carried, mean_square(found))]
     return each[0], each[1], each[2]
 
 
@@ -76,9 +76,9 @@ def test_means_over_the_sphere_are_what_lobes_carry_and_the_mean_square_is_exact
 
 def test_numbers_that_are_zero_are_a_faint_lobe_where_the_ray_leaves() -> None:
     exits = unit(4, 5)
-    lobes = lobes_from(torch.zeros((4, NUMBERS)), exits)
+    lobes = decode_lobes(torch.zeros((4, LOBE_PARAMETERS)), exits)
     torch.testing.assert_close(lobes.axes[:, 0], exits)
-    through, back = (in_directions(lobes, sign * exits[:, None])[:, 0, 0] for sign in (1.0, -1.0))
+    through, back = (evaluate_lobes(lobes, sign * exits[:, None])[:, 0, 0] for sign in (1.0, -1.0))
     assert 1.0 < float(through.min()) < 4.0
     assert float(back.max()) < 1e-6
 
@@ -97,7 +97,7 @@ def test_rays_leave_a_ball_as_snells_law_says(eta: float, turns: int) -> None:
     other = normal - 2.0 * inner * back
     expected = -eta * back + (cosine - eta * inner) * other
     x = torch.from_numpy(0.5 + 0.45 * normal)
-    found = view(x, torch.from_numpy(eye), torch.from_numpy(normal)).detach().numpy()[:, -EXIT:]
+    found = view(x, torch.from_numpy(eye), torch.from_numpy(normal)).detach().numpy()[:, -EXIT_INPUTS:]
     off = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1.0, 1.0)))
     assert np.median(off) < 1.5
     assert np.mean(off < 6.0) > 0.9
@@ -107,7 +107,7 @@ def test_a_ray_that_turns_leaves_along_its_last_piece() -> None:
     """In a cube of index 1.5 a wall that is met at 53° reflects; the bottom, met at 37°, lets through."""
     x, eye = torch.tensor([[0.7, 0.5, 1.0]]), torch.tensor([[-0.9, 0.0, (1.0 - 0.81) ** 0.5]])
     view = ViewFeatures(replace(LOBED, ray_turns=4), torch.zeros((LOBED.features, 6)), cube(0.5, 1.5))
-    found = view(x, eye, torch.tensor([[0.0, 0.0, 1.0]]))[:, -EXIT:]
+    found = view(x, eye, torch.tensor([[0.0, 0.0, 1.0]]))[:, -EXIT_INPUTS:]
     torch.testing.assert_close(found, -eye * torch.tensor([-1.0, 1.0, 1.0]), atol=0.03, rtol=0.0)
 
 
@@ -127,9 +127,9 @@ def test_a_network_is_its_layers_and_its_lobes_on_every_path(tmp_path: Path) -> 
     incident, positions, outgoing = uniform(6, 6).reshape(3, 2, 3), np.full((3, 3), 0.4), uniform(3, 7)
     query = [torch.from_numpy(part) for part in (incident, positions, outgoing)]
     with torch.no_grad():
-        smooth, lobes = network.parts(*query)
+        smooth, lobes = network.components(*query)
         assert lobes is not None
-        expected = 0.7 * (smooth + in_directions(lobes, query[0])).numpy()
+        expected = 0.7 * (smooth + evaluate_lobes(lobes, query[0])).numpy()
     assert np.abs(expected - 0.7 * smooth.numpy()).max() > 0.1 * np.abs(expected).max()
     np.testing.assert_allclose(network.evaluate(incident, positions, outgoing), expected, rtol=1e-6)
     pairs = PairNetwork(network).evaluate_pairs(incident, positions, outgoing)
@@ -144,13 +144,13 @@ def test_a_network_is_its_layers_and_its_lobes_on_every_path(tmp_path: Path) -> 
 def test_the_loss_of_exits_takes_the_square_of_lobes_exactly() -> None:
     """Few directions see the square of sharp lobes with much noise: its mean stays, its noise goes."""
     draws, spread = 4000, 8
-    lobes = lobes_from(told(1, 2, 1.5).expand(draws, -1), unit(1, 8).expand(draws, -1))
+    lobes = decode_lobes(told(1, 2, 1.5).expand(draws, -1), unit(1, 8).expand(draws, -1))
     everywhere = unit(draws * spread, 9).reshape(draws, spread, 3)
     smooth = 0.3 + 0.2 * everywhere
-    added = in_directions(lobes, everywhere)
+    added = evaluate_lobes(lobes, everywhere)
     none = torch.zeros((draws, 1, 3))
-    plain = of_exits(none, none, smooth + added, "l2", 0.01)
-    exact = of_exits(none, none, smooth + added, "l2", 0.01, SomeLobes(added, mean_square(lobes)))
+    plain = exit_loss(none, none, smooth + added, "l2", 0.01)
+    exact = exit_loss(none, none, smooth + added, "l2", 0.01, LobeTerms(added, mean_square(lobes)))
     difference = (plain - exact).double()
     assert abs(float(difference.mean())) < 4.0 * float(difference.std()) / draws**0.5
     assert float(exact.std()) < 0.3 * float(plain.std())

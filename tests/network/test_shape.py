@@ -10,31 +10,31 @@ from scipy.stats import norm
 
 from formats.errors import ModelError
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.network.features.shape import SCALES, blurred, looked_up
+from prt_bake.network.features.shape import SHAPE_SCALES, shape_grid, trilinear
 from prt_bake.network.features.view_kernel import shape_rows
-from prt_bake.network.settings import SHAPE, NetworkSettings
+from prt_bake.network.settings import SHAPE_INPUTS, NetworkSettings
 from tests.network.test_interior import LOOKING as UNTOLD
 from tests.network.test_interior import features, half_space
 from tests.network.test_lobes import glass_ball, unit
 
 LOOKING = replace(UNTOLD, shape_places=4)
 RNG = np.random.default_rng(8)
-OF_SHARE, OF_SLOPE = 5.0, 7.0
+OCCUPANCY_SCALE, SLOPE_SCALE = 5.0, 7.0
 
 
 def by_scale(told: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """The shares [N,S] and slopes over a standard deviation [N,S,3] that the numbers [N,SHAPE] tell."""
-    numbers = told.double().numpy().reshape(len(told), len(SCALES), 4)
-    return numbers[..., 0] / OF_SHARE + 0.5, numbers[..., 1:] / OF_SLOPE
+    """The shares [N,S] and slopes over a standard deviation [N,S,3] that the numbers [N,SHAPE_INPUTS] tell."""
+    numbers = told.double().numpy().reshape(len(told), len(SHAPE_SCALES), 4)
+    return numbers[..., 0] / OCCUPANCY_SCALE + 0.5, numbers[..., 1:] / SLOPE_SCALE
 
 
 def test_behind_a_flat_wall_shares_are_those_of_a_gaussian() -> None:
     wall = half_space()
     heights = np.linspace(0.3, 0.7, 41)
     at = np.stack([np.full(41, 0.5), np.full(41, 0.47), heights], axis=1)
-    share, slope = by_scale(looked_up(blurred(wall), wall.spacing, torch.from_numpy(at + 0.5).float()))
-    depth = (0.5 - heights)[:, None] / SCALES
-    for scale, sigma in enumerate(SCALES):
+    share, slope = by_scale(trilinear(shape_grid(wall), wall.spacing, torch.from_numpy(at + 0.5).float()))
+    depth = (0.5 - heights)[:, None] / SHAPE_SCALES
+    for scale, sigma in enumerate(SHAPE_SCALES):
         # The narrowest Gaussian is narrower than the grid's places are apart.
         loose = 0.15 * (wall.spacing / sigma) ** 2 + 1e-3
         np.testing.assert_allclose(share[:, scale], norm.cdf(depth[:, scale]), atol=0.5 * loose)
@@ -46,9 +46,9 @@ def test_in_a_ball_shares_are_what_random_points_find() -> None:
     """Half a million points a place: the share within 4.5 of their standard errors and what the grid rounds."""
     ball = glass_ball(1.0)
     at = np.array([[0.5, 0.5, 0.5], [0.95, 0.5, 0.5], [0.5, 0.1, 0.5], [0.76, 0.76, 0.76], [0.5, 0.5, 1.0]])
-    share, _ = by_scale(looked_up(blurred(ball), ball.spacing, torch.from_numpy(at + 0.1).float()))
+    share, _ = by_scale(trilinear(shape_grid(ball), ball.spacing, torch.from_numpy(at + 0.1).float()))
     offsets = RNG.normal(size=(500_000, 3))
-    for scale, sigma in enumerate(SCALES):
+    for scale, sigma in enumerate(SHAPE_SCALES):
         for place, found in zip(at, share[:, scale], strict=True):
             inside = (np.linalg.norm(place + sigma * offsets - 0.5, axis=1) < 0.45).mean()
             loose = 4.5 * np.sqrt(inside * (1.0 - inside) / len(offsets)) + 0.05 * (0.015 / sigma) ** 2
@@ -58,28 +58,28 @@ def test_in_a_ball_shares_are_what_random_points_find() -> None:
 def test_slopes_are_the_differences_of_shares() -> None:
     """At the border of the grid, too, where the object does not end."""
     ball = glass_ball(1.0)
-    told = blurred(ball).double().numpy().reshape(*ball.levels.shape[1:], len(SCALES), 4)
-    share = told[..., 0] / OF_SHARE
+    told = shape_grid(ball).double().numpy().reshape(*ball.levels.shape[1:], len(SHAPE_SCALES), 4)
+    share = told[..., 0] / OCCUPANCY_SCALE
     for axis in range(3):
-        for scale, sigma in enumerate(SCALES):
+        for scale, sigma in enumerate(SHAPE_SCALES):
             there = np.gradient(share[..., scale], ball.spacing, axis=axis) * sigma
             inner = tuple(slice(1, -1) for _ in range(3))
-            found = told[..., scale, 1 + axis] / OF_SLOPE
+            found = told[..., scale, 1 + axis] / SLOPE_SCALE
             np.testing.assert_allclose(found[inner], there[inner], atol=1e-5)
             assert np.abs(found).max() <= 0.45
 
 
 def test_tensors_and_kernel_look_up_as_scipy_does() -> None:
     """Inside the grid, on its last places and far outside."""
-    told = torch.from_numpy(RNG.normal(size=(7, 8, 9, SHAPE)).astype(np.float32))
+    told = torch.from_numpy(RNG.normal(size=(7, 8, 9, SHAPE_INPUTS)).astype(np.float32))
     at = np.concatenate([RNG.uniform(-0.5, 1.5, (300, 3)), [[0.0, 0.0, 0.0], [0.6, 0.7, 0.8], [1e6, -1e6, 0.3]]])
     at = at.astype(np.float32)
     places = at.astype(np.float64).T / 0.1
-    exact = np.stack([map_coordinates(told[..., c].numpy(), places, order=1, mode="nearest") for c in range(SHAPE)], 1)
+    exact = np.stack([map_coordinates(told[..., c].numpy(), places, order=1, mode="nearest") for c in range(SHAPE_INPUTS)], 1)
     rows = np.empty_like(exact, dtype=np.float32)
     shape_rows(told.numpy(), np.float32(1.0 / 0.1), at, rows)
     np.testing.assert_allclose(rows, exact, atol=2e-4)
-    np.testing.assert_allclose(looked_up(told, 0.1, torch.from_numpy(at)).numpy(), exact, atol=2e-4)
+    np.testing.assert_allclose(trilinear(told, 0.1, torch.from_numpy(at)).numpy(), exact, atol=2e-4)
 
 
 @pytest.mark.parametrize(("places", "chosen_of_twelve"), [(1, []), (2, [6]), (4, [2, 6, 10]), (5, [1, 4, 7, 10])])
@@ -90,12 +90,12 @@ def test_places_are_told_from_x_inward_along_the_ray(places: int, chosen_of_twel
     eye = unit(30, 1).float()
     told = view(x, eye)
     begins = 2 * chosen.features + chosen.ray_samples + 1
-    assert told.shape[1] == chosen.view_inputs == begins + SHAPE * places
+    assert told.shape[1] == chosen.view_inputs == begins + SHAPE_INPUTS * places
     # Lengths are told beside them, over half of the farthest.
     lengths = told[:, 2 * chosen.features : begins - 1] * 0.5 * float(view.edges[-1])
     along = torch.cat((torch.zeros(30, 1), lengths[:, chosen_of_twelve]), dim=1)
     at = (x[:, None] - along[..., None] * eye[:, None] - view.corner).reshape(-1, 3)
-    expected = looked_up(view.shape, wall.spacing, at).reshape(30, -1)
+    expected = trilinear(view.shape, wall.spacing, at).reshape(30, -1)
     np.testing.assert_allclose(told[:, begins:].numpy(), expected.numpy(), atol=2e-3)
 
 

@@ -38,7 +38,7 @@ def cube(attenuation: float = 0.0, eta: float = 1.5, inner: bool = False) -> Int
 def looking(interior: Interior, chosen: NetworkSettings = TURNING, tensors: bool = False) -> ViewFeatures:
     frequencies = torch.from_numpy(np.random.default_rng(5).normal(size=(chosen.features, 6)))
     view = ViewFeatures(chosen, frequencies, interior)
-    view.tensors_alone = tensors
+    view.torch_only = tensors
     return view
 
 

@@ -12,7 +12,7 @@ from formats.mesh import build_mesh, check_mesh, read_mesh, write_mesh
 from formats.scene import read_scene
 from prt_bake.geometry.nesting import sticking_out, winding
 from prt_bake.inspection.files import find_remarks
-from prt_bake.trainer.scene_remarks import hard_to_learn
+from prt_bake.trainer.scene_remarks import training_warning
 from tests import ROOT
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
@@ -103,7 +103,7 @@ def test_rough_clear_glass_is_remarked_upon_as_hard_to_learn():
 def test_what_forward_scattering_lets_through_is_not_unscattered(tmp_path, sigma_t, roughness, eta, hard):
     """A ball of diameter 2 whose medium throws nearly all light ahead."""
     scene = make_scene(tmp_path, ball(3), sigma_t=sigma_t, albedo=0.99, phase_g=0.9, roughness=roughness, eta=eta)
-    assert (hard_to_learn(scene) is not None) == hard
+    assert (training_warning(scene) is not None) == hard
 
 
 def test_the_series_doubles_its_extinction():

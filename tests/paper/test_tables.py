@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from prt_bake.comparison.metrics import displayed
+from formats.image.png import to_srgb
 from prt_bake.paper import results as records
 from prt_bake.paper.layers import network_settings, relative, variants
 from prt_bake.paper.plots import plot_layers, plot_times, plot_training
@@ -168,7 +168,7 @@ def test_the_sheet_shows_pictures_above_their_maps(tmp_path: Path) -> None:
         middle = top + CELL // 2
         assert pixels[middle, 26 + CELL // 2].tolist() == [255, 0, 0]
         second = 26 + 6 + CELL + CELL // 2
-        shown = round(255 * float(displayed(np.array(0.2))))
+        shown = round(255 * float(to_srgb(np.array(0.2))))
         assert pixels[middle, second].tolist() == [shown] * 3
         assert pixels[top + CELL + 20, second].tolist() == [252, 253, 191]  # magma at 1
         assert pixels[top + 2 * CELL - 20, second].tolist() == [0, 0, 4]  # magma at 0

@@ -10,8 +10,8 @@ import torch
 from formats.errors import QueryError
 from prt_bake.mathematics import sphere
 from prt_bake.network.bssrdf import NeuralBSSRDF
-from prt_bake.trainer.learner import Learner, LearningSettings, every_third, rate_at, turned_lattice
-from prt_bake.trainer.objective import of_exits, of_values
+from prt_bake.trainer.learner import Learner, LearningSettings, every_third, learning_rate, rotated_lattice
+from prt_bake.trainer.objective import exit_loss, value_loss
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, rays_of
 from tests.trainer.small_training import LEARNING, SMALL
 
@@ -83,7 +83,7 @@ def test_the_loss_of_exits_is_the_squared_distance_less_a_constant(loss):
     out = exits(3 * count, generator).reshape(count, 3, 3)
     anywhere = uniform_directions(2 * count, generator).reshape(count, 2, 3)
     carried = np.broadcast_to(ALBEDO, out.shape)
-    each = of_exits(*(torch.from_numpy(a) for a in (answered(out), carried.copy(), answered(anywhere))), loss, floor)
+    each = exit_loss(*(torch.from_numpy(a) for a in (answered(out), carried.copy(), answered(anywhere))), loss, floor)
     at = nodes()
     w = weight(at, loss, floor)[:, None]
     distance = over_sphere(w * (answered(at) - transport(at)) ** 2).mean()
@@ -97,13 +97,13 @@ def test_the_loss_of_exits_is_the_squared_distance_less_a_constant(loss):
 def test_the_loss_of_values_is_the_squared_distance(loss):
     at = nodes()
     answer, truth = (torch.from_numpy(f(at).reshape(-1, 8, 3)) for f in (answered, transport))
-    each = of_values(answer, truth, loss, 0.01).numpy()
+    each = value_loss(answer, truth, loss, 0.01).numpy()
     expected = weight(at, loss, 0.01) * ((answered(at) - transport(at)) ** 2).mean(axis=1)
     np.testing.assert_allclose(each, expected.reshape(-1, 8).mean(axis=1), rtol=1e-12)
 
 
 def test_directions_for_the_first_term_are_uniform():
-    lattices = turned_lattice(100_000, 5, np.random.default_rng(1)).astype(np.float64)
+    lattices = rotated_lattice(100_000, 5, np.random.default_rng(1)).astype(np.float64)
     np.testing.assert_allclose(np.linalg.norm(lattices, axis=2), 1.0, atol=1e-6)
     basis = sphere.fibonacci(64)
     for d in np.moveaxis(lattices, 1, 0):  # each on its own: together they are spread evenly
@@ -210,7 +210,7 @@ def test_weights_that_nothing_asks_for_shrink_with_the_rate(decay):
     before = learner.network.hidden[0].weight.detach().clone()
     for _ in range(3):
         learner.learn(Rows(rows_of(np.zeros(3, np.float32))), rows_of(np.zeros(3, np.float32)), 0.0, None)
-    rate = rate_at(learner.settings, 0.0)
+    rate = learning_rate(learner.settings, 0.0)
     shrunk = before * (1.0 - rate * decay) ** 3
     np.testing.assert_allclose(learner.network.hidden[0].weight.detach(), shrunk, rtol=1e-5)
 
@@ -224,7 +224,7 @@ def test_rates_rise_and_fall_as_the_schedule_says():
     settings = LearningSettings(rate=1.0, warm_up=0.1, last_rate=0.01)
     for schedule, last in (("cosine", 0.0), ("constant", 1.0), ("exponential", 0.01)):
         chosen = dataclasses.replace(settings, schedule=schedule)
-        rates = [rate_at(chosen, share) for share in np.linspace(0.0, 1.0, 101)]
+        rates = [learning_rate(chosen, share) for share in np.linspace(0.0, 1.0, 101)]
         assert rates[0] < 0.01
         assert max(rates) > 0.6
         assert rates[-1] == pytest.approx(last)

@@ -13,7 +13,7 @@ from prt_bake.cli.shared import after_training
 from prt_bake.tracer.estimate import estimate_transport
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer import train
-from prt_bake.trainer.offline import sides_of
+from prt_bake.trainer.offline import split_by_key
 from prt_bake.trainer.report import picture, report
 from prt_bake.trainer.samples.queries import QuerySource
 from prt_bake.trainer.samples.record import query_keys, record_samples
@@ -109,11 +109,11 @@ def test_numbers_out_of_range_are_refused(scene, tmp_path):
 
 def test_five_in_a_hundred_validate_and_five_test():
     keys = query_keys(0, np.arange(100_000))
-    sides = sides_of(keys)
+    sides = split_by_key(keys)
     np.testing.assert_array_equal(np.sum(sides, axis=0), 1)
     for side in (sides.validation, sides.test):
         assert abs(side.mean() - 0.05) < 4.5 * np.sqrt(0.05 * 0.95 / len(keys))  # false alarm 1e-5
-    # Sides of neighbours are independent.
+    # Split of neighbours are independent.
     both = np.mean(sides.test[1:] & sides.test[:-1])
     assert abs(both - 0.0025) < 5 * np.sqrt(0.0025 / len(keys))
 
@@ -121,10 +121,10 @@ def test_five_in_a_hundred_validate_and_five_test():
 def test_a_query_stays_on_its_side_in_any_file():
     keys = query_keys(9, np.arange(5000))
     order = np.random.default_rng(0).permutation(5000)[:700]
-    for whole, part in zip(sides_of(keys), sides_of(keys[order]), strict=True):
+    for whole, part in zip(split_by_key(keys), split_by_key(keys[order]), strict=True):
         np.testing.assert_array_equal(whole[order], part)
     # The hash is fixed for ever: these keys were split by the first version of the program.
-    np.testing.assert_array_equal(np.flatnonzero(sides_of(keys).test)[:6], [3, 39, 61, 67, 115, 128])
+    np.testing.assert_array_equal(np.flatnonzero(split_by_key(keys).test)[:6], [3, 39, 61, 67, 115, 128])
 
 
 def test_a_network_learns_from_a_file(scene, file, tmp_path):
@@ -147,7 +147,7 @@ def test_a_network_learns_from_a_file(scene, file, tmp_path):
 def test_tested_queries_are_never_learnt_from(scene, file, tmp_path):
     """A file whose testing and validating values are changed trains the same network."""
     samples = read_samples(file)
-    sides = sides_of(samples.keys)
+    sides = split_by_key(samples.keys)
     changed = samples.mean.copy()
     changed[sides.test] += 100.0
     with SamplesWriter(tmp_path / "s.h5", samples.head) as writer:

@@ -17,7 +17,7 @@ ASKING = dataclasses.replace(LEARNING, bfloat16=True)
 
 
 def learner_where(pays, monkeypatch, settings=ASKING):
-    monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type: pays)
+    monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: pays)
     return Learner(NeuralBSSRDF(SMALL, [-1.0] * 3, 2.0, 0.05), settings)
 
 
@@ -29,11 +29,11 @@ def test_what_is_faster_is_measured(share, pays, monkeypatch):
         time.sleep(2e-3 * (share if rows.dtype == torch.bfloat16 else 1.0))
 
     monkeypatch.setattr(torch.nn.functional, "linear", product)
-    precision.bfloat16_pays.cache_clear()
+    precision.bfloat16_is_faster.cache_clear()
     try:
-        assert precision.bfloat16_pays("cpu") is pays
+        assert precision.bfloat16_is_faster("cpu") is pays
     finally:
-        precision.bfloat16_pays.cache_clear()
+        precision.bfloat16_is_faster.cache_clear()
 
 
 def test_what_comes_between_does_not_count(monkeypatch):
@@ -80,7 +80,7 @@ def test_a_state_that_does_not_say_goes_on_as_the_machine_would(monkeypatch):
 
 @pytest.mark.parametrize(("pays", "said"), [(True, "bfloat16"), (False, "float32")])
 def test_a_model_says_what_it_was_learnt_in(tmp_path, pays, said, monkeypatch):
-    monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type: pays)
+    monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: pays)
     network = learnt(make_scene(tmp_path), 2, learning=ASKING)
     assert network.metadata["training"]["precision"] == said
 
@@ -88,7 +88,7 @@ def test_a_model_says_what_it_was_learnt_in(tmp_path, pays, said, monkeypatch):
 def test_no_clock_decides_the_bits_of_a_synchronous_run(tmp_path, monkeypatch):
     scene, weights = make_scene(tmp_path), []
     for pays in (True, False):
-        monkeypatch.setattr(learning, "bfloat16_pays", lambda device_type, pays=pays: pays)
+        monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type, pays=pays: pays)
         network = learnt(scene, 2, learning=ASKING, synchronous=True)
         assert network.metadata["training"]["precision"] == "float32"
         weights.append(network.state_dict())
@@ -112,6 +112,6 @@ def test_products_that_are_hopeless_are_not_repeated(monkeypatch):
 
 @pytest.mark.parametrize(("pays", "expected"), [(True, "bfloat16"), (False, "float32")])
 def test_a_demonstration_is_rounded_where_that_pays(pays, expected, monkeypatch):
-    monkeypatch.setattr(demonstration, "bfloat16_pays", lambda device_type: pays)
+    monkeypatch.setattr(demonstration, "bfloat16_is_faster", lambda device_type: pays)
     assert demonstration.QUICK.precision == expected
     assert demonstration.FINE.precision == "float32"

@@ -10,8 +10,8 @@ import torch
 from formats.errors import QueryError
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.trainer.learner import Learner
-from prt_bake.trainer.prefetch import Ahead
-from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, Done, rays_of
+from prt_bake.trainer.prefetch import Prefetcher
+from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, OUTGOING, POSITION, Batch, SourceStatistics, rays_of
 from tests.network.test_feature_grid import GRIDDED
 from tests.network.test_lobes import glass_ball
 from tests.trainer.small_training import LEARNING, SMALL
@@ -42,8 +42,8 @@ class Numbered:
     def where(self, number: int) -> str:
         return f"query {number}"
 
-    def done(self) -> Done:
-        return Done(0, 0, 0.0)
+    def done(self) -> SourceStatistics:
+        return SourceStatistics(0, 0, 0.0)
 
     def state(self) -> dict[str, int]:
         return {}
@@ -59,7 +59,7 @@ def a_learner() -> Learner:
 
 def learnt_with(threads: int, tells: bool = True) -> tuple[list[Any], Numbered]:
     learner, source, generator = a_learner(), Numbered(), np.random.default_rng(2)
-    ahead = Ahead(source, learner, np.random.default_rng(0), threads)
+    ahead = Prefetcher(source, learner, np.random.default_rng(0), threads)
     for _ in range(12):
         batch, told = ahead.draw()
         learner.learn(source, batch, 0.5, generator, told if tells else None)
@@ -78,7 +78,7 @@ def test_what_is_learnt_does_not_depend_on_what_is_made_ready_beforehand() -> No
 
 def test_several_threads_hand_over_every_row_once_in_order() -> None:
     source = Numbered()
-    ahead = Ahead(source, a_learner(), np.random.default_rng(0), 3)
+    ahead = Prefetcher(source, a_learner(), np.random.default_rng(0), 3)
     batches = [ahead.draw() for _ in range(40)]
     ahead.stop()
     numbers = np.concatenate([ready.batch.numbers for ready in batches])
@@ -96,14 +96,14 @@ def test_what_was_told_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> No
     learner, source = a_learner(), Numbered()
     view = learner.network.view
     assert view is not None
-    ahead = Ahead(source, learner, np.random.default_rng(0), 0)
+    ahead = Prefetcher(source, learner, np.random.default_rng(0), 0)
     batch, told = ahead.draw()
     monkeypatch.setattr(view, "_told", lambda *views: pytest.fail("asked again"))
     assert np.isfinite(learner.learn(source, batch, 0.5, np.random.default_rng(2), told))
 
 
 def test_no_thread_is_left() -> None:
-    ahead = Ahead(Numbered(), a_learner(), np.random.default_rng(0), 2)
+    ahead = Prefetcher(Numbered(), a_learner(), np.random.default_rng(0), 2)
     ahead.draw()
     assert any(thread.name.startswith("prtbake-ahead") for thread in threading.enumerate())
     ahead.stop()
@@ -112,7 +112,7 @@ def test_no_thread_is_left() -> None:
 
 @pytest.mark.parametrize("threads", [0, 1, 2])
 def test_what_breaks_the_source_is_raised_where_rows_are_asked_for(threads: int) -> None:
-    ahead = Ahead(Numbered(last=3), a_learner(), np.random.default_rng(0), threads)
+    ahead = Prefetcher(Numbered(last=3), a_learner(), np.random.default_rng(0), threads)
     for _ in range(3 - threads):
         ahead.draw()
     with pytest.raises(QueryError, match="the source broke"):
@@ -122,6 +122,6 @@ def test_what_breaks_the_source_is_raised_where_rows_are_asked_for(threads: int)
 
 def test_networks_that_are_told_nothing_beforehand_have_nothing_made_ready() -> None:
     learner = Learner(NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0), LEARNING)
-    ahead = Ahead(Numbered(), learner, np.random.default_rng(0), 1)
+    ahead = Prefetcher(Numbered(), learner, np.random.default_rng(0), 1)
     assert ahead.draw().told is None
     ahead.stop()

@@ -14,10 +14,10 @@ from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer import cores
 from prt_bake.trainer.history import every_tenth
 from prt_bake.trainer.resume import state_path
-from prt_bake.trainer.samples.repeatable import InTurn, Shuffled
-from prt_bake.trainer.samples.rows import Batch, Box, Done, StreamSettings, ValueTracer, row_tracer
-from prt_bake.trainer.samples.stream import Renderer
-from prt_bake.trainer.training_data import OnlineMaterial, box_of
+from prt_bake.trainer.samples.repeatable import AlternatingRenderer, ShuffledRows
+from prt_bake.trainer.samples.rows import Batch, Box, SourceStatistics, StreamSettings, ValueTracer, row_tracer
+from prt_bake.trainer.samples.stream import BackgroundRenderer
+from prt_bake.trainer.training_data import PathTracedData, box_of
 from tests.trainer.small_training import LEARNING, SMALL, STREAM, learnt, make_scene
 
 EAGER = dataclasses.replace(LEARNING, report_every=0.0, checkpoint_every=0.0, held_out_queries=16, held_out_walks=16)
@@ -144,7 +144,7 @@ def test_rays_are_values_where_light_leaves_unbent_and_exits_elsewhere(scene, ro
 
 def test_a_renderer_that_is_ahead_rests(scene):
     stream = dataclasses.replace(STREAM, queries_a_batch=64, capacity=512)
-    renderer = Renderer(ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, least=64)
+    renderer = BackgroundRenderer(ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, least=64)
     renderer.start()
     try:
         while renderer.done().rows <= 256:
@@ -169,7 +169,7 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
 
     walks.render = slow
     stream = dataclasses.replace(STREAM, queries_a_batch=64, capacity=512)
-    renderer = Renderer(walks, stream, 1, least=64, reuse=1.5)
+    renderer = BackgroundRenderer(walks, stream, 1, least=64, reuse=1.5)
     renderer.start()
     try:
         generator = np.random.default_rng(0)
@@ -192,11 +192,11 @@ def test_a_renderer_that_is_ahead_walks_more_often_from_each_query(rough_scene):
     asked, render = [], walks.render
 
     def noted(first, count):
-        asked.append(walks.walks_a_query)
+        asked.append(walks.walks_per_query)
         return render(first, count)
 
     walks.render = noted
-    renderer = Renderer(walks, stream, 1, least=16, reuse=1)
+    renderer = BackgroundRenderer(walks, stream, 1, least=16, reuse=1)
     renderer.start()
     try:
         while renderer.done().rows < 576:  # it rests more than half a buffer ahead
@@ -212,7 +212,7 @@ def test_a_renderer_that_is_ahead_walks_more_often_from_each_query(rough_scene):
 
 def test_a_buffer_smaller_than_a_batch_stops_nobody(scene):
     stream = dataclasses.replace(STREAM, queries_a_batch=8, capacity=16, reuse=1)
-    renderer = Renderer(ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, 16, reuse=1)
+    renderer = BackgroundRenderer(ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), stream, seed=0), stream, 1, 16, reuse=1)
     renderer.start()
     drawing = threading.Thread(target=lambda: [renderer.draw(200, np.random.default_rng(0)) for _ in range(3)])
     drawing.start()
@@ -224,14 +224,14 @@ def test_a_buffer_smaller_than_a_batch_stops_nobody(scene):
 
 
 def test_only_a_learner_on_the_walkers_cores_waits_for_them(scene):
-    material = OnlineMaterial(scene, dataclasses.replace(STREAM, reuse=2), 0, False)
+    material = PathTracedData(scene, dataclasses.replace(STREAM, reuse=2), 0, False)
     assert material.source(LEARNING, "cpu", None).reuse == 2
     assert material.source(LEARNING, "cuda", None).reuse == np.inf
 
 
 def test_an_unknown_device_is_refused(scene):
-    assert cores.chosen_device("cpu") == "cpu"
-    assert cores.chosen_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
+    assert cores.select_device("cpu") == "cpu"
+    assert cores.select_device("auto") == ("cuda" if torch.cuda.is_available() else "cpu")
     with pytest.raises(QueryError, match="'tpu' is not there"):
         learnt(scene, 1, device="tpu")
 
@@ -275,7 +275,7 @@ def test_what_was_learnt_is_kept_before_it_is_measured(scene, tmp_path, monkeypa
     def killed(*_):
         raise Killed
 
-    monkeypatch.setattr(OnlineMaterial, "figures", killed)
+    monkeypatch.setattr(PathTracedData, "figures", killed)
     with pytest.raises(Killed):
         learnt(scene, 9, output=output)
     assert torch.load(state_path(output), weights_only=True)["learner"]["step"] == 9
@@ -355,7 +355,7 @@ def test_what_breaks_the_renderer_reaches_the_learner(scene):
         raise MemoryError("no room to walk")
 
     walks.render = broken
-    renderer = Renderer(walks, STREAM, threads=1, least=10)
+    renderer = BackgroundRenderer(walks, STREAM, threads=1, least=10)
     with pytest.raises(MemoryError, match="no room to walk"):
         renderer.start()
     with pytest.raises(MemoryError, match="no room to walk"):
@@ -369,17 +369,17 @@ def numbered(block):
 
 
 def test_blocks_are_passed_over_as_often_as_asked_and_shuffled_anew():
-    rows = Shuffled(numbered, rows=10, passes=3, seed=1)
+    rows = ShuffledRows(numbered, rows=10, passes=3, seed=1)
     drawn = np.concatenate([rows.draw(7).numbers for _ in range(10)])[:60].reshape(6, 10)
     np.testing.assert_array_equal(np.sort(drawn, axis=1), np.repeat([np.arange(10), np.arange(10, 20)], 3, axis=0))
     assert len({tuple(turn % 10) for turn in drawn}) == 6
-    forever = Shuffled(numbered, rows=10, passes=None, seed=1)
+    forever = ShuffledRows(numbered, rows=10, passes=None, seed=1)
     assert forever.draw(95).numbers.max() == 9
 
 
 def test_blocks_go_on_from_any_row():
-    whole = Shuffled(numbered, rows=10, passes=2, seed=1).draw(50)
-    rest = Shuffled(numbered, rows=10, passes=2, seed=1, drawn=33).draw(17)
+    whole = ShuffledRows(numbered, rows=10, passes=2, seed=1).draw(50)
+    rest = ShuffledRows(numbered, rows=10, passes=2, seed=1, drawn=33).draw(17)
     np.testing.assert_array_equal(whole.numbers[33:], rest.numbers)
     np.testing.assert_array_equal(whole.rows[33:], rest.rows)
 
@@ -387,9 +387,9 @@ def test_blocks_go_on_from_any_row():
 def test_a_block_made_again_is_not_walked_twice(scene):
     settings = StreamSettings(queries_a_batch=8, directions=2, walks=3)
     walks = ValueTracer(prepare(scene), Box(np.zeros(3), 1.0), settings, seed=0)
-    source = InTurn(walks, settings, threads=1, seed=0)
+    source = AlternatingRenderer(walks, settings, threads=1, seed=0)
     source.draw(20, np.random.default_rng(0))
-    assert source.done()[:2] == Done(72, 24, 0.0)[:2]
-    again = InTurn(walks, settings, threads=1, seed=0, state=source.state())
+    assert source.done()[:2] == SourceStatistics(72, 24, 0.0)[:2]
+    again = AlternatingRenderer(walks, settings, threads=1, seed=0, state=source.state())
     again.draw(4, np.random.default_rng(0))
     assert again.done()[:2] == (72, 24)

@@ -10,7 +10,7 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.samples.rows import CHANNELS, INCIDENT, ExitTracer, StreamSettings
-from prt_bake.trainer.training_data import OnlineMaterial, box_of
+from prt_bake.trainer.training_data import PathTracedData, box_of
 from prt_bake.trainer.validation import hold_out_coefficients, network_coefficients, noise_free_ratio
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.small_training import LEARNING, SMALL, STREAM, learnt
@@ -101,7 +101,7 @@ def test_the_network_answers_in_the_scene_s_own_size(tmp_path, albedo):
 
 
 def test_settings_of_exits_take_any_number_of_directions(smooth):
-    material = OnlineMaterial(smooth, dataclasses.replace(STREAM, queries_a_batch=64), 0, True)
+    material = PathTracedData(smooth, dataclasses.replace(STREAM, queries_a_batch=64), 0, True)
     source = material.source(BRIEF, "cpu", None)
     for spread in (1, 3):
         learner = Learner(NeuralBSSRDF(SMALL, *material.box, 0.1), dataclasses.replace(BRIEF, spread=spread))

@@ -24,9 +24,6 @@ from prt_bake.baking.adaptive.pilot import Site
 from prt_bake.baking.adaptive.tolerances import AIM, Aim, refined_block, worst_of
 from prt_bake.baking.job.forecast import COST
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-
 AGAIN = 0.8, 0.6, 0.4, 0.25, 0.15
 """Of their error, what vertices that are done again may come down to."""
 

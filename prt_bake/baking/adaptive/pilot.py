@@ -18,8 +18,8 @@ from bakers.evaluation import values_at
 from bakers.workers import ALONE, Crew
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import Views
 from prt_bake.baking.job.lattices import checked_bins, drawn, lattice_for, pair_turns, pools_for, vertex_turns
+from prt_bake.baking.job.views import Views
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.view_frames import frames_of
 

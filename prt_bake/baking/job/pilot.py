@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from bakers.baker import bake_block
 from bakers.path_traced import Walks
-from bakers.transport import on_mesh, up_to
+from bakers.transport import on_mesh, prepared, up_to
 from formats.asset import Asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import Job, limited_threads, prepared, resolve
+from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.running_error import ErrorMeter
 from prt_bake.baking.job.sampling import MOST_SAMPLES
+from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics.random import hashed, uniforms
 
 PILOT_VERTICES = 32

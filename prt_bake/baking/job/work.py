@@ -10,7 +10,7 @@ from bakers.workers import Crew
 from formats.asset import AssetHead
 from formats.mesh import Mesh
 from prt_bake.baking.job.forecast import Standing
-from prt_bake.baking.pruning.pruning import Needs
+from prt_bake.baking.job.pruning_record import Needs
 
 Progress = Callable[[int, int, Standing], None]
 """progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error)); the last one's attribute

@@ -13,9 +13,10 @@ from bakers.baker import Block
 from bakers.error_covariance import shape_of
 from formats.asset import Asset, AssetHead
 from formats.asset.error_covariance import ErrorShape
+from prt_bake.baking.job.pruning_record import Needs
 from prt_bake.baking.job.running_error import ErrorMeter
 from prt_bake.baking.output.sink import Sink, open_sink
-from prt_bake.baking.pruning.pruning import WORST, Needs
+from prt_bake.baking.pruning.pruning import WORST
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.view_frames import ViewFrames, frames_of
 

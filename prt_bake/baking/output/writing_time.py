@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from bakers.baker import Block
 from formats.asset import AssetHead
 from formats.journal import Journal
+from prt_bake.baking.job.pruning_record import Needs
 from prt_bake.baking.output.pruned_sink import pared_head
 from prt_bake.baking.output.sink import open_sink
-from prt_bake.baking.pruning.pruning import Needs
 
 REPEATED = 4
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from bakers.evaluation import values_at
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import Views
 from prt_bake.baking.job.lattices import drawn
+from prt_bake.baking.job.views import Views
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.random import uniforms

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from bakers.evaluation import values_at
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import views_of
 from prt_bake.baking.job.lattices import drawn
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import rotations
 from prt_bake.mathematics.random import uniforms

@@ -15,7 +15,7 @@ from bakers.evaluation import values_at
 from bakers.horizon import bend_to_horizon
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.baking.job.job import horizons, views_of
+from prt_bake.baking.job.views import horizons, views_of
 from prt_bake.baking.output.sink import said_by
 from prt_bake.baking.report.bins import fitted, relative
 from prt_bake.baking.report.reflected import noise_free_rms, reflected_at

@@ -15,9 +15,9 @@ from bakers.path_traced import Walks
 from formats.errors import QueryError
 from prt_bake.baking.adaptive.pilot import Site, first_refinement
 from prt_bake.baking.adaptive.tolerances import CHECK_NOISE, Aim, Pilot, aimed, refined_block
-from prt_bake.baking.job.job import views_of
 from prt_bake.baking.job.lattices import checked_bins
 from prt_bake.baking.job.sampling import resolve_sampling
+from prt_bake.baking.job.views import views_of
 from prt_bake.baking.report.bins import Bins, relative
 from prt_bake.mathematics import sphere
 

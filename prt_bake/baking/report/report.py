@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.transport import on_mesh, up_to, way_in
+from bakers.transport import on_mesh, prepared, refuse_foreign, up_to, way_in
 from formats.atomic import replacing
+from formats.json_report import write_report
 from formats.mesh import Mesh
 from formats.scene import Scene
-from prt_bake.baking.job.job import limited_threads, prepared, refuse_foreign
 from prt_bake.baking.path_traced import PathTraced
 from prt_bake.baking.report.bins import drawn_bins, fitted
 from prt_bake.baking.report.budget import Part, error_budget
 from prt_bake.baking.report.methods import LADDERS, Row, adaptively, by_samples
 from prt_bake.baking.report.page import as_json, as_markdown, plot
 from prt_bake.geometry.camera import Camera
-from prt_bake.report import write_report
+from prt_bake.jit.limits import limited_threads
 
 Array = NDArray[np.float64]
 TRUE_DIRECTIONS = 1 << 13

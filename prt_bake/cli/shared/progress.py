@@ -1,5 +1,6 @@
 """What a long command says while it works, and how Ctrl-C stops it without losing what is done."""
 
+import math
 import signal
 import sys
 import time
@@ -14,9 +15,6 @@ if TYPE_CHECKING:
 PLAIN_INTERVAL = 5.0
 """Seconds between two lines where there is no terminal."""
 
-
-SETTLING = 2.0
-"""Seconds of work before it is foretold how long it still takes."""
 NEARLY = 0.99
 """Share of a bake that it does not exceed before its end: a further pass may follow, and the asset is to be written."""
 
@@ -39,34 +37,51 @@ def say(sentence: str) -> None:
 def reporting(label: str, first: str = "") -> Iterator[Report]:
     """Yield a function that shows how far the work is: as a bar on a terminal, in a line now and then elsewhere.
 
-    first: what the bar says is done before there is anything to tell.
+    The time left is extrapolated from how the share has grown since it was first reported: loading, compiling and the
+    share of an earlier run do not count.
+
+    Args:
+        label: name of the work.
+        first: words of the bar before the first report.
     """
-    pace = _Pace()
-    with _bar(label, first) if sys.stderr.isatty() else _lines(label) as show:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[left]}", markup=False),
+        TextColumn("{task.fields[words]}", markup=False),
+    )
+    plain = not sys.stderr.isatty()
+    last_line = time.monotonic()
+    with Progress(
+        *columns,
+        console=Console(stderr=True),
+        speed_estimate_period=math.inf,
+        get_time=time.monotonic,
+        disable=plain,
+    ) as progress:
+        number = progress.add_task(label, total=1.0, words=first, left="")
+        task = progress.tasks[0]
 
         def report(share: float | None, words: str, left: float | None = None) -> None:
-            if left is None and share:
-                left = pace.left(share)
-            show(share, words, "" if left is None else f"{in_words(left)} left")
+            nonlocal last_line
+            # Without a total the bar only pulses. `update` would forget the pace along with the old total.
+            task.total = None if share is None else 1.0
+            progress.update(number, completed=share or 0.0)
+            seconds = task.time_remaining if left is None else left
+            remaining = "" if seconds is None else f"{in_words(seconds)} left"
+            progress.update(number, words=words, left=remaining)
+            # A report without words is the last one: what the command prints then says the same.
+            if plain and words and time.monotonic() - last_line >= PLAIN_INTERVAL:
+                last_line = time.monotonic()
+                percent = "" if share is None else f" {share:.0%}"
+                line = ", ".join(part for part in (words, remaining) if part)
+                print(f"{label}:{percent} {line}", file=sys.stderr, flush=True)
 
         yield report
-
-
-class _Pace:
-    """How long work still takes by how its share has grown since it was first told: what was before, such as loading,
-    compiling or the share of an earlier run, is no measure of what is to come.
-    """
-
-    def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
-
-    def left(self, share: float) -> float | None:
-        """Seconds; None where there is too little to go by."""
-        now = time.monotonic()
-        if self._first is None:
-            self._first = now, share
-        since, grown = now - self._first[0], share - self._first[1]
-        return since * (1.0 - share) / grown if since >= SETTLING and grown > 0.0 else None
 
 
 def bake_progress(show: Report) -> Callable[[int, int, "Standing"], None]:
@@ -114,45 +129,3 @@ def stopping() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-@contextmanager
-def _bar(label: str, first: str) -> Iterator[Callable[[float | None, str, str], None]]:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    columns = (
-        TextColumn(label, markup=False),
-        BarColumn(),
-        TextColumn("{task.fields[share]:>4}", markup=False),
-        TextColumn("{task.fields[left]}", markup=False),
-        TextColumn("{task.fields[words]}", markup=False),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task(label, total=1.0, words=first, left="", share="0%")
-
-        def report(share: float | None, words: str, left: str) -> None:
-            # Without an end the bar only shows that something is done.
-            progress.tasks[0].total = None if share is None else 1.0
-            progress.update(task, completed=share or 0.0, words=words, left=left, share=_percent(share))
-
-        yield report
-
-
-@contextmanager
-def _lines(label: str) -> Iterator[Callable[[float | None, str, str], None]]:
-    last = time.monotonic()
-
-    def report(share: float | None, words: str, left: str) -> None:
-        nonlocal last
-        # Nothing to tell is the end, which what the command prints then tells as well.
-        if words and time.monotonic() - last >= PLAIN_INTERVAL:
-            last = time.monotonic()
-            said = ", ".join(part for part in (words, left) if part)
-            print(f"{label}: {_percent(share)} {said}".replace("  ", " "), file=sys.stderr, flush=True)
-
-    yield report
-
-
-def _percent(share: float | None) -> str:
-    return "" if share is None else f"{share:.0%}"

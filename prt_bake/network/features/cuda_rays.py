@@ -16,12 +16,12 @@ ROWS = 32
 _kernel: Callable[[Callable[..., Any]], Any] = triton.jit
 _REACH = tl.constexpr(interior.REACH)
 _STEP = tl.constexpr(view_ray.STEP)
-_LEAST_STEP = tl.constexpr(view_ray.LEAST_STEP)
-_ENTERED = tl.constexpr(view_ray.ENTERED)
-_LEAST_SLOPE = tl.constexpr(view_ray.LEAST_SLOPE)
+_MIN_STEP = tl.constexpr(view_ray.MIN_STEP)
+_ENTRY_DEPTH = tl.constexpr(view_ray.ENTRY_DEPTH)
+_MIN_SLOPE = tl.constexpr(view_ray.MIN_SLOPE)
 
 
-def folded_rays(
+def trace_rays(
     levels: Tensor, corner: Tensor, spacing: float, eta: float, turns: int, longest: float, x: Tensor, back: Tensor
 ) -> Ray:
     """`view_ray.folded` in the grid levels [X,Y,Z] that begins at `corner`."""
@@ -64,7 +64,7 @@ def _folded(
     starts, towards, begins, levels, points, along, count, nx, ny, nz, spacing, eta, longest,
     PIECES: tl.constexpr, ROWS: tl.constexpr,
 ):  # fmt: skip
-    """`view_kernel.folded_rows`, ROWS rays in step."""
+    """`view_kernel.trace_rows`, ROWS rays in step."""
     n = tl.program_id(0) * ROWS + tl.arange(0, ROWS)
     going = n < count
     n = tl.minimum(n, count - 1)
@@ -79,13 +79,13 @@ def _folded(
     pieces, entered = tl.zeros((ROWS,), tl.int32), tl.zeros((ROWS,), tl.int1)
     per_length = 1.0 / spacing
     while tl.max(going.to(tl.int32), axis=0) > 0:
-        step = spacing * tl.maximum(_STEP * inside, _LEAST_STEP)
+        step = spacing * tl.maximum(_STEP * inside, _MIN_STEP)
         s = length + step - begun
         then = _REACH * _distance(
             levels, (x + s * u) * per_length, (y + s * v) * per_length, (z + s * w) * per_length, nx, ny, nz
         )
         met = going & entered & (then <= 0.0)
-        entered = entered | (going & (then > _ENTERED))
+        entered = entered | (going & (then > _ENTRY_DEPTH))
         length += tl.where(going, tl.where(met, inside / tl.maximum(inside - then, 1e-6) * step, step), 0.0)
         inside = tl.where(met, 0.0, then)
         if tl.max(met.to(tl.int32), axis=0) > 0:
@@ -95,7 +95,7 @@ def _folded(
             a = _distance(levels, p - 1.0, q, r, nx, ny, nz) - _distance(levels, p + 1.0, q, r, nx, ny, nz)
             b = _distance(levels, p, q - 1.0, r, nx, ny, nz) - _distance(levels, p, q + 1.0, r, nx, ny, nz)
             c = _distance(levels, p, q, r - 1.0, nx, ny, nz) - _distance(levels, p, q, r + 1.0, nx, ny, nz)
-            slope = tl.maximum(tl.sqrt(a * a + b * b + c * c), _LEAST_SLOPE)
+            slope = tl.maximum(tl.sqrt(a * a + b * b + c * c), _MIN_SLOPE)
             a, b, c = a / slope, b / slope, c / slope
             cosine = u * a + v * b + w * c
             turned = met & (pieces + 1 < PIECES) & (cosine > 0.0) & (eta * eta * (1.0 - cosine * cosine) > 1.0)

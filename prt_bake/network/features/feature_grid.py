@@ -23,7 +23,7 @@ class FeatureGrid(nn.Module):
     The first row stands for what is not kept and stays 0.
     """
 
-    number_at: Tensor
+    row_index: Tensor
     corner: Tensor
     last: Tensor
     strides: Tensor
@@ -33,20 +33,20 @@ class FeatureGrid(nn.Module):
         """reach: how deep in the object rays of view are followed, in box sides."""
         super().__init__()
         kept = kept_places(interior, per_side, reach)
-        number_at = np.where(kept, np.cumsum(kept).reshape(kept.shape), 0)
-        self.tensors_alone = False
+        row_index = np.where(kept, np.cumsum(kept).reshape(kept.shape), 0)
+        self.torch_only = False
         self.per_side = per_side
-        self.register_buffer("number_at", torch.from_numpy(number_at.astype(np.int64)), persistent=False)
+        self.register_buffer("row_index", torch.from_numpy(row_index.astype(np.int64)), persistent=False)
         self.register_buffer("corner", torch.tensor(interior.corner, dtype=torch.float32), persistent=False)
-        _, ny, nz = number_at.shape
-        self.register_buffer("last", torch.tensor(number_at.shape) - 1, persistent=False)
+        _, ny, nz = row_index.shape
+        self.register_buffer("last", torch.tensor(row_index.shape) - 1, persistent=False)
         self.register_buffer("strides", torch.tensor([ny * nz, nz, 1]), persistent=False)
         self.register_buffer("around", torch.tensor(list(np.ndindex(2, 2, 2))), persistent=False)
         self.rows = nn.Parameter(torch.zeros(1 + int(kept.sum()), numbers))
 
     def forward(self, points: Tensor, weights: Tensor) -> Tensor:
         """Sums [N,numbers] over points [N,K,3] in box sides, by weights [N,K]; float32."""
-        if not self.tensors_alone and points.device.type == "cpu" and self.rows.dtype == torch.float32:
+        if not self.torch_only and points.device.type == "cpu" and self.rows.dtype == torch.float32:
             return _compiled_sums(self, self.rows, points.contiguous(), weights.contiguous())
         with torch.no_grad():
             rows, shares = self._around(points)
@@ -64,7 +64,7 @@ class FeatureGrid(nn.Module):
         upper = at - low
         flat = (low * self.strides).sum(dim=-1, keepdim=True) + (self.around * self.strides).sum(dim=-1)
         shares = torch.where(self.around == 1, upper[..., None, :], 1.0 - upper[..., None, :]).prod(dim=-1)
-        return self.number_at.flatten()[flat], shares
+        return self.row_index.flatten()[flat], shares
 
 
 class _Compiled(torch.autograd.Function):
@@ -95,7 +95,7 @@ def _visit(grid: FeatureGrid, rows: Tensor, points: Tensor, weights: Tensor, sum
 
     told = [tensor.detach().numpy() for tensor in (grid.corner, rows, points, weights, sums, gradient)]
     corner, values, at, shares, totals, slopes = told
-    sum_rows(grid.number_at.numpy(), np.float32(grid.per_side), corner, values, at, shares, totals, slopes)
+    sum_rows(grid.row_index.numpy(), np.float32(grid.per_side), corner, values, at, shares, totals, slopes)
 
 
 def kept_places(interior: Interior, per_side: int, reach: float) -> NDArray[np.bool_]:

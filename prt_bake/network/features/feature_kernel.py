@@ -10,9 +10,9 @@ _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _cell(number_at: Any, per_side: Any, corner: Any, point: Any) -> Any:
+def _cell(row_index: Any, per_side: Any, corner: Any, point: Any) -> Any:
     """The lowest place around a point, and how far the point is towards the next one along each axis."""
-    nx, ny, nz = number_at.shape
+    nx, ny, nz = row_index.shape
     u = min(max((point[0] - corner[0]) * per_side, _ZERO), np.float32(nx - 1))
     v = min(max((point[1] - corner[1]) * per_side, _ZERO), np.float32(ny - 1))
     w = min(max((point[2] - corner[2]) * per_side, _ZERO), np.float32(nz - 1))
@@ -22,7 +22,7 @@ def _cell(number_at: Any, per_side: Any, corner: Any, point: Any) -> Any:
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def sum_rows(
-    number_at: Any, per_side: Any, corner: Any, rows: Any, points: Any, weights: Any, sums: Any, gradient: Any
+    row_index: Any, per_side: Any, corner: Any, rows: Any, points: Any, weights: Any, sums: Any, gradient: Any
 ) -> None:
     """Where `gradient` is empty, set sums [N,C] to what `rows` [R,C] have at points [N,K,3], times weights [N,K];
     otherwise add to `gradient` [R,C], row 0 left out, that of `sums`, which are then derivatives.
@@ -32,11 +32,11 @@ def sum_rows(
         if not backward:
             sums[n] = _ZERO
         for m in range(points.shape[1]):
-            i, j, k, u, v, w = _cell(number_at, per_side, corner, points[n, m])
+            i, j, k, u, v, w = _cell(row_index, per_side, corner, points[n, m])
             for a in range(2):
                 for b in range(2):
                     for c in range(2):
-                        row = number_at[i + a, j + b, k + c]
+                        row = row_index[i + a, j + b, k + c]
                         if row == 0:
                             continue
                         share = (u if a else _ONE - u) * (v if b else _ONE - v) * (w if c else _ONE - w)

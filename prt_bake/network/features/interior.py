@@ -20,7 +20,7 @@ from formats.errors import ModelError
 LEVELS = 15
 REACH = 3.0
 """Distances are told as far as this, in spacings of the grid, in steps of REACH / LEVELS of one."""
-MOST_PLACES = 1 << 22
+MAX_NODES = 1 << 22
 _LZMA = ({"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME},)
 
 
@@ -47,9 +47,9 @@ class Interior:
         levels = np.ascontiguousarray(self.levels, np.int8)
         object.__setattr__(self, "levels", levels)
         grid, lengths = levels.shape, np.array([*self.corner, self.spacing, self.eta])
-        if len(grid) != 4 or grid[0] < 1 or min(grid[1:]) < 2 or levels.size > MOST_PLACES or _beyond(levels):
+        if len(grid) != 4 or grid[0] < 1 or min(grid[1:]) < 2 or levels.size > MAX_NODES or _beyond(levels):
             raise ModelError(
-                f"interior: levels must be [B,X,Y,Z], 2 or more each way, {MOST_PLACES} in all at most, from -{LEVELS} "
+                f"interior: levels must be [B,X,Y,Z], 2 or more each way, {MAX_NODES} in all at most, from -{LEVELS} "
                 f"to {LEVELS}; found {grid}"
             )
         if lengths.shape != (5,) or not np.isfinite(lengths).all() or min(lengths[3:]) <= 0:
@@ -89,8 +89,8 @@ class Interior:
         """The reverse of `as_json` and `packed`; raises ModelError where they are not what those gave."""
         places = tuple(int(n) for n in values["places"])
         size = int(np.prod(places, dtype=np.float64)) if len(places) == 4 and min(places) > 0 else 0
-        if not 8 <= size <= MOST_PLACES:
-            raise ModelError(f"interior: places {places} where four numbers are expected, {MOST_PLACES} in all at most")
+        if not 8 <= size <= MAX_NODES:
+            raise ModelError(f"interior: places {places} where four numbers are expected, {MAX_NODES} in all at most")
         try:
             reader = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_LZMA)
             content = reader.decompress(packed.to(torch.uint8).numpy().tobytes(), max_length=size + 1)

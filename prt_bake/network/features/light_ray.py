@@ -1,7 +1,7 @@
 """How much of an object lies on the way to the light: near and finely told, farther away more coarsely.
 
 Whether ωi reaches a place, or what it has to cross on its way there, depends on the place and on ωi together: told of
-one after the other, layers learn the shadows that an object casts on itself last, and blurred. Here they are told what
+one after the other, layers learn the shadows that an object casts on itself last, and shape_grid. Here they are told what
 a cone towards the light meets, at a few places along it, in a pyramid of grids of the object each half as fine as the
 one before: Crassin et al. 2011, "Interactive indirect illumination using voxel cone tracing", section 4.
 """
@@ -16,11 +16,11 @@ from torch import Tensor, nn
 
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 
-NEAREST, GROWTH = 0.04, 1.6
+FIRST_DISTANCE, DISTANCE_RATIO = 0.04, 1.6
 """How far away the first place is, in box sides, and how many times as far each next one."""
 _OPENING = 0.2
 """Of the cones: the spacing of the grid that a place is looked up in over its distance."""
-OF_SHARE = 5.0
+OCCUPANCY_SCALE = 5.0
 """Of the share that is inside, among features whose mean square is ½."""
 
 
@@ -33,13 +33,13 @@ class Level(NamedTuple):
 
 
 class LightRay(nn.Module):
-    """What lies on the way to the light from `starts` of a view; on a CPU compiled, unless `tensors_alone`."""
+    """What lies on the way to the light from `starts` of a view; on a CPU compiled, unless `torch_only`."""
 
     def __init__(self, interior: Interior, places: int) -> None:
         """`places` on each ray."""
         super().__init__()
-        self.tensors_alone = False
-        self.distances = [NEAREST * GROWTH**place for place in range(places)]
+        self.torch_only = False
+        self.distances = [FIRST_DISTANCE * DISTANCE_RATIO**place for place in range(places)]
         wanted = [math.log2(max(_OPENING * distance / interior.spacing, 1.0)) for distance in self.distances]
         self.level_at = [round(level) for level in wanted]
         corner, spacing, grid = np.array(interior.corner), interior.spacing, _solid(interior)
@@ -58,12 +58,12 @@ class LightRay(nn.Module):
         starts, incident = starts.float().contiguous(), incident.float().contiguous()
         shape = (*incident.shape[:2], starts.shape[1], len(self.distances))
         with torch.no_grad(), torch.autocast(starts.device.type, enabled=False):
-            if self.tensors_alone or starts.device.type != "cpu":
+            if self.torch_only or starts.device.type != "cpu":
                 shares = self._looked_up(starts, incident)
             else:
                 shares = torch.empty(shape)
                 self._look(starts, incident, shares)
-            return shares.mul_(OF_SHARE).flatten(2)
+            return shares.mul_(OCCUPANCY_SCALE).flatten(2)
 
     def pyramid(self) -> list[Level]:
         """Its grids, the finest first."""

@@ -1,7 +1,7 @@
-"""How much of an object lies around a place, and on which side of it: the object, blurred at several scales.
+"""How much of an object lies around a place, and on which side of it: the object, shape_grid at several scales.
 
 Light reaches a place inside from all that lies within some mean free paths: how thick the object is there, how its
-boundary curves, and which side is nearest decide how much and whence. Told of that, a network need not learn it again
+boundary curves, and which side is nearest decide how much and whence. ViewEncoding of that, a network need not learn it again
 for every place that is like another. (Vicini, Koltun and Jakob 2019 tell theirs a polynomial fitted to the boundary.)
 """
 
@@ -12,33 +12,33 @@ import torch
 from torch import Tensor
 
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
-from prt_bake.network.settings import SCALES
+from prt_bake.network.settings import SHAPE_SCALES
 
 _FARTHEST = 3.5
 """Standard deviations, where Gaussians are cut off."""
-_OF_SHARE, OF_SLOPE = 5.0, 7.0
+_OCCUPANCY_SCALE, SLOPE_SCALE = 5.0, 7.0
 """Of the share less ½ and of its slope over a standard deviation, among features whose mean square is ½: at a flat wall
-the slope is STEEPEST long."""
-STEEPEST = 0.4
+the slope is MAX_SLOPE long."""
+MAX_SLOPE = 0.4
 
 
-def blurred(interior: Interior) -> Tensor:
-    """What is told of each place of the interior's grid: float32 [X,Y,Z,SHAPE], at each scale how much of the
+def shape_grid(interior: Interior) -> Tensor:
+    """What is told of each place of the interior's grid: float32 [X,Y,Z,SHAPE_INPUTS], at each scale how much of the
     surroundings is inside, and its slope.
     """
     solid = torch.from_numpy(interior.levels[0].astype(np.float32) * (REACH / LEVELS) + 0.5).clamp_(0.0, 1.0)
     told = []
-    for scale in SCALES:
+    for scale in SHAPE_SCALES:
         sigma = scale / interior.spacing
         blur = [_gaussian(sigma, places) for places in solid.shape]
         slope = [_slope(sigma, places) for places in solid.shape]
         slopes = [_along_each(solid, [*blur[:axis], slope[axis], *blur[axis + 1 :]]) for axis in range(3)]
-        told += [_OF_SHARE * (_along_each(solid, blur) - 0.5), *(OF_SLOPE * part for part in slopes)]
+        told += [_OCCUPANCY_SCALE * (_along_each(solid, blur) - 0.5), *(SLOPE_SCALE * part for part in slopes)]
     return torch.stack(told, dim=-1)
 
 
-def looked_up(told: Tensor, spacing: float, points: Tensor) -> Tensor:
-    """What a grid [X,Y,Z,C], as `blurred` makes it, tells at points [...,3] from its corner, linear between places:
+def trilinear(told: Tensor, spacing: float, points: Tensor) -> Tensor:
+    """What a grid [X,Y,Z,C], as `shape_grid` makes it, tells at points [...,3] from its corner, linear between places:
     [...,C]; outside, what the border has.
     """
     # The sampler counts its axes from the last one.

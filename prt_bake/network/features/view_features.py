@@ -23,9 +23,9 @@ from torch import Tensor, nn
 from prt_bake.network.features.feature_grid import FeatureGrid
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.light_ray import LightRay
-from prt_bake.network.features.shape import OF_SLOPE, STEEPEST, blurred, looked_up
+from prt_bake.network.features.shape import SLOPE_SCALE, MAX_SLOPE, shape_grid, trilinear
 from prt_bake.network.features.view_ray import Ray, folded, normals
-from prt_bake.network.settings import COSINE_BUMPS, SCALES, SHAPE, STARTS, NetworkSettings
+from prt_bake.network.settings import COSINE_BUMPS, SHAPE_SCALES, SHAPE_INPUTS, LIGHT_RAY_ORIGINS, NetworkSettings
 
 _MEAN_FREE_PATHS = 4.0
 """How far along the ray light is looked for, where the box is not smaller."""
@@ -48,7 +48,7 @@ _LEAST_COSINE = 0.02
 """Of the outgoing direction where it is bent: grids tell normals roughly, and directions behind them have none."""
 
 
-class Told(NamedTuple):
+class ViewEncoding(NamedTuple):
     """What is told of views [N] whatever has been learnt, in float32.
 
     Attributes:
@@ -66,14 +66,14 @@ class Told(NamedTuple):
 
     @property
     def frame(self) -> Tensor:
-        """What is held against ωi [N,STARTS+A,3]: whence the way to the light is looked along, x and the middle one of
+        """What is held against ωi [N,LIGHT_RAY_ORIGINS+A,3]: whence the way to the light is looked along, x and the middle one of
         the places, and then the axes.
         """
         return torch.cat((self.x[:, None], self.points[:, None, self.points.shape[1] // 2], self.axes), dim=1)
 
 
 class ViewFeatures(nn.Module):
-    """Features of positions and outgoing directions; on a CPU by `view_kernel`, unless `tensors_alone`."""
+    """Features of positions and outgoing directions; on a CPU by `view_kernel`, unless `torch_only`."""
 
     frequencies: Tensor
     levels: Tensor
@@ -84,7 +84,7 @@ class ViewFeatures(nn.Module):
     def __init__(self, settings: NetworkSettings, frequencies: Tensor, interior: Interior) -> None:
         """frequencies [F,6] of (x, ωo), the network's own."""
         super().__init__()
-        self.tensors_alone = self.by_kernels = False
+        self.torch_only = self.use_kernels = False
         self.interior, self._samples, self._normals = interior, settings.ray_samples, settings.tells_normal
         self._tells_exit = settings.lobes > 0
         apart = self._samples / max(settings.shape_places - 1, 1)
@@ -97,12 +97,12 @@ class ViewFeatures(nn.Module):
             ("frequencies", frequencies.detach().float()),
             ("levels", torch.from_numpy(interior.levels.astype("float32")) / LEVELS),
             ("corner", torch.tensor(interior.corner, dtype=torch.float32)),
-            ("edges", edges_of(interior, self._turns > 0)),
-            ("shape", blurred(interior) if self._tells_shape else torch.empty(0)),
+            ("edges", interval_edges(interior, self._turns > 0)),
+            ("shape", shape_grid(interior) if self._tells_shape else torch.empty(0)),
         ):
             self.register_buffer(name, tensor, persistent=False)
         self._reach = float(self.edges[-1])
-        self.light = LightRay(interior, settings.light_places // len(STARTS)) if settings.light_places else None
+        self.light = LightRay(interior, settings.light_places // len(LIGHT_RAY_ORIGINS)) if settings.light_places else None
         numbers = settings.grid_numbers
         self.grid = FeatureGrid(interior, settings.grid_places, numbers, self._reach) if settings.grid_places else None
 
@@ -112,13 +112,13 @@ class ViewFeatures(nn.Module):
         """
         return self.learnt(self.told(positions, outgoing, normals))
 
-    def told(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> Told:
+    def told(self, positions: Tensor, outgoing: Tensor, normals: Tensor | None = None) -> ViewEncoding:
         """What `learnt` takes, from what `forward` takes: the part that stays the same while the network learns."""
         x, eye = positions.float().contiguous(), outgoing.float().contiguous()
         with torch.no_grad(), torch.autocast(positions.device.type, enabled=False):
             return self._told(x, eye, normals)
 
-    def learnt(self, told: Told) -> Tensor:
+    def learnt(self, told: ViewEncoding) -> Tensor:
         """The features [N, settings.view_inputs]: what has been learnt at the places, and what is told."""
         if self.grid is None:
             return told.features
@@ -128,12 +128,12 @@ class ViewFeatures(nn.Module):
 
     def towards(self, incident: Tensor, frame: Tensor) -> list[Tensor]:
         """What is told of views and directions of incidence [N,D,3] together, each [N,D,·]: what lies on the way, and
-        the cosines to the axes; `frame` is that of `Told`.
+        the cosines to the axes; `frame` is that of `ViewEncoding`.
         """
-        way = [] if self.light is None else [self.light(frame[:, : len(STARTS)], incident)]
-        return [*way, incident @ frame[:, len(STARTS) :].transpose(1, 2)]
+        way = [] if self.light is None else [self.light(frame[:, : len(LIGHT_RAY_ORIGINS)], incident)]
+        return [*way, incident @ frame[:, len(LIGHT_RAY_ORIGINS) :].transpose(1, 2)]
 
-    def _told(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> Told:
+    def _told(self, x: Tensor, eye: Tensor, normals: Tensor | None) -> ViewEncoding:
         back, parts, axes = eye, [], torch.empty((len(x), 0, 3), device=x.device)
         if self._normals:
             normal = self._normal(x) if normals is None else self._known_or_found(normals.float(), x)
@@ -147,11 +147,11 @@ class ViewFeatures(nn.Module):
         parts += [places * (2.0 / self._reach), weight[:, None]]
         if self._tells_shape:
             parts.append(self._shape(torch.stack([x, *(points[:, at] for at in self._shape_at)], dim=1)))
-            slopes = parts[-1][:, :SHAPE].reshape(len(x), len(SCALES), -1)[..., 1:]
-            axes = torch.cat((axes, slopes / OF_SLOPE / STEEPEST), dim=1)
+            slopes = parts[-1][:, :SHAPE_INPUTS].reshape(len(x), len(SHAPE_SCALES), -1)[..., 1:]
+            axes = torch.cat((axes, slopes / SLOPE_SCALE / MAX_SLOPE), dim=1)
         if self._tells_exit:
             parts.append(self._exit(ray))
-        return Told(
+        return ViewEncoding(
             torch.cat([self._averaged(x, eye, points, weight), *parts], dim=-1),
             x,
             points,
@@ -181,20 +181,20 @@ class ViewFeatures(nn.Module):
         if not self._turns:
             return Ray.straight(x, back)
         spacing, eta, longest = self.interior.spacing, self.interior.eta, self._reach
-        if self.tensors_alone:
+        if self.torch_only:
             return folded(lambda points: self._inside(0, points), spacing, eta, self._turns, longest, x, back)
-        if self.by_kernels:
-            from prt_bake.network.features.cuda_rays import folded_rays
+        if self.use_kernels:
+            from prt_bake.network.features.cuda_rays import trace_rays
 
-            return folded_rays(self.levels[0], self.corner, spacing, eta, self._turns, longest, x, back)
-        from prt_bake.network.features.view_kernel import folded_rows
+            return trace_rays(self.levels[0], self.corner, spacing, eta, self._turns, longest, x, back)
+        from prt_bake.network.features.view_kernel import trace_rows
 
         pieces = len(x), self._turns + 1
         starts, towards, begins = torch.empty((*pieces, 3)), torch.empty((*pieces, 3)), torch.empty(pieces)
         numbers = [np.float32(number) for number in (spacing, eta, longest)]
         known = (tensor.cpu() for tensor in (self.levels[0], x - self.corner, -back))
         told = [tensor.numpy() for tensor in (*known, starts, towards, begins)]
-        folded_rows(told[0], numbers[0], numbers[1], numbers[2], told[1], told[2], told[3], told[4], told[5])
+        trace_rows(told[0], numbers[0], numbers[1], numbers[2], told[1], told[2], told[3], told[4], told[5])
         return Ray(starts.to(x.device) + self.corner, towards.to(x.device), begins.to(x.device))
 
     def _exit(self, ray: Ray) -> Tensor:
@@ -226,8 +226,8 @@ class ViewFeatures(nn.Module):
     def _inside(self, body: int, points: Tensor) -> Tensor:
         """Signed distances [N,K] to a body's boundary at points [N,K,3], over REACH spacings, in −1 … 1."""
         grid = self.levels[body]
-        if self.tensors_alone or points.device.type != "cpu":
-            return looked_up(grid[..., None], self.interior.spacing, points - self.corner)[..., 0]
+        if self.torch_only or points.device.type != "cpu":
+            return trilinear(grid[..., None], self.interior.spacing, points - self.corner)[..., 0]
         from prt_bake.network.features.view_kernel import distance_rows
 
         distances = torch.empty(points.shape[:2])
@@ -236,13 +236,13 @@ class ViewFeatures(nn.Module):
         return distances
 
     def _shape(self, points: Tensor) -> Tensor:
-        """What is told of the object around places [N,P,3]: [N,P·SHAPE]."""
+        """What is told of the object around places [N,P,3]: [N,P·SHAPE_INPUTS]."""
         at = (points - self.corner).reshape(-1, 3)
-        if self.tensors_alone or at.device.type != "cpu":
-            return looked_up(self.shape, self.interior.spacing, at).reshape(len(points), -1)
+        if self.torch_only or at.device.type != "cpu":
+            return trilinear(self.shape, self.interior.spacing, at).reshape(len(points), -1)
         from prt_bake.network.features.view_kernel import shape_rows
 
-        rows = torch.empty((len(at), SHAPE))
+        rows = torch.empty((len(at), SHAPE_INPUTS))
         shape_rows(self.shape.numpy(), np.float32(1.0 / self.interior.spacing), at.numpy(), rows.numpy())
         return rows.reshape(len(points), -1)
 
@@ -250,7 +250,7 @@ class ViewFeatures(nn.Module):
         """Where light comes from along rays [N,K], all places equally likely, and the opacities [N] of the rays; zero
         where nothing is met.
         """
-        if not self.tensors_alone and depths.device.type == "cpu":
+        if not self.torch_only and depths.device.type == "cpu":
             from prt_bake.network.features.view_kernel import place_rows
 
             places, opacity = torch.empty((len(depths), self._samples)), torch.empty(len(depths))
@@ -272,7 +272,7 @@ class ViewFeatures(nn.Module):
         places [N,K,3], times the weight.
         """
         own = self._own
-        if not self.tensors_alone and x.device.type == "cpu":
+        if not self.torch_only and x.device.type == "cpu":
             from prt_bake.network.features.view_kernel import mean_rows
 
             rows = torch.empty((len(x), 2 * len(self.frequencies)))
@@ -303,7 +303,7 @@ def _left(ahead: Tensor, normal: Tensor, eta: float) -> Tensor:
     return nn.functional.normalize(torch.where(leaves, bent, ahead), dim=-1)
 
 
-def edges_of(interior: Interior, turned: bool) -> Tensor:
+def interval_edges(interior: Interior, turned: bool) -> Tensor:
     """Between which the optical depth along a ray is summed up [M+1]: closer together near the surface, but evenly
     where light may come from bodies deep inside.
     """

@@ -7,10 +7,10 @@ import numpy as np
 from prt_bake.jit.compilation import compiled
 from prt_bake.network.features.interior import REACH
 from prt_bake.network.features.pair_kernel import turned
-from prt_bake.network.features.view_ray import ENTERED, LEAST_SLOPE, LEAST_STEP, STEP
+from prt_bake.network.features.view_ray import ENTRY_DEPTH, MIN_SLOPE, MIN_STEP, STEP
 
-_STEP, _LEAST_STEP, _ENTERED, _REACH = (np.float32(number) for number in (STEP, LEAST_STEP, ENTERED, REACH))
-_LEAST_SLOPE = np.float32(LEAST_SLOPE)
+_STEP, _MIN_STEP, _ENTRY_DEPTH, _REACH = (np.float32(number) for number in (STEP, MIN_STEP, ENTRY_DEPTH, REACH))
+_MIN_SLOPE = np.float32(MIN_SLOPE)
 _ONE = np.float32(1.0)
 _ZERO = np.float32(0.0)
 
@@ -42,7 +42,7 @@ def distance_rows(levels: Any, per_length: Any, points: Any, distances: Any) -> 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def shape_rows(told: Any, per_length: Any, points: Any, rows: Any) -> None:
-    """Set rows [N,C] to the values of a grid [X,Y,Z,C] at points [N,3] from its corner: `shape.looked_up`."""
+    """Set rows [N,C] to the values of a grid [X,Y,Z,C] at points [N,3] from its corner: `shape.trilinear`."""
     nx, ny, nz, channels = told.shape
     for n in range(len(points)):
         u = min(max(points[n, 0] * per_length, _ZERO), np.float32(nx - 1))
@@ -68,12 +68,12 @@ def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
     u = distance_at(levels, per_length, x - spacing, y, z) - distance_at(levels, per_length, x + spacing, y, z)
     v = distance_at(levels, per_length, x, y - spacing, z) - distance_at(levels, per_length, x, y + spacing, z)
     w = distance_at(levels, per_length, x, y, z - spacing) - distance_at(levels, per_length, x, y, z + spacing)
-    slope = max(np.sqrt(u * u + v * v + w * w), _LEAST_SLOPE)
+    slope = max(np.sqrt(u * u + v * v + w * w), _MIN_SLOPE)
     return u / slope, v / slope, w / slope
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def folded_rows(
+def trace_rows(
     levels: Any, spacing: Any, eta: Any, longest: Any, points: Any, along: Any, starts: Any, towards: Any, begins: Any
 ) -> None:
     """Set starts [N,P,3], towards [N,P,3] and begins [N,P] to the pieces of rays from points [N,3] along unit vectors
@@ -89,12 +89,12 @@ def folded_rows(
         piece, entered = 0, False
         begun, length, inside = _ZERO, _ZERO, _ZERO
         while length < longest:
-            step = spacing * max(_STEP * inside, _LEAST_STEP)
+            step = spacing * max(_STEP * inside, _MIN_STEP)
             s = length + step - begun
             then = _REACH * distance_at(levels, per_length, x + s * u, y + s * v, z + s * w)
             if not (entered and then <= _ZERO):
                 length, inside = length + step, then
-                entered = entered or then > _ENTERED
+                entered = entered or then > _ENTRY_DEPTH
                 continue
             length += inside / max(inside - then, np.float32(1e-6)) * step
             s = length - begun

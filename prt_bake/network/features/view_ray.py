@@ -16,9 +16,9 @@ from prt_bake.network.features.interior import REACH
 Grid = Callable[[Tensor], Tensor]
 """Signed distances [N,K] to the object's boundary at points [N,K,3] over REACH spacings, in −1 … 1, positive inside."""
 
-LEAST_SLOPE = 0.05
+MIN_SLOPE = 0.05
 """Of the grid across two spacings, where 2/REACH is that of a distance: rounding alone has no direction."""
-STEP, LEAST_STEP, ENTERED = 0.9, 0.5, 0.25
+STEP, MIN_STEP, ENTRY_DEPTH = 0.9, 0.5, 0.25
 """How far a ray is followed at once, as a share of its distance to the boundary, and at least, in spacings; and how far
 inside it must have been before it can meet the boundary again."""
 
@@ -62,7 +62,7 @@ def normals(grid: Grid, spacing: float, x: Tensor) -> Tensor:
     """Normals [N,3] of the grid at x [N,3], pointing out; unit vectors but where the distances hardly vary."""
     apart = spacing * torch.eye(3, device=x.device)
     slope = grid(x[:, None] - apart) - grid(x[:, None] + apart)
-    return nn.functional.normalize(slope, dim=-1, eps=LEAST_SLOPE)
+    return nn.functional.normalize(slope, dim=-1, eps=MIN_SLOPE)
 
 
 def folded(grid: Grid, spacing: float, eta: float, turns: int, longest: float, x: Tensor, back: Tensor) -> Ray:
@@ -82,13 +82,13 @@ def folded(grid: Grid, spacing: float, eta: float, turns: int, longest: float, x
     while len(followed):
         k = followed
         at, along, begun = starts[k, piece[k]], towards[k, piece[k]], begins[k, piece[k]]
-        step = spacing * torch.clamp(STEP * inside[k], min=LEAST_STEP)
+        step = spacing * torch.clamp(STEP * inside[k], min=MIN_STEP)
         then = REACH * grid((at + (length[k] + step - begun)[:, None] * along)[:, None])[:, 0]
         met = entered[k] & (then <= 0.0)
         share = torch.where(met, inside[k] / (inside[k] - then).clamp(min=1e-6), 1.0)
         length[k] += share * step
         inside[k] = torch.where(met, 0.0, then)
-        entered[k] |= then > ENTERED
+        entered[k] |= then > ENTRY_DEPTH
         kept = length[k] < longest
         if bool(met.any()):
             there, along = at[met] + (length[k] - begun)[met, None] * along[met], along[met]

@@ -16,9 +16,9 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from prt_bake.network.inference.cuda_views import LEAST, PairColumns, Recorded, Seen, stream
-from prt_bake.network.inference.fused import FusedNetwork, OfLight
-from prt_bake.network.lobes import Bands, Lobes, bands_of
+from prt_bake.network.inference.cuda_views import MIN_TILE, PairColumns, RecordedGraph, ViewTerms, stream
+from prt_bake.network.inference.fused import FusedNetwork, LightTable
+from prt_bake.network.lobes import Bands, Lobes, lobe_bands
 from prt_bake.network.settings import NetworkSettings
 
 if TYPE_CHECKING:
@@ -30,25 +30,25 @@ OPTIONS = {"num_stages": 3, "enable_fp_fusion": True}
 LATE_ROWS, LATE_WARPS = {"float32": 128, "bfloat16": 64}, {"float32": 8, "bfloat16": 4}
 PIECE = {"float32": 32, "bfloat16": 64}
 """Frequencies that a program turns into features at once."""
-VIEWS_AT_ONCE = 4096
+VIEWS_PER_BATCH = 4096
 """A lot of views takes a card as long if it is full as if it holds one."""
 MOST_WIDTH = 128
-ROWS_AT_ONCE = 1 << 20
+ROWS_PER_BATCH = 1 << 20
 """Whose answers are fetched while those of the next are computed."""
 TABLE_ROWS = 1 << 16
 """Most (rotation, direction) rows whose table is held at once: 128 MiB with 256 frequencies."""
-GENERATIONS = {"float32": (9, 10), "bfloat16": (8, 9, 10, 11, 12)}
+COMPUTE_CAPABILITIES = {"float32": (9, 10), "bfloat16": (8, 9, 10, 11, 12)}
 """Of cards that have kernels: the others lack the memory that those of float32 need, or units that do the products."""
 
 
-def network_on(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNetwork:
+def cuda_network(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNetwork:
     """The network on a card: by kernels where there are some for it (Triton comes with torch for cards), else step by
     step; with a RuntimeWarning where there should be some.
     """
     major = torch.cuda.get_device_capability(device)[0]
-    if takes(network.settings) and major in GENERATIONS[precision] and find_spec("triton") is not None:
+    if takes(network.settings) and major in COMPUTE_CAPABILITIES[precision] and find_spec("triton") is not None:
         try:
-            return tried(CardNetwork(network, precision, device))
+            return tried(CudaNetwork(network, precision, device))
         except Exception as fault:  # whatever a compiler, a driver or a small card may say
             warnings.warn(
                 f"the kernels for networks cannot be used on {device} ({type(fault).__name__}: {fault}); without them "
@@ -59,7 +59,7 @@ def network_on(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNet
     return FusedNetwork(network, precision, device)
 
 
-def tried(network: "CardNetwork") -> "CardNetwork":
+def tried(network: "CudaNetwork") -> "CudaNetwork":
     """The same, once its kernels have answered: they are compiled then."""
     up, middle = np.array([0.0, 0.0, 1.0]), network.network.box_min.cpu().numpy() + 0.5 * network.network.box_side
     network.evaluate_block(up[None, None], np.zeros((1, 1), np.int64), middle[None], up[None, None])
@@ -69,7 +69,7 @@ def tried(network: "CardNetwork") -> "CardNetwork":
 def takes(settings: NetworkSettings) -> bool:
     """Whether the kernels can do such layers."""
     width = settings.width
-    if width & (width - 1) or not LEAST <= width <= MOST_WIDTH:
+    if width & (width - 1) or not MIN_TILE <= width <= MOST_WIDTH:
         return False
     if not settings.trunk:
         joined = all(source == target - 2 for source, target in settings.skips)
@@ -78,7 +78,7 @@ def takes(settings: NetworkSettings) -> bool:
     return all(source <= settings.trunk for source, target in settings.skips if target > settings.trunk)
 
 
-class CardNetwork(FusedNetwork):
+class CudaNetwork(FusedNetwork):
     """As `FusedNetwork`, for settings that `takes` says yes to."""
 
     def __init__(self, network: "NeuralBSSRDF", precision: str = "float32", device: str = "cuda") -> None:
@@ -86,9 +86,9 @@ class CardNetwork(FusedNetwork):
         super().__init__(network, precision, device)
         settings = self.network.settings
         if self.network.view is not None:
-            self.network.view.by_kernels = True
-        self._outputs = _padded(self._weights[-1], LEAST)
-        self._bias = _padded(self._biases[-1].float(), LEAST)
+            self.network.view.use_kernels = True
+        self._outputs = _padded(self._weights[-1], MIN_TILE)
+        self._bias = _padded(self._biases[-1].float(), MIN_TILE)
         if self._late is None:
             width = settings.width
             blocks = [part for weight in self._weights[1:-1] for part in torch.split(weight, width, dim=1)]
@@ -101,11 +101,11 @@ class CardNetwork(FusedNetwork):
             self._pair_columns = PairColumns.of(self.network)
             told = [_padded(weight, self._pair_columns.columns).T for weight in self._late.pair_weights]
             self._of_pairs = torch.stack(told).contiguous()
-            self._views_of = Recorded(self._seen, VIEWS_AT_ONCE, self._device)
+            self._views_of = RecordedGraph(self._seen, VIEWS_PER_BATCH, self._device)
         self._copying = stream(self._device) if self._device.type == "cuda" else None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return CardNetwork, (self.network, self.precision, str(self._device))
+        return CudaNetwork, (self.network, self.precision, str(self._device))
 
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
@@ -135,7 +135,7 @@ class CardNetwork(FusedNetwork):
         view = view.half() if self.precision == "bfloat16" else view
         joined = sum(1 << target for _source, target in settings.skips)
 
-        def ask(known: OfLight) -> "Launch":
+        def ask(known: LightTable) -> "Launch":
             def launch(answer: Tensor, some: slice) -> None:
                 network_rows[(-(-len(answer) // ROWS),)](
                     answer, known.table, chosen[some], view[some], self._weights[0], self._square, self._bias,
@@ -153,12 +153,12 @@ class CardNetwork(FusedNetwork):
         from prt_bake.network.inference.cuda_kernels import late_rows
 
         settings, columns = self.network.settings, self._pair_columns
-        asked = self._asked_of(positions, outgoing)
+        asked = self._view_queries(positions, outgoing)
         seen, along = self._views_of(asked), asked[:, 3:6].float().contiguous()
         lobes, band = seen.lobes or (seen.frame,) * 3, self.network.band
         rows_each = LATE_ROWS[self.precision]
 
-        def ask(known: OfLight) -> "Launch":
+        def ask(known: LightTable) -> "Launch":
             sets, directions = known.towards.shape[:2]
 
             def launch(answer: Tensor, some: slice) -> None:
@@ -168,7 +168,7 @@ class CardNetwork(FusedNetwork):
                     self._outputs, self._bias, *(part[some] for part in lobes), len(answer), directions, sets,
                     seen.added.shape[1], self.network.output_scale,
                     WIDTH=settings.width, LAYERS=settings.light_layers, POWERS=settings.angle_powers,
-                    HELD=seen.frame.shape[1], WAYS=settings.light_places, PAIRS=columns.columns,
+                    FRAME_VECTORS=seen.frame.shape[1], LIGHT_PLACES=settings.light_places, PAIRS=columns.columns,
                     LOBES=settings.lobes, BANDS=0 if band is None else band + 1, ROWS=rows_each,
                     num_warps=LATE_WARPS[self.precision], **self._how(),
                 )  # fmt: skip
@@ -179,13 +179,13 @@ class CardNetwork(FusedNetwork):
 
     def _how(self) -> dict[str, Any]:
         relu = self.network.settings.activation == "relu"
-        return {"RELU": relu, "EXACT": self.precision == "float32", "OUTPUTS": LEAST, **OPTIONS}
+        return {"RELU": relu, "EXACT": self.precision == "float32", "OUTPUTS": MIN_TILE, **OPTIONS}
 
     def _fetched(self, views: int, directions: int, launch: "Launch") -> NDArray[np.float32]:
         """Answers [views,D,3], fetched as they come."""
         there = torch.empty((views, directions, 3), device=self._device)
         here = torch.empty(there.shape, pin_memory=True) if self._copying is not None else there
-        at_once = max(1, ROWS_AT_ONCE // directions)
+        at_once = max(1, ROWS_PER_BATCH // directions)
         for first in range(0, views, at_once):
             some = slice(first, min(first + at_once, views))
             launch(there[some].view(-1, 3), some)
@@ -197,12 +197,12 @@ class CardNetwork(FusedNetwork):
             self._copying.synchronize()
         return np.asarray(here.numpy())
 
-    def _of_light(self, light: NDArray[Any]) -> OfLight:
+    def _of_light(self, light: NDArray[Any]) -> LightTable:
         known = super()._of_light(light)
         halved = self._late is None and self.precision == "bfloat16"
         return known._replace(table=known.table.half()) if halved else known
 
-    def _asked_of(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
+    def _view_queries(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
         """Of each view position, outgoing direction, and normal, which is 0 where no mesh tells it [N·B,9]: all that a
         card must be sent of it, at once.
         """
@@ -215,7 +215,7 @@ class CardNetwork(FusedNetwork):
             asked[:, 6:] = normals.numpy()
         return torch.from_numpy(asked).to(self._device)
 
-    def _seen(self, asked: Tensor) -> Seen:
+    def _seen(self, asked: Tensor) -> ViewTerms:
         """What is known of views before any light falls on them; in steps that can be recorded."""
         x, eye, normals = torch.split(asked, 3, dim=1)
         network, late = self.network, self._late
@@ -229,13 +229,13 @@ class CardNetwork(FusedNetwork):
         added, lobes = late.bins(features)
         known: Lobes | Bands | None = lobes
         if lobes is not None and network.band is not None:
-            known = bands_of(lobes, network.band)
-        return Seen(added, frame, tuple(part.float().contiguous() for part in known or ()))
+            known = lobe_bands(lobes, network.band)
+        return ViewTerms(added, frame, tuple(part.float().contiguous() for part in known or ()))
 
 
 Launch = Callable[[Tensor, slice], None]
 """(answers [n·D,3], views): computes the rows of some views."""
-Ask = Callable[[OfLight], Launch]
+Ask = Callable[[LightTable], Launch]
 """What is known of directions of incidence → what computes a block's rows."""
 
 

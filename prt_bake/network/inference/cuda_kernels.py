@@ -11,10 +11,10 @@ from typing import Any
 import triton
 import triton.language as tl
 
-from prt_bake.network.features.light_ray import OF_SHARE
+from prt_bake.network.features.light_ray import OCCUPANCY_SCALE
 
 _kernel: Callable[[Callable[..., Any]], Any] = triton.jit
-_OF_SHARE = tl.constexpr(OF_SHARE)
+_OCCUPANCY_SCALE = tl.constexpr(OCCUPANCY_SCALE)
 
 
 @_kernel
@@ -90,7 +90,7 @@ def network_rows(
 
 
 @_kernel
-def _between(grid, base, u, v, w, ny, nz, within):
+def _trilinear(grid, base, u, v, w, ny, nz, within):
     """Values linear between the eight places around (u, v, w), which lie at base + (i·ny + j)·nz + k of the grid."""
     i, j, k = u.to(tl.int32), v.to(tl.int32), w.to(tl.int32)
     u, v, w = u - i, v - j, w - k
@@ -105,44 +105,44 @@ def _between(grid, base, u, v, w, ny, nz, within):
 
 
 @_kernel
-def _told_of_pairs(
+def _pair_inputs(
     x, y, z, cosine, seen, frame, grids, numbers, lengths,
-    POWERS: tl.constexpr, HELD: tl.constexpr, WAYS: tl.constexpr, PAIRS: tl.constexpr,
+    POWERS: tl.constexpr, FRAME_VECTORS: tl.constexpr, LIGHT_PLACES: tl.constexpr, PAIRS: tl.constexpr,
 ):  # fmt: skip
     """What is told of views and directions (x, y, z) together [ROWS,PAIRS]: `NeuralBSSRDF.pair_features`.
 
-    numbers [PAIRS,5] int32: which of the HELD vectors of the frame a column is of, then where its grid begins and how
+    numbers [PAIRS,5] int32: which of the FRAME_VECTORS vectors of the frame a column is of, then where its grid begins and how
     many places that has each way; lengths [PAIRS,5]: how far along the direction, the grid's corner, and places a
     length.
     """
     column = tl.arange(0, PAIRS)
-    held = frame + (seen[:, None] * HELD + tl.load(numbers + 5 * column)[None, :]) * 3
+    held = frame + (seen[:, None] * FRAME_VECTORS + tl.load(numbers + 5 * column)[None, :]) * 3
     fx, fy, fz = tl.load(held), tl.load(held + 1), tl.load(held + 2)
     told = fx * x[:, None] + fy * y[:, None] + fz * z[:, None]
     power = cosine
     for number in tl.static_range(POWERS):
         told = tl.where(column[None, :] == number, power[:, None], told)
         power *= cosine
-    if WAYS > 0:
+    if LIGHT_PLACES > 0:
         reach, per_length = tl.load(lengths + 5 * column)[None, :], tl.load(lengths + 5 * column + 4)[None, :]
         u = (fx + reach * x[:, None] - tl.load(lengths + 5 * column + 1)[None, :]) * per_length
         v = (fy + reach * y[:, None] - tl.load(lengths + 5 * column + 2)[None, :]) * per_length
         w = (fz + reach * z[:, None] - tl.load(lengths + 5 * column + 3)[None, :]) * per_length
         base, nx = tl.load(numbers + 5 * column + 1)[None, :], tl.load(numbers + 5 * column + 2)[None, :]
         ny, nz = tl.load(numbers + 5 * column + 3)[None, :], tl.load(numbers + 5 * column + 4)[None, :]
-        way = (column[None, :] >= POWERS) & (column[None, :] < POWERS + WAYS)
+        way = (column[None, :] >= POWERS) & (column[None, :] < POWERS + LIGHT_PLACES)
         within = way & (u >= 0.0) & (v >= 0.0) & (w >= 0.0) & (u < nx - 1) & (v < ny - 1) & (w < nz - 1)
         u, v, w = tl.where(within, u, 0.0), tl.where(within, v, 0.0), tl.where(within, w, 0.0)
-        told = tl.where(way, _OF_SHARE * _between(grids, base, u, v, w, ny, nz, within), told)
+        told = tl.where(way, _OCCUPANCY_SCALE * _trilinear(grids, base, u, v, w, ny, nz, within), told)
     return told
 
 
 @_kernel
-def _of_lobes(
+def _lobe_sum(
     x, y, z, seen, channel, axes, shapes, peaks,
     LOBES: tl.constexpr, BANDS: tl.constexpr, ROWS: tl.constexpr, OUTPUTS: tl.constexpr,
 ):  # fmt: skip
-    """What lobes add, or their bands, if there are any [ROWS,OUTPUTS]: `lobes.in_directions`."""
+    """What lobes add, or their bands, if there are any [ROWS,OUTPUTS]: `lobes.evaluate_lobes`."""
     added = tl.zeros((ROWS, OUTPUTS), tl.float32)
     for lobe in tl.static_range(LOBES):
         which = seen * LOBES + lobe
@@ -164,21 +164,21 @@ def _of_lobes(
 def late_rows(
     answer, table, chosen, views, incident, eye, frame, grids, numbers, lengths, pair_weights, weights, output,
     output_bias, axes, shapes, peaks, count, directions, sets, many, scale,
-    WIDTH: tl.constexpr, LAYERS: tl.constexpr, POWERS: tl.constexpr, HELD: tl.constexpr, WAYS: tl.constexpr,
+    WIDTH: tl.constexpr, LAYERS: tl.constexpr, POWERS: tl.constexpr, FRAME_VECTORS: tl.constexpr, LIGHT_PLACES: tl.constexpr,
     PAIRS: tl.constexpr, LOBES: tl.constexpr, BANDS: tl.constexpr, RELU: tl.constexpr, EXACT: tl.constexpr,
     ROWS: tl.constexpr, OUTPUTS: tl.constexpr,
 ):  # fmt: skip
     """Ŝ [count,3] of a network that sees ωi late, as `network_rows`, where each late layer acts on the one before.
 
     table [LAYERS,sets·D,W] and views [LAYERS,many,W]: what directions and views add to each late layer; incident
-    [sets·D,3], eye [N,3], frame [N,HELD,3]; pair_weights [LAYERS,W,PAIRS], weights [LAYERS−1,W,W], output [OUTPUTS,W].
+    [sets·D,3], eye [N,3], frame [N,FRAME_VECTORS,3]; pair_weights [LAYERS,W,PAIRS], weights [LAYERS−1,W,W], output [OUTPUTS,W].
     """
     row = tl.minimum(tl.program_id(0) * ROWS + tl.arange(0, ROWS), count - 1)
     seen = row // directions
     lit = tl.load(chosen + seen) * directions + row % directions
     x, y, z = tl.load(incident + 3 * lit), tl.load(incident + 3 * lit + 1), tl.load(incident + 3 * lit + 2)
     cosine = x * tl.load(eye + 3 * seen) + y * tl.load(eye + 3 * seen + 1) + z * tl.load(eye + 3 * seen + 2)
-    told = _told_of_pairs(x, y, z, cosine, seen, frame, grids, numbers, lengths, POWERS, HELD, WAYS, PAIRS)
+    told = _pair_inputs(x, y, z, cosine, seen, frame, grids, numbers, lengths, POWERS, FRAME_VECTORS, LIGHT_PLACES, PAIRS)
     across, column = tl.arange(0, WIDTH), tl.arange(0, PAIRS)
     of_light, of_view = lit[:, None] * WIDTH + across[None, :], seen[:, None] * WIDTH + across[None, :]
     pair_at = pair_weights + across[None, :] * PAIRS + column[:, None]
@@ -198,5 +198,5 @@ def late_rows(
     radiance = tl.load(output_bias + channel)[None, :] + tl.zeros((ROWS, OUTPUTS), tl.float32)
     radiance = _product(h, last, radiance, EXACT)
     if LOBES > 0:
-        radiance += _of_lobes(x, y, z, seen, channel, axes, shapes, peaks, LOBES, BANDS, ROWS, OUTPUTS)
+        radiance += _lobe_sum(x, y, z, seen, channel, axes, shapes, peaks, LOBES, BANDS, ROWS, OUTPUTS)
     tl.store(answer + row[:, None] * 3 + channel[None, :], radiance * scale, mask=channel[None, :] < 3)

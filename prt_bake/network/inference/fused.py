@@ -24,16 +24,16 @@ from torch import Tensor
 from formats.errors import QueryError
 from prt_bake.network.inference.late_layers import LateLayers
 from prt_bake.network.inference.product_kernel import product_rows
-from prt_bake.network.lobes import Bands, Lobes, bands_of, in_bands, in_directions
+from prt_bake.network.lobes import Bands, Lobes, lobe_bands, evaluate_bands, evaluate_lobes
 
 if TYPE_CHECKING:
     from prt_bake.network.bssrdf import NeuralBSSRDF
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}
-VIEWS_AT_ONCE = {"cpu": 256, "cuda": 1024}
+VIEWS_PER_BATCH = {"cpu": 256, "cuda": 1024}
 """Views whose features are computed at once: they stay in cache; a card takes as long for a few as for many."""
-LIGHTS_AT_ONCE = 1024
+LIGHTS_PER_BATCH = 1024
 """Incident directions whose features are computed at once: a product of one shape, whatever their number."""
 TABLES = 12
 """Whole tables that are remembered, those of the arrays that were handed in last."""
@@ -41,7 +41,7 @@ TABLE_ROWS = 1 << 14
 """Most (rotation, direction) rows whose exponentials are held at once: 32 MiB with 256 frequencies."""
 
 
-class OfLight(NamedTuple):
+class LightTable(NamedTuple):
     """What is known of directions of incidence beforehand.
 
     Attributes:
@@ -69,7 +69,7 @@ class FusedNetwork:
         self._dtype = PRECISIONS[precision]
         self._device = torch.device(device)
         kind = "cpu" if self._device.type == "cpu" else "cuda"
-        self._rows, self._views_at_once = ROWS_PER_TILE[kind], VIEWS_AT_ONCE[kind]
+        self._rows, self._views_at_once = ROWS_PER_TILE[kind], VIEWS_PER_BATCH[kind]
         settings = network.settings
         self._skips = [settings.sources(layer) for layer in range(1, settings.layers + 1)]
         self._activation = settings.activation
@@ -79,7 +79,7 @@ class FusedNetwork:
         self._linear: Linear = _onednn_linear if _onednn_answers(self._weights[-1]) else _plain_linear
         self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
         self._lock = Lock()
-        self._tables: OrderedDict[int, tuple[ArrayLike, OfLight]] = OrderedDict()
+        self._tables: OrderedDict[int, tuple[ArrayLike, LightTable]] = OrderedDict()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies in other processes lay out the weights for the processor that they are on."""
@@ -156,9 +156,9 @@ class FusedNetwork:
                 rows = late.add_views(added, of_bins[:, first : first + tile], pairs)
                 radiance = late.radiance(rows).view(tile, directions, 3).float()
                 if isinstance(lobes, Lobes):
-                    radiance = radiance + in_directions(Lobes(*_rows(lobes, first, tile)), towards)
+                    radiance = radiance + evaluate_lobes(Lobes(*_rows(lobes, first, tile)), towards)
                 elif lobes is not None:
-                    radiance = radiance + in_bands(Bands(*_rows(lobes, first, tile)), towards)
+                    radiance = radiance + evaluate_bands(Bands(*_rows(lobes, first, tile)), towards)
                 last = min(begin + first + tile, count)
                 whole = (radiance * self.network.output_scale).cpu().numpy()
                 answer[begin + first : last] = whole[: last - begin - first]
@@ -181,7 +181,7 @@ class FusedNetwork:
             return of_bins, None
         if self.network.band is None:
             return of_bins, Lobes(*_together(lobes, tile))
-        return of_bins, Bands(*_together([bands_of(some_lobes, self.network.band) for some_lobes in lobes], tile))
+        return of_bins, Bands(*_together([lobe_bands(some_lobes, self.network.band) for some_lobes in lobes], tile))
 
     def _fill_swept(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
         """As `_fill`, features in one sweep: bins by their copy, so that what they share is still in cache."""
@@ -232,7 +232,7 @@ class FusedNetwork:
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
 
     def view_rows(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
-        """`NeuralBSSRDF.view_features` [N, view_inputs], and `Told.frame`, which is 0 where nothing is told; in lots of
+        """`NeuralBSSRDF.view_features` [N, view_inputs], and `ViewEncoding.frame`, which is 0 where nothing is told; in lots of
         one size, so that no row depends on those beside it.
         """
         count = len(positions)
@@ -242,7 +242,7 @@ class FusedNetwork:
             some = slice(first, min(first + self._views_at_once, count))
             x, eye = torch.zeros((2, self._views_at_once, 3), dtype=torch.float64, device=self._device)
             x[: some.stop - first], eye[: some.stop - first] = positions[some], outgoing[some]
-            told = self.network.told(x, eye)
+            told = self.network.encode_views(x, eye)
             features[some] = self.network.view_features(x, eye, told)[: some.stop - first]
             if told is not None:
                 frame[some] = told.frame[: some.stop - first]
@@ -254,7 +254,7 @@ class FusedNetwork:
         along = self.network.cycles("outgoing", outgoing)
         return _exponential(at_x[:, None, :] + along).reshape(-1, along.shape[-1])
 
-    def _known_of_light(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> OfLight:
+    def _known_of_light(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> LightTable:
         """What is known of incident directions [R,D,3] beforehand; that of a few whole arrays is remembered."""
         if not whole:
             return self._of_light(light)
@@ -267,28 +267,28 @@ class FusedNetwork:
             self._tables.move_to_end(id(key))
             return self._tables[id(key)][1]
 
-    def _of_light(self, light: NDArray[Any]) -> OfLight:
+    def _of_light(self, light: NDArray[Any]) -> LightTable:
         towards = _float32(light, self._device)
         if self._late is None:
-            return OfLight(_planes(_exponential(self.network.cycles("incident", light))), towards)
+            return LightTable(_planes(_exponential(self.network.cycles("incident", light))), towards)
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
         rows, parts = directions.reshape(-1, 3), []
-        for first in range(0, len(rows), LIGHTS_AT_ONCE):
+        for first in range(0, len(rows), LIGHTS_PER_BATCH):
             # Whole lots, whatever their number: a row must not depend on how many there are beside it.
-            some = torch.zeros((LIGHTS_AT_ONCE, 3), dtype=rows.dtype, device=self._device)
-            last = min(first + LIGHTS_AT_ONCE, len(rows))
+            some = torch.zeros((LIGHTS_PER_BATCH, 3), dtype=rows.dtype, device=self._device)
+            last = min(first + LIGHTS_PER_BATCH, len(rows))
             some[: last - first] = rows[first:last]
             table = self._late.light_table(self.network.light_features(some))
             parts.append(table[:, : last - first])
-        return OfLight(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), towards)
+        return LightTable(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), towards)
 
 
 def prepared_for(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNetwork:
     """A frozen copy of the network for a device: on a graphics card by its kernels, where it has some."""
     if device == "cuda" and precision in PRECISIONS:
-        from prt_bake.network.inference.cuda import network_on
+        from prt_bake.network.inference.cuda import cuda_network
 
-        return network_on(network, precision, device)
+        return cuda_network(network, precision, device)
     return FusedNetwork(network, precision, device)
 
 

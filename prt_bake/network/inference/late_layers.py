@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from prt_bake.network.lobes import Lobes, lobes_from
-from prt_bake.network.settings import EXIT
+from prt_bake.network.lobes import Lobes, decode_lobes
+from prt_bake.network.settings import EXIT_INPUTS
 
 if TYPE_CHECKING:
     from prt_bake.network.bssrdf import NeuralBSSRDF
@@ -69,7 +69,7 @@ class LateLayers:
             h = torch.cat((h, *(activations[source - 1] for source in sources)), dim=1) if sources else h
             h = self._linear(h, self._weights[number - 1], self._biases[number - 1], self._activation)
             activations.append(h)
-        lobes = None if self._lobes is None else lobes_from(self._linear(h, *self._lobes, "none"), features[:, -EXIT:])
+        lobes = None if self._lobes is None else decode_lobes(self._linear(h, *self._lobes, "none"), features[:, -EXIT_INPUTS:])
         added = []
         for number, (shared, _own) in enumerate(self._split, start=self._trunk + 1):
             sources = [source for source in (number - 1, *self._skips[number - 1]) if source <= self._trunk]

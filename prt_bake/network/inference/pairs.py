@@ -15,7 +15,7 @@ from torch import Tensor
 from formats.errors import QueryError
 from prt_bake.network.features.pair_kernel import cycles_rows, fourier_rows
 from prt_bake.network.inference.fused import FusedNetwork
-from prt_bake.network.lobes import in_directions
+from prt_bake.network.lobes import evaluate_lobes
 
 if TYPE_CHECKING:
     from prt_bake.network.bssrdf import NeuralBSSRDF
@@ -142,7 +142,7 @@ class PairNetwork(FusedNetwork):
         eye[:count] = torch.as_tensor(outgoing)
         eye, towards = eye.to(at), towards.to(at)
         smooth = self._late.radiance(self._late.add_views(light, bins, self.network.pair_features(towards, eye, frame)))
-        return smooth if lobes is None else smooth.float() + in_directions(lobes, towards).flatten(0, 1)
+        return smooth if lobes is None else smooth.float() + evaluate_lobes(lobes, towards).flatten(0, 1)
 
     def _rows_there(self, light: Tensor, view: Tensor, common: Tensor, tile: int) -> Tensor:
         """As `_feature_rows`, on the device."""

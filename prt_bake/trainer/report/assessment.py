@@ -24,7 +24,7 @@ from prt_bake.trainer.report.error_figures import (
     weights_of,
     white_sky,
 )
-from prt_bake.trainer.report.evaluation import VERTICES, VIEWS, Asked, ask
+from prt_bake.trainer.report.evaluation import VERTICES, VIEWS, Evaluation, ask
 from prt_bake.trainer.report.reference import PathTracer, Tracer
 from prt_bake.trainer.report.summary import criteria, sentences
 
@@ -119,7 +119,7 @@ def _model(network: Any, scene: Scene, training: dict[str, Any]) -> dict[str, An
     }
 
 
-def _reference(asked: Asked, seed: int) -> dict[str, Any]:
+def _reference(asked: Evaluation, seed: int) -> dict[str, Any]:
     queries, vertices = len(asked.normals), len(asked.views.positions)
     told: dict[str, Any] = {
         "seed": seed,
@@ -144,7 +144,7 @@ def _reference(asked: Asked, seed: int) -> dict[str, Any]:
     return told
 
 
-def _single_values(asked: Asked) -> Sums | None:
+def _single_values(asked: Evaluation) -> Sums | None:
     """Of every value of Ŝ [N,D]."""
     if asked.transport is None:
         return None
@@ -156,13 +156,13 @@ def _single_values(asked: Asked) -> Sums | None:
     )
 
 
-def _views_as_values(asked: Asked) -> Sums:
+def _views_as_values(asked: Evaluation) -> Sums:
     """Of a_lm, every view a value: [P,B]."""
     parts, shape = per_view(asked), asked.view_answer.shape[:2]
     return Sums(parts.error.reshape(shape), parts.value.reshape(shape), parts.noise.reshape(shape))
 
 
-def _angles(asked: Asked, seed: int) -> dict[str, Any]:
+def _angles(asked: Evaluation, seed: int) -> dict[str, Any]:
     """Of Ŝ against three angles; of a_lm against that of the view alone where Ŝ cannot be estimated."""
     single, queries = _single_values(asked), asked.queries
     if single is not None:
@@ -173,7 +173,7 @@ def _angles(asked: Asked, seed: int) -> dict[str, Any]:
     return {"of": "coefficients", "outgoing": told}
 
 
-def _vertices(asked: Asked) -> dict[str, Any]:
+def _vertices(asked: Evaluation) -> dict[str, Any]:
     parts = by_vertex(asked)
     error = np.sqrt(np.maximum(parts.error, 0.0) / np.maximum(parts.value, 1e-300))
     rows = np.column_stack([asked.views.positions, asked.views.normals, error])
@@ -188,7 +188,7 @@ def _outline(prepared: PreparedScene) -> list[list[float]]:
     return rows
 
 
-def _predicted_measured(asked: Asked) -> dict[str, Any]:
+def _predicted_measured(asked: Evaluation) -> dict[str, Any]:
     """√(4π) a_00 of every view, mean over RGB, with the error of what was measured; and counts of values of Ŝ."""
     white, reference = np.sqrt(4.0 * np.pi), asked.view_reference.estimates
     # Channels share their walks: their errors are taken to go together.
@@ -226,7 +226,7 @@ def _counted(reference: Replicates, answer: Array) -> dict[str, Any]:
     return {"log10_edges": _short(edges), "counts": counts.astype(int).tolist()}
 
 
-def _worst(asked: Asked, truth: Tracer, walks: int, seed: int) -> dict[str, Any]:
+def _worst(asked: Evaluation, truth: Tracer, walks: int, seed: int) -> dict[str, Any]:
     """The worst values of Ŝ, measured again; of √(4π) a_00 where Ŝ cannot be estimated."""
     queries, paths = asked.queries, max(64, walks)
     where = queries.location.positions
@@ -256,15 +256,15 @@ def _worst(asked: Asked, truth: Tracer, walks: int, seed: int) -> dict[str, Any]
     return {"of": "transport" if asked.transport is not None else "white sky", "rows": rows}
 
 
-def _seams(network: Any, asked: Asked, seed: int) -> dict[str, Any]:
+def _seams(network: Any, asked: Evaluation, seed: int) -> dict[str, Any]:
     found = seams.jumps(network, asked.queries.positions, asked.normals, seed)
     single, queries = _single_values(asked), asked.queries
     near: dict[str, Any] = {}
     for name, lies_near in (("seam", seams.near_seam), ("pole", seams.near_pole)):
         if single is not None:
-            near[f"{name} of incident"] = seams.held_against_elsewhere(single, lies_near(queries.incident))
+            near[f"{name} of incident"] = seams.compared_with_elsewhere(single, lies_near(queries.incident))
         views = lies_near(asked.views.outgoing)
-        near[f"{name} of outgoing"] = seams.held_against_elsewhere(_views_as_values(asked), views)
+        near[f"{name} of outgoing"] = seams.compared_with_elsewhere(_views_as_values(asked), views)
     return {"jumps": {name: jump.as_json() for name, jump in found.items()}, "errors_near": near}
 
 

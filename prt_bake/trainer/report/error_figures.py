@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prt_bake.mathematics.noise_free import (
     Interval,
@@ -16,9 +15,7 @@ from prt_bake.mathematics.noise_free import (
     relative_rmse,
     sums,
 )
-from prt_bake.trainer.report.evaluation import VIEWS, Asked
-
-Array = NDArray[np.float64]
+from prt_bake.trainer.report.evaluation import VIEWS, Evaluation
 
 _WHITE = float(np.sqrt(4.0 * np.pi))
 
@@ -38,12 +35,12 @@ def split(clusters: Sums, seed: int) -> dict[str, Any]:
     }
 
 
-def transport_error(asked: Asked, seed: int) -> dict[str, Any] | None:
+def transport_error(asked: Evaluation, seed: int) -> dict[str, Any] | None:
     """Of Ŝ, where it can be estimated."""
     return None if asked.transport is None else split(asked.transport.against(asked.transport_answer), seed)
 
 
-def coefficient_error(asked: Asked, seed: int) -> dict[str, Any]:
+def coefficient_error(asked: Evaluation, seed: int) -> dict[str, Any]:
     """Of a_lm: over the surface by area, over vertices and views as a bake asks, and the worst vertices."""
     parts = per_view(asked)
     shape = asked.view_answer.shape[:2]
@@ -56,7 +53,7 @@ def coefficient_error(asked: Asked, seed: int) -> dict[str, Any]:
     }
 
 
-def per_view(asked: Asked) -> Sums:
+def per_view(asked: Evaluation) -> Sums:
     """Of every view [P·B]."""
     flat = asked.view_answer.reshape(-1, *asked.view_answer.shape[2:])
     return sums(flat, _flattened(asked.view_reference.estimates))
@@ -68,12 +65,12 @@ def _flattened(estimates: Replicates) -> Replicates:
     return Replicates(estimates.count, estimates.mean.reshape(shape), estimates.squares.reshape(shape))
 
 
-def by_vertex(asked: Asked) -> Sums:
+def by_vertex(asked: Evaluation) -> Sums:
     """Of every vertex [P], its views together."""
     return asked.view_reference.against(asked.view_answer)
 
 
-def white_sky(asked: Asked, seed: int) -> dict[str, Any]:
+def white_sky(asked: Evaluation, seed: int) -> dict[str, Any]:
     """√(4π) a_00, what a white sky of radiance 1 makes of the object: mean over vertices and views, and by vertex."""
     found = _WHITE * asked.view_answer[:, :, 0]
     reference = asked.view_reference.estimates
@@ -98,7 +95,7 @@ def white_sky(asked: Asked, seed: int) -> dict[str, Any]:
     }
 
 
-def prediction(asked: Asked, network: Any, training: dict[str, Any], seed: int) -> dict[str, Any]:
+def prediction(asked: Evaluation, network: Any, training: dict[str, Any], seed: int) -> dict[str, Any]:
     """sqrt(weights · v / walks), v the relative variance of what one walk tells (of Ŝ; of a_lm where no Ŝ is)."""
     measured, answer, quantity = asked.transport, asked.transport_answer, "transport"
     if measured is None:

@@ -63,7 +63,7 @@ def above(rows: Array, normals: Array) -> Array:
     return np.asarray(np.where(cosine < 0.0, rows - 2.0 * cosine * normals, rows))
 
 
-def answered_coefficients(network: Any, positions: Array, outgoing: Array, seed: int) -> Array:
+def evaluated_coefficients(network: Any, positions: Array, outgoing: Array, seed: int) -> Array:
     """a_lm [N,B,9,3] of a network at positions [N,3] seen along outgoing [N,B,3], by least squares over a lattice."""
     turns = directions.random_rotations(_TURNS, seed + _TURN_STREAM)
     incident = directions.fibonacci(_LATTICE) @ turns.transpose(0, 2, 1)
@@ -81,7 +81,7 @@ def answered_coefficients(network: Any, positions: Array, outgoing: Array, seed:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Evaluation:
     """What was asked, the answers, and what path tracing says."""
 
     queries: Queries
@@ -106,16 +106,16 @@ def ask(
     seed: int,
     seconds: float,
     vertices: int,
-) -> Asked:
+) -> Evaluation:
     """Ask `network` and `truth` the same: `count` queries of `directions` each, and `vertices` from 8 sides.
 
     `walks` a query to begin with, and `seconds` of path tracing at most once that is done.
     """
     drawn = QuerySource(prepared, directions, seed).draw(0, count)
     answer = np.asarray(network.evaluate(drawn.incident, drawn.positions, drawn.outgoing), np.float64)
-    coefficients = answered_coefficients(network, drawn.positions, drawn.outgoing[:, None], seed)[:, 0]
+    coefficients = evaluated_coefficients(network, drawn.positions, drawn.outgoing[:, None], seed)[:, 0]
     views = vertex_views(prepared, vertices, VIEWS, seed)
-    view_answer = answered_coefficients(network, views.positions, views.outgoing, seed)
+    view_answer = evaluated_coefficients(network, views.positions, views.outgoing, seed)
     where, eye = drawn.location.positions, drawn.outgoing
     batch = -(-walks // FIRST_BATCHES)
 
@@ -132,7 +132,7 @@ def ask(
     values = None if smooth else grow(transport, answer, batch, _TRANSPORT_SHARE * seconds, seed, 1)
     left = seconds - (values.seconds if values is not None else 0.0)
     surface = grow(at_queries, coefficients, many, _SURFACE_SHARE * left, seed, 2)
-    return Asked(
+    return Evaluation(
         queries=drawn,
         normals=np.asarray(prepared.surface.mesh.face_normals, np.float64)[drawn.location.faces],
         transport_answer=answer,

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.atomic import replacing
-from prt_bake.report import as_text
+from formats.json_report import as_text
 from prt_bake.trainer.report.plots import draw
 
 _STYLE = """

@@ -128,7 +128,7 @@ def near_pole(rows: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(rows[..., 2]) > _NEAR_POLE)
 
 
-def held_against_elsewhere(parts: Sums, near: NDArray[np.bool_]) -> dict[str, Any]:
+def compared_with_elsewhere(parts: Sums, near: NDArray[np.bool_]) -> dict[str, Any]:
     """Relative RMSE of values [N,D] near a place and elsewhere, and z of the difference of their squares.
 
     Rows of `parts`, [N,D], are independent of one another; the error of the difference is that of linearised ratios.

@@ -14,7 +14,7 @@ from formats.scene import Scene
 from prt_bake.mathematics.random import hashed
 from prt_bake.tracer.prepared import prepare, smooth_part
 from prt_bake.trainer.samples.queries import QuerySource
-from prt_bake.trainer.samples.rows import StreamSettings, query_words, render
+from prt_bake.trainer.samples.rows import StreamSettings, query_description, render
 
 _KEY_STREAM = 0x4B
 _VALUES_AT_ONCE = 1 << 17
@@ -70,7 +70,7 @@ def record_samples(
                 kept = f"{output} holds the {writer.count:,} before it" if writer.count else "none before it was kept"
                 if writer.count:
                     writer.finish(complete=False)
-                words = query_words(source, first + int(broken[0]))
+                words = query_description(source, first + int(broken[0]))
                 raise SamplesError(f"{scene.path}: the estimate of {words} is not finite; {kept}; try another seed")
             keys = query_keys(seed, queries.keys)
             writer.append(keys, queries.positions, queries.outgoing, queries.incident, mean, error)

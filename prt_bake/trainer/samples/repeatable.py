@@ -9,12 +9,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from prt_bake.trainer.samples.rows import Batch, Done, RowTracer, StreamSettings
+from prt_bake.trainer.samples.rows import Batch, RowTracer, SourceStatistics, StreamSettings
 
 _SHUFFLE_STREAM = 0x5F
 
 
-class Shuffled:
+class ShuffledRows:
     """An endless sequence of rows: passes over blocks of equal length, each in an order of its own."""
 
     def __init__(self, block: Callable[[int], Batch], rows: int, passes: int | None, seed: int, drawn: int = 0) -> None:
@@ -49,7 +49,7 @@ class Shuffled:
         return self._kept[1]
 
 
-class InTurn:
+class AlternatingRenderer:
     """A renderer that takes turns with the learner: whenever its rows are used up it walks on, in the same thread."""
 
     def __init__(
@@ -60,7 +60,7 @@ class InTurn:
         self._walks, self._settings, self._threads = walks, settings, threads
         self._walking = 0.0
         self._blocks = 0 if state is None else state["blocks"]
-        self._shuffled = Shuffled(
+        self._shuffled = ShuffledRows(
             self._render, settings.queries_a_batch, settings.reuse, seed, 0 if state is None else state["drawn"]
         )
 
@@ -78,10 +78,10 @@ class InTurn:
         """Words that name a query by its number."""
         return self._walks.where(number)
 
-    def done(self) -> Done:
+    def done(self) -> SourceStatistics:
         """What the walks have come to; a block that had to be made again counts once."""
         queries = self._blocks * self._settings.queries_a_batch
-        return Done(queries * self._walks.walks_a_query, queries, self._walking)
+        return SourceStatistics(queries * self._walks.walks_per_query, queries, self._walking)
 
     def state(self) -> dict[str, int]:
         """What it takes to go on from here."""

@@ -25,7 +25,7 @@ _LEVELS = 8
 """Of the Hilbert curve: patches of 0.6 square degrees on average."""
 
 
-def thinned(directions: Array, carried: Array, kept: int, seed: int, keys: NDArray[Any]) -> tuple[Array, Array]:
+def resampled(directions: Array, carried: Array, kept: int, seed: int, keys: NDArray[Any]) -> tuple[Array, Array]:
     """Directions and what they carry [N,K,3] of `kept` rays in place of those [N,P,3] of P walks; means over them have
     the walks' means as expectation.
 
@@ -36,12 +36,12 @@ def thinned(directions: Array, carried: Array, kept: int, seed: int, keys: NDArr
     drawn, drawn_carry = np.zeros((2, len(carried), kept, 3))
     drawn[..., 2] = 1.0
     offsets = uniforms((_STREAM, seed, keys), 1)[:, 0]
-    in_threads(draw_systematically, len(carried), directions, carried, offsets, drawn, drawn_carry, least=16)
+    in_threads(resample_rows, len(carried), directions, carried, offsets, drawn, drawn_carry, least=16)
     return drawn, drawn_carry
 
 
 @compiled(nogil=True)
-def draw_systematically(
+def resample_rows(
     begun: Any, ended: Any, directions: Any, carried: Any, offsets: Any, drawn: Any, throughput: Any
 ) -> None:
     """Fill rows of drawn and throughput [N,K,3] from directions and what they carry [N,P,3]; offsets [N] in [0, 1).
@@ -52,7 +52,7 @@ def draw_systematically(
     for n in range(begun, ended):
         place, light = np.empty(walks, np.int64), np.empty(walks)
         for p in range(walks):
-            place[p] = along_curve(directions[n, p, 0], directions[n, p, 1], directions[n, p, 2])
+            place[p] = hilbert_index(directions[n, p, 0], directions[n, p, 1], directions[n, p, 2])
             light[p] = (carried[n, p, 0] + carried[n, p, 1] + carried[n, p, 2]) / 3.0
         whole = light.sum()
         if not np.isfinite(whole):
@@ -76,7 +76,7 @@ def _take(direction: Any, carried: Any, scale: Any, drawn: Any, throughput: Any)
 
 
 @compiled(nogil=True)
-def along_curve(x: Any, y: Any, z: Any) -> Any:
+def hilbert_index(x: Any, y: Any, z: Any) -> Any:
     """How far along a Hilbert curve over the sphere a unit vector lies: an integer below 4**8."""
     reach = abs(x) + abs(y) + abs(z)
     u, v = x / reach, y / reach

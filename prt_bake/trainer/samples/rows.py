@@ -109,7 +109,7 @@ class RowSource(Protocol):
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
 
-    def done(self) -> "Done":
+    def done(self) -> "SourceStatistics":
         """What the source has done so far."""
 
     def state(self) -> dict[str, int]:
@@ -122,7 +122,7 @@ class RowSource(Protocol):
         """End what goes on beside the learner."""
 
 
-class Done(NamedTuple):
+class SourceStatistics(NamedTuple):
     """Walks walked and rows rendered since the training began, and seconds spent walking since the source was made."""
 
     walks: int
@@ -134,7 +134,7 @@ class RowTracer(Protocol):
     """Path traces numbered queries to rows."""
 
     exits: bool
-    walks_a_query: int
+    walks_per_query: int
     """May be set to less, down to `fewest`, and back."""
     fewest: int
 
@@ -152,7 +152,7 @@ class ValueTracer:
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
-        self.walks_a_query = self.fewest = settings.walks
+        self.walks_per_query = self.fewest = settings.walks
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
         self._source = QuerySource(prepared, settings.directions, seed, settings.face_share, settings.edge_share)
 
@@ -162,11 +162,11 @@ class ValueTracer:
         mean, _ = render(
             self._prepared, self._source, queries, self._settings.walks, self._settings.connections, self._seed
         )
-        return batch_of(queries.keys, queries.positions, queries.outgoing, queries.incident, mean, self._box)
+        return build_batch(queries.keys, queries.positions, queries.outgoing, queries.incident, mean, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
-        return query_words(self._source, number)
+        return query_description(self._source, number)
 
 
 class ExitTracer:
@@ -176,25 +176,25 @@ class ExitTracer:
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
-        self.walks_a_query, self._kept = settings.exits, settings.kept
+        self.walks_per_query, self._kept = settings.exits, settings.kept
         self.fewest = min(settings.least_exits, settings.exits)
         self._prepared, self._box, self._seed = prepared, box, seed
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
 
     def render(self, first: int, count: int) -> Batch:
         """Rows of `kept` rays."""
-        from prt_bake.trainer.samples.resampling import thinned
+        from prt_bake.trainer.samples.resampling import resampled
 
         queries = self._source.draw(first, count)
-        exits = render_exits(self._prepared, self._source, queries, self.walks_a_query, self._seed)
+        exits = trace_exits(self._prepared, self._source, queries, self.walks_per_query, self._seed)
         directions, carried = exits.directions, np.where(exits.unscattered[..., None], 0.0, exits.throughput)
-        if self._kept != self.walks_a_query:
-            directions, carried = thinned(directions, carried, self._kept, self._seed, queries.keys)
-        return batch_of(queries.keys, queries.positions, queries.outgoing, directions, carried, self._box)
+        if self._kept != self.walks_per_query:
+            directions, carried = resampled(directions, carried, self._kept, self._seed, queries.keys)
+        return build_batch(queries.keys, queries.positions, queries.outgoing, directions, carried, self._box)
 
     def where(self, number: int) -> str:
         """Words that name a query by its number."""
-        return query_words(self._source, number)
+        return query_description(self._source, number)
 
 
 def row_tracer(
@@ -211,7 +211,7 @@ def row_tracer(
     return (ValueTracer if values else ExitTracer)(prepared, box, settings, seed)
 
 
-def batch_of(
+def build_batch(
     numbers: NDArray[Any],
     positions: Array,
     outgoing: NDArray[Any],
@@ -231,7 +231,7 @@ def batch_of(
     return Batch(rows, np.asarray(numbers).astype(np.int64))
 
 
-def query_words(source: QuerySource, number: int) -> str:
+def query_description(source: QuerySource, number: int) -> str:
     """Words that name a query by its number."""
     location: Location = source.draw(number, 1).location
     return f"query {number} of seed {source.seed}, on face {int(location.faces[0])}"
@@ -268,7 +268,7 @@ def render(
     return mean.reshape(count, directions, 3), error.reshape(count, directions, 3)
 
 
-def render_exits(prepared: PreparedScene, source: QuerySource, queries: Queries, walks: int, seed: int) -> Exits:
+def trace_exits(prepared: PreparedScene, source: QuerySource, queries: Queries, walks: int, seed: int) -> Exits:
     """Where `walks` walks from each query leave the object."""
     from prt_bake.tracer.kernels import draw_exits
 

@@ -16,9 +16,9 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.samples.rows import Batch, Done, RowTracer, StreamSettings, render
+from prt_bake.trainer.samples.rows import Batch, RowTracer, SourceStatistics, StreamSettings, render
 
-__all__ = ["Renderer", "RingBuffer", "StreamSettings", "render"]
+__all__ = ["BackgroundRenderer", "RingBuffer", "StreamSettings", "render"]
 
 
 _SHORT, _AMPLE = 1, 3
@@ -58,7 +58,7 @@ class RingBuffer:
             return Batch(self.rows[at], self.numbers[at])
 
 
-class Renderer:
+class BackgroundRenderer:
     """Walks in a thread of its own until told to stop."""
 
     def __init__(
@@ -75,8 +75,8 @@ class Renderer:
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
         self.exits = walks.exits
-        self._most = walks.walks_a_query
-        walks.walks_a_query = walks.fewest
+        self._most = walks.walks_per_query
+        walks.walks_per_query = walks.fewest
         self.buffer = RingBuffer(settings.capacity)
         self._walks, self._settings, self._threads = walks, settings, threads
         self._least, self.reuse = min(least, settings.capacity), reuse
@@ -112,9 +112,9 @@ class Renderer:
         """Words that name a query by its number."""
         return self._walks.where(number)
 
-    def done(self) -> Done:
+    def done(self) -> SourceStatistics:
         """What the thread has done so far."""
-        return Done(self._walked, self._rows, self._walking)
+        return SourceStatistics(self._walked, self._rows, self._walking)
 
     def state(self) -> dict[str, int]:
         """What it takes to go on from here, with queries that were not asked yet."""
@@ -141,16 +141,16 @@ class Renderer:
 
     def _pace(self, ahead: int) -> None:
         """Walk a fifth more or less often from each query, by how many rows the learner has before it."""
-        now, batch = self._walks.walks_a_query, self._settings.queries_a_batch
+        now, batch = self._walks.walks_per_query, self._settings.queries_a_batch
         if ahead <= _SHORT * batch:
             now -= max(1, now // 6)
         elif ahead >= _AMPLE * batch:
             now += max(1, now // 5)
-        self._walks.walks_a_query = min(max(now, self._walks.fewest), self._most)
+        self._walks.walks_per_query = min(max(now, self._walks.fewest), self._most)
 
     def _one_batch(self) -> None:
         begun = time.perf_counter()
-        walks = self._settings.queries_a_batch * self._walks.walks_a_query
+        walks = self._settings.queries_a_batch * self._walks.walks_per_query
         batch = self._walks.render(self._next_query, self._settings.queries_a_batch)
         self._walking += time.perf_counter() - begun
         self.buffer.put(batch)

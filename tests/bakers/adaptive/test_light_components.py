@@ -11,8 +11,8 @@ from bakers.adaptive.records import Refined, Refinement
 from prt_bake import bake
 from prt_bake.baking.adaptive.pilot import Site, first_refinement
 from prt_bake.baking.adaptive.tolerances import coarse, refined_block
-from prt_bake.baking.job.job import views_of
 from prt_bake.baking.job.lattices import pools_for
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from tests.bakers.transports import (
     Array,

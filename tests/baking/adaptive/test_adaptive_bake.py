@@ -14,7 +14,7 @@ from prt_bake import bake
 from prt_bake.baking.adaptive.passes import Pass, tighter
 from prt_bake.baking.adaptive.pilot import Site, first_refinement
 from prt_bake.baking.adaptive.tolerances import coarse
-from prt_bake.baking.job.job import views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
 from tests.bakers.transports import (

@@ -16,7 +16,7 @@ from prt_bake.baking.adaptive.parent_vertices import Nearby, cells
 from prt_bake.baking.adaptive.pilot import Site, first_refinement
 from prt_bake.baking.adaptive.tolerances import Pilot, aimed
 from prt_bake.baking.bake import plan
-from prt_bake.baking.job.job import views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from tests.bakers.transports import Array, Counting, Lobed, Ringed, exact, icosphere, patched
 from tests.baking.test_resume import same

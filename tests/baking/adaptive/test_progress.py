@@ -60,17 +60,16 @@ def test_what_is_left_is_foretold_by_what_was_done_since_the_first_share(
     with reporting("render") as show:
         show(0.0, "begun")
         clock[0] += 60.0
-        for after, share in ((0.0, 0.5), (1.0, 0.51), (4.0, 0.55), (5.0, 0.6), (15.0, 0.75)):
+        for after, share in ((0.0, 0.5), (2.0, 0.5625), (2.0, 0.625), (4.0, 0.75)):
             clock[0] += after
             show(share, "done")
     said = capsys.readouterr().err.splitlines()
     assert said == [
         "render: 0% begun",
         "render: 50% done",
-        "render: 51% done",  # too soon to tell
-        "render: 55% done, 45 s left",
-        "render: 60% done, 40 s left",
-        "render: 75% done, 25 s left",
+        "render: 56% done, 14 s left",
+        "render: 62% done, 12 s left",
+        "render: 75% done, 8 s left",
     ]
 
 

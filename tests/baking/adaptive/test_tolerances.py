@@ -20,7 +20,7 @@ from prt_bake.baking.adaptive.tolerances import (
     coarse,
     refined_block,
 )
-from prt_bake.baking.job.job import views_of
+from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sphere
 from tests.bakers.transports import Edged, Incoherent, Lobed, Shadowed, icosphere
 

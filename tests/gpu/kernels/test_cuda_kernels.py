@@ -17,11 +17,11 @@ from prt_bake import shipped
 from prt_bake.mathematics.sphere import uniform
 from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model
 from prt_bake.network.inference import cuda, cuda_views
-from prt_bake.network.inference.cuda_views import Recorded, Seen
+from prt_bake.network.inference.cuda_views import RecordedGraph, ViewTerms
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.pairs import pair_transport
 from prt_bake.network.settings import NetworkSettings
-from tests.network import simulated_gpu as pretend_card
+from tests.network import simulated_gpu as simulated_gpu
 from tests.network.test_lobes import LOBED, glass_ball
 from tests.network.test_view_ray import TURNING, cube, looking, rays, trapped
 
@@ -51,7 +51,7 @@ def hopper(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cuda, "VIEWS_AT_ONCE", 16)
+    monkeypatch.setattr(cuda, "VIEWS_PER_BATCH", 16)
 
 
 def network_of(name: str) -> NeuralBSSRDF:
@@ -87,25 +87,25 @@ def test_kernels_answer_as_the_processor(name: str, precision: str) -> None:
     network = network_of(name)
     assert cuda.takes(network.settings)
     asked = queries(network)
-    found = cuda.CardNetwork(network, precision, DEVICE).evaluate_block(*asked)
+    found = cuda.CudaNetwork(network, precision, DEVICE).evaluate_block(*asked)
     assert found.dtype == np.float32
     assert apart(found, network.prepared().evaluate_block(*asked)) < OFF[precision]
 
 
 @pytest.mark.parametrize("name", ["paper", "lobes"])
 def test_answers_depend_on_no_cut(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = cuda.CardNetwork(network_of(name), "float32", DEVICE)
+    network = cuda.CudaNetwork(network_of(name), "float32", DEVICE)
     incident, rotation, positions, outgoing = queries(network.network)
     whole = network.evaluate_block(incident, rotation, positions, outgoing)
     for n, b in ((0, slice(None)), (1, slice(5, 6))):
         part = network.evaluate_block(incident, rotation[n : n + 1, b], positions[n : n + 1], outgoing[n : n + 1, b])
         np.testing.assert_array_equal(part, whole[n : n + 1, b])
-    monkeypatch.setattr(cuda, "ROWS_AT_ONCE", 70)
+    monkeypatch.setattr(cuda, "ROWS_PER_BATCH", 70)
     np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), whole)
     monkeypatch.setattr(cuda, "TABLE_ROWS", 24)
     np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), whole)
     again = pickle.loads(pickle.dumps(network))
-    assert isinstance(again, cuda.CardNetwork)
+    assert isinstance(again, cuda.CudaNetwork)
     np.testing.assert_array_equal(again.evaluate_block(incident, rotation, positions, outgoing), whole)
 
 
@@ -115,7 +115,7 @@ def test_rays_turn_as_on_the_processor() -> None:
     x, towards = np.concatenate([x, x]), np.concatenate([towards, np.tile([0.0, 0.0, -1.0], (24, 1))])
     view = looking(cube(), replace(TURNING, ray_turns=4)).to(DEVICE)
     x, towards = x.astype(np.float32), towards.astype(np.float32)
-    view.by_kernels = True
+    view.use_kernels = True
     at = torch.from_numpy(x).to(DEVICE), torch.from_numpy(-towards).to(DEVICE)
     found = view._ray(*at)
     expected = rays(looking(cube(), replace(TURNING, ray_turns=4)), x, towards)
@@ -130,14 +130,14 @@ def test_rays_turn_as_on_the_processor() -> None:
 @pytest.mark.parametrize("name", ["late", "lobes", "shipped", "bands"])
 def test_what_is_recorded_waits_for_nothing(name: str) -> None:
     """A real card refuses to record steps that need numbers from the processor, or a look at its own."""
-    there = pretend_card.install()
-    network = cuda.CardNetwork(network_of(name), "float32", there)
+    there = simulated_gpu.install()
+    network = cuda.CudaNetwork(network_of(name), "float32", there)
     _incident, _rotation, positions, outgoing = queries(network.network)
     with torch.inference_mode():
-        asked = network._asked_of(positions, outgoing)
-        pretend_card.waits.clear()
+        asked = network._view_queries(positions, outgoing)
+        simulated_gpu.waits.clear()
         network._seen(asked)
-    assert not pretend_card.waits
+    assert not simulated_gpu.waits
 
 
 @pytest.mark.parametrize(
@@ -154,11 +154,11 @@ def test_what_is_recorded_waits_for_nothing(name: str) -> None:
 )
 def test_what_the_kernels_cannot_do_is_left_to_others(settings: NetworkSettings, hopper: None) -> None:
     assert not cuda.takes(settings)
-    assert type(cuda.network_on(NeuralBSSRDF(settings), "float32", DEVICE)) is FusedNetwork
+    assert type(cuda.cuda_network(NeuralBSSRDF(settings), "float32", DEVICE)) is FusedNetwork
 
 
 def test_a_network_is_prepared_for_a_card_by_its_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cuda, "network_on", lambda _network, precision, device: (precision, device))
+    monkeypatch.setattr(cuda, "cuda_network", lambda _network, precision, device: (precision, device))
     assert NeuralBSSRDF(PAPER).prepared("bfloat16", "cuda") == ("bfloat16", "cuda")
     assert type(NeuralBSSRDF(PAPER).prepared()) is FusedNetwork
     with pytest.raises(QueryError, match="precision must be one of"):
@@ -167,9 +167,9 @@ def test_a_network_is_prepared_for_a_card_by_its_kernels(monkeypatch: pytest.Mon
 
 def test_kernels_are_taken_where_there_are_some(hopper: None, monkeypatch: pytest.MonkeyPatch) -> None:
     network = network_of("paper")
-    assert type(cuda.network_on(network, "float32", DEVICE)) is cuda.CardNetwork
+    assert type(cuda.cuda_network(network, "float32", DEVICE)) is cuda.CudaNetwork
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _device: (7, 5))
-    assert type(cuda.network_on(network, "float32", DEVICE)) is FusedNetwork
+    assert type(cuda.cuda_network(network, "float32", DEVICE)) is FusedNetwork
 
 
 def test_kernels_that_cannot_be_made_are_done_without_and_it_is_said(
@@ -180,7 +180,7 @@ def test_kernels_that_cannot_be_made_are_done_without_and_it_is_said(
 
     monkeypatch.setattr(cuda, "tried", failing)
     with pytest.warns(RuntimeWarning, match=r"cannot be used on .*RuntimeError: Failed to find C compiler"):
-        network = cuda.network_on(network_of("paper"), "float32", DEVICE)
+        network = cuda.cuda_network(network_of("paper"), "float32", DEVICE)
     assert type(network) is FusedNetwork
 
 
@@ -209,7 +209,7 @@ class Stream:
 class Graph:
     """Plays what was recorded over what it answered."""
 
-    def __init__(self, recorded: Recorded) -> None:
+    def __init__(self, recorded: RecordedGraph) -> None:
         self.recorded = recorded
 
     def replay(self) -> None:
@@ -234,11 +234,11 @@ def test_lots_that_are_played_back_leave_earlier_ones_as_they_were(
     asked = torch.arange(33.0).view(11, 3)
     called = []
 
-    def seen(views: torch.Tensor) -> Seen:
+    def seen(views: torch.Tensor) -> ViewTerms:
         called.append(len(views))
-        return Seen((2.0 * views).repeat(2, 1, 1), views[:, None] + 1.0, (views**2,))
+        return ViewTerms((2.0 * views).repeat(2, 1, 1), views[:, None] + 1.0, (views**2,))
 
-    recorded = Recorded(seen, 4, cast(torch.device, SimpleNamespace(type="cuda")))
+    recorded = RecordedGraph(seen, 4, cast(torch.device, SimpleNamespace(type="cuda")))
     monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: Graph(recorded), raising=False)
     first, found = recorded(asked[:3]), recorded(asked)
     assert called == [4] * 6  # once before it is recorded, once recorded, four times played
@@ -249,13 +249,13 @@ def test_lots_that_are_played_back_leave_earlier_ones_as_they_were(
 
 
 def test_answers_are_fetched_as_they_come(pretended: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = cuda.CardNetwork(network_of("paper"), "float32", "cpu")
+    network = cuda.CudaNetwork(network_of("paper"), "float32", "cpu")
     asked = queries(network.network)
     whole = network.evaluate_block(*asked)
     fetching = Stream()
     empty = torch.empty
     monkeypatch.setattr(network, "_copying", fetching)
-    monkeypatch.setattr(cuda, "ROWS_AT_ONCE", 100)
+    monkeypatch.setattr(cuda, "ROWS_PER_BATCH", 100)
     monkeypatch.setattr(torch, "empty", lambda *size, pin_memory=False, **how: empty(*size, **how))
     np.testing.assert_array_equal(network.evaluate_block(*asked), whole)
     assert fetching.waited == 1

@@ -11,7 +11,7 @@ from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report import reference
 from prt_bake.trainer.report.assessment import assess
-from prt_bake.trainer.report.evaluation import answered_coefficients
+from prt_bake.trainer.report.evaluation import evaluated_coefficients
 from prt_bake.trainer.report.reference import PathTracer, grow
 from prt_bake.trainer.report.seams import jumps
 from prt_bake.trainer.validation import _DIRECTIONS, _DIRECTIONS_ON_THE_WAY, network_coefficients
@@ -290,7 +290,7 @@ def test_coefficients_of_networks_with_narrow_lobes_are_their_own() -> None:
     eye = rng.normal(size=(40, 3))
     eye /= np.linalg.norm(eye, axis=1, keepdims=True)
     x = np.zeros((40, 3))
-    found = answered_coefficients(Network(lobe), x, eye[:, None], seed=5)[:, 0]
+    found = evaluated_coefficients(Network(lobe), x, eye[:, None], seed=5)[:, 0]
     lattice = fibonacci(1 << 14)
     exact = (
         4.0 * np.pi / len(lattice) * np.einsum("dk,ndc->nkc", sh.evaluate(lattice, 2), lobe(lattice, x, eye[:, None]))

@@ -1,10 +1,7 @@
-"""Reports of what a command did, as JSON texts and as a plot."""
+"""What a bake did, as plain values and as a plot of error against time."""
 
-import json
-import math
-import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,16 +9,9 @@ from numpy.typing import NDArray
 from formats.asset import Asset
 from formats.atomic import replacing
 from formats.errors import PrtbakeError
-from formats.image import write_image
-from prt_bake.rendering.state import relative_noise
-
-if TYPE_CHECKING:
-    from prt_bake.geometry.camera import Camera
 
 REACHED = 1.02
-"""Times the error asked for, that is told as reached."""
-_NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
-"""A list without lists, objects or texts in indented JSON, whose texts hold no line breaks."""
+"""Times the requested error that still counts as reached."""
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
@@ -45,58 +35,6 @@ def bake_report(asset: Asset) -> dict[str, Any]:
         },
         **asset.provenance,
     }
-
-
-def rendering_report(
-    camera: "Camera",
-    image: NDArray[np.float32],
-    standard_error: NDArray[np.float32],
-    coverage: NDArray[np.float32],
-    history: NDArray[np.float64],
-) -> dict[str, Any]:
-    """From where a path-traced picture [H,W,3] was seen and how noisy it is, as plain JSON values.
-
-    The noise is over the pixels that the object covers wholly: `noise_mse` the mean squared standard error of radiance,
-    `relative_noise` its root over the mean of the radiance, `error_vs_time` how that fell: the rows of `history`
-    [rows,3].
-    """
-    noise = np.asarray(standard_error[coverage >= 1.0], np.float64)
-    return {
-        "width": camera.width,
-        "height": camera.height,
-        "eye": camera.eye.tolist(),
-        "target": camera.target.tolist(),
-        "up": camera.up.tolist(),
-        "fov": camera.fov,
-        "noise_mse": float(np.mean(noise**2)) if noise.size else 0.0,
-        "relative_noise": relative_noise(image, standard_error, coverage),
-        "error_vs_time": {"columns": ["seconds", "walks", "relative noise"], "rows": history.tolist()},
-    }
-
-
-def as_text(report: dict[str, Any]) -> str:
-    """The report as indented JSON, each list of numbers on a line; numbers that are not finite, which JSON does not
-    know, become null.
-    """
-    return _NUMBERS.sub(_on_a_line, json.dumps(_finite(report), indent=2, allow_nan=False))
-
-
-def write_report(report: dict[str, Any], path: str | Path) -> None:
-    """Write a report as JSON, whole or not at all; raises StorageError if the place cannot be written."""
-    with replacing(path) as part:
-        part.write_text(as_text(report) + "\n", encoding="utf-8")
-
-
-def write_side_by_side(
-    image: NDArray[np.float32],
-    reference: NDArray[np.float32],
-    flip_map: NDArray[np.float32],
-    path: str | Path,
-    exposure: float = 0.0,
-) -> None:
-    """Write image [H,W,3], reference [H,W,3] and the map of FLIP [H,W] (black 0, white 1) beside one another."""
-    error = np.repeat(flip_map[..., None] * 2.0**-exposure, 3, axis=2)
-    write_image(path, np.concatenate([image, reference, error], axis=1, dtype=np.float32), exposure=exposure)
 
 
 def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: str | Path) -> None:
@@ -138,15 +76,3 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
     axes.grid(alpha=0.3, which="both")
     with replacing(path) as part:
         figure.savefig(part, dpi=150, format="png")
-
-
-def _on_a_line(found: re.Match[str]) -> str:
-    return "[" + " ".join(found.group()[1:-1].split()) + "]"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(item) for name, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

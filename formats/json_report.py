@@ -1,0 +1,37 @@
+"""Reports as JSON: lists of numbers on one line, numbers that are not finite as null."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from formats.atomic import replacing
+
+_NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
+"""A list without lists, objects or texts in indented JSON, whose texts hold no line breaks."""
+
+
+def as_text(report: dict[str, Any]) -> str:
+    """The report as indented JSON, each list of numbers on a line; numbers that are not finite, which JSON does not
+    know, become null.
+    """
+    return _NUMBERS.sub(_on_a_line, json.dumps(_finite(report), indent=2, allow_nan=False))
+
+
+def write_report(report: dict[str, Any], path: str | Path) -> None:
+    """Write a report as JSON, whole or not at all; raises StorageError if the place cannot be written."""
+    with replacing(path) as part:
+        part.write_text(as_text(report) + "\n", encoding="utf-8")
+
+
+def _on_a_line(found: re.Match[str]) -> str:
+    return "[" + " ".join(found.group()[1:-1].split()) + "]"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,38 @@
+"""The report of a path-traced picture."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prt_bake.rendering.state import relative_noise
+
+if TYPE_CHECKING:
+    from prt_bake.geometry.camera import Camera
+
+
+def rendering_report(
+    camera: "Camera",
+    image: NDArray[np.float32],
+    standard_error: NDArray[np.float32],
+    coverage: NDArray[np.float32],
+    history: NDArray[np.float64],
+) -> dict[str, Any]:
+    """From where a path-traced picture [H,W,3] was seen and how noisy it is, as plain JSON values.
+
+    The noise is over the pixels that the object covers wholly: `noise_mse` the mean squared standard error of radiance,
+    `relative_noise` its root over the mean of the radiance, `error_vs_time` how that fell: the rows of `history`
+    [rows,3].
+    """
+    noise = np.asarray(standard_error[coverage >= 1.0], np.float64)
+    return {
+        "width": camera.width,
+        "height": camera.height,
+        "eye": camera.eye.tolist(),
+        "target": camera.target.tolist(),
+        "up": camera.up.tolist(),
+        "fov": camera.fov,
+        "noise_mse": float(np.mean(noise**2)) if noise.size else 0.0,
+        "relative_noise": relative_noise(image, standard_error, coverage),
+        "error_vs_time": {"columns": ["seconds", "walks", "relative noise"], "rows": history.tolist()},
+    }
