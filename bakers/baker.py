@@ -1,6 +1,6 @@
-"""The work of every bake in fixed samples: a block of vertices in, coefficients with standard errors out.
+"""Bakes a block of vertices with a fixed number of samples at every bin: coefficients and their standard errors.
 
-A block's numbers depend on its vertices alone, not on where the cuts lie or how many workers there are.
+A block's numbers depend on its vertices alone, not on the block boundaries or the number of workers.
 """
 
 from collections.abc import Callable
@@ -10,13 +10,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.error_covariance import Frames, of_errors, shape_of
-from bakers.error_estimate import Estimator, halves_variance, held_against, neighbour_errors, suspect
-from bakers.path_traced import Account, Walks, vertices_walked_at_once, walk_block
+from bakers.error_covariance import ViewFrames, error_sums, normalised_covariance
+from bakers.error_estimate import (
+    Estimator,
+    half_buffer_variance,
+    neighbour_errors,
+    unreliable_vertices,
+    validated_variance,
+)
+from bakers.path_traced import Walks, WalkStatistics, vertices_walked_at_once, walk_block
 from bakers.plan import vertices_at_once
-from bakers.projection import DirectionPool, left_over, project, residual_variance
-from bakers.transport import as_radiance, way_in
-from formats.asset.error_covariance import ErrorShape
+from bakers.projection import DirectionPool, project, residual_variance, residuals_of
+from bakers.transport import as_radiance, transport_kind
+from formats.asset.error_covariance import ErrorCovariance
 
 Array = NDArray[np.float64]
 
@@ -31,53 +37,57 @@ class Block:
     standard_error: NDArray[np.float32]
     """[n,B], one sigma, rms over K and channels."""
     valid: NDArray[np.bool_]
-    """[n], false where the transport answered something that is not finite."""
-    bent: int
-    """Bins whose direction lay below the horizon."""
-    account: Account | None = None
-    """What random walks say beside the coefficients."""
-    more: int = 0
+    """[n], false where the transport returned values that are not finite."""
+    clamped: int
+    """Number of bins whose direction was below the horizon and was clamped to it."""
+    statistics: WalkStatistics | None = None
+    """Statistics of the random walks, for path-traced coefficients."""
+    extra_evaluations: int = 0
     """Evaluations beyond `samples` at every bin."""
-    together: NDArray[np.float32] | None = None
-    """[n], share of the squared error that all bins of a vertex have in common; None: all of it."""
-    shape: ErrorShape | None = None
-    """How the errors of each vertex hang together, where that is known."""
+    correlated: NDArray[np.float32] | None = None
+    """[n], fraction of the squared error that all bins of a vertex have in common; None means all of it."""
+    error_covariance: ErrorCovariance | None = None
+    """Error covariance of each vertex, where it is known."""
     bound: float = 1.0
-    """How many times the root mean square error `standard_error` is, such that 1.96 of it are a 95 % bound."""
+    """Factor from the rms error to `standard_error`, chosen so that 1.96 standard errors are a 95 % bound."""
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """How the light is sampled at every bin."""
+    """How the incident directions are sampled at every bin."""
 
     pool: DirectionPool
     rotation: Callable[[int, int], NDArray[np.int64]]
-    """(first vertex, last vertex) → which set of the pool each bin takes, [n,B]."""
+    """(first vertex, last vertex) → index of the direction set that each bin uses, [n,B]."""
     second_rotation: Callable[[int, int], NDArray[np.int64]] | None
-    """Another set for each bin, where the error comes from two sets, of all bins or of some."""
+    """A second set for each bin, for estimators that compare two sets at all bins or at the validation bins."""
     estimator: Estimator
-    held: Callable[[int, int], NDArray[np.int64]] | None = None
-    """(first vertex, last vertex) → bins [n,m] that are evaluated on that other set where neighbours do not tell."""
+    validation_bins: Callable[[int, int], NDArray[np.int64]] | None = None
+    """(first vertex, last vertex) → validation bins [n,m]. They are evaluated on the second set where the difference of
+    neighbouring bins is no reliable estimate.
+    """
 
 
 @dataclass(frozen=True)
 class Task:
-    """A transport and where to bake it."""
+    """A transport and the vertices and bins to bake it at."""
 
     transport: Any
     positions: Array
     """[V,3] in object space."""
     outgoing: Callable[[int, int], tuple[Array, int]]
-    """(first vertex, last vertex) → directions to the eye [n,B,3] and how many of them were bent to the horizon."""
+    """(first vertex, last vertex) → directions to the eye [n,B,3] and the number of them that were clamped to the
+    horizon.
+    """
     bins: int
     sectors: int
     sampling: Sampling | Walks
-    frames: Frames | None = None
-    """In which it is told how errors hang together; None: not at all."""
+    frames: ViewFrames | None = None
+    """View frames in which the error covariance is expressed; None: no covariance is computed."""
 
 
 def cuts(task: Task, vertices: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First and last + 1 of the blocks that these vertices, in ascending order, are baked in."""
+    """Ranges (first, last + 1) of the blocks that bake these vertices, which are in ascending order."""
     runs = np.split(vertices, np.flatnonzero(np.diff(vertices) > 1) + 1)
     size = block_size(task)
     spans = [(int(run[0]), int(run[-1]) + 1) for run in runs if len(run)]
@@ -93,88 +103,94 @@ def block_size(task: Task) -> int:
 
 def bake_block(task: Task, first: int, last: int) -> Block:
     """Bakes vertices first … last − 1."""
-    outgoing, bent = task.outgoing(first, last)
-    account, more = None, 0
+    outgoing, clamped = task.outgoing(first, last)
+    statistics, extra = None, 0
     if isinstance(task.sampling, Walks):
         positions = task.positions[first:last]
-        coefficients, squares, account = walk_block(task.transport, task.sampling, positions, outgoing, first)
-        variance, errors = squares.mean(axis=(2, 3)), _of_walks(squares)
-        sums = _sums(task, np.arange(first, last), outgoing, errors)
-        bent += account.bent
+        coefficients, squares, statistics = walk_block(task.transport, task.sampling, positions, outgoing, first)
+        variance, errors = squares.mean(axis=(2, 3)), _walk_errors(squares)
+        sums = _covariance_sums(task, np.arange(first, last), outgoing, errors)
+        clamped += statistics.clamped
     else:
-        coefficients, variance, sums, more = _sample(task, task.sampling, outgoing, first, last)
+        coefficients, variance, sums, extra = _sample(task, task.sampling, outgoing, first, last)
     with np.errstate(over="ignore"):
         rounded = coefficients.astype(np.float32)
     valid = np.asarray(np.isfinite(rounded).all(axis=(1, 2, 3)) & np.isfinite(variance).all(axis=1))
     rounded[~valid] = 0.0
     standard_error = np.sqrt(np.where(valid[:, None], variance, 0.0)).astype(np.float32)
-    shape = None if sums is None else shape_of(*sums, np.ones(len(valid)), coefficients.shape[2])
-    return Block(first, rounded, standard_error, valid, bent, account, more, shape=shape)
+    error_covariance = None
+    if sums is not None:
+        error_covariance = normalised_covariance(*sums, np.ones(len(valid)), coefficients.shape[2])
+    return Block(first, rounded, standard_error, valid, clamped, statistics, extra, error_covariance=error_covariance)
 
 
-def _of_walks(squares: Array) -> Array:
-    """Numbers [n,B,K,K·3] that vary by harmonic as variances [n,B,K,3] have it: walks tell each harmonic's apart."""
+def _walk_errors(squares: Array) -> Array:
+    """Numbers [n,B,K,K·3] that have the variances [n,B,K,3]: the estimates of different harmonics are independent."""
     n, bins, count, channels = squares.shape
     each = np.sqrt(squares)[:, :, :, None] * np.eye(count)[:, :, None]
     return np.asarray(each.reshape(n, bins, count, count * channels))
 
 
-def _sums(task: Task, vertices: NDArray[np.int64], outgoing: Array, errors: Array) -> tuple[Array, Array] | None:
-    """Sums [n,P], [n,3] that tell how such errors [n,m,K,…·3] of vertices [n] seen along outgoing [n,m,3] hang
-    together, where that is wanted.
+def _covariance_sums(
+    task: Task, vertices: NDArray[np.int64], outgoing: Array, errors: Array
+) -> tuple[Array, Array] | None:
+    """Sums [n,P] and [n,3] of error products (`bakers.error_covariance`) over errors [n,m,K,…·3] of vertices [n] seen
+    along outgoing [n,m,3]; None if the task needs no covariance.
     """
     if task.frames is None:
         return None
     n, many, count, width = errors.shape
     each = errors.reshape(n * many, count, width)
     in_view = task.frames.in_view(np.repeat(vertices, many), outgoing.reshape(-1, 3), each)
-    return of_errors(in_view.reshape(n, many, count, width))
+    return error_sums(in_view.reshape(n, many, count, width))
 
 
 def _sample(
     task: Task, sampling: Sampling, outgoing: Array, first: int, last: int
 ) -> tuple[Array, Array, tuple[Array, Array] | None, int]:
-    """Coefficients and their variance from values of Ŝ, sums that tell the shape of their errors, and evaluations
-    beyond those of every bin.
+    """Coefficients and their variance from values of Ŝ, the sums for their error covariance, and the number of
+    evaluations beyond one set per bin.
     """
     rotation, vertices = sampling.rotation(first, last), np.arange(first, last)
     values = _values(task, sampling.pool, rotation, outgoing, vertices)
-    # Answers that are not finite are found, and named, by their vertex afterwards.
+    # Values that are not finite propagate; the caller reports their vertices.
     with np.errstate(invalid="ignore", over="ignore"):
         coefficients = project(values, sampling.pool, rotation)
-        rough = residual_variance(values, coefficients, sampling.pool, rotation)
+        residual = residual_variance(values, coefficients, sampling.pool, rotation)
         if sampling.estimator == "halves" and sampling.second_rotation is not None:
             again = sampling.second_rotation(first, last)
-            more = _values(task, sampling.pool, again, outgoing, vertices)
-            other = project(more, sampling.pool, again)
+            second = _values(task, sampling.pool, again, outgoing, vertices)
+            other = project(second, sampling.pool, again)
             errors = (coefficients - other) / 2.0
-            rough = rough + residual_variance(more, other, sampling.pool, again)
-            variance = halves_variance(errors, rough, task.sectors)
-            return (coefficients + other) / 2.0, variance, _sums(task, vertices, outgoing, errors), 0
+            residual = residual + residual_variance(second, other, sampling.pool, again)
+            variance = half_buffer_variance(errors, residual, task.sectors)
+            return (coefficients + other) / 2.0, variance, _covariance_sums(task, vertices, outgoing, errors), 0
         if sampling.estimator == "residual":
-            residuals = left_over(values, coefficients, sampling.pool, rotation)
-            return coefficients, rough, _sums(task, vertices, outgoing, _of_fits(residuals, sampling.pool, rotation)), 0
+            residuals = residuals_of(values, coefficients, sampling.pool, rotation)
+            errors = _fit_errors(residuals, sampling.pool, rotation)
+            return coefficients, residual, _covariance_sums(task, vertices, outgoing, errors), 0
         errors = neighbour_errors(coefficients, task.sectors)
-        variance, sums = (errors**2).mean(axis=(2, 3)), _sums(task, vertices, outgoing, errors)
-        view = suspect(variance, rough, 0 if sampling.pool.harmonics is None else values.shape[2])
-        if not len(view) or sampling.held is None or sampling.second_rotation is None:
+        variance, sums = (errors**2).mean(axis=(2, 3)), _covariance_sums(task, vertices, outgoing, errors)
+        rows = unreliable_vertices(variance, residual, 0 if sampling.pool.harmonics is None else values.shape[2])
+        if not len(rows) or sampling.validation_bins is None or sampling.second_rotation is None:
             return coefficients, variance, sums, 0
-        at, again = sampling.held(first, last)[view], sampling.second_rotation(first, last)[view]
-        pairs = _pairs(task, sampling.pool, again, outgoing[view], vertices[view], coefficients[view], at)
-        variance[view] = held_against((pairs**2).mean(axis=(1, 2, 3)), variance[view], rough[view], at)
-        there = np.take_along_axis(outgoing[view], at[:, :, None], axis=1)
-        for whole, of_pairs in zip(sums or (), _sums(task, vertices[view], there, pairs) or (), strict=True):
-            whole[view] = of_pairs
+        at, again = sampling.validation_bins(first, last)[rows], sampling.second_rotation(first, last)[rows]
+        errors = _validation_errors(task, sampling.pool, again, outgoing[rows], vertices[rows], coefficients[rows], at)
+        variance[rows] = validated_variance((errors**2).mean(axis=(1, 2, 3)), variance[rows], residual[rows], at)
+        there = np.take_along_axis(outgoing[rows], at[:, :, None], axis=1)
+        validated = _covariance_sums(task, vertices[rows], there, errors)
+        for total, part in zip(sums or (), validated or (), strict=True):
+            total[rows] = part
         return coefficients, variance, sums, at.size * values.shape[2]
 
 
-def _of_fits(residuals: Array, pool: DirectionPool, rotation: NDArray[np.int64]) -> Array:
-    """Numbers [n,B,K,D·3] that vary as the errors of fits with residuals [n,B,D,3] (`bakers.error_covariance`)."""
+def _fit_errors(residuals: Array, pool: DirectionPool, rotation: NDArray[np.int64]) -> Array:
+    """Numbers [n,B,K,D·3] that have the variance of fits with residuals [n,B,D,3] (`bakers.error_covariance`)."""
     weighted = pool.weights[rotation][..., None] * residuals[:, :, None]
     return np.asarray(weighted.reshape(*weighted.shape[:3], -1))
 
 
-def _pairs(
+def _validation_errors(
     task: Task,
     pool: DirectionPool,
     again: NDArray[np.int64],
@@ -183,8 +199,8 @@ def _pairs(
     coefficients: Array,
     at: NDArray[np.int64],
 ) -> Array:
-    """Numbers [n,m,K,3] that vary as the errors do of the coefficients [n,B,K,3] of some bins `at` [n,m], evaluated on
-    other sets `again` [n,B].
+    """Numbers [n,m,K,3] that have the variance of the coefficients [n,B,K,3] at the bins `at` [n,m], from an evaluation
+    on the second sets `again` [n,B].
     """
     sets = np.take_along_axis(again, at, axis=1)
     values = _values(task, pool, sets, np.take_along_axis(outgoing, at[:, :, None], axis=1), vertices)
@@ -195,13 +211,13 @@ def _pairs(
 def _values(
     task: Task, pool: DirectionPool, rotation: NDArray[np.int64], outgoing: Array, vertices: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """Ŝ [n,B,D,3] of vertices [n] seen along outgoing [n,B,3], on the direction sets that `rotation` [n,B] names."""
+    """Ŝ [n,B,D,3] of vertices [n] seen along outgoing [n,B,3], on the direction sets of index `rotation` [n,B]."""
     positions = task.positions[vertices]
     directions = pool.incident.shape[1]
     expected = (*rotation.shape, directions, 3)
-    if way_in(task.transport) == "block":
-        answer = task.transport.evaluate_block(pool.incident, rotation, positions, outgoing)
-        return as_radiance(answer, expected, "evaluate_block")
+    if transport_kind(task.transport) == "block":
+        result = task.transport.evaluate_block(pool.incident, rotation, positions, outgoing)
+        return as_radiance(result, expected, "evaluate_block")
     incident = pool.incident[rotation].reshape(-1, directions, 3)
-    answer = task.transport.evaluate(incident, np.repeat(positions, rotation.shape[1], axis=0), outgoing.reshape(-1, 3))
-    return as_radiance(answer, (len(incident), directions, 3), "evaluate").reshape(expected)
+    result = task.transport.evaluate(incident, np.repeat(positions, rotation.shape[1], axis=0), outgoing.reshape(-1, 3))
+    return as_radiance(result, (len(incident), directions, 3), "evaluate").reshape(expected)

@@ -1,18 +1,18 @@
-"""How the errors of a vertex's coefficients hang together: covariance over harmonics, and the share of each channel.
+"""Error covariance of a vertex's coefficients: covariance over harmonics, and the share of each channel.
 
-Directions miss narrow detail, and what they miss weighs in every harmonic as that harmonic is in the direction of the
-detail. So errors hang together: on a trained network 89 % of the variance at a bin lies along one line among nine
-harmonics, 59 % at a vertex over all its bins, and the three channels err alike. What such an error makes of a picture
-is up to the light, by a factor of three either way; one sigma of all coefficients cannot tell.
+A set of directions misses narrow features, and a missed feature enters every harmonic by that harmonic's value in its
+direction. So the errors are correlated: on a trained network one principal component holds 89 % of the variance over
+nine harmonics at a bin, 59 % at a vertex over all its bins, and the three channels err alike. The resulting error of an
+image depends on the light, by a factor of three either way, which a single standard error cannot express.
 
-Where every bin was evaluated twice, or differs from its neighbours by noise alone, the differences are errors
-themselves. Elsewhere what a fit leaves over stands for them: with residuals r the covariance of a fit with weights W is
-W diag(r²) Wᵀ (White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 1980). Only the shape
-is taken from it, the size is estimated apart.
+Where every bin is evaluated twice, or differs from its neighbours by noise alone, the differences are samples of the
+error. Elsewhere the residuals r of the fit take their place: a fit with weights W has the covariance W diag(r²) Wᵀ
+(White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica 1980). Only the normalised matrix is
+used; the variance is estimated separately.
 
-All of it is told in the frame of each view, in which the errors of one bin are most like those of the next.
+All covariances are in the frame of each view, in which the errors of neighbouring bins are most alike.
 
-A covariance is kept as its lower triangle row by row: P = K(K+1)/2 numbers.
+A covariance is stored as its lower triangle, row by row: P = K(K+1)/2 numbers.
 """
 
 import math
@@ -24,38 +24,40 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from formats.asset.error_covariance import ErrorShape, pairs, triangle
+from formats.asset.error_covariance import ErrorCovariance, pairs, triangle
 
 Array = NDArray[np.float64]
 
 TINY = 1e-280
-"""Sums of squares up to here are no error of which a shape could be told."""
-MOST_ROWS, A_ROW, LEARNED_FROM = 64, 16, 1 << 14
-"""Rows that the shapes of all vertices are gathered into, vertices for each of them, and vertices that say which: on
-two bakes of a trained network 16 rows tell no less than one for each vertex.
+"""Sums of squares below this are too small to estimate a covariance from."""
+MOST_CLUSTERS, VERTICES_PER_CLUSTER, MOST_TRAINING_VERTICES = 64, 16, 1 << 14
+"""Most clusters that the covariances of all vertices are grouped into, vertices per cluster, and most vertices that the
+clustering is trained on. On two bakes of a trained network 16 clusters are as accurate as one covariance per vertex.
 """
 
 
-class Frames(Protocol):
-    """The frames of views, of which an object's harmonics know and this floor does not."""
+class ViewFrames(Protocol):
+    """Rotations into the frames of views; the harmonics are not known to this package."""
 
     def in_view(self, vertices: NDArray[np.int64], outgoing: Array, coefficients: Array) -> Array:
-        """Coefficients [M,K,C] of the world's frame in those of these vertices [M] as seen along outgoing [M,3]."""
+        """Coefficients [M,K,C] rotated from the world frame into the view frames of vertices [M] seen along outgoing
+        [M,3].
+        """
 
     def matrices(self, vertices: NDArray[np.int64], outgoing: Array, count: int) -> Array:
-        """What takes K = `count` coefficients there, [M,K,K]."""
+        """Matrices [M,K,K] of that rotation for K = `count` coefficients."""
 
 
-def joined_shapes(parts: Sequence[ErrorShape]) -> ErrorShape:
-    """Of the vertices of several parts, one after the other."""
+def concatenated(parts: Sequence[ErrorCovariance]) -> ErrorCovariance:
+    """Concatenates covariances of consecutive vertices."""
     covariance, channels, apart = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("covariance", "channels", "apart")
     )
-    return ErrorShape(covariance, channels, apart)
+    return ErrorCovariance(covariance, channels, apart)
 
 
 def packed(matrices: NDArray[np.floating]) -> NDArray[np.floating]:
-    """The lower triangles [...,P] of symmetric matrices [...,K,K]."""
+    """Lower triangles [...,P] of symmetric matrices [...,K,K]."""
     rows, columns = triangle(matrices.shape[-1])
     return matrices[..., rows, columns]
 
@@ -69,42 +71,47 @@ def unpacked(triangles: NDArray[np.floating], count: int) -> Array:
     return matrices
 
 
-def products(weights: Array) -> Array:
-    """W_kd W_ld [D,P] for each direction d of weights [K,D]: squared residuals [D] times this are a covariance."""
+def weight_products(weights: Array) -> Array:
+    """W_kd W_ld [D,P] for each direction d of weights [K,D]; squared residuals [D] times this are a covariance."""
     rows, columns = triangle(len(weights))
     return np.ascontiguousarray((weights[rows] * weights[columns]).T)
 
 
 def trace(triangles: NDArray[np.floating], count: int) -> Array:
-    """Traces [...] of symmetric matrices by their lower triangles [...,P]."""
+    """Traces [...] of symmetric matrices given as lower triangles [...,P]."""
     rows, columns = triangle(count)
     return np.asarray(triangles[..., rows == columns].sum(axis=-1), np.float64)
 
 
-def turned(triangles: Array, turns: Array) -> Array:
-    """T C Tᵀ [M,P] of covariances [M,P] and matrices T [M,K,K], or one [K,K]."""
-    matrices = unpacked(triangles, turns.shape[-1])
-    return np.asarray(packed(turns @ matrices @ np.swapaxes(turns, -1, -2)))
+def rotated(triangles: Array, rotations: Array) -> Array:
+    """T C Tᵀ [M,P] of covariances C [M,P] and matrices T [M,K,K], or one T [K,K]."""
+    matrices = unpacked(triangles, rotations.shape[-1])
+    return np.asarray(packed(rotations @ matrices @ np.swapaxes(rotations, -1, -2)))
 
 
-def of_errors(errors: Array, channels: int = 3) -> tuple[Array, Array]:
-    """Σ e_k e_l [n,P] and Σ e² [n,C] of errors [n,m,K,…·C], over all else."""
+def error_sums(errors: Array, channels: int = 3) -> tuple[Array, Array]:
+    """Σ e_k e_l [n,P] and Σ e² [n,C] of errors [n,m,K,…·C], summed over all other axes."""
     n, many, count, width = errors.shape
     by_harmonic = errors.transpose(0, 2, 1, 3).reshape(n, count, many * width)
     squares = (errors**2).sum(axis=(1, 2)).reshape(n, width // channels, channels).sum(axis=1)
     return np.asarray(packed(by_harmonic @ by_harmonic.transpose(0, 2, 1))), squares
 
 
-def of_residuals(residuals: Array, products: Array) -> tuple[Array, Array]:
-    """The same [M,P], [M,C] of each bin, of what fits leave over [M,D,C]; `products` [D,P] of the fit's weights."""
+def residual_sums(residuals: Array, products: Array) -> tuple[Array, Array]:
+    """The same sums [M,P] and [M,C] of each bin from the residuals [M,D,C] of its fit; `products` [D,P] belong to the
+    fit's weights.
+    """
     squares = residuals**2
     return squares.sum(axis=2) @ products, squares.sum(axis=1)
 
 
-def shape_of(covariance: Array, channels: Array, apart: NDArray[np.floating], count: int) -> ErrorShape:
-    """The shape of sums [n,P], [n,C] of any size; `apart` [n,2], or [n] of vertices that err by themselves.
+def normalised_covariance(
+    covariance: Array, channels: Array, apart: NDArray[np.floating], count: int
+) -> ErrorCovariance:
+    """Normalises sums [n,P] and [n,C]. `apart` [n,2] are the independent fractions of the variance of bins and
+    vertices, or [n] of bins alone if vertices are independent.
 
-    Where there is no error, or it is not finite, harmonics err apart and channels alike.
+    Without a finite, positive error the harmonics are uncorrelated and the channels equal.
     """
     size, total = trace(covariance, count), channels.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -114,51 +121,55 @@ def shape_of(covariance: Array, channels: Array, apart: NDArray[np.floating], co
         shares = np.where(known[:, None], channels * (channels.shape[1] / total)[:, None], 1.0)
     apart = np.where(np.isfinite(apart), np.clip(apart, 0.0, 1.0), 0.0)
     each = np.column_stack([apart, np.ones(len(apart))]) if apart.ndim == 1 else apart
-    return ErrorShape(scaled.astype(np.float32), shares.astype(np.float32), each.astype(np.float32))
+    return ErrorCovariance(scaled.astype(np.float32), shares.astype(np.float32), each.astype(np.float32))
 
 
-def unshaped(n: int, count: int, channels: int = 3) -> ErrorShape:
-    """Of n vertices of whose errors only the size is known: bins and vertices err alike, which is the safe side."""
-    shape = shape_of(np.zeros((n, pairs(count))), np.zeros((n, channels)), np.zeros(n), count)
-    return ErrorShape(shape.covariance, shape.channels, np.zeros_like(shape.apart))
+def unknown_covariance(n: int, count: int, channels: int = 3) -> ErrorCovariance:
+    """Covariance of n vertices of which only the variance is known: bins and vertices are fully correlated, the
+    conservative choice.
+    """
+    errors = normalised_covariance(np.zeros((n, pairs(count))), np.zeros((n, channels)), np.zeros(n), count)
+    return ErrorCovariance(errors.covariance, errors.channels, np.zeros_like(errors.apart))
 
 
-def gathered(shape: ErrorShape, size: Array) -> ErrorShape:
-    """The shapes of V vertices, a row each, in a few rows: means of those that are alike, weighted by the mean variance
-    of each vertex, `size` [V].
+def clustered(errors: ErrorCovariance, size: Array) -> ErrorCovariance:
+    """Clusters the covariances of V vertices into a few rows: means of similar ones, weighted by the mean variance
+    `size` [V] of each vertex.
     """
     from scipy.cluster.vq import vq
 
     size = size if size.any() else np.ones(len(size))
     known = np.flatnonzero(size > 0.0)
-    some = known[:: max(1, len(known) // LEARNED_FROM)]
-    centres = _centres(_features(shape.of(some)), int(np.clip(len(known) // A_ROW, 1, MOST_ROWS)))
+    some = known[:: max(1, len(known) // MOST_TRAINING_VERTICES)]
+    centres = _centres(
+        _features(errors.at_vertices(some)), int(np.clip(len(known) // VERTICES_PER_CLUSTER, 1, MOST_CLUSTERS))
+    )
     row, sums, total = np.zeros(len(size), np.int64), np.zeros_like(centres), np.zeros(len(centres))
-    for first in range(0, len(size), LEARNED_FROM):
-        block = np.arange(first, min(first + LEARNED_FROM, len(size)))
-        features = _features(shape.of(block))
+    for first in range(0, len(size), MOST_TRAINING_VERTICES):
+        block = np.arange(first, min(first + MOST_TRAINING_VERTICES, len(size)))
+        features = _features(errors.at_vertices(block))
         row[block] = vq(features, centres)[0]
         weight = csr_array((size[block], (row[block], np.arange(len(block)))), shape=(len(centres), len(block)))
         sums, total = sums + weight @ features, total + weight.sum(axis=1)
     used, row = np.unique(row, return_inverse=True)
     means = np.divide(sums, total[:, None], out=centres, where=total[:, None] > 0.0)[used]
-    covariance, channels, apart = np.split(means, np.cumsum(_widths(shape)), axis=1)
-    covariance = (covariance / _scale(shape)).astype(np.float32)
-    return ErrorShape(covariance, channels.astype(np.float32), apart.astype(np.float32), row)
+    covariance, channels, apart = np.split(means, np.cumsum(_widths(errors)), axis=1)
+    covariance = (covariance / _scale(errors)).astype(np.float32)
+    return ErrorCovariance(covariance, channels.astype(np.float32), apart.astype(np.float32), row)
 
 
-def _features(shape: ErrorShape) -> Array:
-    """What shapes are alike in, a row a vertex."""
-    return np.column_stack([shape.covariance * _scale(shape), shape.channels, shape.apart]).astype(np.float64)
+def _features(errors: ErrorCovariance) -> Array:
+    """Feature vectors for the clustering, a row per vertex."""
+    return np.column_stack([errors.covariance * _scale(errors), errors.channels, errors.apart]).astype(np.float64)
 
 
-def _widths(shape: ErrorShape) -> tuple[int, int]:
-    return shape.covariance.shape[1], shape.channels.shape[1]
+def _widths(errors: ErrorCovariance) -> tuple[int, int]:
+    return errors.covariance.shape[1], errors.channels.shape[1]
 
 
-def _scale(shape: ErrorShape) -> Array:
-    """What a number of a lower triangle counts for in the distance of two matrices of trace 1."""
-    count = _count(shape.covariance)
+def _scale(errors: ErrorCovariance) -> Array:
+    """Scale of each entry of a lower triangle, so that distances equal those of matrices of trace 1."""
+    count = _count(errors.covariance)
     rows, columns = triangle(count)
     return np.asarray(np.where(rows == columns, 1.0, np.sqrt(2.0)) / count, np.float64)
 
@@ -169,22 +180,22 @@ def _count(triangles: NDArray[np.floating]) -> int:
 
 
 def _centres(features: Array, most: int) -> Array:
-    """Means of the rows that are alike, at most so many."""
+    """Cluster centres of the rows, at most `most`."""
     from scipy.cluster.vq import kmeans2
 
-    kinds = np.unique(features, axis=0)
-    if len(kinds) <= most:
-        return kinds
-    with warnings.catch_warnings(action="ignore", category=UserWarning):  # of a mean that nothing belongs to
-        return np.asarray(kmeans2(kinds, most, minit="++", seed=0)[0])
+    distinct = np.unique(features, axis=0)
+    if len(distinct) <= most:
+        return distinct
+    with warnings.catch_warnings(action="ignore", category=UserWarning):  # warning about an empty cluster
+        return np.asarray(kmeans2(distinct, most, minit="++", seed=0)[0])
 
 
-def both(first: ErrorShape, size: Array, covariance: Array, channels: Array) -> ErrorShape:
-    """Of errors of shapes `first`, a row a vertex, of mean variance `size` [V], and others beside, which bins and
-    vertices have in common: sums [V,P], [V,C] over the same number of bins and channels that `size` is a mean over.
+def added_covariance(first: ErrorCovariance, size: Array, covariance: Array, channels: Array) -> ErrorCovariance:
+    """Covariance of two independent errors. The first, normalised, has the mean variance `size` [V]; the second, given
+    by sums [V,P] and [V,C] over as many bins and channels, is common to all bins and vertices.
     """
     count = _count(covariance)
-    more = trace(covariance, count) / count
-    apart = first.apart * np.divide(size, size + more, out=np.zeros_like(size), where=size > 0.0)[:, None]
+    added = trace(covariance, count) / count
+    apart = first.apart * np.divide(size, size + added, out=np.zeros_like(size), where=size > 0.0)[:, None]
     summed = first.covariance * size[:, None] + covariance, first.channels * size[:, None] + channels
-    return shape_of(*summed, apart, count)
+    return normalised_covariance(*summed, apart, count)

@@ -1,4 +1,4 @@
-"""Directions to the eye that lie below a surface, and the bend that brings them above it."""
+"""Clamps directions to the eye that are below a surface to its horizon."""
 
 from dataclasses import dataclass
 
@@ -11,44 +11,44 @@ LOWEST_COSINE = 1e-3
 
 @dataclass(frozen=True)
 class VertexFaces:
-    """Unit normals of the faces around each vertex, vertex after vertex: those of v lie at starts[v] to starts[v+1]."""
+    """Unit normals of the faces around each vertex, vertex by vertex: those of v are at starts[v] to starts[v+1]."""
 
     normals: Array
     starts: NDArray[np.int64]
 
 
 def vertex_faces(vertices: int, faces: NDArray[np.integer], face_normals: Array) -> VertexFaces:
-    """Gathers face_normals [F,3] around the vertices that faces [F,3] name, lowest face first."""
+    """Gathers face_normals [F,3] around the vertices of faces [F,3], lowest face first."""
     corners = np.asarray(faces, dtype=np.int64).reshape(-1)
     order = np.argsort(corners, kind="stable")
     starts = np.concatenate(([0], np.cumsum(np.bincount(corners, minlength=vertices))))
     return VertexFaces(np.asarray(face_normals, dtype=np.float64)[order // 3], starts)
 
 
-def faces_about(places: Array, faces: NDArray[np.integer], face_normals: Array) -> VertexFaces:
-    """The same for vertices that are each alike in a row of `places` [V,m] where they are one point of a surface: such
-    vertices have all the faces around that point.
+def merged_vertex_faces(places: Array, faces: NDArray[np.integer], face_normals: Array) -> VertexFaces:
+    """The same where vertices with equal rows of `places` [V,m] are one point of a surface: each has all faces around
+    that point.
     """
     vertices = len(places)
-    # Alike rows have alike sums, and sums are much faster to sort than rows.
+    # Equal rows have equal sums, and sums are much faster to sort than rows.
     if len(np.unique((places * np.sqrt(2.0 + np.arange(places.shape[1]))).sum(axis=1))) == vertices:
         return vertex_faces(vertices, faces, face_normals)
     _unique, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
     same = first[inverse.reshape(-1)]
     merged = vertex_faces(vertices, same[faces], face_normals)
-    many = np.diff(merged.starts)[same]
-    starts = np.concatenate(([0], np.cumsum(many)))
-    within = np.arange(starts[-1]) - np.repeat(starts[:-1], many)
-    return VertexFaces(merged.normals[np.repeat(merged.starts[same], many) + within], starts)
+    counts = np.diff(merged.starts)[same]
+    starts = np.concatenate(([0], np.cumsum(counts)))
+    within = np.arange(starts[-1]) - np.repeat(starts[:-1], counts)
+    return VertexFaces(merged.normals[np.repeat(merged.starts[same], counts) + within], starts)
 
 
-def bend_to_horizon(outgoing: Array, around: VertexFaces, first_vertex: int) -> tuple[Array, int]:
-    """Bends outgoing [n,B,3] at vertices from first_vertex on up to the horizon; returns them and how many were bent.
+def clamp_to_horizon(outgoing: Array, around: VertexFaces, first_vertex: int) -> tuple[Array, int]:
+    """Clamps outgoing [n,B,3] at vertices from first_vertex on to the horizon; returns them and how many were clamped.
 
-    Of the faces around a vertex the one with the largest ωo·n counts (the lowest on a tie). Where that is not positive
-    the direction is turned in the plane of ωo and n until ωo·n = 10⁻³. A vertex without faces has no horizon.
+    The face around a vertex with the largest ωo·n decides (the lowest index on a tie). If that is not positive, the
+    direction is turned in the plane of ωo and n until ωo·n = 10⁻³. A vertex without faces has no horizon.
     """
-    bent = outgoing.copy()
+    clamped = outgoing.copy()
     count = 0
     for row in range(len(outgoing)):
         first, last = around.starts[first_vertex + row : first_vertex + row + 2]
@@ -59,17 +59,17 @@ def bend_to_horizon(outgoing: Array, around: VertexFaces, first_vertex: int) -> 
         below = np.flatnonzero(cosines.max(axis=1) <= 0.0)
         if below.size:
             highest = normals[cosines[below].argmax(axis=1)]
-            bent[row, below] = _turned_up(outgoing[row, below], highest)
+            clamped[row, below] = _clamped(outgoing[row, below], highest)
             count += below.size
-    return bent, count
+    return clamped, count
 
 
-def _turned_up(directions: Array, normals: Array) -> Array:
+def _clamped(directions: Array, normals: Array) -> Array:
     along = directions - (directions * normals).sum(axis=-1, keepdims=True) * normals
     length = np.linalg.norm(along, axis=-1, keepdims=True)
-    # Straight down there is no plane of ωo and n: any tangent serves, here one square to the smallest component.
+    # A direction along −n spans no plane with n: use a tangent orthogonal to the axis of n's smallest component.
     axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
-    aside = np.cross(normals, axis)
-    aside /= np.linalg.norm(aside, axis=-1, keepdims=True)
-    tangent = np.where(length > 1e-12, along / np.maximum(length, 1e-300), aside)
+    fallback = np.cross(normals, axis)
+    fallback /= np.linalg.norm(fallback, axis=-1, keepdims=True)
+    tangent = np.where(length > 1e-12, along / np.maximum(length, 1e-300), fallback)
     return np.asarray(np.sqrt(1.0 - LOWEST_COSINE**2) * tangent + LOWEST_COSINE * normals)

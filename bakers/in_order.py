@@ -1,4 +1,4 @@
-"""Work on several threads, results in order."""
+"""Runs work on several threads and yields results in order."""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
@@ -15,10 +15,10 @@ def in_order(
     workers: int,
     ahead: Callable[[], int] | None = None,
 ) -> Generator[Result, None, None]:
-    """Yields work(item) for every item, in order, computed by `workers` threads ahead of what is asked for: by as many
-    items as there are threads, or as `ahead()` says.
+    """Yields work(item) for every item, in order, computed by `workers` threads ahead of the consumer: by as many items
+    as there are threads, or as `ahead()` returns.
 
-    Whatever the work raises is raised here. Closing the iterator waits for what is under way.
+    Exceptions of the work are raised here. Closing the iterator waits for the running items.
     """
     if workers <= 1:
         for item in items:

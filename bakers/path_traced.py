@@ -1,9 +1,9 @@
-"""Coefficients straight from random walks, a_lm = E[throughput · Y_lm(exit)]: no directions, no projection, no network.
+"""Coefficients estimated directly by random walks, a_lm = E[throughput · Y_lm(exit)], without directions or a network.
 
-Nothing is fitted and nothing left out, so that such a bake is the reference for every other. Each bin has walks of its
-own; their standard errors are those of independent walks, and their rms over K and channels is that of the true errors
-(measured on six scenes, 64 and 256 walks a bin against 8192: stated over true 0.98 to 1.05, 98 to 100 % of the bins'
-rms within 1.96: an rms of many numbers scatters less than one does).
+The estimate is unbiased, so such a bake is the reference for every other. Each bin has its own walks; the rms of their
+standard errors over K and channels matches the true errors (measured on six scenes, 64 and 256 walks per bin against
+8192: stated over true 0.98 to 1.05; 98 to 100 % of the bins' rms errors are within 1.96, since an rms of many numbers
+varies less than one number).
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from bakers.transport import WalkBlockTransport, as_radiance
 Array = NDArray[np.float64]
 
 WALKS_AT_ONCE = 1 << 17
-"""In one block: enough to keep many cores busy, few enough that a bake stops soon when it is asked to."""
+"""Walks per block: enough to keep many cores busy, few enough that a bake stops soon after a request."""
 
 
 @dataclass(frozen=True)
@@ -28,28 +28,28 @@ class Walks:
     degree: int
     paths: int
     seed: Callable[[int], int]
-    """Vertex → its own seed."""
+    """Vertex → its seed."""
 
 
 @dataclass(frozen=True)
-class Account:
-    """What walks say beside the coefficients, added up over bins."""
+class WalkStatistics:
+    """Statistics of random walks, summed over bins."""
 
     bins: int = 0
-    bent: int = 0
-    """Bins that the transport itself bent to its horizon."""
+    clamped: int = 0
+    """Bins whose direction the transport itself clamped to its horizon."""
     unreliable: int = 0
     """Bins whose error bars cannot be trusted at this number of walks."""
     unscattered: float = 0.0
-    """Shares of the view that go straight through, which are in no coefficient."""
+    """Unscattered fraction of the view ray, which is in no coefficient."""
     lost: float = 0.0
-    """Throughput of walks that were cut."""
+    """Throughput of truncated walks."""
 
-    def __add__(self, other: "Account") -> "Account":
-        return Account(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+    def __add__(self, other: "WalkStatistics") -> "WalkStatistics":
+        return WalkStatistics(**{name: value + getattr(other, name) for name, value in vars(self).items()})
 
     def as_json(self) -> dict[str, float | int]:
-        """Means over the bins, and how many were unreliable."""
+        """Means over the bins, and the number of unreliable ones."""
         bins = max(1, self.bins)
         return {
             "unscattered": self.unscattered / bins,
@@ -65,11 +65,10 @@ def vertices_walked_at_once(bins: int, paths: int) -> int:
 
 def walk_block(
     transport: Any, walks: Walks, positions: Array, outgoing: Array, first_vertex: int
-) -> tuple[Array, Array, Account]:
-    """Coefficients [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], their variances alike, and the account.
+) -> tuple[Array, Array, WalkStatistics]:
+    """Coefficients [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], their variances [n,B,K,3], and statistics.
 
-    A vertex's numbers depend on its own seed and not on what it is baked with. Raises QueryError where the transport
-    answers in another shape.
+    A vertex's numbers depend on its own seed alone. Raises QueryError if the transport returns another shape.
     """
     seeds = [walks.seed(first_vertex + row) for row in range(len(positions))]
     shape = (*outgoing.shape[:2], (walks.degree + 1) ** 2, 3)
@@ -77,17 +76,17 @@ def walk_block(
         estimate = transport.estimate_block(positions, outgoing, walks.degree, walks.paths, seeds)
         mean = as_radiance(estimate.mean, shape, "estimate_block")
         error = as_radiance(estimate.standard_error, shape, "estimate_block")
-        account = estimate.account
+        statistics = estimate.statistics
     else:
         mean, error = _vertex_by_vertex(transport, walks, positions, outgoing, seeds)
-        account = Account(bins=mean.shape[0] * mean.shape[1])
-    return mean.astype(np.float64), np.asarray(error, np.float64) ** 2, account
+        statistics = WalkStatistics(bins=mean.shape[0] * mean.shape[1])
+    return mean.astype(np.float64), np.asarray(error, np.float64) ** 2, statistics
 
 
 def _vertex_by_vertex(
     transport: Any, walks: Walks, positions: Array, outgoing: Array, seeds: list[int]
 ) -> tuple[Array, Array]:
-    """Mean and standard error [n,B,K,3] of a transport that is asked for one vertex after the other."""
+    """Mean and standard error [n,B,K,3] of a transport that is evaluated one vertex at a time."""
     means, errors = [], []
     bins = outgoing.shape[1]
     expected = (bins, (walks.degree + 1) ** 2, 3)

@@ -1,23 +1,23 @@
-"""What a bake will do before it does it: its size, how it is cut into blocks, and what it leaves out."""
+"""Size of a bake before it runs: evaluations, bytes, block size, and what pruning leaves out."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 BYTES_AT_ONCE = 8 << 20
-"""Values of Ŝ held at once by one worker."""
+"""Bytes of Ŝ that one worker holds at once."""
 
 
 @dataclass(frozen=True)
-class Item:
+class PrunableItem:
     """Something that a scene may not need."""
 
     item: str
     reason: str
-    """What was seen that speaks for leaving it out, or against."""
+    """The measurement that speaks for or against leaving it out."""
     saving: str
-    """What the asset or the bake has less of; empty where it is kept."""
+    """What the asset or the bake saves; empty where the item is kept."""
     cost: str
-    """What it took to find out, and the error that it adds."""
+    """The cost of the measurement, and the error that leaving it out adds."""
 
     def as_json(self) -> dict[str, str]:
         """Plain values for a report."""
@@ -26,7 +26,7 @@ class Item:
 
 @dataclass(frozen=True)
 class BakePlan:
-    """Sizes of a bake; evaluations are counted as `evaluate` alone would be called (walks, for a path tracer)."""
+    """Sizes of a bake; evaluations are counted as calls of `evaluate` (walks, for a path tracer)."""
 
     vertices: int
     bins: int
@@ -36,11 +36,11 @@ class BakePlan:
     raw_bytes: int
     """Coefficients before compression, as stored."""
     seconds: float | None
-    """From the beginning to the asset, as a few blocks foretell it; None if none was baked."""
+    """Predicted duration of the whole bake, from a few blocks; None if none was baked."""
     seconds_between: tuple[float, float] | None = None
-    """What it hardly falls short of and hardly exceeds; None where nothing tells."""
-    left_out: list[Item] = field(default_factory=list)
-    kept: list[Item] = field(default_factory=list)
+    """Range that the duration is very likely in; None if unknown."""
+    left_out: list[PrunableItem] = field(default_factory=list)
+    kept: list[PrunableItem] = field(default_factory=list)
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a report."""
@@ -50,8 +50,8 @@ class BakePlan:
 def plan_bake(
     vertices: int, bins: int, count: int, samples: int, bytes_each: int = 2, channels: int = 3, views: int | None = None
 ) -> BakePlan:
-    """The sizes of baking `count` coefficients × channels at vertices × bins from `samples` directions each, of which
-    the asset keeps `views`, all by default.
+    """Sizes of a bake of `count` coefficients × channels at vertices × bins from `samples` directions each. The asset
+    stores `views` of the bins, all by default.
     """
     queries, kept = vertices * bins, vertices * (bins if views is None else views)
     return BakePlan(vertices, bins, count, samples, queries * samples, kept * count * channels * bytes_each, None)

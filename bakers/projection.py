@@ -1,8 +1,8 @@
-"""From values of Ŝ in a set of directions to coefficients in a basis: a_k = Σ_d W_kd Ŝ(ω_d).
+"""Projects values of Ŝ in a set of directions on a basis: a_k = Σ_d W_kd Ŝ(ω_d).
 
-Two kinds of weights W. `fitted`: least squares, (YᵀY)⁻¹Yᵀ, which recovers every band-limited Ŝ exactly and, over a
-rotation that is uniform on SO(3), stays unbiased (the averaged operator commutes with rotations and is exact on the
-band). Equal: 4π/D Yᵀ, plain Monte Carlo.
+Two kinds of weights W. `fitted`: least squares, (YᵀY)⁻¹Yᵀ, which reproduces every band-limited Ŝ exactly and is
+unbiased over rotations uniform on SO(3) (the averaged operator commutes with rotations and is exact on the band).
+Equal: 4π/D Yᵀ, plain Monte Carlo.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ LARGEST_CONDITION = 1e8
 
 @dataclass(frozen=True)
 class DirectionPool:
-    """R direction sets of D directions each and what projects values on them."""
+    """R sets of D directions each, and the weights that project values on them."""
 
     incident: Array
     """Unit vectors [R,D,3]."""
@@ -35,7 +35,7 @@ class DirectionPool:
 def direction_pool(incident: Array, harmonics: Array, fitted: bool) -> DirectionPool:
     """Prepares direction sets [R,D,3] with the basis evaluated on them, harmonics [R,D,K].
 
-    Raises QueryError if fitted weights are asked for and D < K, or the directions do not determine the coefficients.
+    Raises QueryError for fitted weights if D < K or the directions do not determine the coefficients.
     """
     directions, count = harmonics.shape[1:]
     if not fitted:
@@ -58,33 +58,33 @@ def direction_pool(incident: Array, harmonics: Array, fitted: bool) -> Direction
 
 
 def project(values: NDArray[np.floating], pool: DirectionPool, rotation: NDArray[np.int64]) -> Array:
-    """Coefficients [n,B,K,3], float64, of values [n,B,D,3] taken on the sets rotation [n,B] of the pool."""
+    """Coefficients [n,B,K,3], float64, of values [n,B,D,3] on the sets of index `rotation` [n,B]."""
     return pool.weights[rotation] @ values
 
 
 def residual_variance(
     values: NDArray[np.floating], coefficients: Array, pool: DirectionPool, rotation: NDArray[np.int64]
 ) -> Array:
-    """Variance [n,B] of coefficients (mean over K and channels) from what the fit leaves over.
+    """Variance [n,B] of coefficients (mean over K and channels) from the residuals of the fit.
 
-    The textbook estimate of a linear fit, s² (YᵀY)⁻¹ with s² = Σ r² / (D − K), as if the residuals were independent.
-    A lattice does better than that, so it errs on the safe side. With D = K nothing is left over and the squared
-    coefficients themselves are returned: the error is not known. Of plain sums, all is left over.
+    The textbook estimate of a linear fit, s² (YᵀY)⁻¹ with s² = Σ r² / (D − K), which assumes independent residuals. A
+    lattice has a smaller error, so the estimate is conservative. With D = K the residuals vanish and the error is
+    unknown: the squared coefficients are returned. For plain sums the values themselves are the residuals.
     """
     if pool.harmonics is None:
         return np.asarray(np.square(values, dtype=np.float64).mean(axis=(-1, -2)) * pool.variance_share)
     directions, count = pool.harmonics.shape[1:]
     if directions == count:
         return np.asarray((coefficients**2).mean(axis=(-1, -2)))
-    residual = left_over(values, coefficients, pool, rotation)
-    spread = (residual**2).sum(axis=-2).mean(axis=-1) / (directions - count)
-    return np.asarray(spread * pool.variance_share)
+    residual = residuals_of(values, coefficients, pool, rotation)
+    mean_square = (residual**2).sum(axis=-2).mean(axis=-1) / (directions - count)
+    return np.asarray(mean_square * pool.variance_share)
 
 
-def left_over(
+def residuals_of(
     values: NDArray[np.floating], coefficients: Array, pool: DirectionPool, rotation: NDArray[np.int64]
 ) -> Array:
-    """What the fit leaves of values [n,B,D,3]; of plain sums, all."""
+    """Residuals of the fit to values [n,B,D,3]; for plain sums, the values."""
     if pool.harmonics is None:
         return np.asarray(values, np.float64)
     return np.asarray(values - pool.harmonics[rotation] @ coefficients)

@@ -1,6 +1,6 @@
-"""What may be offered to a baker: three ways to answer for the transport function Ŝ(ωi; x, ωo) [1/sr].
+"""Protocols of transports: three interfaces through which a baker evaluates the transport function Ŝ(ωi; x, ωo) [1/sr].
 
-Arguments are NumPy float64 arrays of unit vectors and object-space positions; answers may be NumPy arrays or torch
+Arguments are NumPy float64 arrays of unit vectors and object-space positions; results may be NumPy arrays or torch
 tensors. Axes: N queries or vertices, B view bins, D incident directions, R copies of a direction set, C = 3 channels.
 """
 
@@ -14,14 +14,14 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 
 OUTSIDE = 0.01
-"""How far a mesh may leave the model's box, in sides of it."""
+"""How far a mesh may leave the model's box, in sides of the box."""
 
-WayIn = Literal["coefficients", "block", "evaluate"]
+TransportKind = Literal["coefficients", "block", "evaluate"]
 
 
 @runtime_checkable
 class Transport(Protocol):
-    """The reference way in."""
+    """The reference interface."""
 
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike, /) -> Any:
         """Ŝ [N,D,3]: incident [D,3] shared by all queries or [N,D,3], positions [N,3], outgoing [N,3]."""
@@ -29,12 +29,14 @@ class Transport(Protocol):
 
 @runtime_checkable
 class BlockTransport(Protocol):
-    """A fused way in: many bins lit from few direction sets."""
+    """A batched interface: many bins share few direction sets."""
 
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike, /
     ) -> Any:
-        """Ŝ [N,B,D,3]: bin (n, b) at positions[n], seen along outgoing[n, b], lit from incident[rotation[n, b]]."""
+        """Ŝ [N,B,D,3]: bin (n, b) at positions[n], seen along outgoing[n, b], for the directions incident[rotation[n,
+        b]].
+        """
 
 
 class CoefficientEstimate(Protocol):
@@ -51,28 +53,30 @@ class CoefficientEstimate(Protocol):
 
 @runtime_checkable
 class CoefficientTransport(Protocol):
-    """A way in past Ŝ: random walks that estimate the coefficients themselves."""
+    """An interface without Ŝ: random walks estimate the coefficients themselves."""
 
     def estimate_coefficients(
         self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seed: int, /
     ) -> CoefficientEstimate:
-        """a_lm at positions [N,3] seen along outgoing [N,3], from `paths` walks a query, keyed by `seed`."""
+        """a_lm at positions [N,3] seen along outgoing [N,3], from `paths` walks per query, keyed by `seed`."""
 
 
 @runtime_checkable
 class WalkBlockTransport(Protocol):
-    """The same for many vertices at once; offered beside `estimate_coefficients`, which says what it means."""
+    """`estimate_coefficients` for many vertices at once; offered in addition to it."""
 
     def estimate_block(
         self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seeds: Sequence[int], /
     ) -> Any:
-        """`mean` and `standard_error` [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], and the `account`
-        (`bakers.path_traced`) of what else the walks say; each vertex's numbers depend on its own of the seeds [n].
+        """`mean` and `standard_error` [n,B,K,3] at positions [n,3] seen along outgoing [n,B,3], and `statistics`
+        (`bakers.path_traced.WalkStatistics`). Each vertex's numbers depend on its own seed of `seeds` [n].
         """
 
 
-def way_in(transport: object) -> WayIn:
-    """The fastest way the object offers, found by its methods, never by its type; raises QueryError if it has none."""
+def transport_kind(transport: object) -> TransportKind:
+    """The fastest interface that the object offers, found by its methods, not its type; raises QueryError if it has
+    none.
+    """
     if isinstance(transport, CoefficientTransport):
         return "coefficients"
     if isinstance(transport, BlockTransport):
@@ -86,20 +90,26 @@ def way_in(transport: object) -> WayIn:
 
 
 def on_mesh(transport: Any, mesh: Mesh) -> Any:
-    """The transport told its object's mesh by its method `on`, if it has one."""
+    """The transport bound to its object's mesh by its method `on`, if it has one."""
     return transport.on(mesh) if hasattr(transport, "on") else transport
 
 
 def up_to(transport: Any, degree: int) -> Any:
-    """The transport told by its method `up_to`, if it has one, that coefficients to `degree` are all that is wanted: it
-    may leave out what is orthogonal to them and narrower than few directions see.
+    """The transport limited by its method `up_to`, if it has one, to coefficients up to `degree`. It may then drop
+    detail that is orthogonal to them and too narrow for few directions to resolve.
     """
     return transport.up_to(degree) if hasattr(transport, "up_to") else transport
 
 
+def transport_property(transport: Any, name: str, default: Any) -> Any:
+    """A property of the transport, such as its index of refraction, from its metadata or its attributes."""
+    metadata = getattr(transport, "metadata", None) or {}
+    return metadata.get(name, getattr(transport, name, default))
+
+
 def refuse_foreign(transport: Any, mesh: Mesh) -> None:
-    """Raise QueryError where the mesh is not the transport's own: where it leaves the box that a network was trained in
-    (beyond it a network is wild), or whatever the transport itself says of it.
+    """Raises QueryError if the mesh is not the transport's own: if it leaves the box in which a network was trained, or
+    if the transport's own method `refuse_foreign` refuses it. Outside its box a network's values are arbitrary.
     """
     if hasattr(transport, "refuse_foreign"):
         transport.refuse_foreign(mesh)
@@ -119,26 +129,29 @@ def refuse_foreign(transport: Any, mesh: Mesh) -> None:
 
 
 def prepared(transport: Any, precision: str, device: str) -> Any:
-    """The transport in its fast form, if it has one."""
+    """The transport prepared for many evaluations, if it has a method `prepared`.
+
+    Raises QueryError for a precision or device that the transport does not offer.
+    """
     if hasattr(transport, "prepared"):
         return transport.prepared(precision=precision, device=device)
     if precision != "float32" or device != "cpu":
         raise QueryError(
             f"{type(transport).__name__} can only be baked with precision float32 on the cpu, "
-            f"asked for {precision} on {device}: those are for networks"
+            f"found {precision} on {device}; those are for networks"
         )
     return transport
 
 
-def as_radiance(answer: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:
-    """A transport's answer as a NumPy array; raises QueryError if its shape is not the expected one."""
-    if hasattr(answer, "detach"):
-        answer = answer.detach().cpu()
-        answer = (answer if answer.element_size() > 2 else answer.float()).numpy()
-    radiance = np.asarray(answer)
+def as_radiance(result: Any, expected: tuple[int, ...], method: str) -> NDArray[Any]:
+    """A transport's result as a NumPy array; raises QueryError if its shape is not the expected one."""
+    if hasattr(result, "detach"):
+        result = result.detach().cpu()
+        result = (result if result.element_size() > 2 else result.float()).numpy()
+    radiance = np.asarray(result)
     if radiance.shape != expected or radiance.dtype.kind not in "fiu":
         raise QueryError(
-            f"the transport's {method} answered {radiance.dtype} of shape {radiance.shape}, "
+            f"the transport's {method} returned {radiance.dtype} of shape {radiance.shape}, "
             f"expected real numbers of shape {expected}"
         )
     return radiance

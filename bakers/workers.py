@@ -1,4 +1,4 @@
-"""Who does the work of a bake: threads of this process, or whoever else is handed it."""
+"""Workers of a bake: threads of this process, or a cluster."""
 
 from collections.abc import Callable, Generator, Iterable
 from typing import Any, Protocol, TypeVar
@@ -11,25 +11,25 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class Crew(Protocol):
-    """Does parts of a bake, several at a time; what it gives back does not depend on how many are at it."""
+class Workers(Protocol):
+    """Runs parts of a bake in parallel; the results do not depend on the number of workers."""
 
     @property
-    def workers(self) -> int:
-        """How many work at the same time."""
+    def count(self) -> int:
+        """Number of items that run at the same time."""
 
     def in_order(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Generator[Result, None, None]:
         """Yields work(item) for every item, in order; `work` runs here, in a thread, and may `do` its heavy part."""
 
     def do(self, work: Callable[..., Result], shared: tuple[Any, ...], *own: Any) -> Result:
-        """work(*shared, *own), wherever that is done. `work` is a function of a module, `shared` what many calls have
-        in common, and is never changed.
+        """work(*shared, *own), wherever a worker is free. `work` is a module-level function; `shared` holds arguments
+        that many calls have in common and that never change.
         """
 
 
-def pieces(whole: NDArray[Any], most: int, crew: Crew) -> list[NDArray[Any]]:
-    """A short piece of work cut so that all of a crew are at it: [n] in pieces of at most `most`."""
-    size = max(1, min(most, -(-len(whole) // crew.workers)))
+def split_evenly(whole: NDArray[Any], most: int, workers: Workers) -> list[NDArray[Any]]:
+    """Splits [n] into pieces of at most `most`, short enough that all workers have one."""
+    size = max(1, min(most, -(-len(whole) // workers.count)))
     return [whole[first : first + size] for first in range(0, len(whole), size)]
 
 
@@ -37,16 +37,16 @@ class Threads:
     """Threads of this process."""
 
     def __init__(self, workers: int) -> None:
-        self.workers = workers
+        self.count = workers
 
     def in_order(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Generator[Result, None, None]:
         """As many items at a time as there are workers."""
-        return in_order(work, items, self.workers)
+        return in_order(work, items, self.count)
 
     def do(self, work: Callable[..., Result], shared: tuple[Any, ...], *own: Any) -> Result:
-        """work(*shared, *own), at once."""
+        """work(*shared, *own), immediately."""
         return work(*shared, *own)
 
 
-ALONE = Threads(1)
-"""The thread that asks."""
+SINGLE_THREAD = Threads(1)
+"""The calling thread."""

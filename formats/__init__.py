@@ -1,4 +1,4 @@
-"""What lies on disk: meshes, images, scenes and assets, each a frozen record with a reader and a writer.
+"""Files on disk: meshes, images, scenes, samples and assets, each a frozen record with a reader and a writer.
 
-Nothing here computes light, and nothing here imports from the rest of the product.
+May import: nothing else of the product. Begin with `errors.py` and `atomic.py`, which every reader and writer uses.
 """

@@ -1,6 +1,6 @@
-"""Files are written whole or not at all: under another name beside the old one, and renamed when they are complete.
+"""Atomic writes: a file grows under a temporary name beside the old one and is renamed when it is complete.
 
-No library: python-atomicwrites is archived, and what a full or read-only disk means in words is here anyway.
+No library: python-atomicwrites is archived, and the messages for full and read-only disks are needed anyway.
 """
 
 import contextlib
@@ -26,15 +26,13 @@ _REASONS = {
 
 
 def storage_error(path: str | os.PathLike[str], cause: OSError) -> StorageError:
-    """Turn an operating system's error about writing `path` into one sentence."""
+    """Return the StorageError for an operating system's error while writing `path`."""
     reason = _REASONS.get(cause.errno or 0) or cause.strerror or str(cause)
     return StorageError(f"{path}: cannot be written: {reason}")
 
 
 def refuse_unwritable(path: str | os.PathLike[str]) -> None:
-    """Raise StorageError where no file can be written: the folder is missing or read-only, or `path` is no ordinary
-    file.
-    """
+    """Raise StorageError if `path` cannot be written: no such folder, a read-only folder, not an ordinary file."""
     target = Path(os.path.realpath(path))
     if not target.parent.is_dir():
         raise StorageError(f"{path}: cannot be written: the folder {target.parent} does not exist; create it first")
@@ -48,13 +46,13 @@ def refuse_unwritable(path: str | os.PathLike[str]) -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; what is written there takes the place of `path` when the block ends well.
+    """Yield a temporary path beside `path`; that file replaces `path` when the block ends without an exception.
 
-    On any exception the temporary file is removed and an older file at `path` stays as it was, byte for byte. A process
-    killed in the middle leaves the older file too, and a `.part` file beside it.
+    After any exception the temporary file is removed and an older file at `path` is unchanged. A killed process leaves
+    the older file too, and a `.part` file beside it.
 
     Raises:
-        StorageError: the folder is missing, `path` is no ordinary file, the disk is full or not writable.
+        StorageError: the folder is missing, `path` is not an ordinary file, the disk is full or read-only.
     """
     target = Path(os.path.realpath(path))
     refuse_unwritable(path)
@@ -75,14 +73,14 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def remove_parts(folder: Path, name: str = "*") -> None:
-    """Remove what killed processes have left in a folder while writing the file `name`, or any file."""
+    """Remove the temporary files that killed processes left in a folder while writing `name`, or any file."""
     for part in folder.glob(f".{name if name == '*' else glob.escape(name[:100])}.????????.part"):
         with contextlib.suppress(OSError):
             part.unlink()
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 of a file's bytes as 64 hexadecimal digits."""
+    """Return the SHA-256 of a file, 64 hexadecimal digits."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -93,10 +91,10 @@ def _flush(part: Path) -> None:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """Return `path` if it is a file that can be read.
+    """Return `path` if it is a readable file.
 
     Raises:
-        StorageError: it is missing, a folder, or not readable.
+        StorageError: it is missing, a folder, or unreadable.
     """
     try:
         with open(path, "rb"):

@@ -1,18 +1,26 @@
-"""Every fault that a user can cause, each told in one clear sentence."""
+"""The errors that a user can cause. Each message is one sentence: file, place, expected, found, what would do."""
 
 import os
 
 
 class PrtbakeError(Exception):
-    """A fault that a user can cause; `str()` says which file, where, expected, found, what to do."""
+    """The base class of every error that a user can cause.
+
+    >>> import prt_bake as prt
+    >>> try:
+    ...     prt.read_mesh("missing.ply")
+    ... except prt.PrtbakeError as error:
+    ...     print(error)
+    missing.ply: there is no such file; check the name and the folder
+    """
 
 
 class FormatError(PrtbakeError, ValueError):
-    """A file that is not what it should be."""
+    """A file whose content is not what its format requires."""
 
 
 class MeshError(FormatError):
-    """A mesh that cannot be read, or whose surface cannot be used."""
+    """A mesh file that cannot be read, or a surface that cannot be used."""
 
 
 class ImageError(FormatError):
@@ -24,34 +32,36 @@ class SceneError(FormatError):
 
 
 class LightError(FormatError):
-    """A light that is none: an unknown key, a direction without length, a negative irradiance."""
+    """An invalid light: an unknown key, a direction without length, a negative irradiance."""
 
 
 class AssetError(FormatError):
-    """An asset that is truncated, of another version, or at odds with itself."""
+    """An asset that is truncated, of another version, or inconsistent."""
 
 
 class ModelError(FormatError):
-    """A network file that is damaged, hostile or of the wrong kind."""
+    """A network file that is damaged, unsafe to load or of the wrong kind."""
 
 
 class SamplesError(FormatError):
-    """A file of samples that is truncated, of another version or scene, or at odds with itself."""
+    """A sample file that is truncated, of another version or scene, or inconsistent."""
 
 
 class QueryError(PrtbakeError, ValueError):
-    """Arguments out of their domain: points off the surface, directions below the horizon, wrong shapes."""
+    """An argument outside its domain: points off the surface, directions below the horizon, wrong shapes."""
 
 
 class StorageError(PrtbakeError, OSError):
-    """A place that cannot be read from or written to: disk full, permission missing, folder missing."""
+    """A path that cannot be read or written: disk full, permission missing, folder missing."""
 
 
 class ClusterError(PrtbakeError, RuntimeError):
-    """A cluster that cannot be reached, that has gone, or whose workers are not fit for the work."""
+    """A cluster that cannot be reached, has gone, or whose workers cannot do the work."""
 
 
 def refuse_path(name: str, value: object, reader: str) -> None:
-    """Raise QueryError where the argument `name` is a path instead of what `reader` makes of it."""
+    """Raise QueryError if the argument `name` is a path instead of the object that `reader` returns for it."""
     if isinstance(value, str | os.PathLike):
-        raise QueryError(f"{name}: the path {os.fspath(value)} where what it holds is expected; use {reader}(path)")
+        raise QueryError(
+            f"{name}: expected what {reader}(path) returns, found the path {os.fspath(value)}; read the file first"
+        )

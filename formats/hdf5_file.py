@@ -1,4 +1,7 @@
-"""Opening HDF5 files that may be anything, and telling what is wrong with them."""
+"""Opening HDF5 files of unknown content, and describing what is wrong with them.
+
+Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html, read with h5py.
+"""
 
 import os
 import re
@@ -10,44 +13,51 @@ import h5py
 from formats.atomic import existing
 from formats.errors import FormatError
 
-DAMAGE = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
 """What h5py raises on damaged files."""
-_ENDS = re.compile(r"stored_eof = (\d+)")
-"""Where HDF5 expects the end of a file that it finds truncated."""
+_EXPECTED_SIZE = re.compile(r"stored_eof = (\d+)")
+"""The size that HDF5 expects of a truncated file, in its message."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-class Damage(OSError):
-    """A part of a file that cannot be unpacked, named in words of ours."""
+class DamagedDataError(OSError):
+    """A part of a file that cannot be unpacked; the message names the part and is fit for users."""
 
 
-def open_hdf5(path: str | os.PathLike[str], fault: type[FormatError], is_not: str, remedy: str) -> Any:
+def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: str, remedy: str) -> Any:
     """Open an HDF5 file to read.
 
-    Raises `fault` for a file that is empty, truncated, damaged or of another kind: it `is_not` ("is no asset") what it
-    should be, and `remedy` ("bake it") would mend that; StorageError where there is none.
+    Args:
+        path: the file.
+        error: the class of errors to raise.
+        is_not: what a file of another kind is not, for the message: "is not an asset".
+        remedy: what would repair the file, for the message: "bake it".
+
+    Raises:
+        FormatError: `error`, if the file is empty, truncated, damaged or of another kind.
+        StorageError: the file is missing.
     """
     with open(existing(path), "rb") as file:
         signature = file.read(len(_SIGNATURE))
     if not signature:
-        raise fault(f"{path}: is empty")
+        raise error(f"{path}: is empty; expected an HDF5 file; copy or {remedy} again")
     if signature != _SIGNATURE:
-        raise fault(f"{path}: {is_not}: expected an HDF5 file, found something that begins with {signature!r}")
+        raise error(f"{path}: {is_not}: expected an HDF5 file, found a file that begins with {signature!r}")
     try:
         return h5py.File(path, "r")
-    except DAMAGE as cause:
+    except HDF5_ERRORS as cause:
         size = Path(path).stat().st_size
-        ends = _ENDS.search(str(cause))
-        if ends is not None and int(ends[1]) > size:
-            raise fault(f"{path}: is truncated: has {size} bytes of {ends[1]}; copy or {remedy} again") from cause
-        system = isinstance(cause, OSError) and cause.errno is not None
-        what = damage(cause) if system else f"is damaged or truncated, of {size} bytes"
-        raise fault(f"{path}: {what}; copy or {remedy} again") from cause
+        expected = _EXPECTED_SIZE.search(str(cause))
+        if expected is not None and int(expected[1]) > size:
+            raise error(f"{path}: is truncated: has {size} bytes of {expected[1]}; copy or {remedy} again") from cause
+        if isinstance(cause, OSError) and cause.errno is not None:
+            raise error(f"{path}: {describe_damage(cause)}; copy or {remedy} again") from cause
+        raise error(f"{path}: is damaged or truncated, {size} bytes long; copy or {remedy} again") from cause
 
 
-def damage(cause: BaseException) -> str:
-    """What was met in a damaged file, without the words of the libraries, which stay with the exception."""
-    if isinstance(cause, Damage):
+def describe_damage(cause: BaseException) -> str:
+    """Return what is wrong with a file as the end of a sentence, without the wording of h5py."""
+    if isinstance(cause, DamagedDataError):
         return f"is damaged: {cause}"
     if isinstance(cause, OSError) and cause.errno is not None:
         return f"cannot be read: {os.strerror(cause.errno)}"

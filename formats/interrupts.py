@@ -1,47 +1,48 @@
-"""Ctrl-C, kept waiting or only noticed while a library that cannot bear it is at work.
+"""Ctrl-C, deferred or turned into a flag while a library that cannot be interrupted is at work.
 
-No library: the standard library sets handlers, but does not defer a signal until a block ends.
+No library: the standard library sets handlers, but cannot defer a signal until a block ends.
 """
 
 import contextlib
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from types import FrameType
+from typing import Any
 
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """Hold an interrupt back until the block ends, then deliver it; only the main thread has interrupts."""
+    """Delay an interrupt until the block ends. Other threads than the main one receive no interrupts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    waiting: list[int] = []
-
-    def remember(number: int, frame: FrameType | None) -> None:
-        waiting.append(number)
-
-    handler = signal.signal(signal.SIGINT, remember)
+    received: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
     try:
         yield
     finally:
-        # None stands for a handler that was not set from Python, and cannot be set again from here.
-        signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)
-        if waiting:
+        _restore(handler)
+        if received:
             signal.raise_signal(signal.SIGINT)
 
 
 @contextlib.contextmanager
-def noticed() -> Iterator[Callable[[], bool]]:
-    """Yield a question that is answered with true once there was an interrupt, which then does nothing else; only the
-    main thread has interrupts.
+def interrupt_flag() -> Iterator[Callable[[], bool]]:
+    """Yield a function that returns whether there was an interrupt; the interrupt does nothing else.
+
+    Other threads than the main one receive no interrupts.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
-    seen: list[int] = []
-    handler = signal.signal(signal.SIGINT, lambda number, _: seen.append(number))
+    received: list[int] = []
+    handler = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
     try:
-        yield lambda: bool(seen)
+        yield lambda: bool(received)
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)
+        _restore(handler)
+
+
+def _restore(handler: Any) -> None:
+    """Set a handler again. None stands for one that was not set from Python, which Python cannot restore."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)

@@ -1,9 +1,9 @@
-"""Finished blocks of a long piece of work, kept beside its output until that is written: what a restart goes on from.
+"""The checkpoint store of a long computation: finished blocks, kept beside the output until it is written.
 
-A folder NAME.journal with what the work was (`identity.json`), one file a block, and a lock that is held while one
-works with it. Each block appears whole, by rename, so that a process can be killed at any moment.
+The folder NAME.journal holds the settings of the computation (`identity.json`), one file per block, and a lock file
+that is held while the store is open. Each block is written atomically, so a process can be killed at any moment.
 
-No library: caches such as joblib's and diskcache unpickle what they read, and do not tell which setting has changed.
+No library: caches such as joblib's and diskcache unpickle what they read, and do not name the setting that changed.
 """
 
 import contextlib
@@ -27,27 +27,29 @@ _IDENTITY, _LOCK = "identity.json", "lock"
 
 
 def journal_folder(output: str | os.PathLike[str]) -> Path:
-    """Where the blocks for `output` are kept: NAME.journal beside it."""
+    """Return the folder of the blocks for `output`: NAME.journal beside it."""
     return Path(output).with_name(f"{Path(output).name}.journal")
 
 
 class Journal:
-    """Blocks of named arrays by name, in a folder beside `output`; its lock is held until the context is left."""
+    """Named blocks of named arrays, in a folder beside `output` that is locked until the context ends.
+
+    Attributes:
+        folder: where the blocks are stored.
+        resumed: whether blocks of an earlier run were found.
+    """
 
     def __init__(self, output: str | os.PathLike[str], identity: Mapping[str, Any], resume: bool) -> None:
-        """Opens the journal of `output`, an empty one unless `resume`.
-
-        Attributes:
-            resumed: whether there are blocks of an earlier run.
+        """Open the store of `output`; it starts empty unless `resume`.
 
         Args:
             output: the file that the blocks are for.
-            identity: all that the blocks' numbers depend on, plain JSON values.
-            resume: keep the blocks of an earlier run of the same identity.
+            identity: everything that the blocks depend on, plain JSON values.
+            resume: keep the blocks of an earlier run with the same identity.
 
         Raises:
-            StorageError: `output` or the folder cannot be written, something else lies where the folder should, another
-                process works for the same output, or the earlier run was of another identity: says what changed.
+            StorageError: `output` or the folder cannot be written, the folder's path is taken by something else,
+                another process writes the same output, or the identity differs (the message names the settings).
         """
         self._output = Path(output)
         self.folder = journal_folder(output)
@@ -77,7 +79,7 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Lets go of the journal; the folder is removed where nothing is kept in it."""
+        """Release the lock, and remove the folder if it holds no blocks."""
         if not self.names(""):
             self._empty()
         with contextlib.suppress(OSError):
@@ -86,7 +88,7 @@ class Journal:
             self.folder.rmdir()
 
     def read(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """The block of that name, or None where there is none that can be read."""
+        """Return the block of that name, or None if there is none or it is damaged."""
         try:
             with open(self.folder / f"{name}.npz", "rb") as file, np.load(file, allow_pickle=False) as arrays:
                 return {key: arrays[key] for key in arrays.files}
@@ -94,34 +96,35 @@ class Journal:
             return None
 
     def write(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:
-        """Keeps a block; raises StorageError where the disk is full, and keeps what was there before."""
+        """Store a block atomically; raises StorageError if the disk is full."""
         self._begin()
         with replacing(self.folder / f"{name}.npz") as part, open(part, "wb") as file:
             np.savez(file, allow_pickle=False, **dict(arrays))
 
     def names(self, stage: str) -> list[str]:
-        """Names of the blocks that begin with `stage`."""
+        """Return the names of the blocks that begin with `stage`, sorted."""
         return sorted(path.stem for path in self.folder.glob(f"{stage}*.npz"))
 
     def forget(self, stage: str) -> None:
-        """Removes the blocks whose names begin with `stage`."""
+        """Remove the blocks whose names begin with `stage`."""
         for name in self.names(stage):
             (self.folder / f"{name}.npz").unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Removes all blocks; the work is done."""
+        """Remove all blocks, after the output was written."""
         self._empty()
 
     def _begin(self) -> None:
-        """Says what the work is, with the first block."""
+        """Write the identity with the first block."""
         with self._lock:
             if not (self.folder / _IDENTITY).is_file():
                 with replacing(self.folder / _IDENTITY) as part:
                     part.write_text(json.dumps(self._identity, indent=1), encoding="utf-8")
 
     def _empty(self) -> None:
-        """Removes what this class has written, the identity first: a part of the blocks is nothing to go on from, since
-        later ones are made of earlier ones.
+        """Remove every file of this class, the identity first.
+
+        Later blocks depend on earlier ones, so a process killed here must not leave blocks that look resumable.
         """
         remove_parts(self.folder)
         try:
@@ -131,15 +134,15 @@ class Journal:
             raise storage_error(self.folder, cause) from cause
 
     def _locked(self) -> FileLock:
-        """The folder, made where there is none, and its lock, held."""
+        """Create the folder if needed, and return its lock, acquired."""
         lock = FileLock(self.folder / _LOCK, timeout=0)
         try:
             self.folder.mkdir(exist_ok=True)
             lock.acquire()
         except Timeout:
             raise StorageError(
-                f"{self._output}: another process is at work on it (it holds {self.folder / _LOCK}); wait until that "
-                f"has ended, or write elsewhere"
+                f"{self._output}: another process is writing it (it holds {self.folder / _LOCK}); wait until that "
+                f"process ends, or write elsewhere"
             ) from None
         except NotImplementedError:  # a file system without locks
             pass
@@ -148,36 +151,36 @@ class Journal:
         return lock
 
     def _refuse_foreign(self) -> None:
-        """Raise StorageError where there is anything in the way that this class has not written."""
+        """Raise StorageError if the folder's path is taken by something that this class has not written."""
         if not self.folder.exists() and not self.folder.is_symlink():
             return
         if not self.folder.is_dir():
-            found = "is no folder"
+            found = "that path is not a folder"
         else:
-            strange = [path.name for path in sorted(self.folder.iterdir()) if not _own(path)]
-            if not strange:
+            foreign = [path.name for path in sorted(self.folder.iterdir()) if not _is_own(path)]
+            if not foreign:
                 return
-            found = f"holds {', '.join(strange[:3])}"
+            found = f"that folder holds {', '.join(foreign[:3])}"
         raise StorageError(
-            f"{self.folder}: finished blocks of {self._output.name} would be kept there, but it {found}, which no bake "
-            f"has left; move it elsewhere, or write to another name"
+            f"{self.folder}: expected a free path for the checkpoints of {self._output.name}, but {found}, which no "
+            f"bake has written; move it elsewhere, or write to another name"
         )
 
     def _refuse_changed(self) -> None:
-        own = self._identity
         try:
             before = json.loads((self.folder / _IDENTITY).read_text(encoding="utf-8"))
         except ValueError:
             before = {}
-        changed = sorted(key for key in own.keys() | before.keys() if own.get(key) != before.get(key))
+        now = self._identity
+        changed = sorted(key for key in now.keys() | before.keys() if now.get(key) != before.get(key))
         if changed:
-            said = "; ".join(f"{key} was {before.get(key)!r} and is {own.get(key)!r}" for key in changed)
+            differences = "; ".join(f"{key} was {before.get(key)!r} and is {now.get(key)!r}" for key in changed)
             raise StorageError(
-                f"{self._output}: cannot be resumed, since {said}; give what it was begun with, or start anew without "
-                f"resuming"
+                f"{self._output}: cannot be resumed, because {differences}; use the settings of the earlier run, or "
+                f"start again without resuming"
             )
 
 
-def _own(path: Path) -> bool:
-    """Whether a file in a journal's folder is one that it writes."""
+def _is_own(path: Path) -> bool:
+    """Whether `Journal` writes files of this name."""
     return path.name in (_IDENTITY, _LOCK) or path.suffix in (".npz", ".part")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from formats.errors import MeshError, PrtbakeError
-from formats.mesh import build_mesh, flipped, open_edges, read_mesh, signed_volume, torn_edges, write_mesh
+from formats.mesh import build_mesh, flipped, inconsistent_edges, open_edges, read_mesh, signed_volume, write_mesh
 
 
 def prepare(source: Path, out: Path, size: float, center: tuple[float, float, float]) -> None:
@@ -22,7 +22,7 @@ def prepare(source: Path, out: Path, size: float, center: tuple[float, float, fl
         StorageError: the file is missing, or the disk does not take it.
     """
     mesh = read_mesh(source, drop_flat_faces=True)
-    if faults := open_edges(mesh) + torn_edges(mesh):
+    if faults := open_edges(mesh) + inconsistent_edges(mesh):
         raise MeshError(f"{source}: {faults} edges are open or torn; close the holes first (MeshLab: Screened Poisson)")
     low, high = mesh.bounds
     scale = size / float((high - low).max())

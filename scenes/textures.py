@@ -3,20 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.scene.solid_texture import share
+from formats.scene.solid_texture import blend_weight
 
 Array = NDArray[np.float64]
 
 
 def bloom(width: int = 128) -> NDArray[np.uint8]:
     """GGX alphas [H,W] as they are stored, 0.1 to 0.45: waxy patches, rubbed off here and there."""
-    patches = share(_ball(width), "noise", 0.5, seed=4, octaves=5, thresholds=(0.3, 0.7))
+    patches = blend_weight(_ball(width), "noise", 0.5, seed=4, octaves=5, thresholds=(0.3, 0.7))
     return np.rint(255 * (0.1 + 0.35 * patches)).astype(np.uint8)
 
 
 def seed_skin(width: int = 128) -> Array:
     """Linear reflectances [H,W,3]: brown, with darker furrows."""
-    furrows = share(_ball(width) * [1.0, 0.3, 1.0], "veins", 0.5, seed=2, octaves=3)[..., None]
+    furrows = blend_weight(_ball(width) * [1.0, 0.3, 1.0], "veins", 0.5, seed=2, octaves=3)[..., None]
     skin: Array = (1 - furrows) * np.array([0.30, 0.17, 0.08]) + furrows * np.array([0.10, 0.05, 0.025])
     return skin
 

@@ -1,4 +1,4 @@
-"""What the tests of the commands share: a folder of small sound files, and a way to run a command there."""
+"""Shared fixtures: a folder of small valid files, and a function that runs a command there."""
 
 import gc
 import math
@@ -22,52 +22,52 @@ COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Where several processes share the tests, one more compiles the path tracer's kernels, and no other does."""
-    # Shells start what runs in the background with Ctrl-C ignored, and some tests send themselves one.
+    """With several test processes, compile the path tracer's kernels in one process only."""
+    # Shells start background processes with Ctrl-C ignored, but some tests send it to themselves.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if hasattr(config, "workerinput"):
         compiling.wait_where_needed()
     elif getattr(config.option, "numprocesses", None):
-        # Threads of one process that wait for work by spinning would take the cores from the other processes.
+        # Idle threads that spin would take the cores from the other processes.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
         config.stash[COMPILING] = compiling.begin()
 
 
 def pytest_collection_finish() -> None:
-    """What modules and tests have made by now stays to the end: the garbage collector need not go through it again."""
+    """Exclude all objects created so far from garbage collection; they live until the end."""
     gc.collect()
     gc.freeze()
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
-    """Raises RuntimeError where the kernels could not be compiled."""
+    """Raise RuntimeError if the compilation of the kernels failed."""
     if COMPILING in config.stash:
         compiling.end(config.stash[COMPILING])
 
 
 @pytest.fixture(scope="session")
 def compiled_kernels() -> None:
-    """Wait for the path tracer's kernels, for processes of a test's own that need them."""
+    """Wait for the path tracer's kernels, for tests that start processes which need them."""
     compiling.wait()
 
 
 @pytest.fixture
 def prtbake(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, folder: Path) -> Run:
-    """Run a command in the shared folder and return its exit code and what it printed."""
+    """Return a function that runs a command in the shared folder and returns its exit code and output."""
 
     def run(*arguments: object) -> Outcome:
         code = main([str(argument) for argument in arguments])
         return Outcome(code, *capsys.readouterr())
 
     monkeypatch.chdir(folder)
-    # What a command says of how far it is hangs on how slow the machine is.
+    # Progress lines depend on the speed of the machine.
     monkeypatch.setattr(progress, "PLAIN_INTERVAL", math.inf)
     return run
 
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A model, a mesh, a scene, a sky and an asset, all small and sound."""
+    """A model, a mesh, a scene, a sky and an asset, all small and valid."""
     from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
 
     path = tmp_path_factory.mktemp("cli")

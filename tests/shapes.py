@@ -8,7 +8,7 @@ OCTAHEDRON = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], 
 
 
 def ball(subdivisions: int, radius: float = 1.0) -> Mesh:
-    """A sphere from a subdivided octahedron: a quarter turn about any axis takes it to itself."""
+    """A sphere from a subdivided octahedron; quarter turns about the axes are symmetries."""
     positions = OCTAHEDRON
     faces = np.array([[x, y, z] for x in (0, 1) for y in (2, 3) for z in (4, 5)])
     inward = np.linalg.det(positions[faces]) < 0
@@ -30,7 +30,7 @@ def _subdivided(positions: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, n
 
 
 def ring(major: float = 1.0, minor: float = 0.4, around: int = 16, across: int = 10) -> Mesh:
-    """A torus about y: not convex, with a hole."""
+    """A torus about y."""
     u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
     phi, theta = 2 * np.pi * u / around, 2 * np.pi * v / across
     out = major + minor * np.cos(theta)

@@ -1,4 +1,4 @@
-"""What the documentation says of scene files is what they may say."""
+"""The documentation of scene files agrees with their schema."""
 
 import re
 import tomllib
@@ -11,24 +11,24 @@ from tests import ROOT
 
 TEXT = (ROOT / "docs" / "scene_files.md").read_text(encoding="utf-8")
 EXAMPLES = re.findall(r"```toml\n(.*?)```", TEXT, re.DOTALL)
-WHOLE = tomllib.loads(EXAMPLES[0])
+COMPLETE = tomllib.loads(EXAMPLES[0])
 
 
-def test_the_first_example_is_a_whole_scene() -> None:
-    assert SceneFile.model_validate(WHOLE).object.mesh == "glass.obj"
+def test_the_first_example_is_a_complete_scene() -> None:
+    assert SceneFile.model_validate(COMPLETE).object.mesh == "glass.obj"
 
 
 @pytest.mark.parametrize("example", EXAMPLES[1:], ids=[text.splitlines()[0] for text in EXAMPLES[1:]])
-def test_every_other_example_takes_its_place_in_it(example: str) -> None:
+def test_every_other_example_is_valid_within_it(example: str) -> None:
     tables: dict[str, Any] = tomllib.loads(example)
     if set(tables.get("medium", {})) == {"mix"}:
-        tables["medium"] = WHOLE["medium"] | tables["medium"]
-    SceneFile.model_validate(WHOLE | tables)
+        tables["medium"] = COMPLETE["medium"] | tables["medium"]
+    SceneFile.model_validate(COMPLETE | tables)
 
 
 @pytest.mark.parametrize("table", [SceneFile, ObjectTable, InterfaceTable, MediumTable, MixTable, InsideTable])
-def test_every_key_is_in_an_example(table: Any) -> None:
-    shown = "\n".join(EXAMPLES)
+def test_every_key_appears_in_an_example(table: Any) -> None:
+    text = "\n".join(EXAMPLES)
     for name, field in table.model_fields.items():
         key = field.alias or name
-        assert re.search(rf"^(?:{key} = |\[+(?:\w+\.)?{key}\])", shown, re.MULTILINE), key
+        assert re.search(rf"^(?:{key} = |\[+(?:\w+\.)?{key}\])", text, re.MULTILINE), key

@@ -1,4 +1,4 @@
-"""The public face and the floors behind it."""
+"""The public names of `prt_bake`, what importing them loads, and the layers of packages."""
 
 import ast
 import subprocess
@@ -21,20 +21,20 @@ def test_all_is_sorted_and_every_name_loads() -> None:
     assert [name for name in prt.__all__ if getattr(prt, name, None) is None] == []
 
 
-def test_names_of_the_design_are_there() -> None:
-    promised = (
+def test_the_documented_names_exist() -> None:
+    documented = (
         "sh project_environment read_mesh read_image read_asset write_asset load_model load_scene bake shade"
         " estimate_transport estimate_coefficients train compare"
     )
-    assert set(promised.split()) <= set(prt.__all__)
+    assert set(documented.split()) <= set(prt.__all__)
 
 
-def test_type_checkers_see_the_names_that_are_loaded_on_demand() -> None:
+def test_type_checkers_and_lazy_loading_agree_on_every_name() -> None:
     tree = ast.parse(Path(prt.__file__).read_text(encoding="utf-8"))
-    guarded = next(node for node in tree.body if isinstance(node, ast.If))
+    type_checking = next(node for node in tree.body if isinstance(node, ast.If))
     imported = {
         alias.asname or alias.name: (node.module, alias.name)
-        for node in guarded.body
+        for node in type_checking.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
@@ -46,22 +46,22 @@ def test_type_checkers_see_the_names_that_are_loaded_on_demand() -> None:
     assert sorted(imported) == prt.__all__
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+def test_an_unknown_name_raises_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no_such_name"):
         _ = prt.no_such_name
 
 
-def test_importing_the_face_loads_nothing_heavy() -> None:
+def test_importing_prt_bake_loads_no_large_package() -> None:
     program = (
         "import sys, prt_bake, prt_bake.cli.main\n"
-        "heavy = {'numpy', 'torch', 'numba', 'trimesh', 'h5py', 'OpenEXR', 'pydantic', 'rich', 'scipy'}\n"
-        "print(sorted(heavy & set(sys.modules)))"
+        "large = {'numpy', 'torch', 'numba', 'trimesh', 'h5py', 'OpenEXR', 'pydantic', 'rich', 'scipy'}\n"
+        "print(sorted(large & set(sys.modules)))"
     )
     ran = run_python(program)
     assert (ran.returncode, ran.stdout.strip(), ran.stderr) == (0, "[]", "")
 
 
-def test_shading_and_everything_it_asks_for_load_no_torch() -> None:
+def test_shading_and_its_imports_load_no_torch() -> None:
     program = (
         "import sys\n"
         "import prt_bake as prt\n"
@@ -74,7 +74,7 @@ def test_shading_and_everything_it_asks_for_load_no_torch() -> None:
     assert (ran.returncode, ran.stdout.strip()) == (0, "False"), ran.stderr
 
 
-def test_the_floors_hold() -> None:
+def test_the_import_contracts_hold() -> None:
     from importlinter.cli import EXIT_STATUS_SUCCESS, lint_imports
 
     assert lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True) == EXIT_STATUS_SUCCESS

@@ -1,4 +1,4 @@
-"""Where a path is handed in for what it holds, the sentence says what reads it."""
+"""A path in place of an object raises an error that names the function to read it with."""
 
 from collections.abc import Callable
 
@@ -31,17 +31,17 @@ LIGHT = np.zeros((9, 3))
         (lambda: prt.train("spot.toml"), "scene", "load_scene"),
     ],
 )
-def test_a_path_in_place_of_what_it_holds(call: Callable[[], object], name: str, reader: str) -> None:
-    with pytest.raises(QueryError, match=rf"{name}.*: the path .* use prt\.{reader}\(path\)$"):
+def test_a_path_is_refused_with_the_name_of_its_reader(call: Callable[[], object], name: str, reader: str) -> None:
+    with pytest.raises(QueryError, match=rf"{name}.*: expected what prt\.{reader}\(path\) returns, found the path .*"):
         call()
     assert reader in prt.__all__
 
 
-def test_a_treatment_in_place_of_suns() -> None:
+def test_a_method_is_refused_in_place_of_suns() -> None:
     with pytest.raises(QueryError, match=r"suns: 'split' where directional lights are expected.*suns_apart"):
         prt.shade(ASSET, LIGHT, [0, 0, 9], suns="split")
 
 
-def test_one_light_need_not_stand_in_a_list() -> None:
-    one, listed = prt.read_lighting("sun:0,1,0"), prt.read_lighting(["sun:0,1,0"])
-    np.testing.assert_array_equal(one.suns[0].direction, listed.suns[0].direction)
+def test_a_single_light_equals_a_list_of_one() -> None:
+    single, listed = prt.read_lighting("sun:0,1,0"), prt.read_lighting(["sun:0,1,0"])
+    np.testing.assert_array_equal(single.suns[0].direction, listed.suns[0].direction)

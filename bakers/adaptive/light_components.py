@@ -1,14 +1,13 @@
-"""Bins that are made of what was learned of a vertex's light: some are evaluated in many directions, others in few,
-by what they have in common with those.
+"""Integrates bins by fitting them to principal components of their vertex's light, in few directions.
 
-The principal functions of ωi that a few bins show are fitted to every other bin by least squares, in a few of the
-directions of the same lattice; what the fit leaves over tells its error. Where Ŝ is a sum of a few products of light
-and view (a kink or a shadow that stays where it is, whatever the view does) that is all that it takes; bins that are
-made of something else are integrated over lattices of their own. A vertex has as many lattices as cost little, each
-with functions of its own, so that not all of its bins err together.
+A few bins are evaluated in all directions of a lattice; their principal components as functions of ωi are fitted to
+every other bin by least squares at a few probe directions of the same lattice, and the residual of the fit gives its
+error. That suffices where Ŝ is a sum of a few products of light and view, such as a kink or a shadow that does not move
+with the view. Bins that the components do not explain are integrated over their own lattices. A vertex has as many
+lattices as are cheap, each with its own components, so that not all of its bins have the same error.
 
-Sources: regression estimators with control variates (Owen, "Monte Carlo theory, methods and examples", 8.9), of
-functions that are found out as in reduced bases (Maday et al., "A general multipurpose interpolation procedure", 2009).
+Sources: regression estimators with control variates (Owen, "Monte Carlo theory, methods and examples", 8.9); components
+found as in reduced bases (Maday et al., "A general multipurpose interpolation procedure", 2009).
 """
 
 from collections.abc import Hashable
@@ -17,65 +16,67 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.block_state import LEAST_SHARE, Work, lots
-from bakers.adaptive.component_fit import LOOKS, LightFunctions
+from bakers.adaptive.block_state import LEAST_OWN_SHARE, BlockState, batches
+from bakers.adaptive.component_fit import PROBE_STAGES, LightComponents
 from bakers.adaptive.covariance_sums import SHARED
-from bakers.adaptive.records import Refinement
+from bakers.adaptive.records import RefinementSettings
 from bakers.adaptive.view_levels import Level
-from bakers.error_covariance import of_residuals, turned
+from bakers.error_covariance import residual_sums, rotated
 from bakers.evaluation import values_at
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-ROUNDS = 4
-"""Bins of a level that one lattice learns from."""
+LEARNING_ROUNDS = 4
+"""Most bins of a level that one lattice learns from."""
 LATTICE_SHARE = 0.5
-"""Of the variance tolerated, what the lattices may have: many bins have it in common."""
+"""Fraction of the tolerated variance for the lattices, since many bins share it."""
 MOST_LATTICES, LATTICES_COST = 4, 1.0
-"""Of a vertex; and the evaluations a bin that one view of each of them may come to."""
-FEWEST_TRIED, MOST_LOST = 8, 0.7
-"""Bins of a level, and the share of them that are not recognised, from which on a vertex is foreign."""
+"""Most lattices of a vertex, and the evaluations per bin that one view of each of them may cost."""
+FEWEST_TRIED, MOST_UNEXPLAINED = 8, 0.7
+"""A vertex whose light is not learnable: so many bins of a level were tried and this fraction was not explained."""
 
 
-class LearnedWork(Work):
-    """Work with functions of the light that each lattice of a vertex learns."""
+class LightComponentState(BlockState):
+    """State with light components for each lattice of a vertex."""
 
     def __init__(
-        self, transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array
+        self, transport: object, settings: RefinementSettings, vertices: Index, positions: Array, outgoing: Array
     ) -> None:
-        super().__init__(transport, refinement, vertices, positions, outgoing)
+        super().__init__(transport, settings, vertices, positions, outgoing)
         n, bins = outgoing.shape[:2]
-        enough = np.flatnonzero(refinement.roughness * self.pool_unit <= LATTICE_SHARE * refinement.light**2)
-        step = max(int(enough[0]) if len(enough) else len(self.pool_unit) - 1, self.fewest)
-        self.unit, self.size = self.pool_unit[step], refinement.pools.sizes[step]
-        self.pool = refinement.pools.of(self.size)
+        enough = np.flatnonzero(
+            settings.relative_residual * self.pool_factors <= LATTICE_SHARE * settings.light_tolerance**2
+        )
+        step = max(int(enough[0]) if len(enough) else len(self.pool_factors) - 1, self.least_step)
+        self.lattice_factor, self.size = self.pool_factors[step], settings.pools.sizes[step]
+        self.pool = settings.pools.of(self.size)
         self.lattices = int(np.clip(LATTICES_COST * bins // self.size, 1, MOST_LATTICES))
-        order = np.concatenate([level.bins for level in refinement.levels])
-        self.of_bin = np.empty(bins, np.int64)
-        self.of_bin[order] = np.arange(bins) % self.lattices
-        """Which of the lattices of its vertex a bin has."""
+        order = np.concatenate([level.bins for level in settings.levels])
+        self.lattice_of_bin = np.empty(bins, np.int64)
+        self.lattice_of_bin[order] = np.arange(bins) % self.lattices
+        """Index of the vertex's lattice that a bin uses."""
         keys = (vertices[:, None] * MOST_LATTICES + np.arange(self.lattices)).ravel()
-        self.turns = refinement.rotations(keys)
-        """[n·L,3,3], those of one vertex beside each other, as in all that follows."""
-        back = np.repeat(self.turn.transpose(0, 2, 1), self.lattices, axis=0)
-        self.functions = LightFunctions(self.pool, back @ refinement.rotate(self.turns))
-        self.incident = self.pool.directions @ self.turns.transpose(0, 2, 1)
+        self.lattice_rotations = settings.rotations(keys)
+        """[n·L,3,3], lattices of one vertex adjacent, as in all arrays over lattices."""
+        to_vertex = np.repeat(self.to_world.transpose(0, 2, 1), self.lattices, axis=0)
+        self.components = LightComponents(self.pool, to_vertex @ settings.rotate(self.lattice_rotations))
+        self.incident = self.pool.directions @ self.lattice_rotations.transpose(0, 2, 1)
         """[n·L,D,3]"""
-        self.foreign = np.zeros(n, bool)
-        """Vertices whose bins are all integrated on their own: hardly any is recognised."""
+        self.unlearnable = np.zeros(n, bool)
+        """Vertices whose bins are all integrated over their own lattices, since the components explain hardly any."""
 
-    def begin(self, level: Level, tolerated: float) -> None:
-        """Evaluates the coarsest bins, once each lattice has learned from a few views and a scale is known."""
-        self._teach(level)
+    def start(self, level: Level, tolerated: float) -> None:
+        """Evaluates the bins of level 0, after each lattice has learned from a few views and the scale is known."""
+        self._learn_initial(level)
         bins, rows = (axis.ravel() for axis in np.meshgrid(level.bins, np.arange(len(self.positions)), indexing="ij"))
         sound = np.isfinite(self.scale[rows])
-        self._settle(rows[sound], bins[sound], tolerated)
-        self.measure(0)
+        self._fit_bins(rows[sound], bins[sound], tolerated)
+        self.measure_scale(0)
 
-    def _teach(self, level: Level) -> None:
-        """Every lattice learns from a view at the rim, one along the normal and one between: what is lit changes with
-        the slant, and in few directions a small light is not seen.
+    def _learn_initial(self, level: Level) -> None:
+        """Every lattice learns from a view at the rim, one along the normal and one in between: the light varies with
+        the slant, and few directions miss a small light.
         """
         n, squares = len(self.positions), np.zeros(len(self.positions))
         rows = np.arange(n)
@@ -87,115 +88,119 @@ class LearnedWork(Work):
             for view, bins in enumerate(taught):
                 values = self._values(self.incident, ("taught", lattice, view), rows, bins, cells)
                 finite = np.isfinite(values).all(axis=(1, 2))
-                self.functions.learn(cells[finite], values[finite].astype(np.float64))
+                self.components.learn(cells[finite], values[finite].astype(np.float64))
                 plain = self.pool.weights @ values.astype(np.float64)
                 squares += (plain**2).mean(axis=(1, 2))
-                left = values[finite] - self.pool.harmonics @ plain[finite]
-                self._shaped(rows[finite], bins[finite], cells[finite], left)
-        self.functions.look_for(np.arange(n * self.lattices))
-        self.scale = np.maximum(squares / (len(taught) * self.lattices), self.how.floor**2)
+                residuals = values[finite] - self.pool.harmonics @ plain[finite]
+                self._add_covariance(rows[finite], bins[finite], cells[finite], residuals)
+        self.components.choose_probes(np.arange(n * self.lattices))
+        self.scale = np.maximum(squares / (len(taught) * self.lattices), self.settings.floor**2)
         self.coefficients[level.bins] = np.where(np.isfinite(squares), 0.0, np.nan)[:, None]
-        self.spent[:] = 0
+        self.directions_used[:] = 0
 
     def evaluate(self, number: int, level: Level, places: Index, rows: Index, tolerated: float) -> None:
-        """Evaluates the bins of a level at these places [M] of the vertices in these rows [M]."""
-        bins, apart = level.bins[places], self.foreign[rows]
-        self.integrate(rows[apart], bins[apart], tolerated * self.scale[rows[apart]])
-        rows, bins = rows[~apart], bins[~apart]
-        lost = self._settle(rows, bins, tolerated)
-        if number > self.how.always:
-            tried, missed = (np.bincount(each, minlength=len(self.foreign)) for each in (rows, rows[lost]))
-            self.foreign |= (tried >= FEWEST_TRIED) & (missed > MOST_LOST * tried)
+        """Evaluates bins of a level: places [M] in the level and rows [M] of the vertices."""
+        bins, own = level.bins[places], self.unlearnable[rows]
+        self.integrate(rows[own], bins[own], tolerated * self.scale[rows[own]])
+        rows, bins = rows[~own], bins[~own]
+        unexplained = self._fit_bins(rows, bins, tolerated)
+        if number > self.settings.full_levels:
+            tried, missed = (np.bincount(each, minlength=len(self.unlearnable)) for each in (rows, rows[unexplained]))
+            self.unlearnable |= (tried >= FEWEST_TRIED) & (missed > MOST_UNEXPLAINED * tried)
 
-    def noise_of_difference(self, rows: Index, bins: Index, foretold: Array, alone: Array) -> Array:
-        """What bins and what was foretold of them have from one lattice is the same."""
-        apart = self.apart[bins, rows]
-        return np.asarray(np.where(apart, self.noise[bins, rows] + foretold, self.alone[bins, rows] + alone))
+    def noise_of_difference(self, rows: Index, bins: Index, predicted: Array, independent: Array) -> Array:
+        """Noise of the difference; bins and predictions from one lattice have its noise in common."""
+        own = self.own_lattice[bins, rows]
+        return np.asarray(
+            np.where(own, self.noise[bins, rows] + predicted, self.independent_noise[bins, rows] + independent)
+        )
 
-    def _settle(self, rows: Index, bins: Index, tolerated: float) -> Index:
-        """Recognises bins (rows [M], bins [M]), learns from some of those that it does not recognise, and integrates
-        what is left on its own. Places in M of the latter.
+    def _fit_bins(self, rows: Index, bins: Index, tolerated: float) -> Index:
+        """Fits bins (rows [M], bins [M]) to components, learns from some that they do not explain, and integrates the
+        rest over their own lattices. Returns the places in M of the rest.
         """
-        cells = rows * self.lattices + self.of_bin[bins]
-        allowed, seen = tolerated * self.scale[rows], np.zeros((len(rows), LOOKS[-1][0], 3))
+        cells = rows * self.lattices + self.lattice_of_bin[bins]
+        allowed, probed = tolerated * self.scale[rows], np.zeros((len(rows), PROBE_STAGES[-1][0], 3))
         here, begin = np.arange(len(rows)), 0
-        for look, (end, _most) in enumerate(LOOKS):
-            seen[here, begin:end] = self._values(
-                self._looks(begin, end), (begin, end), rows[here], bins[here], cells[here]
+        for stage, (end, _most) in enumerate(PROBE_STAGES):
+            probed[here, begin:end] = self._values(
+                self._probe_directions(begin, end), (begin, end), rows[here], bins[here], cells[here]
             )
-            here, begin = self._not_recognised(here, look, rows, bins, seen, allowed), end
-        for _round in range(ROUNDS):
-            worst = self._worst(cells[here], seen[here])
-            self._learn(rows[here[worst]], bins[here[worst]])
-            here = self._not_recognised(np.delete(here, worst), look, rows, bins, seen, allowed)
+            here, begin = self._unexplained(here, stage, rows, bins, probed, allowed), end
+        for _round in range(LEARNING_ROUNDS):
+            worst = self._worst_fitted(cells[here], probed[here])
+            self._learn_from(rows[here[worst]], bins[here[worst]])
+            here = self._unexplained(np.delete(here, worst), stage, rows, bins, probed, allowed)
         self.integrate(rows[here], bins[here], allowed[here])
         return here
 
-    def _not_recognised(self, here: Index, look: int, rows: Index, bins: Index, seen: Array, allowed: Array) -> Index:
-        """Which of the bins in places `here` are not made of what their lattices know; those that are, are settled."""
+    def _unexplained(self, here: Index, stage: int, rows: Index, bins: Index, probed: Array, allowed: Array) -> Index:
+        """The bins in places `here` that the components do not explain; stores the coefficients of the others."""
         r, b = rows[here], bins[here]
-        cells = r * self.lattices + self.of_bin[b]
-        amounts, fitted = self.functions.fitted(cells, seen[here], look)
-        rough = self.functions.roughness(cells, amounts)
-        lattice = rough * self.unit
-        good = ~(fitted > np.maximum(allowed[here] - lattice, LEAST_SHARE * allowed[here]))
-        r, b, cells = r[good], b[good], cells[good]
-        self.coefficients[b, r] = self.functions.coefficients(cells, amounts[good])
-        self.rough[b, r] = rough[good]
-        self._noisy(r, b, lattice[good], fitted[good])
-        return np.asarray(here[~good])
+        cells = r * self.lattices + self.lattice_of_bin[b]
+        amplitudes, fitted = self.components.fit(cells, probed[here], stage)
+        residual = self.components.residual_variance(cells, amplitudes)
+        lattice = residual * self.lattice_factor
+        explained = ~(fitted > np.maximum(allowed[here] - lattice, LEAST_OWN_SHARE * allowed[here]))
+        r, b, cells = r[explained], b[explained], cells[explained]
+        self.coefficients[b, r] = self.components.coefficients(cells, amplitudes[explained])
+        self.residual_variance[b, r] = residual[explained]
+        self._set_noise(r, b, lattice[explained], fitted[explained])
+        return np.asarray(here[~explained])
 
-    def _noisy(self, rows: Index, bins: Index, lattice: Array, fitted: Array | float) -> None:
-        """Notes noise [M] that bins have from their lattices, and from a fit. Over other lattices bins err apart."""
+    def _set_noise(self, rows: Index, bins: Index, lattice: Array, fitted: Array | float) -> None:
+        """Sets the noise [M] of bins from their lattices and from a fit. Different lattices have independent errors."""
         self.noise[bins, rows] = lattice + fitted
-        self.alone[bins, rows] = (1.0 - 1.0 / self.lattices) * lattice + fitted
+        self.independent_noise[bins, rows] = (1.0 - 1.0 / self.lattices) * lattice + fitted
 
-    def _worst(self, cells: Index, seen: Array) -> Index:
-        """Of each lattice the place of the bin that its functions leave most of."""
-        _amounts, left = self.functions.fitted(cells, seen, len(LOOKS) - 1)
-        order = np.lexsort((-left, cells))
+    def _worst_fitted(self, cells: Index, probed: Array) -> Index:
+        """The place of the worst-fitted bin of each lattice."""
+        _amplitudes, variance = self.components.fit(cells, probed, len(PROBE_STAGES) - 1)
+        order = np.lexsort((-variance, cells))
         return np.sort(order[np.unique(cells[order], return_index=True)[1]])
 
-    def _learn(self, rows: Index, bins: Index) -> None:
-        """Evaluates a bin of each of some lattices in all directions; what is new of it are functions from now on."""
-        cells = rows * self.lattices + self.of_bin[bins]
+    def _learn_from(self, rows: Index, bins: Index) -> None:
+        """Evaluates one bin of each of some lattices in all directions, and adds its new components."""
+        cells = rows * self.lattices + self.lattice_of_bin[bins]
         values = self._values(self.incident, "all", rows, bins, cells).astype(np.float64)
         plain = self.pool.weights @ values
-        left = values - self.pool.harmonics @ plain
-        rough = (left**2).sum(axis=1).mean(axis=1) / (self.size - self.lattice.count)
-        finite = np.isfinite(rough)
-        self.functions.learn(cells[finite], values[finite])
-        self.coefficients[bins, rows] = self.functions.home(cells, plain)
-        self.rough[bins, rows] = rough
-        self._noisy(rows, bins, rough * self.unit, 0.0)
-        self._shaped(rows[finite], bins[finite], cells[finite], left[finite])
+        residuals = values - self.pool.harmonics @ plain
+        residual = (residuals**2).sum(axis=1).mean(axis=1) / (self.size - self.lattice.count)
+        finite = np.isfinite(residual)
+        self.components.learn(cells[finite], values[finite])
+        self.coefficients[bins, rows] = self.components.to_vertex_frame(cells, plain)
+        self.residual_variance[bins, rows] = residual
+        self._set_noise(rows, bins, residual * self.lattice_factor, 0.0)
+        self._add_covariance(rows[finite], bins[finite], cells[finite], residuals[finite])
 
-    def _shaped(self, rows: Index, bins: Index, cells: Index, left: Array) -> None:
-        """Tells how errors hang together that bins have from their lattices, by what fits of whole views leave over."""
-        covariance, channels = of_residuals(left, self.pool.products)
-        frames = self.views(rows, bins) @ self.turn[rows] @ self.functions.frames[cells]
-        covariance = turned(covariance, frames)
-        self.shapes.add(SHARED, rows, covariance, channels, (left**2).sum(axis=(1, 2)))
+    def _add_covariance(self, rows: Index, bins: Index, cells: Index, residuals: Array) -> None:
+        """Adds the error covariance of bins that share a lattice, from residuals of fits in all directions."""
+        covariance, channels = residual_sums(residuals, self.pool.products)
+        frames = self.view_matrices(rows, bins) @ self.to_world[rows] @ self.components.frames[cells]
+        covariance = rotated(covariance, frames)
+        self.covariance_sums.add(SHARED, rows, covariance, channels, (residuals**2).sum(axis=(1, 2)))
 
-    def _looks(self, begin: int, end: int) -> Array:
-        """Some of the few directions of each lattice [n·L,d,3]."""
-        return np.take_along_axis(self.incident, self.functions.picked[:, begin:end, None], axis=1)
+    def _probe_directions(self, begin: int, end: int) -> Array:
+        """Some of the probe directions of each lattice [n·L,d,3]."""
+        return np.take_along_axis(self.incident, self.components.probes[:, begin:end, None], axis=1)
 
     def _values(self, incident: Array, which: Hashable, rows: Index, bins: Index, cells: Index) -> NDArray[np.float32]:
-        """Ŝ [M,d,3] of bins in directions [n·L,d,3] of these lattices."""
+        """Ŝ [M,d,3] of bins in directions [n·L,d,3] of the lattices `cells` [M]."""
         many = incident.shape[1]
         values = np.empty((len(rows), many, 3), np.float32)
-        for some in lots(np.arange(len(rows)), many):
+        for some in batches(np.arange(len(rows)), many):
             r, b = rows[some], bins[some]
-            ask = partial(self._ask, incident, cells[some], r, b)
+            evaluate = partial(self._evaluate_batch, incident, cells[some], r, b)
             name = "learned", self.size, self.lattices, which
-            values[some], known = self.how.answers.given(name, self.vertices[r], b, ask)
+            values[some], known = self.settings.cache.get(name, self.vertices[r], b, evaluate)
             self.recalled += known * many
         self.evaluations += len(rows) * many
-        self.spent[bins, rows] += many
+        self.directions_used[bins, rows] += many
         return values
 
-    def _ask(self, incident: Array, cells: Index, rows: Index, bins: Index, some: Index) -> NDArray[np.float32]:
+    def _evaluate_batch(
+        self, incident: Array, cells: Index, rows: Index, bins: Index, some: Index
+    ) -> NDArray[np.float32]:
         r, b = rows[some], bins[some]
         values = values_at(self.transport, incident, cells[some], self.positions[r], self.outgoing[r, b])
         return values.astype(np.float32, copy=False)

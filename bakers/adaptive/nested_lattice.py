@@ -1,4 +1,4 @@
-"""A lattice of directions that grows: each of its sizes is a lattice whose points all later ones keep."""
+"""A nested lattice of directions: each size is a lattice that contains all smaller ones."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,17 +6,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.error_covariance import of_residuals, products
+from bakers.error_covariance import residual_sums, weight_products
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class NestedLattice:
-    """Directions in the order in which they are added, and the fit by least squares over each size."""
+    """Directions in nested order, and the least-squares fit over each size."""
 
     directions: Array
-    """Unit vectors [D,3]; the first sizes[s] of them are a lattice of their own."""
+    """Unit vectors [D,3]; the first sizes[s] of them are a lattice."""
     sizes: tuple[int, ...]
     harmonics: Array
     """Y [D,K]"""
@@ -32,32 +32,32 @@ class NestedLattice:
 
     @cached_property
     def products(self) -> tuple[Array, ...]:
-        """[D,P] of each size, see `bakers.error_covariance`."""
-        return tuple(products(weights) for weights in self.weights)
+        """[D,P] of each size, see `bakers.error_covariance.weight_products`."""
+        return tuple(weight_products(weights) for weights in self.weights)
 
     def fitted(self, values: NDArray[np.floating], step: int) -> tuple[Array, Array]:
-        """Coefficients [M,K·3] of values [M,D,3] in the directions of size number `step`, and the mean square [M] of
-        what they leave over, per degree of freedom, mean over channels.
+        """Coefficients [M,K·3] of values [M,D,3] in the directions of size number `step`, and the mean square residual
+        [M] per degree of freedom, mean over channels.
         """
         exact = values.astype(np.float64)
         coefficients = self.weights[step] @ exact
-        left = self._left_over(exact, coefficients, step)
-        rough = (left**2).sum(axis=1).mean(axis=1) / (self.sizes[step] - self.count)
-        return coefficients.reshape(len(values), -1), np.asarray(rough)
+        residuals = self._residuals(exact, coefficients, step)
+        variance = (residuals**2).sum(axis=1).mean(axis=1) / (self.sizes[step] - self.count)
+        return coefficients.reshape(len(values), -1), np.asarray(variance)
 
-    def shape(self, values: NDArray[np.floating], step: int) -> tuple[Array, Array]:
-        """How the errors of such a fit hang together: covariance [M,P] and channels [M,3] of any size
-        (`bakers.error_covariance.of_residuals`).
+    def error_sums(self, values: NDArray[np.floating], step: int) -> tuple[Array, Array]:
+        """Error covariance [M,P] and channels [M,3] of such a fit, up to a factor
+        (`bakers.error_covariance.residual_sums`).
         """
         exact = values.astype(np.float64)
-        return of_residuals(self._left_over(exact, self.weights[step] @ exact, step), self.products[step])
+        return residual_sums(self._residuals(exact, self.weights[step] @ exact, step), self.products[step])
 
-    def _left_over(self, exact: Array, coefficients: Array, step: int) -> Array:
+    def _residuals(self, exact: Array, coefficients: Array, step: int) -> Array:
         return np.asarray(exact - self.harmonics[: self.sizes[step]] @ coefficients)
 
 
 def nested_lattice(directions: Array, harmonics: Array, sizes: tuple[int, ...]) -> NestedLattice:
-    """The lattice whose points are `directions` [D,3], with the basis on them, harmonics [D,K]; sizes exceed K."""
+    """The lattice of points `directions` [D,3] with the basis at them, harmonics [D,K]; all sizes exceed K."""
     weights, shares = list[Array](), list[float]()
     for size in sizes:
         y = harmonics[:size]

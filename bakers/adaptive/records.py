@@ -1,4 +1,4 @@
-"""What a refined bake is told, and what comes of it."""
+"""Settings, validation samples and results of an adaptive bake."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,128 +7,138 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.evaluation_cache import NOTHING, Answers
-from bakers.adaptive.fit_residual import LightNoise
+from bakers.adaptive.evaluation_cache import NO_CACHE, EvaluationCache
+from bakers.adaptive.fit_residual import LatticeNoise
 from bakers.adaptive.lattice_pools import Pools
 from bakers.adaptive.nested_lattice import NestedLattice
 from bakers.adaptive.view_levels import Level
 from bakers.adaptive.view_survey import ViewSurvey
-from bakers.error_covariance import Frames
-from formats.asset.error_covariance import ErrorShape
+from bakers.error_covariance import ViewFrames
+from formats.asset.error_covariance import ErrorCovariance
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-WAYS = "foretold", "shared", "alone", "nearby"
-"""How bins are come by: from their neighbours; over the lattice that all of a vertex share; over one of their own; from
-those of the vertices around.
+METHODS = "foretold", "shared", "alone", "nearby"
+"""Names of the methods by which bins are computed: interpolation between bins, the vertex's shared lattices, the bin's
+own lattice, and interpolation between vertices.
 """
-HELD = "way", "stated", "squared", "noise"
-"""What there is of every bin that is held against others."""
-OF_VERTICES = "coefficients", "deviation", "directions", "way", "together", "covariance", "channels", "apart"
-"""What there is of every vertex of a block."""
-MISSED_OF_ERROR = 0.3
+SAMPLE_FIELDS = "method", "stated", "squared", "noise"
+"""Fields of a validation sample."""
+VERTEX_FIELDS = (
+    "coefficients", "standard_error", "directions", "method", "correlated", "covariance", "channels", "apart",
+)  # fmt: skip
+"""Fields of a vertex."""
+MISSED_SHARE = 0.3
+_STORED_NAMES = {"standard_error": "deviation", "method": "way", "correlated": "together"}
 Lattices = Literal["own", "shared", "learned"]
 
 
+def stored_name(field: str) -> str:
+    """Name of a field in checkpoints."""
+    return _STORED_NAMES.get(field, field)
+
+
 @dataclass(frozen=True)
-class Refinement:
-    """How far to go, and by what means."""
+class RefinementSettings:
+    """Tolerances and lattices of a refinement."""
 
     levels: list[Level]
     lattice: NestedLattice
     rotations: Callable[[Index], Array]
     """Vertices [n] → rotations [n,3,3] of the lattice, uniform on SO(3)."""
     rotate: Callable[[Array], Array]
-    """Rotations [n,3,3] → what they do to coefficients [n,K,K]."""
-    noise: LightNoise
-    """Of the lattice that all of a vertex share."""
+    """Rotations [n,3,3] → their matrices on coefficients [n,K,K]."""
+    noise: LatticeNoise
+    """Noise of the nested lattice that the bins of a vertex share."""
     pools: Pools
-    pool_noise: LightNoise
+    pool_noise: LatticeNoise
     lattices: Lattices
-    """Which lattices bins are integrated over: "own", each over one of its own; "shared", all of a vertex over one that
-    grows, so that finer bins can be held against coarser ones in as many directions, and those that need more over one
-    of their own; "learned", in few directions, by what their vertex has learned of its light over a few lattices.
+    """Lattices that bins are integrated over. "own": each bin has its own. "shared": the bins of a vertex share a
+    nested one, so that finer bins can be compared with coarser ones direction by direction; bins that need more
+    directions have their own. "learned": the bins are fitted to components of their vertex's light over a few lattices.
     """
-    roughness: float
-    """What a fit leaves over, over the mean square coefficient, as it is on average."""
-    light: float
-    """Error of directions tolerated at a bin, over the root mean square coefficient of its vertex."""
-    view: float
-    """Error of prediction tolerated at a bin, over the same."""
-    checked: float
-    """Noise of each half of a check, over the same."""
+    relative_residual: float
+    """Average mean square residual over the mean square coefficient."""
+    light_tolerance: float
+    """Tolerated integration error of a bin, relative to the rms coefficient of its vertex."""
+    view_tolerance: float
+    """Tolerated prediction error of a bin, relative to the same."""
+    validation_noise: float
+    """Noise of each of the two estimates of a validation sample, relative to the same."""
     floor: float
-    """Least root mean square of a vertex's coefficients that errors are held against."""
-    begin: int
-    """Sizes of the lattice that every evaluated bin has to begin with: enough not to miss the narrowest detail."""
-    always: int
-    """Levels of view bins up to this one are evaluated whole."""
+    """Least rms coefficient that the errors of a vertex are relative to."""
+    initial_sizes: int
+    """Number of lattice sizes that every evaluated bin starts with: enough to resolve the narrowest features."""
+    full_levels: int
+    """All bins of levels up to this one are evaluated."""
     survey: ViewSurvey | None
-    """Of all bins of a few vertices; None once `always` allows for it, or where all bins are evaluated anyway."""
-    finest: float
-    """Relative error that half of the most directions that bins were looked at in leave there."""
-    missed: Array
-    """What each size of the lattice misses without telling so, over the root mean square coefficient."""
-    checks: Callable[[Index], NDArray[np.bool_]]
-    """Vertices [n] → bins [n,B] at which the truth is sought besides, to hold the estimate against."""
-    frames: Frames
-    """Of views, in which it is told how errors hang together."""
-    answers: Answers = NOTHING
-    """What was evaluated before."""
+    """All bins of a few vertices; None once `full_levels` accounts for it, or if all bins are evaluated anyway."""
+    finest_error: float
+    """Relative error of the bins evaluated in the most directions, at half of these directions."""
+    missed_error: Array
+    """Undetected error of each lattice size, relative to the rms coefficient."""
+    validation_bins: Callable[[Index], NDArray[np.bool_]]
+    """Vertices [n] → bins [n,B] that are validated against independent directions."""
+    frames: ViewFrames
+    """View frames in which the error covariance is expressed."""
+    cache: EvaluationCache = NO_CACHE
+    """Values of earlier evaluations."""
 
-    def begin_for(self, error: float) -> int:
-        """How many sizes to begin with so that hardly any of that error is missed without telling."""
-        missing = np.flatnonzero(self.missed > MISSED_OF_ERROR * error)
+    def initial_sizes_for(self, error: float) -> int:
+        """The number of initial lattice sizes with which hardly any of that error stays undetected."""
+        missing = np.flatnonzero(self.missed_error > MISSED_SHARE * error)
         if not len(missing):
             return 1
-        # The first size at which most bins see what there is; with the next one hardly any do not.
-        return min(int(missing[-1]) + 3, len(self.missed))
+        # Most bins are resolved at the first size after the last undetected error, nearly all at the next.
+        return min(int(missing[-1]) + 3, len(self.missed_error))
 
-    def for_views(self, error: float, view: float) -> "Refinement":
-        """The same, with as many levels of view bins evaluated whole as it takes for hardly any of that error to be
-        missed untold, where an error of prediction `view` is tolerated.
+    def with_full_levels(self, error: float, view: float) -> "RefinementSettings":
+        """The same settings with as many fully evaluated levels as keep undetected errors well below `error`, where a
+        prediction error `view` is tolerated.
         """
-        return self if self.survey is None else replace(self, always=self.survey.always_for(error, view), survey=None)
+        if self.survey is None:
+            return self
+        return replace(self, full_levels=self.survey.full_levels_for(error, view), survey=None)
 
 
 @dataclass(frozen=True)
-class Checks:
-    """Bins at which an estimate was held against an independent one; each [M]."""
+class ValidationSamples:
+    """Validation of bins against independent estimates; each [M]."""
 
     rows: Index
-    """Whose bins they are: the place of the vertex in its block."""
-    way: NDArray[np.uint8]
-    """How the bin was come by: places in WAYS."""
+    """Index of the bin's vertex in the block."""
+    method: NDArray[np.uint8]
+    """Method of the bin: indices into METHODS."""
     stated: Array
-    """Variance as it was estimated."""
+    """Variance stated by the estimate."""
     squared: Array
-    """Squared error, mean over K and channels, without bias for the noise of the check: at times negative."""
+    """Squared error, mean over K and channels; an unbiased estimate that may be negative."""
     noise: Array
-    """Numbers of zero mean that vary as the noise in `squared` does."""
+    """Numbers of zero mean with the variance of the noise of `squared`."""
     evaluations: int
-    """That these took."""
+    """Evaluations for these samples."""
 
-    def with_rows(self, rows: Index, other: "Checks") -> "Checks":
-        """These checks, those of the vertices in these places [m] from `other`."""
-        stay = ~np.isin(self.rows, rows)
-        order = np.argsort(np.concatenate([self.rows[stay], rows[other.rows]]), kind="stable")
-        held = [np.concatenate([getattr(self, name)[stay], getattr(other, name)])[order] for name in HELD]
-        return Checks(
-            np.concatenate([self.rows[stay], rows[other.rows]])[order],
-            held[0],
-            held[1],
-            held[2],
-            held[3],
+    def with_rows(self, rows: Index, other: "ValidationSamples") -> "ValidationSamples":
+        """These samples, with those of the vertices `rows` [m] replaced by `other`."""
+        kept = ~np.isin(self.rows, rows)
+        order = np.argsort(np.concatenate([self.rows[kept], rows[other.rows]]), kind="stable")
+        fields = [np.concatenate([getattr(self, name)[kept], getattr(other, name)])[order] for name in SAMPLE_FIELDS]
+        return ValidationSamples(
+            np.concatenate([self.rows[kept], rows[other.rows]])[order],
+            fields[0],
+            fields[1],
+            fields[2],
+            fields[3],
             other.evaluations,
         )
 
 
-def noise_of_checks(rows: Index, one: Array, other: Array) -> Array:
-    """Numbers [M] of no mean that vary as the noise does of one times the other, each [M,K,3]; rows ascend.
+def validation_noise(rows: Index, one: Array, other: Array) -> Array:
+    """Numbers [M] of zero mean with the variance of the noise of one times other, each [M,K,3]; rows ascend.
 
-    What both say of a bin times what they differ by at the next of its vertex: at the same bin that would tell as well
-    how much nearer one of the two lattices is than the other.
+    The sum of the two at a bin is multiplied by their difference at the next bin of the vertex. At the same bin the
+    product would also contain the difference in accuracy of the two lattices.
     """
     following = np.arange(1, len(rows) + 1)
     ends = np.flatnonzero(np.append(rows[1:], -1) != rows) if len(rows) else following
@@ -137,68 +147,89 @@ def noise_of_checks(rows: Index, one: Array, other: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Refined:
-    """What came of a block of n vertices."""
+class RefinedBlock:
+    """Refined coefficients of a block of n vertices."""
 
     coefficients: NDArray[np.float32]
     """[n,B,K,3]"""
-    deviation: NDArray[np.float32]
-    """[n,B], one sigma, rms over K and channels, before it is held against the checks."""
+    standard_error: NDArray[np.float32]
+    """[n,B], one sigma, rms over K and channels, before the calibration."""
     directions: NDArray[np.uint16]
-    """[n,B], in how many each bin was evaluated; 0 where it is foretold from its neighbours."""
-    way: NDArray[np.uint8]
-    """[n,B], how each bin was come by: places in WAYS."""
-    together: NDArray[np.float32]
-    """[n], share of the stated variance that the bins of a vertex have from one lattice, and so in common."""
+    """[n,B], number of directions that each bin was evaluated in; 0 for interpolated bins."""
+    method: NDArray[np.uint8]
+    """[n,B], method of each bin: indices into METHODS."""
+    correlated: NDArray[np.float32]
+    """[n], fraction of the stated variance that the bins of a vertex have in common, from shared lattices."""
     covariance: NDArray[np.float32]
-    """[n,P], and"""
+    """[n,P], error covariance of each vertex."""
     channels: NDArray[np.float32]
-    """[n,3], and"""
+    """[n,3], error share of each channel."""
     apart: NDArray[np.float32]
-    """[n,2]: how the errors of each vertex hang together (`formats.asset.error_covariance`)."""
+    """[n,2], independent fractions of the error (`formats.asset.error_covariance`)."""
     evaluations: int
     recalled: int
-    """Evaluations that were known from before."""
-    checks: Checks
+    """Evaluations that came from the cache."""
+    validation: ValidationSamples
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Vertices [n] at which all is finite."""
-        return np.asarray(np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.deviation).all(axis=1))
+        """Vertices [n] at which all values are finite."""
+        return np.asarray(
+            np.isfinite(self.coefficients).all(axis=(1, 2, 3)) & np.isfinite(self.standard_error).all(axis=1)
+        )
 
     @property
-    def shape(self) -> ErrorShape:
-        """How the errors of each vertex hang together."""
-        return ErrorShape(self.covariance, self.channels, self.apart)
+    def error_covariance(self) -> ErrorCovariance:
+        """Error covariance of each vertex."""
+        return ErrorCovariance(self.covariance, self.channels, self.apart)
 
-    def for_nothing(self) -> "Refined":
-        """The same, from an earlier pass: it took nothing."""
-        return replace(self, evaluations=0, recalled=0, checks=replace(self.checks, evaluations=0))
+    def as_arrays(self) -> dict[str, NDArray[Any]]:
+        """All fields as arrays for a checkpoint."""
+        own = {stored_name(name): np.asarray(values) for name, values in vars(self).items() if name != "validation"}
+        samples = {f"checks_{stored_name(name)}": np.asarray(values) for name, values in vars(self.validation).items()}
+        return own | samples
 
-    def with_rows(self, rows: Index, other: "Refined") -> "Refined":
-        """This block with the vertices in these places [m] as `other` has them; it took what `other` took."""
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "RefinedBlock":
+        """Inverse of `as_arrays`."""
+        own = {name: arrays[stored_name(name)] for name in VERTEX_FIELDS}
+        samples = {name: arrays[f"checks_{stored_name(name)}"] for name in ("rows", *SAMPLE_FIELDS)}
+        validation = ValidationSamples(evaluations=int(arrays["checks_evaluations"]), **samples)
+        evaluations, recalled = int(arrays["evaluations"]), int(arrays["recalled"])
+        return cls(**own, evaluations=evaluations, recalled=recalled, validation=validation)
+
+    def without_cost(self) -> "RefinedBlock":
+        """The same block from an earlier pass, with no evaluations counted."""
+        return replace(self, evaluations=0, recalled=0, validation=replace(self.validation, evaluations=0))
+
+    def with_rows(self, rows: Index, other: "RefinedBlock") -> "RefinedBlock":
+        """This block with the vertices in places `rows` [m] replaced by those of `other`, and the evaluations of
+        `other`.
+        """
         parts = dict[str, NDArray[Any]]()
-        for name in OF_VERTICES:
-            whole = getattr(self, name).copy()
-            whole[rows] = getattr(other, name)
-            parts[name] = whole
-        checks = self.checks.with_rows(rows, other.checks)
-        return Refined(**parts, evaluations=other.evaluations, recalled=other.recalled, checks=checks)
+        for name in VERTEX_FIELDS:
+            merged = getattr(self, name).copy()
+            merged[rows] = getattr(other, name)
+            parts[name] = merged
+        validation = self.validation.with_rows(rows, other.validation)
+        return RefinedBlock(**parts, evaluations=other.evaluations, recalled=other.recalled, validation=validation)
 
 
-def joined(count: int, parts: Sequence[tuple[Index, Refined]]) -> Refined:
-    """A block of `count` vertices from parts of it, each with the places [m] of its vertices."""
+def joined(count: int, parts: Sequence[tuple[Index, RefinedBlock]]) -> RefinedBlock:
+    """A block of `count` vertices from its parts, each with the places [m] of its vertices."""
     some = parts[0][1]
     arrays = dict[str, NDArray[Any]]()
-    for name in OF_VERTICES:
-        whole = np.zeros((count, *getattr(some, name).shape[1:]), getattr(some, name).dtype)
+    for name in VERTEX_FIELDS:
+        merged = np.zeros((count, *getattr(some, name).shape[1:]), getattr(some, name).dtype)
         for rows, part in parts:
-            whole[rows] = getattr(part, name)
-        arrays[name] = whole
-    rows = np.concatenate([rows[part.checks.rows] for rows, part in parts])
+            merged[rows] = getattr(part, name)
+        arrays[name] = merged
+    rows = np.concatenate([rows[part.validation.rows] for rows, part in parts])
     order = np.argsort(rows, kind="stable")
-    held = [np.concatenate([getattr(part.checks, name) for _rows, part in parts])[order] for name in HELD]
-    checked = sum(part.checks.evaluations for _rows, part in parts)
-    checks = Checks(rows[order], held[0], held[1], held[2], held[3], checked)
+    fields = [
+        np.concatenate([getattr(part.validation, name) for _rows, part in parts])[order] for name in SAMPLE_FIELDS
+    ]
+    sample_evaluations = sum(part.validation.evaluations for _rows, part in parts)
+    validation = ValidationSamples(rows[order], fields[0], fields[1], fields[2], fields[3], sample_evaluations)
     taken, recalled = (sum(getattr(part, name) for _rows, part in parts) for name in ("evaluations", "recalled"))
-    return Refined(**arrays, evaluations=taken, recalled=recalled, checks=checks)
+    return RefinedBlock(**arrays, evaluations=taken, recalled=recalled, validation=validation)

@@ -1,34 +1,39 @@
-"""Bakes a block of vertices to a tolerance: few view bins first, finer ones where they are not foretold well enough,
-and at each bin as many directions as it takes.
+"""Refines a block of vertices to a tolerance, level by level of view bins (`bakers.adaptive.view_levels`).
 
-Level by level (`bakers.adaptive.view_levels`) the bins of the next level are foretold from those that are known. Where
-those beside one came as no surprise the prediction is kept; elsewhere Ŝ is evaluated, in one of the ways of
-`bakers.adaptive.records.Lattices`.
+Each level's bins are interpolated from the coarser levels. A bin keeps its interpolated coefficients if the prediction
+error near it was small; otherwise Ŝ is evaluated with as many directions as the tolerance requires, by one of the
+methods in `bakers.adaptive.records.Lattices`.
 
-A vertex's numbers depend on itself alone: not on the cut of the blocks, nor on what is baked beside it.
+A vertex's numbers depend on the vertex alone, not on the block boundaries.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.block_state import Work
-from bakers.adaptive.light_components import LearnedWork
-from bakers.adaptive.records import Lattices, Refined, Refinement
-from bakers.adaptive.shared_lattice import SharedWork
+from bakers.adaptive.block_state import BlockState
+from bakers.adaptive.light_components import LightComponentState
+from bakers.adaptive.records import Lattices, RefinedBlock, RefinementSettings
+from bakers.adaptive.shared_lattice import SharedLatticeState
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-WORKS: dict[Lattices, type[Work]] = {"own": Work, "shared": SharedWork, "learned": LearnedWork}
+STATES: dict[Lattices, type[BlockState]] = {
+    "own": BlockState,
+    "shared": SharedLatticeState,
+    "learned": LightComponentState,
+}
 
 
-def refine(transport: object, refinement: Refinement, vertices: Index, positions: Array, outgoing: Array) -> Refined:
-    """Bakes the vertices of these numbers [n] at positions [n,3] seen along outgoing [n,B,3].
+def refine(
+    transport: object, settings: RefinementSettings, vertices: Index, positions: Array, outgoing: Array
+) -> RefinedBlock:
+    """Bakes the vertices [n] at positions [n,3] seen along outgoing [n,B,3].
 
-    A vertex at which the transport answers something that is not finite has coefficients that are not finite.
+    A vertex with values of Ŝ that are not finite has coefficients that are not finite.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        work = WORKS[refinement.lattices](transport, refinement, vertices, positions, outgoing)
-        for number, level in enumerate(refinement.levels):
-            work.add(number, level)
-        return work.finished()
+        state = STATES[settings.lattices](transport, settings, vertices, positions, outgoing)
+        for number, level in enumerate(settings.levels):
+            state.add_level(number, level)
+        return state.result()

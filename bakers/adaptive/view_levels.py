@@ -1,10 +1,10 @@
-"""View bins from coarse to fine: which come first, and what the coarser ones say of each finer one.
+"""Levels of view bins from coarse to fine, and the interpolation of each level from the coarser ones.
 
-The bins are ordered so that each next one is the farthest from those before it; the first few are level 0, and up to
-each next level there are FINER times as many bins. A bin is predicted from the nearest bins of the levels below by
-kriging with the Matérn kernel of smoothness 3/2 and weights that add up to 1, so that constants are predicted exactly.
-Measured on six trained networks against smoother kernels and longer stencils: none is better by a tenth where the view
-matters smoothly, and this one is the best where it does not. Source: Stein, "Interpolation of Spatial Data" (1999).
+The bins are sorted so that each is the farthest from those before it. Level 0 has the first few, and each further level
+multiplies the number of bins by GROWTH. A bin is predicted from the nearest bins of the levels below by kriging with
+the Matérn kernel of smoothness 3/2 and weights that add up to 1, so constants are reproduced exactly. On six trained
+networks smoother kernels and longer stencils are at most a tenth better where Ŝ is smooth in the view, and worse where
+it is not. Source: Stein, "Interpolation of Spatial Data" (1999).
 """
 
 from dataclasses import dataclass
@@ -17,48 +17,50 @@ from scipy.spatial import KDTree
 Array = NDArray[np.float64]
 
 COARSEST = 4
-FINER = 2.6
-"""All the bins of a level and of those below it, over those below it."""
+GROWTH = 2.6
+"""Number of bins of a level and those below it, over the number below it."""
 STENCIL = 24
 NEAREST = 6
-"""Parents whose surprise tells what a bin may be in for."""
+"""Parents whose prediction errors determine the expected one of a bin."""
 CORRELATION_LENGTH = 4.0
-"""Of the kernel, in chords of the unit sphere: long, so that it is the distance itself that counts."""
-MOST_ORDERED = 1024
-"""Bins that are put in order; finer ones are predicted from these, all at once."""
+"""Correlation length of the kernel, in chords of the unit sphere; it is long, so that the kernel acts like the distance
+itself.
+"""
+MOST_SORTED = 1024
+"""Bins that are sorted; all further ones are predicted from these."""
 
 
 @dataclass(frozen=True)
 class Level:
-    """The bins that a level adds, and what those of the levels below say of them."""
+    """Bins of a level, and their interpolation from the levels below."""
 
     bins: NDArray[np.int64]
     """[n]"""
     parents: NDArray[np.int64]
-    """Bins [n,S] of the levels below that are nearest, the nearest first; S = 0 for level 0."""
+    """Nearest bins [n,S] of the levels below, nearest first; S = 0 for level 0."""
     weights: Array
     """[n,S]: prediction = Σ weights · value over the parents; rows add up to 1."""
     place: NDArray[np.int64]
-    """[B], of each bin of this level its place in `bins`; −1 for all others."""
-    combining: csr_array
+    """[B], the index in `bins` of each bin of this level; −1 for all others."""
+    interpolation: csr_array
     """The weights as a matrix [n,B]."""
-    combining_squares: csr_array
-    """Their squares, for what errs apart."""
-    nearest: csr_array
+    squared_weights: csr_array
+    """The squared weights, for independent errors."""
+    nearest_mean: csr_array
     """The mean over the nearest parents as a matrix [n,B]."""
 
 
 def view_levels(directions: Array) -> list[Level]:
     """Levels of the view bins whose centres are the unit vectors `directions` [B,3]; every bin is in one of them."""
-    order = _farthest_first(directions, min(len(directions), MOST_ORDERED))
+    order = _farthest_first(directions, min(len(directions), MOST_SORTED))
     rest = np.setdiff1d(np.arange(len(directions)), order)
     first = order[:COARSEST]
     none = np.empty((len(first), 0))
-    levels = [_complete(first, none.astype(np.int64), none, len(directions))]
+    levels = [_with_matrices(first, none.astype(np.int64), none, len(directions))]
     known = COARSEST
     while known < len(order):
-        more = min(int(np.ceil(FINER * known)), len(order))
-        # A last level of a few bins is not worth its own round.
+        more = min(int(np.ceil(GROWTH * known)), len(order))
+        # Merge a last level of a few bins.
         more = len(order) if more > 0.8 * len(order) else more
         levels.append(_level(directions, order[:known], order[known:more]))
         known = more
@@ -85,10 +87,10 @@ def _level(directions: Array, below: NDArray[np.int64], bins: NDArray[np.int64])
     distance, found = distance.reshape(len(bins), stencil), found.reshape(len(bins), stencil)
     around = directions[below][found]
     weights = _kriging(np.linalg.norm(around[:, :, None] - around[:, None], axis=-1), distance)
-    return _complete(bins, below[found], weights, len(directions))
+    return _with_matrices(bins, below[found], weights, len(directions))
 
 
-def _complete(bins: NDArray[np.int64], parents: NDArray[np.int64], weights: Array, width: int) -> Level:
+def _with_matrices(bins: NDArray[np.int64], parents: NDArray[np.int64], weights: Array, width: int) -> Level:
     place = np.full(width, -1, np.int64)
     place[bins] = np.arange(len(bins))
     near = parents[:, :NEAREST]
@@ -106,7 +108,7 @@ def _complete(bins: NDArray[np.int64], parents: NDArray[np.int64], weights: Arra
 
 def _matrix(weights: Array, columns: NDArray[np.int64], width: int) -> csr_array:
     starts = np.arange(len(weights) + 1) * weights.shape[1]
-    # Copies: the matrix sorts its entries in place when it likes to.
+    # Copies, since the matrix may sort its entries in place.
     return csr_array((weights.ravel().copy(), columns.ravel().copy(), starts), shape=(len(weights), width))
 
 

@@ -1,8 +1,8 @@
-"""What a bake that foretells view bins would miss without telling, from a few vertices that are seen in all of them.
+"""Detects view-dependent features that an adaptive bake would miss, at a few vertices with all bins evaluated.
 
-A bin is looked at where bins beside it came as a surprise; a highlight that lies between those that are looked at
-surprises nobody. At a few vertices all bins are seen, in few directions that they share, so that what is foretold of a
-bin can be held against it without noise.
+A bin is evaluated where the prediction error of nearby bins is large, so a highlight between the evaluated bins stays
+undetected. At a few vertices all bins are evaluated in the same few directions, so predictions can be compared with the
+values without noise.
 """
 
 from dataclasses import dataclass
@@ -14,17 +14,19 @@ from bakers.adaptive.view_levels import Level
 
 Array = NDArray[np.float64]
 
-ALWAYS = 2
-"""Levels up to this one are evaluated whole: what fewer bins say of the others is not to be relied on."""
+FULL_LEVELS = 2
+"""All bins of levels up to this one are evaluated: predictions from fewer bins are unreliable."""
 DECAY = 0.45
-"""Of the error of prediction, from one level to the next, as it usually is."""
-UNFORESEEN = 16.0
-"""Times the squared error that is expected or tolerated, from which on checks of a few bins would hardly know of it."""
-MISSED_OF_ERROR = 0.3
-TURNS = 8
-"""Ways round that a vertex's views are put to the test in: what was found by luck in one is missed in another."""
-SCALED_BY = 2
-"""Levels that a vertex's scale is taken from."""
+"""Typical ratio of prediction errors from one level to the next."""
+UNDETECTED = 16.0
+"""Ratio of the squared error to the expected or tolerated one above which validation at a few bins would hardly detect
+it.
+"""
+UNDETECTED_SHARE = 0.3
+SECTOR_SHIFTS = 8
+"""Rotations in azimuth for which a vertex's views are tested: a feature found by chance in one is missed in another."""
+SCALE_LEVELS = 2
+"""Levels that a vertex's scale is measured on."""
 
 
 @dataclass(frozen=True)
@@ -35,58 +37,61 @@ class ViewSurvey:
     coefficients: Array
     """[B,n,C], over one lattice for each vertex."""
     floor: float
-    """Least root mean square of a vertex's coefficients that errors are held against."""
-    left: float
-    """Of the energy of Ŝ, what the first few principal functions of the light leave over, as many as are soon told."""
+    """Least rms coefficient that the errors of a vertex are relative to."""
+    residual_energy: float
+    """Fraction of the energy of Ŝ outside the first few principal components of the light, as many as the first probe
+    stage fits.
+    """
 
     @classmethod
     def of(
-        cls, levels: list[Level], directions: Array, coefficients: Array, floor: float, left: float = 1.0
+        cls, levels: list[Level], directions: Array, coefficients: Array, floor: float, residual_energy: float = 1.0
     ) -> "ViewSurvey":
-        """Of coefficients [B,n,C] at the view bins whose centres are the unit vectors `directions` [B,3]."""
+        """Survey of coefficients [B,n,C] at the view bins whose centres are the unit vectors `directions` [B,3]."""
         rings = len(np.unique(np.round(directions[:, 2], 9)))
         if len(directions) % rings:
-            return cls(levels, coefficients, floor, left)
-        wheel = coefficients.reshape(rings, -1, *coefficients.shape[1:])
-        sectors = wheel.shape[1]
-        turned = [np.roll(wheel, turn, axis=1) for turn in np.unique(np.arange(TURNS) * sectors // TURNS)]
-        return cls(
-            levels, np.concatenate(turned, axis=2).reshape(len(directions), -1, coefficients.shape[2]), floor, left
-        )
+            return cls(levels, coefficients, floor, residual_energy)
+        by_ring = coefficients.reshape(rings, -1, *coefficients.shape[1:])
+        sectors = by_ring.shape[1]
+        shifts = np.unique(np.arange(SECTOR_SHIFTS) * sectors // SECTOR_SHIFTS)
+        shifted = np.concatenate([np.roll(by_ring, shift, axis=1) for shift in shifts], axis=2)
+        shifted = shifted.reshape(len(directions), -1, coefficients.shape[2])
+        return cls(levels, shifted, floor, residual_energy)
 
-    def always_for(self, error: float, view: float) -> int:
-        """The level up to which all must be evaluated so that hardly any of that relative error is missed untold, where
-        an error of prediction `view`, over the root mean square coefficient of its vertex, is tolerated.
+    def full_levels_for(self, error: float, tolerance: float) -> int:
+        """The number of the last level that must be evaluated fully so that the undetected error is well below the
+        relative `error`, where a prediction error `tolerance`, relative to the rms coefficient of its vertex, is
+        tolerated.
         """
         last = len(self.levels) - 1
-        for always in range(min(ALWAYS, last), last):
-            if self._unforeseen(always, view) <= MISSED_OF_ERROR * error:
-                return always
-        return max(last, ALWAYS)
+        for full in range(min(FULL_LEVELS, last), last):
+            if self._undetected_error(full, tolerance) <= UNDETECTED_SHARE * error:
+                return full
+        return max(last, FULL_LEVELS)
 
-    def learnable(self, error: float) -> bool:
-        """Whether bins are made of so few functions of the light, to that relative error."""
-        return bool(self.left <= error**2)
+    def is_low_rank(self, error: float) -> bool:
+        """Whether a few components of the light represent the bins to that relative error."""
+        return bool(self.residual_energy <= error**2)
 
-    def _unforeseen(self, always: int, view: float) -> float:
-        """The relative root mean square error that nothing foretells, where levels up to `always` are seen whole."""
-        found, surprise, missed = self.coefficients.copy(), np.zeros(self.coefficients.shape[:2]), 0.0
-        tolerated = view**2 * self._scale()
+    def _undetected_error(self, full: int, tolerance: float) -> float:
+        """Relative rms error that stays undetected if the levels up to `full` are evaluated fully."""
+        found, prediction_error, missed = self.coefficients.copy(), np.zeros(self.coefficients.shape[:2]), 0.0
+        tolerated = tolerance**2 * self._scale()
         for number, level in enumerate(self.levels[1:], start=1):
-            foretold = (level.combining @ found.reshape(len(found), -1)).reshape(-1, *found.shape[1:])
-            off = ((found[level.bins] - foretold) ** 2).mean(axis=2)
-            expected = DECAY**2 * (level.nearest @ surprise)
-            seen = (expected > tolerated) | (number <= always)
-            missed += float(off[~seen & (off > UNFORESEEN * (expected + tolerated))].sum())
-            found[level.bins] = np.where(seen[..., None], found[level.bins], foretold)
-            surprise[level.bins] = np.where(seen, off, expected)
-            if number == ALWAYS:
-                # The first levels were hardly foretold: they take after the last of them.
+            predicted = (level.interpolation @ found.reshape(len(found), -1)).reshape(-1, *found.shape[1:])
+            squared = ((found[level.bins] - predicted) ** 2).mean(axis=2)
+            expected = DECAY**2 * (level.nearest_mean @ prediction_error)
+            evaluated = (expected > tolerated) | (number <= full)
+            missed += float(squared[~evaluated & (squared > UNDETECTED * (expected + tolerated))].sum())
+            found[level.bins] = np.where(evaluated[..., None], found[level.bins], predicted)
+            prediction_error[level.bins] = np.where(evaluated, squared, expected)
+            if number == FULL_LEVELS:
+                # The first levels had hardly any prediction: use the error of the last of them.
                 for before in self.levels[:number]:
-                    surprise[before.bins] = surprise[level.bins].mean(axis=0)
+                    prediction_error[before.bins] = prediction_error[level.bins].mean(axis=0)
         signal = float((self.coefficients**2).mean(axis=2).sum())
         return float(np.sqrt(missed / signal)) if signal > 0.0 else 0.0
 
     def _scale(self) -> Array:
-        known = np.concatenate([level.bins for level in self.levels[:SCALED_BY]])
+        known = np.concatenate([level.bins for level in self.levels[:SCALE_LEVELS]])
         return np.asarray(np.maximum((self.coefficients[known] ** 2).mean(axis=(0, 2)), self.floor**2))

@@ -1,4 +1,4 @@
-"""/transfer_compact: how compact coefficients lie in a file, and the writing and reading of them."""
+"""Writes and reads compact coefficients, the group /transfer_compact of an asset (docs/compression.md)."""
 
 import json
 import os
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from formats.asset.compact_layout import GROUP, digit_names
 from formats.asset.compact_record import AddedError, CompactCoefficients, FactorisedViews, LearnedViews
-from formats.asset.error_covariance import write_shape
+from formats.asset.error_covariance import write_covariance
 from formats.asset.head import write_head
 from formats.asset.record import Asset
 from formats.atomic import replacing
@@ -23,19 +23,20 @@ FORMULA = (
     "channel_basis[channel_component[p],k,c]; codes = sum over d of 256**d * digits_d; view = kron(ring_basis, "
     "sector_basis), or view_scale[r] * sum over d of 256**d * view_digits_d[r,b]"
 )
-Sparse = tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.int32]]
+SparseCodes = tuple[NDArray[np.int64], NDArray[np.uint32], NDArray[np.int32]]
+"""Number of nonzero codes of each vertex, their components and their values."""
 _CHUNK_BYTES = 2**18
 _CHUNK_VERTICES = 4096
-_KEPT_BITS = 8  # of the mantissa of error figures: 0.4 %
+_KEPT_BITS = 8  # of the mantissa of standard errors: 0.4 %
 
 
 def write_compact(asset: Asset, path: str | os.PathLike[str]) -> int:
-    """Write an asset whose coefficients are compact, whole or not at all, and return the bytes of /transfer_compact.
+    """Write an asset with compact coefficients atomically, and return the size of /transfer_compact in bytes.
 
-    A table "compression" in its provenance learns them too, as "bytes_after".
+    If the provenance has a table "compression", its "bytes_after" is set to that size.
 
     Raises:
-        StorageError: the disk is full or not writable.
+        StorageError: the disk is full or read-only.
     """
     with replacing(path) as part, deferred():
         sink = Sink(part)
@@ -52,15 +53,15 @@ def write_compact(asset: Asset, path: str | os.PathLike[str]) -> int:
                 file.create_dataset(f"selftest/{name}", data=np.asarray(values).astype(kind))
             file.create_dataset("provenance/json", data=_provenance(asset, size))
             file.create_dataset("provenance/error_vs_time", data=np.asarray(asset.error_vs_time, "<f8"))
-        if sink.fault is not None:
-            raise sink.fault
+        if sink.error is not None:
+            raise sink.error
         sink.close()
     return size
 
 
 def read_compact(group: Any) -> CompactCoefficients:
-    """The coefficients in an open /transfer_compact whose layout is sound."""
-    starts, components, values = _sparse(group)
+    """Return the coefficients of an open group /transfer_compact of valid layout."""
+    starts, components, values = _read_codes(group)
     attributes = group.attrs
     return CompactCoefficients(
         step=float(attributes["step"]),
@@ -72,7 +73,7 @@ def read_compact(group: Any) -> CompactCoefficients:
         components=components,
         values=values,
         added=AddedError(
-            asked=float(attributes["error_asked"]),
+            requested=float(attributes["error_asked"]),
             total=float(attributes["error"]),
             percentile_95=float(attributes["error_percentile_95"]),
             worst=float(attributes["error_worst"]),
@@ -82,7 +83,7 @@ def read_compact(group: Any) -> CompactCoefficients:
 
 
 def digit_planes(codes: NDArray[np.integer]) -> list[NDArray[np.int8]]:
-    """Whole numbers as digits of −128 to 127, the lowest first: codes = Σ 256^d digit_d, as many as it takes."""
+    """Split integers into digits from −128 to 127, the lowest first: codes = Σ 256^d digit_d."""
     rest = codes.astype(np.int64)
     planes: list[NDArray[np.int8]] = []
     while not planes or rest.any():
@@ -92,17 +93,17 @@ def digit_planes(codes: NDArray[np.integer]) -> list[NDArray[np.int8]]:
     return planes
 
 
-def sparse(dense: NDArray[np.integer]) -> Sparse:
-    """How many codes of each vertex are not zero [n], their components, and their values, of codes [P,n]."""
+def to_sparse(dense: NDArray[np.integer]) -> SparseCodes:
+    """Return the nonzero codes of dense codes [P,n]."""
     vertex, component = np.nonzero(dense.T)
     counts = np.bincount(vertex, minlength=dense.shape[1])
     return counts, component.astype(np.uint32), dense[component, vertex].astype(np.int32)
 
 
-def joined(
-    parts: list[Sparse], components: int
+def join_sparse(
+    parts: list[SparseCodes], components: int
 ) -> tuple[NDArray[np.int64], NDArray[np.unsignedinteger], NDArray[np.signedinteger]]:
-    """Blocks of `sparse` in the order of their vertices as starts, components and values, in types that hold them."""
+    """Concatenate blocks of vertices into starts, components and values, in the smallest types."""
     counts = np.concatenate([part[0] for part in parts])
     starts = np.concatenate([[0], np.cumsum(counts)])
     narrow = all(np.abs(part[2]).max(initial=0) < 2**15 for part in parts)
@@ -123,31 +124,31 @@ def _write_transfer(group: Any, asset: Asset) -> None:
         folded_in=asset.folded_in,
         formula=FORMULA,
         step=compact.step,
-        error_asked=added.asked,
+        error_asked=added.requested,
         error=added.total,
         error_percentile_95=added.percentile_95,
         error_worst=added.worst,
     )
-    _packed(group, "valid", asset.valid.astype(np.uint8))
-    _packed(group, "standard_error", coarse(asset.standard_error))
-    _packed(group, "added_error", coarse(added.per_vertex))
-    if asset.error_shape is not None:
-        write_shape(group, asset.error_shape)
-    _packed(group, "view_component", compact.view_component.astype("<u4"))
-    _packed(group, "channel_component", compact.channel_component.astype("<u4"))
-    _packed(group, "channel_basis", compact.channels.astype("<f4"))
+    _write_compressed(group, "valid", asset.valid.astype(np.uint8))
+    _write_compressed(group, "standard_error", round_up(asset.standard_error))
+    _write_compressed(group, "added_error", round_up(added.per_vertex))
+    if asset.error_covariance is not None:
+        write_covariance(group, asset.error_covariance)
+    _write_compressed(group, "view_component", compact.view_component.astype("<u4"))
+    _write_compressed(group, "channel_component", compact.channel_component.astype("<u4"))
+    _write_compressed(group, "channel_basis", compact.channels.astype("<f4"))
     if isinstance(compact.views, FactorisedViews):
-        _packed(group, "ring_basis", compact.views.rings.astype("<f4"))
-        _packed(group, "sector_basis", compact.views.sectors.astype("<f4"))
+        _write_compressed(group, "ring_basis", compact.views.rings.astype("<f4"))
+        _write_compressed(group, "sector_basis", compact.views.sectors.astype("<f4"))
     else:
-        _packed(group, "view_scale", compact.views.scale.astype("<f4"))
+        _write_compressed(group, "view_scale", compact.views.scale.astype("<f4"))
         for d, plane in enumerate(digit_planes(compact.views.codes)):
-            _put(_digits(group, f"view_digits_{d}", plane.shape, plane.shape[1]), plane, 0)
+            _write_plane(_digits(group, f"view_digits_{d}", plane.shape, plane.shape[1]), plane, 0)
     _write_digits(group, compact)
 
 
 def _write_digits(group: Any, compact: CompactCoefficients) -> None:
-    """Chunks in which all digits are zero are not written, and no dataset of digits that are all zero but the first."""
+    """Write the codes as digit datasets; chunks of zeros are not written, nor higher digits that are all zero."""
     shape = len(compact.view_component), len(compact)
     columns = min(shape[1], _CHUNK_VERTICES)
     planes: list[Any] = []
@@ -155,7 +156,7 @@ def _write_digits(group: Any, compact: CompactCoefficients) -> None:
         for d, plane in enumerate(digit_planes(_dense(compact, first, min(first + columns, shape[1])))):
             if d == len(planes):
                 planes.append(_digits(group, f"digits_{d}", shape, columns))
-            _put(planes[d], plane, first)
+            _write_plane(planes[d], plane, first)
 
 
 def _digits(group: Any, name: str, shape: tuple[int, int], columns: int) -> Any:
@@ -163,34 +164,35 @@ def _digits(group: Any, name: str, shape: tuple[int, int], columns: int) -> Any:
     return group.create_dataset(name, shape, "i1", chunks=chunks, compression=9)
 
 
-def _put(dataset: Any, plane: NDArray[np.int8], first: int) -> None:
-    """Write the columns of digits [P,n] that begin at `first`, chunks that are all zero left out."""
+def _write_plane(dataset: Any, plane: NDArray[np.int8], first: int) -> None:
+    """Write digits [P,n] to the columns from `first` on, except chunks of zeros."""
     rows, columns = dataset.chunks
     for row in range(0, len(plane), rows):
-        some = plane[row : row + rows]
-        if some.any():
+        block = plane[row : row + rows]
+        if block.any():
             chunk = np.zeros((rows, columns), np.int8)
-            chunk[: len(some), : some.shape[1]] = some
-            dataset.id.write_direct_chunk((row, first), deflated(chunk))
+            chunk[: len(block), : block.shape[1]] = block
+            dataset.id.write_direct_chunk((row, first), deflate(chunk))
 
 
-def deflated(digits: NDArray[np.int8]) -> bytes:
-    """Digits as any gzip filter reads them, in 7 % fewer bytes than it writes: runs alone are matched, since matches
-    between numbers that do not depend on one another take more than the digits by themselves.
+def deflate(digits: NDArray[np.int8]) -> bytes:
+    """Compress digits for the gzip filter, to 7 % fewer bytes than the filter's own.
+
+    Only runs are matched: a match between independent digits takes more bits than the digits.
     """
-    packer = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 8, zlib.Z_RLE)
-    return packer.compress(np.ascontiguousarray(digits).tobytes()) + packer.flush()
+    compressor = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 8, zlib.Z_RLE)
+    return compressor.compress(np.ascontiguousarray(digits).tobytes()) + compressor.flush()
 
 
 def _dense(compact: CompactCoefficients, first: int, end: int) -> NDArray[np.int32]:
     codes = np.zeros((len(compact.view_component), end - first), np.int32)
-    some = slice(compact.starts[first], compact.starts[end])
+    nonzero = slice(compact.starts[first], compact.starts[end])
     vertex = np.repeat(np.arange(end - first), np.diff(compact.starts[first : end + 1]))
-    codes[compact.components[some], vertex] = compact.values[some]
+    codes[compact.components[nonzero], vertex] = compact.values[nonzero]
     return codes
 
 
-def _sparse(group: Any) -> Any:
+def _read_codes(group: Any) -> Any:
     planes = [group[name] for name in digit_names(group, "digits")]
     vertices = planes[0].shape[1]
     parts = []
@@ -198,8 +200,8 @@ def _sparse(group: Any) -> Any:
         codes = np.zeros((planes[0].shape[0], min(_CHUNK_VERTICES, vertices - first)), np.int32)
         for d, plane in enumerate(planes):
             codes += plane[:, first : first + _CHUNK_VERTICES].astype(np.int32) << 8 * d
-        parts.append(sparse(codes))
-    return joined(parts, planes[0].shape[0])
+        parts.append(to_sparse(codes))
+    return join_sparse(parts, planes[0].shape[0])
 
 
 def _views(group: Any) -> FactorisedViews | LearnedViews:
@@ -209,14 +211,14 @@ def _views(group: Any) -> FactorisedViews | LearnedViews:
     return LearnedViews(np.sum(planes, axis=0, dtype=np.int32), group["view_scale"][...].astype(np.float32))
 
 
-def coarse(errors: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Errors in float32, rounded up to so few bits that they pack well."""
+def round_up(errors: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Round errors up to float32 of few mantissa bits, which compress well."""
     dropped = np.uint32(2 ** (23 - _KEPT_BITS) - 1)
     bits = np.ascontiguousarray(errors, np.float32).view(np.uint32)
     return np.asarray(((bits + dropped) & ~dropped).view(np.float32))
 
 
-def _packed(group: Any, name: str, values: NDArray[Any]) -> None:
+def _write_compressed(group: Any, name: str, values: NDArray[Any]) -> None:
     group.create_dataset(name, data=values, compression=9, shuffle=True, chunks=values.shape)
 
 

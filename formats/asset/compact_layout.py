@@ -1,4 +1,4 @@
-"""What /transfer_compact must hold: attributes, datasets, and values that can be decoded."""
+"""The layout of /transfer_compact, and its check: attributes, datasets and values that can be decoded."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 GROUP = "transfer_compact"
-MOST_DIGITS = 4
+MAX_DIGITS = 4
 ATTRIBUTES = {
     GROUP: ("quantity", "folded_in", "step", "error_asked", "error", "error_percentile_95", "error_worst"),
 }
@@ -24,29 +24,29 @@ _LEARNED: Kinds = {"view_scale": ("f", ("R",))}
 
 
 def datasets(group: Any) -> Kinds:
-    """The datasets that this group must hold, by their place in the file: kinds of types and axes."""
+    """Return the datasets that this group must have, by path: kinds of types, and axes."""
     learned = "view_scale" in group
-    every = {**_ALWAYS, **(_LEARNED if learned else _FACTORISED)}
-    every |= dict.fromkeys(digit_names(group, "digits"), ("i", ("P", "V")))
+    required = {**_ALWAYS, **(_LEARNED if learned else _FACTORISED)}
+    required |= dict.fromkeys(digit_names(group, "digits"), ("i", ("P", "V")))
     if learned:
-        every |= dict.fromkeys(digit_names(group, "view_digits"), ("i", ("R", "B|1")))
-    return {f"{GROUP}/{name}": axes for name, axes in every.items()}
+        required |= dict.fromkeys(digit_names(group, "view_digits"), ("i", ("R", "B|1")))
+    return {f"{GROUP}/{name}": axes for name, axes in required.items()}
 
 
 def digit_names(group: Any, stem: str) -> list[str]:
-    """Datasets of digits, the lowest first; the lowest always, others where they are."""
-    return [f"{stem}_{d}" for d in range(MOST_DIGITS) if d == 0 or f"{stem}_{d}" in group]
+    """Return the names of the digit datasets, the lowest first: the lowest, and those in the group."""
+    return [f"{stem}_{d}" for d in range(MAX_DIGITS) if d == 0 or f"{stem}_{d}" in group]
 
 
-def views_kept(group: Any) -> int:
-    """Length of the view axis that a group of sound layout decodes to."""
+def decoded_views(group: Any) -> int:
+    """Return the length of the view axis that a group of valid layout decodes to."""
     if "view_scale" in group:
         return int(group["view_digits_0"].shape[1])
     return int(group["ring_basis"].shape[1]) * int(group["sector_basis"].shape[1])
 
 
 def value_faults(group: Any) -> Iterator[str]:
-    """Yield a sentence for every value of a group of sound layout that decodes to nothing."""
+    """Yield a sentence for every invalid value in a group of valid layout."""
     for name in ATTRIBUTES[GROUP][2:]:
         value = np.asarray(group.attrs[name])
         if value.shape != () or value.dtype.kind != "f" or not (np.isfinite(value) and value >= 0.0):
@@ -56,22 +56,24 @@ def value_faults(group: Any) -> Iterator[str]:
             yield f"/{GROUP}/{name}: {wrong.sum()} of {wrong.size} values are not finite"
     learned = "view_scale" in group
     views = len(group["view_scale"]) if learned else len(group["ring_basis"]) * len(group["sector_basis"])
-    bins, kept = int(np.prod([group.file["bins"].attrs[name] for name in ("rings", "sectors")])), views_kept(group)
-    if kept not in (1, bins):
-        yield f"/{GROUP}: the basis of the views is over {kept} bins; expected {bins} or 1"
+    bins = int(np.prod([group.file["bins"].attrs[name] for name in ("rings", "sectors")]))
+    decoded = decoded_views(group)
+    if decoded not in (1, bins):
+        yield f"/{GROUP}: the view basis has {decoded} bins; expected {bins} or 1"
     for name, length in (("view_component", views), ("channel_component", len(group["channel_basis"]))):
         outside = (group[name][...] < 0) | (group[name][...] >= length)
         if outside.any():
-            yield f"/{GROUP}/{name}: {outside.sum()} of {outside.size} name functions that do not exist"
+            yield f"/{GROUP}/{name}: {outside.sum()} of {outside.size} select basis functions that do not exist"
     pairs = (
         group["view_component"][...].astype(np.int64) * len(group["channel_basis"]) + group["channel_component"][...]
     )
     if len(np.unique(pairs)) < len(pairs):
-        twice = len(pairs) - len(np.unique(pairs))
-        yield f"/{GROUP}: {twice} components are the product of the same functions as another"
-    falls = np.diff(group["channel_component"][...].astype(np.int64)) < 0
-    if falls.any():
-        yield f"/{GROUP}/channel_component: {falls.sum()} of {len(falls) + 1} fall; expected the components by channel"
+        duplicates = len(pairs) - len(np.unique(pairs))
+        yield f"/{GROUP}: {duplicates} components are the product of the same functions as another"
+    descends = np.diff(group["channel_component"][...].astype(np.int64)) < 0
+    if descends.any():
+        count = f"{descends.sum()} of {len(descends) + 1}"
+        yield f"/{GROUP}/channel_component: {count} descend; expected components in ascending order"
     for name in digit_names(group, "digits") + (digit_names(group, "view_digits") if learned else []):
         if group[name].dtype.itemsize != 1:
             yield f"/{GROUP}/{name} has type {group[name].dtype}; expected digits in one byte, int8"

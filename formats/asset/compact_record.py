@@ -1,4 +1,4 @@
-"""Compact coefficients: whole numbers, most of them zero, times a basis over view bins and one over harmonics.
+"""Compact coefficients: integers, mostly zero, times a basis over view bins and a basis over harmonics.
 
 coefficients[v,b,k,c] = step · Σ_p codes[p,v] · view[view_component[p],b] · channel[channel_component[p],k,c]
 """
@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_DECODED_AT_ONCE = 64
+_BLOCK_VERTICES = 64
 
 
 @dataclass(frozen=True)
 class FactorisedViews:
-    """A basis over view bins that is one over rings times one over sectors, every pair of them.
+    """A separable basis over view bins: every product of a function over rings and a function over sectors.
 
     Attributes:
         rings: float32 [I,rings].
@@ -27,13 +27,13 @@ class FactorisedViews:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """The functions at the bins [I·J,B]."""
+        """The basis functions at the bins [I·J,B]."""
         return np.asarray(np.kron(self.rings.astype(np.float64), self.sectors.astype(np.float64)), np.float64)
 
 
 @dataclass(frozen=True)
 class LearnedViews:
-    """A basis over view bins as whole numbers, each function with a scale of its own.
+    """A basis over view bins, quantised to integers with one scale per function.
 
     Attributes:
         codes: int32 [R,B].
@@ -45,23 +45,23 @@ class LearnedViews:
 
     @property
     def matrix(self) -> NDArray[np.float64]:
-        """The functions at the bins [R,B]."""
+        """The basis functions at the bins [R,B]."""
         return self.codes * self.scale.astype(np.float64)[:, None]
 
 
 @dataclass(frozen=True)
 class AddedError:
-    """What compaction added, relative: the root of Σ|decoded − original|² / Σ|original|² over valid vertices.
+    """The relative error that compression added: √(Σ|decoded − original|² / Σ|original|²) over valid vertices.
 
     Attributes:
-        asked: the most that it may be.
-        total: what it is, over all of the object.
-        percentile_95: 95th percentile over vertices of the same ratio taken per vertex.
-        worst: the largest of a vertex.
-        per_vertex: float32 [V], not relative: root mean square over B, K and C.
+        requested: the requested bound on `total`.
+        total: over the complete object.
+        percentile_95: 95th percentile of the same ratio per vertex.
+        worst: its maximum over vertices.
+        per_vertex: float32 [V], absolute: root mean square over B, K and C.
     """
 
-    asked: float
+    requested: float
     total: float
     percentile_95: float
     worst: float
@@ -70,20 +70,20 @@ class AddedError:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CompactCoefficients:
-    """Coefficients [V,B,K,C] that are decoded where they are asked for: `compact[rows]` is an array in float32.
+    """Coefficients [V,B,K,C] that are decoded on indexing: `compact[rows]` is a float32 array.
 
-    The codes that are not zero lie vertex by vertex: those of vertex v are values[starts[v]:starts[v+1]].
+    The nonzero codes are stored vertex by vertex: those of vertex v are values[starts[v]:starts[v+1]].
 
     Attributes:
-        step: what a code of 1 stands for.
+        step: quantisation step, the value of code 1.
         views: the basis over view bins, R functions.
         channels: float32 [J,K,C], the basis over harmonics and channels.
-        view_component: int64 [P], which function of the view each component has.
-        channel_component: int64 [P], which of harmonics and channels; never falls.
+        view_component: int64 [P], index of the view function of each component.
+        channel_component: int64 [P], index of the function over harmonics and channels of each component, ascending.
         starts: int64 [V+1].
         components: uint16 or uint32 [N], ascending within a vertex.
         values: int16 or int32 [N].
-        added: the error of it.
+        added: the error of compression.
     """
 
     step: float
@@ -98,7 +98,7 @@ class CompactCoefficients:
 
     @cached_property
     def view_matrix(self) -> NDArray[np.float64]:
-        """The functions of the view at the bins [R,B]."""
+        """The view functions at the bins [R,B]."""
         return self.views.matrix
 
     @property
@@ -109,33 +109,33 @@ class CompactCoefficients:
 
     @property
     def dtype(self) -> np.dtype[np.float32]:
-        """The type that it is decoded to."""
+        """The type of decoded coefficients."""
         return np.dtype(np.float32)
 
     def __len__(self) -> int:
         return self.shape[0]
 
     def __getitem__(self, key: Any) -> NDArray[np.float32]:
-        """Only the first axis may be cut: by a number, a slice, an array of numbers or of bool, or `...`."""
+        """Index the first axis by an integer, a slice, an array of integers or bool, or `...`."""
         rows = np.arange(len(self))[key]
         decoded = np.zeros((rows.size, *self.shape[1:]), np.float32)
-        for first in range(0, rows.size, _DECODED_AT_ONCE):
-            some = slice(first, first + _DECODED_AT_ONCE)
-            decoded[some] = self.decoded(rows.reshape(-1)[some])
+        for first in range(0, rows.size, _BLOCK_VERTICES):
+            block = slice(first, first + _BLOCK_VERTICES)
+            decoded[block] = self.decode(rows.reshape(-1)[block])
         return decoded.reshape(*rows.shape, *self.shape[1:])
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         return self[:].astype(dtype or np.float32, copy=False)
 
-    def decoded(self, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
-        """The coefficients [n,B,K,C] of some vertices [n]."""
+    def decode(self, vertices: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the coefficients [n,B,K,C] of some vertices [n]."""
         _, bins, terms, channels = self.shape
         functions, width = len(self.view_matrix), len(self.channels)
-        place = self.view_component * width + self.channel_component
+        index = self.view_component * width + self.channel_component
         core = np.empty((len(vertices), functions * width))
         for row, vertex in enumerate(vertices.tolist()):
-            some = slice(self.starts[vertex], self.starts[vertex + 1])
-            core[row] = np.bincount(place[self.components[some]], self.values[some], functions * width)
+            codes = slice(self.starts[vertex], self.starts[vertex + 1])
+            core[row] = np.bincount(index[self.components[codes]], self.values[codes], functions * width)
         by_view = core.reshape(len(vertices), functions, width) @ self.channels.reshape(len(self.channels), -1).astype(
             np.float64
         )

@@ -1,4 +1,4 @@
-"""An asset file being written: the HDF5 file, its open datasets, and the disk underneath."""
+"""An asset file during writing: the HDF5 file, its open datasets and the file object underneath."""
 
 import contextlib
 import math
@@ -18,21 +18,21 @@ _CHUNK_BYTES = 2**20
 
 
 def chunk_vertices(shape: tuple[int, ...], storage: Storage) -> int:
-    """Return how many whole vertices fit in a chunk of 1 MiB, at least one; `shape` is that of the dataset, [V,...]."""
+    """Return the number of vertices in a chunk of 1 MiB, at least one, for a dataset of shape [V,...]."""
     return max(1, min(shape[0], _CHUNK_BYTES // (math.prod(shape[1:]) * np.dtype(storage).itemsize)))
 
 
 class AssetFile:
-    """A new asset file with its head written; the datasets stay open, or every block would flush their chunks.
+    """A new asset file with its head written; the datasets stay open, because closing them would flush their chunks.
 
-    Every method raises OSError if the disk does not take what is written.
+    Every method raises OSError if the disk is full or fails.
 
     Attributes:
         file: the open h5py file.
     """
 
     def __init__(self, part: Path, head: AssetHead, shape: tuple[int, int, int, int], storage: Storage) -> None:
-        """Open `part` anew for coefficients of this shape [V,B,K,C] and type."""
+        """Create the file `part` for coefficients of this shape [V,B,K,C] and type."""
         self._sink = Sink(part)
         cache = max(2**22, 2 * math.prod(shape[1:]) * np.dtype(storage).itemsize)
         self.file: Any = h5py.File(self._sink, "w", rdcc_nbytes=cache)
@@ -56,23 +56,23 @@ class AssetFile:
         self.check()
 
     def note(self, sentence: str) -> None:
-        """Keep a sentence about the coefficients' type beside them."""
+        """Store a sentence about the type of the coefficients as their attribute."""
         self._coefficients.attrs["storage_note"] = sentence
 
     def check(self) -> None:
-        """Raise the disk's fault, if there was one."""
-        if self._sink.fault is not None:
-            raise self._sink.fault
+        """Raise the first error of the disk, if any."""
+        if self._sink.error is not None:
+            raise self._sink.error
 
     def close(self) -> None:
-        """Write what HDF5 still holds back, and close."""
+        """Write all pending data and close."""
         self._rows.finish()
         self.file.close()
         self.check()
         self._sink.close()
 
     def discard(self) -> None:
-        """Close without caring for the contents."""
+        """Close and ignore errors."""
         self._sink.close()
         if hasattr(self, "_rows"):
             self._rows.discard()

@@ -1,4 +1,4 @@
-"""The head of an asset file: root attributes, mesh, basis and view bins."""
+"""Writes the head of an asset file: root attributes, mesh, basis and view bins."""
 
 import datetime
 import hashlib
@@ -70,7 +70,7 @@ def _write_mesh(group: Any, head: AssetHead) -> None:
 
 
 def mesh_digest(group: Any) -> str:
-    """SHA-256 of the origin, positions, normals, tangents and faces as the group /mesh of an asset keeps them."""
+    """Return the SHA-256 of the origin, positions, normals, tangents and faces in the group /mesh of an asset."""
     digest = hashlib.sha256(_as(group["positions"].attrs.get("origin", np.zeros(3)), "<f8").tobytes())
     for name in ("positions", "normals", "tangents", "faces"):
         digest.update(_as(group[name][...], "<u4" if name == "faces" else "<f4").tobytes())
@@ -82,7 +82,7 @@ def _as(values: NDArray[Any], kind: str) -> NDArray[Any]:
 
 
 def program_version() -> str:
-    """The version of the installed package, or "unknown"."""
+    """Return the version of the installed package, or "unknown"."""
     try:
         return importlib.metadata.version("prt-bake")
     except importlib.metadata.PackageNotFoundError:

@@ -1,4 +1,21 @@
-"""What an asset file must hold: its attributes, and the shape and type of every dataset."""
+"""The layout of an asset file, HDF5 (https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html).
+
+format_version 1.0, little-endian, with the filters gzip and shuffle only:
+
+    /             attributes format, format_version, generator, created, up, handedness, unit, colour, complete,
+                  left_out (JSON)
+    /mesh         positions (add the attribute origin), normals, tangents, faces, uv, source_vertex
+    /basis        attributes kind, degree, order, sign, normalisation; check_directions, check_values
+    /bins         directions; attributes rings, sectors, interpolation, solid_angle
+    /transfer     coefficients [V,B,K,C], valid [V], standard_error [V,B]; attributes quantity, formula, folded_in;
+                  the error covariance (`error_covariance.py`): error_covariance, error_channels, error_apart, error_row
+    /selftest     light, vertex, outgoing, radiance
+    /provenance   json (one string), error_vs_time [rows,3]
+
+The axes B and C may have length 1 and are then broadcast: the view does not matter, or the channels are equal. Vertices
+with valid = 0 were not baked: their chunks are not written and read as 0. A compact asset has /transfer_compact instead
+of /transfer (`compact_file.py`, docs/compression.md).
+"""
 
 import json
 from collections.abc import Iterator
@@ -16,7 +33,7 @@ _ATTRIBUTES = {
     "basis": ("kind", "degree", "order", "sign", "normalisation"),
     "bins": ("rings", "sectors"),
 }
-# Kinds of NumPy types, then lengths: letters are the axes of the asset, a bar allows an axis that was left out.
+# Kinds of NumPy types, then lengths: letters are the axes of the asset, "|1" allows a broadcast axis.
 _DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
     "mesh/positions": ("f", ("V", "3")),
     "mesh/normals": ("f", ("V", "3")),
@@ -44,13 +61,13 @@ _OPTIONAL_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 
 def layout_faults(file: Any) -> Iterator[str]:
-    """Yield a sentence for every attribute or dataset of an open asset that is missing or not as it must be."""
+    """Yield a sentence for every attribute or dataset of an open asset that is missing or invalid."""
     if file.attrs.get("format") != FORMAT:
-        yield f"is HDF5 but no prtbake asset: expected the attribute format = '{FORMAT}'"
+        yield f"is not an asset of prtbake: expected the attribute format = '{FORMAT}'"
         return
     version = str(file.attrs.get("format_version", "missing"))
     if version.split(".")[0] != "1":
-        yield f"has format_version {version}; this program reads 1.x, use one that is as new as the asset"
+        yield f"has format_version {version}; this program reads 1.x, use a newer one"
         return
     missing = list(_missing_attributes(file))
     yield from missing
@@ -60,14 +77,14 @@ def layout_faults(file: Any) -> Iterator[str]:
 
 
 def transfer_group(file: Any) -> str:
-    """Where an open asset keeps its coefficients: "transfer_compact" where there is one, else "transfer"."""
+    """Return the group of the coefficients of an open asset, "transfer_compact" or "transfer"."""
     return compact_layout.GROUP if compact_layout.GROUP in file else "transfer"
 
 
 def _missing_attributes(file: Any) -> Iterator[str]:
     compact = transfer_group(file) == compact_layout.GROUP
-    of_transfer = compact_layout.ATTRIBUTES if compact else {"transfer": ("quantity", "folded_in")}
-    for group, names in {**_ATTRIBUTES, **of_transfer}.items():
+    transfer = compact_layout.ATTRIBUTES if compact else {"transfer": ("quantity", "folded_in")}
+    for group, names in {**_ATTRIBUTES, **transfer}.items():
         if group and not isinstance(file.get(group), h5py.Group):
             yield f"/{group} is missing"
             continue
@@ -77,26 +94,22 @@ def _missing_attributes(file: Any) -> Iterator[str]:
 
 
 def _attribute_faults(file: Any) -> Iterator[str]:
-    wrong = {
-        "up": file.attrs["up"] not in ("y", "z"),
-        "handedness": file.attrs["handedness"] != "right",
-        "complete": int(file.attrs["complete"]) not in (0, 1),
-    }
-    yield from (
-        f"the attribute {name} is {file.attrs[name]!r}, which means nothing" for name, bad in wrong.items() if bad
-    )
-    for name, ours in BASIS.items():
-        if (theirs := file["basis"].attrs[name]) != ours:
-            yield f"/basis: the attribute {name} is {str(theirs)!r}; this program reads {ours!r} alone, bake it again"
+    for name, allowed in {"up": ("y", "z"), "handedness": ("right",), "complete": (0, 1)}.items():
+        if file.attrs[name] not in allowed:
+            yield f"the attribute {name} is {file.attrs[name]!r}; expected {' or '.join(map(repr, allowed))}"
+    for name, expected in BASIS.items():
+        if (found := file["basis"].attrs[name]) != expected:
+            yield f"/basis: the attribute {name} is {str(found)!r}; expected {expected!r}; bake it again"
     for group, name in (("basis", "degree"), ("bins", "rings"), ("bins", "sectors")):
         value = np.asarray(file[group].attrs[name])
-        if value.shape != () or value.dtype.kind not in "iu" or not (0 if name == "degree" else 1) <= value <= 10**5:
-            yield f"/{group}: the attribute {name} is {value}, which is no count"
+        least = 0 if name == "degree" else 1
+        if value.shape != () or value.dtype.kind not in "iu" or not least <= value <= 10**5:
+            yield f"/{group}: the attribute {name} is {value}; expected an integer from {least} on"
     group = transfer_group(file)
     if file[group].attrs["quantity"] not in FORMULAS:
         yield f"/{group}: quantity is {file[group].attrs['quantity']!r}; expected {' or '.join(FORMULAS)}"
     if not isinstance(_json(file.attrs["left_out"]), list):
-        yield "the attribute left_out is no JSON list"
+        yield "the attribute left_out is not a JSON list"
 
 
 def _dataset_faults(file: Any) -> Iterator[str]:
@@ -108,13 +121,13 @@ def _dataset_faults(file: Any) -> Iterator[str]:
     }
     selftest = {f"selftest/{name}" for name in file.get("selftest", ())}
     compact = transfer_group(file) == compact_layout.GROUP
-    of_transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
-    shapes = {f"{transfer_group(file)}/{name}": axes for name, axes in error_covariance.DATASETS.items()}
-    required = {*_DATASETS, *of_transfer}
+    transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
+    covariance = {f"{transfer_group(file)}/{name}": axes for name, axes in error_covariance.DATASETS.items()}
+    required = {*_DATASETS, *transfer}
     required |= {name for name in _OPTIONAL_DATASETS if name.startswith("selftest/")} if selftest else set()
-    if any(name in file for name in shapes):
-        required |= {name for name in shapes if not name.endswith("error_row")}
-    for name, (kinds, axes) in {**_DATASETS, **of_transfer, **shapes, **_OPTIONAL_DATASETS}.items():
+    if any(name in file for name in covariance):
+        required |= {name for name in covariance if not name.endswith("error_row")}
+    for name, (kinds, axes) in {**_DATASETS, **transfer, **covariance, **_OPTIONAL_DATASETS}.items():
         dataset = file.get(name)
         if not isinstance(dataset, h5py.Dataset):
             if name in required:
@@ -124,21 +137,21 @@ def _dataset_faults(file: Any) -> Iterator[str]:
         if dataset.dtype.kind not in kinds:
             yield f"/{name} has type {dataset.dtype}; expected kind {' or '.join(kinds)}"
         if len(shape) != len(axes) or not all(_fits(axis, n, lengths) for axis, n in zip(axes, shape, strict=True)):
-            expected = ", ".join(_told(axis, lengths) for axis in axes)
+            expected = ", ".join(_describe_axis(axis, lengths) for axis in axes)
             yield f"/{name} has shape {list(shape or ())}; expected [{expected}]"
     if isinstance(text := file.get("provenance/json"), h5py.Dataset) and not isinstance(_json(text[()]), dict):
-        yield "/provenance/json is no JSON object"
+        yield "/provenance/json is not a JSON object"
 
 
 def _fits(axis: str, length: int, lengths: dict[str, int]) -> bool:
-    """Compare a length with what its axis must have; a letter not met before is settled by it."""
+    """Whether an axis may have this length; the first length of a letter fixes that letter."""
     choices = axis.split("|")
     if not choices[0].isdigit():
         lengths.setdefault(choices[0], length)
     return length in {int(choice) if choice.isdigit() else lengths[choice] for choice in choices}
 
 
-def _told(axis: str, lengths: dict[str, int]) -> str:
+def _describe_axis(axis: str, lengths: dict[str, int]) -> str:
     return " or ".join(
         choice if choice.isdigit() else f"{choice} = {lengths.get(choice, 'any')}" for choice in axis.split("|")
     )

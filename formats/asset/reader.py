@@ -1,4 +1,4 @@
-"""Reads an asset, checking first everything that a user relies on."""
+"""Reads and checks assets."""
 
 import json
 import math
@@ -9,34 +9,47 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.asset.chunk_reader import read_chunks, unpacks
+from formats.asset.chunk_reader import can_read_chunks, read_chunks
 from formats.asset.compact_file import read_compact
 from formats.asset.compact_layout import GROUP, value_faults
-from formats.asset.error_covariance import read_shape, shape_faults
+from formats.asset.error_covariance import covariance_faults, read_covariance
 from formats.asset.head import mesh_digest
 from formats.asset.layout import layout_faults, transfer_group
 from formats.asset.record import Asset
 from formats.errors import AssetError
-from formats.hdf5_file import DAMAGE, Damage, damage, open_hdf5
+from formats.hdf5_file import HDF5_ERRORS, DamagedDataError, describe_damage, open_hdf5
 from formats.mesh import Mesh
 
 _BLOCK_BYTES = 2**26
-_UNIT_TOLERANCE = 1e-3  # half floats of other writers pass, wrong lengths do not
+_UNIT_TOLERANCE = 1e-3  # accepts normals that another writer stored as float16
 
 
 def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
-    """Read an asset and check everything in it that a user relies on.
+    """Read and check an asset.
 
     Args:
         path: the HDF5 file.
-        load: read the coefficients into memory, as the type that the file keeps, and check each; without it they are
-            the open dataset (see `Asset.close`), for assets larger than memory. Compact ones are always read into
-            memory, as they are.
+        load: read and check all coefficients, in the type of the file. If false, `Asset.coefficients` is the open
+            dataset (see `Asset.close`), for assets larger than memory. Compact coefficients are always read, and stay
+            compact.
 
     Raises:
-        AssetError: not HDF5, truncated, of another version, datasets missing or of the wrong shape or type, values that
-            are not finite.
+        AssetError: the file is not HDF5, truncated or of another version; datasets are missing or have the wrong shape
+            or type; values are not finite.
         StorageError: the file is missing.
+
+    >>> import trimesh
+    >>> import prt_bake as prt
+    >>> class White:
+    ...     def evaluate(self, incident, positions, outgoing):
+    ...         return np.full((len(positions), incident.shape[-2], 3), 0.1)
+    >>> ball = trimesh.creation.icosphere(subdivisions=0)
+    >>> mesh = prt.Mesh(ball.vertices, ball.faces, ball.vertex_normals)
+    >>> asset = prt.bake(White(), mesh, rings=1, sectors=4)
+    >>> prt.write_asset(asset, "ball.h5")
+    >>> with prt.read_asset("ball.h5", load=False) as stored:
+    ...     stored.coefficients[:2].shape
+    (2, 4, 9, 3)
     """
     file = _opened(path)
     try:
@@ -45,18 +58,18 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
             more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
             raise AssetError(f"{path}: {faults[0]}{more}")
         asset = _asset(file, load)
-    except DAMAGE as cause:
+    except HDF5_ERRORS as cause:
         file.close()
         if isinstance(cause, AssetError):
             raise
-        raise AssetError(f"{path}: {damage(cause)}; copy or bake it again") from cause
+        raise AssetError(f"{path}: {describe_damage(cause)}; copy or bake it again") from cause
     if load or GROUP in file:
         file.close()
     return asset
 
 
 def check_asset(path: str | os.PathLike[str]) -> list[str]:
-    """Return every fault of an asset as sentences; an empty list means that it is sound.
+    """Return every fault of an asset, a sentence each; an empty list means a valid asset.
 
     Raises:
         StorageError: the file is missing.
@@ -72,66 +85,68 @@ def check_asset(path: str | os.PathLike[str]) -> list[str]:
             if not faults:
                 faults.extend(_mesh_faults(file["mesh"]))
                 faults.extend(_coefficient_faults(file))
-        except DAMAGE as cause:
-            faults.append(f"{damage(cause)}; copy or bake it again")
+        except HDF5_ERRORS as cause:
+            faults.append(f"{describe_damage(cause)}; copy or bake it again")
     return [f"{path}: {fault}" for fault in faults]
 
 
 def _opened(path: str | os.PathLike[str]) -> Any:
-    return open_hdf5(path, AssetError, "is no asset", "bake it")
+    return open_hdf5(path, AssetError, "is not an asset", "bake it")
 
 
 def _faults(file: Any) -> Iterator[str]:
-    """Yield every fault but those of the coefficients themselves."""
+    """Yield every fault except those of the coefficient values."""
     layout = list(layout_faults(file))
     yield from layout
     if layout:
         return
     for name in ("mesh/positions", "basis/check_directions", "basis/check_values", "bins/directions"):
-        yield from _not_finite(file, name)
+        yield from _finite_faults(file, name)
     origin = np.asarray(file["mesh/positions"].attrs.get("origin", np.zeros(3)))
     if origin.shape != (3,) or origin.dtype.kind != "f" or not np.isfinite(origin).all():
-        yield "/mesh/positions: the attribute origin is no point"
+        yield "/mesh/positions: the attribute origin is not a finite point"
     normals, tangents = file["mesh/normals"][...].astype(np.float64), file["mesh/tangents"][...].astype(np.float64)
     for name, vectors in (("mesh/normals", normals), ("mesh/tangents", tangents)):
-        yield from _marked(name, ~(np.abs(np.linalg.norm(vectors, axis=1) - 1) < _UNIT_TOLERANCE), "not of length 1")
+        unit = np.abs(np.linalg.norm(vectors, axis=1) - 1) < _UNIT_TOLERANCE
+        yield from _row_faults(name, ~unit, "not of length 1")
     sine = np.abs(np.einsum("vi,vi->v", normals, tangents))
-    yield from _marked("mesh/tangents", ~(sine < _UNIT_TOLERANCE), "not perpendicular to the normal")
+    yield from _row_faults("mesh/tangents", ~(sine < _UNIT_TOLERANCE), "not perpendicular to the normal")
     faces, vertices = file["mesh/faces"][...], len(normals)
-    yield from _marked("mesh/faces", ((faces < 0) | (faces >= vertices)).any(axis=1), "of vertices that do not exist")
+    outside = ((faces < 0) | (faces >= vertices)).any(axis=1)
+    yield from _row_faults("mesh/faces", outside, "out of the range of vertices")
     group = transfer_group(file)
     valid = file[f"{group}/valid"][...].astype(bool)
     errors = file[f"{group}/standard_error"][...]
-    yield from _marked(f"{group}/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
+    yield from _row_faults(f"{group}/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
     if group == GROUP:
         yield from value_faults(file[GROUP])
     terms = 1 if file[group].attrs["quantity"] == "radiance" else (int(file["basis"].attrs["degree"]) + 1) ** 2
-    yield from shape_faults(file[group], vertices, terms)
+    yield from covariance_faults(file[group], vertices, terms)
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
-        yield from _marked("selftest/vertex", outside, "of vertices that do not exist")
+        yield from _row_faults("selftest/vertex", outside, "out of the range of vertices")
         for name in ("selftest/light", "selftest/outgoing", "selftest/radiance"):
-            yield from _not_finite(file, name)
+            yield from _finite_faults(file, name)
 
 
 def _mesh_faults(group: Any) -> Iterator[str]:
-    """Coefficients belong to vertices by their number alone: a mesh in another order would be shown without a word."""
-    told = group.attrs.get("sha256")
-    if told is not None and told != mesh_digest(group):
-        yield "/mesh: is not the one that was baked, or its vertices are in another order; bake it again"
+    """Check the hash of the mesh: coefficients on vertices in another order would give silently wrong pictures."""
+    stored = group.attrs.get("sha256")
+    if stored is not None and stored != mesh_digest(group):
+        yield "/mesh: is not the mesh that was baked, or its vertices are in another order; bake it again"
 
 
-def _not_finite(file: Any, name: str) -> Iterator[str]:
-    yield from _marked(name, ~np.isfinite(file[name][...]).all(axis=1), "not finite")
+def _finite_faults(file: Any, name: str) -> Iterator[str]:
+    yield from _row_faults(name, ~np.isfinite(file[name][...]).all(axis=1), "not finite")
 
 
-def _marked(name: str, wrong: NDArray[np.bool_], what: str) -> Iterator[str]:
+def _row_faults(name: str, wrong: NDArray[np.bool_], problem: str) -> Iterator[str]:
     if wrong.any():
-        yield f"/{name}: {wrong.sum()} of {len(wrong)} rows are {what}, the first is row {wrong.argmax()}"
+        yield f"/{name}: {wrong.sum()} of {len(wrong)} rows are {problem}, the first is row {wrong.argmax()}"
 
 
 def _blocks(transfer: Any) -> Iterator[tuple[slice, NDArray[np.floating]]]:
-    """Yield the coefficients of the valid vertices in runs of memory-sized blocks."""
+    """Yield the coefficients in blocks of rows that fit in memory, without blocks that have no valid vertex."""
     dataset, valid = transfer["coefficients"], transfer["valid"][...].astype(bool)
     step = max(1, _BLOCK_BYTES // max(1, math.prod(dataset.shape[1:]) * dataset.dtype.itemsize))
     for start in range(0, len(valid), step):
@@ -143,26 +158,26 @@ def _blocks(transfer: Any) -> Iterator[tuple[slice, NDArray[np.floating]]]:
 def _block(dataset: Any, rows: slice) -> NDArray[np.floating]:
     try:
         return np.asarray(dataset[rows])
-    except DAMAGE as cause:
+    except HDF5_ERRORS as cause:
         if isinstance(cause, OSError) and cause.errno is not None:
             raise
-        raise Damage(f"{dataset.name}: rows {rows.start} to {rows.stop - 1} cannot be unpacked") from cause
+        where = f"rows {rows.start} to {rows.stop - 1}"
+        raise DamagedDataError(f"{dataset.name}: {where} cannot be decompressed") from cause
 
 
 def _coefficient_faults(file: Any) -> Iterator[str]:
     if GROUP in file:
-        read_compact(file[GROUP])  # every whole number is one; what cannot be unpacked is damage
+        read_compact(file[GROUP])  # every integer is valid; damaged chunks raise
         return
     transfer = file["transfer"]
     valid = transfer["valid"][...].astype(bool)
     wrong = np.zeros(len(valid), np.bool_)
     for rows, block in _blocks(transfer):
-        wrong[rows] = valid[rows] & ~_finite(block)
-    yield from _unfit(wrong)
+        wrong[rows] = valid[rows] & ~_is_finite(block)
+    yield from _nan_faults(wrong)
 
 
-def _unfit(wrong: NDArray[np.bool_]) -> Iterator[str]:
-    """The fault of vertices [V] that are wrong."""
+def _nan_faults(wrong: NDArray[np.bool_]) -> Iterator[str]:
     if wrong.any():
         yield (
             f"/transfer/coefficients: {wrong.sum()} of {len(wrong)} vertices have NaN or infinite values, the first is "
@@ -170,11 +185,11 @@ def _unfit(wrong: NDArray[np.bool_]) -> Iterator[str]:
         )
 
 
-def _finite(block: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Whether all of a vertex is finite, of a block [n,B,K,C]."""
+def _is_finite(block: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return whether all coefficients of each vertex of a block [n,B,K,C] are finite."""
     native = block.dtype.newbyteorder("=")
     infinity = np.array(np.inf, native).view(f"u{native.itemsize}")
-    # By the bits below the sign: NumPy has no fast way for half floats.
+    # Compares bits below the sign, because np.isfinite is slow for float16.
     bits: Any = np.ascontiguousarray(block, native).view(infinity.dtype)
     magnitudes = bits & infinity.dtype.type(2 ** (8 * native.itemsize - 1) - 1)
     return np.asarray(magnitudes.reshape(len(block), -1).max(axis=1, initial=0) < infinity)
@@ -208,14 +223,14 @@ def _asset(file: Any, load: bool) -> Asset:
         error_vs_time=file["provenance/error_vs_time"][...].astype(np.float64),
         selftest={name: selftest[name][...] for name in selftest},
         storage="float16" if coefficients.dtype.itemsize == 2 else "float32",
-        error_shape=read_shape(transfer),
+        error_covariance=read_covariance(transfer),
     )
 
 
 def _coefficients(file: Any, valid: NDArray[np.bool_], load: bool) -> Any:
     if GROUP in file:
         return read_compact(file[GROUP])
-    return _loaded(file.filename, file["transfer"], valid) if load else file["transfer/coefficients"]
+    return _load(file.filename, file["transfer"], valid) if load else file["transfer/coefficients"]
 
 
 def _mesh(group: Any) -> Mesh:
@@ -229,21 +244,21 @@ def _mesh(group: Any) -> Mesh:
     )
 
 
-def _loaded(path: str, transfer: Any, valid: NDArray[np.bool_]) -> NDArray[np.floating]:
+def _load(path: str, transfer: Any, valid: NDArray[np.bool_]) -> NDArray[np.floating]:
     dataset = transfer["coefficients"]
     kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
     coefficients = np.zeros(dataset.shape, kind)
     finite = np.ones(len(valid), np.bool_)
 
-    def look(rows: slice) -> None:
-        finite[rows] = _finite(coefficients[rows])
+    def check(rows: slice) -> None:
+        finite[rows] = _is_finite(coefficients[rows])
 
-    if unpacks(dataset):
-        read_chunks(dataset, coefficients, look)
+    if can_read_chunks(dataset):
+        read_chunks(dataset, coefficients, check)
     else:
         for rows, block in _blocks(transfer):
             coefficients[rows] = block
-            look(rows)
-    for fault in _unfit(valid & ~finite):
+            check(rows)
+    for fault in _nan_faults(valid & ~finite):
         raise AssetError(f"{path}: {fault}")
     return coefficients

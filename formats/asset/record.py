@@ -1,4 +1,4 @@
-"""The record of a baked asset; what each field becomes in a file is told in `formats.asset`."""
+"""The record of a baked asset; its file is described in `formats.asset.layout`."""
 
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.asset.error_covariance import ErrorShape
+from formats.asset.error_covariance import ErrorCovariance
 from formats.mesh import Mesh
 
 Storage = Literal["float16", "float32"]
@@ -17,23 +17,23 @@ FOLDED_IN = "cosines, Fresnel transmission, visibility and scattering, self-shad
 
 @dataclass(frozen=True, kw_only=True)
 class AssetHead:
-    """What is known of an asset before its first vertex is baked.
+    """The part of an asset that is known before the bake starts.
 
     Attributes:
-        mesh: the baked mesh; a file keeps its positions as float32 about the centre of the bounding box.
-        tangents: [V,3], unit, perpendicular to the vertex normals: where φ of the view bins is 0.
+        mesh: the baked mesh; a file stores positions as float32 relative to the centre of the bounding box.
+        tangents: [V,3], unit, perpendicular to the vertex normals: the direction φ = 0 of the view bins.
         rings: number of view bins over cosθ.
         sectors: number of view bins over φ.
-        directions: [B,3], the bins' centres in the local frame (tangent, normal × tangent, normal).
+        directions: [B,3], bin centres in the local frame (tangent, normal × tangent, normal).
         degree: of the spherical harmonics.
         check_directions: [2,3], two unit directions.
-        check_values: [2,K], the basis at these directions.
+        check_values: [2,K], the basis functions at these directions.
         up: the scene's axis that points up, "y" or "z".
         handedness: "right", always.
         unit: the scene's unit of length.
-        quantity: "transfer", or "radiance" for an asset made for one light (K = 1).
-        folded_in: what the coefficients contain, in words; for "radiance" the hash of the light.
-        left_out: what was left out to save time or space, each a dictionary of item, reason and saving.
+        quantity: "transfer", or "radiance" for an asset baked under one light (K = 1).
+        folded_in: text that lists what the coefficients include; for "radiance" the hash of the light.
+        left_out: what was pruned to save time or space, dictionaries with item, reason and saving.
     """
 
     mesh: Mesh
@@ -57,16 +57,27 @@ class Asset(AssetHead):
     """A baked asset, in memory or on disk.
 
     Attributes:
-        coefficients: float16 or float32 [V,B,K,C], an array or the open dataset of a file, B and C may be 1, see above;
-            or `CompactCoefficients`, decoded where they are cut.
+        coefficients: float16 or float32 [V,B,K,C], an array or the open dataset of a file, or `CompactCoefficients`,
+            which are decoded on indexing. B and C may be 1 and are then broadcast.
         standard_error: [V,B] (or [V,1]), one sigma of the coefficients, root mean square over K and C.
-        valid: bool [V], false where a vertex was not baked.
-        complete: false for a bake that was stopped before its end.
+        valid: bool [V], false for vertices that were not baked.
+        complete: false for a bake that was stopped early.
         provenance: command, resolved settings, seed, hashes of model and mesh, device, credits.
         error_vs_time: float64 [rows,3]: seconds, evaluations, estimated relative error.
-        selftest: light [K,3], vertex [S], outgoing [S,3] and radiance [S,3] to be reproduced by importers, or nothing.
-        storage: the type that a file of it keeps, "float16" or "float32".
-        error_shape: how the errors of each vertex hang together, where that is known.
+        selftest: light [K,3], vertex [S], outgoing [S,3] and radiance [S,3], for importers to reproduce; may be empty.
+        storage: type of the coefficients in a file, "float16" or "float32".
+        error_covariance: covariance of the errors of each vertex, or None if unknown.
+
+    >>> import trimesh
+    >>> import prt_bake as prt
+    >>> class White:
+    ...     def evaluate(self, incident, positions, outgoing):
+    ...         return np.full((len(positions), incident.shape[-2], 3), 0.1)
+    >>> ball = trimesh.creation.icosphere(subdivisions=0)
+    >>> mesh = prt.Mesh(ball.vertices, ball.faces, ball.vertex_normals)
+    >>> asset = prt.bake(White(), mesh, rings=1, sectors=4)
+    >>> asset.coefficients.shape, asset.quantity, asset.complete
+    ((12, 4, 9, 3), 'transfer', True)
     """
 
     coefficients: Any
@@ -77,18 +88,18 @@ class Asset(AssetHead):
     error_vs_time: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     selftest: dict[str, NDArray[Any]] = field(default_factory=dict)
     storage: Storage = "float16"
-    error_shape: ErrorShape | None = None
+    error_covariance: ErrorCovariance | None = None
 
     @property
     def eta(self) -> float:
-        """The absolute index of refraction inside, as the provenance has it; 1 where it says nothing."""
+        """The absolute index of refraction inside, from the provenance; 1 by default."""
         return float(self.provenance.get("eta", 1.0))
 
     @property
     def roughness(self) -> float | None:
-        """The GGX alpha of the surface, the mean of a texture, as the provenance has it; None where it says nothing."""
-        said = self.provenance.get("roughness", self.provenance.get("model", {}).get("roughness"))
-        return None if said is None else float(said)
+        """The GGX alpha of the surface (the mean of a texture), from the provenance; None if unknown."""
+        value = self.provenance.get("roughness", self.provenance.get("model", {}).get("roughness"))
+        return None if value is None else float(value)
 
     def __enter__(self) -> Self:
         return self
@@ -99,6 +110,6 @@ class Asset(AssetHead):
         self.close()
 
     def close(self) -> None:
-        """Close the file behind the coefficients, if they are an open dataset; harmless otherwise."""
+        """Close the file of the coefficients if they are an open dataset; otherwise do nothing."""
         if hasattr(self.coefficients, "file"):
             self.coefficients.file.close()

@@ -1,4 +1,4 @@
-"""Writes an asset vertex block by vertex block, so that memory stays flat however large the mesh."""
+"""Writes an asset in blocks of vertices, in constant memory."""
 
 import contextlib
 import json
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from formats.asset.compact_file import write_compact
 from formats.asset.compact_record import CompactCoefficients
-from formats.asset.error_covariance import ErrorShape, write_shape
+from formats.asset.error_covariance import ErrorCovariance, write_covariance
 from formats.asset.file import AssetFile, chunk_vertices
 from formats.asset.head import FORMULAS
 from formats.asset.record import Asset, AssetHead, Storage
@@ -22,25 +22,25 @@ from formats.atomic import replacing
 from formats.errors import AssetError
 from formats.interrupts import deferred
 
-_FLOAT16_LIMIT = 65520.0  # from here on float16 rounds to infinity
-_ROUNDING_SHARE = 0.1  # of the stated error, which rounding to float16 may reach
+_FLOAT16_LIMIT = 65520.0  # the smallest number that float16 rounds to infinity
+_ROUNDING_LIMIT = 0.1  # largest error of rounding to float16, relative to the standard error
 
 
 class AssetWriter:
-    """Writes one asset: the head at once, then blocks of vertices in any order, then `finish`.
+    """Writes one asset: the head on creation, then blocks of vertices in any order, then `finish`.
 
-    The file grows under another name and takes the place of `path` in `finish`. Where the context is left
-    without it, nothing stays behind and an older file is untouched.
+    The write is atomic: the file grows under a temporary name and replaces `path` in `finish`. If the context ends
+    without `finish`, the temporary file is removed and an older file is unchanged.
 
-    float16 is given up for float32 where a coefficient exceeds 65504, or where rounding, root mean square over all that
-    was written so far, exceeds a tenth of the stated standard error; what was written is then written anew.
+    float16 changes to float32 if a coefficient exceeds 65504, or if the rounding error (root mean square over all
+    blocks so far) exceeds a tenth of the standard error. The blocks so far are then written again.
 
     Attributes:
-        block_vertices: vertices in a chunk of the file; blocks that start and end at its multiples are written fastest.
+        block_vertices: vertices in a chunk of the file; blocks aligned to its multiples are written fastest.
         shape: of the coefficients, [V,B,K,C].
-        valid: [V], 1 where a vertex was written.
-        storage: "float16" or "float32", as the file has it by now.
-        storage_note: why float16 was given up, one sentence; empty if it was not.
+        valid: [V], 1 for vertices that were written.
+        storage: the current type in the file, "float16" or "float32".
+        storage_note: the reason for the change to float32, one sentence, or empty.
     """
 
     def __init__(
@@ -55,13 +55,13 @@ class AssetWriter:
         """Open the file and write its head.
 
         Args:
-            path: where the asset will be when it is finished.
-            head: all but the coefficients; an `Asset` will do.
-            storage: type to try, "float16" or "float32".
-            views: length of the view axis, B by default, or 1 where the view does not matter.
-            channels: length of the channel axis, 3, or 1 where the channels are equal.
+            path: the file of the finished asset.
+            head: the head of the asset; an `Asset` is one too.
+            storage: the preferred type, "float16" or "float32".
+            views: length of the view axis: B (default), or 1 if the view does not matter.
+            channels: length of the channel axis: 3, or 1 if the channels are equal.
         """
-        _refuse_unfit(path, head, views, channels)
+        _refuse_invalid(path, head, views, channels)
         self._path, self._head = path, head
         terms = 1 if head.quantity == "radiance" else (head.degree + 1) ** 2
         self.shape = (len(head.mesh.positions), views or len(head.directions), terms, channels)
@@ -69,8 +69,8 @@ class AssetWriter:
         self.storage_note = ""
         self.block_vertices = chunk_vertices(self.shape, storage)
         self.valid = np.zeros(self.shape[0], np.uint8)
-        self._rounding_squares = 0.0
-        self._stated_squares = 0.0
+        self._rounding_sum = 0.0
+        self._error_sum = 0.0
         self._finished = False
         self._file: AssetFile | None = None
         self._stack = contextlib.ExitStack()
@@ -79,27 +79,27 @@ class AssetWriter:
             with self._guarded():
                 self._file = AssetFile(self._part, head, self.shape, storage)
         except BaseException as cause:
-            self._leave(cause)
+            self._abandon(cause)
             raise
 
     def write_block(
         self, first_vertex: int, coefficients: NDArray[np.floating], standard_error: NDArray[np.floating]
     ) -> None:
-        """Write the vertices from `first_vertex` on and mark them as valid.
+        """Write a block of vertices and mark them as valid.
 
         Args:
             first_vertex: index of the block's first vertex.
-            coefficients: [n,B,K,C], with the lengths of the axes that the writer was opened with.
+            coefficients: [n,B,K,C], of the axis lengths given on creation.
             standard_error: [n,B] or [n,1], one sigma, root mean square over K and C.
 
         Raises:
-            AssetError: shapes that do not fit, values that are not finite, negative errors.
-            StorageError: the disk is full; the writer is closed then.
+            AssetError: wrong shapes, values that are not finite, negative errors.
+            StorageError: the disk is full; the writer is then closed.
         """
         rows = slice(first_vertex, first_vertex + len(coefficients))
-        values, errors = self._checked(rows, coefficients, standard_error)
+        values, errors = self._check_block(rows, coefficients, standard_error)
         with self._guarded():
-            if self.storage == "float16" and (reason := self._float16_fails(values, errors)):
+            if self.storage == "float16" and (reason := self._float16_problem(values, errors)):
                 self._widen(reason)
             self._open.write(rows, values.astype(self.storage), errors)
         self.valid[rows] = 1
@@ -110,19 +110,19 @@ class AssetWriter:
         error_vs_time: NDArray[np.floating] | None = None,
         selftest: Mapping[str, NDArray[Any]] | None = None,
         complete: bool = True,
-        error_shape: ErrorShape | None = None,
+        error_covariance: ErrorCovariance | None = None,
     ) -> str:
-        """Write what is known at the end, and let the file take its place.
+        """Write the results of the bake, close the file and move it to `path`.
 
         Args:
-            provenance: whatever JSON can hold: command, resolved settings, seed, hashes, device, credits, eta.
+            provenance: JSON values: command, resolved settings, seed, hashes, device, credits, eta.
             error_vs_time: [rows,3]: seconds, evaluations, estimated relative error.
             selftest: light [K,3], vertex [S], outgoing [S,3], radiance [S,3].
-            complete: false for a bake that was stopped; vertices never written have valid = 0.
-            error_shape: how the errors of each vertex hang together, where that is known.
+            complete: false for a bake that was stopped early; vertices never written have valid = 0.
+            error_covariance: covariance of the errors of each vertex, if known.
 
         Returns:
-            `storage_note`: a sentence to tell the user, or nothing.
+            `storage_note`, for the user.
 
         Raises:
             StorageError: the disk is full.
@@ -133,8 +133,8 @@ class AssetWriter:
             file = self._open.file
             file.attrs["complete"] = np.uint8(complete)
             file.create_dataset("transfer/valid", data=self.valid)
-            if error_shape is not None:
-                write_shape(file["transfer"], error_shape)
+            if error_covariance is not None:
+                write_covariance(file["transfer"], error_covariance)
             file.create_dataset("provenance/json", data=text)
             file.create_dataset("provenance/error_vs_time", data=rows)
             for name, values in (selftest or {}).items():
@@ -151,10 +151,10 @@ class AssetWriter:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._leave(cause)
+        self._abandon(cause)
 
-    def _leave(self, cause: BaseException | None) -> None:
-        """Close without finishing; an operating system's error about space or permission becomes a StorageError."""
+    def _abandon(self, cause: BaseException | None) -> None:
+        """Close without finishing; an error of the operating system about space or permission becomes StorageError."""
         if self._finished:
             return
         self._finished = True
@@ -170,7 +170,7 @@ class AssetWriter:
             try:
                 yield
             except OSError as cause:
-                self._leave(cause)
+                self._abandon(cause)
                 raise
 
     @property
@@ -179,14 +179,14 @@ class AssetWriter:
             raise AssetError(f"{self._path}: the writer is closed")
         return self._file
 
-    def _checked(
+    def _check_block(
         self, rows: slice, coefficients: NDArray[np.floating], standard_error: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the block in float32, the errors spread over the view axis."""
+        """Check a block and return it in float32, with errors [n,B]."""
         count = len(coefficients)
         if np.shape(coefficients)[1:] != self.shape[1:] or not 0 <= rows.start <= rows.stop <= self.shape[0]:
             raise AssetError(
-                f"{self._path}: a block at vertex {rows.start} has shape {list(np.shape(coefficients))}; expected "
+                f"{self._path}: the block at vertex {rows.start} has shape {list(np.shape(coefficients))}; expected "
                 f"[n, {', '.join(map(str, self.shape[1:]))}] within {self.shape[0]} vertices"
             )
         if np.shape(standard_error) not in {(count, self.shape[1]), (count, 1)}:
@@ -195,34 +195,34 @@ class AssetWriter:
         with np.errstate(over="ignore"):
             values = np.asarray(coefficients).astype(np.float32)
             errors = np.broadcast_to(standard_error, (count, self.shape[1])).astype(np.float32)
-        unfit = ~np.isfinite(values).all(axis=(2, 3)) | ~np.isfinite(errors) | (errors < 0)
-        if unfit.any():
-            vertex, view = np.argwhere(unfit)[0]
+        invalid = ~np.isfinite(values).all(axis=(2, 3)) | ~np.isfinite(errors) | (errors < 0)
+        if invalid.any():
+            vertex, view = np.argwhere(invalid)[0]
             raise AssetError(
-                f"{self._path}: {unfit.sum()} view bins have coefficients that are not finite, or errors that are "
+                f"{self._path}: {invalid.sum()} view bins have coefficients that are not finite, or errors that are "
                 f"negative or not finite; the first is bin {view} of vertex {rows.start + vertex}"
             )
         return values, errors
 
-    def _float16_fails(self, values: NDArray[np.float32], errors: NDArray[np.float32]) -> str:
-        """Say why the block cannot be kept in float16; empty if it can."""
+    def _float16_problem(self, values: NDArray[np.float32], errors: NDArray[np.float32]) -> str:
+        """Return why float16 cannot store the block, or an empty text."""
         largest = float(np.abs(values).max(initial=0))
         if largest >= _FLOAT16_LIMIT:
-            return f"coefficients up to {largest:.4g} exceed the 65504 of float16"
+            return f"coefficients up to {largest:.4g} exceed 65504, the largest float16"
         rounding = values.astype(np.float16).astype(np.float32) - values
-        self._rounding_squares += float(np.square(rounding, dtype=np.float64).sum()) / math.prod(self.shape[2:])
-        self._stated_squares += float(np.square(errors, dtype=np.float64).sum())
-        if self._rounding_squares <= _ROUNDING_SHARE**2 * self._stated_squares:
+        self._rounding_sum += float(np.square(rounding, dtype=np.float64).sum()) / math.prod(self.shape[2:])
+        self._error_sum += float(np.square(errors, dtype=np.float64).sum())
+        if self._rounding_sum <= _ROUNDING_LIMIT**2 * self._error_sum:
             return ""
-        return "rounding to float16 would add more than a tenth of the stated error"
+        return "rounding to float16 would add more than a tenth of the standard error"
 
     def _widen(self, reason: str) -> None:
-        """Go over to float32: begin the file anew and copy the vertices written so far."""
+        """Change to float32: start a new file and copy the vertices written so far."""
         narrow_path = self._part.with_suffix(".narrow.part")
         self._open.close()
         os.replace(self._part, narrow_path)
         self.storage = "float32"
-        self.storage_note = f"coefficients are kept as float32: {reason}"
+        self.storage_note = f"coefficients are stored as float32: {reason}"
         try:
             self._file = AssetFile(self._part, self._head, self.shape, self.storage)
             self._file.note(self.storage_note)
@@ -238,12 +238,25 @@ class AssetWriter:
 
 
 def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
-    """Write an asset, whole or not at all, keeping `asset.storage` if float16 can hold the coefficients, and compact
-    coefficients compact.
+    """Write an asset atomically, as `asset.storage` if float16 can store the coefficients.
+
+    Compact coefficients stay compact.
 
     Raises:
-        AssetError: shapes that do not fit one another, coefficients that are not finite.
-        StorageError: the disk is full or not writable.
+        AssetError: inconsistent shapes, coefficients that are not finite.
+        StorageError: the disk is full or read-only.
+
+    >>> import trimesh
+    >>> import prt_bake as prt
+    >>> class White:
+    ...     def evaluate(self, incident, positions, outgoing):
+    ...         return np.full((len(positions), incident.shape[-2], 3), 0.1)
+    >>> ball = trimesh.creation.icosphere(subdivisions=0)
+    >>> mesh = prt.Mesh(ball.vertices, ball.faces, ball.vertex_normals)
+    >>> asset = prt.bake(White(), mesh, rings=1, sectors=4)
+    >>> prt.write_asset(asset, "ball.h5")
+    >>> np.array_equal(prt.read_asset("ball.h5").coefficients, asset.coefficients)
+    True
     """
     if isinstance(asset.coefficients, CompactCoefficients):
         write_compact(asset, path)
@@ -257,11 +270,10 @@ def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
                 if len(run):
                     span = slice(int(run[0]), int(run[-1]) + 1)
                     writer.write_block(span.start, asset.coefficients[span], asset.standard_error[span])
-        shape = asset.error_shape
-        writer.finish(asset.provenance, asset.error_vs_time, asset.selftest, complete=asset.complete, error_shape=shape)
+        writer.finish(asset.provenance, asset.error_vs_time, asset.selftest, asset.complete, asset.error_covariance)
 
 
-def _refuse_unfit(path: str | os.PathLike[str], head: AssetHead, views: int | None, channels: int) -> None:
+def _refuse_invalid(path: str | os.PathLike[str], head: AssetHead, views: int | None, channels: int) -> None:
     vertices, bins, terms = len(head.mesh.positions), head.rings * head.sectors, (head.degree + 1) ** 2
     expected = {
         "tangents": (vertices, 3),
@@ -275,6 +287,6 @@ def _refuse_unfit(path: str | os.PathLike[str], head: AssetHead, views: int | No
             raise AssetError(f"{path}: {name} has shape {list(found)}; expected {list(shape)}")
     if views not in (None, 1, bins) or channels not in (1, 3) or head.quantity not in FORMULAS:
         raise AssetError(
-            f"{path}: {views} views of {bins}, {channels} channels and quantity '{head.quantity}' make no asset; "
-            f"expected 1 or {bins} views, 1 or 3 channels, 'transfer' or 'radiance'"
+            f"{path}: expected 1 or {bins} views, 1 or 3 channels and quantity 'transfer' or 'radiance', found {views} "
+            f"views, {channels} channels and quantity '{head.quantity}'"
         )

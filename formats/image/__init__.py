@@ -1,6 +1,6 @@
-"""Images: linear radiance in OpenEXR, Radiance, PNG and JPEG, whole or in blocks of rows; textures and animations.
+"""Images: linear radiance in OpenEXR, Radiance, PNG and JPEG, complete or in row blocks; textures and animations.
 
-May import: the files at the top of `formats`. Begin with `files.py`, which chooses the module of a format by suffix.
+May import: the files at the top of `formats`. Begin with `files.py`, which selects the format by suffix.
 """
 
 from formats.image.files import READABLE, read_image, read_layers, read_levels, write_image

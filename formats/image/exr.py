@@ -1,7 +1,7 @@
-"""OpenEXR: linear radiance, written as float32; any layer that holds RGB or luminance is read, and layers
-beside the picture (its standard error, its coverage) are kept apart from it.
+"""OpenEXR (https://openexr.com/en/latest/OpenEXRFileLayout.html), through the official `OpenEXR` binding.
 
-Format: https://openexr.com/en/latest/OpenEXRFileLayout.html, through the official `OpenEXR` binding.
+Linear radiance, written as float32. The image is read from any layer with RGB or luminance; further layers, such as
+the standard error and the coverage, are returned separately.
 """
 
 import contextlib
@@ -19,18 +19,18 @@ from numpy.typing import NDArray
 from formats.errors import ImageError
 
 _VECTORS = ("position", "normal")
-"""Layers that are places or directions: in X, Y and Z, which compositing tools do not take for a colour."""
+"""Layers written as X, Y and Z, so that compositing tools do not treat them as a colour."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layers:
-    """A picture and what its file holds beside it.
+    """An image, its further layers and its header texts.
 
     Attributes:
-        image: the colour that `read_exr` reads, [H,W,3].
-        layers: the other layers by name: [H,W,3] where R, G and B are there (`error`), or X, Y and Z (`normal`), [H,W]
-            where Y is (`coverage`); any other channel under its whole name, [H,W].
-        attributes: the header's texts by name, those of the picture's own part.
+        image: the colour that `read_exr` returns, [H,W,3].
+        layers: the other layers by name: [H,W,3] from channels R, G and B (`error`) or X, Y and Z (`normal`), [H,W]
+            from Y (`coverage`). Any other channel is [H,W], under its full name.
+        attributes: the texts in the header of the image's part, by name.
     """
 
     image: NDArray[np.float32]
@@ -39,40 +39,39 @@ class Layers:
 
 
 def read_exr(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read an OpenEXR picture as float32 [H,W,3] over its display window; what the file leaves blank is 0.
+    """Read an OpenEXR image as float32 [H,W,3] over its display window; pixels without data are 0.
 
-    R, G, B are taken, else the first layer by name that has them, else luminance Y repeated; alpha is left out.
+    The colour is R, G, B, else that of the first layer by name that has them, else luminance Y repeated. Alpha is not
+    returned.
 
     Raises:
-        ImageError: no OpenEXR, truncated, or without colour.
+        ImageError: the file is not OpenEXR, is truncated, or has no colour.
     """
     header, channels, names = _read_colour_part(path)
-    return _framed(_stacked(channels, names), header)
+    return _to_display_window(_stack(channels, names), header)
 
 
 def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
-    """Read an OpenEXR picture with the layers and texts that its part holds beside the colour; raises as
-    `read_exr`.
-    """
+    """Read an OpenEXR image with the further layers and texts of its part; raises as `read_exr`."""
     header, channels, names = _read_colour_part(path)
     rest = {name: pixels for name, pixels in channels.items() if name not in names}
     layers = {}
     for prefix in {name.rpartition(".")[0] for name in rest} - {""}:
         for letters in ("RGB", "XYZ"):
-            three = tuple(f"{prefix}.{letter}" for letter in letters)
-            if prefix not in layers and all(name in rest for name in three):
-                layers[prefix] = _framed(_stacked(rest, three), header)
-                rest = {name: pixels for name, pixels in rest.items() if name not in three}
+            triple = tuple(f"{prefix}.{letter}" for letter in letters)
+            if prefix not in layers and all(name in rest for name in triple):
+                layers[prefix] = _to_display_window(_stack(rest, triple), header)
+                rest = {name: pixels for name, pixels in rest.items() if name not in triple}
     for name in rest:
-        layers[name.removesuffix(".Y")] = _framed(_stacked(rest, (name,)), header)[..., 0]
-    image = _framed(_stacked(channels, names), header)
+        layers[name.removesuffix(".Y")] = _to_display_window(_stack(rest, (name,)), header)[..., 0]
+    image = _to_display_window(_stack(channels, names), header)
     return Layers(image, layers, {name: text for name, text in header.items() if isinstance(text, str)})
 
 
 def _read_colour_part(
     path: str | os.PathLike[str],
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]], tuple[str, str, str]]:
-    """Header, channels and names of the three colour channels of the first part that has colour."""
+    """Return the header, the channels and the names of the colour channels of the first part that has colour."""
     import OpenEXR
 
     refuse_other_kinds(path)
@@ -83,9 +82,9 @@ def _read_colour_part(
                 for i in range(len(picture.parts))
             ]
     except (RuntimeError, ValueError, TypeError, OSError) as cause:
-        raise ImageError(f"{path}: cannot be read as OpenEXR, the file is damaged") from cause
+        raise ImageError(f"{path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again") from cause
     if not parts:
-        raise ImageError(f"{path}: the OpenEXR picture is truncated or damaged")
+        raise ImageError(f"{path}: the OpenEXR image has no parts: it is truncated or damaged; copy it again")
     for header, channels in parts:
         if names := colour_names(channels):
             return header, channels, names
@@ -100,15 +99,22 @@ def write_exr(
     attributes: Mapping[str, str] | None = None,
     alpha: NDArray[np.floating] | None = None,
 ) -> None:
-    """Write [H,W,3] as float32 scan lines, ZIP compressed; raises OSError if the disk does not take it.
+    """Write an image [H,W,3] as float32 scan lines with ZIP compression.
 
-    layers: beside R, G, B: an array [H,W,3] named `error` becomes error.R, error.G, error.B, one named `position` or
-    `normal` X, Y and Z, an array [H,W] named `coverage` becomes coverage.Y. attributes: texts for the header. alpha
-    [H,W]: what the image is weighted by, becomes A.
+    Args:
+        path: the file.
+        image: becomes R, G, B.
+        layers: arrays by name. [H,W,3] named `error` becomes error.R, error.G, error.B; `position` and `normal` get X,
+            Y and Z. [H,W] named `coverage` becomes coverage.Y.
+        attributes: texts for the header.
+        alpha: [H,W], by which the image is premultiplied; becomes A.
+
+    Raises:
+        OSError: the disk is full or fails.
     """
     import OpenEXR
 
-    # OpenEXR writes wrong pixels without a word if an array is not contiguous, and alters the header it is given.
+    # OpenEXR silently writes wrong pixels if an array is not contiguous, and changes the header that it is given.
     channels = {"RGB": np.ascontiguousarray(image, np.float32)}
     if alpha is not None:
         channels["A"] = np.ascontiguousarray(alpha, np.float32)
@@ -127,59 +133,60 @@ def write_exr(
         raise OSError(code, str(cause)) from cause
 
 
-def _stacked(channels: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[np.float32]:
+def _stack(channels: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDArray[np.float32]:
     return np.stack([channels[name] for name in names], axis=2).astype(np.float32)
 
 
 def refuse_other_kinds(path: str | os.PathLike[str]) -> None:
-    """Raise ImageError for a file that does not begin as OpenEXR does."""
+    """Raise ImageError for a file that does not begin with the magic number of OpenEXR."""
     with open(path, "rb") as file:
-        if file.read(4) != b"\x76\x2f\x31\x01":
-            raise ImageError(f"{path}: is not an OpenEXR picture: it does not begin with the magic number 76 2f 31 01")
+        if (found := file.read(4)) != b"\x76\x2f\x31\x01":
+            start = found.hex(" ") or "nothing"
+            raise ImageError(f"{path}: is not an OpenEXR image: expected the magic number 76 2f 31 01, found {start}")
 
 
 def colour_names(channels: Collection[str]) -> tuple[str, str, str] | None:
-    """The names for red, green and blue among those of `channels`, None where there is no colour."""
+    """Return the names of the red, green and blue channel, or None if there is no colour."""
     layers = sorted({name.rpartition(".")[0] for name in channels})
     prefixes = [f"{layer}." if layer else "" for layer in layers]
     for prefix in prefixes:
         red, green, blue = (prefix + letter for letter in "RGB")
         if red in channels and green in channels and blue in channels:
             return red, green, blue
-    # Luminance beside RY and BY is half of another encoding, not a grey picture.
+    # Luminance together with RY and BY is the luminance/chroma encoding, not a grey image.
     grey = next((p + "Y" for p in prefixes if p + "Y" in channels and p + "RY" not in channels), None)
     return None if grey is None else (grey, grey, grey)
 
 
-def _framed(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[np.float32]:
-    """Place the stored rectangle (data window) in the picture (display window)."""
+def _to_display_window(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[np.float32]:
+    """Copy the stored pixels (data window) into the image (display window)."""
     (left, top), (right, bottom) = (tuple(int(c) for c in corner) for corner in header["displayWindow"])
     (x, y), _ = (tuple(int(c) for c in corner) for corner in header["dataWindow"])
     height, width = pixels.shape[:2]
     if (x, y) == (left, top) and (height, width) == (bottom - top + 1, right - left + 1):
         return pixels
-    framed = np.zeros((bottom - top + 1, right - left + 1, pixels.shape[2]), np.float32)
+    image = np.zeros((bottom - top + 1, right - left + 1, pixels.shape[2]), np.float32)
     rows = slice(max(y, top), min(y + height, bottom + 1))
     columns = slice(max(x, left), min(x + width, right + 1))
-    framed[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[
+    image[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[
         rows.start - y : rows.stop - y, columns.start - x : columns.stop - x
     ]
-    return framed
+    return image
 
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """Keep the OpenEXR library from writing to standard output and error; what it has to say is said by our errors."""
+    """Suppress what the OpenEXR library prints to standard output and error."""
     sys.stdout.flush()
     sys.stderr.flush()
-    # What the binding prints goes through Python's stream, what the library under it says through the descriptors.
-    with open(os.devnull, "wb") as nowhere, contextlib.redirect_stdout(io.StringIO()):
-        kept = [os.dup(stream) for stream in (1, 2)]
+    # The binding prints through Python's streams, the library through the file descriptors.
+    with open(os.devnull, "wb") as null, contextlib.redirect_stdout(io.StringIO()):
+        saved = [os.dup(stream) for stream in (1, 2)]
         try:
             for stream in (1, 2):
-                os.dup2(nowhere.fileno(), stream)
+                os.dup2(null.fileno(), stream)
             yield
         finally:
-            for stream, copy in zip((1, 2), kept, strict=True):
+            for stream, copy in zip((1, 2), saved, strict=True):
                 os.dup2(copy, stream)
                 os.close(copy)

@@ -1,4 +1,4 @@
-"""Images by their suffix: `.exr`, `.hdr`, `.png` and `.jpg`, always linear, Rec.709 primaries, RGB, row 0 on top."""
+"""Images by suffix: `.exr`, `.hdr`, `.png` and `.jpg`. In memory they are linear Rec.709 RGB, row 0 on top."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -18,30 +18,41 @@ _READERS: dict[str, Callable[[Path], NDArray[np.float32]]] = {
     **{".jpg": read_jpeg, ".jpeg": read_jpeg},
 }
 READABLE = tuple(_READERS)
-"""Suffixes of what `read_image` reads."""
-_WRITTEN = (".exr", ".hdr", ".png")
+"""The suffixes that `read_image` reads."""
+_WRITABLE = (".exr", ".hdr", ".png")
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read an image as linear float32 [H,W,3].
 
-    PNG and JPEG are decoded from sRGB. NaN, infinite and negative pixels of an `.exr` come back as they are: whether
-    they matter depends on what the image is for.
+    PNG and JPEG are decoded from sRGB. NaN, infinite and negative pixels of an `.exr` are returned unchanged.
 
     Raises:
-        ImageError: another suffix, another kind of file than the suffix says, truncated, or without colour.
+        ImageError: an unknown suffix, content of another format, a truncated file, no colour.
         StorageError: the file is missing or cannot be opened.
+
+    >>> import prt_bake as prt
+    >>> prt.write_image("grey.exr", np.full((2, 4, 3), 0.5))
+    >>> image = prt.read_image("grey.exr")
+    >>> image.shape, image.dtype, float(image.mean())
+    ((2, 4, 3), dtype('float32'), 0.5)
     """
     suffix = _suffix(path, "read", READABLE)
     return _READERS[suffix](existing(path))
 
 
 def read_layers(path: str | os.PathLike[str]) -> Layers:
-    """Read an image with the layers beside it and the texts of its header.
+    """Read an image with its further layers and the texts of its header; raises as `read_image`.
 
-    A picture of `prtbake render` (.exr) has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the object's
-    share of the pixel. The alpha of `.exr` and `.png` is the layer `A` [H,W]; the colour is as `read_image` has it.
-    Raises as `read_image`.
+    An `.exr` of `prtbake render` has the layers `error` [H,W,3], one sigma, and `coverage` [H,W], the fraction of the
+    pixel that the object covers. The alpha of `.exr` and `.png` is the layer `A` [H,W].
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> read = prt.read_layers(Path(shipped.__file__).parent / "reference.exr")
+    >>> read.image.shape, {name: layer.shape for name, layer in read.layers.items()}, read.attributes["prtbake.spp"]
+    ((256, 256, 3), {'error': (256, 256, 3), 'coverage': (256, 256)}, '2048')
     """
     suffix = _suffix(path, "read", READABLE)
     if suffix == ".exr":
@@ -51,9 +62,7 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
 
 
 def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of an image as plain numbers, float64 [H,W], row 0 on top.
-
-    A PNG's values are taken as they are stored, from 0 to 1, without the sRGB curve.
+    """Read the first channel of an image as float64 [H,W], row 0 on top; a PNG without the sRGB curve, from 0 to 1.
 
     Raises:
         ImageError, StorageError: as `read_image`.
@@ -72,33 +81,43 @@ def write_image(
     attributes: Mapping[str, str] | None = None,
     alpha: NDArray[np.floating] | None = None,
 ) -> None:
-    """Write a linear image [H,W,3], whole or not at all.
+    """Write a linear image atomically.
 
-    `.exr` (float32) and `.hdr` (RGBE) keep radiance and ignore `exposure`; `.png` is multiplied by 2^exposure, clipped
-    to [0,1] and encoded as sRGB. layers ([H,W,3] or [H,W] by name) and attributes (texts) go beside the colour of an
-    `.exr`, where `read_layers` finds them; other kinds of file have no place for them and leave them out. alpha [H,W]:
-    what the image is weighted by, written as the alpha channel of `.exr` and `.png`.
+    Args:
+        path: the file: `.exr` (float32), `.hdr` (RGBE) or `.png` (8-bit sRGB).
+        image: linear radiance [H,W,3], row 0 on top.
+        exposure: in stops. `.png` is multiplied by 2^exposure and clipped to [0,1]; other formats ignore it.
+        layers: further layers [H,W,3] or [H,W] of an `.exr`, by name; other formats ignore them.
+        attributes: texts in the header of an `.exr`, by name; other formats ignore them.
+        alpha: [H,W], by which the image is premultiplied; the alpha channel of `.exr` and `.png`.
 
     Raises:
-        ImageError: another suffix, another shape, a layer of another size, pixels that the kind of file cannot hold
-            (NaN in `.png` and `.hdr`), alpha for `.hdr`.
-        StorageError: the disk is full or not writable.
+        ImageError: an unknown suffix, a wrong shape, pixels that the format cannot store (NaN in `.png` and `.hdr`),
+            alpha for `.hdr`.
+        StorageError: the disk is full or read-only.
+
+    >>> import prt_bake as prt
+    >>> image = np.full((2, 2, 3), 0.5)
+    >>> prt.write_image("picture.exr", image, layers={"error": 0.1 * image}, attributes={"camera": "front"})
+    >>> prt.write_image("picture.png", image, exposure=1.0)
+    >>> prt.read_image("picture.png").max()
+    np.float32(1.0)
     """
-    suffix = _suffix(path, "written", _WRITTEN)
+    suffix = _suffix(path, "written", _WRITABLE)
     shape = np.shape(image)
     if len(shape) != 3 or shape[2] != 3 or 0 in shape:
-        raise ImageError(f"{path}: expected an image of shape [H,W,3], found {list(shape)}")
+        raise ImageError(f"{path}: image: expected shape [H,W,3], found {list(shape)}")
     for name, pixels in (layers or {}).items():
         if np.shape(pixels) not in (shape, shape[:2]):
             expected = f"{list(shape)} or {list(shape[:2])}"
-            raise ImageError(f"{path}: layer {name}: expected {expected}, found {list(np.shape(pixels))}")
+            raise ImageError(f"{path}: layer {name}: expected shape {expected}, found {list(np.shape(pixels))}")
     if alpha is not None and (suffix == ".hdr" or np.shape(alpha) != shape[:2]):
         raise ImageError(
-            f"{path}: alpha of shape {list(np.shape(alpha))}; expected {list(shape[:2])}, in an .exr or .png"
+            f"{path}: alpha: expected shape {list(shape[:2])} and an .exr or .png, found {list(np.shape(alpha))}"
         )
     if suffix == ".png" and np.isnan(image).any():
         row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
-        raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to look at them")
+        raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to keep them")
     with replacing(path) as part:
         if suffix == ".exr":
             write_exr(part, image, layers, attributes, alpha)
@@ -112,5 +131,5 @@ def _suffix(path: str | os.PathLike[str], verb: str, known: tuple[str, ...]) -> 
     suffix = Path(path).suffix.lower()
     if suffix not in known:
         kinds = f"{', '.join(known[:-1])} or {known[-1]}"
-        raise ImageError(f"{path}: images of this kind cannot be {verb}; expected {kinds}, found '{suffix}'")
+        raise ImageError(f"{path}: the image cannot be {verb}; expected {kinds}, found '{suffix}'")
     return suffix

@@ -1,11 +1,11 @@
-"""Radiance pictures (`.hdr`): three mantissas and a shared exponent in 4 bytes a pixel.
+"""Radiance images, `.hdr` (Radiance file formats: https://radsite.lbl.gov/radiance/refer/filefmts.pdf).
 
-Format: Greg Ward, "Real Pixels", Graphics Gems II (1991), and the Radiance file formats reference,
-https://radsite.lbl.gov/radiance/refer/filefmts.pdf. A pixel (r, g, b, e) with e > 0 is (r, g, b)·2^(e−136), with e = 0
-black. The EXPOSURE line is passed over, as other readers of sky maps do.
+Greg Ward, "Real Pixels", Graphics Gems II (1991): 4 bytes per pixel, three mantissas and a shared exponent. A pixel
+(r, g, b, e) is (r, g, b)·2^(e−136) if e > 0, and black if e = 0. The EXPOSURE line is ignored, as in other readers of
+environment maps.
 
-No library: OpenCV (160 MB) refuses rows that run upward or from the right, decodes complete pictures only, and
-truncates mantissas: errors up to 1/132 of a pixel's largest channel, 1/256 here.
+No library: OpenCV (160 MB) rejects rows that run upward or from the right, decodes complete images only, and truncates
+mantissas: its error is up to 1/132 of a pixel's largest channel, 1/256 here.
 """
 
 import os
@@ -25,10 +25,10 @@ _LARGEST = 255 * 2.0**119  # mantissa 255 at the highest exponent
 
 
 def read_rgbe(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a Radiance picture as float32 [H,W,3], row 0 on top.
+    """Read a Radiance image as float32 [H,W,3], row 0 on top.
 
     Raises:
-        ImageError: no Radiance picture, in XYZ colours, stored by columns, or truncated.
+        ImageError: the file is not a Radiance image, is in XYZ colours, is stored by columns, or is truncated.
     """
     picture = open_rgbe_rows(path)
     return np.concatenate(list(picture.blocks()))[:: -1 if picture.upward else 1]
@@ -36,14 +36,14 @@ def read_rgbe(path: str | os.PathLike[str]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class RgbeRows:
-    """A Radiance picture to be read in blocks of rows.
+    """A Radiance image, read in blocks of rows.
 
     Attributes:
-        path: of the file.
+        path: the file.
         height, width: in pixels.
-        upward: whether its last row is on top.
+        upward: whether the last row is on top.
         leftward: whether rows run from right to left.
-        start: where in the file the pixels start.
+        start: offset of the pixels in the file.
     """
 
     path: str | os.PathLike[str]
@@ -54,18 +54,20 @@ class RgbeRows:
     start: int
 
     def blocks(self) -> Iterator[NDArray[np.float32]]:
-        """Its rows as they follow each other in the file, columns from the left, float32 [R,W,3]; raises ImageError
-        where it is truncated or damaged.
+        """Yield the rows in file order, columns from the left, as float32 [R,W,3].
+
+        Raises:
+            ImageError: the file is truncated or damaged.
         """
         with open(self.path, "rb") as file:
             file.seek(self.start)
             content, at = b"", 0
             for first in range(0, self.height, _ROWS):
                 pixels = np.empty((min(_ROWS, self.height - first), self.width, 4), np.uint8)
-                # A row has at most 4 bytes of mark and for each byte a count.
+                # A row has at most a marker of 4 bytes, and a count for each byte.
                 content = content[at:]
                 content += file.read(max(0, len(pixels) * (4 + 8 * self.width) - len(content)))
-                at = _scanlines(content, pixels, first, self)
+                at = _decode_rows(content, pixels, first, self)
                 scale = np.ldexp(np.float32(1), pixels[..., 3].astype(np.int32) - 136)
                 scale[pixels[..., 3] == 0] = 0
                 radiance = pixels[..., :3].astype(np.float32) * scale[..., None]
@@ -73,87 +75,87 @@ class RgbeRows:
 
 
 def open_rgbe_rows(path: str | os.PathLike[str]) -> RgbeRows:
-    """Read the header of a Radiance picture; raises ImageError as `read_rgbe`."""
+    """Read the header of a Radiance image; raises ImageError as `read_rgbe`."""
     with open(path, "rb") as file:
         (upward, height, leftward, width), start = _header(file.read(_LONGEST_HEADER), path)
-        # A coded row takes at least 4 bytes of mark and 2 a run of 127: a file this short cannot hold the picture.
+        # A coded row takes at least a marker of 4 bytes, and 2 bytes per run of 127: a shorter file is truncated.
         size = file.seek(0, os.SEEK_END)
     if height * (width // 32 if 8 <= width < 32768 else 1) > size:
-        raise ImageError(f"{path}: the file is truncated: {size} bytes cannot hold {width}x{height} pixels")
+        raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")
     return RgbeRows(path, height, width, upward, leftward, start)
 
 
 def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
-    """Write non-negative finite radiance [H,W,3], rounded to 8 bits relative to each pixel's largest channel.
-
-    Pixels below 2^-128 become black.
+    """Write radiance [H,W,3], rounded to 8 bits relative to the largest channel; pixels below 2^-128 become black.
 
     Raises:
-        ImageError: negative or non-finite pixels, or values beyond 1.7e38.
+        ImageError: pixels are negative, not finite or above 1.7e38.
     """
     linear = np.asarray(image, np.float64)
-    unfit = ~((linear >= 0) & (linear <= _LARGEST)).all(axis=2)
-    if unfit.any():
-        row, column = np.argwhere(unfit)[0]
+    invalid = ~((linear >= 0) & (linear <= _LARGEST)).all(axis=2)
+    if invalid.any():
+        row, column = np.argwhere(invalid)[0]
         raise ImageError(
-            f"{path}: {unfit.sum()} pixels are negative, not finite or beyond {_LARGEST:.2g}, which a Radiance picture "
-            f"cannot hold; the first is row {row}, column {column} ({linear[row, column].tolist()}); write .exr instead"
+            f"{path}: {invalid.sum()} pixels are negative, not finite or above {_LARGEST:.2g}, the limit of .hdr; the "
+            f"first is row {row}, column {column} ({linear[row, column].tolist()}); write .exr instead"
         )
     largest = linear.max(axis=2)
     exponent = np.frexp(largest)[1]
     exponent += np.rint(np.ldexp(largest, 8 - exponent)) > 255  # rounding up may need the next exponent
     pixels = np.zeros((*largest.shape, 4), np.uint8)
-    lit = exponent > -128
-    pixels[lit, :3] = np.rint(np.ldexp(linear[lit], 8 - exponent[lit, None]))
-    pixels[lit, 3] = exponent[lit] + 128
+    bright = exponent > -128
+    pixels[bright, :3] = np.rint(np.ldexp(linear[bright], 8 - exponent[bright, None]))
+    pixels[bright, 3] = exponent[bright] + 128
     height, width = largest.shape
     with open(path, "wb") as file:
         file.write(f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode("ascii"))
-        # Plain pixels cannot be taken for run-length marks: each has a mantissa of at least 128.
+        # Plain pixels cannot be mistaken for run-length markers: each has a mantissa of at least 128.
         file.write(pixels.tobytes())
 
 
 def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[tuple[bool, int, bool, int], int]:
-    """Return (rows run upward, height, columns run leftward, width) and where the pixels start."""
+    """Return (rows run upward, height, columns run leftward, width) and the offset of the pixels."""
     if not content.startswith(b"#?"):
-        raise ImageError(f"{path}: is not a Radiance picture: it does not begin with '#?'")
+        raise ImageError(f"{path}: is not a Radiance image: expected '#?' at its start, found {content[:2]!r}")
     end = content.find(b"\n\n")
     line_end = content.find(b"\n", end + 2)
     if end < 0 or line_end < 0:
-        raise ImageError(f"{path}: the Radiance header has no end; the file is truncated or damaged")
+        raise ImageError(f"{path}: the Radiance header has no end: the file is truncated or damaged; copy it again")
     for line in content[:end].split(b"\n"):
         if line.startswith(b"FORMAT=") and line.strip() != b"FORMAT=32-bit_rle_rgbe":
             found = line.decode("ascii", "replace")
-            raise ImageError(f"{path}: expected FORMAT=32-bit_rle_rgbe, found {found}; convert it to RGB")
+            raise ImageError(f"{path}: expected FORMAT=32-bit_rle_rgbe, found {found}; convert the image to RGB")
     line = content[end + 2 : line_end].strip()
     match = _RESOLUTION.match(line)
     if match is None:
         found = line[:40].decode("ascii", "replace")
-        raise ImageError(f"{path}: expected a resolution like '-Y 512 +X 1024', found '{found}'; rows must come first")
+        raise ImageError(
+            f"{path}: expected a resolution such as '-Y 512 +X 1024', found '{found}'; rows must come first"
+        )
     height, width = int(match[2]), int(match[4])
     if height == 0 or width == 0:
-        raise ImageError(f"{path}: the picture is empty: {width}x{height} pixels")
+        raise ImageError(f"{path}: the image is empty: {width}x{height} pixels")
     return (match[1] == b"+", height, match[3] == b"-", width), line_end + 1
 
 
-def _scanlines(content: bytes, pixels: NDArray[np.uint8], first: int, picture: RgbeRows) -> int:
-    """Decode rows [R,W,4], the picture's from `first` on, from `content`, and return where they end in it."""
+def _decode_rows(content: bytes, pixels: NDArray[np.uint8], first: int, picture: RgbeRows) -> int:
+    """Decode rows [R,W,4] of the image, starting with row `first`, and return the offset of their end."""
     width, at = picture.width, 0
-    mark = bytes([2, 2, width >> 8, width & 255]) if 8 <= width < 32768 else None
+    marker = bytes([2, 2, width >> 8, width & 255]) if 8 <= width < 32768 else None
     for row in range(len(pixels)):
         try:
-            if mark and content[at : at + 4] == mark:
+            if marker and content[at : at + 4] == marker:
                 at = _coded_row(content, at + 4, pixels[row])
             else:
                 at = _plain_row(content, at, pixels[row])
         except (IndexError, ValueError) as cause:
-            place = f"row {first + row} of {picture.height}"
-            raise ImageError(f"{picture.path}: the file is truncated or damaged in {place}") from cause
+            where = f"row {first + row} of {picture.height}"
+            raise ImageError(f"{picture.path}: is truncated or damaged in {where}; copy it again") from cause
     return at
 
 
 def _coded_row(content: bytes, at: int, row: NDArray[np.uint8]) -> int:
-    """Decode the four channels of a row one after the other: runs (count - 128, value) and literals (count, values)."""
+    """Decode the four channels of a row in turn: runs (count + 128, value) and literals (count, values)."""
     width = len(row)
     for channel in range(4):
         decoded = bytearray()
@@ -174,7 +176,7 @@ def _coded_row(content: bytes, at: int, row: NDArray[np.uint8]) -> int:
 
 
 def _plain_row(content: bytes, at: int, row: NDArray[np.uint8]) -> int:
-    """Decode a row of plain pixels; (1, 1, 1, n) repeats the last pixel, marks in succession counting in base 256."""
+    """Decode a row of plain pixels. (1, 1, 1, n) repeats the last pixel; consecutive markers are digits in base 256."""
     width = len(row)
     plain = np.frombuffer(content, np.uint8, min(4 * width, len(content) - at), at).reshape(-1, 4)
     if len(plain) == width and not (plain[:, :3] == 1).all(axis=1).any():

@@ -1,4 +1,4 @@
-"""Textures of a surface: images of a number or a colour, looked up by texture coordinates."""
+"""Surface textures: images of one number or a colour, looked up by texture coordinates."""
 
 from pathlib import Path
 
@@ -10,20 +10,20 @@ from formats.image.files import read_image, read_levels
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
-    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: an image's first channel, of a PNG as it is stored.
+    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: the first channel, without the sRGB curve for PNG.
 
     Args:
-        scene_path: the scene file, beside which `name` is looked for.
-        key: where the scene file names the image, for messages.
-        name: the image's file name.
+        scene_path: the scene file; `name` is relative to its folder.
+        key: the key that names the image in the scene file, for messages.
+        name: the image file.
 
     Raises:
-        SceneError: values NaN or out of range, with their count and the first.
-        ImageError: no image that can be read.
+        SceneError: values are NaN or out of range (the message has their count and the first).
+        ImageError: the image cannot be read.
         StorageError: the file is missing.
     """
     path = scene_path.parent / name
-    return _in_range(scene_path, key, path, read_levels(path))
+    return _check_range(scene_path, key, path, read_levels(path))
 
 
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
@@ -32,15 +32,15 @@ def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[n
     Arguments and errors as `read_roughness_texture`.
     """
     path = scene_path.parent / name
-    return _in_range(scene_path, key, path, read_image(path).astype(np.float64))
+    return _check_range(scene_path, key, path, read_image(path).astype(np.float64))
 
 
-def _in_range(scene_path: Path, key: str, path: Path, texture: NDArray[np.float64]) -> NDArray[np.float64]:
-    unfit = ~((texture >= 0) & (texture <= 1))
-    if unfit.any():
-        first = tuple(int(i) for i in np.argwhere(unfit)[0])
+def _check_range(scene_path: Path, key: str, path: Path, texture: NDArray[np.float64]) -> NDArray[np.float64]:
+    invalid = ~((texture >= 0) & (texture <= 1))
+    if invalid.any():
+        first = tuple(int(i) for i in np.argwhere(invalid)[0])
         raise SceneError(
-            f"{scene_path}: {key}: {path} has {unfit.sum()} of {texture.size} values out of range, the first in row "
+            f"{scene_path}: {key}: {path} has {invalid.sum()} of {texture.size} values out of range, the first in row "
             f"{first[0]}, column {first[1]} is {texture[first]:g}; expected values from 0 to 1"
         )
     return np.ascontiguousarray(texture)

@@ -1,6 +1,6 @@
-"""Triangle meshes: one record, read from PLY, OBJ and glTF, written to PLY.
+"""Triangle meshes: one record, read from PLY, OBJ and glTF, written to PLY and OBJ.
 
-May import: the files at the top of `formats`. Begin with `record.py`; each file format has a module of its own.
+May import: the files at the top of `formats`. Begin with `record.py`; each file format has its own module.
 """
 
 from formats.mesh.record import (
@@ -8,10 +8,10 @@ from formats.mesh.record import (
     build_mesh,
     check_mesh,
     flipped,
+    inconsistent_edges,
     open_edges,
     read_mesh,
     signed_volume,
-    torn_edges,
     write_mesh,
 )
 
@@ -20,9 +20,9 @@ __all__ = [
     "build_mesh",
     "check_mesh",
     "flipped",
+    "inconsistent_edges",
     "open_edges",
     "read_mesh",
     "signed_volume",
-    "torn_edges",
     "write_mesh",
 ]

@@ -1,6 +1,6 @@
-"""Wavefront OBJ: vertices, texture coordinates, normals and polygons; materials, groups and curves are passed over.
+"""Wavefront OBJ (Advanced Visualizer manual, appendix B1: http://paulbourke.net/dataformats/obj/).
 
-Format: "Object Files (.obj)", Wavefront Advanced Visualizer manual, appendix B1, http://paulbourke.net/dataformats/obj/.
+Vertices, texture coordinates, normals and polygons are read; materials, groups and curves are ignored.
 
 No library: trimesh reads a file with a damaged vertex as a point cloud, accepts index 0, fails at a comment after a
 face, names no line in its errors and writes 8 decimals.
@@ -19,15 +19,15 @@ _MISSING = -(2**31)  # a corner without texture coordinate or normal
 
 
 class _Tables:
-    """What the lines of a file add up to; positions, texture coordinates and normals are numbered apart."""
+    """The content of a file; positions, texture coordinates and normals have separate indices."""
 
     def __init__(self) -> None:
         self.v, self.vt, self.vn = array("d"), array("d"), array("d")
-        self.corners = array("q")  # three numbers a corner: position, texture coordinate, normal, from 0
+        self.corners = array("q")  # three indices per corner, from 0: position, texture coordinate, normal
         self.sizes = array("q")
 
-    def take(self, words: list[str]) -> None:
-        """Take the words of one line; raises ValueError or IndexError where they make no sense."""
+    def add_line(self, words: list[str]) -> None:
+        """Add the words of one line; raises ValueError or IndexError if they are malformed."""
         match words[0]:
             case "v":
                 self.v.extend((float(words[1]), float(words[2]), float(words[3])))
@@ -49,15 +49,15 @@ class _Tables:
 
 
 def read_obj(path: str | os.PathLike[str]) -> TriangleSoup:
-    """Read an OBJ file; polygons are cut into fans, vertices keep the file's numbering.
+    """Read an OBJ file. Polygons become triangle fans; vertices keep the numbering of the file.
 
     Raises:
-        MeshError: the file is no OBJ text, or a line is damaged (the line is named).
+        MeshError: the file is not text, or a line is malformed (the message names the line).
     """
     with open(path, "rb") as file:
         content = file.read()
     if b"\0" in content:
-        raise MeshError(f"{path}: is not an OBJ file: it is not text")
+        raise MeshError(f"{path}: is not an OBJ file: expected text, found binary data; export it again")
     tables = _Tables()
     lines = content.decode("utf-8", "replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
     for number, line in enumerate(lines, start=1):
@@ -65,9 +65,11 @@ def read_obj(path: str | os.PathLike[str]) -> TriangleSoup:
         if not words:
             continue
         try:
-            tables.take(words)
+            tables.add_line(words)
         except (ValueError, IndexError) as cause:
-            raise MeshError(f"{path}: line {number} is not understood: {line.strip()[:80]!r}") from cause
+            raise MeshError(
+                f"{path}: line {number}: expected an OBJ statement, found {line.strip()[:80]!r}; export the mesh again"
+            ) from cause
     return _soup(tables)
 
 
@@ -78,11 +80,11 @@ def write_obj(
     normals: NDArray[np.float64],
     uv: NDArray[np.float64] | None,
 ) -> None:
-    """Write OBJ text with 17 digits, so that reading it gives the same float64 numbers back.
+    """Write OBJ text with 17 digits, which preserve float64 exactly.
 
-    `uv` is [V,2], or [F,3,2] where seams need one pair a corner, or None.
+    `uv` is [V,2], or [F,3,2] if seams need one pair per corner, or None.
     """
-    pairs, corners = _numbered(uv, faces)
+    pairs, corners = _index_uv(uv, faces)
     rows = [f"v {x:.17g} {y:.17g} {z:.17g}" for x, y, z in positions]
     rows += [f"vn {x:.17g} {y:.17g} {z:.17g}" for x, y, z in normals]
     rows += [f"vt {u:.17g} {v:.17g}" for u, v in pairs]
@@ -95,20 +97,20 @@ def write_obj(
         file.write("\n".join([*rows, ""]))
 
 
-def _numbered(
+def _index_uv(
     uv: NDArray[np.float64] | None, faces: NDArray[np.integer]
 ) -> tuple[NDArray[np.float64], NDArray[np.integer]]:
-    """Return the pairs to write [n,2] and each corner's place among them [F,3]."""
+    """Return the distinct texture coordinates [n,2] and the index of each corner's pair [F,3]."""
     if uv is None:
         return np.zeros((0, 2)), faces
     if uv.ndim == 2:
         return uv, faces
-    pairs, places = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
-    return pairs, places.reshape(-1, 3)
+    pairs, index = np.unique(uv.reshape(-1, 2), axis=0, return_inverse=True)
+    return pairs, index.reshape(-1, 3)
 
 
 def _index(word: str, count: int) -> int:
-    """Turn the file's index, from 1 or counted back from -1, into one from 0."""
+    """Convert the file's index, from 1 or backwards from -1, to one from 0."""
     if not word:
         return _MISSING
     index = int(word)
@@ -120,13 +122,13 @@ def _index(word: str, count: int) -> int:
 def _soup(tables: _Tables) -> TriangleSoup:
     positions = np.array(tables.v, np.float64).reshape(-1, 3)
     corners = np.array(tables.corners, np.int64).reshape(-1, 3)[fan(np.array(tables.sizes, np.int64))]
-    uv = _looked_up(np.array(tables.vt, np.float64).reshape(-1, 2), corners[..., 1])
-    normals = _looked_up(np.array(tables.vn, np.float64).reshape(-1, 3), corners[..., 2])
+    uv = _corner_values(np.array(tables.vt, np.float64).reshape(-1, 2), corners[..., 1])
+    normals = _corner_values(np.array(tables.vn, np.float64).reshape(-1, 3), corners[..., 2])
     return TriangleSoup(positions, corners[..., 0], normals, uv)
 
 
-def _looked_up(rows: NDArray[np.float64], index: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return the rows at every corner, or None unless every corner has one."""
+def _corner_values(rows: NDArray[np.float64], index: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Return the row of each corner, or None if any corner has none."""
     if index.size == 0 or index.min() < 0 or index.max() >= len(rows):
         return None
     return rows[index]

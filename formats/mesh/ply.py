@@ -1,8 +1,8 @@
-"""PLY, ascii and binary, every number kept as precise as the file has it.
+"""PLY, ascii and binary (Greg Turk, "The PLY Polygon File Format", 1994: http://paulbourke.net/dataformats/ply/).
 
-Format: Greg Turk, "The PLY Polygon File Format" (1994), http://paulbourke.net/dataformats/ply/. Read are the vertex
-properties x y z, nx ny nz and u v (or s t, texture_u texture_v), the face list vertex_indices (or vertex_index) and
-the face list texcoord (two numbers a corner, as MeshLab writes it); everything else is passed over.
+Numbers keep their full precision. The reader uses the vertex properties x y z, nx ny nz and u v (or s t, texture_u
+texture_v), the face list vertex_indices (or vertex_index) and the face list texcoord (two numbers per corner, as
+MeshLab writes it). It ignores everything else.
 
 No library: trimesh reads a truncated ASCII file without its last face, accepts lists of negative length and writes
 float32; plyfile is under the GPL.
@@ -32,7 +32,7 @@ def read_ply(path: str | os.PathLike[str]) -> TriangleSoup:
     """Read a PLY file.
 
     Raises:
-        MeshError: the file is no PLY, is truncated, or lacks vertices or faces.
+        MeshError: the file is not PLY, is truncated, or lacks vertices or faces.
     """
     with open(path, "rb") as file:
         content = file.read()
@@ -51,21 +51,21 @@ def write_ply(
 ) -> None:
     """Write binary little-endian PLY with float64 vertices: positions, normals [V,3], faces [F,3].
 
-    `uv` is [V,2], or [F,3,2] where seams need one pair a corner (written as the face list texcoord), or None.
+    `uv` is [V,2], or [F,3,2] if seams need one pair per corner (written as the face list texcoord), or None.
     """
-    of_vertices, of_corners = uv is not None and uv.ndim == 2, uv is not None and uv.ndim == 3
-    columns = [positions, normals, uv] if uv is not None and of_vertices else [positions, normals]
-    names = ["x", "y", "z", "nx", "ny", "nz"] + (["s", "t"] if of_vertices else [])
+    per_vertex, per_corner = uv is not None and uv.ndim == 2, uv is not None and uv.ndim == 3
+    columns = [positions, normals, uv] if uv is not None and per_vertex else [positions, normals]
+    names = ["x", "y", "z", "nx", "ny", "nz"] + (["s", "t"] if per_vertex else [])
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(positions)}"]
     header += [f"property double {name}" for name in names]
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    header += ["property list uchar double texcoord"] if of_corners else []
+    header += ["property list uchar double texcoord"] if per_corner else []
     header += ["end_header", ""]
-    textured = [("pairs", "u1"), ("texcoord", "<f8", (3, 2))] if of_corners else []
+    textured = [("pairs", "u1"), ("texcoord", "<f8", (3, 2))] if per_corner else []
     rows = np.empty(len(faces), np.dtype([("count", "u1"), ("corners", "<i4", (3,)), *textured]))
     rows["count"] = 3
     rows["corners"] = faces
-    if of_corners:
+    if per_corner:
         rows["pairs"] = 6
         rows["texcoord"] = uv
     with open(path, "wb") as file:
@@ -75,13 +75,13 @@ def write_ply(
 
 
 def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[str, list[Element], int]:
-    """Return the byte order (empty for ascii), the elements in file order and where the body starts."""
+    """Return the byte order (empty for ascii), the elements in file order and the offset of the body."""
     if content[:4] not in (b"ply\n", b"ply\r"):
-        raise MeshError(f"{path}: is not a PLY file: it does not begin with the line 'ply'")
+        raise MeshError(f"{path}: is not a PLY file: expected 'ply' in the first line, found {content[:4]!r}")
     mark = content.find(b"end_header")
     end = content.find(b"\n", mark)
     if mark < 0 or end < 0:
-        raise MeshError(f"{path}: the PLY header has no end_header line; the file is truncated or damaged")
+        raise MeshError(f"{path}: the PLY header has no line end_header; the file is truncated, export it again")
     encoding: str | None = None
     elements: list[Element] = []
     for number, line in enumerate(content[:mark].decode("ascii", "replace").splitlines(), start=1):
@@ -100,44 +100,46 @@ def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[str, list[Ele
                 case _:
                     raise ValueError
         except (ValueError, KeyError, IndexError) as cause:
-            raise MeshError(f"{path}: line {number} of the PLY header is not understood: {line.strip()!r}") from cause
+            raise MeshError(
+                f"{path}: line {number} of the PLY header: expected format, element or property, found {line.strip()!r}"
+            ) from cause
     if encoding is None:
         raise MeshError(f"{path}: the PLY header has no format line; expected ascii or binary")
     if any(element.rows < 0 for element in elements):
-        raise MeshError(f"{path}: the PLY header announces a negative number of rows")
+        raise MeshError(f"{path}: the PLY header has an element with a negative number of rows")
     return encoding, elements, end + 1
 
 
 def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> TriangleSoup:
     vertices, faces = elements.get("vertex", {}), elements.get("face", {})
-    positions = _joined(vertices, ("x", "y", "z"))
+    positions = _stack_columns(vertices, ("x", "y", "z"))
     if positions is None:
-        raise MeshError(f"{path}: the vertices have no x, y, z; expected three properties of these names")
+        raise MeshError(f"{path}: the element vertex has no properties x, y and z; export the mesh again")
     lists = next((column for name in _FACE_LISTS if isinstance(column := faces.get(name), Lists)), None)
     if lists is None:
-        raise MeshError(f"{path}: has no faces (no list vertex_indices); a surface is needed, not a point cloud")
+        raise MeshError(f"{path}: has no faces (no list vertex_indices); expected a surface, not a point cloud")
     if not np.array_equal(lists.values, np.floor(lists.values)) or not np.isfinite(lists.values).all():
-        raise MeshError(f"{path}: a face's vertex_indices are not whole numbers")
-    cut = fan(lists.sizes)
-    corners = lists.values.astype(np.int64)[cut]
-    # Attributes are looked up only where every index is good: read_mesh names the bad ones.
-    sound = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
-    normals = _joined(vertices, ("nx", "ny", "nz")) if sound else None
-    uv = next((u for names in _TEXTURE_NAMES if (u := _joined(vertices, names)) is not None), None) if sound else None
-    corner_uv = _of_corners(faces, lists, cut)
-    if corner_uv is None and uv is not None:
-        corner_uv = uv[corners]
+        raise MeshError(f"{path}: the face list vertex_indices has values that are not integers")
+    triangles = fan(lists.sizes)
+    corners = lists.values.astype(np.int64)[triangles]
+    # With an index out of range no attribute is read: `read_mesh` reports the index.
+    in_range = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
+    normals = _stack_columns(vertices, ("nx", "ny", "nz")) if in_range else None
+    corner_uv = _corner_uv(faces, lists, triangles)
+    if corner_uv is None and in_range:
+        uv = next((u for names in _TEXTURE_NAMES if (u := _stack_columns(vertices, names)) is not None), None)
+        corner_uv = None if uv is None else uv[corners]
     return TriangleSoup(positions, corners, None if normals is None else normals[corners], corner_uv)
 
 
-def _of_corners(faces: Columns, lists: Lists, cut: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Return the texture coordinates that the face list texcoord gives to the corners [F,3,2], or None."""
+def _corner_uv(faces: Columns, lists: Lists, triangles: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Return the texture coordinates of the face list texcoord [F,3,2], or None."""
     pairs = faces.get("texcoord")
     if not isinstance(pairs, Lists) or not np.array_equal(pairs.sizes, 2 * lists.sizes):
         return None
-    return np.asarray(pairs.values, np.float64).reshape(-1, 2)[cut]
+    return np.asarray(pairs.values, np.float64).reshape(-1, 2)[triangles]
 
 
-def _joined(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64] | None:
+def _stack_columns(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64] | None:
     chosen = [column for name in names if isinstance(column := columns.get(name), np.ndarray)]
     return np.stack(chosen, axis=1) if len(chosen) == len(names) else None

@@ -1,4 +1,7 @@
-"""The rows of a PLY file, in ascii or binary: single values and lists of varying length (no library: `formats.ply`)."""
+"""The rows of a PLY file, ascii or binary: single values and lists of varying length.
+
+Format: http://paulbourke.net/dataformats/ply/. No library, for the reasons in `formats.mesh.ply`.
+"""
 
 import os
 from dataclasses import dataclass, field
@@ -12,7 +15,7 @@ from formats.errors import MeshError
 
 @dataclass(frozen=True)
 class Property:
-    """One property of an element; `kind` and `count_kind` are NumPy types without byte order."""
+    """One property of an element; `kind` and `count_kind` are NumPy type codes without byte order."""
 
     name: str
     kind: str
@@ -30,7 +33,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Lists:
-    """The lists of one property: their lengths int64 [rows] and all their values, one after the other."""
+    """The lists of one property: their lengths int64 [rows], and the values of all lists, concatenated."""
 
     sizes: NDArray[np.int64]
     values: NDArray[np.float64]
@@ -40,18 +43,15 @@ Columns = dict[str, NDArray[np.float64] | Lists]
 
 
 class PlyBody:
-    """The body of a PLY file, read element after element.
-
-    An ascii body is turned into float64 numbers once; from then on both kinds are bytes with a type.
-    """
+    """The body of a PLY file, read element by element. An ascii body is converted to binary float64 first."""
 
     def __init__(self, content: bytes, byte_order: str, path: str | os.PathLike[str]) -> None:
-        """Take the bytes after the header; `byte_order` is "<", ">" or, for ascii, empty."""
+        """Open the bytes after the header; `byte_order` is "<", ">" or, for ascii, empty."""
         self._path = path
         self._order = byte_order or "="
         self._text = not byte_order
         self._bytes = _numbers(content, path).tobytes() if self._text else content
-        self._at = 0
+        self._offset = 0
 
     def columns(self, element: Element) -> Columns:
         """Return the next element's properties by name.
@@ -59,65 +59,65 @@ class PlyBody:
         Raises:
             MeshError: the body ends before the element's last row.
         """
-        start = self._at
-        sizes = self._walk(element, min(element.rows, 1))[1]
-        self._at = start
-        # Nearly every file has lists of one length (triangles); those are read at one stroke.
-        table = self._alike(element, [int(column[0]) if len(column) else 0 for column in sizes])
+        start = self._offset
+        sizes = self._read_rows(element, min(element.rows, 1))[1]
+        self._offset = start
+        # Nearly every file has lists of one length (triangles); those are read in one step.
+        table = self._uniform_columns(element, [int(column[0]) if len(column) else 0 for column in sizes])
         if table is not None:
             return table
-        values, lengths = self._walk(element, element.rows)
+        values, lengths = self._read_rows(element, element.rows)
         return {
-            entry.name: Lists(np.array(lengths[i], np.int64), _joined(values[i]))
+            entry.name: Lists(np.array(lengths[i], np.int64), _concatenate(values[i]))
             if entry.count_kind
-            else _joined(values[i])
+            else _concatenate(values[i])
             for i, entry in enumerate(element.properties)
         }
 
-    def _alike(self, element: Element, sizes: list[int]) -> Columns | None:
+    def _uniform_columns(self, element: Element, sizes: list[int]) -> Columns | None:
         fields: list[Any] = []
         for entry, size in zip(element.properties, sizes, strict=True):
             if entry.count_kind:
                 fields.append((f"count of {entry.name}", self._type(entry.count_kind)))
             fields.append((entry.name, self._type(entry.kind), (size if entry.count_kind else 1,)))
         layout = np.dtype(fields)
-        if self._at + element.rows * layout.itemsize > len(self._bytes):
+        if self._offset + element.rows * layout.itemsize > len(self._bytes):
             return None
-        table = np.frombuffer(self._bytes, layout, element.rows, self._at)
+        table = np.frombuffer(self._bytes, layout, element.rows, self._offset)
         columns: Columns = {}
         for entry, size in zip(element.properties, sizes, strict=True):
             values = table[entry.name].astype(np.float64).ravel()
             if entry.count_kind and (table[f"count of {entry.name}"] != size).any():
                 return None
             columns[entry.name] = Lists(np.full(element.rows, size, np.int64), values) if entry.count_kind else values
-        self._at += element.rows * layout.itemsize
+        self._offset += element.rows * layout.itemsize
         return columns
 
-    def _walk(self, element: Element, rows: int) -> tuple[list[list[NDArray[np.float64]]], list[list[int]]]:
-        """Read row by row: for each property the values of every row, and the length of every list."""
+    def _read_rows(self, element: Element, rows: int) -> tuple[list[list[NDArray[np.float64]]], list[list[int]]]:
+        """Read row by row; return for each property the values of every row, and the length of every list."""
         values: list[list[NDArray[np.float64]]] = [[] for _ in element.properties]
         lengths: list[list[int]] = [[] for _ in element.properties]
         for row in range(rows):
             for i, entry in enumerate(element.properties):
-                length = float(self._take(entry.count_kind, 1, element, row)[0]) if entry.count_kind else 1.0
+                length = float(self._read_values(entry.count_kind, 1, element, row)[0]) if entry.count_kind else 1.0
                 if length < 0 or length != int(length):
                     raise MeshError(
-                        f"{self._path}: row {row} of element {element.name} has a list of length {length:g}"
+                        f"{self._path}: is damaged: row {row} of element {element.name} has a list of length {length:g}"
                     )
                 lengths[i].append(int(length))
-                values[i].append(self._take(entry.kind, int(length), element, row))
+                values[i].append(self._read_values(entry.kind, int(length), element, row))
         return values, lengths
 
-    def _take(self, kind: str, count: int, element: Element, row: int) -> NDArray[np.float64]:
+    def _read_values(self, kind: str, count: int, element: Element, row: int) -> NDArray[np.float64]:
         type_ = self._type(kind)
-        if self._at + count * type_.itemsize > len(self._bytes):
+        if self._offset + count * type_.itemsize > len(self._bytes):
             raise MeshError(
-                f"{self._path}: the file ends in row {row} of element {element.name}, of which the header announces "
-                f"{element.rows}; the file is truncated"
+                f"{self._path}: is truncated: it ends in row {row} of element {element.name}, expected {element.rows} "
+                f"rows; copy or export it again"
             )
-        taken = np.frombuffer(self._bytes, type_, count, self._at).astype(np.float64)
-        self._at += count * type_.itemsize
-        return taken
+        values = np.frombuffer(self._bytes, type_, count, self._offset).astype(np.float64)
+        self._offset += count * type_.itemsize
+        return values
 
     def _type(self, kind: str) -> np.dtype[Any]:
         return np.dtype(np.float64) if self._text else np.dtype(kind).newbyteorder(self._order)  # type: ignore[arg-type]
@@ -130,5 +130,5 @@ def _numbers(body: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]:
         raise MeshError(f"{path}: the PLY body is damaged: {cause}") from cause
 
 
-def _joined(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _concatenate(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
     return np.concatenate(rows) if rows else np.zeros(0)

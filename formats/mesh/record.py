@@ -1,7 +1,7 @@
-"""Triangle meshes: one record, read from and written to PLY, OBJ and glTF.
+"""The record of a triangle mesh, read from PLY, OBJ and glTF, written to PLY and OBJ.
 
-Vertices that share a position to the last bit are one vertex, whatever normals or texture coordinates a file splits
-them by: a bake stores what leaves each point of the surface, and a point is one point.
+Vertices at bitwise equal positions are merged, even if a file splits them by normals or texture coordinates: a bake
+stores the light that leaves each point of the surface, once per point.
 """
 
 import dataclasses
@@ -40,12 +40,21 @@ class Mesh:
         positions: float64 [V,3], in scene units.
         faces: int32 [F,3], indices into positions.
         normals: float64 [V,3], unit.
-        uv: float64 [V,2], or None; where a seam splits a vertex, the first face's.
-        corner_uv: float64 [F,3,2], the texture coordinates of each face's corners, v upwards, or None; where only `uv`
-            is given, taken from it.
-        source_vertex: int64 [n], from the file's vertex to the one kept (-1: used by no face), or None if all are as in
-            the file.
-        dropped_faces: faces without area that were left out on reading.
+        uv: float64 [V,2], or None; at a seam the pair of the first face.
+        corner_uv: float64 [F,3,2], the texture coordinates of the corners of each face, v upwards, or None. Derived
+            from `uv` if only that is given.
+        source_vertex: int64 [n], the vertex that each vertex of the file became (-1: used by no face), or None if the
+            file's vertices are unchanged.
+        dropped_faces: number of faces without area that `read_mesh` dropped.
+
+    >>> import prt_bake as prt
+    >>> mesh = prt.Mesh(
+    ...     positions=np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]]),
+    ...     faces=np.array([[0, 1, 2]]),
+    ...     normals=np.array([[0.0, 0.0, 1.0]] * 3),
+    ... )
+    >>> mesh.face_areas.tolist(), mesh.bounds.tolist()
+    ([1.0], [[0.0, 0.0, 0.0], [1.0, 2.0, 0.0]])
     """
 
     positions: NDArray[np.float64]
@@ -67,7 +76,7 @@ class Mesh:
             if array is None:
                 continue
             if np.shape(array) != shape:
-                raise MeshError(f"mesh: {name} has shape {np.shape(array)}, expected {shape}")
+                raise MeshError(f"mesh: {name}: expected shape {list(shape)}, found {list(np.shape(array))}")
             kind = np.int32 if name == "faces" else np.float64
             object.__setattr__(self, name, np.ascontiguousarray(array, kind))
         if self.corner_uv is None and self.uv is not None:
@@ -75,7 +84,7 @@ class Mesh:
 
     @property
     def bounds(self) -> NDArray[np.float64]:
-        """The corners of the bounding box [2,3], lowest and highest."""
+        """The lowest and highest corner of the bounding box [2,3]."""
         return np.stack([self.positions.min(axis=0), self.positions.max(axis=0)])
 
     @property
@@ -110,57 +119,71 @@ class Mesh:
 
     @property
     def seamless(self) -> bool:
-        """Whether the texture coordinates are one pair a vertex, so that `uv` says all that `corner_uv` does."""
+        """Whether each vertex has one pair of texture coordinates, so that `uv` determines `corner_uv`."""
         if self.uv is None or self.corner_uv is None:
             return self.corner_uv is None
         return np.array_equal(self.uv[self.faces], self.corner_uv)
 
 
 def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) -> Mesh:
-    """Read `.ply`, `.obj`, `.glb` or `.gltf`.
+    """Read a mesh from `.ply`, `.obj`, `.glb` or `.gltf`.
 
-    Vertices at one position are merged and unused ones left out (`Mesh.source_vertex` remembers), polygons are cut into
-    triangles, normals are the file's (averaged where merged) or else the angle-weighted mean of the faces'.
+    Merges vertices at equal positions and removes unused ones (see `Mesh.source_vertex`), and triangulates polygons.
+    Normals come from the file, averaged over merged vertices, or else are the angle-weighted mean of the face normals.
 
     Args:
-        path: the file; its suffix says what it is.
-        drop_flat_faces: leave faces without area out, and count them in `Mesh.dropped_faces`, instead of refusing them.
+        path: the file; its suffix selects the format.
+        drop_flat_faces: drop faces without area and count them in `Mesh.dropped_faces`, instead of raising MeshError.
 
     Raises:
-        MeshError: of another kind, truncated, without faces; NaN or infinite vertices, indices out of range, faces
-            without area: with their count and the first.
+        MeshError: an unknown format, a truncated file, no faces; NaN or infinite vertices, indices out of range, faces
+            without area (the message has their count and the first).
         StorageError: the file is missing or cannot be opened.
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> mesh = prt.read_mesh(Path(shipped.__file__).parent / "spot.obj")
+    >>> mesh.positions.shape, mesh.faces.shape
+    ((2930, 3), (5856, 3))
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _READERS:
-        raise MeshError(f"{path}: is not a mesh this can read; expected {', '.join(_READERS)}, found '{suffix}'")
+        raise MeshError(f"{path}: is not a readable mesh; expected {', '.join(_READERS)}, found '{suffix}'; convert it")
     soup = _READERS[suffix](existing(path))
-    _refuse_damaged(soup, path)
-    kept, source_vertex = geometry.merged(soup.positions)
+    _refuse_invalid(soup, path)
+    first, source_vertex = geometry.merge_positions(soup.positions)
     faces = source_vertex[soup.faces]
-    positions = soup.positions[kept]
+    positions = soup.positions[first]
     flat = geometry.faces_without_area(positions, faces)
     if flat.all() or (flat.any() and not drop_flat_faces):
         raise MeshError(
             f"{path}: {flat.sum()} of {len(flat)} faces have no area, the first is face {flat.argmax()} with corners "
             f"{soup.faces[flat.argmax()].tolist()}; remove them in a mesh editor (dissolve degenerate faces)"
         )
-    return _assembled(soup, positions, faces, source_vertex, ~flat)
+    return _assemble(soup, positions, faces, source_vertex, ~flat)
 
 
 def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:
-    """Return a mesh of these vertices [V,3] and triangles [F,3] as they are, with angle-weighted vertex normals."""
+    """Return a mesh of these vertices [V,3] and triangles [F,3], unchanged, with angle-weighted vertex normals."""
     positions = np.ascontiguousarray(positions, np.float64)
     centred = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     return Mesh(positions, np.ascontiguousarray(faces, np.int32), geometry.vertex_normals(centred, faces))
 
 
 def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
-    """Write `.ply` (binary, float64) or `.obj` (17 digits), whole or not at all; reading gives the same numbers.
+    """Write `.ply` (binary, float64) or `.obj` (17 digits) atomically; both preserve the numbers exactly.
 
     Raises:
         MeshError: another suffix.
-        StorageError: the disk is full or not writable.
+        StorageError: the disk is full or read-only.
+
+    >>> import prt_bake as prt
+    >>> triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> mesh = prt.Mesh(triangle, np.array([[0, 1, 2]]), np.array([[0.0, 0.0, 1.0]] * 3))
+    >>> prt.write_mesh(mesh, "triangle.ply")
+    >>> np.array_equal(prt.read_mesh("triangle.ply").positions, triangle)
+    True
     """
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
@@ -170,31 +193,31 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
 
 
 def open_edges(mesh: Mesh) -> int:
-    """Count the edges that are not shared by exactly two faces; 0 on a closed surface."""
+    """Return the number of edges that are not shared by exactly two faces; 0 on a closed surface."""
     uses, _ = geometry.edge_uses(mesh.faces)
     return int((uses != 2).sum())
 
 
-def torn_edges(mesh: Mesh) -> int:
-    """Count the edges whose two faces are wound against one another, so that inside and outside meet there."""
-    uses, senses = geometry.edge_uses(mesh.faces)
-    return int(((uses == 2) & (senses != 0)).sum())
+def inconsistent_edges(mesh: Mesh) -> int:
+    """Return the number of edges between faces of opposite winding, where the inside meets the outside."""
+    uses, directions = geometry.edge_uses(mesh.faces)
+    return int(((uses == 2) & (directions != 0)).sum())
 
 
 def signed_volume(mesh: Mesh) -> float:
-    """Return the volume enclosed, in cubed scene units; negative where faces are wound inside out."""
+    """Return the enclosed volume, in cubed scene units; negative if the faces are wound inside out."""
     a, b, c = (mesh.positions[mesh.faces[:, corner]] - mesh.center for corner in range(3))
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
 def flipped(mesh: Mesh) -> Mesh:
-    """Return the mesh with every face wound the other way and every normal reversed."""
+    """Return the mesh with the winding of every face and every normal reversed."""
     corner_uv = None if mesh.corner_uv is None else mesh.corner_uv[:, ::-1]
     return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals, corner_uv=corner_uv)
 
 
 def check_mesh(path: str | os.PathLike[str]) -> list[str]:
-    """Return every fault of a mesh file as sentences; an empty list means that it is a closed, sound surface."""
+    """Return every fault of a mesh file, a sentence each; an empty list means a valid closed surface."""
     faults = []
     try:
         mesh = read_mesh(path)
@@ -206,25 +229,25 @@ def check_mesh(path: str | os.PathLike[str]) -> list[str]:
             return faults
     if count := open_edges(mesh):
         faults.append(f"{path}: {count} edges are not shared by exactly two faces; a closed surface has none")
-    if count := torn_edges(mesh):
-        faults.append(f"{path}: {count} edges lie between faces wound against one another; make the normals consistent")
+    if count := inconsistent_edges(mesh):
+        faults.append(f"{path}: {count} edges lie between faces of opposite winding; make the normals consistent")
     elif not faults and signed_volume(mesh) < 0:
         faults.append(f"{path}: the faces are wound inside out; flip the normals")
-    step = _single_precision_step(mesh)
+    step = _float32_spacing(mesh)
     edges = mesh.positions[mesh.faces] - mesh.positions[np.roll(mesh.faces, 1, axis=1)]
     edge = float(np.median(np.linalg.norm(edges, axis=2)))
     if step > 1e-3 * edge:
         faults.append(
             f"{path}: the positions were rounded to float32 far from the origin: steps of {step:.2g} on edges of "
-            f"{edge:.2g}; move the object to the origin before it is saved"
+            f"{edge:.2g}; move the object to the origin and save it again"
         )
     return faults
 
 
-def _refuse_damaged(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
+def _refuse_invalid(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
     count = len(soup.positions)
     if len(soup.faces) == 0:
-        raise MeshError(f"{path}: has no faces; a surface is needed, not a point cloud")
+        raise MeshError(f"{path}: has no faces; expected a surface, not a point cloud")
     outside = ((soup.faces < 0) | (soup.faces >= count)).any(axis=1)
     if outside.any():
         first = int(outside.argmax())
@@ -232,34 +255,34 @@ def _refuse_damaged(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
             f"{path}: {outside.sum()} of {len(soup.faces)} faces use vertices that do not exist, the first is face "
             f"{first} with corners {soup.faces[first].tolist()}; expected indices from 0 to {count - 1}"
         )
-    unfit = ~np.isfinite(soup.positions).all(axis=1)
-    if unfit.any():
-        first = int(unfit.argmax())
+    invalid = ~np.isfinite(soup.positions).all(axis=1)
+    if invalid.any():
+        first = int(invalid.argmax())
         raise MeshError(
-            f"{path}: {unfit.sum()} of {count} vertices are NaN or infinite, the first is vertex {first} at "
+            f"{path}: {invalid.sum()} of {count} vertices are NaN or infinite, the first is vertex {first} at "
             f"{soup.positions[first].tolist()}; repair the mesh"
         )
 
 
-def _assembled(
+def _assemble(
     soup: TriangleSoup,
     positions: NDArray[np.float64],
     faces: NDArray[np.int64],
     source_vertex: NDArray[np.int64],
     kept_faces: NDArray[np.bool_],
 ) -> Mesh:
-    """Leave out flat faces and unused vertices, and gather what corners carry at the vertices."""
+    """Remove flat faces and unused vertices, and average the corner attributes at the vertices."""
     faces = faces[kept_faces]
     used, first_corner = np.unique(faces.ravel(), return_index=True)
-    place = np.full(len(positions), -1, np.int64)
-    place[used] = np.arange(len(used))
-    positions, faces, source_vertex = positions[used], place[faces], place[source_vertex]
+    new_index = np.full(len(positions), -1, np.int64)
+    new_index[used] = np.arange(len(used))
+    positions, faces, source_vertex = positions[used], new_index[faces], new_index[source_vertex]
     centred = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     corner_uv = None if soup.corner_uv is None else soup.corner_uv[kept_faces]
     return Mesh(
         positions=positions,
         faces=faces.astype(np.int32),
-        normals=geometry.vertex_normals(centred, faces, _sound_normals(soup, kept_faces)),
+        normals=geometry.vertex_normals(centred, faces, _valid_normals(soup, kept_faces)),
         uv=None if corner_uv is None else corner_uv.reshape(-1, 2)[first_corner],
         corner_uv=corner_uv,
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
@@ -267,16 +290,16 @@ def _assembled(
     )
 
 
-def _sound_normals(soup: TriangleSoup, kept_faces: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-    """The file's normals at the corners, of unit length; None where any is missing, zero or not finite."""
+def _valid_normals(soup: TriangleSoup, kept_faces: NDArray[np.bool_]) -> NDArray[np.float64] | None:
+    """Return the file's corner normals, normalised, or None if any is missing, zero or not finite."""
     if soup.corner_normals is None or not np.isfinite(soup.corner_normals[kept_faces]).all():
         return None
-    normals = geometry.unit(soup.corner_normals[kept_faces])
+    normals = geometry.normalise(soup.corner_normals[kept_faces])
     return normals if np.abs(normals).max(axis=2).all() else None
 
 
-def _single_precision_step(mesh: Mesh) -> float:
-    """The spacing of float32 at the farthest coordinate, or 0 if the positions hold more than float32 does."""
+def _float32_spacing(mesh: Mesh) -> float:
+    """Return the spacing of float32 at the largest coordinate, or 0 if the positions have more precision."""
     if not np.array_equal(mesh.positions, mesh.positions.astype(np.float32)):
         return 0.0
     return float(np.spacing(np.float32(np.abs(mesh.positions).max())))

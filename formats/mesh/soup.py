@@ -1,4 +1,4 @@
-"""What the readers of PLY, OBJ and glTF hand over: vertices as the file numbers them, and triangles."""
+"""Triangle soups, the common result of the PLY, OBJ and glTF readers."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class TriangleSoup:
-    """Triangles as a file holds them, nothing merged or checked.
+    """Triangles as stored in a file, with nothing merged or checked.
 
     Attributes:
         positions: float64 [n,3].
         faces: int64 [F,3], indices into positions.
-        corner_normals: float64 [F,3,3], or None if the file has none.
-        corner_uv: float64 [F,3,2], or None if the file has none.
+        corner_normals: float64 [F,3,3], or None.
+        corner_uv: float64 [F,3,2], or None.
     """
 
     positions: NDArray[np.float64]
@@ -24,13 +24,13 @@ class TriangleSoup:
 
 
 def fan(sizes: NDArray[np.integer]) -> NDArray[np.int64]:
-    """Cut polygons into triangle fans about their first corner.
+    """Triangulate polygons as fans about their first corner.
 
     Args:
-        sizes: number of corners of each polygon [P]; the corners of all polygons lie one after the other in one list.
+        sizes: number of corners of each polygon [P]; the corners of all polygons are concatenated in one list.
 
     Returns:
-        Places in that list [F,3], in the order of the polygons; polygons of fewer than three corners give no triangle.
+        Indices into that list [F,3], in polygon order; a polygon of fewer than three corners has no triangle.
     """
     starts = np.cumsum(sizes) - sizes
     triangles = np.maximum(sizes - 2, 0)

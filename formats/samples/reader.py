@@ -1,10 +1,10 @@
-"""Samples: queries to a scene's transport function and path-traced estimates of it, kept to learn from.
+"""Sample files: queries of a scene's transport function, with path-traced estimates of its values.
 
-HDF5, with a checksum on everything in it. Attributes of the file: format "prtbake samples", format_version, generator,
-created, complete (0: stopped before all were there), seed, walks (a query), and source, which is JSON: scene,
-scene_hash, unit, settings. Datasets:
+HDF5 (https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html) with checksums. Attributes of the file:
+format "prtbake samples", format_version, generator, created, complete (0: sampling was stopped early), seed, walks
+(per query), and source (JSON: scene, scene_hash, unit, settings). Datasets:
 
-    queries/keys        [N] u8      what tells a query from all others, whatever the file
+    queries/keys        [N] u8      identifies a query across files
     queries/positions   [N,3] f8    on the surface, in scene units
     queries/outgoing    [N,3] f4    unit vectors to the eye
     queries/incident    [N,D,3] f4  unit vectors to the light
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SamplesError
-from formats.hdf5_file import DAMAGE, damage, open_hdf5
+from formats.hdf5_file import HDF5_ERRORS, describe_damage, open_hdf5
 
 FORMAT = "prtbake samples"
 FORMAT_VERSION = "1.0"
@@ -42,15 +42,15 @@ _UNIT_TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class SamplesHead:
-    """What a file of samples says of all of them.
+    """The common properties of all samples in a file.
 
     Attributes:
-        scene, scene_hash: name and content hash of the scene that was asked.
-        unit: of its lengths.
-        seed: of every random number.
-        walks: walks a query.
-        directions: D, directions of incidence a query.
-        settings: whatever else decided the estimates, JSON.
+        scene, scene_hash: name and content hash of the sampled scene.
+        unit: unit of length of the scene.
+        seed: seed of all random numbers.
+        walks: walks per query.
+        directions: D, directions of incidence per query.
+        settings: everything else that the estimates depend on, JSON values.
     """
 
     scene: str
@@ -64,7 +64,7 @@ class SamplesHead:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """N queries of D directions each with their estimates; arrays as in the file."""
+    """N queries of D directions each, and their estimates; the arrays are those of the file."""
 
     head: SamplesHead
     keys: NDArray[np.uint64]
@@ -77,19 +77,19 @@ class Samples:
 
 
 def read_samples(path: str | os.PathLike[str]) -> Samples:
-    """Read all samples of a file, and check them.
+    """Read and check all samples of a file.
 
     Raises:
-        SamplesError: not HDF5, truncated, damaged, of another kind or version, datasets missing or of the wrong shape
-            or type, values that are not finite, directions that are not of unit length.
+        SamplesError: the file is not HDF5, truncated, damaged, or of another kind or version; datasets are missing or
+            have the wrong shape or type; values are not finite; directions are not of unit length.
         StorageError: the file is missing.
     """
     with _opened(path) as file:
         try:
             faults = list(_layout_faults(file))
             samples = None if faults else _read(file)
-        except DAMAGE as cause:
-            raise SamplesError(f"{path}: {damage(cause)}; copy or sample it again") from cause
+        except HDF5_ERRORS as cause:
+            raise SamplesError(f"{path}: {describe_damage(cause)}; copy or sample it again") from cause
     if samples is not None:
         faults = list(_value_faults(samples))
     if samples is None or faults:
@@ -99,7 +99,7 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
 
 
 def check_samples(path: str | os.PathLike[str]) -> list[str]:
-    """Return every fault of a file of samples as sentences; an empty list means that it is sound.
+    """Return every fault of a sample file, a sentence each; an empty list means a valid file.
 
     Raises:
         StorageError: the file is missing.
@@ -112,42 +112,41 @@ def check_samples(path: str | os.PathLike[str]) -> list[str]:
         try:
             faults = list(_layout_faults(file))
             faults = faults or list(_value_faults(_read(file)))
-        except DAMAGE as cause:
-            faults = [f"{damage(cause)}; copy or sample it again"]
+        except HDF5_ERRORS as cause:
+            faults = [f"{describe_damage(cause)}; copy or sample it again"]
     return [f"{path}: {fault}" for fault in faults]
 
 
 def is_samples(path: str | os.PathLike[str]) -> bool:
-    """Whether a file says of itself that it holds samples."""
+    """Whether a file has the format attribute of sample files."""
     try:
         with h5py.File(path, "r") as file:
             return _text(file, "format") == FORMAT
-    except DAMAGE:
+    except HDF5_ERRORS:
         return False
 
 
 def _opened(path: str | os.PathLike[str]) -> Any:
-    return open_hdf5(path, SamplesError, "holds no samples", "sample it")
+    return open_hdf5(path, SamplesError, "is not a sample file", "sample it")
 
 
 def _layout_faults(file: Any) -> Iterator[str]:
-    """Yield a sentence for every attribute or dataset that is missing or not as it must be."""
-    if _text(file, "format") != FORMAT:
-        said = _text(file, "format")
-        yield f"is HDF5 but holds no samples: expected the attribute format = '{FORMAT}', found '{said}'"
+    """Yield a sentence for every attribute or dataset that is missing or invalid."""
+    if (found := _text(file, "format")) != FORMAT:
+        yield f"is not a sample file: expected the attribute format = '{FORMAT}', found '{found}'"
         return
     version = _text(file, "format_version")
     if version.split(".")[0] != "1":
-        yield f"has format_version {version}; this program reads 1.x, use one that is as new as the file"
+        yield f"has format_version {version}; this program reads 1.x, use a newer one"
         return
     for name in _COUNTS:
         value = np.asarray(file.attrs.get(name, "missing"))
         if value.shape != () or value.dtype.kind not in "iu":
-            yield f"the attribute {name} is {value}, which is no count"
+            yield f"the attribute {name} is {value}; expected an integer"
     source = _object(_text(file, "source"))
     for name in _SOURCE:
         if not isinstance(source.get(name), dict if name == "settings" else str):
-            yield f"the attribute source says nothing of {name}"
+            yield f"the attribute source has no valid {name}"
     lengths: dict[str, int] = {}
     for name, (kind, axes) in DATASETS.items():
         dataset = file.get(name)
@@ -156,15 +155,15 @@ def _layout_faults(file: Any) -> Iterator[str]:
             continue
         if dataset.dtype != np.dtype(kind):
             yield f"/{name} has type {dataset.dtype}; expected {np.dtype(kind)}"
-        found = list(dataset.shape or ())
-        expected = [int(axis) if axis.isdigit() else lengths.get(axis, n) for axis, n in zip(axes, found, strict=False)]
-        if len(found) != len(axes) or found != expected:
-            told = ", ".join(axis if axis.isdigit() else f"{axis} = {lengths.get(axis, 'any')}" for axis in axes)
-            yield f"/{name} has shape {found}; expected [{told}]"
+        shape = list(dataset.shape or ())
+        expected = [int(axis) if axis.isdigit() else lengths.get(axis, n) for axis, n in zip(axes, shape, strict=False)]
+        if len(shape) != len(axes) or shape != expected:
+            wanted = ", ".join(axis if axis.isdigit() else f"{axis} = {lengths.get(axis, 'any')}" for axis in axes)
+            yield f"/{name} has shape {shape}; expected [{wanted}]"
             continue
-        lengths.update({axis: n for axis, n in zip(axes, found, strict=True) if not axis.isdigit()})
+        lengths.update({axis: n for axis, n in zip(axes, shape, strict=True) if not axis.isdigit()})
     if lengths.get("N") == 0 or lengths.get("D") == 0:
-        yield "holds no query"
+        yield "has no queries"
 
 
 def _read(file: Any) -> Samples:
@@ -182,21 +181,21 @@ def _read(file: Any) -> Samples:
 def _value_faults(samples: Samples) -> Iterator[str]:
     for name in ("positions", "mean", "standard_error"):
         values = getattr(samples, name).reshape(len(samples.keys), -1)
-        yield from _marked(name, ~np.isfinite(values).all(axis=1), "not finite")
+        yield from _row_faults(name, ~np.isfinite(values).all(axis=1), "not finite")
     for name in ("outgoing", "incident"):
         length = np.linalg.norm(getattr(samples, name).astype(np.float64), axis=-1).reshape(len(samples.keys), -1)
-        yield from _marked(name, ~(np.abs(length - 1.0) < _UNIT_TOLERANCE).all(axis=1), "not of length 1")
+        yield from _row_faults(name, ~(np.abs(length - 1.0) < _UNIT_TOLERANCE).all(axis=1), "not of length 1")
     negative = np.asarray((samples.standard_error < 0).any(axis=(1, 2)))
-    yield from _marked("standard_error", negative, "negative")
+    yield from _row_faults("standard_error", negative, "negative")
 
 
-def _marked(name: str, wrong: NDArray[np.bool_], what: str) -> Iterator[str]:
+def _row_faults(name: str, wrong: NDArray[np.bool_], problem: str) -> Iterator[str]:
     if wrong.any():
-        yield f"{name}: {wrong.sum()} of {len(wrong)} queries are {what}, the first is query {wrong.argmax()}"
+        yield f"{name}: {wrong.sum()} of {len(wrong)} queries are {problem}, the first is query {wrong.argmax()}"
 
 
 def _text(file: Any, name: str) -> str:
-    """A text attribute; text of a fixed length, since HDF5 keeps other text in a heap without a checksum."""
+    """Return a text attribute. It has a fixed length, because variable-length text of HDF5 has no checksum."""
     found = file.attrs.get(name, "missing")
     return found.decode("utf-8", "replace") if isinstance(found, bytes) else str(found)
 

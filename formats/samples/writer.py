@@ -1,4 +1,4 @@
-"""Writes samples block by block, so that memory stays flat however many there are."""
+"""Writes a sample file block by block, in constant memory."""
 
 import contextlib
 import datetime
@@ -23,14 +23,16 @@ _CHUNK_BYTES = 2**20
 
 
 class SamplesWriter:
-    """Writes one file of samples: the head at once, then blocks of queries, then `finish`.
+    """Writes one sample file: the head on creation, then blocks of queries, then `finish`.
 
-    The file grows under another name and takes the place of `path` in `finish`. Left without it (an exception, a kill),
-    an older file is untouched.
+    The write is atomic: the file grows under a temporary name and replaces `path` in `finish`.
+
+    Attributes:
+        count: number of queries written so far.
     """
 
     def __init__(self, path: str | os.PathLike[str], head: SamplesHead) -> None:
-        """Open the file and write its head; raises StorageError where that cannot be."""
+        """Open the file and write its head; raises StorageError if that fails."""
         self._path, self._directions = path, head.directions
         self.count = 0
         self._open, self._file = True, None
@@ -39,11 +41,11 @@ class SamplesWriter:
         try:
             with self._guarded():
                 self._sink = Sink(part)
-                self._file = h5py.File(self._sink, "w", libver="v110")  # with checksums of its own
+                self._file = h5py.File(self._sink, "w", libver="v110")  # its metadata has checksums
                 _write_head(self._file, head)
                 self._check()
         except BaseException as cause:
-            self._leave(cause)
+            self._abandon(cause)
             raise
 
     def append(
@@ -55,16 +57,17 @@ class SamplesWriter:
         mean: ArrayLike,
         standard_error: ArrayLike,
     ) -> None:
-        """Write n more queries: keys [n], positions [n,3], outgoing [n,3] and [n,D,3] of the other three.
+        """Append n queries: keys [n], positions and outgoing [n,3], incident, mean and standard_error [n,D,3].
 
-        Raises SamplesError for shapes that do not fit and for values that are not finite, StorageError where the disk
-        is full; the writer is closed then.
+        Raises:
+            SamplesError: wrong shapes, or values that are not finite.
+            StorageError: the disk is full; the writer is then closed.
         """
-        given = (keys, positions, outgoing, incident, mean, standard_error)
+        arrays = (keys, positions, outgoing, incident, mean, standard_error)
         count = len(np.asarray(keys))
         lengths = {"N": count, "D": self._directions}
         blocks = {}
-        for (name, (kind, axes)), values in zip(DATASETS.items(), given, strict=True):
+        for (name, (kind, axes)), values in zip(DATASETS.items(), arrays, strict=True):
             array = np.asarray(values)
             shape = tuple(int(axis) if axis.isdigit() else lengths[axis] for axis in axes)
             if array.shape != shape:
@@ -81,7 +84,7 @@ class SamplesWriter:
         self.count += count
 
     def finish(self, complete: bool = True) -> None:
-        """Let the file take its place; `complete` is false where it was stopped before all queries were there."""
+        """Close the file and move it to `path`; `complete` is false if sampling was stopped early."""
         with self._guarded():
             file = self._writable()
             file.attrs["complete"] = np.uint8(complete)
@@ -97,7 +100,7 @@ class SamplesWriter:
     def __exit__(
         self, kind: type[BaseException] | None, cause: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._leave(cause)
+        self._abandon(cause)
 
     def _writable(self) -> Any:
         if not self._open:
@@ -105,11 +108,11 @@ class SamplesWriter:
         return self._file
 
     def _check(self) -> None:
-        if self._sink.fault is not None:
-            raise self._sink.fault
+        if self._sink.error is not None:
+            raise self._sink.error
 
-    def _leave(self, cause: BaseException | None) -> None:
-        """Close without finishing; an operating system's error about space or permission becomes a StorageError."""
+    def _abandon(self, cause: BaseException | None) -> None:
+        """Close without finishing; an error of the operating system about space or permission becomes StorageError."""
         if not self._open:
             return
         self._open = False
@@ -127,7 +130,7 @@ class SamplesWriter:
             try:
                 yield
             except OSError as cause:
-                self._leave(cause)
+                self._abandon(cause)
                 raise
 
 

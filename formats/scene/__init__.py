@@ -1,4 +1,4 @@
-"""Scene files and lights files (TOML): a closed object, what is inside it, the media that fill it, and lights.
+"""Scene files and lights files (TOML): a closed object, the objects inside it, their media, and lights.
 
 May import: `formats.mesh`, `formats.image` and the files at the top of `formats`. Begin with `record.py`; `schema.py`
 lists every key.

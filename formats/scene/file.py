@@ -1,4 +1,4 @@
-"""Reading a scene file's tables, and the words for what is wrong with them."""
+"""Reads the tables of a scene file (TOML, https://toml.io/en/v1.0.0) and describes their faults."""
 
 import difflib
 import tomllib
@@ -36,10 +36,10 @@ _EXPECTED = {
     "mix.albedo": "a number from 0 to 1, or three of them (RGB)",
     "pattern": '"noise", "veins" or "turbulence"',
     "feature": "a positive length in scene units",
-    "seed": "a whole number from 0 to 2^63 - 1",
-    "octaves": "a whole number from 1 to 10",
+    "seed": "an integer from 0 to 2^63 - 1",
+    "octaves": "an integer from 1 to 10",
     "thresholds": "two numbers, the lower one first",
-    "resolution": "a whole number of cells from 2 to 256",
+    "resolution": "an integer number of cells from 2 to 256",
     "sigma_t": "one number that is not negative, three of them (RGB), or the name of an .npy grid",
     "albedo": "a number from 0 to 1, three of them (RGB), or the name of an .npy grid",
     "phase_g": "a mean cosine between -1 and 1, both excluded",
@@ -52,10 +52,10 @@ _EXPECTED = {
 
 
 def parse_scene(path: Path) -> SceneFile:
-    """Read a scene file's tables and check every key and range; the files it names are not opened.
+    """Read the tables of a scene file and check every key and range, without opening the files that it names.
 
     Raises:
-        SceneError: no TOML, an unknown or missing key, a value of the wrong type or out of range.
+        SceneError: invalid TOML, an unknown or missing key, a value of the wrong type or out of range.
         StorageError: the file is missing.
     """
     tables = _read_tables(path)
@@ -66,9 +66,7 @@ def parse_scene(path: Path) -> SceneFile:
 
 
 def find_table_faults(path: Path) -> list[str]:
-    """Every fault of the keys and ranges of a scene file, a sentence for each key; raises as `parse_scene` where there
-    are no tables at all.
-    """
+    """Return the faults of all keys of a scene file, a sentence each; raises as `parse_scene` for invalid TOML."""
     tables = _read_tables(path)
     try:
         SceneFile.model_validate(tables)
@@ -81,25 +79,23 @@ def _read_tables(path: Path) -> dict[str, Any]:
     try:
         tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
     except UnicodeDecodeError as cause:
-        raise SceneError(f"{path}: is not a scene file: it is not text") from cause
+        raise SceneError(f"{path}: is not a scene file: expected UTF-8 text, found binary data") from cause
     except tomllib.TOMLDecodeError as cause:
-        asked = "" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
-        raise SceneError(f"{path}: is not TOML: {cause}{asked}") from cause
+        advice = "" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
+        raise SceneError(f"{path}: is not TOML: {cause}{advice}") from cause
     if "object" not in tables and ("directional" in tables or "sky" in tables):
-        raise SceneError(f"{path}: is a lights file, which render takes as --light; expected a scene, with [object]")
+        raise SceneError(f"{path}: is a lights file; expected a scene, with [object]; give lights to render as --light")
     return tables
 
 
 def _sentences(fault: ValidationError, tables: Mapping[str, object]) -> list[str]:
-    """Tell the faults, each key's first; unknown keys come first, since a misspelt key also makes another one
-    missing.
-    """
+    """Return the first fault of each key; unknown keys come first, since a misspelt key makes another one missing."""
     errors = sorted(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")
-    told: dict[str, str] = {}
+    sentences: dict[str, str] = {}
     for error in errors:
-        path, found = _located(error["loc"], tables)
-        told.setdefault(".".join(str(part) for part in path), _sentence(error, path, found))
-    return list(told.values())
+        path, found = _locate(error["loc"], tables)
+        sentences.setdefault(".".join(str(part) for part in path), _sentence(error, path, found))
+    return list(sentences.values())
 
 
 def _sentence(error: "ErrorDetails", path: list[int | str], found: object) -> str:
@@ -118,14 +114,14 @@ def _sentence(error: "ErrorDetails", path: list[int | str], found: object) -> st
 
 
 def expected(key: str) -> str:
-    """Say what a key, given with its tables, may be: "medium.albedo" is a number, three, or the name of a grid."""
-    tables = key.split(".")
-    return _EXPECTED.get(".".join(tables[-2:])) or _EXPECTED[tables[-1]]
+    """Describe the values that a key such as "medium.albedo" may have."""
+    parts = key.split(".")
+    return _EXPECTED.get(".".join(parts[-2:])) or _EXPECTED[parts[-1]]
 
 
 @contextmanager
-def named_by(path: Path, key: str) -> Iterator[None]:
-    """Tell the faults of a file that a scene file names by that scene file and the key, before its own sentence."""
+def errors_at(path: Path, key: str) -> Iterator[None]:
+    """Put the scene file and the key that names another file before the errors of reading that file."""
     try:
         yield
     except PrtbakeError as fault:
@@ -134,8 +130,8 @@ def named_by(path: Path, key: str) -> Iterator[None]:
         raise type(fault)(f"{path}: {key}: {fault}") from fault
 
 
-def _located(loc: tuple[int | str, ...], tables: Mapping[str, object]) -> tuple[list[int | str], object]:
-    """Cut what pydantic adds to a location (members of a union, items of an array) and return it with its value."""
+def _locate(loc: tuple[int | str, ...], tables: Mapping[str, object]) -> tuple[list[int | str], object]:
+    """Return the key of an error, without what pydantic appends (union members, array items), and its value."""
     path: list[int | str] = []
     value: object = tables
     for part in loc:

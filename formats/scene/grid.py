@@ -1,4 +1,7 @@
-"""Grids of a medium: `.npy` arrays [Z,Y,X] or [Z,Y,X,3], values at the cell centres of a box."""
+"""Grids of a medium, `.npy` (https://numpy.org/doc/stable/reference/generated/numpy.lib.format.html).
+
+Arrays [Z,Y,X] or [Z,Y,X,3] with values at the cell centres of a box.
+"""
 
 from pathlib import Path
 
@@ -10,39 +13,37 @@ from formats.errors import SceneError
 
 
 def read_grid(scene_path: Path, key: str, name: str, highest: float) -> NDArray[np.float64]:
-    """Read a grid named in a scene file and check that its values lie between 0 and `highest`.
+    """Read a grid that a scene file names, and check that its values are between 0 and `highest`.
 
     Args:
-        scene_path: the scene file, beside which `name` is looked for.
-        key: where the scene file names the grid, for messages.
-        name: the grid's file name.
-        highest: largest value allowed; infinity allows every finite one.
+        scene_path: the scene file; `name` is relative to its folder.
+        key: the key that names the grid in the scene file, for messages.
+        name: the grid file.
+        highest: the largest allowed value; infinity allows every finite one.
 
     Raises:
-        SceneError: no `.npy` file, not a real-valued array of these shapes, values NaN or out of range (with their
-            count and the first).
+        SceneError: not an `.npy` file, not a real array of these shapes, values NaN or out of range (the message has
+            their count and the first).
         StorageError: the file is missing.
     """
     path = existing(scene_path.parent / name)
     try:
         grid = np.load(path, allow_pickle=False)
     except (ValueError, EOFError, OSError) as cause:
-        raise SceneError(f"{scene_path}: {key}: {path} is not an .npy array, or truncated") from cause
+        raise SceneError(f"{scene_path}: {key}: {path} is not an .npy array, or is truncated; save it again") from cause
     if not isinstance(grid, np.ndarray) or grid.dtype.kind not in "fiu":
-        raise SceneError(
-            f"{scene_path}: {key}: {path} holds no array of real numbers; expected one .npy array of floats"
-        )
+        raise SceneError(f"{scene_path}: {key}: {path} does not hold real numbers; expected one .npy array of floats")
     if grid.ndim not in (3, 4) or 0 in grid.shape or (grid.ndim == 4 and grid.shape[3] != 3):
         raise SceneError(
             f"{scene_path}: {key}: {path} has shape {list(grid.shape)}; expected a grid [Z,Y,X] or [Z,Y,X,3]"
         )
     grid = np.ascontiguousarray(grid, np.float64)
-    unfit = ~((grid >= 0) & (grid <= highest) & np.isfinite(grid))
-    if unfit.any():
-        first = tuple(int(i) for i in np.argwhere(unfit)[0])
-        span = f"from 0 to {highest:g}" if np.isfinite(highest) else "finite and not negative"
+    invalid = ~((grid >= 0) & (grid <= highest) & np.isfinite(grid))
+    if invalid.any():
+        first = tuple(int(i) for i in np.argwhere(invalid)[0])
+        expected = f"from 0 to {highest:g}" if np.isfinite(highest) else "finite and not negative"
         raise SceneError(
-            f"{scene_path}: {key}: {path} has {unfit.sum()} of {grid.size} values out of range, the first at "
-            f"[{', '.join(map(str, first))}] is {grid[first]:g}; expected values {span}"
+            f"{scene_path}: {key}: {path} has {invalid.sum()} of {grid.size} values out of range, the first at "
+            f"[{', '.join(map(str, first))}] is {grid[first]:g}; expected values {expected}"
         )
     return grid

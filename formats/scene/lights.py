@@ -1,4 +1,7 @@
-"""Lights: a TOML file of suns, spheres and skies, and one light in a word (`sun:x,y,z`, `sphere:x,y,z:radius`)."""
+"""Lights: TOML files (https://toml.io/en/v1.0.0) of suns, spheres and skies, and lights as `sun:x,y,z` text.
+
+`sun:…` and `sphere:…` describe one light in one word of the command line.
+"""
 
 import difflib
 import math
@@ -30,13 +33,13 @@ _EXPECTED = {
     "position": "three finite numbers [x, y, z] in scene units",
     "radius": "a number above 0, in scene units",
     "radiance": "three finite numbers [r, g, b] of 0 or more",
-    "file": "the name of a lat-long picture",
+    "file": "the name of a lat-long image",
     "rotate": "degrees",
     "exposure": "stops from -64 to 64",
     "tint": "three finite numbers [r, g, b] of 0 or more",
 }
-SUN = "sun:x,y,z[:r,g,b][:degrees]"
-SPHERE = "sphere:x,y,z:radius[:r,g,b]"
+SUN_SYNTAX = "sun:x,y,z[:r,g,b][:degrees]"
+SPHERE_SYNTAX = "sphere:x,y,z:radius[:r,g,b]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +47,9 @@ class DirectionalLight:
     """Light from one direction.
 
     Attributes:
-        direction: unit, towards the light, object space [3].
-        irradiance: linear RGB [3], measured across the light's direction.
-        angular_diameter: of the light's disc in the sky, degrees; 0 is a point at infinity.
+        direction: unit vector towards the light, object space [3].
+        irradiance: linear RGB [3], on a surface perpendicular to the direction.
+        angular_diameter: of the disc in the sky, in degrees; 0 is a point at infinity.
     """
 
     direction: NDArray[np.float64]
@@ -56,12 +59,12 @@ class DirectionalLight:
 
 @dataclass(frozen=True, eq=False)
 class SphereLight:
-    """A sphere that shines evenly, of power 4π² radius² radiance.
+    """A sphere of constant radiance; its power is 4π² radius² radiance.
 
     Attributes:
-        position: of its middle, object space [3].
-        radius: in the same units.
-        radiance: linear RGB [3], the same from everywhere.
+        position: centre, object space [3].
+        radius: in scene units.
+        radiance: linear RGB [3], the same in every direction.
     """
 
     position: NDArray[np.float64]
@@ -71,7 +74,7 @@ class SphereLight:
 
 @dataclass(frozen=True)
 class SkyLight:
-    """A lat-long picture `path`, turned by `rotate` degrees about up, its radiance times 2^exposure and `tint` [3]."""
+    """A lat-long image, rotated by `rotate` degrees about the up axis, its radiance times 2^exposure and `tint`."""
 
     path: Path
     rotate: float
@@ -109,24 +112,27 @@ class _LightsFile(_Table):
 
 
 _TABLES: dict[str, type[_Table]] = {
-    **{"": _LightsFile, "directional": _DirectionalTable},
-    **{"sphere": _SphereTable, "sky": _SkyTable},
+    "": _LightsFile,
+    "directional": _DirectionalTable,
+    "sphere": _SphereTable,
+    "sky": _SkyTable,
 }
 
 
 def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | SphereLight | SkyLight, ...]:
-    """Read a lights file: its [[directional]] lights, its [[sphere]] lights, then its [[sky]] pictures, named relative
-    to itself and not opened.
+    """Read a lights file: its [[directional]] lights, its [[sphere]] lights, then its [[sky]] images.
+
+    Paths of images are relative to the file; the images are not opened.
 
     Raises:
-        LightError: no TOML, an unknown or missing key, a value out of range, no light at all.
+        LightError: invalid TOML, an unknown or missing key, a value out of range, no light at all.
         StorageError: the file is missing.
     """
     path = Path(path)
     try:
         tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
     except UnicodeDecodeError as cause:
-        raise LightError(f"{path}: is not a lights file: it is not text") from cause
+        raise LightError(f"{path}: is not a lights file: expected UTF-8 text, found binary data") from cause
     except tomllib.TOMLDecodeError as cause:
         raise LightError(f"{path}: is not TOML: {cause}") from cause
     try:
@@ -134,7 +140,7 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
     except ValidationError as cause:
         raise LightError(f"{path}: {_sentence(cause, tables)}") from cause
     if not (lights.directional or lights.sphere or lights.sky):
-        raise LightError(f"{path}: holds no light; expected [[directional]], [[sphere]] or [[sky]]")
+        raise LightError(f"{path}: has no light; expected [[directional]], [[sphere]] or [[sky]]")
     directional = tuple(
         _directional(f"{path}: directional.{i}", light.direction, light.irradiance, light.angular_diameter)
         for i, light in enumerate(lights.directional)
@@ -147,30 +153,32 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
 
 
 def parse_sun(text: str) -> DirectionalLight:
-    """A directional light from `sun:x,y,z[:r,g,b][:degrees]`; the irradiance is 1, the size 0 where they are left out.
+    """Parse `sun:x,y,z[:r,g,b][:degrees]`; the default irradiance is 1, the default angular diameter 0.
 
-    Raises LightError for any other text and for values out of range.
+    Raises:
+        LightError: another syntax, or a value out of range.
     """
     numbers = _numbers(text)
-    if [len(word) for word in numbers] not in ([3], [3, 3], [3, 1], [3, 3, 1]):
-        raise LightError(f"--light {text}: expected {SUN}, such as sun:0,1,0.5:3,3,2.8:0.53")
+    if [len(field) for field in numbers] not in ([3], [3, 3], [3, 1], [3, 3, 1]):
+        raise LightError(f"--light {text}: expected {SUN_SYNTAX}, such as sun:0,1,0.5:3,3,2.8:0.53")
     irradiance = numbers[1] if len(numbers) > 1 and len(numbers[1]) == 3 else [1.0, 1.0, 1.0]
     diameter = numbers[-1][0] if len(numbers[-1]) == 1 else 0.0
     if not all(value >= 0 and math.isfinite(value) for value in irradiance):
         raise LightError(f"--light {text}: irradiance: expected {_EXPECTED['irradiance']}, found {irradiance}")
     if not 0 <= diameter <= 180:
-        raise LightError(f"--light {text}: the angular diameter: expected degrees from 0 to 180, found {diameter:g}")
+        raise LightError(f"--light {text}: angular diameter: expected degrees from 0 to 180, found {diameter:g}")
     return _directional(f"--light {text}", numbers[0], irradiance, diameter)
 
 
 def parse_sphere(text: str) -> SphereLight:
-    """A sphere light from `sphere:x,y,z:radius[:r,g,b]`; the radiance is 1 where it is left out.
+    """Parse `sphere:x,y,z:radius[:r,g,b]`; the default radiance is 1.
 
-    Raises LightError for any other text and for values out of range.
+    Raises:
+        LightError: another syntax, or a value out of range.
     """
     numbers = _numbers(text)
-    if [len(word) for word in numbers] not in ([3, 1], [3, 1, 3]):
-        raise LightError(f"--light {text}: expected {SPHERE}, such as sphere:0,3,1:0.25:40,36,30")
+    if [len(field) for field in numbers] not in ([3, 1], [3, 1, 3]):
+        raise LightError(f"--light {text}: expected {SPHERE_SYNTAX}, such as sphere:0,3,1:0.25:40,36,30")
     position, (radius,), radiance = numbers if len(numbers) == 3 else (*numbers, [1.0, 1.0, 1.0])
     if not all(math.isfinite(value) for value in position):
         raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")
@@ -182,40 +190,40 @@ def parse_sphere(text: str) -> SphereLight:
 
 
 def _numbers(text: str) -> list[list[float]]:
-    """The numbers of a light in one word, by colons; none where a part of it is no number."""
+    """Return the numbers of each colon-separated field after the first; none if a field is malformed."""
     try:
-        return [[float(number) for number in word.split(",")] for word in text.split(":")[1:]]
+        return [[float(number) for number in field.split(",")] for field in text.split(":")[1:]]
     except ValueError:
         return []
 
 
 def _directional(where: str, direction: Any, irradiance: Any, diameter: float) -> DirectionalLight:
-    towards = np.asarray(direction, np.float64)
-    largest = float(np.abs(towards).max())
+    vector = np.asarray(direction, np.float64)
+    largest = float(np.abs(vector).max())
     if not (largest > 0 and math.isfinite(largest)):
-        raise LightError(f"{where}: direction: expected {_EXPECTED['direction']}, found {towards.tolist()}")
-    towards = towards / largest
-    return DirectionalLight(towards / np.linalg.norm(towards), np.asarray(irradiance, np.float64), float(diameter))
+        raise LightError(f"{where}: direction: expected {_EXPECTED['direction']}, found {vector.tolist()}")
+    vector = vector / largest
+    return DirectionalLight(vector / np.linalg.norm(vector), np.asarray(irradiance, np.float64), float(diameter))
 
 
 def _sentence(fault: ValidationError, tables: dict[str, Any]) -> str:
-    """The first fault by its key; unknown keys come first, since a misspelt key also makes another one missing."""
+    """Describe the first fault; unknown keys come first, since a misspelt key makes another one missing."""
     error = sorted(fault.errors(), key=lambda error: error["type"] != "extra_forbidden")[0]
-    place = error["loc"][:3]
-    key, name = ".".join(str(part) for part in place), str(place[-1])
+    location = error["loc"][:3]
+    key, name = ".".join(str(part) for part in location), str(location[-1])
     if error["type"] == "extra_forbidden":
-        known = list(_TABLES[str(place[0]) if len(place) > 1 else ""].model_fields)
+        known = list(_TABLES[str(location[0]) if len(location) > 1 else ""].model_fields)
         close = difflib.get_close_matches(name, known, n=1)
         return f"{key}: unknown key; " + (f"did you mean '{close[0]}'?" if close else f"expected {', '.join(known)}")
-    named = name if name in _EXPECTED else str(place[0])
-    if error["type"] == "missing" and len(error["loc"]) == len(place):
-        return f"{key}: is missing; expected {_EXPECTED[named]}"
-    return f"{key}: expected {_EXPECTED[named]}, found {_found(tables, place)!r}"
+    expected = _EXPECTED[name if name in _EXPECTED else str(location[0])]
+    if error["type"] == "missing" and len(error["loc"]) == len(location):
+        return f"{key}: is missing; expected {expected}"
+    return f"{key}: expected {expected}, found {_value_at(tables, location)!r}"
 
 
-def _found(tables: Any, place: tuple[int | str, ...]) -> Any:
+def _value_at(tables: Any, location: tuple[int | str, ...]) -> Any:
     value = tables
-    for part in place:
+    for part in location:
         try:
             value = value[part]
         except (KeyError, IndexError, TypeError):

@@ -1,4 +1,4 @@
-"""Measured substances by name, and lengths in millimetres.
+"""Measured materials by name, and units of length in millimetres.
 
 The table is figure 5 of Jensen, Marschner, Levoy and Hanrahan, "A Practical Model for Subsurface Light Transport"
 (2001): reduced scattering and absorption for red, green and blue per millimetre, and the index of refraction they
@@ -12,18 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 MILLIMETRES = {"mm": 1.0, "cm": 10.0, "dm": 100.0, "m": 1000.0, "inch": 25.4}
-"""Known units of length."""
+"""Millimetres per unit of length."""
 
 
 @dataclass(frozen=True)
 class Material:
-    """A substance as it was measured.
+    """A measured material.
 
     Attributes:
-        name: as in the paper.
+        name: as in the paper, in lower case without spaces.
         sigma_s_reduced: reduced scattering σs′ = σs (1 − g), RGB, per millimetre.
         sigma_a: absorption, RGB, per millimetre.
-        eta: the index of refraction that the measurement assumes.
+        eta: index of refraction that the measurement assumes.
     """
 
     name: str
@@ -34,15 +34,15 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class Substance:
-    """What a medium is made of, per scene unit: extinction `sigma_t`, scattering `sigma_s` of it, float64 [3]."""
+    """Extinction `sigma_t` and scattering `sigma_s` of a homogeneous medium per scene unit, RGB, float64 [3]."""
 
     sigma_t: NDArray[np.float64]
     sigma_s: NDArray[np.float64]
 
     @property
     def albedo(self) -> NDArray[np.float64]:
-        """Single-scattering albedo [3]; 1 where there is no extinction."""
-        return albedo_of(self.sigma_s, self.sigma_t)
+        """Single-scattering albedo [3]; 1 without extinction."""
+        return single_scattering_albedo(self.sigma_s, self.sigma_t)
 
 
 _MEASURED = (
@@ -60,16 +60,16 @@ _MEASURED = (
     Material("wholemilk", (2.55, 3.21, 3.77), (0.0011, 0.0024, 0.014)),
 )
 MATERIALS = {material.name: material for material in _MEASURED}
-"""Every measured substance by the name it has in the paper, in one word of small letters."""
+"""Every measured material, by name."""
 ALIASES = {"chicken": "chicken1", "skin": "skin1"}
-"""Other names: of two samples the first."""
+"""Other names of materials; of two samples the first."""
 
 
 def find_material(name: str) -> Material:
-    """Return the material of this name; case, spaces, hyphens and underscores do not matter.
+    """Return the material of this name, ignoring case, spaces, hyphens and underscores.
 
     Raises:
-        KeyError: there is none; its argument says which is close, or which there are.
+        KeyError: there is none; its argument suggests a similar name, or lists all.
     """
     plain = "".join(letter for letter in name.casefold() if letter not in " -_")
     material = MATERIALS.get(ALIASES.get(plain, plain))
@@ -80,13 +80,13 @@ def find_material(name: str) -> Material:
     raise KeyError(f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(sorted(known))}")
 
 
-def substance(material: Material, phase_g: float, unit_in_mm: float, density: float = 1.0) -> Substance:
-    """Return a material per scene unit.
+def to_scene_units(material: Material, phase_g: float, unit_in_mm: float, density: float = 1.0) -> Substance:
+    """Return the extinction and scattering of a material per scene unit.
 
     Args:
-        material: as measured.
-        phase_g: mean cosine g of the phase function to be used; σs = σs′ / (1 − g), by the similarity relation.
-        unit_in_mm: millimetres a scene unit.
+        material: the material.
+        phase_g: mean cosine g of the phase function; σs = σs′ / (1 − g) by the similarity relation.
+        unit_in_mm: millimetres per scene unit.
         density: factor on scattering and absorption.
     """
     scale = density * unit_in_mm
@@ -94,8 +94,8 @@ def substance(material: Material, phase_g: float, unit_in_mm: float, density: fl
     return Substance(sigma_s + scale * np.array(material.sigma_a), sigma_s)
 
 
-def albedo_of(sigma_s: NDArray[np.float64], sigma_t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return σs / σt, between 0 and 1; 1 where there is no extinction."""
+def single_scattering_albedo(sigma_s: NDArray[np.float64], sigma_t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return σs / σt, between 0 and 1; 1 without extinction."""
     albedo: NDArray[np.float64] = np.minimum(
         np.where(sigma_t > 0, sigma_s, 1.0) / np.where(sigma_t > 0, sigma_t, 1.0), 1.0
     )

@@ -1,4 +1,4 @@
-"""The parts of a scene: closed surfaces nested in one another, each with its boundary and what fills it."""
+"""The parts of a scene: nested closed surfaces, each with its boundary and its medium."""
 
 import difflib
 from dataclasses import dataclass
@@ -10,33 +10,33 @@ from numpy.typing import NDArray
 
 from formats.errors import SceneError
 from formats.image.texture import read_reflectance_texture, read_roughness_texture
-from formats.mesh import Mesh, flipped, open_edges, read_mesh, signed_volume, torn_edges
-from formats.scene.file import named_by
-from formats.scene.medium import Medium, Place, clear_medium, read_medium
+from formats.mesh import Mesh, flipped, inconsistent_edges, open_edges, read_mesh, signed_volume
+from formats.scene.file import errors_at
+from formats.scene.medium import Medium, MediumContext, clear_medium, read_medium
 from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
 
 MOST_PARTS = 12
-"""Parts a scene may have, the outermost counted."""
+"""Parts of a scene, the outermost included."""
 OUTERMOST = "object"
 """The name of the outermost part."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One closed surface and what fills it.
+    """One closed surface and its medium.
 
     Attributes:
-        name: "object" for the outermost.
-        parent: index among the scene's parts of the one it lies in; -1 for the outermost.
+        name: as in the file; "object" for the outermost part.
+        parent: index of the enclosing part; -1 for the outermost.
         mesh_path: the mesh file.
-        mesh: closed, wound consistently, faces counter-clockwise seen from outside.
-        flipped: whether the file had the faces wound inside out.
-        eta: absolute index of refraction inside (outside everything: 1); equal to the parent's, it is index-matched.
-        roughness: GGX alpha, 0 is smooth; or a texture float64 [H,W], row 0 on top, by the mesh's `corner_uv`.
-        normals: which normals the boundary uses, "face" or "vertex".
-        energy_compensation: whether the energy that single scattering on a rough boundary loses is given back.
+        mesh: closed, of consistent winding, faces counter-clockwise seen from outside.
+        flipped: whether the faces in the file are wound inside out.
+        eta: absolute index of refraction inside (1 outside the scene); index-matched if equal to the parent's.
+        roughness: GGX alpha, 0 is smooth; or a texture float64 [H,W], row 0 on top, mapped by `mesh.corner_uv`.
+        normals: the normals of the boundary, "face" or "vertex".
+        energy_compensation: whether to restore the energy that single scattering on a rough boundary loses.
         diffuse: linear reflectance float64 [3] or a texture [H,W,3], row 0 on top; None for a dielectric boundary.
-        medium: what lies inside; None where the boundary is diffuse.
+        medium: the medium inside; None for a diffuse boundary.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Part:
 
 
 def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:
-    """Load every part of a scene, the outermost first, then those inside in the order of the file.
+    """Load the parts of a scene, the outermost first, then the others in file order.
 
     Raises:
-        SceneError: names that are taken or unknown, parts nested in a circle, a mesh that is not closed or lies outside
-            its parent, a texture or grid that does not fit; the message names the key.
+        SceneError: duplicate or unknown names, a nesting cycle, a mesh that is not closed or lies outside its parent,
+            an invalid texture or grid; the message names the key.
         MeshError, ImageError: a file is damaged.
         StorageError: a file is missing.
     """
@@ -84,7 +84,7 @@ def _outermost(tables: SceneFile, path: Path) -> Part:
         normals=tables.interface.normals,
         energy_compensation=tables.interface.energy_compensation,
         diffuse=None,
-        medium=read_medium(tables.medium, Place(path, "medium", mesh.bounds, tables.object)),
+        medium=read_medium(tables.medium, MediumContext(path, "medium", mesh.bounds, tables.object)),
     )
 
 
@@ -92,7 +92,7 @@ def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path:
     table, key = tables.inside[index - 1], f"inside.{index - 1}"
     if parent.diffuse is not None:
         raise SceneError(
-            f"{path}: {key}.in: {table.name!r} lies in {parent.name!r}, which is diffuse: no light gets there; put it "
+            f"{path}: {key}.in: {table.name!r} lies in {parent.name!r}, which is diffuse and lets no light in; put it "
             f"into a dielectric"
         )
     mesh_path = path.parent / table.mesh
@@ -100,8 +100,8 @@ def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path:
     _refuse_outside(mesh, parent, f"{path}: {key}.mesh: {mesh_path}")
     interface = table.interface or InterfaceTable()
     diffuse = _reflectance(table, mesh, path, key) if table.surface == "diffuse" else None
-    place = Place(path, f"{key}.medium", mesh.bounds, tables.object)
-    filling = clear_medium() if table.medium is None else read_medium(table.medium, place)
+    context = MediumContext(path, f"{key}.medium", mesh.bounds, tables.object)
+    medium = clear_medium() if table.medium is None else read_medium(table.medium, context)
     return Part(
         name=table.name,
         parent=parent_index,
@@ -113,21 +113,23 @@ def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path:
         normals=interface.normals,
         energy_compensation=interface.energy_compensation,
         diffuse=diffuse,
-        medium=None if diffuse is not None else filling,
+        medium=None if diffuse is not None else medium,
     )
 
 
 def _parents(inside: tuple[InsideTable, ...], path: Path) -> list[int]:
-    """Return for each part the index of the one it lies in, -1 for the outermost; every chain ends there."""
+    """Return the index of the parent of each part, -1 for the outermost; raises SceneError for a cycle."""
     if len(inside) >= MOST_PARTS:
         raise SceneError(
-            f"{path}: inside: expected at most {MOST_PARTS} parts with the outermost, found {len(inside) + 1}; join "
+            f"{path}: inside: expected at most {MOST_PARTS} parts with the outermost, found {len(inside) + 1}; merge "
             f"objects of one material into one mesh"
         )
     names = [OUTERMOST]
     for i, table in enumerate(inside):
         if table.name in names:
-            raise SceneError(f"{path}: inside.{i}.name: {table.name!r} is taken already; give every part its own name")
+            raise SceneError(
+                f"{path}: inside.{i}.name: another part is named {table.name!r}; give every part its own name"
+            )
         names.append(table.name)
     parents = [-1]
     for i, table in enumerate(inside):
@@ -142,25 +144,25 @@ def _parents(inside: tuple[InsideTable, ...], path: Path) -> list[int]:
         while parents[chain[-1]] > 0:
             chain.append(parents[chain[-1]])
             if chain[-1] == i:
-                circle = " in ".join(repr(names[place]) for place in chain)
-                raise SceneError(f"{path}: inside.{i - 1}.in: parts are nested in a circle: {circle}")
+                cycle = " in ".join(repr(names[index]) for index in chain)
+                raise SceneError(f"{path}: inside.{i - 1}.in: parts are nested in a cycle: {cycle}; change one of them")
             if len(chain) > len(parents):
-                break  # The circle lies further up, and is told from there.
+                break  # The cycle does not contain part i; another start reports it.
     return parents
 
 
 def _closed_mesh(mesh_path: Path, path: Path, key: str) -> tuple[Mesh, bool]:
-    with named_by(path, key):
+    with errors_at(path, key):
         mesh = read_mesh(mesh_path)
     if count := open_edges(mesh):
         raise SceneError(
             f"{path}: {key}: {mesh_path} is not closed: {count} edges are not shared by exactly two faces; "
-            f"close the holes, or leave parts out that touch"
+            f"close the holes, or separate parts that touch"
         )
-    if count := torn_edges(mesh):
+    if count := inconsistent_edges(mesh):
         raise SceneError(
-            f"{path}: {key}: {mesh_path} has {count} edges between faces wound against one another; make "
-            f"its normals consistent"
+            f"{path}: {key}: {mesh_path} has {count} edges between faces of opposite winding; make its normals "
+            f"consistent"
         )
     return (flipped(mesh), True) if signed_volume(mesh) < 0 else (mesh, False)
 
@@ -169,7 +171,7 @@ def _refuse_outside(mesh: Mesh, parent: Part, where: str) -> None:
     (low, high), (parent_low, parent_high) = mesh.bounds, parent.mesh.bounds
     if (low >= parent_high).any() or (high <= parent_low).any():
         raise SceneError(
-            f"{where} lies wholly outside {parent.name!r}: its box is {_box(mesh)}, expected one that meets "
+            f"{where} lies completely outside {parent.name!r}: its box is {_box(mesh)}, expected one that overlaps "
             f"{_box(parent.mesh)}; move it, or check the unit of length"
         )
 
@@ -182,14 +184,14 @@ def _roughness(interface: InterfaceTable, mesh: Mesh, path: Path, key: str) -> f
     if not isinstance(interface.roughness, str):
         return interface.roughness
     _require_uv(mesh, f"{path}: {key}.roughness")
-    with named_by(path, f"{key}.roughness"):
+    with errors_at(path, f"{key}.roughness"):
         return read_roughness_texture(path, f"{key}.roughness", interface.roughness)
 
 
 def _reflectance(table: InsideTable, mesh: Mesh, path: Path, key: str) -> NDArray[np.float64]:
     if isinstance(table.reflectance, str):
         _require_uv(mesh, f"{path}: {key}.reflectance")
-        with named_by(path, f"{key}.reflectance"):
+        with errors_at(path, f"{key}.reflectance"):
             return read_reflectance_texture(path, f"{key}.reflectance", table.reflectance)
     return np.broadcast_to(np.asarray(table.reflectance, np.float64), 3).copy()
 
@@ -197,6 +199,6 @@ def _reflectance(table: InsideTable, mesh: Mesh, path: Path, key: str) -> NDArra
 def _require_uv(mesh: Mesh, where: str) -> None:
     if mesh.corner_uv is None:
         raise SceneError(
-            f"{where}: an image needs texture coordinates, and the mesh has none; unwrap the mesh in an editor, or "
+            f"{where}: an image needs texture coordinates, but the mesh has none; unwrap the mesh in an editor, or "
             f"give a number"
         )

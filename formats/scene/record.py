@@ -1,4 +1,4 @@
-"""Scenes: a closed object, what lies inside it and the media that fill them, from a TOML file checked key by key."""
+"""The record of a scene, read from a TOML file: a closed object, the parts inside it, and their media."""
 
 import dataclasses
 import hashlib
@@ -22,18 +22,25 @@ __all__ = ["Medium", "Part", "Scene", "read_scene"]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A scene with everything it names loaded. Lengths are in scene units, `sigma_t` is per scene unit.
+    """A scene with all its files loaded. Lengths are in scene units, `sigma_t` is per scene unit.
 
-    A point belongs to the deepest part that holds it, where a part counts only inside its parent; of siblings that
-    overlap the later one wins. Properties named as those of a part speak of the outermost one.
+    A point belongs to the deepest part that contains it; a part exists only inside its parent, and of overlapping
+    siblings the later one wins. Properties with the name of an attribute of `Part` return that of the outermost part.
 
     Attributes:
         path: the TOML file.
-        tables: the file's tables as checked.
+        tables: the validated tables of the file.
         up: the axis that points up.
         unit: name of the unit of length.
-        parts: the outermost first, then those inside in the order of the file.
-        content_hash: SHA-256 of all that decides the transport: meshes, nesting, interfaces, textures, media, grids.
+        parts: the outermost first, then the others in file order.
+        content_hash: SHA-256 of everything that affects the transport: meshes, nesting, interfaces, textures, media.
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> isinstance(scene, prt.Scene), scene.unit, scene.roughness, len(scene.parts)
+    (True, 'dm', 0.3, 1)
     """
 
     path: Path
@@ -55,12 +62,12 @@ class Scene:
 
     @property
     def flipped(self) -> bool:
-        """Whether the mesh file had the faces wound inside out."""
+        """Whether the faces in the mesh file are wound inside out."""
         return self.parts[0].flipped
 
     @property
     def eta(self) -> float:
-        """Absolute index of refraction inside (outside: 1); 1 is index-matched."""
+        """Absolute index of refraction inside (1 outside); 1 is index-matched."""
         return self.parts[0].eta
 
     @property
@@ -70,25 +77,25 @@ class Scene:
 
     @property
     def normals(self) -> Literal["face", "vertex"]:
-        """Which normals the interface uses."""
+        """The normals of the interface."""
         return self.parts[0].normals
 
     @property
     def medium(self) -> Medium:
-        """What fills the outermost part; it is never diffuse."""
+        """The medium of the outermost part, which is never diffuse."""
         medium = self.parts[0].medium
         assert medium is not None
         return medium
 
     @property
     def sigma_t(self) -> float | NDArray[np.float64]:
-        """Extinction: a number, one a channel [3], or a float64 grid [Z,Y,X] or [Z,Y,X,3]."""
+        """Extinction: a number, RGB [3], or a float64 grid [Z,Y,X] or [Z,Y,X,3]."""
         sigma_t = self.medium.sigma_t
         return float(sigma_t) if sigma_t.ndim == 0 else sigma_t
 
     @property
     def albedo(self) -> NDArray[np.float64]:
-        """Single-scattering albedo in [0,1], float64 [3] or a grid [Z,Y,X] or [Z,Y,X,3]."""
+        """Single-scattering albedo in [0,1], float64: RGB [3], or a grid [Z,Y,X] or [Z,Y,X,3]."""
         return self.medium.albedo
 
     @property
@@ -98,18 +105,25 @@ class Scene:
 
     @property
     def bounds(self) -> NDArray[np.float64] | None:
-        """Lowest and highest corner of the grids' box, float64 [2,3]; None where there is no grid."""
+        """Lowest and highest corner of the box of the grids, float64 [2,3]; None without grids."""
         return self.medium.bounds
 
 
 def read_scene(path: str | os.PathLike[str]) -> Scene:
-    """Read a scene file and the meshes, textures and grids it names, relative to itself.
+    """Read a scene file and the meshes, textures and grids that it names, relative to its folder.
 
     Raises:
-        SceneError: an unknown key, a value out of range, a grid or texture that does not fit, a mesh that is not
-            closed, parts that do not nest; the message names the key.
-        MeshError, ImageError: the mesh or texture itself is damaged.
+        SceneError: an unknown key, a value out of range, an invalid grid or texture, a mesh that is not closed, parts
+            that do not nest; the message names the key.
+        MeshError, ImageError: a mesh or texture is damaged.
         StorageError: a file is missing.
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> scene.eta, scene.mesh.faces.shape, scene.sigma_t.shape, scene.albedo.shape
+    (1.3, (5856, 3), (36, 36, 20), (36, 36, 20, 3))
     """
     path = Path(path)
     tables = parse_scene(path)
@@ -120,29 +134,29 @@ def read_scene(path: str | os.PathLike[str]) -> Scene:
 def _content_hash(parts: tuple[Part, ...]) -> str:
     digest = hashlib.sha256()
     for part in parts:
-        digest.update(_transport_of(part))
+        digest.update(_hashed_content(part))
     return digest.hexdigest()
 
 
-def _transport_of(part: Part) -> bytes:
-    """Everything about a part that decides the transport, as bytes; what takes its usual value is left out."""
+def _hashed_content(part: Part) -> bytes:
+    """Return everything that affects the transport of a part, as bytes; later keys only if they are not default."""
     textured = isinstance(part.roughness, np.ndarray) or (part.diffuse is not None and part.diffuse.ndim == 3)
     medium = part.medium
-    said: list[object] = [
+    values: list[object] = [
         part.mesh.content_hash,
         part.eta,
         "texture" if isinstance(part.roughness, np.ndarray) else part.roughness,
         part.normals,
         0.0 if medium is None else medium.phase_g,
     ]
-    said += ["energy compensation"] if part.energy_compensation else []
-    said += [{"parent": part.parent, "diffuse": medium is None}] if part.parent >= 0 else []
+    values += ["energy compensation"] if part.energy_compensation else []
+    values += [{"parent": part.parent, "diffuse": medium is None}] if part.parent >= 0 else []
     arrays = [None] * 3 if medium is None else [medium.sigma_t, medium.albedo, medium.bounds]
     arrays += [] if part.diffuse is None else [part.diffuse]
     arrays += [part.roughness] if isinstance(part.roughness, np.ndarray) else []
     arrays += [part.mesh.corner_uv] if textured else []
-    pieces = [json.dumps(said).encode()]
-    for values in arrays:
-        array = np.zeros(0) if values is None else np.asarray(values, "<f8")
+    pieces = [json.dumps(values).encode()]
+    for each in arrays:
+        array = np.zeros(0) if each is None else np.asarray(each, "<f8")
         pieces += [json.dumps(array.shape).encode(), np.ascontiguousarray(array).tobytes()]
     return b"".join(pieces)

@@ -1,4 +1,4 @@
-"""What a scene file may say: the tables of the TOML, their keys and ranges."""
+"""The schema of a scene file: its TOML tables, their keys and ranges (docs/scene_files.md)."""
 
 from typing import Annotated, Literal
 
@@ -16,13 +16,13 @@ _Colour = Annotated[tuple[_Unit, _Unit, _Unit], Strict(False)]
 
 
 class Table(BaseModel):
-    """A table whose keys are all known."""
+    """A table without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, populate_by_name=True)
 
 
 class ObjectTable(Table):
-    """[object]: the outer surface, a mesh file relative to the scene file."""
+    """[object]: the outer surface, a mesh file relative to the folder of the scene file."""
 
     mesh: str = Field(min_length=1)
     up: Literal["y", "z"] = "y"
@@ -31,7 +31,7 @@ class ObjectTable(Table):
 
 
 class InterfaceTable(Table):
-    """[interface]: the dielectric boundary; index-matched if left out. A string names a roughness texture."""
+    """[interface]: the dielectric boundary, index-matched by default. A string names a roughness texture."""
 
     eta: float | None = Field(default=None, ge=0.25, le=4)
     roughness: _Unit | str = 0.0
@@ -40,7 +40,7 @@ class InterfaceTable(Table):
 
 
 class MixTable(Table):
-    """[medium.mix]: a second substance, mixed in by a procedural pattern."""
+    """[medium.mix]: a second substance, blended in by a procedural pattern."""
 
     material: str | None = None
     density: _Density = 1.0
@@ -55,14 +55,14 @@ class MixTable(Table):
 
     @field_validator("thresholds")
     @classmethod
-    def _apart(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
+    def _ascending_thresholds(cls, value: tuple[float, float] | None) -> tuple[float, float] | None:
         if value is not None and not value[0] < value[1]:
             raise ValueError("the first threshold must be below the second")
         return value
 
 
 class MediumTable(Table):
-    """[medium]: what scatters and absorbs; a string names a grid file. Either `material`, or `sigma_t` and `albedo`."""
+    """[medium]: either `material`, or `sigma_t` and `albedo`; a string names a grid file."""
 
     material: str | None = None
     density: _Density = 1.0
@@ -74,14 +74,14 @@ class MediumTable(Table):
 
     @field_validator("bounds")
     @classmethod
-    def _ascending(cls, value: tuple[_Point, _Point] | None) -> tuple[_Point, _Point] | None:
+    def _ascending_corners(cls, value: tuple[_Point, _Point] | None) -> tuple[_Point, _Point] | None:
         if value is not None and not all(low < high for low, high in zip(*value, strict=True)):
             raise ValueError("the lowest corner must come first and be below the highest in x, y and z")
         return value
 
 
 class InsideTable(Table):
-    """[[inside]]: an object inside the object, nested by `in`; diffuse, or a dielectric with a medium."""
+    """[[inside]]: an object inside the part named by `in`; diffuse, or a dielectric with a medium."""
 
     name: str = Field(min_length=1)
     mesh: str = Field(min_length=1)
@@ -96,7 +96,7 @@ class InsideTable(Table):
         if self.surface is None and self.reflectance is not None:
             raise ValueError('reflectance needs surface = "diffuse"; a dielectric has [inside.interface]')
         if self.surface == "diffuse" and self.reflectance is None:
-            raise ValueError("reflectance is missing; a diffuse surface needs one")
+            raise ValueError("reflectance is missing; a diffuse surface needs it")
         if self.surface == "diffuse" and (self.interface is not None or self.medium is not None):
             table = "interface" if self.interface is not None else "medium"
             raise ValueError(f'a diffuse surface lets no light in; remove [inside.{table}], or surface = "diffuse"')
@@ -104,7 +104,7 @@ class InsideTable(Table):
 
 
 class SceneFile(Table):
-    """A whole scene file."""
+    """A complete scene file."""
 
     object: ObjectTable
     interface: InterfaceTable = InterfaceTable()

@@ -1,8 +1,8 @@
-"""Solid textures: patterns of space that say how much of a second substance there is at each point.
+"""Solid textures: procedural patterns in space that give the weight of a second substance at each point.
 
-A pattern is made of gradient noise on a lattice (Perlin, "Improving Noise", 2002), its gradients hashed from the
-lattice point, the octave and the seed with the finaliser of SplitMix64 (Steele, Lea, Flood 2014). Only sums, products,
-quotients, square roots and roundings are used, so that every platform gives the same numbers.
+A pattern sums gradient noise on a lattice (Perlin, "Improving Noise", 2002), its gradients hashed from the
+lattice point, the octave and the seed with the finaliser of SplitMix64 (Steele, Lea, Flood 2014). The
+noise uses sums, products, quotients, square roots and rounding only, so every platform computes the same numbers.
 """
 
 from collections.abc import Callable
@@ -17,15 +17,19 @@ THRESHOLDS: dict[Pattern, tuple[float, float]] = {
     "veins": (0.7, 0.95),
     "turbulence": (0.3, 0.5),
 }
-"""The usual thresholds of each pattern."""
+"""The default thresholds of each pattern."""
 
 _DEVIATION = 0.1909436  # standard deviation of one octave of the noise, over space and seeds
-_STEPS = 2.0**16  # shares are rounded to multiples of its inverse, so that a last digit cannot matter
+_STEPS = 2.0**16  # weights are rounded to multiples of its inverse, which hides differences in the last digits
 _GOLDEN = 0x9E3779B97F4A7C15
-_OFFSET = (0.3819660112501051, 0.7548776662466927, 0.5698402909980532)  # moves the octaves' lattices apart
+_OFFSET = (
+    0.3819660112501051,
+    0.7548776662466927,
+    0.5698402909980532,
+)  # shift of the lattice per octave
 
 
-def share(
+def blend_weight(
     points: NDArray[np.float64],
     pattern: Pattern,
     feature: float,
@@ -33,21 +37,22 @@ def share(
     octaves: int = 4,
     thresholds: tuple[float, float] | None = None,
 ) -> NDArray[np.float64]:
-    """Return how much of the second substance is at each point, 0 … 1.
+    """Return the weight of the second substance at each point, from 0 to 1.
 
     Args:
         points: positions [...,3], in scene units.
         pattern: "noise" (soft blobs), "veins" (thin sheets where the noise crosses zero) or "turbulence" (billows with
             sharp creases).
         feature: size of the largest features, in scene units.
-        seed: which of the patterns of this kind, from 0 to 2⁶⁴ − 1.
-        octaves: how many sizes of features are added up, each half as large and half as strong as the one before.
-        thresholds: the share is 0 where the pattern's field lies below the first, 1 above the second, smooth between.
-            The field is ½ ± one sixth a standard deviation for noise, 1 in the middle of a vein and 0 one standard
-            deviation from it, 0 in the creases of turbulence and 0.32 on average. `THRESHOLDS` if not given.
+        seed: selects a pattern, from 0 to 2⁶⁴ − 1.
+        octaves: number of octaves, each with half the feature size and half the amplitude of the one before.
+        thresholds: the weight is 0 below the first and 1 above the second value of the pattern's field, and smooth
+            between them. The field of noise has mean ½ and standard deviation 1/6; that of veins is 1 in the middle of
+            a vein and 0 one standard deviation from it; that of turbulence is 0 in the creases and 0.32 on average.
+            `THRESHOLDS` by default.
 
     Returns:
-        Shares [...], float64, multiples of 2⁻¹⁶.
+        Weights [...], float64, multiples of 2⁻¹⁶.
     """
     low, high = thresholds or THRESHOLDS[pattern]
     field = _FIELDS[pattern](np.asarray(points, np.float64) / feature, seed, octaves)
@@ -57,8 +62,8 @@ def share(
 
 
 def gradient_noise(points: NDArray[np.float64], seed: int, octave: int = 0) -> NDArray[np.float64]:
-    """Return one octave of noise at points [...,3]: features of size 1, mean 0, smooth, within ±1.5."""
-    rows = points.reshape(-1, 3)  # always an array: a lone number would warn where the hash wraps
+    """Return one octave of gradient noise at points [...,3]: features of size 1, mean 0, within ±1.5."""
+    rows = points.reshape(-1, 3)  # never a scalar, which would warn when the hash overflows
     cell = np.floor(rows)
     within = rows - cell
     smooth = within * within * within * (within * (within * 6.0 - 15.0) + 10.0)
@@ -74,15 +79,15 @@ def gradient_noise(points: NDArray[np.float64], seed: int, octave: int = 0) -> N
 
 
 def _gradients(corner: NDArray[np.int64], seed: int, octave: int) -> list[NDArray[np.float64]]:
-    """Three numbers in [−1, 1) for each lattice point [...,3]."""
-    state = _scrambled(np.full(corner.shape[:-1], seed, np.uint64) + np.uint64(octave * _GOLDEN % 2**64))
+    """Return the gradient, three numbers in [−1, 1), of each lattice point [...,3]."""
+    state = _mix64(np.full(corner.shape[:-1], seed, np.uint64) + np.uint64(octave * _GOLDEN % 2**64))
     for axis in range(3):
-        state = _scrambled(state ^ corner[..., axis].astype(np.uint64))
+        state = _mix64(state ^ corner[..., axis].astype(np.uint64))
     bits = np.uint64(2**21 - 1)
     return [((state >> np.uint64(21 * axis)) & bits).astype(np.float64) * (2.0 / 2**21) - 1.0 for axis in range(3)]
 
 
-def _scrambled(state: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def _mix64(state: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """The finaliser of SplitMix64, modulo 2⁶⁴."""
     state = state + np.uint64(_GOLDEN)
     state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -95,7 +100,7 @@ def _octave(points: NDArray[np.float64], seed: int, octave: int) -> NDArray[np.f
 
 
 def _summed(points: NDArray[np.float64], seed: int, octaves: int) -> NDArray[np.float64]:
-    """Octaves added up, scaled to a standard deviation of 1."""
+    """Return the sum of the octaves, scaled to standard deviation 1."""
     total = np.zeros(points.shape[:-1])
     for octave in range(octaves):
         total += _octave(points, seed, octave) * 0.5**octave

@@ -1,5 +1,7 @@
-"""The verb `bake`: plan, pruning, sampling, checkpoints, output.
+"""The verb `bake`: plan, pruning, sampling, checkpoints, output, compression.
 
-`adaptive` bakes to an error, `report` compares methods. May import: `bakers`, `prt_bake.network`, `prt_bake.tracer`,
-`prt_bake.lights`, `prt_bake.reflection` and the rooms below. Begin with `bake.py`.
+Sub-rooms from bottom to top: `job` (checked arguments), `pruning` (what need not be baked), `output` (arrays, files,
+checkpoints), `adaptive` (bakes to a requested error), the files of this folder, `report` (methods compared).
+May import: `bakers`, `formats`, `prt_bake.network`, `.tracer`, `.reflection`, `.shading.reconstruction`, `.lights`,
+`.geometry`, `.mathematics` and `.jit`. Begin with `bake.py`.
 """

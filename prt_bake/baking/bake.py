@@ -13,27 +13,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bakers.transport import on_mesh, prepared, refuse_foreign, up_to, way_in
-from bakers.workers import Crew, Threads
+from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, transport_property, up_to
+from bakers.workers import Threads, Workers
 from formats.asset import Asset
 from formats.atomic import refuse_unwritable
 from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
 from prt_bake.baking.adaptive.run import Run, bake_to_error
 from prt_bake.baking.fixed_samples import bake_by_samples
-from prt_bake.baking.job.arguments import refuse_unusable
+from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.identity import identity_of
 from prt_bake.baking.job.pruning_record import Light
 from prt_bake.baking.job.work import Progress, Work
-from prt_bake.baking.output.checkpoint import Store, opened_store
-from prt_bake.baking.output.pruned_sink import NotSo
-from prt_bake.baking.output.sink import asset_head, said_by
+from prt_bake.baking.output.checkpoint import CheckpointStore, open_checkpoint_store
+from prt_bake.baking.output.pruned_sink import WronglyPruned
+from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.plan import plan
-from prt_bake.baking.pruning.pruning import ITEMS, as_light, as_point, needs_of
+from prt_bake.baking.pruning.pruning import ITEMS, choose_pruning
 from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sphere
 
-__all__ = ["ITEMS", "Light", "Progress", "bake", "plan", "said_by"]
+__all__ = ["ITEMS", "Light", "Progress", "bake", "plan"]
 
 
 def bake(
@@ -62,54 +62,71 @@ def bake(
     for_eye: ArrayLike | None = None,
     provenance: dict[str, Any] | None = None,
 ) -> Asset:
-    """Bakes `transport` at every vertex of `mesh` and every one of rings × sectors view bins.
+    """Bakes `transport` at every vertex of `mesh` and at rings × sectors view bins.
 
     Args:
-        transport: offers evaluate, evaluate_block or estimate_coefficients (`bakers.transport`); it is handed NumPy
-            arrays and may answer in NumPy or torch.
-        mesh: what is baked, in the transport's object space.
+        transport: offers evaluate, evaluate_block or estimate_coefficients (`bakers.transport`). It gets NumPy arrays
+            and may return NumPy arrays or torch tensors.
+        mesh: in the transport's object space.
         degree: of the spherical harmonics, K = (degree + 1)².
         rings, sectors: view bins of the hemisphere about each vertex normal.
         directions: "fibonacci" (fitted by least squares), "sobol" or "uniform" (summed with equal weights).
-        samples: directions per bin, or random walks if the transport estimates coefficients itself. 64, the default,
-            is raised to 2K where that is more.
-        error: estimated relative RMSE of the coefficients to reach, of the object and of the 95th percentile of its
-            vertices. With "fibonacci" directions `samples` is not used then: each view bin is evaluated in as many
-            directions as it takes, and only where its neighbours do not tell it (`prt_bake.baking.adaptive.run`).
-            Otherwise, and for random walks, a pilot tells how many `samples` it takes.
-        minutes: how long to go on making it finer, if `error` is not reached before; a coarse asset is there first.
-            math.inf: until it is stopped, or cannot be made finer.
-        seed: keys everything random; equal seeds give equal assets whatever the number of workers.
-        out: asset to write; without it the coefficients are an array in float32. Finished blocks lie beside it, in
-            OUT.journal, until it is whole.
-        precision: "float32" or "bfloat16", of a network's matrix work.
+        samples: directions per bin, or random walks if the transport estimates coefficients itself. The default of 64
+            is raised to 2K if that is more.
+        error: requested relative RMSE of the coefficients, of the object and of the 95th percentile of its vertices.
+            With "fibonacci" directions the bake is adaptive (`prt_bake.baking.adaptive.run`): `samples` is ignored,
+            each bin gets as many directions as it needs, and smooth bins are interpolated from their neighbours. With
+            other directions and with random walks a pilot chooses `samples`.
+        minutes: time in which the adaptive bake is refined, unless it reaches `error` earlier. A coarse asset is
+            written first. math.inf: until it is stopped, or cannot be refined further.
+        seed: keys all random numbers; equal seeds give equal assets for any number of workers.
+        out: asset to write; without it the coefficients are a float32 array. Finished blocks are kept beside it, in
+            OUT.journal, until it is complete.
+        precision: "float32" or "bfloat16", of a network's matrix products.
         storage: "float16" or "float32", in the file.
-        workers: threads, each with a block of vertices of its own; those of random walks share each block.
-        scheduler: address of a `dask.distributed` scheduler, whose workers do the blocks then (the extra `cluster`).
+        workers: threads; each bakes its own block of vertices, except that random walks share each block.
+        scheduler: address of a `dask.distributed` scheduler whose workers bake the blocks (the extra `cluster`).
         device: where a network is evaluated ("cpu", "cuda").
         progress: called after each block.
-        stop: asked before each block; answering true ends the bake with a valid partial asset, as Ctrl-C does.
-        resume: go on from the finished blocks of a bake to the same `out` that was stopped or killed, asked for the
-            same of the same transport and mesh: to the same numbers, bit for bit.
-        leave_out: of "unseen", "duplicates", "views", "bands" and "channels", what may be left out where the scene does
-            not need it (`prt_bake.baking.pruning.pruning`); `baking.ITEMS` are all of them. Axes that are left out have
-            length 1, vertices that are left out are not valid, and `left_out` of the asset names each.
-        for_light: coefficients [K,3] of the only light that the asset is for; it holds radiance then, K = 1.
-        for_eye: the only point [3] that it will be seen from; B = 1 then.
+        stop: called before each block; returning true ends the bake with a valid partial asset, as Ctrl-C does.
+        resume: continue from the finished blocks of a stopped or killed bake of the same `out`, transport, mesh and
+            arguments. The result is the same, bit for bit.
+        leave_out: items of "unseen", "duplicates", "views", "bands" and "channels" that may be pruned where they are
+            redundant (`prt_bake.baking.pruning.pruning`); `baking.ITEMS` are all of them. Pruned axes have length 1,
+            pruned vertices are not valid, and the asset's `left_out` lists each item.
+        for_light: coefficients [K,3] of the only light that the asset is for; it then holds radiance, K = 1.
+        for_eye: the only point [3] that the asset is seen from; B = 1 then.
         provenance: entries added to the asset's provenance (command, hashes, credits).
 
     Returns:
         The asset: coefficients [V,B,K,3], standard_error [V,B] (one sigma, rms over K and channels), tangents [V,3].
-        Where the bake was stopped, complete is false and the vertices left are not valid. Vertices at which the
-        transport answered something that is not finite are not valid and are named in provenance.
+        After an early stop `complete` is false and the remaining vertices are not valid. Vertices where the transport
+        returned values that are not finite are not valid either, and are listed in the provenance.
 
     Raises:
-        QueryError: an argument out of its domain, a mesh outside the box that a network was trained in or off the
-            surface of the scene that is path traced, a transport
-            that offers nothing or answers in another shape, an error that cannot be reached, a transport that is finite
-            nowhere, a bake that was stopped before its first vertex.
+        QueryError: an argument out of its domain, a mesh outside the box of a network or off the surface of a path
+            traced scene, a transport without a usable method or with values of another shape, an error out of reach, a
+            transport that is finite nowhere, a bake that was stopped before its first vertex.
         StorageError: the asset cannot be written.
-        ClusterError: the scheduler cannot be reached or has gone, its workers are not fit, or died over and over.
+        ClusterError: the scheduler cannot be reached or has gone, its workers have other versions, or keep dying.
+
+    Example:
+        A matte sphere. Under constant light it sends out as much radiance as it receives:
+
+        >>> import numpy as np, prt_bake as prt, trimesh
+        >>> class Matte:
+        ...     def evaluate(self, incident, positions, outgoing):
+        ...         cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
+        ...         return np.repeat(cosine[..., None] / np.pi, 3, axis=-1)
+        >>> sphere = trimesh.creation.icosphere(subdivisions=0)
+        >>> mesh = prt.Mesh(sphere.vertices, sphere.faces.astype(np.int32), sphere.vertex_normals)
+        >>> asset = prt.bake(Matte(), mesh, degree=2, rings=1, sectors=4, samples=256)
+        >>> asset.coefficients.shape
+        (12, 4, 9, 3)
+        >>> constant_light = np.zeros((9, 3))
+        >>> constant_light[0] = np.sqrt(4.0 * np.pi)
+        >>> np.allclose(prt.shade(asset, constant_light, [0.0, 0.0, 4.0]), 1.0, atol=0.01)
+        True
     """
     began = time.monotonic()
     refuse_path("transport", transport, "prt.load_model")
@@ -122,17 +139,19 @@ def bake(
         refuse_unwritable(out)
     refuse_foreign(transport, mesh)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
-    refined = directions == "fibonacci" and way_in(transport) != "coefficients"
-    if minutes is not None and not refined:
+    walks = transport_kind(transport) == "coefficients"
+    adaptive = directions == "fibonacci" and not walks
+    if minutes is not None and not adaptive:
         raise QueryError(
-            "minutes: they are for fibonacci directions and transports that answer Ŝ; give samples or an error instead"
+            f"minutes: only bakes with fibonacci directions of a transport that evaluates Ŝ can run for a time, found "
+            f"{'random walks' if walks else f'{directions} directions'}; give samples or an error instead"
         )
-    refined = refined and (error is not None or minutes is not None)
+    adaptive = adaptive and (error is not None or minutes is not None)
     if resume and out is None:
-        raise QueryError("resume: finished blocks lie beside the asset; give out, the file that was being written")
+        raise QueryError("resume: expected out, the file of the stopped bake, found none; give out")
     light = as_light(for_light, degree)
     eye = None if for_eye is None else as_point(for_eye)
-    asked: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "degree": degree,
         "rings": rings,
         "sectors": sectors,
@@ -145,73 +164,69 @@ def bake(
         "for_light": None if light is None else light.content_hash,
         "for_eye": None if eye is None else eye.tolist(),
     }
-    # How many directions there are is found out by a bake to an error, and how long it has is no matter of its numbers.
-    asked |= {"minutes": minutes} if refined else {"directions": directions, "samples": samples}
-    known, spent = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
-    identity = {**asked, "mesh": mesh.content_hash, "transport": known}
+    # An adaptive bake chooses its own directions.
+    arguments |= {"minutes": minutes} if adaptive else {"directions": directions, "samples": samples}
+    transport_hash, evaluations = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
+    identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
-    report = _settings(transport, mesh, asked, workers) | (provenance or {})
+    report = _provenance(transport, mesh, arguments, workers) | (provenance or {})
     with (
         limited_threads(transport, workers),
-        closing(opened_store(out, identity, resume)) as store,
-        opened_crew(transport, workers, scheduler) as crew,
+        closing(open_checkpoint_store(out, identity, resume)) as store,
+        open_workers(transport, workers, scheduler) as pool,
     ):
-        spared = set(leave_out) - _needed_after_all(store)
+        prunable = set(leave_out) - _items_needed(store)
         while True:
-            needs = needs_of(transport, mesh, degree, rings, sectors, error, seed, spared, light, eye)
-            spent += needs.evaluations
-            work = Work(transport, mesh, needs, head, report, out, storage, crew, seed, progress, stop, began, spent)
+            pruning = choose_pruning(transport, mesh, degree, rings, sectors, error, seed, prunable, light, eye)
+            evaluations += pruning.evaluations
+            work = Work(
+                transport, mesh, pruning, head, report, out, storage, pool, seed, progress, stop, began, evaluations
+            )
             try:
-                if refined:
+                if adaptive:
                     deadline = math.inf if minutes is None else began + 60.0 * minutes
                     return bake_to_error(Run(work, store, error, deadline))
                 return bake_by_samples(work, store, directions, samples, error)
-            except NotSo as wrong:
-                spared, spent = spared - {wrong.item}, work.evaluations
+            except WronglyPruned as wrong:
+                prunable, evaluations = prunable - {wrong.item}, work.evaluations
                 report = report | {"needed_after_all": [*report.get("needed_after_all", []), str(wrong)]}
                 store.forget("")
-                store.write("needed", {"items": np.array(sorted(set(leave_out) - spared))})
+                store.write("needed", {"items": np.array(sorted(set(leave_out) - prunable))})
 
 
 @contextmanager
-def opened_crew(transport: Any, workers: int, scheduler: str | None) -> Iterator[Crew]:
-    """Threads, or the workers of a scheduler; random walks share the threads of each process."""
-    alone = way_in(transport) == "coefficients"
+def open_workers(transport: Any, workers: int, scheduler: str | None) -> Iterator[Workers]:
+    """Threads, or the workers of a scheduler. Random walks use all threads of a process for one block."""
+    exclusive = transport_kind(transport) == "coefficients"
     if scheduler is None:
-        yield Threads(1 if alone else workers)
+        yield Threads(1 if exclusive else workers)
         return
     if workers != 1:
-        raise QueryError("workers: those of the scheduler do the work; give workers or a scheduler")
-    from prt_bake.baking.cluster import opened_cluster
+        raise QueryError(f"workers: expected 1 with a scheduler, found {workers}; give workers or a scheduler")
+    from prt_bake.baking.cluster import open_cluster
 
-    with opened_cluster(scheduler, alone) as crew:
-        yield crew
+    with open_cluster(scheduler, exclusive) as pool:
+        yield pool
 
 
-def _needed_after_all(store: Store) -> set[str]:
-    """Items that an earlier run has found out are needed."""
+def _items_needed(store: CheckpointStore) -> set[str]:
+    """Items that an earlier run could not prune."""
     arrays = store.read("needed")
     return set() if arrays is None else set(arrays["items"].tolist())
 
 
-def _settings(transport: Any, mesh: Mesh, asked: dict[str, Any], workers: int) -> dict[str, Any]:
+def _provenance(transport: Any, mesh: Mesh, arguments: dict[str, Any], workers: int) -> dict[str, Any]:
     """Provenance that is known before the bake."""
-    settings = {name: value for name, value in asked.items() if name not in ("seed", "device")}
+    settings = {name: value for name, value in arguments.items() if name not in ("seed", "device")}
+    roughness = transport_property(transport, "roughness", None)
     return {
         "settings": {**settings, "workers": workers},
-        "seed": asked["seed"],
-        "device": asked["device"],
+        "seed": arguments["seed"],
+        "device": arguments["device"],
         "mesh_sha256": mesh.content_hash,
-        **_said_of(transport),
-    }
-
-
-def _said_of(transport: Any) -> dict[str, Any]:
-    roughness = said_by(transport, "roughness", None)
-    return {
         "transport": type(transport).__name__,
-        "eta": float(said_by(transport, "eta", 1.0)),
+        "eta": float(transport_property(transport, "eta", 1.0)),
         **({} if roughness is None else {"roughness": float(np.mean(roughness))}),
         "model": dict(getattr(transport, "metadata", None) or {}),
     }

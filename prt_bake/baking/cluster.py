@@ -1,8 +1,8 @@
-"""Bakes past one machine: blocks of vertices are done by the workers of a `dask.distributed` scheduler.
+"""Bakes on several machines: the workers of a `dask.distributed` scheduler bake the blocks of vertices.
 
-The transport and what else blocks have in common goes to the scheduler once, packed, and from there to each worker that
-needs it; a worker that dies takes nothing with it that would not be done again elsewhere. Everything is written by the
-process that asked. `distributed` is imported where a scheduler is given, and nowhere else.
+The transport and other arguments that blocks share are pickled and sent to the scheduler once, and from there to each
+worker. If a worker dies, its blocks are baked again elsewhere. Only the process of the caller writes files.
+`distributed` is imported only if a scheduler is given.
 """
 
 import ctypes
@@ -26,25 +26,25 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 PATIENCE = 60.0
-"""Seconds without any worker, after which a cluster is given up."""
-ASKED_EVERY = 2.0
-"""Seconds between two looks at how many workers there are."""
+"""Seconds without any worker after which the bake fails."""
+POLL_INTERVAL = 2.0
+"""Seconds between two queries of the number of workers."""
 AHEAD = 2
-"""Blocks under way for each thread of the cluster, so that none waits for the next."""
+"""Blocks in flight for each thread of the cluster, so that no thread waits."""
 MOST_AHEAD = 1024
-OPENED = 8
-"""Shared objects that the scheduler holds, and that each worker remembers."""
+SHARED_OBJECTS = 8
+"""Number of shared objects that the scheduler and each worker keep."""
 PACKAGES = "prt-bake", "numpy", "torch", "numba"
-"""Of which client and workers must have the same version, that the same numbers come of them."""
+"""Client and workers must have the same versions of these, so that they compute the same numbers."""
 
 LARGEST_KEPT = 32 << 20
-"""Bytes of the largest arrays whose memory a worker keeps when they are freed."""
+"""Bytes of the largest arrays whose memory a worker keeps for reuse."""
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 @dataclass(frozen=True)
 class Packed:
-    """Something that blocks have in common, as it travels."""
+    """A pickled object that blocks share, with the package versions of the client."""
 
     name: str
     content: bytes
@@ -52,103 +52,103 @@ class Packed:
 
 
 class Cluster:
-    """A crew of the workers of a scheduler."""
+    """A pool of the workers of a scheduler."""
 
-    def __init__(self, client: Any, address: str, alone: bool) -> None:
-        """`alone`: one block at a time in each process, on all of its threads."""
-        self._client, self._address, self._alone = client, address, alone
+    def __init__(self, client: Any, address: str, exclusive: bool) -> None:
+        """`exclusive`: each process bakes one block at a time, on all of its threads."""
+        self._client, self._address, self._exclusive = client, address, exclusive
         self._lock = Lock()
         self._sent: OrderedDict[int, tuple[Any, Any]] = OrderedDict()
-        self._threads, self._asked, self._last_seen = 0, 0.0, time.monotonic()
+        self._threads, self._polled, self._last_seen = 0, 0.0, time.monotonic()
 
     @property
-    def workers(self) -> int:
+    def count(self) -> int:
         """How many blocks are done at the same time."""
         with self._lock:
             now = time.monotonic()
-            if now - self._asked > ASKED_EVERY:
-                self._asked, self._threads = now, self._threads_now()
+            if now - self._polled > POLL_INTERVAL:
+                self._polled, self._threads = now, self._threads_now()
             if self._threads:
                 self._last_seen = now
             elif now - self._last_seen > PATIENCE:
                 raise ClusterError(
-                    f"{self._address}: the scheduler has had no worker for {PATIENCE:.0f} s; start some "
-                    f"(dask worker {self._address}) and go on with --resume: finished blocks are kept"
+                    f"{self._address}: the scheduler has had no worker for {PATIENCE:.0f} s; start workers "
+                    f"(dask worker {self._address}) and resume with --resume: finished blocks are kept"
                 )
             return max(1, self._threads)
 
     def _threads_now(self) -> int:
-        # A client that has given its scheduler up in the meantime says RuntimeError.
-        with _blaming(self._address, OSError, RuntimeError):
+        # A client that has lost its scheduler raises RuntimeError.
+        with _cluster_faults(self._address, OSError, RuntimeError):
             threads = self._client.nthreads().values()
-        return len(threads) if self._alone else sum(threads)
+        return len(threads) if self._exclusive else sum(threads)
 
     def in_order(self, work: Callable[[Item], Result], items: Iterable[Item]) -> Generator[Result, None, None]:
-        """A few items a worker at a time, more as more workers come."""
-        return in_order(work, items, MOST_AHEAD, lambda: min(AHEAD * self.workers, MOST_AHEAD - 1))
+        """Yields work(item) in order, with a few items per worker in flight; more when workers join."""
+        return in_order(work, items, MOST_AHEAD, lambda: min(AHEAD * self.count, MOST_AHEAD - 1))
 
     def do(self, work: Callable[..., Result], shared: tuple[Any, ...], *own: Any) -> Result:
-        """work(*shared, *own), by one of the workers. Raises what the work does, ClusterError where the cluster is to
-        blame.
+        """work(*shared, *own), by one of the workers. Raises what the work raises, and ClusterError for faults of the
+        cluster.
         """
         from distributed import TimeoutError as NotYet
 
-        packed = [self._at_cluster(one) for one in shared]
-        with _blaming(self._address):
-            task = self._client.submit(_done, work, self._alone, own, *packed, pure=False)
+        packed = [self._future_of(each) for each in shared]
+        with _cluster_faults(self._address):
+            task = self._client.submit(_run, work, self._exclusive, own, *packed, pure=False)
             while True:
                 try:
-                    done: Result = task.result(timeout=ASKED_EVERY)
-                    return done
-                # The other is what `distributed` makes of a question that was cancelled while it ran out of time.
+                    result: Result = task.result(timeout=POLL_INTERVAL)
+                    return result
+                # `distributed` raises UnboundLocalError if a query is cancelled while it times out.
                 except (NotYet, UnboundLocalError):
                     if task.status == "error":
                         raise
-                    _any = self.workers
+                    _any = self.count
 
-    def _at_cluster(self, shared: Any) -> Any:
-        """The future of something shared, which is packed and sent when it is first seen."""
+    def _future_of(self, shared: Any) -> Any:
+        """The future of a shared object, which is sent at its first use."""
         with self._lock:
             if id(shared) not in self._sent:
                 packed = _packed(shared)
-                with _blaming(self._address):
-                    # As a task, not as scattered data: that would be lost with the workers that hold it.
+                with _cluster_faults(self._address):
+                    # As a task: scattered data would be lost with the workers that hold it.
                     future = self._client.submit(Packed, packed.name, packed.content, packed.versions, pure=False)
-                # The object is kept, so that no other can take its place in memory.
+                # Keeps the object alive, so that its id stays unique.
                 self._sent[id(shared)] = shared, future
             self._sent.move_to_end(id(shared))
-            while len(self._sent) > OPENED:
+            while len(self._sent) > SHARED_OBJECTS:
                 self._sent.popitem(last=False)
             return self._sent[id(shared)][1]
 
 
 @contextmanager
-def opened_cluster(address: str, alone: bool) -> Iterator[Cluster]:
-    """The workers of the scheduler at `address`. Raises ClusterError where nobody listens there, where no worker comes
-    within a minute, or where `dask.distributed` is not installed.
+def open_cluster(address: str, exclusive: bool) -> Iterator[Cluster]:
+    """The workers of the scheduler at `address`. Raises ClusterError if no scheduler is there, if it has no worker for a
+    minute, or if `dask.distributed` is not installed.
     """
     try:
         import dask
         from distributed import Client
     except ImportError:
         raise ClusterError(
-            "--scheduler: dask.distributed is not installed; install prt-bake[cluster], here and at the workers"
+            "--scheduler: dask.distributed is not installed; install prt-bake[cluster], here and on the workers"
         ) from None
 
     quiet = {"distributed.admin.large-graph-warning-threshold": sys.maxsize}
     with dask.config.set(quiet), _connected(Client, address) as client:
-        crew = Cluster(client, address, alone)
+        pool = Cluster(client, address, exclusive)
         while not client.nthreads():
-            _none_yet = crew.workers
+            _polled = pool.count
             time.sleep(0.1)
-        yield crew
+        yield pool
 
 
 def _connected(client: Any, address: str) -> Any:
-    """A `client` of the scheduler at `address`; raises ClusterError where none answers.
+    """A `client` of the scheduler at `address`; raises ClusterError if none answers.
 
-    One that failed would close itself when it is collected, under a lock that the next one takes as it begins: where
-    the two meet, both wait for ever. So it has a name before it begins, and is closed at once.
+    A client whose constructor failed would close itself when it is garbage collected, under a lock that the next client
+    takes as it starts: a deadlock. So the object exists before its constructor runs, and is closed immediately.
     """
     new = client.__new__(client)
     try:
@@ -163,7 +163,7 @@ def _connected(client: Any, address: str) -> Any:
 
 
 @contextmanager
-def _blaming(address: str, *gone: type[Exception]) -> Iterator[None]:
+def _cluster_faults(address: str, *lost: type[Exception]) -> Iterator[None]:
     """Tells faults of the cluster from those of the work; `gone` are further ones that tell that it has gone."""
     from concurrent.futures import CancelledError as Cancelled
 
@@ -171,29 +171,29 @@ def _blaming(address: str, *gone: type[Exception]) -> Iterator[None]:
     from distributed.client import ClosedClientError
     from distributed.comm.core import CommClosedError
 
-    vanished: tuple[Any, ...] = (CancelledError, Cancelled, CommClosedError, ClosedClientError, *gone)
+    vanished: tuple[Any, ...] = (CancelledError, Cancelled, CommClosedError, ClosedClientError, *lost)
     try:
         yield
     except PrtbakeError:
         raise
     except KilledWorker as cause:
         raise ClusterError(
-            f"{address}: {cause.allowed_failures + 1} workers died one after the other over the same block; see "
-            f"whether they have enough memory, and go on with --resume: finished blocks are kept"
+            f"{address}: {cause.allowed_failures + 1} workers died one after the other with the same block; check "
+            f"that they have enough memory, and resume with --resume: finished blocks are kept"
         ) from cause
     except vanished as cause:
         raise ClusterError(
-            f"{address}: the scheduler has gone; start it and its workers anew and go on with --resume: finished "
-            f"blocks are kept"
+            f"{address}: the connection to the scheduler is lost; restart it and its workers, and resume with "
+            f"--resume: finished blocks are kept"
         ) from cause
     except ImportError as cause:
         raise ClusterError(
-            f"{address}: what is needed cannot be imported there ({cause}); install there what is installed here"
+            f"{address}: a worker cannot import what the bake needs ({cause}); install there what is installed here"
         ) from cause
 
 
 def _packed(shared: Any) -> Packed:
-    """Functions within functions are packed as well, and what is defined in the program that was started."""
+    """Pickled with cloudpickle, which also pickles local functions and definitions of the main program."""
     import cloudpickle
 
     content = cloudpickle.dumps(shared, protocol=pickle.HIGHEST_PROTOCOL)
@@ -205,33 +205,33 @@ def _versions() -> dict[str, str]:
     return {package: version(package) for package in PACKAGES}
 
 
-_opened: OrderedDict[str, Any] = OrderedDict()
-_opening, _only = Lock(), Lock()
+_unpickled: OrderedDict[str, Any] = OrderedDict()
+_unpickling, _exclusive_use = Lock(), Lock()
 
 
-def _done(work: Callable[..., Result], alone: bool, own: tuple[Any, ...], *packed: Packed) -> Result:
-    """At a worker: the work, on one thread, or on all of its threads and nothing else beside it."""
+def _run(work: Callable[..., Result], exclusive: bool, own: tuple[Any, ...], *packed: Packed) -> Result:
+    """Runs the work on a worker, on one thread or, `exclusive`, alone on all threads."""
     from distributed import get_worker
 
     _keep_freed_memory()
     worker = get_worker()
-    shared = [_unpacked(one, worker.address) for one in packed]
+    shared = [_unpacked(each, worker.address) for each in packed]
     if (torch := sys.modules.get("torch")) is not None and torch.get_num_threads() != 1:
         torch.set_num_threads(1)
-    if not alone:
+    if not exclusive:
         return work(*shared, *own)
     import numba
 
     settings: Any = numba.config
-    with _only:
+    with _exclusive_use:
         numba.set_num_threads(min(worker.state.nthreads, settings.NUMBA_NUM_THREADS))
         return work(*shared, *own)
 
 
 @cache
 def _keep_freed_memory() -> None:
-    """Undoes what dask's nanny asks of glibc: to hand each freed array back to the system, which costs a third of a
-    bake. These are the values that glibc comes to by itself.
+    """Undoes the setting of dask's nanny that glibc returns each freed array to the system, which costs a third of a
+    bake. These are glibc's own values.
     """
     if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):
         libc.mallopt(_M_MMAP_THRESHOLD, LARGEST_KEPT)
@@ -239,18 +239,18 @@ def _keep_freed_memory() -> None:
 
 
 def _unpacked(packed: Packed, address: str) -> Any:
-    """What was packed, the same object for every block of a process."""
+    """The unpickled object, the same for every block of a process."""
     if (here := _versions()) != packed.versions:
-        told = "; ".join(
-            f"{package} {there} is needed, found {here[package]}"
+        differences = "; ".join(
+            f"expected {package} {there}, found {here[package]}"
             for package, there in packed.versions.items()
             if here[package] != there
         )
-        raise ClusterError(f"worker {address}: {told}; install there what is installed here")
-    with _opening:
-        if packed.name not in _opened:
-            _opened[packed.name] = pickle.loads(packed.content)
-        _opened.move_to_end(packed.name)
-        while len(_opened) > OPENED:
-            _opened.popitem(last=False)
-        return _opened[packed.name]
+        raise ClusterError(f"worker {address}: {differences}; install the expected versions there")
+    with _unpickling:
+        if packed.name not in _unpickled:
+            _unpickled[packed.name] = pickle.loads(packed.content)
+        _unpickled.move_to_end(packed.name)
+        while len(_unpickled) > SHARED_OBJECTS:
+            _unpickled.popitem(last=False)
+        return _unpickled[packed.name]

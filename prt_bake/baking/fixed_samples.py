@@ -1,7 +1,6 @@
 """Bakes with the same number of directions, or of random walks, at every view bin.
 
-Finished blocks are kept beside the asset while it is written (`prt_bake.baking.output.checkpoint_store`), and when it
-is only a part.
+Finished blocks are kept beside the asset until it is complete (`prt_bake.baking.output.checkpoint_store`).
 """
 
 from collections.abc import Iterator
@@ -10,76 +9,76 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block, bake_block
-from bakers.path_traced import Account, Walks
+from bakers.path_traced import Walks, WalkStatistics
 from formats.asset import Asset
 from formats.errors import QueryError
-from prt_bake.baking.job.forecast import Forecast, Standing
+from prt_bake.baking.job.forecast import BakeStatus, Forecast
 from prt_bake.baking.job.job import Job, resolve
-from prt_bake.baking.job.pilot import reach
+from prt_bake.baking.job.pilot import choose_samples
 from prt_bake.baking.job.running_error import ErrorMeter
 from prt_bake.baking.job.work import Work
-from prt_bake.baking.output.checkpoint import Store
-from prt_bake.baking.output.checkpoint_store import Cut, Shelf
-from prt_bake.baking.output.pruned_sink import pared_sink
+from prt_bake.baking.output.checkpoint import CheckpointStore
+from prt_bake.baking.output.checkpoint_store import BlockCheckpoints, Cut
+from prt_bake.baking.output.pruned_sink import open_pruned_sink
 from prt_bake.baking.output.sink import Sink
 
 ROWS = 100
 PILOT = "pilot"
 
 
-def bake_by_samples(work: Work, store: Store, directions: str, samples: int, error: float | None) -> Asset:
-    """Bakes block by block; to an `error`, a pilot finds out how many samples it takes.
+def bake_by_samples(work: Work, store: CheckpointStore, directions: str, samples: int, error: float | None) -> Asset:
+    """Bakes block by block; for a requested `error` a pilot chooses the number of samples.
 
-    Raises QueryError where nothing was done or nothing is finite, or the error is out of reach, NotSo where a vertex
-    needs what was to be left out.
+    Raises QueryError if no vertex was done or is finite or if the error is out of reach, WronglyPruned if a vertex
+    needs what was pruned.
     """
     spent = 0
     if error is not None and (known := store.read(PILOT)) is not None:
         samples, spent = int(known["samples"]), int(known["evaluations"])
     rings, sectors = work.head.rings, work.head.sectors
     job = resolve(
-        work.transport, work.mesh, work.needs.degree, rings, sectors, directions, samples, work.seed, work.needs
+        work.transport, work.mesh, work.pruning.degree, rings, sectors, directions, samples, work.seed, work.pruning
     )
     if error is not None and not spent:
-        job, spent = reach(job, work.needs.left_for_projection(error), directions, work.seed)
+        job, spent = choose_samples(job, work.pruning.left_for_projection(error), directions, work.seed)
         store.write(PILOT, {"samples": np.asarray(job.resolved.samples), "evaluations": np.asarray(spent)})
     work.evaluations += spent
-    with pared_sink(work.out, work.head, work.storage, work.needs) as sink:
-        asset = _run(work, job, sink, Shelf(None if work.out is None else store))
+    with open_pruned_sink(work.out, work.head, work.storage, work.pruning) as sink:
+        asset = _run(work, job, sink, BlockCheckpoints(None if work.out is None else store))
     if asset.complete:
         store.remove()
     return asset
 
 
-def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
-    """Bakes into the sink, keeps the error figures, and closes the asset, whole or in part."""
-    vertices, per_vertex = len(work.needs.vertices), job.task.bins * job.resolved.samples
-    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), Account()
-    done = bent = 0
+def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Asset:
+    """Bakes into the sink and finishes the asset, complete or partial."""
+    vertices, per_vertex = len(work.pruning.vertices), job.task.bins * job.resolved.samples
+    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), WalkStatistics()
+    done = clamped = 0
 
-    def one(cut: Cut) -> Block:
-        block = shelf.kept(cut)
+    def bake_cut(cut: Cut) -> Block:
+        block = checkpoints.read(cut)
         if block is None:
-            block = work.crew.do(bake_block, (job.task,), *cut)
-            shelf.keep(block)
+            block = work.workers.do(bake_block, (job.task,), *cut)
+            checkpoints.write(block)
         return block
 
-    cuts = shelf.cuts(job.task, work.needs.vertices)
-    forecast = Forecast(_missing(work.needs.vertices, shelf.there))
-    blocks = work.crew.in_order(one, cuts)
+    cuts = checkpoints.cuts(job.task, work.pruning.vertices)
+    forecast = Forecast(_missing(work.pruning.vertices, checkpoints.finished))
+    blocks = work.workers.in_order(bake_cut, cuts)
     try:
-        for block in _until(work, blocks):
-            work.evaluations += len(block.valid) * per_vertex + block.more
+        for block in _until_stopped(work, blocks):
+            work.evaluations += len(block.valid) * per_vertex + block.extra_evaluations
             sink.write(block)
-            done, bent = done + len(block.valid), bent + block.bent
+            done, clamped = done + len(block.valid), clamped + block.clamped
             invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
-            account += block.account or Account()
+            account += block.statistics or WalkStatistics()
             meter.add(block)
             row = (work.seconds, float(work.evaluations), meter.total)
             if not rows or done * ROWS // vertices > len(rows) or done == vertices:
                 rows.append(row)
             if work.progress is not None:
-                work.progress(done, vertices, Standing(row, forecast.left(done)))
+                work.progress(done, vertices, BakeStatus(row, forecast.left(done)))
     except KeyboardInterrupt:
         pass
     finally:
@@ -87,7 +86,10 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
     if done == 0:
         raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
     if len(invalid) == done:
-        raise QueryError(f"the transport answered values that are not finite at every one of {done} vertices")
+        raise QueryError(
+            f"{type(work.transport).__name__}: expected finite values, found values that are not finite at all "
+            f"{done} vertices baked"
+        )
     settings = work.report["settings"] | {"directions": job.resolved.directions, "samples": job.resolved.samples}
     report = work.report | {
         "settings": settings,
@@ -96,7 +98,7 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
         "evaluations": work.evaluations,
         "seconds": work.seconds,
         "estimated_relative_rmse": {"total": meter.total, "percentile_95_over_vertices": meter.percentile_95},
-        "bins_bent_to_the_horizon": bent,
+        "bins_bent_to_the_horizon": clamped,
         "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
         "vertices_baked": done,
     }
@@ -105,15 +107,15 @@ def _run(work: Work, job: Job, sink: Sink, shelf: Shelf) -> Asset:
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
 
 
-def _missing(vertices: NDArray[np.int64], there: list[Cut]) -> NDArray[np.float64]:
-    """1 at the vertices that are to be baked, 0 at those that are there."""
+def _missing(vertices: NDArray[np.int64], finished: list[Cut]) -> NDArray[np.float64]:
+    """1 at the vertices that remain to be baked, 0 at finished ones."""
     missing = np.ones(len(vertices))
-    for first, last in there:
+    for first, last in finished:
         missing[(vertices >= first) & (vertices < last)] = 0.0
     return missing
 
 
-def _until(work: Work, blocks: Iterator[Block]) -> Iterator[Block]:
+def _until_stopped(work: Work, blocks: Iterator[Block]) -> Iterator[Block]:
     while not work.stopped:
         block = next(blocks, None)
         if block is None:

@@ -1,4 +1,4 @@
-"""A scene as something to bake: its coefficients are estimated by random walks, without any network."""
+"""A scene as a transport: its coefficients are estimated by random walks, without a network."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from bakers.path_traced import Account
+from bakers.path_traced import WalkStatistics
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from formats.scene import Scene
-from prt_bake.geometry.surface import bend_up
+from prt_bake.geometry.surface import clamp_to_horizon
 from prt_bake.mathematics.random import hashed
 
 if TYPE_CHECKING:
@@ -22,11 +22,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BlockEstimate:
-    """`mean` and one-sigma `standard_error` of coefficients [n,B,K,3], and what else the walks say."""
+    """`mean` and one-sigma `standard_error` of coefficients [n,B,K,3], and statistics of the walks."""
 
     mean: Array
     standard_error: Array
-    account: Account
+    statistics: WalkStatistics
 
 
 class PathTraced:
@@ -49,7 +49,7 @@ class PathTraced:
     ) -> "Estimate":
         """a_lm [N,K,3] at positions [N,3] on the scene's surface, seen along outgoing [N,3].
 
-        Raises QueryError where a position lies off the surface or a direction below the horizon.
+        Raises QueryError for positions off the surface and directions below the horizon.
         """
         from prt_bake.tracer.estimate import estimate_coefficients
 
@@ -58,43 +58,42 @@ class PathTraced:
     def estimate_block(
         self, positions: ArrayLike, outgoing: ArrayLike, degree: int, paths: int, seeds: Sequence[int]
     ) -> BlockEstimate:
-        """a_lm [n,B,K,3] at vertices [n,3] seen along outgoing [n,B,3], whose random numbers depend on the vertex's own
-        seed alone.
+        """a_lm [n,B,K,3] at vertices [n,3] seen along outgoing [n,B,3]; each vertex has its own seed of `seeds` [n].
 
-        Directions below the horizon of the scene's own faces, which need not be those of the mesh that is baked, are
-        bent up to it, and counted. Raises QueryError where a position lies off the surface.
+        Directions below the horizon of the scene's faces, which may differ from those of the baked mesh, are clamped to
+        it and counted. Raises QueryError for positions off the surface.
         """
         from prt_bake.tracer.estimate import estimate_coefficients
 
-        eye = np.asarray(outgoing, np.float64)
-        n, bins = eye.shape[:2]
-        where = np.repeat(np.asarray(positions, np.float64), bins, axis=0)
-        above, bent = self._bent(where, eye.reshape(-1, 3))
+        towards_eye = np.asarray(outgoing, np.float64)
+        n, bins = towards_eye.shape[:2]
+        at = np.repeat(np.asarray(positions, np.float64), bins, axis=0)
+        above, clamped = self._clamped(at, towards_eye.reshape(-1, 3))
         keys = hashed(np.asarray(seeds, np.int64)[:, None], np.arange(bins)).reshape(-1)
-        estimate = estimate_coefficients(self.scene, where, above, degree, paths, keys=keys)
+        estimate = estimate_coefficients(self.scene, at, above, degree, paths, keys=keys)
         shape = (n, bins, (degree + 1) ** 2, 3)
-        account = Account(
+        statistics = WalkStatistics(
             bins=n * bins,
-            bent=bent,
+            clamped=clamped,
             unreliable=int((~estimate.reliable).sum()),
             unscattered=float(estimate.unscattered.reshape(n * bins, -1).mean(axis=1).sum()),
             lost=float(estimate.lost.sum()),
         )
-        return BlockEstimate(estimate.mean.reshape(shape), estimate.standard_error.reshape(shape), account)
+        return BlockEstimate(estimate.mean.reshape(shape), estimate.standard_error.reshape(shape), statistics)
 
     def refuse_foreign(self, mesh: Mesh) -> None:
-        """Raise QueryError unless every vertex of `mesh` lies on the scene's surface, its normal pointing out of it."""
+        """Raises QueryError unless the vertices of `mesh` are on the scene's surface, with normals that point outward."""
         from prt_bake.tracer.prepared import prepare
 
         surface, scene = prepare(self.scene).surface, self.scene
-        faces, _, cosines = surface.in_reach(mesh.positions, mesh.normals)
+        faces, _, cosines = surface.find_faces(mesh.positions, mesh.normals)
         if (astray := np.flatnonzero(faces < 0)).size:
             first = int(astray[0])
             away = surface.distance(mesh.positions[first])
             raise QueryError(
                 f"mesh: {len(astray)} of {len(faces)} vertices do not lie on the surface of {scene.path}; the first is "
-                f"number {first}, {away:.3g} away, where at most {surface.reach:.3g} (1e-4 of the object's "
-                f"diagonal) is allowed; bake the scene's own mesh, {scene.mesh_path}"
+                f"number {first}, {away:.3g} away, allowed are {surface.reach:.3g} (1e-4 of the object's diagonal); "
+                f"bake the scene's own mesh, {scene.mesh_path}"
             )
         inward = np.flatnonzero(cosines <= 0.0)
         if 2 * inward.size > len(faces):
@@ -103,13 +102,13 @@ class PathTraced:
                 "its faces are wound inside out: flip the normals"
             )
 
-    def _bent(self, positions: Array, outgoing: Array) -> tuple[Array, int]:
-        """Directions [N,3] with those below the scene's own horizon bent up to it, and how many there were."""
+    def _clamped(self, positions: Array, outgoing: Array) -> tuple[Array, int]:
+        """Directions [N,3], those below the scene's horizon clamped to it, and how many were."""
         from prt_bake.tracer.prepared import prepare
 
         surface = prepare(self.scene).surface
-        faces, _, cosines = surface.in_reach(positions, outgoing)
+        faces, _, cosines = surface.find_faces(positions, outgoing)
         below = (faces >= 0) & (cosines <= 0.0)
         above = outgoing.copy()
-        above[below] = bend_up(outgoing[below], np.asarray(surface.mesh.face_normals)[faces[below]])
+        above[below] = clamp_to_horizon(outgoing[below], np.asarray(surface.mesh.face_normals)[faces[below]])
         return above, int(below.sum())

@@ -1,4 +1,4 @@
-"""What can be baked: a network (`.pt`, `.safetensors`), a TorchScript function (`.pt`), or a scene (`.toml`)."""
+"""Files that can be baked: networks (`.pt`, `.safetensors`), TorchScript functions (`.pt`) and scenes (`.toml`)."""
 
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,14 @@ from prt_bake.baking.path_traced import PathTraced
 
 
 def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: str | None = None) -> Any:
-    """Return the transport that a file holds, to be baked on `mesh`.
+    """The transport in a file, to be baked on `mesh`.
 
-    `convention` says how the seven inputs of a TorchScript function are meant (`prt_bake.network.torchscript`), in the
-    bounding box of the mesh; without it a `.pt` file is one of our own networks.
+    convention: meaning of the seven inputs of a TorchScript function (`prt_bake.network.torchscript`), in the bounding
+    box of the mesh; without it a `.pt` file is a network that `prt_bake.train` wrote.
 
     Raises:
-        FormatError: a suffix that is no source.
-        PrtbakeError: the file is missing, damaged or hostile, or there is no such device.
+        FormatError: an unknown suffix.
+        PrtbakeError: the file is missing, damaged or unsafe, or the device does not exist.
     """
     require_device(device)
     suffix = existing(path).suffix.lower()
@@ -37,13 +37,16 @@ def open_source(path: str | Path, mesh: Mesh, device: str = "cpu", convention: s
 
 
 def require_device(device: str) -> None:
-    """Raise QueryError if a network cannot run on `device`, "cpu" or "cuda"."""
+    """Raises QueryError if a network cannot run on `device`, "cpu" or "cuda"."""
     if device == "cpu":
         return
     import torch
 
     if device != "cuda" or not torch.cuda.is_available():
-        raise QueryError(f"device: {device!r} is not there (no graphics card that this torch can use); take 'cpu'")
+        raise QueryError(
+            f"device: expected 'cpu', or 'cuda' with a GPU that the installed torch can use, found {device!r}; "
+            f"give 'cpu'"
+        )
 
 
 def origin(path: str | Path) -> dict[str, str]:

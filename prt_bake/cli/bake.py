@@ -106,6 +106,7 @@ def bake(
     """
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; --dry-run alone does without.")
+    from bakers.transport import transport_property
     from formats.journal import journal_folder
     from formats.json_report import write_report
     from formats.mesh import read_mesh
@@ -121,7 +122,7 @@ def bake(
     sampling = (degree, rings, sectors, directions, samples)
     needed: Any = {
         "leave_out": _but(keep or [], baking.ITEMS),
-        "for_light": None if for_light is None else _light(for_light, degree, baking.said_by(transport, "up", "y")),
+        "for_light": None if for_light is None else _light(for_light, degree, transport_property(transport, "up", "y")),
         "for_eye": for_eye,
     }
     if dry_run:

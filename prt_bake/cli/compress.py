@@ -44,6 +44,6 @@ def compress(
         f"float32 ({outcome.before:,} in {asset.name}), in {outcome.seconds:.1f} s"
     )
     print(
-        f"added relative RMSE {added.total:.3%} of {added.asked:.3%} asked for, 95th percentile over vertices "
+        f"added relative RMSE {added.total:.3%} of {added.requested:.3%} asked for, 95th percentile over vertices "
         f"{added.percentile_95:.3%}, worst {added.worst:.3%}"
     )

@@ -20,7 +20,7 @@ from formats.mesh.ply import write_ply
 from formats.scene import Scene
 from formats.scene.medium import Medium
 from formats.scene.parts import Part
-from prt_bake.geometry.nesting import TOLERANCE, distances, sticking_out, winding
+from prt_bake.geometry.nesting import TOLERANCE, distances, protruding_parts, winding_numbers
 
 _SMOOTHEST = 1e-4
 """Below this alpha a boundary counts as smooth, as in the path tracer."""
@@ -89,7 +89,7 @@ def _refuse_unknown_to_mitsuba(scene: Scene) -> None:
             raise SceneError(
                 f"{scene.path}: {part.name!r}: energy_compensation: Mitsuba has none; export the scene without it"
             )
-    sentences = sticking_out(scene.parts) + _overlaps(scene.parts)
+    sentences = protruding_parts(scene.parts) + _overlaps(scene.parts)
     if sentences:
         raise SceneError(
             f"{scene.path}: {sentences[0]}; Mitsuba needs parts that lie wholly inside or outside one another: cut the "
@@ -106,7 +106,7 @@ def _overlaps(parts: tuple[Part, ...]) -> list[str]:
         for a, b in ((one.mesh, other.mesh), (other.mesh, one.mesh)):
             low, high = a.bounds
             near = b.positions[((b.positions >= low) & (b.positions <= high)).all(axis=1)]
-            held = near[winding(a, near) > 0.5]
+            held = near[winding_numbers(a, near) > 0.5]
             if distances(a, held).max(initial=0.0) > TOLERANCE * a.diagonal:
                 sentences.append(f"{one.name!r} and {other.name!r} overlap")
                 break

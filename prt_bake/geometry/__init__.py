@@ -1,4 +1,8 @@
-"""Cameras, and queries to the surface of a mesh: nearest faces, distances, nested parts.
+"""Cameras and ray casting, and surface queries on meshes: faces at a position, distances, nesting.
 
-May import: `prt_bake.mathematics`, `prt_bake.jit` and `formats`. Begin with `surface.py`.
+May import: `prt_bake.mathematics`, `prt_bake.jit` and `formats`. Begin with `surface.py` and `camera.py`.
 """
+
+from prt_bake.geometry.camera import Camera, fit
+
+__all__ = ["Camera", "fit"]

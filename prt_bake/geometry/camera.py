@@ -1,8 +1,8 @@
-"""A camera, perspective or orthographic, what its rays meet first, and where its eye may not stand.
+"""Perspective and orthographic cameras, and ray casting for visibility.
 
-Rays are begun where they enter the ball around the object, in float64, and cast by Embree relative to the middle of the
-bounding box in units of that ball: a camera a million units away sees as sharply as one that is near, and an object far
-from the origin as well as one at it.
+Rays start where they enter the object's bounding ball, computed in float64. Embree traces them in float32 relative to
+the centre of the bounding box and in units of the ball's radius. Distant cameras and objects far from the origin thus
+lose no precision.
 """
 
 from collections.abc import Iterator
@@ -19,24 +19,30 @@ Array = NDArray[np.float64]
 
 _AXES = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _VIEW = {"y": np.array([-0.43, 0.24, -0.87]), "z": np.array([-0.43, 0.87, 0.24])}
-"""Where the default eye stands, seen from the object: in front of it (−z with y up), a little to the side and above."""
+"""Direction from the object to the default eye: in front (−z with y up), a little to the side and above."""
 _MARGIN = 1.08
 _MOST_TURNS = 72
-"""Between turns 5° apart nothing comes out of the margin."""
+"""Between turns 5° apart the object stays within the margin."""
 _CONTACT = 1e-4
-"""An eye this near to the surface, in diagonals of the object, is on it."""
+"""An eye within this distance of the surface, in diagonals of the object, counts as on it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A camera in object space.
 
-    eye, target: points [3], in scene units. up: a direction [3], made unit; where the view runs straight along it
-    another is taken. fov: the vertical field of view in degrees. width, height: in pixels, which are square. extent:
-    scene units from the lower to the upper edge of an orthographic picture, whose rays are parallel and begin in the
-    plane through the eye; None is perspective.
+    eye, target: points [3] in scene units. up: direction [3], normalised; a view straight along it uses another one.
+    fov: vertical field of view in degrees. width, height: in pixels, which are square. extent: scene units from the
+    lower to the upper edge of an orthographic picture, whose rays are parallel and start in the plane through the eye;
+    None for a perspective camera.
 
-    Raises QueryError where these make no picture.
+    Raises QueryError for values that define no picture.
+
+    >>> import numpy as np
+    >>> import prt_bake as prt
+    >>> eye, target, up = np.array([0.0, 0.0, 5.0]), np.zeros(3), np.array([0.0, 1.0, 0.0])
+    >>> prt.Camera(eye, target, up, fov=30.0, width=640, height=480).forward.tolist()
+    [0.0, 0.0, -1.0]
     """
 
     eye: Array
@@ -53,37 +59,37 @@ class Camera:
         length = float(np.linalg.norm(self.up))
         if length == 0.0 or np.array_equal(self.eye, self.target):
             raise QueryError(
-                f"camera: eye {self.eye.tolist()}, target {self.target.tolist()} and up {self.up.tolist()} where an "
-                "eye off the target and an up of some length are expected"
+                "camera: expected an eye off the target and an up that is not zero, found eye "
+                f"{self.eye.tolist()}, target {self.target.tolist()} and up {self.up.tolist()}"
             )
         object.__setattr__(self, "up", self.up / length)
         if self.width < 1 or self.height < 1:
-            raise QueryError(f"camera: {self.width}x{self.height} pixels where at least 1x1 is expected")
+            raise QueryError(f"camera: expected at least 1x1 pixels, found {self.width}x{self.height}")
         if not 0.0 < self.fov < 180.0:
-            raise QueryError(f"camera: a field of view of {self.fov:g} degrees where one between 0 and 180 is expected")
+            raise QueryError(f"camera: expected a field of view between 0 and 180 degrees, found {self.fov:g}")
         if self.extent is not None and not 0.0 < self.extent < np.inf:
-            raise QueryError(f"camera: an extent of {self.extent:g} scene units where a finite one above 0 is expected")
+            raise QueryError(f"camera: expected a finite extent above 0 scene units, found {self.extent:g}")
 
     @property
     def forward(self) -> Array:
-        """The unit direction [3] of the view."""
+        """Unit direction [3] of the view."""
         along = self.target - self.eye
         return np.asarray(along / np.linalg.norm(along))
 
     def towards(self, positions: ArrayLike) -> Array:
-        """Directions [N,3] from points [N,3] to the eye, of any length; all the same where rays are parallel."""
+        """Directions [N,3] from points [N,3] to the eye, not normalised; all equal for an orthographic camera."""
         points = np.asarray(positions, np.float64)
         return self.eye - points if self.extent is None else np.broadcast_to(-self.forward, points.shape)
 
 
 class Rays(NamedTuple):
-    """Rays [...]: origins [3] or [...,3], and unit directions [...,3]."""
+    """Rays [...]: origins [3] or [...,3], unit directions [...,3]."""
 
     origins: Array
     directions: Array
 
     def rows(self) -> "Rays":
-        """The same in one row: origins [3] or [R,3], directions [R,3]."""
+        """The rays in one axis: origins [3] or [R,3], directions [R,3]."""
         return Rays(
             self.origins if self.origins.ndim == 1 else self.origins.reshape(-1, 3), self.directions.reshape(-1, 3)
         )
@@ -91,7 +97,7 @@ class Rays(NamedTuple):
 
 @dataclass(frozen=True)
 class Hits:
-    """First hits of R rays: faces int64 [R] (−1: the sky), barycentric (u, v) [R,2]."""
+    """First hits of R rays: faces int64 [R] (−1: none), barycentric (u, v) [R,2]."""
 
     faces: NDArray[np.int64]
     barycentric: Array
@@ -110,50 +116,57 @@ def fit(
     extent: float | None = None,
     turns: int = 1,
 ) -> Camera:
-    """A camera that looks at `target`, by default the middle of the mesh.
+    """A camera that looks at `target`, by default the centre of the mesh.
 
-    Without an `eye` it stands where the whole object just fits, as far as the target lets it. An `orthographic` one
-    frames the object from wherever it stands, unless it is given its `extent`. What fits does so from the eye in each
-    of so many `turns`, even over one round about the up axis through the target.
+    Without an `eye` the camera is placed where the object just fills the frame. An `orthographic` camera fits its frame
+    to the object from any eye, unless `extent` is given. The object fits in all of `turns` views, evenly spaced around
+    the up axis through the target.
 
-    Raises QueryError for sizes, angles, axes, extents or eyes that make no picture.
+    Raises QueryError for sizes, angles, axes, extents or eyes that define no picture.
+
+    >>> import prt_bake as prt
+    >>> import trimesh
+    >>> ball = trimesh.creation.icosphere()
+    >>> camera = prt.fit_camera(prt.Mesh(ball.vertices, ball.faces, ball.vertex_normals), width=64, height=64)
+    >>> camera.target.round(6).tolist()
+    [0.0, 0.0, 0.0]
     """
     if up not in _AXES:
-        raise QueryError(f'camera: up is {up!r} where "y" or "z" is expected')
-    aim, above = mesh.center if target is None else _point(target, "target"), np.array(_AXES[up])
+        raise QueryError(f'camera: expected up to be "y" or "z", found {up!r}')
+    center, above = mesh.center if target is None else _point(target, "target"), np.array(_AXES[up])
     view = _VIEW[up] / np.linalg.norm(_VIEW[up])
-    camera = Camera(aim + view if eye is None else _point(eye, "eye"), aim, above, fov, width, height, extent)
-    relative, aspect = mesh.positions - aim, width / height
+    camera = Camera(center + view if eye is None else _point(eye, "eye"), center, above, fov, width, height, extent)
+    relative, aspect = mesh.positions - center, width / height
     if orthographic and extent is None:
         forward = camera.forward
-        extents = (_extent_to_fit(some, -forward, above, aspect) for some in _turned(relative, turns, above))
+        extents = (_extent_to_fit(rotated, -forward, above, aspect) for rotated in _rotated(relative, turns, above))
         camera = replace(camera, extent=max(extents))
     if eye is not None:
         return camera
     if camera.extent is not None:
-        # Where it stands does not matter, if all of the object lies before it.
-        nearest = max(float(np.max(some @ view)) for some in _turned(relative, turns, above))
-        return replace(camera, eye=aim + view * (nearest + mesh.diagonal))
-    distance = max(_distance_to_fit(some, view, above, fov, aspect) for some in _turned(relative, turns, above))
-    return replace(camera, eye=aim + view * distance)
+        # Any distance at which the object is in front of the camera will do.
+        nearest = max(float(np.max(rotated @ view)) for rotated in _rotated(relative, turns, above))
+        return replace(camera, eye=center + view * (nearest + mesh.diagonal))
+    distance = max(_distance_to_fit(rotated, view, above, fov, aspect) for rotated in _rotated(relative, turns, above))
+    return replace(camera, eye=center + view * distance)
 
 
 def rays(camera: Camera, rows: slice, offsets: Array) -> Rays:
     """Rays [R,W,S] through the pixels of some rows.
 
-    offsets [S,2], or [R,W,S,2] of each pixel's own, say where in a pixel, in [0,1)²: x to the right, y down.
+    offsets: positions within the pixels in [0,1)², x to the right, y down; [S,2] for all or [R,W,S,2] per pixel.
     """
     return _through(camera, np.arange(camera.height)[rows, None, None], np.arange(camera.width)[:, None], offsets)
 
 
 def pixel_rays(camera: Camera, pixels: NDArray[np.int64], offsets: Array) -> Rays:
-    """Rays [N,S] through `pixels` [N], numbered row by row; offsets [N,S,2] as in `rays`."""
+    """Rays [N,S] through `pixels` [N], indexed row by row; offsets [N,S,2] as in `rays`."""
     rows, columns = np.divmod(pixels, camera.width)
     return _through(camera, rows[:, None], columns[:, None], offsets)
 
 
 def directions(camera: Camera, rows: slice, offsets: Array) -> Array:
-    """Of `rays` the unit directions [R,W,S,3] alone."""
+    """Unit directions [R,W,S,3] of `rays`."""
     return rays(camera, rows, offsets).directions
 
 
@@ -171,10 +184,10 @@ def _through(camera: Camera, rows: NDArray[np.int64], columns: NDArray[np.int64]
 
 
 class Visibility:
-    """A mesh in an Embree tree; tells what rays meet first."""
+    """Ray casting against a mesh by Embree."""
 
     def __init__(self, mesh: Mesh) -> None:
-        """Build the tree."""
+        """Build the acceleration structure."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
@@ -186,7 +199,7 @@ class Visibility:
         self._mesh = TriangleMesh(self._scene, scaled, np.ascontiguousarray(mesh.faces, np.int32))
 
     def first_hits(self, origins: ArrayLike, rays: Array) -> Hits:
-        """What rays, unit directions [R,3] from origins [3] or [R,3], meet first; both sides of a face count."""
+        """First hits of rays with unit directions [R,3] from origins [3] or [R,3]; both sides of a face count."""
         start = (np.asarray(origins, np.float64) - self._center) / self._radius
         along = -np.sum(start * rays, axis=1)
         nearest = start + along[:, None] * rays
@@ -206,32 +219,27 @@ class Visibility:
 
 
 def refuse_eye_in_object(mesh: Mesh, eye: Array) -> None:
-    """Raise QueryError if the eye [3] is inside the mesh or on it: an asset says nothing of what is seen there."""
+    """Raise QueryError if the eye [3] is inside the mesh or on it; assets describe views from outside only."""
     low, high = mesh.bounds
     contact = _CONTACT * mesh.diagonal
     if ((eye < low - contact) | (eye > high + contact)).any():
         return
     corners = mesh.positions[mesh.faces] - eye
     if _distance_to_faces(corners, mesh.face_normals) <= contact:
-        raise QueryError(f"eye: {eye.tolist()} lies on the surface of the object; it must stand off it")
+        raise QueryError(f"eye: expected a point off the surface, found {eye.tolist()} on the surface of the object")
     if abs(_winding_number(corners)) > 0.5:
-        raise QueryError(
-            f"eye: {eye.tolist()} is inside the object; an asset holds what is seen from outside, step back"
-        )
+        raise QueryError(f"eye: expected a point outside, found {eye.tolist()} inside the object; move the eye away")
 
 
 def _point(value: ArrayLike, name: str) -> Array:
     point = np.array(value, np.float64)
     if point.shape != (3,) or not np.isfinite(point).all():
-        raise QueryError(f"camera: {name} is {point.tolist()} where three finite numbers are expected")
+        raise QueryError(f"camera: expected three finite numbers for {name}, found {point.tolist()}")
     return point
 
 
-def _turned(positions: Array, turns: int, above: Array) -> Iterator[Array]:
-    """Positions (about the target) as the eye sees them in each of its turns about the unit axis `above`.
-
-    Which way round makes no difference, as turns are even.
-    """
+def _rotated(positions: Array, turns: int, above: Array) -> Iterator[Array]:
+    """Positions, relative to the target, after each of `turns` even rotations about the unit axis `above`."""
     upright = np.outer(positions @ above, above)
     level, sideways = positions - upright, np.cross(above, positions)
     count = min(turns, _MOST_TURNS)
@@ -240,13 +248,13 @@ def _turned(positions: Array, turns: int, above: Array) -> Iterator[Array]:
 
 
 def _extent_to_fit(positions: Array, view: Array, up: Array, aspect: float) -> float:
-    """The extent that all positions (about the target) lie in, with a margin."""
+    """Extent that contains all positions, relative to the target, with a margin."""
     right, above = _across(-view, up)
     return float(2.0 * _MARGIN * np.maximum(np.abs(positions @ above), np.abs(positions @ right) / aspect).max())
 
 
 def _distance_to_fit(positions: Array, view: Array, up: Array, fov: float, aspect: float) -> float:
-    """How far along `view` the eye must stand for all positions (about the target) to lie in the frame."""
+    """Distance along `view` at which all positions, relative to the target, are in the frame."""
     right, above = _across(-view, up)
     half = np.tan(np.radians(fov) / 2.0)
     depth = positions @ view
@@ -255,7 +263,7 @@ def _distance_to_fit(positions: Array, view: Array, up: Array, fov: float, aspec
 
 
 def _across(forward: Array, up: Array) -> tuple[Array, Array]:
-    """Unit vectors to the right of and above a view; another up is taken for a view straight along it."""
+    """Unit vectors to the right and upwards in the image plane; a view along `up` uses another up."""
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-9:
         right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
@@ -264,7 +272,7 @@ def _across(forward: Array, up: Array) -> tuple[Array, Array]:
 
 
 def _distance_to_faces(corners: Array, normals: Array) -> float:
-    """The distance from the origin to the nearest of faces with corners [F,3,3] and unit normals [F,3]."""
+    """Distance from the origin to the nearest of faces with corners [F,3,3] and unit normals [F,3]."""
     edges = np.roll(corners, -1, axis=1) - corners
     # Edges of no length are points.
     length = np.maximum(np.einsum("fki,fki->fk", edges, edges), np.finfo(np.float64).tiny)
@@ -277,14 +285,14 @@ def _distance_to_faces(corners: Array, normals: Array) -> float:
 
 
 def _winding_number(corners: Array) -> float:
-    """How often faces with corners [F,3,3] enclose the origin: ±1 inside a closed surface, 0 outside.
+    """Winding number of faces with corners [F,3,3] about the origin: ±1 inside a closed surface, 0 outside.
 
-    The faces' solid angles over 4π (Van Oosterom and Strackee 1983; Jacobson et al. 2013).
+    It is the sum of the faces' solid angles over 4π (Van Oosterom and Strackee 1983; Jacobson et al. 2013).
     """
     a, b, c = np.moveaxis(corners, 1, 0)
     length = np.linalg.norm(corners, axis=2)
     triple = np.einsum("fi,fi->f", a, np.cross(b, c))
-    flat = length.prod(axis=1)
+    denominator = length.prod(axis=1)
     for first, second, other in ((a, b, 2), (b, c, 0), (c, a, 1)):
-        flat += np.einsum("fi,fi->f", first, second) * length[:, other]
-    return float(np.arctan2(triple, flat).sum() / (2.0 * np.pi))
+        denominator += np.einsum("fi,fi->f", first, second) * length[:, other]
+    return float(np.arctan2(triple, denominator).sum() / (2.0 * np.pi))

@@ -1,4 +1,4 @@
-"""A uniform grid over a mesh that answers which faces lie near a point, compiled."""
+"""Compiled uniform grid over a mesh that finds the faces near a point."""
 
 from typing import Any, NamedTuple
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from prt_bake.jit.compilation import compiled
 from prt_bake.jit.threads import in_threads
 
-_FACES_A_CELL = 2.0
+_FACES_PER_CELL = 2.0
 _MOST_CELLS = 128
-_QUERIES_A_SLICE = 256
+_QUERIES_PER_SLICE = 256
 
 
 class FaceGrid(NamedTuple):
-    """Faces by cell: `members[starts[c] : starts[c + 1]]` are those within reach of cell c."""
+    """Faces by cell: `members[starts[c] : starts[c + 1]]` are the faces within `reach` of cell c."""
 
     corners: NDArray[np.float64]
     low: NDArray[np.float64]
@@ -26,11 +26,11 @@ class FaceGrid(NamedTuple):
 
 
 def build_grid(positions: NDArray[np.float64], faces: NDArray[np.int64], reach: float) -> FaceGrid:
-    """Sort the faces of a mesh into cells, each face into every cell that its box, grown by `reach`, touches."""
+    """Assign each face of a mesh to all cells that its bounding box, extended by `reach`, overlaps."""
     corners = np.ascontiguousarray(positions[faces])
     low = corners.min(axis=(0, 1)) - 2 * reach
     extent = corners.max(axis=(0, 1)) + 2 * reach - low
-    across = min(_MOST_CELLS, max(1, int(np.sqrt(len(faces) / _FACES_A_CELL))))
+    across = min(_MOST_CELLS, max(1, int(np.sqrt(len(faces) / _FACES_PER_CELL))))
     side = float(extent.max()) / across
     shape = np.maximum(1, np.ceil(extent / side)).astype(np.int64)
     counts = np.zeros(int(shape.prod()), np.int64)
@@ -63,7 +63,7 @@ def _visit_cells(
 
 @compiled()
 def closest(a: Any, b: Any, c: Any, p: Any) -> Any:
-    """Squared distance from p to a triangle, and the (u, v) of its closest point (Ericson 2005, section 5.1.5)."""
+    """Squared distance from p to a triangle, and (u, v) of the closest point (Ericson 2005, section 5.1.5)."""
     ab, ac, ap = b - a, c - a, p - a
     d1, d2 = np.dot(ab, ap), np.dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -92,7 +92,7 @@ def closest(a: Any, b: Any, c: Any, p: Any) -> Any:
 
 @compiled(nogil=True)
 def _chosen(grid: Any, face_normals: Any, p: Any, eye: Any) -> Any:
-    """The face in reach of p that faces `eye` most, the lowest on a tie (−1: none), its (u, v), and the cosine."""
+    """The face in reach of p that faces `eye` most, on a tie the lowest (−1: none), (u, v) on it, and the cosine."""
     face, best_u, best_v, most = -1, 0.0, 0.0, -2.0
     cell = 0
     for k in range(2, -1, -1):
@@ -111,19 +111,17 @@ def _chosen(grid: Any, face_normals: Any, p: Any, eye: Any) -> Any:
 
 
 def choose_faces(grid: Any, face_normals: Any, positions: Any, outgoing: Any) -> Any:
-    """For each query the face in reach that faces ωo most, the lowest on a tie: faces [N] (−1: none in reach), (u, v)
-    [N,2], ωo·n [N].
-    """
+    """`_chosen` for N queries: faces [N] (−1: none in reach), (u, v) [N,2], ωo·n [N]."""
     count = len(positions)
     chosen = np.full(count, -1, np.int64), np.zeros((count, 2)), np.full(count, -2.0)
-    in_threads(_choose, count, grid, face_normals, positions, outgoing, *chosen, least=_QUERIES_A_SLICE)
+    in_threads(_choose, count, grid, face_normals, positions, outgoing, *chosen, least=_QUERIES_PER_SLICE)
     return chosen
 
 
 @compiled(nogil=True)
 def _choose(
-    begun: Any,
-    ended: Any,
+    start: Any,
+    stop: Any,
     grid: Any,
     face_normals: Any,
     positions: Any,
@@ -132,7 +130,7 @@ def _choose(
     barycentric: Any,
     cosines: Any,
 ) -> None:
-    for n in range(begun, ended):
+    for n in range(start, stop):
         face, u, v, cosine = _chosen(grid, face_normals, positions[n], outgoing[n])
         faces[n], cosines[n] = face, cosine
         barycentric[n, 0], barycentric[n, 1] = u, v
@@ -142,8 +140,8 @@ def _choose(
 def normals_of_chosen(
     grid: Any, face_normals: Any, corner_normals: Any, positions: Any, outgoing: Any, normals: Any
 ) -> None:
-    """Set normals [N,3] to those of the faces that `choose_faces` would choose, corner_normals [F,3,3] interpolated;
-    zero where there is none. In one thread, so that it may run beside others.
+    """Write normals [N,3] of the faces that `choose_faces` chooses, interpolated between corner_normals [F,3,3]; 0 if
+    there is none. Single-threaded, so that several calls may run in parallel.
     """
     for n in range(positions.shape[0]):
         face, u, v, _cosine = _chosen(grid, face_normals, positions[n], outgoing[n])
@@ -156,7 +154,7 @@ def normals_of_chosen(
 
 @compiled()
 def distance_to_mesh(grid: Any, p: Any) -> Any:
-    """The distance from one point to the mesh, every face tried."""
+    """Distance from one point to the mesh, by testing every face."""
     best = np.inf
     for f in range(grid.corners.shape[0]):
         squared, _u, _v = closest(grid.corners[f, 0], grid.corners[f, 1], grid.corners[f, 2], p)

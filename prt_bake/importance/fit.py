@@ -1,6 +1,6 @@
-"""Fits an importance module to a trained network: gather its values once, then lower the KL divergence.
+"""Fits an importance module to a trained network: evaluates its targets once, then minimises the KL divergence.
 
-Adam with a cosine decay over what there is of steps or of time, whichever ends first.
+The optimiser is Adam with a cosine decay of the learning rate over the steps or the time, whichever ends first.
 """
 
 import math
@@ -21,37 +21,37 @@ from prt_bake.importance.targets import DIRECTIONS, QUERIES_PER_BLOCK, BlockTran
 
 STEPS = 1500
 BLOCKS = 16
-"""Of 256 queries, to learn from."""
+"""Blocks of 256 queries for training."""
 VALIDATION_BLOCKS = 1
 QUERIES_PER_STEP = 256
 STRIDE = 8
-"""Every eighth direction of a query in a step, other ones in each."""
+"""A step uses every eighth direction of a query, with a random offset."""
 LEARNING_RATE = 4e-3
 GATHERING_SHARE = 0.5
-"""Of the time: gathering stops there, with what it has."""
+"""Share of the time after which the evaluation of targets stops."""
 
 Progress = Callable[[float, str], None]
-"""progress(share done in [0, 1], a few words); a KeyboardInterrupt from it ends the fit with what is learnt."""
+"""progress(share done in [0, 1], message); a KeyboardInterrupt from it ends the fit early, without loss."""
 
 
-def _silent(share: float, words: str) -> None:
+def _silent(share: float, message: str) -> None:
     pass
 
 
 class Clock:
-    """How much of the time is used up, and whom to tell."""
+    """The time limit of a fit, and its progress callback."""
 
     def __init__(self, seconds: float = math.inf, progress: Progress = _silent) -> None:
         self.began, self.seconds, self.progress = time.monotonic(), seconds, progress
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the beginning."""
+        """Seconds since the start."""
         return time.monotonic() - self.began
 
     @property
     def used(self) -> float:
-        """The share of the time that is up."""
+        """The share of the time that has passed."""
         return self.elapsed / self.seconds if self.seconds > 0.0 else 1.0
 
 
@@ -68,43 +68,43 @@ def fit_importance(
     device: str = "cpu",
     threads: int | None = None,
 ) -> ImportanceModule:
-    """An importance module for `network` (anything with `evaluate_block`) on its mesh, ready to be saved.
+    """An importance module for `network` (any object with `evaluate_block`) on its mesh, ready to be saved.
 
-    It ends after `seconds`, or before, after STEPS; or after `steps` if they are given: then nothing depends on the
-    clock, and the same seed gives the same module bit by bit. Learns from `blocks` times 256 queries; what it reached
-    on 256 others stands in `.metadata["fit"]`: divergence and variance (`prt_bake.importance.loss.Fitness`) of uniform
-    directions, of the best single σ for the object and of the module. Raises ModelError if the network is black or not
-    finite on the mesh, QueryError if the mesh is not the network's own.
+    The fit ends after `seconds` or STEPS steps, whichever comes first. With `steps` it ends after these, independent of
+    the time, and the same seed gives the same module bit by bit. It trains on `blocks` times 256 queries and validates
+    on 256 others. `.metadata["fit"]` holds the divergence and variance (`prt_bake.importance.loss.Fitness`) of uniform
+    directions, of the best constant σ and of the module. Raises ModelError if the network is black or not finite on the
+    mesh, QueryError if the network was trained on another mesh.
     """
     refuse_foreign(network, mesh)
     clock = Clock(math.inf if steps else seconds, progress or _silent)
     bound = on_mesh(network, mesh)
     transport = bound.prepared(device=device) if hasattr(bound, "prepared") else bound
-    inner = torch.get_num_threads()
+    torch_threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        held, taught = gather(
+        validation, training = gather(
             transport, mesh, blocks, seed, threads=threads or os.cpu_count() or 1, clock=clock, device=device
         )
         low, high = np.asarray(mesh.bounds, np.float64)
         chosen = settings or ImportanceSettings(seed=seed)
         module = ImportanceModule(chosen, low, float((high - low).max())).to(device)
-        constant = best_constant(chosen, taught)
+        constant = best_constant(chosen, training)
         module.start_at(constant)
-        done = descend(module, taught, steps or STEPS, seed, clock)
+        done = descend(module, training, steps or STEPS, seed, clock)
         module.round_as_stored()
         module.metadata["fit"] = {
             "seed": seed,
-            "queries": len(taught),
+            "queries": len(training),
             "steps": done,
             "seconds": round(clock.elapsed, 1),
-            "uniform": asdict(uniform_fitness(held)),
+            "uniform": asdict(uniform_fitness(validation)),
             "constant sigma": constant,
-            "constant": asdict(assess_constant(constant, chosen.shape, chosen.uniform_share, held)),
-            "module": asdict(assess(module, held)),
+            "constant": asdict(assess_constant(constant, chosen.shape, chosen.uniform_share, validation)),
+            "module": asdict(assess(module, validation)),
         }
     finally:
-        torch.set_num_threads(inner)
+        torch.set_num_threads(torch_threads)
     return module.cpu().eval()
 
 
@@ -118,29 +118,29 @@ def gather(
     clock: Clock | None = None,
     device: str = "cpu",
 ) -> tuple[TargetTensors, TargetTensors]:
-    """Targets held back (a block), and targets to learn from: `blocks` of 256 queries, fewer if half the time is up."""
+    """Targets for validation (a block) and for training: `blocks` of 256 queries, fewer if half the time has passed."""
     timer = clock or Clock()
 
     def follow(done: int) -> bool:
         timer.progress(0.3 * done / (blocks + 1), f"{done * QUERIES_PER_BLOCK:,} queries of {DIRECTIONS} directions")
         return timer.used < GATHERING_SHARE
 
-    held = gather_targets(transport, mesh, range(VALIDATION_BLOCKS), seed)
+    validation = gather_targets(transport, mesh, range(VALIDATION_BLOCKS), seed)
     numbers = range(VALIDATION_BLOCKS, VALIDATION_BLOCKS + blocks)
-    taught = gather_targets(transport, mesh, numbers, seed, threads=threads, follow=follow)
-    return TargetTensors.of(held, device), TargetTensors.of(taught, device)
+    training = gather_targets(transport, mesh, numbers, seed, threads=threads, follow=follow)
+    return TargetTensors.of(validation, device), TargetTensors.of(training, device)
 
 
 def descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed: int, clock: Clock | None = None) -> int:
-    """Lowers the divergence by at most `steps` steps, or until the clock's time is up; returns how many were taken."""
+    """Minimises the divergence in at most `steps` steps, or until the time is up; returns the number of steps taken."""
     clock = clock or Clock()
     random = np.random.default_rng([seed, 0x1B2])
     optimiser = torch.optim.Adam(module.parameters(), lr=LEARNING_RATE)
-    began = min(clock.used, 1.0)
-    shown, step = 0.0, 0
+    start = min(clock.used, 1.0)
+    average, step = 0.0, 0
     try:
         for step in range(1, steps + 1):
-            share = max((step - 1) / steps, (clock.used - began) / max(1.0 - began, 1e-9) if began < 1.0 else 1.0)
+            share = max((step - 1) / steps, (clock.used - start) / max(1.0 - start, 1e-9) if start < 1.0 else 1.0)
             if share >= 1.0:
                 return step - 1
             optimiser.param_groups[0]["lr"] = LEARNING_RATE * 0.5 * (1.0 + math.cos(math.pi * share))
@@ -152,18 +152,19 @@ def descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed: 
             optimiser.zero_grad()
             torch.autograd.backward(loss)
             optimiser.step()
-            shown = float(loss.detach()) if step == 1 else 0.95 * shown + 0.05 * float(loss.detach())
-            clock.progress(0.3 + 0.7 * share, f"step {step}, KL divergence {shown:.4f}")
+            value = float(loss.detach())
+            average = value if step == 1 else 0.95 * average + 0.05 * value
+            clock.progress(0.3 + 0.7 * share, f"step {step}, KL divergence {average:.4f}")
     except KeyboardInterrupt:
         return step
     return step
 
 
 def best_constant(settings: ImportanceSettings, targets: TargetTensors) -> float:
-    """The σ of one lobe about the normal that suits the whole object best, by the first block of its targets."""
-    few = targets.first(QUERIES_PER_BLOCK)
+    """The σ of one lobe about the normal for the whole object with the lowest divergence on the first block."""
+    block = targets.first(QUERIES_PER_BLOCK)
     fits = {
-        float(sigma): assess_constant(float(sigma), settings.shape, settings.uniform_share, few).divergence
+        float(sigma): assess_constant(float(sigma), settings.shape, settings.uniform_share, block).divergence
         for sigma in np.geomspace(0.1, 4.0, 24).round(3)
     }
     return min(fits, key=lambda sigma: fits[sigma])

@@ -1,6 +1,6 @@
-"""How far lobes are from what they should draw towards: KL divergence and variance, in torch, differentiable.
+"""KL divergence and variance of lobes with respect to their targets, in torch, differentiable.
 
-The density is that of `prt_bake.mathematics.lobe`, wraps and uniform share included, in float32.
+The density is that of `prt_bake.mathematics.lobe` in float32, with wraps and uniform share.
 """
 
 import math
@@ -15,15 +15,15 @@ from prt_bake.importance.targets import Targets
 from prt_bake.mathematics import lobe
 
 TAIL = 1e-7
-"""The share of a lobe in wraps that are left out: float32 does not see it."""
+"""The share of a lobe in wraps that are left out, below float32's rounding."""
 _NEAR_AXIS = 1.0 - 1e-6
-"""Cosines are kept off ±1, where the arc cosine has no derivative."""
-ROWS_AT_ONCE = 256
+"""Cosines are clamped to this, because the arc cosine has no derivative at ±1."""
+ROWS_PER_BATCH = 256
 
 
 @dataclass(frozen=True)
 class TargetTensors:
-    """`Targets` on the device that learns."""
+    """`Targets` on the device of the fit."""
 
     positions: Tensor
     outgoing: Tensor
@@ -44,7 +44,7 @@ class TargetTensors:
         )
 
     def first(self, count: int) -> "TargetTensors":
-        """The first `count` queries alone."""
+        """The first `count` queries."""
         rows = {name: tensor if name == "directions" else tensor[:count] for name, tensor in vars(self).items()}
         return TargetTensors(**rows)
 
@@ -54,25 +54,25 @@ class TargetTensors:
 
 @dataclass(frozen=True)
 class Fitness:
-    """Means over queries: KL divergence [nats], and relative variance of one sample under a uniform sky."""
+    """Means over queries: KL divergence [nats], and relative variance of one sample under a uniform environment."""
 
     divergence: float
     variance: float
 
 
 def density(module: ImportanceModule, targets: TargetTensors, rows: Tensor, bins: slice = slice(None)) -> Tensor:
-    """The module's density per steradian [n,D] at the directions (a slice of them) of the queries `rows`."""
+    """The module's density per steradian [n,D] at the directions `bins` of the queries `rows`."""
     sigma, tilts, weights = module(targets.positions[rows], targets.outgoing[rows])
     axes = torch.nn.functional.normalize(targets.normals[rows, None, :] + tilts, dim=2)
     cosines = targets.directions[targets.turn[rows], bins] @ axes.transpose(1, 2)
     settings = module.settings
     lobes = (weights[:, None, :] * wrapped(sigma[:, None, :], settings.shape, cosines)).sum(dim=2)
-    together: Tensor = (1.0 - settings.uniform_share) * lobes + settings.uniform_share / (4.0 * math.pi)
-    return together
+    total: Tensor = (1.0 - settings.uniform_share) * lobes + settings.uniform_share / (4.0 * math.pi)
+    return total
 
 
 def wrapped(sigma: Tensor, shape: float, cosines: Tensor) -> Tensor:
-    """`prt_bake.mathematics.lobe` without its uniform share: density per steradian, shapes broadcast."""
+    """Density per steradian of `prt_bake.mathematics.lobe` without its uniform share; arguments broadcast."""
     c = cosines.clamp(-_NEAR_AXIS, _NEAR_AXIS)
     theta, sine = torch.arccos(c), torch.sqrt((1.0 - c) * (1.0 + c))
     width = sigma * lobe.width_per_sigma(shape)
@@ -86,32 +86,32 @@ def wrapped(sigma: Tensor, shape: float, cosines: Tensor) -> Tensor:
 
 
 def divergence(share: Tensor, pdf: Tensor) -> Tensor:
-    """KL divergence [n] in nats of `pdf` [n,D] per steradian from the shares [n,D] of D bins of 4π/D steradians."""
+    """KL divergence [n] in nats from the shares [n,D] of D bins of 4π/D sr to `pdf` [n,D] per steradian."""
     expected = pdf * (4.0 * math.pi / share.shape[1])
     return torch.xlogy(share, share).sum(dim=1) - (share * torch.log(expected)).sum(dim=1)
 
 
 def variance(share: Tensor, pdf: Tensor) -> Tensor:
-    """Relative variance [n] of f/pdf under a uniform sky, where f has the shares [n,D]."""
+    """Relative variance [n] of f/pdf under a uniform environment, for f with the shares [n,D]."""
     expected = pdf * (4.0 * math.pi / share.shape[1])
     return (share * share / expected).sum(dim=1) - 1.0
 
 
 def assess(module: ImportanceModule, targets: TargetTensors) -> Fitness:
-    """Divergence and variance, means over all targets."""
+    """The module's divergence and variance, means over all targets."""
     sums = torch.zeros(2, dtype=torch.float64)
     with torch.inference_mode():
-        for rows in torch.split(torch.arange(len(targets), device=targets.turn.device), ROWS_AT_ONCE):
+        for rows in torch.split(torch.arange(len(targets), device=targets.turn.device), ROWS_PER_BATCH):
             share, pdf = targets.share[rows], density(module, targets, rows)
             sums += torch.stack([divergence(share, pdf).sum(), variance(share, pdf).sum()]).double().cpu()
     return Fitness(*(sums / len(targets)).tolist())
 
 
 def assess_constant(sigma: float, shape: float, share: float, targets: TargetTensors) -> Fitness:
-    """The same of one lobe about the normal, with one σ for the whole object."""
+    """As `assess`, for one lobe about the normal with one σ for the object."""
     sums = torch.zeros(2, dtype=torch.float64)
     with torch.inference_mode():
-        for rows in torch.split(torch.arange(len(targets), device=targets.turn.device), ROWS_AT_ONCE):
+        for rows in torch.split(torch.arange(len(targets), device=targets.turn.device), ROWS_PER_BATCH):
             cosines = (targets.directions[targets.turn[rows]] @ targets.normals[rows, :, None])[..., 0]
             width = torch.full_like(cosines[:, :1], sigma)
             pdf = (1.0 - share) * wrapped(width, shape, cosines) + share / (4.0 * math.pi)
@@ -121,6 +121,6 @@ def assess_constant(sigma: float, shape: float, share: float, targets: TargetTen
 
 
 def uniform_fitness(targets: TargetTensors) -> Fitness:
-    """The same of directions drawn uniformly."""
+    """As `assess`, for uniform directions."""
     pdf = torch.full((1, 1), 1.0 / (4.0 * math.pi), device=targets.share.device)
     return Fitness(float(divergence(targets.share, pdf).mean()), float(variance(targets.share, pdf).mean()))

@@ -1,8 +1,8 @@
-"""The importance module: from (x, ωo) to the lobe that directions of incidence are drawn from.
+"""The importance module: from (x, ωo) to the lobe from which incident directions are drawn.
 
-Fourier features of its own → 512, 128, 32 ReLU → for each lobe the logarithm of σ, and where the settings say so a
-tilt of its axis away from the normal and a weight. It belongs to one model file: it lies beside NAME.pt as
-NAME.importance.pt and holds that file's hash.
+Separate Fourier features → 512, 128, 32 ReLU → for each lobe the logarithm of σ and, depending on the settings, a tilt
+of its axis away from the normal and a weight. A module belongs to one model file: it is stored beside NAME.pt as
+NAME.importance.pt, with the hash of that file.
 """
 
 import json
@@ -19,7 +19,8 @@ from formats.atomic import existing, sha256
 from formats.errors import ModelError
 from prt_bake.importance.settings import IMPORTANCE_PRESETS, ImportanceSettings
 from prt_bake.mathematics.lobe import Lobe
-from prt_bake.network.checkpoint import read_checkpoint, refuse_unsound, write_checkpoint
+from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
+from prt_bake.network.features.fourier import encode_directions, fourier_features
 
 __all__ = [
     "IMPORTANCE_PRESETS",
@@ -34,13 +35,13 @@ __all__ = [
 FORMAT = "prtbake importance"
 FORMAT_VERSION = 1
 SIGMA_RANGE = (0.05, 2.0 * np.pi)
-"""Radians: narrower lobes than the bins of the fit (32×64 over the sphere) would be noise; wider ones are uniform."""
-FIRST_SIGMA = 0.85
-ROWS_AT_ONCE = 16384
+"""Radians: lobes narrower than the bins of the fit (32×64 over the sphere) would fit noise; wider ones are uniform."""
+INITIAL_SIGMA = 0.85
+ROWS_PER_BATCH = 16384
 
 
 class ImportanceModule(nn.Module):
-    """σ, and the lobe it stands for, of every query on one object."""
+    """Predicts σ, and the lobe of incident directions, for queries on one object."""
 
     frequencies: Tensor
     box_min: Tensor
@@ -52,10 +53,10 @@ class ImportanceModule(nn.Module):
         box_side: float = 1.0,
         metadata: dict[str, Any] | None = None,
     ) -> None:
-        """A fresh module that gives every query the same lobe about its normal, σ = 0.85.
+        """A new module that predicts the same lobe about the normal for every query, σ = 0.85.
 
-        box_min [3] and box_side (longest side) are the object's bounding box in scene units; metadata is plain JSON and
-        travels with the file. Raises ModelError if the box is not finite.
+        box_min [3] and box_side (longest side) are the object's bounding box in scene units. metadata is plain JSON and
+        is stored in the file. Raises ModelError if the box is not finite.
         """
         super().__init__()
         self.settings = settings or ImportanceSettings()
@@ -79,18 +80,18 @@ class ImportanceModule(nn.Module):
         self._initialise(generator)
 
     def start_at(self, sigma: float) -> None:
-        """Makes σ the same for every query of a module that has learnt nothing yet (of several lobes, their middle)."""
+        """Sets the initial σ of all queries before training; with several lobes, the σ of the middle one."""
         low, high = np.log(SIGMA_RANGE)
         part = np.clip((np.log(sigma) - low) / (high - low), 0.01, 0.99)
         lobes = self.settings.lobes
         with torch.no_grad():
             self.output.bias[:lobes] = float(np.log(part / (1.0 - part)))
             if lobes > 1:
-                # Equal lobes would get equal gradients for ever.
+                # Equal lobes would always get equal gradients.
                 self.output.bias[:lobes] += torch.linspace(-1.0, 1.0, lobes, device=self.output.bias.device)
 
     def round_as_stored(self) -> None:
-        """Rounds the weights to what a file holds, so that a module is the same before it is written and after."""
+        """Rounds the weights to those that a file stores, so that writing does not change the module."""
         with torch.no_grad():
             for weights in self.parameters():
                 weights.copy_(_as_stored(weights))
@@ -106,7 +107,7 @@ class ImportanceModule(nn.Module):
             if self.settings.lobes > 1:
                 others = self.output.bias[self.settings.lobes :]
                 others += 0.1 * torch.randn(len(others), generator=generator)
-        self.start_at(FIRST_SIGMA)
+        self.start_at(INITIAL_SIGMA)
 
     def forward(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """σ [N,L] in radians, tilts [N,L,3] (added to the unit normal) and weights [N,L]; differentiable."""
@@ -128,7 +129,7 @@ class ImportanceModule(nn.Module):
         return sigma[:, 0] if self.settings.lobes == 1 else sigma
 
     def lobe(self, positions: ArrayLike, outgoing: ArrayLike, normals: ArrayLike) -> Lobe:
-        """What N queries draw directions of incidence from; normals [N,3] are unit normals of the faces they lie on."""
+        """The lobes from which N queries draw incident directions; normals [N,3] are unit normals of their faces."""
         sigma, tilts, weights = self._evaluate(positions, outgoing)
         axes = np.asarray(normals, dtype=np.float64)[:, None, :] + tilts
         length = np.linalg.norm(axes, axis=2, keepdims=True)
@@ -138,44 +139,35 @@ class ImportanceModule(nn.Module):
         return Lobe(axes, sigma, weights, self.settings.shape, self.settings.uniform_share)
 
     def _evaluate(self, positions: ArrayLike, outgoing: ArrayLike) -> tuple[NDArray[np.float64], ...]:
-        # Copies: the arrays may be read-only, of which torch tensors know nothing.
+        # Copies: torch does not support read-only arrays.
         x, eye = (torch.from_numpy(np.array(rows, dtype=np.float64)) for rows in (positions, outgoing))
         at = self.frequencies.device
         parts: list[tuple[Tensor, ...]] = []
         with torch.inference_mode():
-            for first in range(0, max(1, len(x)), ROWS_AT_ONCE):
-                rows = slice(first, first + ROWS_AT_ONCE)
+            for first in range(0, max(1, len(x)), ROWS_PER_BATCH):
+                rows = slice(first, first + ROWS_PER_BATCH)
                 parts.append(self(x[rows].to(at), eye[rows].to(at)))
         return tuple(torch.cat(part).double().cpu().numpy() for part in zip(*parts, strict=True))
 
     def _features(self, positions: Tensor, outgoing: Tensor) -> Tensor:
-        """[cos 2πGu, sin 2πGu] in float32; the mean's share of the phase is reduced to a cycle in float64."""
-        x, d = (positions.double() - self.box_min) / self.box_side, outgoing.double()
-        if self.settings.directions == "spherical":
-            theta = torch.atan2(torch.linalg.vector_norm(d[:, :2], dim=1), d[:, 2])
-            phi = torch.atan2(d[:, 1], d[:, 0]) % (2.0 * torch.pi)
-            d = torch.stack((theta / torch.pi, phi / (2.0 * torch.pi)), dim=1)
-        u = torch.cat((x, d), dim=1)
-        mean = self.settings.feature_mean
-        common = (u.sum(dim=1, keepdim=True) * mean) % 1.0
-        deviation = (self.frequencies.double() - mean).float()
-        phase = (2.0 * torch.pi) * (common.float() + u.float() @ deviation.T)
-        return torch.cat((phase.cos(), phase.sin()), dim=1)
+        relative = (positions.double() - self.box_min) / self.box_side
+        u = torch.cat((relative, encode_directions(outgoing, self.settings.directions)), dim=1)
+        return fourier_features(u, self.frequencies, self.settings.feature_mean)
 
 
 def _as_stored(weights: Tensor) -> Tensor:
-    """Half the bytes: draw and density see the same rounded lobe, so nothing gets biased."""
+    """Float16 halves the file. Sampling and density use the same rounded lobe, so the estimate stays unbiased."""
     return weights.half().float()
 
 
 def importance_path(model_path: str | Path) -> Path:
-    """Where the importance module of a model lies: NAME.importance.pt beside NAME.pt (.safetensors alike)."""
+    """Path of a model's importance module: NAME.importance.pt beside NAME.pt, and the same for .safetensors."""
     path = Path(model_path)
     return path.with_name(f"{path.stem}.importance{path.suffix}")
 
 
 def save_importance(module: ImportanceModule, model_path: str | Path) -> None:
-    """Writes the module beside its model, weights in float16, with the hash of the model's file as it is now.
+    """Writes the module beside its model, weights in float16, with the current hash of the model's file.
 
     Raises StorageError if there is no model or the file cannot be written, ModelError on weights that are not finite.
     """
@@ -190,20 +182,21 @@ def save_importance(module: ImportanceModule, model_path: str | Path) -> None:
         "metadata": module.metadata,
     }
     tensors = {name: tensor.detach().half().cpu().contiguous() for name, tensor in module.state_dict().items()}
-    refuse_unsound(tensors, module.settings.tensor_shapes(), path)
+    check_tensors(tensors, module.settings.tensor_shapes(), path)
     write_checkpoint(path, json.dumps(head), tensors)
 
 
 def load_importance(model_path: str | Path, device: str = "cpu") -> ImportanceModule:
-    """The importance module of a model, found by the model's name and held against its hash.
+    """The importance module of a model, found by the model's name and checked against its hash.
 
-    Raises ModelError if there is none, if it belongs to another model or is damaged, with what to do about it;
+    Raises ModelError, with the command that helps, if there is none, if it belongs to another model or is damaged;
     StorageError if the model is missing.
     """
     path, model = importance_path(model_path), existing(model_path)
-    remedy = f"make it anew: prtbake importance {model_path} MESH"
+    command = f"prtbake importance {model_path} MESH"
+    remedy = f"fit it again: {command}"
     if not path.is_file():
-        raise ModelError(f"{path}: there is no importance module beside {model.name}; make one: {remedy[14:]}")
+        raise ModelError(f"{path}: there is no importance module beside {model.name}; fit one: {command}")
     try:
         module, owner = read_importance(path)
     except ModelError as fault:
@@ -211,15 +204,15 @@ def load_importance(model_path: str | Path, device: str = "cpu") -> ImportanceMo
     found = sha256(model)
     if owner != found:
         raise ModelError(
-            f"{path}: belongs to another model (SHA-256 {owner[:12]}…) than {model.name} ({found[:12]}…); {remedy}"
+            f"{path}: belongs to another model (SHA-256 {owner[:12]}…), not to {model.name} ({found[:12]}…); {remedy}"
         )
     return module.to(device).eval()
 
 
 def read_importance(path: str | Path) -> tuple[ImportanceModule, str]:
-    """The module that a file holds, and the SHA-256 of the model that it belongs to.
+    """The module in a file, and the SHA-256 of the model to which it belongs.
 
-    Nothing in the file is run. Raises ModelError naming the file and the tensor or key at fault.
+    The file cannot run code. Raises ModelError naming the file and the tensor or key at fault.
     """
     text, tensors = read_checkpoint(path)
     try:
@@ -231,8 +224,8 @@ def read_importance(path: str | Path) -> tuple[ImportanceModule, str]:
             )
         owner, metadata = str(head["model_sha256"]), dict(head["metadata"])
         settings = ImportanceSettings.from_json(head["settings"])
-        # Before anything of the size that the settings name is allocated.
-        refuse_unsound(tensors, settings.tensor_shapes(), path)
+        # Checked before tensors of the sizes in the settings are allocated.
+        check_tensors(tensors, settings.tensor_shapes(), path)
         module = ImportanceModule(settings, head["box_min"], head["box_side"], metadata)
     except ModelError as fault:
         raise fault if str(path) in str(fault) else ModelError(f"{path}: {fault}") from None

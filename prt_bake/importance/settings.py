@@ -1,6 +1,6 @@
-"""The numbers that define an importance module, and the two sets of them that are offered.
+"""The settings of an importance module, and its two presets.
 
-Source: the paper's sections on importance sampling and on network architecture: own Fourier features, three hidden
+Source: the paper's sections on importance sampling and on network architecture: separate Fourier features, three hidden
 layers of 512, 128 and 32 ReLU, one σ for a generalised Gaussian about the normal.
 """
 
@@ -11,13 +11,13 @@ from typing import Any, Literal
 from formats.errors import ModelError
 from prt_bake.mathematics.lobe import SHAPES
 
-LEAST_UNIFORM = 0.1
-"""f over density is at most f·4π over the uniform share: less would let it grow without need."""
+MIN_UNIFORM_SHARE = 0.1
+"""f/density is at most f·4π/uniform_share: a smaller share would only increase this bound."""
 
 
 @dataclass(frozen=True)
 class ImportanceSettings:
-    """What an importance module is built from; raises ModelError if the numbers make none."""
+    """The architecture of an importance module; raises ModelError on inconsistent values."""
 
     features: int = 256
     """Fourier frequencies; each gives a cosine and a sine."""
@@ -29,14 +29,14 @@ class ImportanceSettings:
     """Standard deviation of the frequencies that act on the position."""
     widths: tuple[int, ...] = (512, 128, 32)
     directions: Literal["spherical", "cartesian"] = "cartesian"
-    """The outgoing direction as (θ/π, φ/2π), or as the unit vector that it is."""
+    """The outgoing direction as (θ/π, φ/2π), or as a unit vector."""
     shape: float = 3.0
     """β of the lobes: 2 is the Gaussian."""
     uniform_share: float = 0.1
-    """Of all draws: those uniform over the sphere."""
+    """Share of the samples that are uniform over the sphere."""
     lobes: int = 1
     tilted: bool = True
-    """Whether a lobe has an axis of its own, or the normal."""
+    """Whether the module predicts the axis of a lobe; otherwise it is the normal."""
     seed: int = 0
     """Draws the frequencies and the initial weights."""
 
@@ -47,26 +47,28 @@ class ImportanceSettings:
                 f"found {self.features}, {self.widths}, {self.lobes}"
             )
         if self.directions not in ("spherical", "cartesian"):
-            raise ModelError(f"importance settings: directions: spherical or cartesian, found {self.directions!r}")
+            raise ModelError(
+                f"importance settings: directions must be spherical or cartesian, found {self.directions!r}"
+            )
         if not SHAPES[0] <= self.shape <= SHAPES[1]:
             raise ModelError(f"importance settings: shape must be {SHAPES[0]:g} to {SHAPES[1]:g}, found {self.shape}")
-        if not LEAST_UNIFORM <= self.uniform_share <= 1.0:
+        if not MIN_UNIFORM_SHARE <= self.uniform_share <= 1.0:
             raise ModelError(
-                f"importance settings: uniform_share must be {LEAST_UNIFORM} to 1, found {self.uniform_share}"
+                f"importance settings: uniform_share must be {MIN_UNIFORM_SHARE} to 1, found {self.uniform_share}"
             )
 
     @property
     def inputs(self) -> int:
-        """Numbers per query: a position and a direction."""
+        """Inputs per query: a position and a direction."""
         return 5 if self.directions == "spherical" else 6
 
     @property
     def outputs(self) -> int:
-        """Numbers per query that the last layer gives: a width a lobe, a tilt (3) and a weight where there are such."""
+        """Outputs of the last layer per query: for each lobe a width, a tilt (3) if tilted, and a weight if several."""
         return self.lobes * (1 + 3 * self.tilted + (self.lobes > 1))
 
     def tensor_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Name and shape of every tensor of such a module."""
+        """Name and shape of every tensor of a module with these settings."""
         shapes: dict[str, tuple[int, ...]] = {"frequencies": (self.features, self.inputs)}
         sizes = (2 * self.features, *self.widths, self.outputs)
         for number, (inputs, outputs) in enumerate(pairwise(sizes)):
@@ -75,12 +77,12 @@ class ImportanceSettings:
         return shapes
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values, as a checkpoint keeps them."""
+        """Plain values, as stored in a checkpoint."""
         return asdict(self)
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> "ImportanceSettings":
-        """The reverse of `as_json`; raises ModelError naming the key that is unknown or of the wrong kind."""
+        """The inverse of `as_json`; raises ModelError naming a key that is unknown or of the wrong type."""
         known = {field.name: field.default for field in fields(ImportanceSettings)}
         resolved: dict[str, Any] = {}
         for name, value in values.items():
@@ -111,4 +113,4 @@ IMPORTANCE_PRESETS: dict[str, ImportanceSettings] = {
     ),
     "measured": ImportanceSettings(),
 }
-"""`paper`: as published. `measured`: less variance for the same training (tests/bench/importance.py)."""
+"""`paper`: as published. `measured`: lower variance after the same training (tests/bench/importance.py)."""

@@ -1,8 +1,8 @@
-"""What an importance module is fitted to: a network's values on 32×64 directions of equal solid angle, query by query.
+"""Targets of the importance fit: a network's values on 32×64 directions of equal solid angle per query.
 
-Positions are uniform over the mesh's surface, outgoing directions uniform over the hemisphere about the normal of the
-face. The directions of incidence are a grid of 32 rings by 64 sectors, equal in (cosθ, φ), turned at random: eight
-turns serve a block of queries, so that the network's fused kernel finds its tables again.
+Positions are uniform over the mesh's surface, outgoing directions uniform over the hemisphere about the face normal.
+The incident directions are a grid of 32 rings by 64 sectors, equal in (cosθ, φ), rotated at random. A block of queries
+shares eight rotations, so that the network's fused evaluation can cache its tables.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,14 +23,14 @@ DIRECTIONS = RINGS * SECTORS
 QUERIES_PER_BLOCK = 256
 TURNS = 8
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear Rec.709 RGB."""
+"""Weights of linear Rec.709 RGB."""
 _QUERY_STREAM, _TURN_STREAM = 0x1B0, 0x1B1
 
 Array = NDArray[np.float64]
 
 
 class BlockTransport(Protocol):
-    """What gives the values: a network's fused kernel, or anything with the same call."""
+    """Evaluates the targets: a frozen network, or any object with this method."""
 
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
@@ -40,10 +40,13 @@ class BlockTransport(Protocol):
 
 @dataclass(frozen=True)
 class Targets:
-    """N queries on the surface, and how the transport's luminance is distributed over directions of incidence.
+    """N queries on the surface, and the distribution of the transport's luminance over incident directions.
 
-    positions, outgoing, normals [N,3]; directions [R,D,3], of which query n has number turn[n]; share float32 [N,D] is
-    what part of the luminance each of its directions (4π/D sr) brings, negative values taken as 0; every row sums to 1.
+    Attributes:
+        positions, outgoing, normals: [N,3].
+        turn: [N], the set of directions that a query uses.
+        directions: [R,D,3].
+        share: float32 [N,D], each direction's share of the luminance, negative values taken as 0; rows sum to 1.
     """
 
     positions: Array
@@ -66,23 +69,23 @@ def gather_targets(
     threads: int = 1,
     follow: Callable[[int], bool] = lambda done: True,
 ) -> Targets:
-    """The targets of numbered blocks of 256 queries; what a block holds depends on the seed and its number alone.
+    """The targets of numbered blocks of 256 queries; a block depends only on its number and the seed.
 
-    `follow` is told how many blocks are done, in their order, and says whether to go on. Raises ModelError if the
-    transport gives values that are not finite, or is black at every query.
+    `follow` receives the number of finished blocks and returns whether to continue. Raises ModelError if the transport
+    has values that are not finite, or is black at every query.
     """
-    found: list[Targets] = []
+    finished: list[Targets] = []
     numbers = list(blocks)
     with ThreadPoolExecutor(threads) as pool:
         for first in range(0, len(numbers), threads):
-            found += pool.map(lambda block: _block(transport, mesh, block, seed), numbers[first : first + threads])
-            if not follow(len(found)):
+            finished += pool.map(lambda block: _block(transport, mesh, block, seed), numbers[first : first + threads])
+            if not follow(len(finished)):
                 break
-    targets = _joined(found)
+    targets = _concatenated(finished)
     if len(targets) == 0:
         raise ModelError(
-            "importance: the network is black (nowhere above 0) at every query on this mesh: there is nothing to draw "
-            "towards; is it the mesh that the network was trained on?"
+            "importance: the network is black (never above 0) at every query on this mesh; there is nothing to sample. "
+            "Is it the mesh on which the network was trained?"
         )
     return targets
 
@@ -119,22 +122,22 @@ def _block(transport: BlockTransport, mesh: Mesh, block: int, seed: int) -> Targ
     sums = luminance.sum(axis=1)
     if not np.isfinite(sums).all():
         raise ModelError(
-            f"importance: the network gives values that are not finite at {int((~np.isfinite(sums)).sum())} of "
-            f"{len(sums)} queries, the first at {positions[~np.isfinite(sums)][0].tolist()}; train it anew"
+            f"importance: the network has values that are not finite at {int((~np.isfinite(sums)).sum())} of "
+            f"{len(sums)} queries, the first at {positions[~np.isfinite(sums)][0].tolist()}; train it again"
         )
-    lit = sums > 0.0
-    share = luminance[lit] / sums[lit, None]
+    positive = sums > 0.0
+    share = luminance[positive] / sums[positive, None]
     return Targets(
-        positions[lit],
-        outgoing[lit],
-        normals[lit],
-        turn[lit],
+        positions[positive],
+        outgoing[positive],
+        normals[positive],
+        turn[positive],
         directions.astype(np.float32),
         share.astype(np.float32),
     )
 
 
-def _joined(blocks: list[Targets]) -> Targets:
+def _concatenated(blocks: list[Targets]) -> Targets:
     parts: dict[str, Any] = {
         name: np.concatenate([getattr(block, name) for block in blocks])
         for name in ("positions", "outgoing", "normals", "directions", "share")

@@ -83,12 +83,12 @@ def find_remarks(path: str | Path) -> list[str]:
     if kind_of(path) != "scene":
         return []
     from formats.scene import read_scene
-    from prt_bake.geometry.nesting import sticking_out
+    from prt_bake.geometry.nesting import protruding_parts
     from prt_bake.trainer.scene_remarks import training_warning
 
     scene = read_scene(path)
     parts, hard = scene.parts, training_warning(scene)
-    every = (*sticking_out(parts), *_beside(parts), *_losing(parts), *([hard] if hard else []))
+    every = (*protruding_parts(parts), *_beside(parts), *_losing(parts), *([hard] if hard else []))
     return [f"{path}: {sentence}" for sentence in every]
 
 
@@ -298,7 +298,7 @@ def _describe_compaction(coefficients: Any) -> dict[str, Any]:
         "compact: components": len(coefficients.view_component),
         "compact: codes a vertex": len(coefficients.values) / len(coefficients),
         "compact: added relative RMSE": added.total,
-        "compact: asked for": added.asked,
+        "compact: asked for": added.requested,
         "compact: 95th percentile over vertices": added.percentile_95,
         "compact: worst vertex": added.worst,
     }

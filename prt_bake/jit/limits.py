@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from bakers.transport import way_in
+from bakers.transport import transport_kind
 
 
 @contextmanager
@@ -14,7 +14,7 @@ def limited_threads(transport: Any, workers: int) -> Iterator[None]:
     loaded at all: more of them get in one another's way.
     """
     with ExitStack() as before:
-        if way_in(transport) == "coefficients":
+        if transport_kind(transport) == "coefficients":
             import numba
 
             settings: Any = numba.config

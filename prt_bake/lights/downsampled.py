@@ -15,7 +15,7 @@ from bakers.in_order import in_order
 from formats.image.rows import ImageRows, rows_of
 from prt_bake.lights import environment, sky_fourier, sky_strips, sky_sums
 from prt_bake.mathematics import sh
-from prt_bake.mathematics.box_filter import line_means, zone
+from prt_bake.mathematics.box_filter import box_filter, zone
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class _Copy:
 
     def __init__(self, rows: ImageRows, height: int, width: int, degree: int) -> None:
         self._degree = degree
-        self._down, self._across = line_means(rows.height, height, zone), line_means(rows.width, width, np.subtract)
+        self._down, self._across = box_filter(rows.height, height, zone), box_filter(rows.width, width, np.subtract)
         self._sums = np.zeros((3, rows.width + self._across.shares.shape[1]))
         self._azimuth = sky_fourier.azimuth_integrals(rows.width, degree)
         self._in_strips = sky_strips.fits(rows.width)

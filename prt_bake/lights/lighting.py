@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import LightError, QueryError, refuse_path
 from formats.image import READABLE
 from formats.mesh import Mesh
-from formats.scene.file import named_by
+from formats.scene.file import errors_at
 from formats.scene.lights import (
-    SPHERE,
-    SUN,
+    SPHERE_SYNTAX,
+    SUN_SYNTAX,
     DirectionalLight,
     SkyLight,
     SphereLight,
@@ -129,14 +129,14 @@ def read_lighting(
         elif Path(light).suffix.lower() == ".toml":
             for one in read_lights(light):
                 if isinstance(one, SkyLight):
-                    with named_by(Path(light), "sky.file"):
+                    with errors_at(Path(light), "sky.file"):
                         skies.append(_read_sky(one, up, mend, say, most_rows, degree))
                 else:
                     add(one, str(light))
         elif Path(light).suffix.lower() not in READABLE:
             raise LightError(
-                f"{light}: is no light; expected a lat-long sky (.exr, .hdr or .png), a lights file (.toml), {SUN} or "
-                f"{SPHERE}"
+                f"{light}: is no light; expected a lat-long sky (.exr, .hdr or .png), a lights file (.toml), "
+                f"{SUN_SYNTAX} or {SPHERE_SYNTAX}"
             )
         else:
             skies.append(_read_sky(SkyLight(Path(light), 0.0, 0.0, (1.0, 1.0, 1.0)), up, mend, say, most_rows, degree))

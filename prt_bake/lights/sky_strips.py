@@ -12,7 +12,7 @@ from prt_bake.jit.compilation import compiled
 from prt_bake.jit.strip_vectors import STEP, STRIDE, short_sums, strip_sums, strip_sums_added, strip_sums_set
 from prt_bake.jit.vectors import as_double
 from prt_bake.lights.sky_sums import Planes
-from prt_bake.mathematics.box_filter import LineMeans
+from prt_bake.mathematics.box_filter import BoxFilter
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ class Copy(NamedTuple):
     azimuth: the copy's waves; half: columns of half a copy, up to a multiple of `STEP`, or 0 where none are wanted.
     """
 
-    across: LineMeans
+    across: BoxFilter
     azimuth: StripWaves
     half: int
 
@@ -65,7 +65,7 @@ def strip_waves(width: int, degree: int) -> StripWaves:
     return StripWaves(waves.ravel(), np.stack([np.cos(starts), np.sin(starts)], axis=2), column)
 
 
-def copy_of(across: LineMeans, degree: int) -> Copy:
+def copy_of(across: BoxFilter, degree: int) -> Copy:
     """What a copy takes whose columns are means `across`."""
     width = len(across.begins)
     half = -(-width // (2 * STEP)) * STEP if width % 2 == 0 else 0
@@ -108,7 +108,7 @@ def waves_and_means(
     """
     waves = np.zeros((planes.rows, 3, 2 * degree + 1))
     across, half = copy.across, planes.width // 2
-    total = np.zeros((3, planes.width + across.shares.shape[1]))
+    total = np.zeros((3, planes.width + across.weights.shape[1]))
     line, middle, there = np.zeros((3, _line_length(copy)), np.float32), _opposite(across, planes.width), 0
     for n in range(len(image)):
         if tops[n] > there:
@@ -151,7 +151,7 @@ def shrink_line(
 
 
 @compiled(nogil=True)
-def _opposite(across: LineMeans, width: int) -> int:
+def _opposite(across: BoxFilter, width: int) -> int:
     """The first of the copy's columns in the picture's second half: that of the copy's own, where its width is even."""
     return int(np.searchsorted(across.begins, width // 2))
 
@@ -220,11 +220,11 @@ def _add(
 
 
 @compiled(nogil=True)
-def _ready(across: LineMeans, first: int, end: int, columns: int) -> int:
+def _ready(across: BoxFilter, first: int, end: int, columns: int) -> int:
     """Up to which mean of those from `first` to before `end` all terms lie before `columns`, in steps of 4 from
     `first`: `short_sums` takes as many at a time.
     """
-    last = columns - across.shares.shape[1]
+    last = columns - across.weights.shape[1]
     return first + int(np.searchsorted(across.begins[first:end], last, "right")) // 4 * 4
 
 
@@ -236,7 +236,7 @@ def _shrink(
     later, line [3, w or more]; returns `end`.
     """
     shift = shift if copy.half > 0 else 0
-    begins, shares, length = copy.across.begins, copy.across.shares, line.shape[1]
+    begins, shares, length = copy.across.begins, copy.across.weights, line.shape[1]
     short_sums(total, total.shape[1], begins, shares, shares.shape[1], first, end - first, image, line, length, shift)
     return end
 
@@ -248,7 +248,7 @@ def _finish(
     """As `_shrink`, of as many as there are: those that are left one by one."""
     shift = shift if copy.half > 0 else 0
     first = _shrink(total, copy, first, first + (end - first) // 4 * 4, image, line, shift)
-    begins, shares = copy.across.begins, copy.across.shares
+    begins, shares = copy.across.begins, copy.across.weights
     for j in range(first, end):
         for channel in range(3):
             mean = 0.0

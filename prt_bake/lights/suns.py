@@ -22,7 +22,7 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.lights import environment
 from prt_bake.lights.bright_sources import Region, small_regions
 from prt_bake.lights.lighting import Lighting, Sky
-from prt_bake.mathematics.box_filter import LineMeans, line_means, zone
+from prt_bake.mathematics.box_filter import BoxFilter, box_filter, zone
 
 Array = NDArray[np.float64]
 
@@ -92,12 +92,12 @@ class _Grid:
 def _grid_of(image: NDArray[np.float32]) -> _Grid:
     height, width = image.shape[:2]
     rows, columns = min(height, _CELLS[0]), min(width, _CELLS[1])
-    across = line_means(width, columns, np.subtract)
+    across = box_filter(width, columns, np.subtract)
     # Beyond the end of a cell a column that is there is read, and counts 0.
-    places = np.minimum(across.begins[:, None] + np.arange(across.shares.shape[1]), width - 1)
+    places = np.minimum(across.begins[:, None] + np.arange(across.weights.shape[1]), width - 1)
     grey = np.empty((rows, columns))
-    for row, line in enumerate(_lines(image, line_means(height, rows, zone))):
-        grey[row] = (line[places] * across.shares).sum(axis=1)
+    for row, line in enumerate(_lines(image, box_filter(height, rows, zone))):
+        grey[row] = (line[places] * across.weights).sum(axis=1)
     direction, solid_angle = _cell_directions(np.arange(rows), np.arange(columns), (rows, columns))
     return _Grid(
         grey,
@@ -108,7 +108,7 @@ def _grid_of(image: NDArray[np.float32]) -> _Grid:
     )
 
 
-def _lines(image: NDArray[np.float32], down: LineMeans) -> Iterator[Array]:
+def _lines(image: NDArray[np.float32], down: BoxFilter) -> Iterator[Array]:
     """For each coarse row of `down`, the mean of an image [H,W,3] over it and over channels [W]."""
     width = image.shape[1]
     # Rows are widened while they stay in the processor's cache, and summed before channels are: along memory.

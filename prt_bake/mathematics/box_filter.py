@@ -1,4 +1,4 @@
-"""Means over the parts of a line cut finely and coarsely: the rows or columns of a picture and of a smaller one."""
+"""Box filter along one axis: weights with which the rows or columns of an image average to those of a smaller one."""
 
 import math
 from collections.abc import Callable
@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class LineMeans(NamedTuple):
-    """The fine parts of a line that each of its coarse ones meets, from begins to ends [coarse], and their shares in
-    its mean [coarse, most of them up to a multiple of 4], 0 beyond the end.
+class BoxFilter(NamedTuple):
+    """Source cells begins … ends [coarse] of each target cell, and their weights [coarse, n].
+
+    n is the largest number of source cells, rounded up to a multiple of 4; weights beyond the end are 0.
     """
 
     begins: NDArray[np.int64]
     ends: NDArray[np.int64]
-    shares: Array
+    weights: Array
 
 
-def line_means(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> LineMeans:
-    """Shares of `fine` equal parts of a line in the mean over each of `coarse` parts, by the measure of what they have
-    in common.
+def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> BoxFilter:
+    """Weights of `fine` equal cells of the unit interval in the means over `coarse` equal cells.
 
-    measure: of stretches between ends [S] and beginnings [S], as parts of the line.
+    measure: of intervals with ends [S] and beginnings [S] in [0, 1]; weights are proportional to that of the overlap.
     """
     cuts = np.union1d(np.arange(fine + 1) * coarse, np.arange(coarse + 1) * fine)  # in parts of fine · coarse, exact
     begins, ends = cuts[:-1], cuts[1:]
@@ -33,11 +33,11 @@ def line_means(fine: int, coarse: int, measure: Callable[[Array, Array], Array])
     size /= np.bincount(within, size)[within]
     count = np.bincount(within)
     first = part[np.cumsum(count) - count]
-    shares = np.zeros((coarse, -(-int(count.max()) // 4) * 4))
-    shares[within, part - first[within]] = size
-    return LineMeans(first, first + count, shares)
+    weights = np.zeros((coarse, -(-int(count.max()) // 4) * 4))
+    weights[within, part - first[within]] = size
+    return BoxFilter(first, first + count, weights)
 
 
 def zone(end: Array, begin: Array) -> Array:
-    """Solid angle, up to a factor, between two parts of the way from pole to pole."""
+    """Solid angle, up to a factor, between two latitudes in [0, 1] from pole to pole."""
     return np.asarray(np.sin(math.pi * 0.5 * (begin + end)) * np.sin(math.pi * 0.5 * (end - begin)))

@@ -1,8 +1,8 @@
-"""Random numbers inside the walk: a counter hashed with a key, nothing shared between paths.
+"""Counter-based random numbers for the path tracer's kernels.
 
-A stream belongs to one (seed, query, path). Its n-th number is mix(start + n·step) with `start` and the odd `step`
-hashed from the key, so that results depend neither on threads nor on chunks nor on a restart. The finaliser is the
-one of SplitMix64 (Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators").
+Every (seed, query, path) has its own stream, so that results depend neither on threads nor on chunks. The n-th number
+is mix(start + n·step), with `start` and the odd `step` hashed from the key. `mix` is the finaliser of SplitMix64
+(Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators").
 """
 
 from typing import Any
@@ -29,7 +29,7 @@ def mix(z: Any) -> Any:
 
 @called_function()
 def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
-    """Set `stream` (uint64 [2]: counter, step) to the beginning of the stream of (seed, query, path)."""
+    """Initialise `stream` (uint64 [2]: counter, step) for (seed, query, path)."""
     key = mix(np.uint64(seed) + _GOLDEN)
     key = mix(key + (np.uint64(query) + _ONE) * _GOLDEN)
     key = mix(key ^ (np.uint64(path) * _SECOND + _FIRST))
@@ -39,6 +39,6 @@ def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
 
 @walk_function()
 def uniform(stream: Any) -> Any:
-    """The next number of the stream, uniform in [0, 1), with 53 random bits."""
+    """Next number of the stream, uniform in [0, 1), with 53 random bits."""
     stream[0] += stream[1]
     return np.float64(mix(stream[0]) >> _S11) * _TO_UNIT

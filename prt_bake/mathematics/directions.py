@@ -1,8 +1,7 @@
-"""Sets of directions over the whole sphere, and rotations to turn them by; every number is keyed by the seed alone.
+"""Sets of directions over the sphere, and random rotations. All depend on the seed alone.
 
-Each set of D directions, taken with equal weights 4π/D, integrates a function over the sphere: the uniform one and
-the scrambled Sobol one without bias as they are, the Fibonacci lattice when it is turned by a rotation that is
-uniform on SO(3).
+With equal weights 4π/D a set of D directions estimates integrals over the sphere. Uniform and scrambled Sobol sets are
+unbiased. The Fibonacci and rank-1 lattices are unbiased after a rotation that is uniform on SO(3).
 """
 
 import math
@@ -13,14 +12,19 @@ from numpy.typing import NDArray
 from formats.errors import QueryError
 from prt_bake.mathematics.random import hashed, uniforms
 
-# One stream of random numbers for each use, so that equal seeds do not tie the uses together.
+# Separate streams of random numbers keep sets with equal seeds independent.
 UNIFORM_STREAM, SOBOL_STREAM, ROTATION_STREAM = 1, 2, 3
 SOBOL_BITS = 32
 LATTICE_GENERATOR, LARGEST_LATTICE = 741, 1 << 14
 
 
 def uniform(count: int, seed: int) -> NDArray[np.float64]:
-    """`count` independent unit directions [D, 3], uniform over the sphere. Raises QueryError if `count` is below 1."""
+    """`count` independent unit directions [D, 3], uniform over the sphere. Raises QueryError if `count` is below 1.
+
+    >>> from prt_bake import sphere
+    >>> sphere.uniform(2, seed=1).shape
+    (2, 3)
+    """
     _require_some(count)
     numbers = uniforms((UNIFORM_STREAM, seed, np.arange(count)), 2)
     return on_sphere(numbers[:, 0], numbers[:, 1])
@@ -47,8 +51,12 @@ def sobol(count: int, seed: int) -> NDArray[np.float64]:
 def fibonacci(count: int) -> NDArray[np.float64]:
     """The Fibonacci lattice of `count` unit directions [D, 3]: z_i = 1 − (2i + 1)/D, φ_i = 2π i/Φ, Φ the golden ratio.
 
-    Fixed: turn it by `random_rotations` for an unbiased estimate. Source: Marques et al., "Spherical Fibonacci point
-    sets for illumination integrals", Computer Graphics Forum 32 (2013). Raises QueryError if `count` is below 1.
+    Deterministic: rotate it by `random_rotations` for unbiased estimates. Source: Marques et al., "Spherical Fibonacci
+    point sets for illumination integrals", Computer Graphics Forum 32 (2013). Raises QueryError if `count` is below 1.
+
+    >>> from prt_bake import sphere
+    >>> sphere.fibonacci(4)[:, 2].tolist()
+    [0.75, 0.25, -0.25, -0.75]
     """
     _require_some(count)
     index = np.arange(count)
@@ -57,39 +65,42 @@ def fibonacci(count: int) -> NDArray[np.float64]:
 
 
 def extensible_lattice(count: int) -> NDArray[np.float64]:
-    """The first `count` points of a rank-1 lattice sequence as unit directions [D, 3]: for every power of two up to
-    2¹⁴ they are a lattice of their own, z_k = 1 − 2(k/D + shift), φ_k = 2π k h/D, that keeps the points of the smaller.
+    """The first `count` points of a rank-1 lattice sequence as unit directions [D, 3].
 
-    Of all h below 1024 this one has the least energy Σ −|x − y| beyond degree 2, at its worst over 2⁵ to 2¹⁰ points:
-    1.00 to 1.09 times that of a Fibonacci lattice. Degree-2 fits of trained networks have 0.9 to 1.3 times the error
-    with 32 to 128 points, 1.0 to 1.6 times with 256.
-    Fixed: turn it by `random_rotations` for an unbiased estimate. Source: Hickernell et al., "Extensible lattice
-    sequences for quasi-Monte Carlo quadrature", SIAM J. Sci. Comput. 22 (2000). Raises QueryError if `count` is below
-    1 or above 2¹⁴.
+    For every power of two D up to 2¹⁴ the points form a lattice z_k = 1 − 2(k/D + shift), φ_k = 2π k h/D, which
+    contains all smaller ones. Among all h below 1024 this one minimises the energy Σ −|x − y| beyond degree 2, worst
+    case over 2⁵ to 2¹⁰ points: 1.00 to 1.09 times that of a Fibonacci lattice. Degree-2 fits of trained networks have
+    0.9 to 1.3 times the error with 32 to 128 points, 1.0 to 1.6 times with 256.
+
+    Deterministic: rotate it by `random_rotations` for unbiased estimates. Source: Hickernell et al., "Extensible
+    lattice sequences for quasi-Monte Carlo quadrature", SIAM J. Sci. Comput. 22 (2000). Raises QueryError if `count` is
+    below 1 or above 2¹⁴.
     """
     _require_some(count)
     if count > LARGEST_LATTICE:
         raise QueryError(f"extensible lattice: expected at most {LARGEST_LATTICE} directions, found {count}")
     index = np.arange(count)
-    place = np.zeros(count)
+    radical_inverse = np.zeros(count)
     for bit in range(LARGEST_LATTICE.bit_length() - 1):
-        place += ((index >> bit) & 1) * 0.5 ** (bit + 1)
-    # A third of the distance between 32 heights leaves a third or two between those of every larger size, too.
-    return on_sphere((place + 1.0 / 96.0) % 1.0, (place * LATTICE_GENERATOR) % 1.0)
+        radical_inverse += ((index >> bit) & 1) * 0.5 ** (bit + 1)
+    # The shift, a third of the spacing of 32 heights, is one or two thirds of the spacing for every larger size.
+    return on_sphere((radical_inverse + 1.0 / 96.0) % 1.0, (radical_inverse * LATTICE_GENERATOR) % 1.0)
 
 
 def random_rotations(count: int, seed: int) -> NDArray[np.float64]:
     """`count` independent rotation matrices [R, 3, 3], uniform on SO(3); the r-th depends on `seed` and r alone.
 
-    Source: Shoemake, "Uniform random rotations", Graphics Gems III (1992): uniform unit quaternions. Raises
-    QueryError if `count` is below 1.
+    Raises QueryError if `count` is below 1.
     """
     _require_some(count)
     return rotations(uniforms((ROTATION_STREAM, seed, np.arange(count)), 3))
 
 
 def rotations(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rotations [R, 3, 3] that numbers [R, 3], uniform in [0, 1), stand for; uniform on SO(3) (Shoemake 1992)."""
+    """Rotation matrices [R, 3, 3], uniform on SO(3), from numbers [R, 3] uniform in [0, 1).
+
+    Source: Shoemake, "Uniform random rotations", Graphics Gems III (1992): uniform unit quaternions.
+    """
     from scipy.spatial.transform import Rotation
 
     low, high = np.sqrt(1 - numbers[:, 0]), np.sqrt(numbers[:, 0])

@@ -1,8 +1,8 @@
-"""Error figures against a reference that is itself noisy: its noise taken out, each figure with its interval.
+"""Error figures relative to a noisy reference, without the bias of its noise, and with confidence intervals.
 
-A reference is the mean of R independent, equal estimates. With m that mean and v the unbiased variance of it,
-(f − m)² − v has the expectation (f − t)² whatever the estimates' distribution, t being the truth; m² − v has t².
-Sums over whole positions (clusters) are independent of one another: intervals come from a bootstrap over them.
+The reference is the mean m of R independent, equal estimates, and v is the unbiased variance of m. Then (f − m)² − v
+has the expectation (f − t)² for any distribution of the estimates, t being the truth, and m² − v has t². Sums over
+positions (clusters) are independent of one another, so a bootstrap over clusters gives intervals.
 """
 
 from dataclasses import dataclass
@@ -18,23 +18,23 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 _RESAMPLES = 1000
 _FEWEST = 8
-"""Clusters below which no interval is given."""
+"""Fewer clusters than this give no interval."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure and the bounds that hold the truth 95 times in 100; NaN bounds where too few clusters are there."""
+    """A figure and its 95 % confidence interval, which is NaN for too few clusters."""
 
     value: float
     low: float
     high: float
 
     def as_json(self) -> dict[str, float]:
-        """Plain values."""
+        """As plain values."""
         return {"value": self.value, "low": self.low, "high": self.high}
 
     def within(self, bound: float) -> str:
-        """Whether |truth| is at most `bound`: "met", "not met", or "undecided" where the interval holds both."""
+        """Whether |truth| is at most `bound`: "met", "not met", or "undecided" if the interval contains both cases."""
         largest = max(abs(self.low), abs(self.high))
         least = 0.0 if self.low <= 0.0 <= self.high else min(abs(self.low), abs(self.high))
         if not np.isfinite(largest):
@@ -44,7 +44,7 @@ class Interval:
 
 @dataclass
 class Replicates:
-    """Running mean and spread of independent, equal estimates of one array."""
+    """Running mean and variance of independent, equal estimates of one array."""
 
     count: int
     mean: Array
@@ -52,12 +52,12 @@ class Replicates:
     """Σ (estimate − mean)²."""
 
     @classmethod
-    def of(cls, shape: tuple[int, ...]) -> "Replicates":
+    def empty(cls, shape: tuple[int, ...]) -> "Replicates":
         """No estimates yet."""
         return cls(0, np.zeros(shape), np.zeros(shape))
 
     def add(self, estimate: ArrayLike) -> None:
-        """Take in one more estimate."""
+        """Add one estimate."""
         self.count += 1
         difference = np.asarray(estimate, np.float64) - self.mean
         self.mean = self.mean + difference / self.count
@@ -65,27 +65,29 @@ class Replicates:
 
     @property
     def variance(self) -> Array:
-        """Of the mean, without bias. Raises QueryError below two estimates."""
+        """Unbiased variance of the mean. Raises QueryError for fewer than two estimates."""
         if self.count < 2:
-            raise QueryError(f"replicates: {self.count} where at least 2 are needed to tell the noise")
+            raise QueryError(f"replicates: expected at least 2 to estimate the noise, found {self.count}")
         return np.asarray(self.squares / (self.count * (self.count - 1)))
 
 
 @dataclass(frozen=True)
 class Sums:
-    """Of N clusters: squared error without noise, squared value without noise, and the noise itself, [N] each."""
+    """Sums [N] over each of N clusters: squared error and squared value without noise, and the variance of the
+    noise.
+    """
 
     error: Array
     value: Array
     noise: Array
 
-    def of(self, chosen: Any) -> "Sums":
-        """Those of some clusters."""
+    def select(self, chosen: Any) -> "Sums":
+        """The sums of some clusters."""
         return Sums(self.error[chosen], self.value[chosen], self.noise[chosen])
 
 
 def sums(answer: ArrayLike, reference: Replicates) -> Sums:
-    """Sums over every axis but the first of `answer` [N,…] against a reference of the same shape."""
+    """Sums of `answer` [N,…] relative to a reference of the same shape, over all axes but the first."""
     found, variance = np.asarray(answer, np.float64), reference.variance
     inner = tuple(range(1, found.ndim))
     return Sums(
@@ -96,20 +98,20 @@ def sums(answer: ArrayLike, reference: Replicates) -> Sums:
 
 
 def relative_rmse(clusters: Sums, seed: int) -> Interval:
-    """sqrt(Σ error / Σ value); 0 where the noise leaves nothing of the error."""
+    """sqrt(Σ error / Σ value); 0 if the error is below the noise."""
     return _root(ratio(clusters.error, clusters.value, seed))
 
 
 def relative_noise(clusters: Sums) -> float:
-    """sqrt(Σ noise / Σ value): how noisy the reference is."""
+    """sqrt(Σ noise / Σ value): relative noise of the reference."""
     return float(np.sqrt(clusters.noise.sum() / max(float(clusters.value.sum()), 1e-300)))
 
 
 def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
-    """Σ numerator / Σ denominator over N clusters, each drawn independently.
+    """Σ numerator / Σ denominator over N independent clusters.
 
-    The interval is the studentised bootstrap's (Efron and Tibshirani 1993, section 12.5): it leans to the long side of
-    skewed errors, where plain ones miss the truth twice as often as they say.
+    The interval is that of the studentised bootstrap (Efron and Tibshirani 1993, section 12.5). It is asymmetric for
+    skewed errors, for which plain intervals miss the truth twice as often as stated.
     """
     a, b = np.asarray(numerator, np.float64), np.asarray(denominator, np.float64)
     count = len(a)
@@ -118,7 +120,7 @@ def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
         return Interval(value, np.nan, np.nan)
     powers = np.stack([a, b, a * a, a * b, b * b], axis=1)
     own, error = _studentised(powers.sum(axis=0), count)
-    resampled, errors = _studentised(_times_drawn(count, seed) @ powers, count)
+    resampled, errors = _studentised(_multiplicities(count, seed) @ powers, count)
     with np.errstate(invalid="ignore", divide="ignore"):
         t = (resampled - own) / errors
     t = t[np.isfinite(t)]
@@ -129,28 +131,28 @@ def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
 
 
 def percentile_over(error: Array, value: Array, seed: int, share: float = 0.95) -> tuple[Interval, float]:
-    """The percentile over P positions of sqrt(Σ error / Σ value) of each, and the same without a correction.
+    """The percentile over P positions of sqrt(Σ error / Σ value) at each, corrected for noise, and uncorrected.
 
-    error, value: [P,B], B independent looks at a position, each without noise on average but scattering. Their
-    scattering widens what the positions show; the squared ratios are drawn towards their mean until their variance is
-    that of the positions alone (Louis 1984, constrained empirical Bayes). The second figure leaves that out.
+    error, value: [P,B], from B independent samples per position, unbiased but noisy. This noise widens the distribution
+    over positions. The squared ratios are therefore contracted towards their mean until their variance is that of the
+    positions alone (Louis 1984, constrained empirical Bayes).
     """
-    looks = error.shape[1]
-    if looks < 2:
-        raise QueryError(f"percentile over positions: {looks} looks at each where at least 2 are needed")
-    whole = value.mean(axis=1)
-    squared = error.mean(axis=1) / whole
-    scatter = ((error - squared[:, None] * value) ** 2).sum(axis=1) / (looks * (looks - 1)) / whole**2
+    samples = error.shape[1]
+    if samples < 2:
+        raise QueryError(f"percentile over positions: expected at least 2 samples per position, found {samples}")
+    mean = value.mean(axis=1)
+    squared = error.mean(axis=1) / mean
+    variance = ((error - squared[:, None] * value) ** 2).sum(axis=1) / (samples * (samples - 1)) / mean**2
 
     def corrected(chosen: Any) -> Array:
-        return _percentile(_contracted(squared[chosen], scatter[chosen]), share)
+        return _percentile(_contracted(squared[chosen], variance[chosen]), share)
 
     return _resampled(corrected, len(squared), seed), float(_percentile(squared, share))
 
 
 def percentile_of_length(vectors: Array, variance: Array, seed: int, share: float = 0.95) -> tuple[Interval, float]:
-    """The percentile over P positions of |d|, d [P,C] known with a variance [P,C] each; corrected as
-    `percentile_over`, and without.
+    """The percentile over P positions of |d|, d [P,C] with variance [P,C]; corrected as in `percentile_over`, and
+    uncorrected.
     """
 
     def corrected(chosen: Any) -> Array:
@@ -158,8 +160,8 @@ def percentile_of_length(vectors: Array, variance: Array, seed: int, share: floa
         noise = np.moveaxis(variance[chosen], -1, 0).mean(axis=0)
         mean = drawn.mean(axis=-1, keepdims=True)
         spread = drawn.var(axis=-1, ddof=1).mean(axis=0)
-        left = np.sqrt(_left(noise.mean(axis=-1), spread))[..., None]
-        return _percentile(((mean + left * (drawn - mean)) ** 2).sum(axis=0), share)
+        scale = np.sqrt(_signal_share(noise.mean(axis=-1), spread))[..., None]
+        return _percentile(((mean + scale * (drawn - mean)) ** 2).sum(axis=0), share)
 
     return _resampled(corrected, len(vectors), seed), float(_percentile((vectors**2).sum(axis=1), share))
 
@@ -173,23 +175,23 @@ def _resampled(statistic: Any, count: int, seed: int) -> Interval:
     return Interval(value, float(low), float(high))
 
 
-def _times_drawn(count: int, seed: int) -> Array:
-    """How often each of the clusters is drawn in each resample [_RESAMPLES, count]."""
+def _multiplicities(count: int, seed: int) -> Array:
+    """Multiplicity of each cluster in each bootstrap resample [_RESAMPLES, count]."""
     drawn = np.random.default_rng(seed).integers(0, count, (_RESAMPLES, count))
-    places = drawn + count * np.arange(_RESAMPLES)[:, None]
-    times = np.bincount(places.ravel(), minlength=_RESAMPLES * count)
+    indices = drawn + count * np.arange(_RESAMPLES)[:, None]
+    times = np.bincount(indices.ravel(), minlength=_RESAMPLES * count)
     return times.reshape(_RESAMPLES, count).astype(np.float64)
 
 
 def _contracted(values: Array, variance: Array) -> Array:
-    """Values [..., P] drawn towards their mean until their variance is what `variance` [..., P] does not explain."""
+    """Values [..., P] contracted towards their mean until the noise `variance` [..., P] is gone from their variance."""
     mean = values.mean(axis=-1, keepdims=True)
-    left = _left(variance.mean(axis=-1), values.var(axis=-1, ddof=1))
-    return np.asarray(mean + np.sqrt(left)[..., None] * (values - mean))
+    signal = _signal_share(variance.mean(axis=-1), values.var(axis=-1, ddof=1))
+    return np.asarray(mean + np.sqrt(signal)[..., None] * (values - mean))
 
 
-def _left(noise: Array, spread: Array) -> Array:
-    """The share of a variance that is not noise."""
+def _signal_share(noise: Array, spread: Array) -> Array:
+    """Share of the variance `spread` that is not noise."""
     return np.asarray(np.maximum(0.0, 1.0 - noise / np.maximum(spread, 1e-300)))
 
 
@@ -198,7 +200,7 @@ def _percentile(squared: Array, share: float) -> Array:
 
 
 def _studentised(totals: Array, count: int) -> tuple[Any, Any]:
-    """Ratio and its standard error from Σ (a, b, a², ab, b²) [...,5]."""
+    """Ratio Σa / Σb and its standard error from Σ (a, b, a², ab, b²) [...,5]."""
     a, b, aa, ab, bb = np.moveaxis(totals, -1, 0)
     value = a / b
     variance = np.maximum(aa - 2.0 * value * ab + value**2 * bb, 0.0)

@@ -1,7 +1,7 @@
-"""Real spherical harmonics of any degree, by a recursion in Cartesian coordinates that has no pole.
+"""Real spherical harmonics of any degree, by a recursion in Cartesian coordinates without a singularity at the poles.
 
 Convention, for the whole product: real, orthonormal over the sphere (∫ Y_lm Y_l'm' dω = δ_ll' δ_mm'), polar axis +z,
-azimuth φ from +x toward +y, no Condon–Shortley phase; the harmonic (l, m) stands at index l(l+1)+m:
+azimuth φ from +x toward +y, no Condon–Shortley phase; the harmonic (l, m) has index l(l+1)+m:
 
     Y_00 = 0.282095,   Y_1,-1 … Y_1,1 = 0.488603 (y, z, x),
     Y_2,-2 … Y_2,2 = 1.092548 xy, 1.092548 yz, 0.315392 (3z²−1), 1.092548 xz, 0.546274 (x²−y²).
@@ -24,11 +24,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 
-UNIT_TOLERANCE = 1e-5  # float32 directions pass and are made unit in float64; anything longer is a mistake
+UNIT_TOLERANCE = 1e-5  # accepts float32 directions, which are normalised in float64
 
 
 def count(degree: int) -> int:
-    """Number of harmonics up to `degree`, K = (degree + 1)². Raises QueryError if `degree` is negative."""
+    """Number of harmonics up to `degree`, K = (degree + 1)². Raises QueryError if `degree` is negative.
+
+    >>> from prt_bake import sh
+    >>> sh.count(2)
+    9
+    """
     if degree < 0:
         raise QueryError(f"degree of the harmonics: expected 0 or more, found {degree}")
     return (degree + 1) ** 2
@@ -38,21 +43,24 @@ def degree_of(count: int) -> int:
     """Degree whose K = (degree + 1)² is `count`. Raises QueryError if `count` is not a square of 1 or more."""
     root = math.isqrt(max(count, 0))
     if count < 1 or root * root != count:
-        raise QueryError(f"number of harmonics: expected a square (1, 4, 9, 16, …: whole degrees), found {count}")
+        raise QueryError(f"number of harmonics: expected a square, 1, 4, 9, 16, …, found {count}")
     return root - 1
 
 
 def evaluate(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
-    """Value of every harmonic up to `degree` [sr^-½] in each direction.
+    """Values [..., K] of all harmonics up to `degree` [sr^-½] in unit directions [..., 3].
 
-    `directions` [..., 3] are unit vectors (any length within 1e-5 of 1 is made unit first); the result is [..., K], K
-    = (degree + 1)², float64, index l(l+1)+m. Raises QueryError if the last axis is not 3, or for directions that are
-    not finite or not unit (their count and the first index).
+    K = (degree + 1)², float64, index l(l+1)+m. Lengths within 1e-5 of 1 are normalised first. Raises QueryError if the
+    last axis is not 3, or for directions that are not finite or not unit, with their count and the first index.
+
+    >>> from prt_bake import sh
+    >>> sh.evaluate([0.0, 0.0, 1.0], degree=1).round(6).tolist()
+    [0.282095, 0.0, 0.488603, 0.0]
     """
     harmonics_count = count(degree)
     x, y, z = _unit_components(directions)
     harmonics = np.empty((*x.shape, harmonics_count))
-    # sin^m θ cos mφ and sin^m θ sin mφ: the parts of (x + iy)^m.
+    # sin^m θ cos mφ and sin^m θ sin mφ: real and imaginary part of (x + iy)^m.
     cosine, sine = np.ones_like(x), np.zeros_like(x)
     # P̂_m^m / sin^m θ.
     diagonal = math.sqrt(1 / (4 * math.pi))
@@ -77,33 +85,41 @@ def evaluate(directions: ArrayLike, degree: int) -> NDArray[np.float64]:
 def rotation(matrix: ArrayLike, degree: int) -> NDArray[np.float64]:
     """Matrix M [K, K] with Y(R d) = M Y(d) for every direction d, R = `matrix` [3, 3] orthogonal.
 
-    A function with coefficients b, turned as L'(d) = L(R⁻¹ d), has the coefficients M b. M is orthogonal and
-    block-diagonal by degree; each block is ∫ Y_l(R d) Y_l(d)ᵀ dω by a quadrature that is exact for it. Reflections
-    (determinant −1) obey the same law and are accepted. Raises QueryError if `matrix` is not 3×3, finite and
-    orthogonal to 1e-6.
+    The rotated function L'(d) = L(R⁻¹ d) has the coefficients M b if L has b. M is orthogonal and block-diagonal by
+    degree; each block is ∫ Y_l(R d) Y_l(d)ᵀ dω, integrated exactly by quadrature. Reflections (determinant −1) are
+    accepted and obey the same law. Raises QueryError if `matrix` is not 3×3, finite and orthogonal to 1e-6.
+
+    >>> import numpy as np
+    >>> from prt_bake import sh
+    >>> quarter_turn_about_z = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> light_from_x = sh.evaluate([1.0, 0.0, 0.0], degree=2)
+    >>> np.allclose(sh.rotation(quarter_turn_about_z, 2) @ light_from_x, sh.evaluate([0.0, 1.0, 0.0], degree=2))
+    True
     """
-    turn = np.asarray(matrix, dtype=np.float64)
-    if turn.shape != (3, 3):
-        raise QueryError(f"rotation: expected a matrix [3, 3], found an array of shape {list(turn.shape)}")
-    defect = float(np.abs(turn @ turn.T - np.eye(3)).max())
+    orthogonal = np.asarray(matrix, dtype=np.float64)
+    if orthogonal.shape != (3, 3):
+        raise QueryError(f"rotation: expected a matrix [3, 3], found an array of shape {list(orthogonal.shape)}")
+    defect = float(np.abs(orthogonal @ orthogonal.T - np.eye(3)).max())
     if not defect <= 1e-6:
         raise QueryError(f"rotation: expected an orthogonal matrix, found R Rᵀ off the identity by {defect:.3g}")
     directions, weights = quadrature(degree)
     harmonics = evaluate(directions, degree)
-    turned = evaluate(directions @ turn.T, degree)
+    rotated = evaluate(directions @ orthogonal.T, degree)
     blocks = np.zeros((count(degree), count(degree)))
     for l in range(degree + 1):
         band = slice(l * l, (l + 1) ** 2)
-        blocks[band, band] = (turned[:, band] * weights[:, None]).T @ harmonics[:, band]
+        blocks[band, band] = (rotated[:, band] * weights[:, None]).T @ harmonics[:, band]
     return blocks
 
 
 def rotations(matrices: NDArray[np.float64], degree: int) -> NDArray[np.float64]:
-    """`rotation` of many rotation matrices [R,3,3] at once: [R,K,K], with rounding errors between the bands."""
+    """`rotation` for rotation matrices [R,3,3]: [R,K,K]. Elements between bands are rounding errors, not exact
+    zeros.
+    """
     directions, weights = quadrature(degree)
-    turned = evaluate((directions @ matrices.transpose(0, 2, 1)).reshape(-1, 3), degree)
+    rotated = evaluate((directions @ matrices.transpose(0, 2, 1)).reshape(-1, 3), degree)
     harmonics = evaluate(directions, degree) * weights[:, None]
-    return np.asarray(turned.reshape(len(matrices), len(directions), count(degree)).transpose(0, 2, 1) @ harmonics)
+    return np.asarray(rotated.reshape(len(matrices), len(directions), count(degree)).transpose(0, 2, 1) @ harmonics)
 
 
 @lru_cache(maxsize=32)
@@ -111,8 +127,12 @@ def quadrature(degree: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Directions [D, 3] and weights [D] [sr] that integrate any product of two harmonics up to `degree` exactly.
 
     Gauss–Legendre in cosθ (exact to degree 2·degree + 1) times equal steps in φ (exact below frequency 2·degree + 1);
-    D = (degree + 1)(2·degree + 1). The arrays are shared between calls and read-only. Raises QueryError if `degree`
-    is negative.
+    D = (degree + 1)(2·degree + 1). The arrays are cached and read-only. Raises QueryError if `degree` is negative.
+
+    >>> from prt_bake import sh
+    >>> directions, weights = sh.quadrature(2)
+    >>> len(directions), float(weights.sum().round(6))
+    (15, 12.566371)
     """
     if degree < 0:
         raise QueryError(f"degree of the quadrature: expected 0 or more, found {degree}")
@@ -142,11 +162,11 @@ def _unit_components(
         raise QueryError(f"directions: expected an array [..., 3], found shape {list(vectors.shape)}")
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     length = np.sqrt(x * x + y * y + z * z)
-    off = ~(np.abs(length - 1) <= UNIT_TOLERANCE)
-    if off.any():
-        first = tuple(int(axis[0]) for axis in np.nonzero(np.atleast_1d(off)))
+    bad = ~(np.abs(length - 1) <= UNIT_TOLERANCE)
+    if bad.any():
+        first = tuple(int(axis[0]) for axis in np.nonzero(np.atleast_1d(bad)))
         raise QueryError(
-            f"directions: expected unit vectors, found {int(off.sum())} that are not; the first, "
-            f"at index {list(first)}, is {vectors.reshape(-1, 3)[int(np.argmax(off))].tolist()}"
+            f"directions: expected unit vectors, found {int(bad.sum())} that are not; the first, "
+            f"at index {list(first)}, is {vectors.reshape(-1, 3)[int(np.argmax(bad))].tolist()}"
         )
     return x / length, y / length, z / length

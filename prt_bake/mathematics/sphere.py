@@ -1,10 +1,9 @@
-"""The hemisphere about a vertex normal: tangent frames, view bins and the interpolation between them; sets of
-directions.
+"""Tangent frames, view bins of the hemisphere about a vertex normal and interpolation between them, sets of directions.
 
-The local frame of a vertex is (t, b, n): n the unit normal, t the tangent stored with the asset, b = n × t. In it a
-direction is (sinθ cosφ, sinθ sinφ, cosθ), φ measured from t toward b. Ring i of `rings` covers cosθ from 1 − i/rings
-down to 1 − (i+1)/rings, sector j of `sectors` covers φ from 2πj/sectors to 2π(j+1)/sectors; bin `sectors·i + j`, and
-its direction is its centre in (cosθ, φ). All bins have the same solid angle, 2π/(rings·sectors) (Archimedes).
+The local frame of a vertex is (t, b, n): n the unit normal, t the tangent stored in the asset, b = n × t. A direction
+is (sinθ cosφ, sinθ sinφ, cosθ) in it, φ from t toward b. Ring i of `rings` covers cosθ from 1 − i/rings down to 1 −
+(i+1)/rings; sector j of `sectors` covers φ from 2πj/sectors to 2π(j+1)/sectors. Bin `sectors·i + j` has the direction
+of its centre in (cosθ, φ). All bins have the same solid angle, 2π/(rings·sectors).
 """
 
 import math
@@ -33,8 +32,7 @@ __all__ = [
 
 
 class BinCoordinates(NamedTuple):
-    """Where directions lie between the view bins; each field is an array [...], the shape of the directions without
-    their last axis.
+    """Interpolation coordinates of directions [..., 3] between view bins; each field is an array [...].
 
     With c(i, j) the value of bin sectors·i + j and s(i) = (1 − sector_weight) c(i, sector_low) + sector_weight c(i,
     sector_high), the interpolated value is (1 − pole_weight) [(1 − ring_weight) s(ring_low) + ring_weight
@@ -54,6 +52,10 @@ def view_bins(rings: int, sectors: int) -> NDArray[np.float64]:
     """Unit directions [B, 3] of the centres of the B = rings·sectors view bins, in the local frame (t, b, n).
 
     Raises QueryError unless there is at least one ring and one sector.
+
+    >>> from prt_bake import sphere
+    >>> sphere.view_bins(rings=4, sectors=16).shape
+    (64, 3)
     """
     _require_bins(rings, sectors)
     cos_theta = np.repeat(1 - (np.arange(rings) + 0.5) / rings, sectors)
@@ -65,9 +67,9 @@ def view_bins(rings: int, sectors: int) -> NDArray[np.float64]:
 def bin_coordinates(local: ArrayLike, rings: int, sectors: int) -> BinCoordinates:
     """Neighbouring rings and sectors of unit directions `local` [..., 3], and the weights between them.
 
-    Bilinear in (cosθ, φ): φ wraps; between the normal and the centre of ring 0 the value runs linearly in 1 − cosθ
-    from the mean of ring 0 to ring 0 (`pole_weight`); beyond the centre of the last ring, and below the horizon, it
-    clamps. Raises QueryError as `view_bins` does, or if the last axis is not 3.
+    Bilinear in (cosθ, φ), periodic in φ. Between the normal and the centre of ring 0 the value is interpolated linearly
+    in 1 − cosθ from the mean of ring 0 to ring 0 (`pole_weight`). Beyond the centre of the last ring, and below the
+    horizon, it is clamped. Raises QueryError as `view_bins`, or if the last axis is not 3.
     """
     _require_bins(rings, sectors)
     directions = _vectors(local, "local directions")
@@ -90,9 +92,9 @@ def bin_coordinates(local: ArrayLike, rings: int, sectors: int) -> BinCoordinate
 def bin_weights(local: ArrayLike, rings: int, sectors: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """The interpolation as sparse rows: bins [N, M] and their weights [N, M] for unit directions `local` [N, 3].
 
-    The value in direction n is Σ_m weights[n, m] · value[bins[n, m]]; each row of weights sums to 1 and none is
-    negative. A bin may stand in a row more than once. M is 4 where no direction lies above the centre of ring 0,
-    otherwise 4 + sectors (the last columns hold the mean of ring 0). Raises QueryError as `bin_coordinates` does.
+    The value in direction n is Σ_m weights[n, m] · value[bins[n, m]]. Weights are not negative and sum to 1 in each
+    row. A row may contain a bin more than once. M is 4 if no direction is above the centre of ring 0, otherwise 4 +
+    sectors; the additional columns are the mean of ring 0. Raises QueryError as `bin_coordinates`.
     """
     at = bin_coordinates(local, rings, sectors)
     bins = np.stack(
@@ -115,7 +117,14 @@ def bin_weights(local: ArrayLike, rings: int, sectors: int) -> tuple[NDArray[np.
 
 
 def bin_matrix(local: ArrayLike, rings: int, sectors: int) -> NDArray[np.float64]:
-    """The interpolation as a dense matrix [N, B]: values in directions `local` [N, 3] = matrix @ values [B, …]."""
+    """The interpolation as a dense matrix [N, B]: values in directions `local` [N, 3] = matrix @ values [B, …].
+
+    >>> import numpy as np
+    >>> from prt_bake import sphere
+    >>> bins = sphere.view_bins(2, 4)
+    >>> np.allclose(sphere.bin_matrix(bins, 2, 4), np.eye(8))
+    True
+    """
     bins, weights = bin_weights(local, rings, sectors)
     matrix = np.zeros((len(bins), rings * sectors))
     np.add.at(matrix, (np.arange(len(bins))[:, None], bins), weights)
@@ -123,13 +132,17 @@ def bin_matrix(local: ArrayLike, rings: int, sectors: int) -> NDArray[np.float64
 
 
 def tangent_frame(normals: ArrayLike) -> NDArray[np.float64]:
-    """Unit tangents t [..., 3] of normals [..., 3] (made unit first); the frame is (t, n × t, n), right-handed.
+    """Unit tangents t [..., 3] of normals [..., 3], which are normalised first; (t, n × t, n) is right-handed.
 
-    Continuous over the whole sphere but at n = −z (some such point must exist), where t = +x, and orthonormal to
-    rounding everywhere. It is +x turned by the shortest rotation that takes +z to n. Source: Duff et al., "Building
-    an orthonormal basis, revisited", JCGT 6 (2017), with 1/(1 + n_z) written as (1 − n_z)/(n_x² + n_y²) on the lower
-    half, where 1 + n_z would cancel. Raises QueryError for normals without a direction (zero or not finite): their
-    count and the first index.
+    The tangent is +x after the shortest rotation from +z to n. It is continuous except at n = −z, where t = +x, and the
+    frame is orthonormal to rounding everywhere. Source: Duff et al., "Building an orthonormal basis, revisited", JCGT 6
+    (2017), with 1/(1 + n_z) written as (1 − n_z)/(n_x² + n_y²) on the lower hemisphere to avoid cancellation. Raises
+    QueryError for normals that are zero or not finite, with their count and the first index.
+
+    >>> import numpy as np
+    >>> from prt_bake import sphere
+    >>> np.allclose(sphere.tangent_frame([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]), [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    True
     """
     vectors = _vectors(normals, "normals")
     length = np.linalg.norm(vectors, axis=-1)
@@ -137,8 +150,8 @@ def tangent_frame(normals: ArrayLike) -> NDArray[np.float64]:
     if bad.any():
         first = [int(axis[0]) for axis in np.nonzero(np.atleast_1d(bad))]
         raise QueryError(
-            f"normals: {int(bad.sum())} of {bad.size} have no direction (zero or not finite), "
-            f"the first at index {first}"
+            f"normals: expected vectors with a direction, found {int(bad.sum())} of {bad.size} zero or not finite, the "
+            f"first at index {first}"
         )
     x, y, z = np.moveaxis(vectors / length[..., None], -1, 0)
     upper = z >= 0
@@ -156,8 +169,12 @@ def tangent_frame(normals: ArrayLike) -> NDArray[np.float64]:
 def to_local(directions: ArrayLike, normals: ArrayLike, tangents: ArrayLike) -> NDArray[np.float64]:
     """Coordinates (d·t, d·b, d·n), b = n × t, of `directions` [..., 3] in the frames of `normals` and `tangents`.
 
-    The three arrays broadcast: normals[:, None] and tangents[:, None] take directions [V, B, 3]. Orthonormal frames
-    are assumed.
+    The arrays broadcast: use normals[:, None] and tangents[:, None] for directions [V, B, 3]. Frames must be
+    orthonormal.
+
+    >>> from prt_bake import sphere
+    >>> sphere.to_local([0.0, 1.0, 0.0], normals=[0.0, 0.0, 1.0], tangents=[1.0, 0.0, 0.0]).tolist()
+    [0.0, 1.0, 0.0]
     """
     world, normal, tangent, bitangent = _frame(directions, normals, tangents)
     return np.stack([(world * axis).sum(axis=-1) for axis in (tangent, bitangent, normal)], axis=-1)

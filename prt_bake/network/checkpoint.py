@@ -19,7 +19,7 @@ HEAD = "prtbake"
 
 
 def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) -> None:
-    """Writes JSON text `head` and CPU tensors to `path`, whole or not at all.
+    """Writes JSON text `head` and CPU tensors to `path`, atomically.
 
     Raises ModelError on a suffix other than .pt and .safetensors, StorageError if the file cannot be written.
     """
@@ -30,14 +30,14 @@ def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) ->
 
             temporary.write_bytes(save(tensors, metadata={HEAD: head}))
         else:
-            # Through memory: on a full disk torch's own writer fails in a way of its own.
+            # Through memory: on a full disk torch's own writer does not raise OSError.
             content = io.BytesIO()
             torch.save({HEAD: head, "tensors": tensors}, content)
             temporary.write_bytes(content.getvalue())
 
 
 def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
-    """The JSON text and the tensors of a checkpoint; raises ModelError saying what the file is instead."""
+    """The JSON text and the tensors of a checkpoint; raises ModelError that says what else the file is."""
     path = Path(path)
     suffix = _suffix(path)
     if not path.is_file():
@@ -45,8 +45,8 @@ def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
     return _read_safetensors(path) if suffix == ".safetensors" else _read_pt(path)
 
 
-def refuse_unsound(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
-    """Raises ModelError unless `tensors` are those named in `shapes`, of these shapes, in finite floats."""
+def check_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
+    """Raises ModelError unless `tensors` have exactly the names and shapes of `shapes`, and finite float values."""
     for name in sorted(shapes.keys() | tensors.keys()):
         if name not in tensors or name not in shapes:
             state = "missing" if name in shapes else "not part of this network"
@@ -64,34 +64,34 @@ def refuse_unsound(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]
 def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
     try:
         with warnings.catch_warnings():
-            # Remarks on foreign pickles; what matters of them is refused below.
+            # Warnings about foreign pickles; unsound content is refused below.
             warnings.simplefilter("ignore")
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as fault:  # torch's restricted reader raises whatever the first bytes of a foreign file lead it to
-        raise ModelError(f"{path}: {_what_it_is(fault)}") from None
+    except Exception as fault:  # torch's restricted reader raises many types of errors on foreign files
+        raise ModelError(f"{path}: {_diagnosis(fault)}") from None
     head, tensors = (content.get(HEAD), content.get("tensors")) if isinstance(content, dict) else (None, None)
     if not isinstance(head, str) or not isinstance(tensors, dict):
-        raise ModelError(f"{path}: a checkpoint of something else; expected a model written by prtbake")
+        raise ModelError(f"{path}: a checkpoint of another program; expected a model written by prtbake")
     for name, tensor in tensors.items():
         if not isinstance(name, str) or not isinstance(tensor, Tensor):
             raise ModelError(f"{path}: {name!r} is not a named tensor")
     return head, tensors
 
 
-def _what_it_is(fault: Exception) -> str:
+def _diagnosis(fault: Exception) -> str:
     if "TorchScript" in str(fault):
         return (
-            "a TorchScript function, which `prtbake bake` alone takes; say there how its 7 inputs are meant, with "
-            '--convention "incident, position, outgoing" for example'
+            "a TorchScript function, which only `prtbake bake` takes; describe its 7 inputs there with --convention, "
+            'for example --convention "incident, position, outgoing"'
         )
     if isinstance(fault, pickle.UnpicklingError):
         return (
-            "holds something other than plain weights and was refused, nothing in it was run; "
+            "contains more than plain weights and was refused; none of its code ran; "
             "expected a model written by prtbake"
         )
     if isinstance(fault, OSError | MemoryError):
         return f"cannot be read ({_first_line(fault) or type(fault).__name__})"
-    return "not a readable checkpoint: cut short, or not a .pt; expected a model written by prtbake"
+    return "not a readable checkpoint: truncated, or not a .pt file; expected a model written by prtbake"
 
 
 def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
@@ -104,7 +104,7 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
     except (SafetensorError, OSError) as fault:
         raise ModelError(f"{path}: not a readable .safetensors file ({_first_line(fault)})") from None
     if head is None:
-        raise ModelError(f"{path}: a .safetensors file of something else; expected a model written by prtbake")
+        raise ModelError(f"{path}: a .safetensors file of another program; expected a model written by prtbake")
     return head, tensors
 
 

@@ -1,17 +1,16 @@
-"""Lobes of a network: light that crosses an object almost unscattered leaves it as a narrow beam.
+"""Lobes of a network: narrow beams of light that crosses an object almost unscattered.
 
-Behind a rough interface such light is a part of Ŝ: a few per cent of it in thick objects, most of it in clear ones,
-within some ten degrees of one direction that moves with x and ωo. The late layers of a network are smooth in ωi and
-can only blur it. So the layers before them say besides, for each view, where lobes point, how sharp they are and what
-they carry, and Ŝ gets
+Behind a rough interface this light is a part of Ŝ: a few per cent in thick objects, most of it in clear ones. It stays
+within about ten degrees of one direction, which moves with x and ωo. The late layers of a network are smooth in ωi and
+can only blur it. The trunk therefore also predicts, for each view, the axes μₖ, sharpness κₖ and means Eₖ of lobes, and
 
     Σₖ Eₖ · 2κₖ / (1 − exp(−2κₖ)) · exp(κₖ (ωi·μₖ − 1))
 
-added: spherical Gaussians (Wang et al. 2009, "All-frequency rendering of dynamic, spatially-varying reflectance") whose
-mean over the sphere is Eₖ, so that what a lobe carries and how sharp it is are learnt apart.
+is added to Ŝ. These are spherical Gaussians (Wang et al. 2009, "All-frequency rendering of dynamic, spatially-varying
+reflectance") with mean Eₖ over the sphere, so that energy and sharpness are learned independently.
 
-Whoever wants coefficients up to a degree needs no directions to find those of lobes: 2κ/(1 − exp(−2κ)) exp(κ(c − 1)) is
-Σₗ (2l + 1) Aₗ(κ) Pₗ(c) with Aₗ = I_{l+½}(κ)/I_{½}(κ), and its bands up to the degree are all that is asked for.
+Spherical harmonic coefficients of lobes need no directions: 2κ/(1 − exp(−2κ)) exp(κ(c − 1)) = Σₗ (2l + 1) Aₗ(κ) Pₗ(c)
+with Aₗ = I_{l+½}(κ)/I_{½}(κ). Only the bands up to the requested degree are evaluated.
 """
 
 from typing import NamedTuple
@@ -20,13 +19,13 @@ import torch
 from torch import Tensor
 
 LOBE_PARAMETERS = 7
-"""That a lobe is made of: what it carries in three channels, the logarithm of its sharpness, its direction."""
-_FAINT = -3.0
-"""What a lobe carries at first: the softplus of it, 0.05 of the output scale."""
-_SHARPNESS, _LEAST, _MOST = 3.4, 1.6, 5.5
-"""Logarithms of sharpness: at first (10°), at least (26°) and at most (3.7°)."""
-_BANDS_ABOVE = 16
-"""From which the shares of bands are computed downwards: what is not known there is below 10⁻⁵ of them then."""
+"""Parameters of a lobe: mean in three channels (before the softplus), logarithm of the sharpness, direction."""
+_INITIAL_MEAN = -3.0
+"""The initial mean before the softplus, which makes it 0.05 of the output scale."""
+_INITIAL_LOG_SHARPNESS, _MIN_LOG_SHARPNESS, _MAX_LOG_SHARPNESS = 3.4, 1.6, 5.5
+"""Logarithms of the sharpness: widths of 10°, 26° and 3.7°."""
+_EXTRA_BANDS = 16
+"""Bands above the degree at which the downward recurrence of Aₗ starts: its error is then below 10⁻⁵."""
 
 
 class Lobes(NamedTuple):
@@ -35,7 +34,7 @@ class Lobes(NamedTuple):
     Attributes:
         axes: [N,K,3], unit vectors μ.
         sharpness: [N,K], κ.
-        peaks: [N,K,3], what a lobe adds along its axis.
+        peaks: [N,K,3], values along the axes.
     """
 
     axes: Tensor
@@ -44,12 +43,12 @@ class Lobes(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """What K lobes of each of N views are up to a degree L.
+    """K lobes of each of N views, limited to degree L.
 
     Attributes:
         axes: [N,K,3], unit vectors.
-        weights: [N,K,L+1], of the Legendre polynomials of the cosine to the axis.
-        peaks: [N,K,3], what their sum is multiplied by.
+        weights: [N,K,L+1], weights of the Legendre polynomials of the cosine to the axis.
+        peaks: [N,K,3], factors of their sums.
     """
 
     axes: Tensor
@@ -57,89 +56,91 @@ class Bands(NamedTuple):
     peaks: Tensor
 
 
-def decode_lobes(told: Tensor, exits: Tensor) -> Lobes:
-    """The lobes that numbers [N, LOBE_PARAMETERS·K] tell of views whose rays leave along exits [N,3]: zeros are faint lobes
-    there.
+def decode_lobes(parameters: Tensor, exits: Tensor) -> Lobes:
+    """The lobes of parameters [N, LOBE_PARAMETERS·K], for views whose rays leave the object along exits [N,3].
+
+    Parameters of 0 give faint lobes along the exits.
     """
-    each = told.float().reshape(len(told), -1, LOBE_PARAMETERS)
-    carried = _softplus(each[..., :3] + _FAINT)
-    sharpness = (each[..., 3] + _SHARPNESS).clamp(_LEAST, _MOST).exp()
+    each = parameters.float().reshape(len(parameters), -1, LOBE_PARAMETERS)
+    mean = _softplus(each[..., :3] + _INITIAL_MEAN)
+    sharpness = (each[..., 3] + _INITIAL_LOG_SHARPNESS).clamp(_MIN_LOG_SHARPNESS, _MAX_LOG_SHARPNESS).exp()
     axes = torch.nn.functional.normalize(each[..., 4:] + exits.float()[:, None], dim=-1)
-    return Lobes(axes, sharpness, carried * _peak(sharpness)[..., None])
+    return Lobes(axes, sharpness, mean * _peak(sharpness)[..., None])
 
 
 def evaluate_lobes(lobes: Lobes, incident: Tensor, degree: int | None = None) -> Tensor:
-    """What the lobes add [N,D,3] in directions incident [N,D,3]; of it the bands up to `degree` alone, if given."""
+    """The sum of the lobes [N,D,3] in directions incident [N,D,3]; only their bands up to `degree` if it is given."""
     if degree is not None:
         return evaluate_bands(lobe_bands(lobes, degree), incident)
-    added = torch.zeros_like(incident, dtype=torch.float32)
+    total = torch.zeros_like(incident, dtype=torch.float32)
     for axis, sharpness, peak in zip(*(part.unbind(dim=1) for part in lobes), strict=True):
         shape = torch.exp(sharpness[:, None] * (_cosine(axis, incident) - 1.0))
-        added = added + shape[..., None] * peak[:, None]
-    return added
+        total = total + shape[..., None] * peak[:, None]
+    return total
 
 
 def lobe_bands(lobes: Lobes, degree: int) -> Bands:
-    """The bands up to a degree: Σₗ (2l + 1) Aₗ(κ) Pₗ over the value along the axis."""
-    shares = torch.stack(_band_ratios(lobes.sharpness.double(), degree), dim=-1)
-    weights = shares * (2.0 * torch.arange(degree + 1, device=shares.device) + 1.0)
+    """The bands of lobes up to a degree: weights (2l + 1) Aₗ(κ)."""
+    ratios = torch.stack(_bessel_ratios(lobes.sharpness.double(), degree), dim=-1)
+    weights = ratios * (2.0 * torch.arange(degree + 1, device=ratios.device) + 1.0)
     return Bands(lobes.axes, weights.float(), lobes.peaks / _peak(lobes.sharpness)[..., None])
 
 
 def evaluate_bands(bands: Bands, incident: Tensor) -> Tensor:
-    """What these bands add [N,D,3] in directions incident [N,D,3]."""
-    added = torch.zeros_like(incident, dtype=torch.float32)
+    """The sum of the bands [N,D,3] in directions incident [N,D,3]."""
+    total = torch.zeros_like(incident, dtype=torch.float32)
     for axis, weights, peak in zip(*(part.unbind(dim=1) for part in bands), strict=True):
         cosine = _cosine(axis, incident)
-        summed, before, value = weights[:, :1], torch.ones_like(cosine), cosine
+        series, previous, value = weights[:, :1], torch.ones_like(cosine), cosine
         for band in range(1, weights.shape[1]):
-            summed = summed + weights[:, band, None] * value
-            before, value = value, ((2 * band + 1) * cosine * value - band * before) / (band + 1)
-        added = added + summed[..., None] * peak[:, None]
-    return added
+            series = series + weights[:, band, None] * value
+            previous, value = value, ((2 * band + 1) * cosine * value - band * previous) / (band + 1)
+        total = total + series[..., None] * peak[:, None]
+    return total
 
 
 def _cosine(axis: Tensor, incident: Tensor) -> Tensor:
-    """[N,D], of axes [N,3] and directions [N,D,3]; number by number, no products of matrices: a view's sums must not
-    depend on how many others stand beside it.
+    """Cosines [N,D] of axes [N,3] and directions [N,D,3].
+
+    No matrix product: its rounding of one view would depend on how many others are in the batch.
     """
     x, y, z = incident.float().unbind(dim=-1)
     a, b, c = axis[:, None].unbind(dim=-1)
     return x * a + y * b + z * c
 
 
-def _band_ratios(kappa: Tensor, degree: int) -> list[Tensor]:
-    """A₀ … of a degree for sharpness κ [N].
+def _bessel_ratios(kappa: Tensor, degree: int) -> list[Tensor]:
+    """A₀ … A_degree for sharpness κ [N].
 
-    Aₗ/Aₗ₋₁ = 1/((2l + 1)/κ + Aₗ₊₁/Aₗ), from above downwards, where errors shrink, begun between the bounds of Amos
-    (1974), "Computation of modified Bessel functions and their ratios".
+    The recurrence Aₗ/Aₗ₋₁ = 1/((2l + 1)/κ + Aₗ₊₁/Aₗ) runs downward, which is stable. It starts between the bounds of
+    Amos (1974), "Computation of modified Bessel functions and their ratios".
     """
-    last = degree + _BANDS_ABOVE
+    last = degree + _EXTRA_BANDS
     ratio = kappa / (last + ((last + 0.5) ** 2 + kappa**2).sqrt())
     ratios: list[Tensor] = []
     for band in range(last - 1, 0, -1):
         ratio = 1.0 / ((2 * band + 1) / kappa + ratio)
         ratios.append(ratio)
-    shares = [torch.ones_like(kappa)]
+    values = [torch.ones_like(kappa)]
     for ratio in ratios[::-1][:degree]:
-        shares.append(shares[-1] * ratio)
-    return shares
+        values.append(values[-1] * ratio)
+    return values
 
 
 def mean_square(lobes: Lobes) -> Tensor:
-    """The mean over the sphere [N,3] of (Σ lobes)², exactly: few directions would hardly ever meet a lobe."""
+    """The mean over the sphere [N,3] of (Σ lobes)², in closed form: few sampled directions would hit a lobe."""
     axes, sharpness, peaks = lobes
-    weighed = sharpness[..., None] * axes
-    joint = torch.linalg.vector_norm(weighed[:, :, None] + weighed[:, None], dim=-1).clamp(min=1e-3)
+    scaled = sharpness[..., None] * axes
+    joint = torch.linalg.vector_norm(scaled[:, :, None] + scaled[:, None], dim=-1).clamp(min=1e-3)
     pairs = torch.exp(joint - sharpness[:, :, None] - sharpness[:, None]) / _peak(joint)
     return torch.einsum("njc,nkc,njk->nc", peaks, peaks, pairs)
 
 
 def _softplus(x: Tensor) -> Tensor:
-    """As torch has it, but for the last bits: those of torch's depend on how many numbers stand beside one."""
+    """As torch's softplus, whose last bits depend on how many numbers are in the batch; these do not."""
     return torch.relu(x) + torch.log1p(torch.exp(-x.abs()))
 
 
 def _peak(sharpness: Tensor) -> Tensor:
-    """The value along the axis over the mean over the sphere."""
+    """The ratio of a lobe's value along its axis to its mean over the sphere."""
     return 2.0 * sharpness / -torch.expm1(-2.0 * sharpness)

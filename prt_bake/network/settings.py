@@ -1,7 +1,7 @@
-"""The numbers that define a neural BSSRDF, with the paper's values as defaults.
+"""The settings of a neural BSSRDF, with the paper's values as defaults.
 
 Source: the paper's section on network architecture: Fourier features (Tancik et al. 2020), five hidden layers of 128
-ReLU, layer 1 joined to the input of layer 3 and layer 2 to that of layer 4, a linear layer to RGB.
+ReLU, layer 1 concatenated to the input of layer 3 and layer 2 to that of layer 4, a linear layer to RGB.
 """
 
 from dataclasses import asdict, dataclass, fields
@@ -13,20 +13,21 @@ Activation = Literal["relu", "silu"]
 DirectionForm = Literal["spherical", "cartesian"]
 
 COSINE_BUMPS = 8
-SHAPE_INPUTS = 16
-"""Numbers that tell of the object's shape around a place."""
-MAX_GRID_PLACES, MAX_GRID_NUMBERS = 128, 64
+"""Gaussian bumps that encode the cosine of ωo and the normal."""
 SHAPE_SCALES = (0.015, 0.03, 0.06, 0.12)
-"""At which an object's shape is told: standard deviations of the Gaussians that blur it, in sides of its box."""
+"""Standard deviations of the Gaussians that blur the object's shape, in box sides."""
+SHAPE_INPUTS = 4 * len(SHAPE_SCALES)
+"""Inputs per point that describe the object's shape around it: occupancy and its slope at each scale."""
+MAX_GRID_PLACES, MAX_GRID_NUMBERS = 128, 64
 LIGHT_RAY_ORIGINS = ("x", "within")
-"""Whence the way to the light is looked along: x itself, and half-way between the places along the ray of view."""
+"""Origins of the light rays: x itself, and the middle sample of the view ray."""
 EXIT_INPUTS = 3
-"""Numbers that tell where the ray of view goes once it has left the object; they stand last."""
+"""Inputs that give the direction of the view ray after it has left the object; they are the last ones."""
 
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """What a network is built from; raises ModelError if the numbers make no network."""
+    """The architecture of a network; raises ModelError if the values are inconsistent."""
 
     features: int = 256
     """Fourier frequencies; each gives a cosine and a sine."""
@@ -36,55 +37,61 @@ class NetworkSettings:
     """Standard deviation of the entries of G that act on directions."""
     width: int = 128
     layers: int = 5
-    """Hidden layers, the linear layer to RGB not counted."""
+    """Hidden layers, without the linear layer to RGB."""
     skips: tuple[tuple[int, int], ...] = ((1, 3), (2, 4))
-    """(source, target): hidden layer `source`'s output is appended to the input of `target`; layers count from 1."""
+    """(source, target): the output of hidden layer `source` is appended to the input of `target`; counted from 1."""
     activation: Activation = "relu"
     directions: DirectionForm = "spherical"
-    """spherical: (θ/π, φ/2π) about object space's z, φ in [0, 2π). cartesian: the unit vector as it is."""
+    """spherical: (θ/π, φ/2π) about the z axis of object space, φ in [0, 2π). cartesian: the unit vector."""
     seed: int = 0
     """Draws G and the initial weights."""
     position_spread: float = 1.0
     """Standard deviation of the entries of G that act on the position."""
     light_layers: int = 0
-    """Hidden layers, counted from the last, that see ωi. 0: ωi enters the first one together with x and ωo (the
-    paper). Otherwise its own Fourier features are appended to the inputs of so many layers, and those before them are
-    run once for all directions of incidence of a query."""
+    """Number of last hidden layers that see ωi. 0 (the paper): ωi enters the first layer together with x and ωo.
+    Otherwise separate Fourier features of ωi are appended to the inputs of these layers, and the layers before them,
+    the trunk, run once for all incident directions of a query."""
     light_features: int = 32
-    """Fourier frequencies of ωi where it enters late."""
+    """Fourier frequencies of ωi if light_layers > 0."""
     light_spread: float = 0.25
-    """Standard deviation of those frequencies, of mean 0."""
+    """Standard deviation of these frequencies; their mean is 0."""
     angle_powers: int = 0
-    """Powers of ωi·ωo, from the first, told to the layers that see ωi late: light scattered once depends on them."""
+    """Powers of ωi·ωo, from the first, that the late layers see: single scattering depends on them."""
     ray_samples: int = 0
-    """Places along the ray of view over which the features of x are averaged (`neural.view_features`). 0: features of
-    x itself. Needs ωi to enter late, Cartesian directions, a mean of 0, and an `Interior`."""
+    """Samples along the view ray over which the features of x are averaged (`features.view_features`). 0: features of x
+    itself. Needs light_layers, Cartesian directions, a feature_mean of 0, and an `Interior`."""
     tells_normal: bool = False
-    """Whether the ray is bent at the interface, and its normal told."""
+    """Whether the view ray is refracted at the interface, and the normal is an input."""
     ray_turns: int = 0
-    """Total reflections through which a ray that is bent is followed (`prt_bake.network.features.view_ray`)."""
+    """Total internal reflections through which a refracted view ray is followed (`features.view_ray`)."""
     lobes: int = 0
-    """Narrow lobes in ωi that the layers before the late ones say of each view (`prt_bake.network.lobes`)."""
+    """Narrow lobes in ωi that the trunk predicts for each view (`prt_bake.network.lobes`)."""
     shape_places: int = 0
-    """Places, x itself and others along the ray of view, of which the object's shape around them is told
-    (`prt_bake.network.features.shape`)."""
+    """Points at which the object's blurred shape is an input: x and others along the view ray (`features.shape`)."""
     grid_places: int = 0
-    """Places a box side of the grid of learned numbers (`prt_bake.network.features.feature_grid`). 0: no grid. Needs
-    ray_samples."""
+    """Nodes per box side of the grid of learned features (`features.feature_grid`); 0: no grid. Needs ray_samples."""
     grid_numbers: int = 8
-    """Numbers at each place; what x itself has and the mean along the ray are both told."""
+    """Learned features per node; the inputs are those at x and their mean along the view ray."""
     light_places: int = 0
-    """Places on the way to the light, as many seen from x as from within, of which the layers that see ωi late are told
-    how much of the object lies there (`prt_bake.network.features.light_ray`). Needs ray_samples."""
+    """Points along light rays at which the late layers see the object's occupancy, half of them on the ray from x and
+    half on the ray from within (`features.light_ray`). Needs ray_samples."""
 
     light_cosines: bool = False
-    """Whether the layers that see ωi late are told its cosines to the normal and to the slopes of the shape around x,
-    where those are told."""
+    """Whether the late layers see the cosines of ωi to the normal and to the slopes of the shape around x, if these are
+    inputs."""
 
     def __post_init__(self) -> None:
         for name in ("features", "width", "layers", "light_features"):
             if getattr(self, name) < 1:
                 raise ModelError(f"network settings: {name} must be at least 1, found {getattr(self, name)}")
+        if self.activation not in ("relu", "silu"):
+            raise ModelError(f"network settings: activation must be relu or silu, found {self.activation!r}")
+        if self.directions not in ("spherical", "cartesian"):
+            raise ModelError(f"network settings: directions must be spherical or cartesian, found {self.directions!r}")
+        self._check_layers()
+        self._check_view_ray()
+
+    def _check_layers(self) -> None:
         if not 0 <= self.light_layers < self.layers:
             raise ModelError(
                 f"network settings: light_layers must be at least 0 and below layers ({self.layers}), "
@@ -92,22 +99,25 @@ class NetworkSettings:
             )
         if self.angle_powers < 0 or (self.angle_powers and not self.trunk):
             raise ModelError(
-                "network settings: angle_powers must not be negative, and without light_layers nothing takes them; "
+                "network settings: angle_powers must not be negative, and must be 0 without light_layers; "
                 f"found {self.angle_powers}"
             )
+        for source, target in self.skips:
+            if not 1 <= source < target - 1 < self.layers:
+                raise ModelError(
+                    f"network settings: skip ({source}, {target}) must lead from a hidden layer past the next one, "
+                    f"within layers 1 to {self.layers}"
+                )
+
+    def _check_view_ray(self) -> None:
         if self.lobes < 0 or (self.lobes and not self.tells_normal):
             raise ModelError(
-                "network settings: lobes must not be negative, and without tells_normal no ray leads to them; "
-                f"found {self.lobes}"
+                f"network settings: lobes must not be negative, and must be 0 without tells_normal; found {self.lobes}"
             )
-        if self.activation not in ("relu", "silu"):
-            raise ModelError(f"network settings: activation must be relu or silu, found {self.activation!r}")
-        if self.directions not in ("spherical", "cartesian"):
-            raise ModelError(f"network settings: directions must be spherical or cartesian, found {self.directions!r}")
         if min(self.ray_samples, self.ray_turns) < 0 or (self.tells_normal and not self.ray_samples):
             raise ModelError(
-                "network settings: ray_samples and ray_turns must not be negative, and without the first there is no "
-                f"ray to bend; found {self.ray_samples}, {self.ray_turns} with tells_normal {self.tells_normal}"
+                "network settings: ray_samples and ray_turns must not be negative, and tells_normal needs ray_samples; "
+                f"found {self.ray_samples}, {self.ray_turns} with tells_normal {self.tells_normal}"
             )
         if not 0 <= self.shape_places <= self.ray_samples:
             raise ModelError(
@@ -120,75 +130,71 @@ class NetworkSettings:
                 f"{MAX_GRID_NUMBERS}, found {self.grid_places} and {self.grid_numbers}"
             )
         if self.grid_places and not self.ray_samples:
-            raise ModelError(f"network settings: without ray_samples there is no grid; found {self.grid_places} places")
-        if self.light_places < 0 or self.light_places % len(LIGHT_RAY_ORIGINS) or (self.light_places and not self.ray_samples):
+            raise ModelError(f"network settings: grid_places needs ray_samples; found {self.grid_places} and 0")
+        uneven = self.light_places % len(LIGHT_RAY_ORIGINS)
+        if self.light_places < 0 or uneven or (self.light_places and not self.ray_samples):
             raise ModelError(
-                "network settings: light_places must be even and not negative, and without ray_samples there are "
-                f"none; found {self.light_places}"
+                "network settings: light_places must be even and not negative, and must be 0 without ray_samples; "
+                f"found {self.light_places}"
             )
-        if self.ray_samples and not (self.trunk and self.across == 3 and self.feature_mean == 0.0):
+        if self.ray_samples and not (self.trunk and self.direction_inputs == 3 and self.feature_mean == 0.0):
             raise ModelError(
                 "network settings: ray_samples needs light_layers, cartesian directions and a feature_mean of 0, found "
                 f"{self.light_layers}, {self.directions}, {self.feature_mean:g}"
             )
-        for source, target in self.skips:
-            if not 1 <= source < target - 1 < self.layers:
-                raise ModelError(
-                    f"network settings: skip ({source}, {target}) must lead from a hidden layer past the next one, "
-                    f"within layers 1 to {self.layers}"
-                )
 
     @property
-    def across(self) -> int:
-        """Numbers per direction."""
+    def direction_inputs(self) -> int:
+        """Inputs per direction."""
         return 2 if self.directions == "spherical" else 3
 
     @property
     def trunk(self) -> int:
-        """Hidden layers that do not see ωi."""
+        """Hidden layers that do not see ωi; 0 if all do."""
         return self.layers - self.light_layers if self.light_layers else 0
 
     @property
     def pair_inputs(self) -> int:
-        """Numbers that a layer is told of a view and ωi together: powers of ωi·ωo, what lies on the way, cosines."""
+        """Inputs of a late layer that depend on the view and ωi together: powers of ωi·ωo, occupancies, cosines."""
         return self.angle_powers + self.light_places + self.light_axes
 
     @property
     def frame_rows(self) -> int:
-        """Rows of what is held against ωi: places whence the way to the light is looked along, and axes."""
+        """Vectors of a view that are combined with ωi: origins of light rays, and axes."""
         return len(LIGHT_RAY_ORIGINS) + self.light_axes
 
     @property
     def light_axes(self) -> int:
-        """Directions of a view whose cosines to ωi are told."""
+        """Axes of a view whose cosines to ωi are inputs."""
         if not self.light_cosines:
             return 0
         return int(self.tells_normal) + (len(SHAPE_SCALES) if self.shape_places else 0)
 
     @property
     def light_inputs(self) -> int:
-        """Numbers that a layer is told where ωi enters late: features of ωi alone, then of the view and ωi together."""
+        """Inputs of a late layer that depend on ωi: its Fourier features, then those of the view and ωi together."""
         return 2 * self.light_features + self.pair_inputs
 
     @property
     def extra_view_inputs(self) -> int:
-        """Numbers that the first layer is told of the ray of view besides the Fourier features."""
-        places = self.ray_samples + 1 if self.ray_samples else 0
+        """Inputs of the first layer other than Fourier features."""
+        samples = self.ray_samples + 1 if self.ray_samples else 0
         shape = SHAPE_INPUTS * self.shape_places
         grid = 2 * self.grid_numbers if self.grid_places else 0
-        return places + shape + grid + (3 + COSINE_BUMPS if self.tells_normal else 0) + (EXIT_INPUTS if self.lobes else 0)
+        normal = 3 + COSINE_BUMPS if self.tells_normal else 0
+        return samples + shape + grid + normal + (EXIT_INPUTS if self.lobes else 0)
 
     @property
     def view_inputs(self) -> int:
-        """Numbers that the first layer sees."""
+        """Inputs of the first layer."""
         return 2 * self.features + self.extra_view_inputs
 
     @property
     def layer_shapes(self) -> tuple[tuple[int, int], ...]:
         """(outputs, inputs) of every layer, the linear layer to RGB last.
 
-        A layer's inputs are, in this order, the output of the one before (the features for the first), those of its
-        sources, and the features of ωi if it sees them apart.
+        The inputs of a layer are, in this order, the output of the layer before (for the first, the features), the
+        outputs of its skip sources, and the inputs that depend on ωi if it is a late layer.
         """
         hidden = []
         for layer in range(1, self.layers + 1):
@@ -198,16 +204,16 @@ class NetworkSettings:
         return (*hidden, (3, self.width))
 
     def sources(self, layer: int) -> tuple[int, ...]:
-        """Earlier hidden layers whose outputs are appended to the input of `layer` (counted from 1)."""
+        """The hidden layers whose outputs are appended to the input of `layer`; counted from 1."""
         return tuple(source for source, target in self.skips if target == layer)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values, as a checkpoint keeps them."""
+        """Plain values, as stored in a checkpoint."""
         return asdict(self)
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> "NetworkSettings":
-        """The reverse of `as_json`; raises ModelError naming the key that is unknown or of the wrong kind."""
+        """The inverse of `as_json`; raises ModelError naming a key that is unknown or of the wrong type."""
         known = {field.name: field.default for field in fields(NetworkSettings)}
         resolved: dict[str, Any] = {}
         for name, value in values.items():
@@ -216,11 +222,11 @@ class NetworkSettings:
             if name == "skips":
                 resolved[name] = _skips_from_json(value)
             else:
-                resolved[name] = _number_or_word(name, value, type(known[name]))
+                resolved[name] = _scalar(name, value, type(known[name]))
         return NetworkSettings(**resolved)
 
 
-def _number_or_word(name: str, value: Any, expected: type) -> int | float | str | bool:
+def _scalar(name: str, value: Any, expected: type) -> int | float | str | bool:
     if expected is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if type(value) is not expected:
@@ -257,4 +263,4 @@ PRESETS: dict[str, NetworkSettings] = {
         light_cosines=True,
     ),
 }
-"""`paper`: as published. `measured`: lower error after the same training (`make bench` shows both)."""
+"""`paper`: as published. `measured`: lower error after the same training (`make bench` compares both)."""

@@ -1,12 +1,12 @@
-"""Networks from elsewhere: a TorchScript file that maps 7 numbers to 3 is a transport once its input is described.
+"""Networks of other programs: a TorchScript file that maps 7 numbers to 3, with a description of its input.
 
 The description is one line, `ORDER; key=value; …`, for example
 
     incident, position, outgoing; angles=unit; position=unit; axis=z
 
 ORDER is the order of the three parts. `angles`: unit (θ/π, φ/2π) or radians (θ, φ), φ in [0, 2π). `position`: unit
-((x − box_min) / longest side of the box) or object (as it is). `axis`: z or y, what θ is measured from; φ runs from +x
-toward +y about z, and from +x toward −z about y.
+((x − box_min) / longest side of the box) or object (object space). `axis`: z or y, the axis from which θ is measured; φ
+runs from +x toward +y about z, and from +x toward −z about y.
 """
 
 import warnings
@@ -27,7 +27,7 @@ _CHOICES = {"angles": ("unit", "radians"), "position": ("unit", "object"), "axis
 
 @dataclass(frozen=True)
 class Convention:
-    """What the seven numbers are."""
+    """The meaning of the seven inputs."""
 
     order: tuple[str, ...] = ("incident", "position", "outgoing")
     angles: str = "unit"
@@ -36,7 +36,7 @@ class Convention:
 
     @staticmethod
     def parse(text: str) -> "Convention":
-        """Reads the one-line description; what is not said is as in the module's example. Raises QueryError."""
+        """Parses the one-line description; missing keys are as in the module's example. Raises QueryError."""
         first, *rest = (part.strip() for part in text.split(";"))
         order = tuple(part.strip() for part in first.split(","))
         if sorted(order) != ["incident", "outgoing", "position"]:
@@ -58,7 +58,7 @@ class TorchScriptTransport:
     """A TorchScript function [rows, 7] → [rows, 3] as Ŝ [1/sr]."""
 
     def __init__(self, function: Any, convention: Convention, box_min: ArrayLike, box_side: float, name: str) -> None:
-        """box_min [3] and box_side are the object's bounding box; they matter where positions are `unit`."""
+        """box_min [3] and box_side are the object's bounding box; used if positions are `unit`."""
         self.convention = convention
         self.metadata = {"name": name, "convention": repr(convention)}
         self._function = function
@@ -66,7 +66,10 @@ class TorchScriptTransport:
         self._box_side = float(box_side)
 
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
-        """Ŝ [N,D,3], float32: incident [D,3] or [N,D,3], positions [N,3], outgoing [N,3]; ModelError if it fails."""
+        """Ŝ [N,D,3], float32: incident [D,3] or [N,D,3], positions [N,3], outgoing [N,3].
+
+        Raises ModelError if the function fails or returns another shape.
+        """
         x, eye, light = (np.asarray(vectors, dtype=np.float64) for vectors in (positions, outgoing, incident))
         light = np.broadcast_to(light, (len(x), *light.shape[-2:]))
         directions = light.shape[1]
@@ -76,11 +79,13 @@ class TorchScriptTransport:
             "outgoing": np.repeat(self._angles(eye), directions, axis=0),
         }
         rows = np.concatenate([parts[name] for name in self.convention.order], axis=1).astype(np.float32)
-        answer = np.empty((len(rows), 3), dtype=np.float32)
+        result = np.empty((len(rows), 3), dtype=np.float32)
         with torch.inference_mode():
             for first in range(0, len(rows), ROWS_PER_BATCH):
-                answer[first : first + ROWS_PER_BATCH] = self._call(torch.from_numpy(rows[first : first + ROWS_PER_BATCH]))
-        return answer.reshape(len(x), directions, 3)
+                result[first : first + ROWS_PER_BATCH] = self._call(
+                    torch.from_numpy(rows[first : first + ROWS_PER_BATCH])
+                )
+        return result.reshape(len(x), directions, 3)
 
     def _call(self, rows: torch.Tensor) -> NDArray[np.float32]:
         try:
@@ -112,15 +117,16 @@ def load_torchscript(
 ) -> TorchScriptTransport:
     """A transport from a TorchScript file and the description of its input (see the module).
 
-    box_min [3] and box_side belong to the mesh to be baked. TorchScript is a program: load only files that you trust.
-    Raises ModelError if the file is not TorchScript or does not map 7 numbers to 3, QueryError on a bad description.
+    box_min [3] and box_side are those of the mesh to be baked. A TorchScript file is a program: load only files that
+    you trust. Raises ModelError if the file is not TorchScript or does not map 7 numbers to 3, QueryError on a bad
+    description.
     """
     described = Convention.parse(convention)
     if not Path(path).is_file():
         raise ModelError(f"{path}: no such file; expected a TorchScript file")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # torch calls the format deprecated; it is still what people have
+            warnings.simplefilter("ignore")  # torch calls the format deprecated; people still use it
             load: Any = torch.jit.load
             function = load(str(path), map_location="cpu")
     except (RuntimeError, ValueError, OSError):

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.errors import PrtbakeError
-from formats.interrupts import noticed
+from formats.interrupts import interrupt_flag
 from prt_bake.preview import legend
 from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.overlay import SLIDERS, Overlay
@@ -56,7 +56,7 @@ class Window:
     def run(self) -> None:
         """Show it until the user closes it, by Ctrl-C too."""
         # An interrupt that is raised among VTK's events ends the process there, with words of VTK's.
-        with noticed() as self._interrupted:
+        with interrupt_flag() as self._interrupted:
             self._interactor.Initialize()
             self.render()
             self._preview.load_meanwhile()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from formats.errors import QueryError
 from prt_bake.lights.emitters import LightSampler
-from prt_bake.mathematics.sobol import even_numbers
+from prt_bake.mathematics.sobol import sobol_points
 
 Array = NDArray[np.float64]
 Sampling = Literal["light", "lobe", "mis"]
@@ -128,4 +128,4 @@ def _numbers(stream: int, counts: tuple[int, ...], point: int, pixels: NDArray[n
     """
     turns = [(turn, other) for turn in range(max(counts)) for other in range(len(counts)) if turn < counts[other]]
     members = np.array([i for i, (_turn, other) in enumerate(turns) if other == point], np.int64)
-    return even_numbers(members, (stream, seed, pixels))
+    return sobol_points(members, (stream, seed, pixels))

@@ -9,8 +9,8 @@ from formats.scene import Scene
 from prt_bake.lights.emitters import plan_light
 from prt_bake.lights.lighting import Lighting, radiance
 from prt_bake.mathematics.random import hashed, uniforms
-from prt_bake.tracer.light_samples import connections, walk_lit, walk_out
-from prt_bake.tracer.prepared import has_unscattered, is_unbent
+from prt_bake.tracer.light_samples import connections, sample_exits, sample_transport
+from prt_bake.tracer.prepared import has_unscattered, is_unrefracted
 
 Array = NDArray[np.float64]
 Shown = Literal["all", "scattered", "unscattered"]
@@ -32,7 +32,7 @@ class WalkTracer:
         self._scene, self._lighting, self._shown = scene, lighting, shown
         self._crossed = has_unscattered(scene) and shown != "scattered"
         self._plan = plan_light(lighting, connections(scene))
-        self._straight = is_unbent(scene)
+        self._straight = is_unrefracted(scene)
 
     def radiance(
         self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
@@ -45,7 +45,7 @@ class WalkTracer:
         leaving = self._leaving(outgoing)
         if len(leaving):
             where = faces[leaving], barycentric[leaving], outgoing[leaving], keys[leaving]
-            exits = walk_out(self._scene, *where, 1, _kernel_seed(seed, _EXIT_STREAM))
+            exits = sample_exits(self._scene, *where, 1, _kernel_seed(seed, _EXIT_STREAM))
             towards, unscattered = exits.directions[:, 0], exits.unscattered[:, 0]
             light = radiance(self._plan.skies, self._plan.suns, towards)
             if self._shown == "unscattered":
@@ -63,7 +63,7 @@ class WalkTracer:
         for i, emitter in enumerate(self._plan.emitters):
             incident[:, i], weights[:, i] = emitter.draw(uniforms((_LIGHT_STREAM, seed, i, keys), 3))
         lit_seed = _kernel_seed(seed, _LIT_STREAM)
-        received, _square = walk_lit(self._scene, faces, barycentric, outgoing, keys, incident, 1, lit_seed)
+        received, _square = sample_transport(self._scene, faces, barycentric, outgoing, keys, incident, 1, lit_seed)
         return np.asarray((received * weights).sum(axis=1))
 
     def _leaving(self, outgoing: Array) -> NDArray[np.int64]:

@@ -38,15 +38,15 @@ def radiance_error(
     lights = np.broadcast_to(weights, (len(vertices), *weights.shape))
     if suns:
         lights = lights + sun_slopes(asset, suns, vertices, at)
-    if asset.error_shape is None:
+    if asset.error_covariance is None:
         apart, times = np.zeros(len(vertices)), (lights**2).sum(axis=1)
     else:
-        shape = asset.error_shape.of(vertices)
+        shape = asset.error_covariance.at_vertices(vertices)
         apart, frames = (
             shape.apart[:, 0].astype(np.float64),
             ViewFrames(asset.mesh.normals, np.asarray(asset.tangents, np.float64)),
         )
-        times = shape.under(frames.in_view(vertices, _of_bins(asset, vertices, at, outgoing), lights))
+        times = shape.variance_under(frames.in_view(vertices, _of_bins(asset, vertices, at, outgoing), lights))
     error[vertices] = between(sigma, vertices, at, asset.sectors, apart)[:, None] * np.sqrt(times)
     return error
 
@@ -91,9 +91,9 @@ def over_faces(asset: Asset, shares: Array, corners: NDArray[np.integer], sigma:
     """Sigma [n,3] of points that are `shares` [n,3] of their face's `corners` [n,3], of `sigma` [V,3] at vertices:
     those that err by themselves add up in squares.
     """
-    if asset.error_shape is None:
+    if asset.error_covariance is None:
         return np.asarray(np.einsum("nk,nkc->nc", shares, sigma[corners]))
-    alone = asset.error_shape.of(np.arange(len(asset.valid))).apart[:, 1:].astype(np.float64)
+    alone = asset.error_covariance.at_vertices(np.arange(len(asset.valid))).apart[:, 1:].astype(np.float64)
     squares = np.einsum("nk,nkc->nc", shares**2, (alone * sigma**2)[corners])
     if (alone < 1.0).any():
         squares += np.einsum("nk,nkc->nc", shares, (np.sqrt(1.0 - alone) * sigma)[corners]) ** 2

@@ -1,5 +1,9 @@
-"""The reference path tracer: a random walk inside the object, and estimates of its transport function.
+"""The reference path tracer: estimates of the transport function Ŝ by random walks inside the object.
 
-`volume` follows light through media, `surface` handles interfaces and rays. Nothing here learns. May import:
+`volume` samples flights and transmittances in media, `surface` handles interfaces and ray queries. May import:
 `prt_bake.geometry`, `prt_bake.mathematics`, `prt_bake.jit` and `formats`. Begin with `estimate.py`, then `walk.py`.
 """
+
+from prt_bake.tracer.estimate import Estimate, estimate_coefficients, estimate_transport
+
+__all__ = ["Estimate", "estimate_coefficients", "estimate_transport"]

@@ -1,7 +1,7 @@
-"""Connections: what a walk's event receives from given directions of incidence, without waiting for the walk to leave.
+"""Next-event estimation: the light that an event of a walk receives from given directions of incidence.
 
-Here for objects whose own boundary is index-matched, where every event looks straight towards the light; through rough
-boundaries of the object itself see `prt_bake.tracer.connect_rough`.
+This module connects events straight to the light, for objects with an index-matched outer boundary. For a rough outer
+boundary see `prt_bake.tracer.connect_rough`.
 """
 
 import math
@@ -14,29 +14,29 @@ from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.surface.boundary import (
     PASS,
     alpha_at,
-    crossing,
     facing_normal,
+    interface_at,
     is_compensated,
-    meet,
     next_face,
+    resolve_hit,
     sees_sky,
 )
 from prt_bake.tracer.surface.compensation import returned_density
 from prt_bake.tracer.surface.interface import MATCHED, microfacet_transport, rough_density
-from prt_bake.tracer.surface.nearby_faces import meet_nearby
+from prt_bake.tracer.surface.nearby_faces import nearby_hit
 from prt_bake.tracer.volume.media import MINORANT, PHASE_G, phase
 from prt_bake.tracer.volume.tracking import attenuate
 from prt_bake.tracer.walk import (
-    AT,
     BEFORE,
     BEHIND,
+    CLEARANCE,
     DIRECTION,
     FACE,
     MASK,
     NORMAL,
     POSITION,
-    ROOM,
     SCATTERING,
+    SCRATCH,
     SURFACE,
     THROUGHPUT,
     U,
@@ -45,15 +45,17 @@ from prt_bake.tracer.walk import (
     region_of,
 )
 
-_ALWAYS_LOOKED = 2.0
-"""Events at less than so many mean free paths from any face always look at the light."""
+_ALWAYS_CONNECTED = 2.0
+"""Scattering events within this many mean free paths of a face always connect."""
 
 
 @walk_function()
-def look_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
-    """With what probability a scattering event looks at the light: that of getting out, where it lies deep inside."""
-    depth = media.regions[region_of(boundary, counts), MINORANT] * state[ROOM]
-    return 1.0 if depth <= _ALWAYS_LOOKED else math.exp(_ALWAYS_LOOKED - depth)
+def connection_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
+    """Probability with which a scattering event connects. Deep inside it falls like the transmittance to the
+    boundary.
+    """
+    depth = media.regions[region_of(boundary, counts), MINORANT] * state[CLEARANCE]
+    return 1.0 if depth <= _ALWAYS_CONNECTED else math.exp(_ALWAYS_CONNECTED - depth)
 
 
 @walk_function()
@@ -66,15 +68,14 @@ def march(
     mask: Any,
     near: Any,
     far: Any,
-    at: Any,
+    point: Any,
     ray: Any,
     stream: Any,
-    kept: Any,
+    transmittance: Any,
 ) -> bool:
-    """Multiply kept [3] by the transmittance along p + t d from `near` to `far`, through index-matched boundaries.
+    """Multiply transmittance [3] by that along p + t d from `near` to `far`, through index-matched boundaries.
 
-    False where anything else stands in the way. At `near` the ray lies on `face` (−1: on none), with the walker's
-    `mask` behind it.
+    False if another boundary blocks the ray. At `near` the ray is on `face` (−1: none), in the parts of `mask`.
     """
     t = near
     while True:
@@ -83,48 +84,52 @@ def march(
         found, hit = next_face(boundary, ray, p, d, t, far, face)
         if found < 0:
             if far < np.inf:
-                attenuate(media, boundary.region_of_mask[mask], p, d, t, far, at, stream, kept)
+                attenuate(media, boundary.region_of_mask[mask], p, d, t, far, point, stream, transmittance)
             return True
-        found, _u, _v, before, after = meet(boundary, ray, p, d, hit, found, mask)
-        kind, _eta = crossing(boundary, found, before, after)
+        found, _u, _v, before, after = resolve_hit(boundary, ray, p, d, hit, found, mask)
+        kind, _eta = interface_at(boundary, found, before, after)
         if kind != PASS and kind != MATCHED:
             return False
-        attenuate(media, boundary.region_of_mask[before], p, d, t, hit, at, stream, kept)
-        if kept[0] + kept[1] + kept[2] == 0.0:
+        attenuate(media, boundary.region_of_mask[before], p, d, t, hit, point, stream, transmittance)
+        if transmittance[0] + transmittance[1] + transmittance[2] == 0.0:
             return True
         face, mask, t = found, after, hit
 
 
 @called_function()
-def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any, kept: Any) -> None:
-    """Write into kept [3] the share of a view into an index-matched object that crosses it without any event."""
+def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any, transmittance: Any) -> None:
+    """Write the transmittance [3] of the whole object along the view into it, behind an index-matched boundary."""
     for c in range(3):
-        kept[c] = 1.0
+        transmittance[c] = 1.0
     p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
-    at = state[AT : AT + 3]
-    if not march(boundary, media, p, d, counts[FACE], counts[MASK], 0.0, np.inf, at, ray, stream, kept):
+    point = state[SCRATCH : SCRATCH + 3]
+    if not march(boundary, media, p, d, counts[FACE], counts[MASK], 0.0, np.inf, point, ray, stream, transmittance):
         for c in range(3):
-            kept[c] = 0.0
+            transmittance[c] = 0.0
 
 
 @walk_function()
-def sent_by(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: Any) -> Any:
-    """What an event sends along v per solid angle: the phase function, or the cosine law of a diffuse surface."""
+def scattering_density(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: Any) -> Any:
+    """Density per solid angle with which an event scatters along v: the phase function, or the cosine of a diffuse
+    face.
+    """
     d = state[DIRECTION : DIRECTION + 3]
     if event == SCATTERING:
         return phase(d[0] * v[0] + d[1] * v[1] + d[2] * v[2], media.regions[region_of(boundary, counts), PHASE_G])
     g = boundary.faces[counts[FACE]]
     nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], d)
-    # What an interpolated normal would send behind the face itself is lost, as by `bounce`, which flies into it.
+    # Directions behind the face itself, which an interpolated normal allows, count as absorbed, as after `bounce`.
     if (v[0] * g[0] + v[1] * g[1] + v[2] * g[2]) * (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) >= 0.0:
         return 0.0
     return max(0.0, v[0] * nx + v[1] * ny + v[2] * nz) / math.pi
 
 
 @walk_function()
-def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any) -> Any:
-    """f |cos| of the rough interface from flight d to v (both along the eye path), and about by what density `cross`
-    draws v (the balance heuristic is unbiased with any).
+def interface_transport(
+    boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any
+) -> Any:
+    """f |cos| of the rough interface from flight d to v (both along the eye path), and approximately the density with
+    which `cross` samples v. The balance heuristic is unbiased with any density.
     """
     g = boundary.faces[face]
     before = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
@@ -152,18 +157,18 @@ def sent_through(boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d:
 
 
 @called_function()
-def _sent_straight(boundary: Any, media: Any, state: Any, counts: Any, event: Any, w: Any) -> Any:
-    """What the walk's event sends towards w, and the mask of the walker that flies there."""
+def _event_transport(boundary: Any, media: Any, state: Any, counts: Any, event: Any, w: Any) -> Any:
+    """Scattered density towards w, and the mask of parts that contain a ray in that direction."""
     if event != SURFACE:
-        return sent_by(boundary, media, state, counts, event, w), counts[MASK]
+        return scattering_density(boundary, media, state, counts, event, w), counts[MASK]
     face = counts[FACE]
     d = state[DIRECTION : DIRECTION + 3]
-    _kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
+    _kind, eta = interface_at(boundary, face, counts[BEFORE], counts[BEHIND])
     alpha = alpha_at(boundary, face, state[U], state[V])
-    sent, _density = sent_through(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, d, w, False)
+    scattered, _density = interface_transport(boundary, face, state[NORMAL : NORMAL + 3], alpha, eta, d, w, False)
     g = boundary.faces[face]
     passes = (d[0] * g[0] + d[1] * g[1] + d[2] * g[2]) * (w[0] * g[0] + w[1] * g[1] + w[2] * g[2]) > 0.0
-    return sent, counts[BEHIND] if passes else counts[BEFORE]
+    return scattered, counts[BEHIND] if passes else counts[BEFORE]
 
 
 @walk_function()
@@ -174,76 +179,78 @@ def connect_straight(
     counts: Any,
     event: Any,
     incident: Any,
-    share: Any,
+    connections: Any,
     ray: Any,
-    room: Any,
+    scratch: Any,
     stream: Any,
     value: Any,
 ) -> None:
-    """Add to value [D,3] what an event receives from the directions incident [D,3].
+    """Add to value [D,3] the light that an event receives from the directions incident [D,3].
 
-    `event` is SCATTERING, REFLECTING, or SURFACE at a rough interface inside. `share` of the directions are looked at
-    in turn from a random first one, each weighted by D / looked at. `room` is for 3 numbers.
+    `event` is SCATTERING, REFLECTING, or SURFACE at a rough interface inside. It connects to `connections` of the D
+    directions, evenly spaced from a random first one, each weighted by D / connections. `scratch` is space [3].
     """
     count = incident.shape[0]
-    looked = min(count, share)
-    chance = look_probability(boundary, media, state, counts) if event == SCATTERING else 1.0
-    if chance < 1.0 and uniform(stream) >= chance:
+    connected = min(count, connections)
+    probability = connection_probability(boundary, media, state, counts) if event == SCATTERING else 1.0
+    if probability < 1.0 and uniform(stream) >= probability:
         return
-    first = 0 if looked == count else int(uniform(stream) * count)
+    first = 0 if connected == count else int(uniform(stream) * count)
     p = state[POSITION : POSITION + 3]
     d = state[DIRECTION : DIRECTION + 3]
-    kept = room[0:3]
+    contribution = scratch[0:3]
     phase_g = media.regions[region_of(boundary, counts), PHASE_G]
-    for j in range(looked):
-        i = (first + j * count // looked) % count
+    for j in range(connected):
+        i = (first + j * count // connected) % count
         w = incident[i]
         mask = counts[MASK]
         if event == SCATTERING:
-            sent = phase(d[0] * w[0] + d[1] * w[1] + d[2] * w[2], phase_g)
+            scattered = phase(d[0] * w[0] + d[1] * w[1] + d[2] * w[2], phase_g)
         else:
-            sent, mask = _sent_straight(boundary, media, state, counts, event, w)
-        if sent <= 0.0:
+            scattered, mask = _event_transport(boundary, media, state, counts, event, w)
+        if scattered <= 0.0:
             continue
         for c in range(3):
-            kept[c] = sent * count / (looked * chance)
+            contribution[c] = scattered * count / (connected * probability)
         face, near = counts[FACE], 0.0
         if event == SCATTERING:
-            face, near, mask = _leave_nearby(boundary, media, state, counts, w, stream, kept)
+            face, near, mask = _cross_nearby(boundary, media, state, counts, w, stream, contribution)
             if near < 0.0:
                 continue
-        if march(boundary, media, p, w, face, mask, near, np.inf, state[AT : AT + 3], ray, stream, kept):
+        if march(
+            boundary, media, p, w, face, mask, near, np.inf, state[SCRATCH : SCRATCH + 3], ray, stream, contribution
+        ):
             for c in range(3):
-                value[i, c] += state[THROUGHPUT + c] * kept[c]
+                value[i, c] += state[THROUGHPUT + c] * contribution[c]
 
 
 @walk_function()
-def _leave_nearby(boundary: Any, media: Any, state: Any, counts: Any, w: Any, stream: Any, kept: Any) -> Any:
-    """Follow a connection from a scattering event along w as far as no ray is needed: (face reached or −1, distance,
-    mask there), with kept [3] multiplied by the transmittance up to a face that is reached.
+def _cross_nearby(boundary: Any, media: Any, state: Any, counts: Any, w: Any, stream: Any, contribution: Any) -> Any:
+    """Follow a connection along w as far as the nearby faces tell without a ray: (face reached or −1, distance, mask).
 
-    What little gets through so far goes on by roulette; the distance is negative where it has ended.
+    Multiplies contribution [3] by the transmittance up to a face that is reached. Deep connections play roulette; the
+    distance is negative if one has ended.
     """
     p, mask = state[POSITION : POSITION + 3], counts[MASK]
-    face, t, _u, _v, inside = meet_nearby(boundary, p, w, -1)
+    face, t, _u, _v, inside = nearby_hit(boundary, p, w, -1)
     region = region_of(boundary, counts)
     depth = t * media.regions[region, MINORANT]
     if face < 0 or not inside:
-        return (-1, 0.0, mask) if _survives(depth, stream, kept) else (-1, -1.0, mask)
-    if not sees_sky(boundary, face, w) and not _survives(depth, stream, kept):
+        return (-1, 0.0, mask) if _roulette(depth, stream, contribution) else (-1, -1.0, mask)
+    if not sees_sky(boundary, face, w) and not _roulette(depth, stream, contribution):
         return -1, -1.0, mask
-    attenuate(media, region, p, w, 0.0, t, state[AT : AT + 3], stream, kept)
+    attenuate(media, region, p, w, 0.0, t, state[SCRATCH : SCRATCH + 3], stream, contribution)
     return face, t, 0
 
 
 @walk_function()
-def _survives(depth: Any, stream: Any, kept: Any) -> bool:
-    """Roulette on a connection that passes at least so many mean free paths, weighted in kept [3]."""
-    if depth <= _ALWAYS_LOOKED:
+def _roulette(depth: Any, stream: Any, contribution: Any) -> bool:
+    """Russian roulette on a connection through at least `depth` mean free paths; survivors are reweighted."""
+    if depth <= _ALWAYS_CONNECTED:
         return True
-    chance = math.exp(_ALWAYS_LOOKED - depth)
-    if uniform(stream) >= chance:
+    probability = math.exp(_ALWAYS_CONNECTED - depth)
+    if uniform(stream) >= probability:
         return False
     for c in range(3):
-        kept[c] /= chance
+        contribution[c] /= probability
     return True

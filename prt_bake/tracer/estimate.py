@@ -1,15 +1,14 @@
-"""Estimates of the transport function Ŝ and of its harmonic coefficients, each with its standard error.
+"""Estimates of the transport function Ŝ and of its harmonic coefficients, with standard errors.
 
-A query is a point x on the surface and a direction ωo to the eye. `estimate_transport` gives Ŝ(ωi; x, ωo) [1/sr] for
-chosen directions of incidence, `estimate_coefficients` gives a_lm = ∫ Ŝ Y_lm dωi from where the walks leave. What
-both count, and what they report apart as unscattered, is said in the README under "What Ŝ counts".
+A query is a point x on the surface and a direction ωo to the eye. `estimate_transport` estimates Ŝ(ωi; x, ωo) [1/sr]
+for given directions of incidence, `estimate_coefficients` estimates a_lm = ∫ Ŝ Y_lm dωi from the exits of walks. The
+README defines under "What Ŝ counts" what both include and what they report separately as unscattered.
 """
 
 import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,58 +16,58 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.jit.threads import in_threads
-from prt_bake.tracer.prepared import PreparedScene, has_dielectric_inside, prepare, smooth_part
+from prt_bake.tracer.prepared import KernelQueries, PreparedScene, has_dielectric_inside, prepare, smooth_part
 from prt_bake.tracer.surface.boundary import SMOOTHEST
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.tracer.volume.media import PHASE_G
 
 Array = NDArray[np.float64]
 
-_PATHS_A_CHUNK = 2048
+_PATHS_PER_CHUNK = 2048
 _NUMBERS_AT_ONCE = 4_000_000
-_KURTOSIS_A_PATH = 1 / 5
-"""An estimate is called reliable while the sample's kurtosis stays below this share of the number of paths. A stricter
-share would do harm: of samples near the limit it takes those that missed the strong paths."""
+_KURTOSIS_PER_PATH = 1 / 5
+"""An estimate is reliable if the kurtosis of its sample is below this share of the number of paths. A stricter limit
+would do harm: among samples near the limit it prefers those that missed the strong paths."""
 _LEAST_PATHS = 64
-"""So many paths are needed for a connection that is never stronger than an even spread; `_sharpness` times for others,
-whose strong paths are as rare as they are strong: a sample that missed them all looks perfect."""
-_BY_CHANCE = 4.0
-"""For light that a dielectric inside bends (measured on a drink with ice, alpha 0.05: bounds cover 86 % at 80 times
-alpha⁻² paths, 93.5 % at 160, 95 % at 330)."""
+"""Paths required if no connection exceeds an isotropic one. Others require `_sharpness` times as many: their strong
+paths are as rare as they are strong, and a sample that missed them all looks perfect."""
+_REFRACTED_INSIDE = 4.0
+"""Further factor if a dielectric inside refracts light (measured on a drink with ice at alpha 0.05: bounds cover 86 %
+with 80 alpha⁻² paths, 93.5 % with 160, 95 % with 330)."""
 _DARK = 1e-3 / (4.0 * math.pi)
-"""[1/sr]: a thousandth of an even spread of all light. Of what is surely darker an upper bound is enough."""
-_UNSEEN = 3.0
-"""What happens to less than `_UNSEEN` / paths of the walks stays unseen in a sample 5 times in 100 (rule of three)."""
+"""[1/sr]: a thousandth of isotropic transport. For values that are certainly darker an upper bound suffices."""
+_RULE_OF_THREE = 3.0
+"""A sample of n paths misses an event of probability 3 / n in 5 of 100 cases."""
 _BRIGHT = 1.0 / math.pi
-"""[1/sr]: what a walk brings that finds its way to the light, as much as white paper gives back. Behind sharp lobes it
-comes in fewer, stronger paths: most of them are aimed at, the others count with `_UNAIMED` of the lobe's sharpness."""
-_UNAIMED = 0.1
+"""[1/sr]: contribution of a walk that reaches the light, that of a white diffuse surface. Sharp lobes concentrate it in
+fewer, stronger paths. Next-event estimation finds most of these; the rest count with `_MISSED` of the sharpness."""
+_MISSED = 0.1
 _CONNECTIONS = 8
 _BOUND = 1.96
 _TINY_VARIANCE = 1e-140
-"""Below this, fourth powers underflow: the kurtosis of what is so dark is called infinite."""
+"""Below this, fourth powers underflow and the kurtosis is set to infinity."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """`mean` and one-sigma `standard_error` of N queries, and what the figures rest on.
+    """Mean and one-sigma standard error of N queries, and how far to trust them.
 
     Attributes:
-        mean, standard_error: [N,3] or [N,D,3] (Ŝ, 1/sr) or [N,K,3] (coefficients). mean ± 1.96 standard_error holds the
-            truth 95 times in 100 where the query is `reliable`: the error is widened by what the sample's skewness asks
-            for. It holds it more often for values of Ŝ that are surely darker than 8e-5 1/sr (a thousandth of an even
-            spread of all light) and rest on too few strong paths, or on none: 1.96 standard_error counts there what
-            paths that were not seen may bring, 3 / paths times the strength of a strong one.
-        unscattered: [N], the share of the view that goes through without a single scattering event: a delta function,
-            not in `mean`. 0 behind a rough interface, where that light is a function and is counted. [N,3] where
-            extinction differs between the channels.
-        reliable: [N], False where the error bars cannot be trusted at this number of paths. It asks for 64 paths, times
-            how much stronger than an even spread the peak of the interface's lobe or of the phase function is (a
-            texture's on average), times four where a dielectric inside bends the light; and for each value that some
-            path has brought anything and the sample's kurtosis stays below a fifth of the paths, or else that the
-            bound above shows it to be that dark.
-        lost: [N], mean throughput of walks that were cut (0 unless a walk passes ten million events).
-        paths, seconds: walks a query, and what they took.
+        mean, standard_error: [N,3] or [N,D,3] (Ŝ, 1/sr) or [N,K,3] (coefficients). mean ± 1.96 standard_error covers
+            the truth in 95 of 100 cases if the query is `reliable`; the error includes a correction for the skewness of
+            the sample. Values of Ŝ that are certainly below 8e-5 1/sr (a thousandth of isotropic transport) and rest on
+            too few strong paths, or on none, get a wider bound: it adds the contribution that unsampled paths may have,
+            3 / paths times that of a strong path.
+        unscattered: [N], or [N,3] if extinction differs between channels: transmittance of light that crosses the
+            object without a scattering event. This light is a delta function and is not in `mean`. Behind a rough
+            interface it is a function, which `mean` includes, and `unscattered` is 0.
+        reliable: [N], False if the error bars cannot be trusted at this number of paths. It requires 64 paths, times
+            the peak of the interface's lobe (averaged over a texture) or of the phase function relative to an isotropic
+            one, times four if a dielectric inside refracts light. Each value also requires either that some path
+            contributes and the kurtosis of the sample is below a fifth of the paths, or that the upper bound shows it
+            to be dark.
+        lost: [N], mean throughput of truncated walks (0 unless a walk exceeds ten million events).
+        paths, seconds: walks per query, and total wall time.
     """
 
     mean: Array
@@ -90,30 +89,37 @@ def estimate_transport(
     *,
     connections: int = _CONNECTIONS,
 ) -> Estimate:
-    """Ŝ(ωi; x, ωo) at positions [N,3] on the surface, outgoing [N,3], incident [N,3] or [N,D,3] (one walk serves the
-    D).
+    """Estimate Ŝ(ωi; x, ωo) [1/sr] at positions [N,3] on the surface for outgoing [N,3] and incident [N,3] or [N,D,3].
 
-    `connections` is how many of the D directions each event of a walk looks at; any number gives the same expectation.
-    The numbers depend on the seed, the query's place in the batch and the path alone.
+    One walk serves all D directions of its query. Each event of a walk connects to `connections` of them; the
+    expectation does not depend on it. The random numbers depend on the seed, the index of the query and the path alone.
 
-    Raises QueryError for wrong shapes, directions that are not of unit length, positions off the surface, queries
-    below the horizon, and for smooth interfaces, where Ŝ at a given ωi is a sum of delta functions seen by no
-    connection.
+    Raises QueryError for wrong shapes, directions that are not of unit length, positions off the surface, queries below
+    the horizon, and smooth interfaces, behind which Ŝ is a sum of delta functions that no connection samples.
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> x, n = scene.mesh.positions[:1], scene.mesh.normals[:1]
+    >>> prt.estimate_transport(scene, x, n, n, paths=64).mean.shape  # doctest: +SKIP
+    (1, 3)
     """
     prepared = prepare(scene)
     smooth = smooth_part(scene)
     if smooth is not None:
         raise QueryError(
-            f"{scene.path}: the boundary of '{smooth.name}' is a smooth interface; "
-            "behind it no connection to a given direction of incidence exists, so Ŝ cannot be estimated there: "
-            "estimate_coefficients works, or make it rough"
+            f"{scene.path}: the boundary of '{smooth.name}' is a smooth interface, through which no event can connect "
+            "to a given direction of incidence; use estimate_coefficients, or give the interface a roughness"
         )
-    towards = _directions(incident, "incident")
-    single = towards.ndim == 2
-    towards = np.ascontiguousarray(towards[:, None] if single else towards)
+    directions = _directions(incident, "incident")
+    single = directions.ndim == 2
+    directions = np.ascontiguousarray(directions[:, None] if single else directions)
     queries = _place(prepared, positions, outgoing)
-    if towards.shape[0] != len(queries[0]) or towards.shape[-1] != 3:
-        raise QueryError(f"incident: shape {np.shape(incident)} where [{len(queries[0])},3] or [N,D,3] is expected")
+    if len(directions) != len(queries.keys):
+        raise QueryError(
+            f"incident: expected shape [{len(queries.keys)},3] or [{len(queries.keys)},D,3], found {np.shape(incident)}"
+        )
 
     def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
         from prt_bake.tracer.kernels import sum_transport
@@ -123,19 +129,19 @@ def estimate_transport(
             len(chunks),
             prepared.boundary,
             prepared.medium,
-            tuple(part[chosen] for part in queries),
+            queries.rows(chosen),
             chunks,
-            towards[chosen],
+            directions[chosen],
             connections,
-            prepared.aims,
+            prepared.next_event,
             seed,
             sums,
         )
 
-    shape = () if single else towards.shape[1:2]
+    shape = () if single else directions.shape[1:2]
     sharpness = _sharpness(scene, prepared)
-    strong = _BRIGHT * max(1.0, _UNAIMED * sharpness)
-    return _estimate(run, len(queries[0]), paths, shape, towards.shape[1], _LEAST_PATHS * sharpness, strong)
+    strong = _BRIGHT * max(1.0, _MISSED * sharpness)
+    return _estimate(run, len(queries.keys), paths, shape, directions.shape[1], _LEAST_PATHS * sharpness, strong)
 
 
 def estimate_coefficients(
@@ -148,15 +154,24 @@ def estimate_coefficients(
     *,
     keys: NDArray[np.uint64] | None = None,
 ) -> Estimate:
-    """a_lm(x, ωo) = ∫ Ŝ Y_lm dωi [N,K,3] from the walks' exits: E[throughput · Y_lm(exit)], any interface.
+    """Estimate a_lm(x, ωo) = ∫ Ŝ Y_lm dωi [N,K,3] = E[throughput · Y_lm(exit)] from walks' exits, for any interface.
 
-    `keys` [N] take the place of the queries' numbers in the batch, where the random numbers must not depend on it.
+    K = (degree + 1)², in the order of `prt_bake.sh`. `keys` [N] replace the indices of the queries in the choice of
+    random numbers.
 
-    Raises QueryError as `estimate_transport`, but for smooth interfaces.
+    Raises QueryError as `estimate_transport`, except for smooth interfaces.
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> x, n = scene.mesh.positions[:1], scene.mesh.normals[:1]
+    >>> prt.estimate_coefficients(scene, x, n, degree=2, paths=64).mean.shape  # doctest: +SKIP
+    (1, 9, 3)
     """
     prepared = prepare(scene)
     if degree < 0:
-        raise QueryError(f"degree: {degree} where 0 or more is expected")
+        raise QueryError(f"degree: expected 0 or more, found {degree}")
     queries = _place(prepared, positions, outgoing, keys)
 
     def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
@@ -167,7 +182,7 @@ def estimate_coefficients(
             len(chunks),
             prepared.boundary,
             prepared.medium,
-            tuple(part[chosen] for part in queries),
+            queries.rows(chosen),
             chunks,
             degree,
             seed,
@@ -175,19 +190,18 @@ def estimate_coefficients(
         )
 
     size = (degree + 1) ** 2
-    return _estimate(run, len(queries[0]), paths, (size,), size, _LEAST_PATHS, math.inf)
+    return _estimate(run, len(queries.keys), paths, (size,), size, _LEAST_PATHS, math.inf)
 
 
 def _sharpness(scene: Scene, prepared: PreparedScene) -> float:
-    """How much stronger than an even spread a single connection can be: the peak of the phase function where events
-    look straight at the light, of the interface's lobe where they look through it, averaged over a texture.
+    """Peak of a single connection relative to an isotropic one: of the phase function for straight connections, of the
+    interface's lobe, averaged over a texture, for connections through a rough boundary.
 
-    What a dielectric inside bends cannot be aimed at the light and finds it by chance alone, `_BY_CHANCE` times as
-    rarely.
+    Light that a dielectric inside refracts cannot be connected to and is `_REFRACTED_INSIDE` times as rare.
     """
     if prepared.kind == ROUGH:
         lobes = float(np.mean(np.maximum(scene.roughness, SMOOTHEST) ** -2.0))
-        return max(1.0, lobes) * (_BY_CHANCE if has_dielectric_inside(scene) else 1.0)
+        return max(1.0, lobes) * (_REFRACTED_INSIDE if has_dielectric_inside(scene) else 1.0)
     g = float(np.abs(prepared.medium.regions[:, PHASE_G]).max())
     return (1.0 + g) / (1.0 - g) ** 2
 
@@ -195,13 +209,13 @@ def _sharpness(scene: Scene, prepared: PreparedScene) -> float:
 def _directions(rows: ArrayLike, name: str) -> Array:
     directions = np.asarray(rows, np.float64)
     if directions.ndim not in (2, 3) or directions.shape[-1] != 3:
-        raise QueryError(f"{name}: shape {directions.shape} where [N,3] is expected")
+        raise QueryError(f"{name}: expected an array [N,3], found shape {list(directions.shape)}")
     length = np.linalg.norm(directions, axis=-1)
     wrong = np.argwhere(~(np.abs(length - 1.0) < 1e-4))
     if len(wrong):
         first = tuple(int(i) for i in wrong[0])
         raise QueryError(
-            f"{name}: {len(wrong)} directions are not of unit length; the first is at {first} with length "
+            f"{name}: expected unit vectors, found {len(wrong)} that are not; the first, at {list(first)}, has length "
             f"{length[first]:.6g}"
         )
     return np.asarray(directions / length[..., None])
@@ -209,21 +223,24 @@ def _directions(rows: ArrayLike, name: str) -> Array:
 
 def _place(
     prepared: PreparedScene, positions: ArrayLike, outgoing: ArrayLike, keys: NDArray[np.uint64] | None = None
-) -> tuple[Any, ...]:
-    where, eye = np.asarray(positions, np.float64), _directions(outgoing, "outgoing")
-    if where.shape != eye.shape or eye.ndim != 2:
-        raise QueryError(f"positions: shape {where.shape} beside outgoing {eye.shape} where both are [N,3]")
-    if not np.isfinite(where).all():
-        raise QueryError(f"positions: {int((~np.isfinite(where)).any(axis=1).sum())} of {len(where)} are not finite")
-    return prepared.place(where, eye, np.arange(len(where), dtype=np.uint64) if keys is None else keys)
+) -> KernelQueries:
+    points, eye = np.asarray(positions, np.float64), _directions(outgoing, "outgoing")
+    if points.shape != eye.shape or eye.ndim != 2:
+        raise QueryError(
+            f"positions and outgoing: expected arrays [N,3], found {list(points.shape)} and {list(eye.shape)}"
+        )
+    if not np.isfinite(points).all():
+        bad = int((~np.isfinite(points)).any(axis=1).sum())
+        raise QueryError(f"positions: expected finite numbers, found {bad} of {len(points)} that are not finite")
+    return prepared.place(points, eye, np.arange(len(points), dtype=np.uint64) if keys is None else keys)
 
 
 def _blocks(count: int, paths: int, numbers: int) -> Iterator[tuple[slice, NDArray[np.int64]]]:
-    """Slices of queries whose sums fit in memory, each with its chunks (query, first path, paths)."""
-    per_query = -(-paths // _PATHS_A_CHUNK)
+    """Slices of queries whose sums fit in memory, with their chunks (query, first path, paths)."""
+    per_query = -(-paths // _PATHS_PER_CHUNK)
     size = max(1, _NUMBERS_AT_ONCE // (numbers * 4 * per_query))
-    first = np.arange(0, paths, _PATHS_A_CHUNK)
-    length = np.minimum(_PATHS_A_CHUNK, paths - first)
+    first = np.arange(0, paths, _PATHS_PER_CHUNK)
+    length = np.minimum(_PATHS_PER_CHUNK, paths - first)
     for begin in range(0, count, size):
         chosen = slice(begin, min(begin + size, count))
         n = np.arange(chosen.stop - begin)
@@ -240,9 +257,12 @@ def _estimate(
     least_paths: float,
     strong: float,
 ) -> Estimate:
-    """`strong` is what a walk brings that finds its way to the light; infinite where being dark excuses nothing."""
+    """Sum the powers of all values by `run` and turn them into an Estimate.
+
+    `strong` is the contribution of a walk that reaches the light; inf disables the upper bound for dark values.
+    """
     if paths < 2:
-        raise QueryError(f"paths: {paths} where at least 2 are needed for an error estimate")
+        raise QueryError(f"paths: expected at least 2 for an error estimate, found {paths}")
     begun = time.perf_counter()
     numbers = rows * 3 + 4
     powers = np.zeros((count, 4, numbers))
@@ -253,7 +273,7 @@ def _estimate(
     mean, error, kurtosis = _central(powers / paths, paths)
     values = slice(0, rows * 3)
     touched = np.any(powers[:, 1, values].reshape(count, rows, 3) > 0.0, axis=2)
-    trusted = np.repeat(touched, 3, axis=1) & (kurtosis[:, values] <= paths * _KURTOSIS_A_PATH)
+    trusted = np.repeat(touched, 3, axis=1) & (kurtosis[:, values] <= paths * _KURTOSIS_PER_PATH)
     error[:, values], dark = _widened_in_the_dark(
         mean[:, values], error[:, values], powers[..., values], ~trusted, paths, strong
     )
@@ -271,24 +291,25 @@ def _estimate(
 def _widened_in_the_dark(
     mean: Array, error: Array, powers: Array, doubtful: NDArray[np.bool_], paths: int, strong: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Errors [N,M] that count what unseen paths may bring where a value is doubtful and dark all the same, and where
-    that is.
+    """Errors [N,M] widened by the possible contribution of unsampled paths, for values that are doubtful but dark, and
+    the mask [N,M] of these values.
     """
     third, fourth = powers[:, 2], powers[:, 3]
     seen = np.divide(fourth, third, out=np.zeros_like(third), where=third > 0.0)
-    wide = error + _UNSEEN / paths * np.maximum(strong, seen) / _BOUND
+    wide = error + _RULE_OF_THREE / paths * np.maximum(strong, seen) / _BOUND
     dark = doubtful & (mean + _BOUND * wide <= _DARK)
     return np.where(dark, wide, error), dark
 
 
 def _one_where_equal(shares: Array) -> Array:
-    """[N] of [N,3] if the channels are equal."""
+    """[N] instead of [N,3] if the channels are equal."""
     return shares[:, 0] if np.array_equal(shares, np.broadcast_to(shares[:, :1], shares.shape)) else shares
 
 
 def _central(raw: Array, paths: int) -> tuple[Array, Array, Array]:
-    """Mean, standard error of the mean and kurtosis from raw moments [N,4,M]; kurtosis 1 where nothing varies, and
-    infinite where it is out of float64's reach.
+    """Mean, standard error of the mean, and kurtosis from raw moments [N,4,M].
+
+    The kurtosis is 1 for constant samples and inf if it is out of float64's range.
     """
     mean, second, third, fourth = (raw[:, k] for k in range(4))
     variance = np.maximum(second - mean**2, 0.0)
@@ -302,11 +323,11 @@ def _central(raw: Array, paths: int) -> tuple[Array, Array, Array]:
 
 
 def _widened(skewness: Array, kurtosis: Array, paths: int) -> Array:
-    """The factor by which a standard error grows for mean ± 1.96 of it to hold 95 % of a skewed sample's means.
+    """Factor on a standard error that gives mean ± 1.96 of it a coverage of 95 % for a skewed distribution.
 
-    A sample that missed strong paths has a low mean and a low variance at once, so that plain bounds fall short. This
-    is the second-order term of the studentised mean's Edgeworth expansion (Hall 1992, The Bootstrap and Edgeworth
-    Expansion, section 2.6), turned into a width.
+    A sample that missed strong paths has a low mean and a low variance at once, so that plain bounds are too narrow.
+    The factor is the second-order term of the Edgeworth expansion of the studentised mean (Hall 1992, The Bootstrap and
+    Edgeworth Expansion, section 2.6), expressed as a width.
     """
     z2 = _BOUND**2
     kurtosis = np.where(np.isfinite(kurtosis), kurtosis, 3.0)

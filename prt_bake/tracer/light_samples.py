@@ -1,9 +1,9 @@
-"""Walks of pictures: what each receives from given directions of incidence, and where it leaves the object.
+"""Walks for pictures: light samples from given directions of incidence, and exit directions.
 
-What is counted: `walk_lit` estimates Ŝ, that is every path but the light that crosses the object without a single
-scattering event (README, "What Ŝ counts"). Behind an index-matched boundary that light is a delta function which no
-connection sees: `walk_out` marks the exits that carry it, and a picture adds them under the whole light. Through a
-rough boundary it is a function, connections see it, and no exit is marked.
+`sample_transport` estimates Ŝ, which leaves out light that crosses the object without a scattering event (README, "What
+Ŝ counts"). Behind an index-matched or smooth boundary that light is a delta function, which connections cannot sample:
+`sample_exits` marks the exits that carry it, and pictures add it under the complete lighting. Through a rough boundary
+it is a function that connections do sample, and no exit is marked.
 """
 
 from typing import NamedTuple
@@ -23,8 +23,8 @@ _NUMBERS_AT_ONCE = 4_000_000
 
 
 class Exits(NamedTuple):
-    """Directions [N,P,3] in which walks leave, throughput [N,P,3] (0: it never left), and which exits [N,P] carry light
-    that no connection sees.
+    """Exit directions [N,P,3] of walks, their throughput [N,P,3] (0: never left), and which exits [N,P] are
+    unscattered.
     """
 
     directions: Array
@@ -33,9 +33,10 @@ class Exits(NamedTuple):
 
 
 class Connections(NamedTuple):
-    """What connections to one direction of incidence are worth.
+    """Efficiency of connections to one direction of incidence.
 
-    variance: of what one walk receives, over its squared mean. cost: of such a walk, over one that only leaves.
+    variance: of one walk's light sample, over its squared mean. cost: of such a walk, over that of a walk without
+    connections.
     """
 
     variance: float
@@ -43,9 +44,9 @@ class Connections(NamedTuple):
 
 
 def connections(scene: Scene) -> Connections | None:
-    """What connections are worth in a scene; None where there are none, behind a smooth interface (`smooth_part`).
+    """Efficiency of connections in a scene; None behind a smooth interface, which allows none (`smooth_part`).
 
-    The figures are rough fits to what was measured on a lumpy ball of 4 to 15 mean free paths, alpha 0.02 to 0.3.
+    The figures are rough fits to measurements on a lumpy ball of 4 to 15 mean free paths, alpha 0.02 to 0.3.
     """
     if smooth_part(scene) is not None:
         return None
@@ -55,7 +56,7 @@ def connections(scene: Scene) -> Connections | None:
     return Connections(variance=0.6 + 0.03 / alpha**1.7, cost=4.0)
 
 
-def walk_lit(
+def sample_transport(
     scene: Scene,
     faces: NDArray[np.int64],
     barycentric: Array,
@@ -65,11 +66,10 @@ def walk_lit(
     paths: int,
     seed: int,
 ) -> tuple[Array, Array]:
-    """Ŝ [N,D,3] [1/sr] of N points towards incident, [D,3] or each point's own [N,D,3]: the mean over `paths` walks,
-    and the mean of their squares.
+    """Ŝ [N,D,3] [1/sr] of N points for incident [D,3] or [N,D,3]: mean of `paths` walks, and mean of their squares.
 
-    faces [N] and barycentric (u, v) [N,2] say where, outgoing [N,3] whither the light goes, keys [N] number the
-    queries. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). There must be `connections`.
+    faces [N] and barycentric (u, v) [N,2] locate the points, outgoing [N,3] points to the eye, keys [N] select the
+    random numbers. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). Requires `connections`.
     """
     from prt_bake.tracer.kernels import sum_transport
 
@@ -78,7 +78,7 @@ def walk_lit(
     towards = np.broadcast_to(np.asarray(incident, np.float64), (count, directions, 3))
     queries = prepared.queries(_location(faces, barycentric), np.asarray(outgoing, np.float64), keys)
     means, squares = np.zeros((count, directions, 3)), np.zeros((count, directions, 3))
-    numbers = directions * 3 + 4  # room for what the kernel reports after the last direction
+    numbers = directions * 3 + 4  # after the directions: unscattered transmittance [3] and lost throughput
     step = max(1, _NUMBERS_AT_ONCE // (4 * numbers))
     for begin in range(0, count, step):
         chosen = slice(begin, min(begin + step, count))
@@ -90,12 +90,12 @@ def walk_lit(
             rows,
             prepared.boundary,
             prepared.medium,
-            tuple(part[chosen] for part in queries),
+            queries.rows(chosen),
             chunks,
-            # A copy that can be written to: for one that cannot, a minute is spent on compiling the kernel anew.
+            # A writable copy: a read-only array has another type, for which the kernel would be compiled anew.
             np.array(towards[chosen], order="C"),
             directions,
-            prepared.aims,
+            prepared.next_event,
             seed,
             sums,
         )
@@ -104,7 +104,7 @@ def walk_lit(
     return means, squares
 
 
-def walk_out(
+def sample_exits(
     scene: Scene,
     faces: NDArray[np.int64],
     barycentric: Array,
@@ -113,7 +113,7 @@ def walk_out(
     paths: int,
     seed: int,
 ) -> Exits:
-    """Where `paths` walks from each of N points leave the object; arguments as those of `walk_lit`."""
+    """Exits of `paths` walks from each of N points; arguments as for `sample_transport`."""
     from prt_bake.tracer.kernels import draw_exits
 
     prepared = prepare(scene)

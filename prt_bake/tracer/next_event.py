@@ -1,9 +1,9 @@
-"""Where a connection through a rough boundary aims.
+"""Sampling of next-event directions through a rough boundary.
 
-Light from w is bent at the boundary, so what reaches an event inside flies along some v near w. Two densities serve,
-mixed: a lobe about w wide enough for the usual bend; and the interface itself, by refracting w at a microfacet of the
-boundary near where v will meet it, as if the surface were a plane there. The second follows narrow interfaces, the
-first holds where the surface turns.
+Light from w refracts at the boundary and reaches an event inside along some v near w. Directions v are sampled from a
+mixture of two densities. One is a von Mises–Fisher lobe about w, wide enough for the usual refraction. The other
+refracts w at a sampled microfacet of the boundary near where v will hit it, as if the surface were a plane there. The
+latter follows narrow interfaces, the former covers curved surfaces.
 """
 
 import math
@@ -21,38 +21,35 @@ from prt_bake.tracer.walk import frame
 _REFRACTED_SHARE = 0.7
 
 
-class Aim(NamedTuple):
-    """How connections aim: the lobe's concentration, and how often a connection looks for the boundary's normal.
-
-    `looks` 0 leaves the refracted half out.
-    """
+class NextEventSampling(NamedTuple):
+    """Concentration `kappa` of the lobe, and number of iterations that search the boundary's normal (0: lobe only)."""
 
     kappa: float
-    looks: int
+    normal_steps: int
 
 
-def aim_for(alpha: float, eta: float) -> Aim:
-    """The aim for a GGX roughness and a relative index.
+def next_event_sampling(alpha: float, eta: float) -> NextEventSampling:
+    """Parameters for a GGX roughness and a relative index.
 
-    The lobe is fitted to the least variance per path on a sphere (eta 1.1–1.5, alpha 0.1–0.5, sigma_t 5 and 15); the
-    looks to the most efficiency on a sphere and on a mesh with hollows, eta 1.3, alpha 0.03–0.6: the wider the
-    interface refracts, the less a look is worth its ray.
+    `kappa` is fitted to the least variance per path on a sphere (eta 1.1–1.5, alpha 0.1–0.5, sigma_t 5 and 15).
+    `normal_steps` is fitted to the highest efficiency on a sphere and on a concave mesh (eta 1.3, alpha 0.03–0.6): a
+    wide interface does not repay the rays.
     """
     bend = 0.7 * (1.0 - 1.0 / max(eta, 1.0 / eta))
     width = alpha * abs(1.0 - 1.0 / eta)
-    looks = sum(width < limit for limit in (0.1, 0.05, 0.0125))
-    return Aim((1.0 + alpha**2) / (bend * bend + 0.003), looks)
+    normal_steps = sum(width < limit for limit in (0.1, 0.05, 0.0125))
+    return NextEventSampling((1.0 + alpha**2) / (bend * bend + 0.003), normal_steps)
 
 
 @walk_function()
 def lobe_density(cosine: Any, kappa: Any) -> Any:
-    """A von Mises–Fisher lobe per solid angle."""
+    """Density of a von Mises–Fisher lobe per solid angle."""
     return kappa / (2.0 * math.pi * (1.0 - math.exp(-2.0 * kappa))) * math.exp(kappa * (cosine - 1.0))
 
 
 @walk_function()
-def draw_lobe(w: Any, kappa: Any, v: Any, stream: Any) -> None:
-    """Draw a direction v of the lobe about w."""
+def sample_lobe(w: Any, kappa: Any, v: Any, stream: Any) -> None:
+    """Sample a direction v from the von Mises–Fisher lobe about w."""
     cosine = 1.0 + math.log(1.0 - uniform(stream) * (1.0 - math.exp(-2.0 * kappa))) / kappa
     sine = math.sqrt(max(0.0, 1.0 - cosine * cosine))
     angle = 2.0 * math.pi * uniform(stream)
@@ -67,7 +64,7 @@ def draw_lobe(w: Any, kappa: Any, v: Any, stream: Any) -> None:
 
 @walk_function()
 def _outermost_face(boundary: Any, p: Any, v: Any, skip: Any, ray: Any) -> Any:
-    """The first face of the object itself along p + t v, whatever stands inside; −1: none."""
+    """The first face of the object itself along p + t v, past all inner parts; −1: none."""
     near = 0.0
     while True:
         face, t = nearest_hit(boundary.intersect, boundary.scene, ray, p, v, near, np.inf, skip)
@@ -77,16 +74,16 @@ def _outermost_face(boundary: Any, p: Any, v: Any, skip: Any, ray: Any) -> Any:
 
 
 @called_function()
-def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v: Any, normal: Any) -> bool:
-    """Write the outward normal of the boundary near where light from w reaches p; False where there is none.
+def boundary_normal(boundary: Any, normal_steps: Any, p: Any, w: Any, skip: Any, ray: Any, v: Any, normal: Any) -> bool:
+    """Write the outward normal of the boundary near where light from w enters to reach p. False if there is none.
 
-    The first guess is where p + t w leaves the object, the next where the light refracted there is met. `v` is room
-    for a direction.
+    Fixed-point iteration: the first guess is where p + t w leaves the object, the next where the ray refracted there
+    does. `v` is scratch space [3].
     """
     for k in range(3):
         v[k] = w[k]
     found = False
-    for step in range(looks):
+    for step in range(normal_steps):
         face = _outermost_face(boundary, p, v, skip, ray)
         if face < 0:
             return found
@@ -97,7 +94,7 @@ def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v
         x, y, z = facing_normal(boundary, face, normal, w)
         normal[0], normal[1], normal[2] = -x, -y, -z
         found = True
-        if step + 1 < looks:
+        if step + 1 < normal_steps:
             cosine = w[0] * normal[0] + w[1] * normal[1] + w[2] * normal[2]
             eta = boundary.eta
             squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
@@ -110,10 +107,10 @@ def look_ahead(boundary: Any, looks: Any, p: Any, w: Any, skip: Any, ray: Any, v
 
 
 @called_function()
-def draw_aim(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v: Any, stream: Any) -> bool:
-    """Draw the direction of flight v towards the boundary, by density `aim_density`; False: nothing in this draw."""
+def sample_next_event(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v: Any, stream: Any) -> bool:
+    """Sample a direction v to the boundary with `next_event_density`. False if the sample is void."""
     if not has_normal or uniform(stream) >= _REFRACTED_SHARE:
-        draw_lobe(w, kappa, v, stream)
+        sample_lobe(w, kappa, v, stream)
         return True
     sx, sy, sz, tx, ty, tz = frame(normal[0], normal[1], normal[2])
     ix, iy = w[0] * sx + w[1] * sy + w[2] * sz, w[0] * tx + w[1] * ty + w[2] * tz
@@ -128,8 +125,8 @@ def draw_aim(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v:
 
 
 @called_function()
-def aim_density(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v: Any) -> Any:
-    """Density of `draw_aim` per solid angle of v, given the normal that `look_ahead` found from the same point."""
+def next_event_density(boundary: Any, kappa: Any, w: Any, has_normal: Any, normal: Any, v: Any) -> Any:
+    """Density of `sample_next_event` per solid angle of v, given the result of `boundary_normal` at the same point."""
     lobe = lobe_density(v[0] * w[0] + v[1] * w[1] + v[2] * w[2], kappa)
     if not has_normal:
         return lobe

@@ -1,14 +1,14 @@
-"""A scene made ready for the kernels: centred, scaled to its longest side, with its Embree tree built once."""
+"""A scene in the kernels' form: centred, scaled to its longest side, with an Embree tree."""
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Part, Scene
 from prt_bake.geometry.surface import Location, Surface
-from prt_bake.tracer.next_event import Aim, aim_for
+from prt_bake.tracer.next_event import NextEventSampling, next_event_sampling
 from prt_bake.tracer.surface.boundary import (
     ALPHA,
     COMPENSATED,
@@ -40,16 +40,34 @@ from prt_bake.tracer.volume.media import MAJORANT
 from prt_bake.tracer.volume.prepared_media import prepare_media
 
 MOST_EVENTS = 10_000_000
-"""Events after which a walk is cut; what it still carried is reported as lost."""
+"""Events after which a walk is truncated; its remaining throughput is reported as lost."""
 
 Array = NDArray[np.float64]
 
 
+class KernelQueries(NamedTuple):
+    """N queries in the kernels' coordinates: keys uint64 [N] of their random numbers, positions [N,3], outgoing [N,3],
+    faces int64 [N], barycentric (u, v) [N,2].
+    """
+
+    keys: NDArray[np.uint64]
+    positions: Array
+    outgoing: Array
+    faces: NDArray[np.int64]
+    barycentric: Array
+
+    def rows(self, chosen: slice) -> "KernelQueries":
+        """A slice of the queries."""
+        return KernelQueries._make(field[chosen] for field in self)
+
+
 class PreparedScene:
-    """`boundary` and `medium` for kernels, `surface` to place queries, and the change to the kernels' coordinates."""
+    """`boundary` and `medium` for kernels, `surface` to locate queries, and the transform to the kernels'
+    coordinates.
+    """
 
     def __init__(self, scene: Scene) -> None:
-        """Build from a scene record; costs the building of an Embree tree."""
+        """Build the tables and the Embree tree of a scene."""
         low, high = scene.mesh.bounds
         self.center: Array = low + 0.5 * (high - low)
         self.scale = float((high - low).max())
@@ -57,7 +75,7 @@ class PreparedScene:
         self.kind = interface_kind(scene)
         self.medium = prepare_media(scene.parts, self.center, self.scale)
         self.boundary = self._boundary(scene)
-        self.aims: Aim = aim_for(self.boundary.alpha, self.boundary.eta)
+        self.next_event: NextEventSampling = next_event_sampling(self.boundary.alpha, self.boundary.eta)
 
     def _boundary(self, scene: Scene) -> Boundary:
         parts = scene.parts
@@ -91,24 +109,20 @@ class PreparedScene:
             most_events=MOST_EVENTS,
         )
 
-    def place(self, positions: Array, outgoing: Array, keys: NDArray[np.uint64]) -> tuple[Any, ...]:
-        """Queries as the kernels take them: (keys, positions, outgoing, faces, barycentric). Raises QueryError as
-        `Surface.locate`.
-        """
+    def place(self, positions: Array, outgoing: Array, keys: NDArray[np.uint64]) -> KernelQueries:
+        """Queries at positions in object space. Raises QueryError as `Surface.locate`."""
         return self.queries(self.surface.locate(positions, outgoing), outgoing, keys)
 
-    def queries(self, location: Location, outgoing: Array, keys: NDArray[np.uint64]) -> tuple[Any, ...]:
-        """The same from a location that is known already."""
+    def queries(self, location: Location, outgoing: Array, keys: NDArray[np.uint64]) -> KernelQueries:
+        """Queries at known locations."""
         u, v = location.barycentric[:, :1], location.barycentric[:, 1:]
         corners = self.positions[self.faces[location.faces]]
         placed = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-        return keys, placed, np.ascontiguousarray(outgoing), location.faces, location.barycentric
+        return KernelQueries(keys, placed, np.ascontiguousarray(outgoing), location.faces, location.barycentric)
 
 
 def interface_kind(scene: Scene) -> int:
-    """Of the object's own boundary: MATCHED where eta is 1, whatever the roughness; SMOOTH without roughness; or
-    ROUGH.
-    """
+    """Kind of the outer boundary: MATCHED if eta is 1, at any roughness; SMOOTH without roughness; else ROUGH."""
     return _kind(scene.parts[0], 1.0)
 
 
@@ -119,10 +133,10 @@ def _kind(part: Part, outside: float) -> int:
 
 
 def smooth_part(scene: Scene) -> Part | None:
-    """The part whose smooth interface hides the light from connections, if there is one.
+    """The part whose smooth interface makes connections to the light impossible, or None.
 
-    Light that comes through a rough boundary of the object can be connected to whatever stands inside; through an
-    index-matched one it can where nothing smooth stands inside.
+    Through a rough outer boundary all events can connect. Through an index-matched one they can if no smooth interface
+    is inside.
     """
     outermost = scene.parts[0]
     if interface_kind(scene) == ROUGH:
@@ -135,20 +149,21 @@ def smooth_part(scene: Scene) -> Part | None:
     return None
 
 
-def is_unbent(scene: Scene) -> bool:
-    """Whether light leaves the object unbent from wherever it scatters: unscattered light comes along the view itself,
-    and connections need no interface.
+def is_unrefracted(scene: Scene) -> bool:
+    """Whether connections are straight: the outer boundary is index-matched and no smooth interface is inside.
+
+    Unscattered light then comes along the view itself.
     """
     return interface_kind(scene) == MATCHED and smooth_part(scene) is None
 
 
 def has_unscattered(scene: Scene) -> bool:
-    """Whether light may cross the object without scattering: nothing that it meets on the way is rough."""
-    return is_unbent(scene) or smooth_part(scene) is not None
+    """Whether light may cross the object without a scattering event, that is without a rough interface on its path."""
+    return is_unrefracted(scene) or smooth_part(scene) is not None
 
 
 def has_dielectric_inside(scene: Scene) -> bool:
-    """Whether a part inside the object bends light: of another index than what it stands in."""
+    """Whether an inner part refracts light: a dielectric with another index than its parent."""
     return any(
         part.diffuse is None and _kind(part, scene.parts[part.parent].eta) != MATCHED for part in scene.parts[1:]
     )
@@ -169,7 +184,7 @@ def _first_faces(parts: tuple[Part, ...]) -> NDArray[np.int64]:
 
 
 def _tables(parts: tuple[Part, ...], trees: list[int], positions: Array, faces: NDArray[np.int64]) -> dict[str, Any]:
-    """`faces`, `parts` and `texels` of the boundary."""
+    """`faces`, `planes`, `parts` and `texels` of the boundary."""
     rows, table, texels = np.zeros((len(faces), FACE_SIZE)), np.zeros((len(parts), PART_SIZE)), list[Any]()
     given = np.concatenate([part.mesh.face_normals for part in parts])
     rows[:, :CORNERS] = _face_normals(positions, faces, given)
@@ -200,7 +215,7 @@ def _tables(parts: tuple[Part, ...], trees: list[int], positions: Array, faces: 
 
 
 def _texture(part: Part) -> NDArray[np.float32] | None:
-    """The part's texture [H,W,3], of reflectance or of roughness, if it has one."""
+    """The part's texture [H,W,3] of reflectance or roughness, or None."""
     image = np.asarray(part.roughness if part.diffuse is None else part.diffuse, np.float32)
     if image.ndim < 2:
         return None
@@ -208,7 +223,7 @@ def _texture(part: Part) -> NDArray[np.float32] | None:
 
 
 def _losses(parts: tuple[Part, ...]) -> Array:
-    """Tables for every pair of indices that may meet at a compensated interface, from one side and from the other."""
+    """Loss tables for every pair of refractive indices that may meet at a compensated interface, from both sides."""
     rough = [part for part in parts if part.energy_compensation and part.diffuse is None]
     rough = [part for part in rough if _mean_alpha(part) >= SMOOTHEST]
     indices = sorted({1.0} | {float(part.eta) for part in parts})
@@ -221,9 +236,9 @@ def _losses(parts: tuple[Part, ...]) -> Array:
 
 
 def _regions(parts: tuple[Part, ...]) -> NDArray[np.int64]:
-    """The region of every mask: the deepest part that counts, the later one of siblings, as part + 1; 0 outside.
+    """The region of every mask: 0 outside, else part + 1 of the innermost part, the later one of siblings.
 
-    A part counts only where all that it lies in count.
+    A part counts only if the mask contains all its ancestors.
     """
     chain = []
     for i, part in enumerate(parts):
@@ -240,7 +255,7 @@ def _regions(parts: tuple[Part, ...]) -> NDArray[np.int64]:
 
 
 def _face_normals(positions: Array, faces: NDArray[np.int64], fallback: Array) -> Array:
-    """Unit normals of the faces as Embree holds them; the mesh's own where float32 has made a face flat."""
+    """Unit normals of the faces after rounding to float32; `fallback` for faces that this makes degenerate."""
     a, b, c = (positions[faces[:, k]] for k in range(3))
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -249,5 +264,5 @@ def _face_normals(positions: Array, faces: NDArray[np.int64], fallback: Array) -
 
 @lru_cache(maxsize=4)
 def prepare(scene: Scene) -> PreparedScene:
-    """The prepared scene, kept for the scenes used last."""
+    """The prepared scene; the four last used ones are cached."""
     return PreparedScene(scene)

@@ -1,12 +1,11 @@
-"""The random walk that everything is estimated with: from x along −ωo into the object, until it leaves for good.
+"""The random walk behind every estimate: from x along −ωo into the object, until it leaves for good.
 
-A walk is a row of numbers (`state`) that `begin` sets at x and four functions move on: `enter` lets it in, `advance`
-flies to the next event (a scattering, a dielectric boundary, a diffuse surface, or the sky), and `scatter`, `cross` and
-`bounce` choose what happens there. An estimator is a loop over them that reads what it wants at each event.
-Index-matched boundaries are no events: `advance` flies through.
+`begin` writes a walk's initial state at x. `enter` transmits it into the object. `advance` flies to the next event: a
+scattering, a dielectric boundary, a diffuse surface, or the sky. `scatter`, `cross` and `bounce` sample the event. An
+estimator is a loop over these functions. Index-matched boundaries are no events: `advance` flies through them.
 
-The walker's side is decided by the face it meets: what is met from behind was flown through inside. A ray that slips
-through an edge is therefore put right by the next face it meets, and energy is kept whatever the mesh.
+The face that a walk hits decides on which side of it the walk was: a face hit from behind was reached from inside. The
+next hit thus corrects a ray that slipped through an edge, and energy is conserved on any mesh.
 """
 
 import math
@@ -21,42 +20,57 @@ from prt_bake.tracer.surface.boundary import (
     OPAQUE,
     PASS,
     alpha_at,
-    crossing,
     facing_normal,
+    hits_back,
+    interface_at,
     is_compensated,
     mask_before,
-    meet,
-    met_from_behind,
     next_face,
     normal_at,
     part_of,
-    place_on,
+    point_on_face,
     reflectance_at,
+    resolve_hit,
     sees_sky,
 )
 from prt_bake.tracer.surface.compensation import sample_compensated
 from prt_bake.tracer.surface.interface import MATCHED, ROUGH, sample_interface
-from prt_bake.tracer.surface.nearby_faces import meet_nearby, room_about
+from prt_bake.tracer.surface.nearby_faces import clearance_at, nearby_hit
 from prt_bake.tracer.volume.media import CHROMATIC, MAJORANT, PHASE_G, multiply_albedo, phase, phase_cosine
 from prt_bake.tracer.volume.tracking import flight_by_channel, free_flight
 
 SCATTERING, SURFACE, SKY, REFLECTING = 0, 1, 2, 3
-POSITION, DIRECTION, THROUGHPUT, NORMAL, PHASE, AT, LOST, BEGUN, ORIGIN, ARRIVED = 0, 3, 6, 9, 12, 13, 16, 17, 18, 21
-U, V, LOOKED, ROOM = 24, 25, 26, 27
-"""In state[ROOM]: a distance within which the walk, from where it is, meets no face."""
+POSITION, DIRECTION, THROUGHPUT, NORMAL, DENSITY, SCRATCH, LOST, INITIAL, ORIGIN, INCOMING = (
+    0,
+    3,
+    6,
+    9,
+    12,
+    13,
+    16,
+    17,
+    18,
+    21,
+)
+U, V, CONNECTION_PROBABILITY, CLEARANCE = 24, 25, 26, 27
 STATE_SIZE = 32
+"""Fields of `state` (float64). DENSITY: of the sampled direction, per solid angle. SCRATCH: space for a point. LOST:
+throughput of a truncated walk. INITIAL: throughput after entering. ORIGIN: where the present flight began. INCOMING:
+direction of flight before the last dielectric boundary. U, V: barycentric coordinates on the face.
+CONNECTION_PROBABILITY: with which the last event connected to the light. CLEARANCE: no face is nearer than this."""
 FACE, MASK, EVENTS, SCATTERED, BEFORE, BEHIND, ORIGIN_FACE = 0, 1, 2, 3, 4, 5, 6
 COUNTS_SIZE = 8
-"""The walker's mask, and where it has come to a face those before and behind it."""
-AHEAD = -1.0
-"""In state[PHASE]: what the next arrival at the object's boundary receives is counted already."""
-_LOOK_OUT_EVERY = 8
+"""Fields of `counts` (int64): face (−1: none), mask of the parts that contain the walk, events, events that scatter,
+the masks before and behind the face, and the face where the present flight began."""
+ALREADY_COUNTED = -1.0
+"""Value of state[DENSITY]: the contribution of the next arrival at the object's boundary is already counted."""
+_ESCAPE_CHECK_EVERY = 8
 _WEIGHT_WINDOW = 0.1
 
 
 @walk_function()
-def _towards_ball(p: Any, d: Any, radius: Any) -> Any:
-    """How far p + t d stays in the ball of the object (an upper bound for every crossing)."""
+def _distance_in_ball(p: Any, d: Any, radius: Any) -> Any:
+    """Distance at which p + t d leaves the object's bounding ball."""
     along = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
     squared = p[0] * p[0] + p[1] * p[1] + p[2] * p[2] - radius * radius
     root = along * along - squared
@@ -67,7 +81,7 @@ def _towards_ball(p: Any, d: Any, radius: Any) -> Any:
 
 @walk_function()
 def frame(nx: Any, ny: Any, nz: Any) -> Any:
-    """Two unit vectors across n (Duff et al. 2017)."""
+    """Two unit vectors orthogonal to n and to each other (Duff et al. 2017)."""
     sign = math.copysign(1.0, nz)
     a = -1.0 / (sign + nz)
     b = nx * ny * a
@@ -76,64 +90,65 @@ def frame(nx: Any, ny: Any, nz: Any) -> Any:
 
 @walk_function()
 def region_of(boundary: Any, counts: Any) -> Any:
-    """The region that the walker is in."""
+    """The region that contains the walk."""
     return boundary.region_of_mask[counts[MASK]]
 
 
 @called_function()
 def begin(
-    boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, held: Any
+    boundary: Any, state: Any, counts: Any, position: Any, outgoing: Any, face: Any, u: Any, v: Any, mask: Any
 ) -> None:
-    """Set a walk of throughput 1 at `position` on `face`, seen from `outgoing`, before it is let in.
+    """Write the state of a walk of throughput 1 that starts at `position` on `face` along −`outgoing`, outside.
 
-    `held` is the mask of the parts inside the object that hold x too (`contained`).
+    `mask` holds the inner parts that contain x too (`containing_parts`).
     """
     for k in range(3):
         state[POSITION + k] = position[k]
         state[DIRECTION + k] = -outgoing[k]
         state[THROUGHPUT + k] = 1.0
-    state[LOST], state[PHASE], state[U], state[V], state[ROOM] = 0.0, 0.0, u, v, 0.0
+    state[LOST], state[DENSITY], state[U], state[V], state[CLEARANCE] = 0.0, 0.0, u, v, 0.0
     normal_at(boundary, face, u, v, state[NORMAL : NORMAL + 3])
-    counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, held, 0, 0
-    counts[BEFORE], counts[BEHIND], counts[ORIGIN_FACE] = held, held | 1 << part_of(boundary, face), -1
+    counts[FACE], counts[MASK], counts[EVENTS], counts[SCATTERED] = face, mask, 0, 0
+    counts[BEFORE], counts[BEHIND], counts[ORIGIN_FACE] = mask, mask | 1 << part_of(boundary, face), -1
 
 
 @called_function()
-def clear_view(boundary: Any, position: Any, outgoing: Any, face: Any, inward: Any, ray: Any) -> Any:
-    """How far all walks of a query that `enter` does not bend fly before they can meet a face; 0 where it does.
+def view_clearance(boundary: Any, position: Any, outgoing: Any, face: Any, inward: Any, ray: Any) -> Any:
+    """Distance from x along −ωo to the next face, behind an index-matched boundary; else 0. It is the initial
+    clearance.
 
-    `inward` is room for a direction.
+    `inward` is scratch space [3].
     """
     if boundary.kind != MATCHED:
         return 0.0
     for k in range(3):
         inward[k] = -outgoing[k]
     met, t = next_face(boundary, ray, position, inward, 0.0, np.inf, face)
-    return t if met >= 0 and met_from_behind(boundary, met, inward) else 0.0
+    return t if met >= 0 and hits_back(boundary, met, inward) else 0.0
 
 
 @walk_function()
 def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
-    """Let a walk in: the transmission inwards is its first weight. False where it ends there."""
-    kind, _eta = crossing(boundary, counts[FACE], counts[BEFORE], counts[BEHIND])
+    """Transmit a walk into the object and weight it by the transmittance at x. False if it ends there."""
+    kind, _eta = interface_at(boundary, counts[FACE], counts[BEFORE], counts[BEHIND])
     enters = True
     if kind == MATCHED:
         counts[MASK] = counts[BEHIND]
         for k in range(3):
-            state[ARRIVED + k] = state[DIRECTION + k]
+            state[INCOMING + k] = state[DIRECTION + k]
     elif kind == DIFFUSE:
-        # A diffuse part reaches the very surface: nothing of the object lies before it.
+        # A diffuse part coincides with the object's surface: no light passes below it.
         enters = False
     else:
         enters = cross(boundary, state, counts, True, stream)
-    state[BEGUN] = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
+    state[INITIAL] = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
     return enters
 
 
 @walk_function()
 def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
-    """Fly to the next event: SCATTERING at a point inside, SURFACE at a dielectric boundary, REFLECTING at a diffuse
-    surface, or SKY where nothing is met any more.
+    """Fly to the next event: SCATTERING in a medium, SURFACE at a dielectric boundary, REFLECTING at a diffuse surface,
+    or SKY outside.
     """
     p = state[POSITION : POSITION + 3]
     while True:
@@ -149,7 +164,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
             flight, face = _fly(boundary, media, region, state, counts, ray, stream)
         if face >= 0:
             d = state[DIRECTION : DIRECTION + 3]
-            face, u, v, before, after = meet(boundary, ray, p, d, flight, face, counts[MASK])
+            face, u, v, before, after = resolve_hit(boundary, ray, p, d, flight, face, counts[MASK])
             if boundary.region_of_mask[before] != region:
                 counts[MASK] = before
                 continue
@@ -170,7 +185,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         d = state[DIRECTION : DIRECTION + 3]
         for k in range(3):
             p[k] += flight * d[k]
-        state[ROOM] = room_about(boundary, p)
+        state[CLEARANCE] = clearance_at(boundary, p)
         counts[FACE] = -1
         counts[EVENTS] += 1
         counts[SCATTERED] += 1
@@ -180,7 +195,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
 
 @walk_function()
 def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
-    """(Distance, face) of the next face through what is clear; (inf, −1) for the sky."""
+    """Distance and face of the next hit through a vacuum; (inf, −1) for the sky."""
     p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
     face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
     return t, face
@@ -188,21 +203,21 @@ def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
 
 @walk_function()
 def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
-    """(Distance, −1) of a scattering event, (distance, face) of a face met before, or (inf, −1)."""
+    """(Distance, −1) for a scattering event, (distance, face) for a face hit before it, or (inf, −1) for the sky."""
     p = state[POSITION : POSITION + 3]
     d = state[DIRECTION : DIRECTION + 3]
-    ball = _towards_ball(p, d, boundary.radius)
-    flight = free_flight(media, region, p, d, ball, state[AT : AT + 3], stream)
-    if flight < state[ROOM]:
+    ball = _distance_in_ball(p, d, boundary.radius)
+    flight = free_flight(media, region, p, d, ball, state[SCRATCH : SCRATCH + 3], stream)
+    if flight < state[CLEARANCE]:
         return flight, -1
-    face, t, u, v, inside = meet_nearby(boundary, p, d, counts[FACE])
+    face, t, u, v, inside = nearby_hit(boundary, p, d, counts[FACE])
     if inside and flight < t:
         return flight, -1
     if inside and face >= 0:
         ray[15], ray[16] = u, v
         return t, face
     far = flight
-    if counts[EVENTS] % _LOOK_OUT_EVERY == 0:
+    if counts[EVENTS] % _ESCAPE_CHECK_EVERY == 0:
         far = np.inf
     face, t = next_face(boundary, ray, p, d, 0.0, far, counts[FACE])
     if face < 0:
@@ -214,7 +229,7 @@ def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: A
 
 @called_function()
 def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
-    """The same where extinction differs between channels: what reaches a face is weighted too, so it is found first."""
+    """`_fly` for extinction that differs between channels. Arrivals at a face are weighted too, so it traces first."""
     p = state[POSITION : POSITION + 3]
     d = state[DIRECTION : DIRECTION + 3]
     face, t = next_face(boundary, ray, p, d, 0.0, np.inf, counts[FACE])
@@ -222,7 +237,9 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
         return np.inf, -1
     if boundary.region_of_mask[mask_before(boundary, face, d, counts[MASK])] != region:
         return t, face
-    flight = flight_by_channel(media, region, p, d, t, state[THROUGHPUT : THROUGHPUT + 3], state[AT : AT + 3], stream)
+    flight = flight_by_channel(
+        media, region, p, d, t, state[THROUGHPUT : THROUGHPUT + 3], state[SCRATCH : SCRATCH + 3], stream
+    )
     if flight < t:
         return flight, -1
     return t, face
@@ -230,12 +247,12 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
 
 @walk_function()
 def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, before: Any, after: Any) -> Any:
-    """Set the walk on a face that it has met, by barycentric coordinates (more exact than p + t d), and through it
-    where nothing stands there. Returns the kind of interface, negative where the walk has passed.
+    """Move the walk to (u, v) of a face, which is more exact than p + t d. Returns the kind of interface there, PASS if
+    the walk flies straight on.
     """
-    place_on(boundary, face, u, v, state[POSITION : POSITION + 3])
-    state[ROOM] = 0.0
-    kind, _eta = crossing(boundary, face, before, after)
+    point_on_face(boundary, face, u, v, state[POSITION : POSITION + 3])
+    state[CLEARANCE] = 0.0
+    kind, _eta = interface_at(boundary, face, before, after)
     counts[FACE] = face
     if kind == PASS or kind == MATCHED:
         counts[MASK] = after
@@ -252,17 +269,17 @@ def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, b
 
 @called_function()
 def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: Any) -> bool:
-    """Take the dielectric's event at the face that the walk has reached; False where the walk ends there.
+    """Sample reflection or refraction at the dielectric boundary that the walk has reached. False if it ends there.
 
-    The direction of flight before it stays in state[ARRIVED].
+    Keeps the direction of flight before the event in state[INCOMING].
     """
     d = state[DIRECTION : DIRECTION + 3]
     for k in range(3):
-        state[ARRIVED + k] = d[k]
+        state[INCOMING + k] = d[k]
     counts[EVENTS] += 1
-    state[PHASE] = 0.0
+    state[DENSITY] = 0.0
     face = counts[FACE]
-    kind, eta = crossing(boundary, face, counts[BEFORE], counts[BEHIND])
+    kind, eta = interface_at(boundary, face, counts[BEFORE], counts[BEHIND])
     if kind == ROUGH:
         counts[SCATTERED] += 1
     nx, ny, nz = facing_normal(boundary, face, state[NORMAL : NORMAL + 3], d)
@@ -294,11 +311,11 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
 
 
 @walk_function()
-def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> None:
-    """Send the walk along (x, y, z), drawn by `density`, and note where it starts."""
+def _set_direction(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> None:
+    """Set the direction of flight to (x, y, z), sampled with `density`, and record where the flight begins."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     state[DIRECTION], state[DIRECTION + 1], state[DIRECTION + 2] = x * scale, y * scale, z * scale
-    state[PHASE] = density
+    state[DENSITY] = density
     for k in range(3):
         state[ORIGIN + k] = state[POSITION + k]
     counts[ORIGIN_FACE] = counts[FACE]
@@ -306,7 +323,7 @@ def _depart(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> No
 
 @walk_function()
 def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> None:
-    """Draw a new direction from the phase function; its density stays in state[PHASE], its place in state[ORIGIN]."""
+    """Sample a direction from the phase function; its density goes to state[DENSITY], its origin to state[ORIGIN]."""
     d = state[DIRECTION : DIRECTION + 3]
     g = media.regions[region_of(boundary, counts), PHASE_G]
     cosine = phase_cosine(g, uniform(stream))
@@ -314,7 +331,7 @@ def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> 
     angle = 2.0 * math.pi * uniform(stream)
     sx, sy, sz, tx, ty, tz = frame(d[0], d[1], d[2])
     a, b = sine * math.cos(angle), sine * math.sin(angle)
-    _depart(
+    _set_direction(
         state,
         counts,
         a * sx + b * tx + cosine * d[0],
@@ -326,14 +343,14 @@ def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> 
 
 @called_function()
 def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
-    """Send the walk back from a diffuse surface by the cosine; density and place are kept as by `scatter`."""
+    """Sample a cosine-distributed direction at a diffuse surface; density and origin are stored as by `scatter`."""
     nx, ny, nz = facing_normal(boundary, counts[FACE], state[NORMAL : NORMAL + 3], state[DIRECTION : DIRECTION + 3])
     squared = uniform(stream)
     r, cosine = math.sqrt(squared), math.sqrt(1.0 - squared)
     angle = 2.0 * math.pi * uniform(stream)
     sx, sy, sz, tx, ty, tz = frame(nx, ny, nz)
     a, b = r * math.cos(angle), r * math.sin(angle)
-    _depart(
+    _set_direction(
         state,
         counts,
         a * sx + b * tx + cosine * nx,
@@ -344,10 +361,10 @@ def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
 
 
 @walk_function()
-def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
-    """Unbiased roulette on walks that carry little of what they began with.
+def survives_roulette(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
+    """Russian roulette on walks whose throughput has fallen far below the initial one. False if the walk ends.
 
-    Walks past `most_events` end, with what they carried noted as lost.
+    After `most_events` events a walk is truncated and its throughput is recorded as lost.
     """
     largest = max(state[THROUGHPUT], max(state[THROUGHPUT + 1], state[THROUGHPUT + 2]))
     if largest <= 0.0:
@@ -355,8 +372,8 @@ def goes_on(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     if counts[EVENTS] >= boundary.most_events:
         state[LOST] = largest
         return False
-    if largest < _WEIGHT_WINDOW * state[BEGUN]:
-        survival = largest / (3.0 * _WEIGHT_WINDOW * state[BEGUN])
+    if largest < _WEIGHT_WINDOW * state[INITIAL]:
+        survival = largest / (3.0 * _WEIGHT_WINDOW * state[INITIAL])
         if uniform(stream) >= survival:
             return False
         for c in range(3):

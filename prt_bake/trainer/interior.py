@@ -1,4 +1,4 @@
-"""Where a scene's object is and what lies in it, as its network keeps it: grids that fit the bytes they may take."""
+"""Signed distance grids of a scene's object and of what it contains, within the byte budget of a model."""
 
 import math
 from dataclasses import replace
@@ -18,25 +18,25 @@ from prt_bake.trainer.samples.rows import Box
 Array = NDArray[np.float64]
 
 MOST_BYTES = 49_152
-"""Of the grids as a model keeps them; with its weights a model stays below 660 KiB."""
+"""Byte budget of the grids in a model file; with its weights a model stays below 660 KiB."""
 MOST_LEARNT_BYTES = 245_760
-"""Of the numbers learnt at places of the object, as a model keeps them."""
+"""Byte budget of the learnt feature grid in a model file."""
 MOST_BODIES = 4
-"""The object and the largest of what lies inside."""
+"""The object and the largest parts inside it."""
 _HALF_BYTES = 2
-_PLACES = 96**3
+_MOST_POINTS = 96**3
 _MOST_ACROSS = 320
 _MARGIN = 1.02
 _SURROUND = 2
-"""Places around the box, each way."""
+"""Grid points added on each side of the box."""
 _CLEAR = 4.0
-"""Optical depths of a box side behind which a fiftieth of the light is left."""
+"""Optical depth of the box side at which a fiftieth of the light is left."""
 _OPAQUE = 1e3
-"""Attenuation of what lets no light in: none comes from behind a thousandth of the box."""
+"""Attenuation per box side of a part that no light enters."""
 
 
 def interior_of(scene: Scene, box: Box) -> Interior:
-    """The interior of a scene: the finest grids of 96³ places a body at most that take MOST_BYTES."""
+    """The interior of a scene: the finest grids, of at most 96³ points per body, that fit into MOST_BYTES."""
     bodies = _bodies(scene.parts)
     meshes = [
         trimesh.Trimesh((part.mesh.positions - box.corner) / box.side, part.mesh.faces, process=True) for part in bodies
@@ -45,20 +45,20 @@ def interior_of(scene: Scene, box: Box) -> Interior:
     low, high = np.asarray(meshes[0].bounds, np.float64)
     spacing = _spacing(high - low)
     while True:
-        shape = _places(high - low, spacing)
+        shape = _grid_shape(high - low, spacing)
         corner = 0.5 * (low + high) - 0.5 * (shape - 1) * spacing
         levels = np.stack([_levels(mesh, shape, corner, spacing) for mesh in meshes])
-        whole = float(corner[0]), float(corner[1]), float(corner[2])
-        interior = Interior(levels, whole, spacing, attenuation, float(scene.eta))
-        taken = len(interior.packed())
-        if taken <= MOST_BYTES:
+        origin = float(corner[0]), float(corner[1]), float(corner[2])
+        interior = Interior(levels, origin, spacing, attenuation, float(scene.eta))
+        size = len(interior.packed())
+        if size <= MOST_BYTES:
             return interior
-        # What takes bytes is the surface: four times as much at half the spacing.
-        spacing *= _MARGIN * math.sqrt(taken / MOST_BYTES)
+        # The packed size is that of the surface, which grows fourfold at half the spacing.
+        spacing *= _MARGIN * math.sqrt(size / MOST_BYTES)
 
 
 def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkSettings:
-    """The settings with the finest grid of theirs at most whose numbers take no more than MOST_LEARNT_BYTES."""
+    """The settings with `grid_places` lowered until the learnt grid fits into MOST_LEARNT_BYTES."""
     reach = float(interval_edges(interior, settings.ray_turns > 0)[-1])
     places = settings.grid_places
     while places > 1:
@@ -70,44 +70,44 @@ def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkS
 
 
 def is_clear(scene: Scene, box: Box) -> bool:
-    """Whether a ray of view often crosses the object's outermost medium to the other side."""
+    """Whether view rays often cross the object's outermost medium without being scattered."""
     return _attenuation(scene.parts[0], box.side) < _CLEAR
 
 
 def _bodies(parts: tuple[Part, ...]) -> list[Part]:
-    """The outermost part and the largest inside, by volume: what lies in another comes after it."""
+    """The outermost part, then the largest parts inside by volume, so that a part follows the one that contains it."""
     volumes = [abs(trimesh.Trimesh(part.mesh.positions, part.mesh.faces, process=False).volume) for part in parts]
     inside = sorted(range(1, len(parts)), key=lambda index: -volumes[index])[: MOST_BODIES - 1]
     return [parts[0], *(parts[index] for index in inside)]
 
 
 def _attenuation(part: Part, side: float) -> float:
-    """Mean σt (1 − albedo·max(g, 0)) per box side: light that is scattered ahead is not lost to a ray of view."""
+    """Mean σt (1 − albedo·max(g, 0)) per box side: light scattered forward is not lost to a view ray."""
     if part.medium is None:
         return _OPAQUE if part.diffuse is not None else 0.0
     medium: Medium = part.medium
-    ahead = float(np.mean(medium.albedo)) * max(medium.phase_g, 0.0)
-    return float(np.mean(medium.sigma_t)) * (1.0 - ahead) * side
+    forward = float(np.mean(medium.albedo)) * max(medium.phase_g, 0.0)
+    return float(np.mean(medium.sigma_t)) * (1.0 - forward) * side
 
 
 def _spacing(extent: Array) -> float:
-    """The finest with which the box takes no more than _PLACES, found by halving."""
+    """The finest spacing at which the box has at most _MOST_POINTS grid points, by bisection."""
     low, high = 1.0 / _MOST_ACROSS, 1.0
     for _ in range(40):
         middle = math.sqrt(low * high)
-        if np.prod(_places(extent, middle), dtype=np.float64) > _PLACES:
+        if np.prod(_grid_shape(extent, middle), dtype=np.float64) > _MOST_POINTS:
             low = middle
         else:
             high = middle
     return high
 
 
-def _places(extent: Array, spacing: float) -> NDArray[np.int64]:
+def _grid_shape(extent: Array, spacing: float) -> NDArray[np.int64]:
     return np.asarray(np.ceil(extent / spacing) + 1 + 2 * _SURROUND, np.int64)
 
 
 def _levels(mesh: trimesh.Trimesh, shape: NDArray[np.int64], corner: Array, spacing: float) -> NDArray[np.int8]:
-    """The grid [X,Y,Z] of one body."""
+    """Quantised signed distances [X,Y,Z] of one body, positive inside."""
     reach = REACH * spacing
     distances = grid_distances(np.asarray(mesh.triangles, np.float64), shape, corner, spacing, reach)
     grid = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1).reshape(-1, 3)

@@ -5,7 +5,7 @@ loss of values is the mean of (f − Ŝ)². The loss of exits uses that the exit
 Ŝ, E[T · f(ω_exit)] = ∫ Ŝ f dω: up to the constant ∫ Ŝ² it is ∫ f² dω − 2 E[T · f(ω_exit)], with the first term
 estimated in uniform directions. Divided by 4π, it is a mean over the sphere like the loss of values.
 
-The relative form weights each direction by 1 / (m² + floor), where m is the network's own answer, averaged over channels
+The relative form weights each direction by 1 / (m² + floor), where m is the network's value, averaged over channels
 and detached from the gradient (Müller et al. 2021, "Real-time neural radiance caching", section 4.3).
 """
 

@@ -1,9 +1,10 @@
-"""Learning from a file of samples: what is learnt from, what watches, and what tests in the end.
+"""Training data from a file of samples, split into training, validation and test sets.
 
-A query's side is decided by a hash of its key: 5 in 100 validate, 5 in 100 test, the others are learnt from. It stays
-on its side in every file that holds it, however long and in whatever order, and in every run.
+A hash of its key assigns each query to a set: 5 % validate, 5 % test, the others train. A query is in the same set in
+every run and in every file that contains it.
 """
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,20 +18,20 @@ from formats.scene import Scene
 from prt_bake.mathematics.random import uniforms
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import prepare
-from prt_bake.trainer.cores import undivided
+from prt_bake.trainer.cores import alternating_threads
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.samples.queries import Queries
 from prt_bake.trainer.samples.repeatable import ShuffledRows
 from prt_bake.trainer.samples.rows import Batch, Box, RowSource, SourceStatistics, build_batch
 from prt_bake.trainer.training_data import box_of
-from prt_bake.trainer.validation import HeldOut, Reference, final_errors
+from prt_bake.trainer.validation import HeldOut, Reference, final_errors, relative_noise
 
 VALIDATION_SHARE, TEST_SHARE = 0.05, 0.05
 _SPLIT_STREAM = 0x5B
 
 
 class Split(NamedTuple):
-    """Which samples [N] are learnt from, which validate, which test."""
+    """Masks [N] of the samples that train, validate and test."""
 
     learning: NDArray[np.bool_]
     validation: NDArray[np.bool_]
@@ -38,25 +39,25 @@ class Split(NamedTuple):
 
 
 def split_by_key(keys: NDArray[np.uint64]) -> Split:
-    """The side of each query, by its key alone."""
-    place = _place(keys)
-    validation = place < VALIDATION_SHARE
-    test = ~validation & (place < VALIDATION_SHARE + TEST_SHARE)
+    """The set of each query, from its key alone."""
+    u = _uniform(keys)
+    validation = u < VALIDATION_SHARE
+    test = ~validation & (u < VALIDATION_SHARE + TEST_SHARE)
     return Split(~validation & ~test, validation, test)
 
 
-def _place(keys: NDArray[np.uint64]) -> NDArray[np.float64]:
+def _uniform(keys: NDArray[np.uint64]) -> NDArray[np.float64]:
     return uniforms((_SPLIT_STREAM, keys), 1)[..., 0]
 
 
 class SampleFileData:
-    """The samples of a file, all in memory."""
+    """The samples of a file, held in memory."""
 
     def __init__(self, scene: Scene, path: str | Path, seed: int, synchronous: bool) -> None:
         """Read and split the file.
 
-        Raises SamplesError where it is damaged, of another scene, or too short to be split; QueryError where its
-        positions do not lie on the scene's surface.
+        Raises SamplesError if the file is damaged, belongs to another scene or is too short to split, and QueryError if
+        its positions are not on the scene's surface.
         """
         self.scene, self.box = scene, box_of(scene)
         self._path, self._seed, self._synchronous = Path(path), seed, synchronous
@@ -66,33 +67,32 @@ class SampleFileData:
                 f"{path}: was sampled from another scene ({self._samples.head.scene}, or it changed since); "
                 f"sample {Path(scene.path).name} anew"
             )
-        self._sides = split_by_key(self._samples.keys)
-        self.begun = {"synchronous": synchronous, "samples": sha256(path)}
-        for name, side in self._sides._asdict().items():
-            if not side.any():
+        self._split = split_by_key(self._samples.keys)
+        self.resume_settings = {"synchronous": synchronous, "samples": sha256(path)}
+        for name, chosen in self._split._asdict().items():
+            if not chosen.any():
                 raise SamplesError(
-                    f"{path}: of its {len(side)} queries none is left for {name} (5 in 100 validate, 5 test); "
-                    "sample some hundreds at least"
+                    f"{path}: none of its {len(chosen)} queries is left for {name} (5 % validate, 5 % test); "
+                    "sample at least some hundreds"
                 )
 
     def reference(self, learning: LearningSettings) -> Reference:
-        """The validating samples, or as many as are asked for, always the same ones."""
-        chosen = np.flatnonzero(self._sides.validation)
-        order = np.argsort(_place(self._samples.keys[chosen]), kind="stable")
+        """The validation samples, at most `held_out_queries`; the choice depends on their keys alone."""
+        chosen = np.flatnonzero(self._split.validation)
+        order = np.argsort(_uniform(self._samples.keys[chosen]), kind="stable")
         return self._held_out(chosen[order[: learning.held_out_queries]])
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
-        """Passes over the samples that are learnt from, each in an order of its own."""
-        return FileRows(self._samples, np.flatnonzero(self._sides.learning), self.box, self._path, self._seed, state)
+        """Passes over the training samples, each in a different order."""
+        return FileRows(self._samples, np.flatnonzero(self._split.learning), self.box, self._path, self._seed, state)
 
-    def learning_threads(self, learning: LearningSettings, device: str) -> int:
-        """Half of the cores; one where every bit counts."""
-        return 1 if self._synchronous or device != "cpu" else undivided().learners
+    def learner_threads(self, learning: LearningSettings, device: str) -> int:
+        """Half of the cores; one thread for synchronous runs, where the rounding of sums must not vary."""
+        return 1 if self._synchronous or device != "cpu" else alternating_threads().learner
 
-    def figures(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """The error on the testing samples, never looked at before, and on fresh queries."""
-        test = self._held_out(np.flatnonzero(self._sides.test))
-        noise = np.sqrt(np.sum(test.standard_error**2) / max(float(np.sum(test.mean**2)), 1e-300))
+    def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
+        """The errors on the test samples and on fresh queries, and the size of each set."""
+        test = self._held_out(np.flatnonzero(self._split.test))
         fresh = final_errors(
             network, self.scene, prepare(self.scene), learning.held_out_queries, learning.held_out_walks
         )
@@ -102,10 +102,10 @@ class SampleFileData:
                 "complete": self._samples.complete,
                 "walks_a_query": self._samples.head.walks,
                 "directions": self._samples.head.directions,
-                **{f"{name}_queries": int(side.sum()) for name, side in self._sides._asdict().items()},
+                **{f"{name}_queries": int(chosen.sum()) for name, chosen in self._split._asdict().items()},
             },
-            "test_relative_rmse": {"transport": test.relative_rmse(network), "transport_noise": float(noise)},
-            "relative_rmse": fresh.as_json(),
+            "test_relative_rmse": {"transport": test.relative_rmse(network), "transport_noise": relative_noise(test)},
+            "relative_rmse": asdict(fresh),
         }
 
     def _held_out(self, chosen: NDArray[np.int64]) -> HeldOut:
@@ -124,7 +124,7 @@ class SampleFileData:
 
 
 class FileRows:
-    """Rows of a file's samples, passed over again and again."""
+    """Training rows of a file's samples, in repeated passes."""
 
     exits = False
 
@@ -137,33 +137,33 @@ class FileRows:
         seed: int,
         state: dict[str, int] | None = None,
     ) -> None:
-        """Rows of the `chosen` samples, numbered by their place in the file; `state` is another's, to go on."""
+        """Rows of the samples `chosen`, numbered by their index in the file, continued from `state` if given."""
         self._batch = _rows(samples, chosen, box)
         self._path = path
-        self._done = SourceStatistics(len(chosen) * samples.head.walks, len(self._batch.rows), 0.0)
+        self._statistics = SourceStatistics(len(chosen) * samples.head.walks, len(self._batch.rows), 0.0)
         drawn = 0 if state is None else state["drawn"]
-        self._shuffled = ShuffledRows(lambda block: self._batch, len(self._batch.rows), None, seed, drawn)
+        self._shuffled = ShuffledRows(lambda _block: self._batch, len(self._batch.rows), None, seed, drawn)
 
     def start(self) -> None:
-        """Nothing to wait for."""
+        """Do nothing: rows can be drawn at once."""
 
     def stop(self) -> None:
-        """Nothing goes on beside the learner."""
+        """Do nothing: no thread runs beside the learner."""
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """The next `count` rows; the generator is left alone."""
+        """The next `count` rows; `generator` is not used."""
         return self._shuffled.draw(count)
 
-    def where(self, number: int) -> str:
-        """Words that name a query by its number."""
+    def describe(self, number: int) -> str:
+        """A query's number and file, for messages."""
         return f"query {number} of {self._path.name}"
 
-    def done(self) -> SourceStatistics:
-        """The walks and rows that the file has to learn from."""
-        return self._done
+    def statistics(self) -> SourceStatistics:
+        """The walks and rows of the training set."""
+        return self._statistics
 
     def state(self) -> dict[str, int]:
-        """What it takes to go on from here."""
+        """State to continue from."""
         return {"drawn": self._shuffled.drawn}
 
 

@@ -1,8 +1,7 @@
-"""Prefetches batches and their view inputs while the learner works.
+"""Prefetches batches and their view encodings while the learner works.
 
-The inputs that a network derives from a view (its ray through the object and what the ray meets) do not depend on the
-weights, and computing them takes up to half as long as a step. Threads beside the learner compute them for the next
-batches.
+The encoding of a view (its ray through the object and what the ray meets) does not depend on the network's weights, and
+computing it takes up to half as long as a training step. Threads beside the learner compute it for the next batches.
 """
 
 from collections import deque
@@ -11,16 +10,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from prt_bake.network.features.view_features import Told
+from prt_bake.network.features.view_features import ViewEncoding
 from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.samples.rows import Batch, RowSource
 
 
 class PreparedBatch(NamedTuple):
-    """Rows, and the network's inputs of their views (None for networks that have none)."""
+    """Rows, and the encoding of their views (None for networks that have none)."""
 
     batch: Batch
-    view_inputs: Told | None
+    encoding: ViewEncoding | None
 
 
 class Prefetcher:
@@ -49,4 +48,4 @@ class Prefetcher:
         return self._source.draw(self._learner.settings.batch, self._generator)
 
     def _prepare(self, batch: Batch) -> PreparedBatch:
-        return PreparedBatch(batch, self._learner.view_inputs(batch))
+        return PreparedBatch(batch, self._learner.encode_views(batch))

@@ -25,7 +25,7 @@ def require_state(output: str | Path) -> Path:
 
 
 def write_state(output: str | Path, state: dict[str, Any]) -> None:
-    """Write the checkpoint atomically; `state` holds `scene`, a hash, and `begun`, the settings that must not change."""
+    """Write the checkpoint atomically; `state` has the hash of the `scene` and the fixed settings as `begun`."""
     import torch
 
     content = io.BytesIO()

@@ -1,8 +1,8 @@
-"""`train`: fits a network to a scene, until the time or the steps are used up.
+"""`train`: fits a network to a scene for a given time or number of steps.
 
-Loss: squared error (the paper's L2) of Ŝ in units of the network's output scale, or from walks' exits behind a smooth
-interface (`prt_bake.trainer.objective`). AdamW, a rate that falls along a cosine to zero, weights averaged over the
-last part of the run, and matrix work in bfloat16 with float32 weights where the processor is faster in it.
+The loss is the squared error (the paper's L2) of Ŝ in units of the network's output scale. Where the boundary bends
+light it is estimated from exits of walks (`objective.py`). The optimiser is AdamW with a cosine schedule and averaged
+weights. Matrix products are in bfloat16 if the processor is faster in it.
 """
 
 import json
@@ -18,7 +18,7 @@ import torch
 from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
-from prt_bake.tracer.prepared import interface_kind, is_unbent
+from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.trainer.cores import select_device
 from prt_bake.trainer.history import Meter, TrainingProgress, every_tenth
@@ -35,7 +35,7 @@ __all__ = ["LearningSettings", "TrainingProgress", "train"]
 
 Progress = Callable[[TrainingProgress], None]
 QUANTITIES = {"transport": "the transport function", "coefficients": "the coefficients a_lm over the surface"}
-"""What a training is watched by, in words."""
+"""Names of the quantities that a validation error can measure."""
 
 
 def train(
@@ -55,44 +55,59 @@ def train(
     stream: StreamSettings | None = None,
     learning: LearningSettings | None = None,
 ) -> NeuralBSSRDF:
-    """Train a neural BSSRDF of a scene for `minutes`, or for `steps` where given, and return it with its final figures.
+    """Train a neural BSSRDF of a scene for `minutes`, or for `steps` if given.
 
-    `settings` are those of the preset "measured", with `seed`, unless given; `PRESETS["paper"]` is the paper's network.
-    `minutes` and `steps` count from the very beginning, resumed or not. `say` is told what goes on before and after.
-    `device` is "auto" (a graphics card where there is one), "cpu" or "cuda". The figures (relative RMSE of Ŝ and of
-    a_lm on fresh queries, reference noise taken out) stand in `network.metadata["training"]`.
+    Args:
+        minutes, steps: length of the whole run, earlier parts that are resumed included.
+        seed: seed of the queries, the walks and the network's initial weights.
+        settings: the network; by default the preset "measured" with `seed`. `PRESETS["paper"]` is the paper's.
+        device: "auto" (CUDA if available), "cpu" or "cuda".
+        output: path of the model, written once a minute and at the end, with a checkpoint for `resume` beside it.
+        resume: continue the run whose checkpoint is beside `output`.
+        synchronous: renderer and learner take turns instead of running concurrently. `steps`, `seed` and the settings
+            then determine every bit of the weights, on any number of cores, resumed or not; products are in float32.
+        samples: file of samples (`record_samples`) to learn from in repeated passes. Only validation and test queries
+            are path traced then.
+        progress: called with a `TrainingProgress` every few seconds. A KeyboardInterrupt, also one raised here, ends
+            the training early and keeps what was learnt.
+        say: called with sentences about what is being done.
+        stream, learning: settings of the renderer and of the optimiser.
 
-    Renderer and learner run side by side; with `synchronous` they take turns, and `steps`, `seed` and the settings
-    decide every bit of the weights, whatever the number of cores, resumed or not; matrix work is in float32 then. With
-    `samples` (`record_samples`) nothing is walked while learning: the file is learnt from again and again, but for what
-    validates and tests. With `output` the model is written there once a minute and at the end, beside it what `resume`
-    needs. A KeyboardInterrupt ends the training early and keeps what was learnt.
+    Returns the network. `network.metadata["training"]` has its final errors: the relative RMSE of Ŝ and of a_lm on
+    fresh queries, corrected for the reference's noise.
 
-    Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and where the loss stops being
-    finite, naming the query; SamplesError for a file that is damaged or of another scene.
+    Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and for a loss that is not
+    finite, naming the query; SamplesError for a file that is damaged or belongs to another scene; ModelError for a
+    checkpoint that cannot be resumed.
+
+    >>> import prt_bake as prt
+    >>> scene = prt.load_scene("prt_bake/shipped/spot.toml")
+    >>> network = prt.train(scene, minutes=10, output="spot.pt")  # doctest: +SKIP
+    >>> network.metadata["training"]["relative_rmse"]["coefficients"] < 0.1  # doctest: +SKIP
+    True
     """
     refuse_path("scene", scene, "prt.load_scene")
     if minutes <= 0 or (steps is not None and steps < 1):
-        raise QueryError(f"train: minutes {minutes:g} and steps {steps} where positive ones are expected")
+        raise QueryError(f"train: minutes and steps must be positive, found {minutes:g} and {steps}")
     if synchronous and steps is None:
-        raise QueryError("train: synchronous needs steps: what fits into minutes is never the same twice")
+        raise QueryError("train: synchronous needs steps: the number of steps in a time varies from run to run")
     if resume:
         if output is None:
-            raise QueryError("train: resume needs the output that it goes on from")
+            raise QueryError("train: resume needs output, the model to continue from")
         require_state(output)
-    tell = say or (lambda sentence: None)
-    if remark := training_warning(scene):
-        tell(f"{scene.path}: {remark}")
-    material: TrainingData
+    report = say or (lambda sentence: None)
+    if warning := training_warning(scene):
+        report(f"{scene.path}: {warning}")
+    data: TrainingData
     if samples is not None:
-        tell(f"reading {samples}")
-        material = SampleFileData(scene, samples, seed, synchronous)
+        report(f"reading {samples}")
+        data = SampleFileData(scene, samples, seed, synchronous)
     else:
-        tell("path tracing the queries that the training is measured by")
-        material = PathTracedData(scene, stream or StreamSettings(), seed, synchronous)
+        report("path tracing the validation queries")
+        data = PathTracedData(scene, stream or StreamSettings(), seed, synchronous)
     run = _Run(
-        material,
-        _as_the_scene_needs(settings or replace(PRESETS["measured"], seed=seed), scene),
+        data,
+        _settings_for(settings or replace(PRESETS["measured"], seed=seed), scene),
         learning or LearningSettings(),
         select_device(device),
         seed,
@@ -101,38 +116,40 @@ def train(
         assert output is not None
         run.restore(output)
         if run.share(minutes * 60.0, steps) >= 1.0:
-            tell(
-                f"{output}: nothing is left to learn: it had {run.learner.step} steps in {run.seconds / 60.0:.3g} "
-                "minutes already, and what is asked for counts from the very beginning; ask for more"
+            report(
+                f"{output}: nothing is left to learn: it already had {run.learner.step} steps in "
+                f"{run.seconds / 60.0:.3g} minutes, and the requested length includes them; request more"
             )
-    tell(f"learning; the validation error is that of {QUANTITIES[run.reference.of]}")
+    report(f"learning; the validation error is that of {QUANTITIES[run.reference.quantity]}")
     run.learn(minutes * 60.0, steps, output, progress)
-    tell("path tracing fresh queries for the final figures")
+    report("path tracing fresh queries for the final errors")
     return run.finish(output)
 
 
 class _Run:
-    """One training run: what is learnt from, who learns, and how far they have come."""
+    """One training run: its data, its learner and its progress."""
 
     def __init__(
-        self, material: TrainingData, settings: NetworkSettings, learning: LearningSettings, device: str, seed: int
+        self, data: TrainingData, settings: NetworkSettings, learning: LearningSettings, device: str, seed: int
     ) -> None:
-        self.material, self.learning, self.seed = material, learning, seed
-        self.scene = material.scene
-        box = material.box
+        self.data, self.learning, self.seed = data, learning, seed
+        self.scene, box = data.scene, data.box
         interior = interior_of(self.scene, box) if settings.ray_samples else None
         settings = settings if interior is None else with_fitting_grid(settings, interior)
-        network_begun = {f"network {name}": value for name, value in settings.as_json().items()}
-        told = "" if interior is None else interior.content_hash
-        self.begun = {**network_begun, "interior": told, "seed": seed, **material.begun}
-        self.reference = material.reference(learning)
+        self.resume_settings = {
+            **{f"network {name}": value for name, value in settings.as_json().items()},
+            "interior": "" if interior is None else interior.content_hash,
+            "seed": seed,
+            **data.resume_settings,
+        }
+        self.synchronous = bool(self.resume_settings["synchronous"])
+        self.reference = data.reference(learning)
         network = NeuralBSSRDF(
             settings, box.corner, box.side, self.reference.scale() or 1.0, _metadata(self.scene), interior
         ).to(device)
         network = network.on(self.scene.mesh)
-        # what a processor is faster in is measured, and no clock may decide the bits of a synchronous run
-        steady = replace(learning, bfloat16=False) if self.begun["synchronous"] else learning
-        self.learner = Learner(network, steady)
+        # The faster precision is measured by a clock, which must not decide the bits of a synchronous run.
+        self.learner = Learner(network, replace(learning, bfloat16=False) if self.synchronous else learning)
         self.generator = np.random.default_rng(seed)
         self.seconds = 0.0
         self.source: RowSource | None = None
@@ -140,51 +157,51 @@ class _Run:
         self.history: list[TrainingProgress] = []
 
     def restore(self, output: str | Path) -> None:
-        """Take up where the checkpoint beside `output` was written."""
-        state = read_state(output, self.scene.content_hash, self.begun)
-        for network in (self.learner.network, self.learner.answer):
+        """Continue from the checkpoint beside `output`."""
+        state = read_state(output, self.scene.content_hash, self.resume_settings)
+        for network in (self.learner.network, self.learner.model):
             network.output_scale = float(state["output_scale"])
         self.learner.restore(state["learner"])
         self.generator.bit_generator.state = json.loads(state["generator"])
         self.seconds, self.source_state = float(state["seconds"]), dict(state["source"])
-        self.history = [TrainingProgress(**row) for row in state["history"]]
+        self.history = [TrainingProgress(**report) for report in state["history"]]
 
     def state(self) -> dict[str, Any]:
-        """What `restore` needs, plain values and tensors."""
+        """The checkpoint's content: plain values and tensors."""
         assert self.source is not None
         return {
             "scene": self.scene.content_hash,
-            "begun": self.begun,
+            "begun": self.resume_settings,
             "output_scale": self.learner.network.output_scale,
             "learner": self.learner.state(),
             "generator": json.dumps(self.generator.bit_generator.state),
             "source": self.source.state(),
             "seconds": self.seconds,
-            "history": [asdict(row) for row in self.history],
+            "history": [asdict(report) for report in self.history],
         }
 
     def learn(self, seconds: float, steps: int | None, output: str | Path | None, progress: Progress | None) -> None:
-        """Learn until the time or the steps are used up, or until Ctrl-C."""
+        """Learn until the end of the run, or until Ctrl-C."""
         device = self.learner.network.frequencies.device.type
-        self.source = self.material.source(self.learning, device, self.source_state)
-        threads = torch.get_num_threads()
-        learning = self.material.learning_threads(self.learning, device)
-        beside = 0 if self.begun["synchronous"] or device != "cpu" else learning
-        ahead = Prefetcher(self.source, self.learner, self.generator, beside)
-        torch.set_num_threads(learning)
+        self.source = self.data.source(self.learning, device, self.source_state)
+        threads_before = torch.get_num_threads()
+        threads = self.data.learner_threads(self.learning, device)
+        prefetching = 0 if self.synchronous or device != "cpu" else threads
+        prefetcher = Prefetcher(self.source, self.learner, self.generator, prefetching)
+        torch.set_num_threads(threads)
         try:
-            self._learn(self.source, ahead, seconds, steps, output, progress)
+            self._learn(self.source, prefetcher, seconds, steps, output, progress)
         except KeyboardInterrupt:
             pass
         finally:
             self.source.stop()
-            ahead.stop()
-            torch.set_num_threads(threads)
+            prefetcher.stop()
+            torch.set_num_threads(threads_before)
 
     def _learn(
         self,
         source: RowSource,
-        ahead: Prefetcher,
+        prefetcher: Prefetcher,
         seconds: float,
         steps: int | None,
         output: str | Path | None,
@@ -192,18 +209,18 @@ class _Run:
     ) -> None:
         before = self.seconds
         begun = saved = time.perf_counter()
-        meter = Meter(source.done())
+        meter = Meter(source.statistics())
         source.start()
         meter.add_wait(meter.seconds)
         while (share := self.share(seconds, steps)) < 1.0:
-            asked = time.perf_counter()
-            batch, told = ahead.draw()
-            meter.add_wait(time.perf_counter() - asked)
-            meter.add_step(self.learner.learn(source, batch, share, self.generator, told), len(batch.rows))
+            requested = time.perf_counter()
+            batch, encoding = prefetcher.draw()
+            meter.add_wait(time.perf_counter() - requested)
+            meter.add_step(self.learner.learn(source, batch, share, self.generator, encoding), len(batch.rows))
             self.seconds = before + time.perf_counter() - begun
             if meter.seconds > self.learning.report_every:
                 self._report(meter, self.share(seconds, steps), source, progress)
-                meter = Meter(source.done())
+                meter = Meter(source.statistics())
             if output is not None and time.perf_counter() - saved > self.learning.checkpoint_every:
                 self.save(output)
                 saved = time.perf_counter()
@@ -211,50 +228,54 @@ class _Run:
             self._report(meter, 1.0, source, progress)
 
     def share(self, seconds: float, steps: int | None) -> float:
-        """How much of the time or of the steps is used up."""
+        """The share of the run that is over, by steps if given, else by time."""
         return self.learner.step / steps if steps is not None else self.seconds / seconds
 
     def _report(self, meter: Meter, share: float, source: RowSource, progress: Progress | None) -> None:
-        validation = self.reference.relative_rmse(self.learner.answer)
-        learnt = self.learner.step * self.learning.batch
-        row = meter.row(self.seconds, self.learner.step, share, learnt, source.done(), validation)
-        self.history.append(row)
+        validation = self.reference.relative_rmse(self.learner.model)
+        consumed = self.learner.step * self.learning.batch
+        report = meter.progress(self.seconds, self.learner.step, share, consumed, source.statistics(), validation)
+        self.history.append(report)
         if progress is not None:
-            progress(row)
+            progress(report)
 
     def save(self, output: str | Path) -> None:
-        """Write the model, and beside it what `resume` needs."""
-        save_model(self.learner.answer, output)
+        """Write the model and its checkpoint."""
+        save_model(self.learner.model, output)
         write_state(output, self.state())
 
     def finish(self, output: str | Path | None) -> NeuralBSSRDF:
-        """Round the weights, measure the final figures, note them in the model and write it."""
+        """Round the weights, measure the final errors, add them to the metadata and write the model."""
         assert self.source is not None
-        if output is not None:  # before what takes long
+        if output is not None:  # measuring takes long and may be interrupted
             self.save(output)
-        network = self.learner.answer.eval().rounded()
+        network = self.learner.model.eval().rounded()
         network.metadata["training"] = {
             "seconds": self.seconds,
             "steps": self.learner.step,
-            "walks": self.source.done().walks,
+            "walks": self.source.statistics().walks,
             "seed": self.seed,
             "learning": asdict(self.learning),
             "precision": "bfloat16" if self.learner.bfloat16 else "float32",
-            **self.material.figures(network, self.learning),
-            "validation_vs_time": [[row.seconds, row.walks, row.validation] for row in every_tenth(self.history)],
-            "validation_of": self.reference.of,
+            **self.data.metadata(network, self.learning),
+            "validation_vs_time": [
+                [report.seconds, report.walks, report.validation] for report in every_tenth(self.history)
+            ],
+            "validation_of": self.reference.quantity,
         }
         if output is not None:
             save_model(network, output)
         return network
 
 
-def _as_the_scene_needs(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
-    """The settings as they are, but for what would say nothing: the normal where light leaves unbent, rays that turn
-    where they hardly reach the other side, and lobes of what crosses unscattered where hardly anything does, or where
-    a smooth interface keeps it out of Ŝ.
+def _settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:
+    """The settings without inputs that are useless for the scene.
+
+    The normal is useless where the boundary does not bend light. Refracted rays are useless where they hardly ever
+    reach the other side. Lobes are useless where hardly any light crosses unscattered, and where a smooth interface
+    excludes that light from Ŝ.
     """
-    if is_unbent(scene):
+    if is_unrefracted(scene):
         return replace(settings, tells_normal=False, ray_turns=0, lobes=0)
     if not is_clear(scene, box_of(scene)):
         return replace(settings, ray_turns=0, lobes=0)

@@ -1,4 +1,4 @@
-"""What a training run learns from and is measured by; here walks of a scene, beside the learner or in turns with it."""
+"""Sources of training data: the protocol, and walks that are traced while the network learns."""
 
 import math
 from dataclasses import asdict
@@ -7,7 +7,7 @@ from typing import Any, Protocol
 from formats.scene import Scene
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.tracer.prepared import PreparedScene, prepare
-from prt_bake.trainer.cores import divided, undivided
+from prt_bake.trainer.cores import alternating_threads, concurrent_threads
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer
 from prt_bake.trainer.samples.rows import Box, RowSource, RowTracer, StreamSettings, row_tracer
@@ -15,63 +15,63 @@ from prt_bake.trainer.samples.stream import BackgroundRenderer
 from prt_bake.trainer.validation import Reference, final_errors, validation_reference
 
 _FIRST_FILL = 16
-"""Batches that the buffer holds before the learner draws from it."""
+"""Batches in the buffer before the learner starts."""
 
 
 class TrainingData(Protocol):
-    """What a training run learns from and is measured by."""
+    """Rows to learn from, and references to validate and test with."""
 
     scene: Scene
     box: Box
-    begun: dict[str, Any]
-    """What a resumed run must share with the one that it goes on from."""
+    resume_settings: dict[str, Any]
+    """Settings that a resumed run must share with the run that it continues."""
 
     def reference(self, learning: LearningSettings) -> Reference:
-        """What the run is watched by."""
+        """The reference of the validation error during the run."""
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
-        """Where the rows come from, from `state` on."""
+        """The source of training rows, continued from `state` if given."""
 
-    def learning_threads(self, learning: LearningSettings, device: str) -> int:
-        """Threads that may learn."""
+    def learner_threads(self, learning: LearningSettings, device: str) -> int:
+        """Threads that the learner may use."""
 
-    def figures(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """What the trained network's metadata say of its errors and of what it learnt from."""
+    def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
+        """Entries of the model's metadata: its final errors and the data that it learnt from."""
 
 
 class PathTracedData:
-    """Walks of a scene, made while the learner learns."""
+    """Walks in the scene, traced while the network learns."""
 
     def __init__(self, scene: Scene, stream: StreamSettings, seed: int, synchronous: bool) -> None:
-        """With `synchronous` renderer and learner take turns."""
+        """Renderer and learner take turns if `synchronous`, otherwise they run concurrently."""
         self.scene, self.box = scene, box_of(scene)
-        asked = {f"stream {name}": value for name, value in asdict(stream).items()} if synchronous else {}
-        self.begun = {"synchronous": synchronous, "samples": "", **asked}
+        fixed = {f"stream {name}": value for name, value in asdict(stream).items()} if synchronous else {}
+        self.resume_settings = {"synchronous": synchronous, "samples": "", **fixed}
         self._stream, self._seed, self._synchronous = stream, seed, synchronous
         self._prepared: PreparedScene = prepare(scene)
 
     def reference(self, learning: LearningSettings) -> Reference:
-        """Queries of a seed of their own."""
+        """Path-traced queries of a separate seed."""
         return validation_reference(self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
-        """A renderer, its kernel compiled."""
-        walks: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
-        walks.render(0, 1)
+        """A renderer whose kernel is compiled."""
+        tracer: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
+        tracer.render(0, 1)
         if self._synchronous:
-            return AlternatingRenderer(walks, self._stream, undivided().walkers, self._seed, state)
-        threads = divided(learning.core_share, device).walkers
+            return AlternatingRenderer(tracer, self._stream, alternating_threads().renderer, self._seed, state)
+        threads = concurrent_threads(learning.core_share, device).renderer
         reuse = self._stream.reuse if device == "cpu" else math.inf
-        return BackgroundRenderer(walks, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
+        return BackgroundRenderer(tracer, self._stream, threads, _FIRST_FILL * learning.batch, state, reuse)
 
-    def learning_threads(self, learning: LearningSettings, device: str) -> int:
-        """One where every bit counts: sums depend on how they are shared out."""
-        return 1 if self._synchronous else divided(learning.core_share, device).learners
+    def learner_threads(self, learning: LearningSettings, device: str) -> int:
+        """One thread for synchronous runs: the rounding of sums depends on the number of threads."""
+        return 1 if self._synchronous else concurrent_threads(learning.core_share, device).learner
 
-    def figures(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """Errors on fresh queries, and how the renderer asked."""
-        final = final_errors(network, self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
-        return {"stream": asdict(self._stream), "relative_rmse": final.as_json()}
+    def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
+        """Errors on fresh queries, and the renderer's settings."""
+        errors = final_errors(network, self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
+        return {"stream": asdict(self._stream), "relative_rmse": asdict(errors)}
 
 
 def box_of(scene: Scene) -> Box:

@@ -1,10 +1,9 @@
-"""How well a network answers: its error on path-traced queries that it never saw, the reference's own noise taken
-out.
+"""Validation of networks: their error on held-out path-traced queries, corrected for the reference's noise.
 
-Behind a smooth interface Ŝ has no point values, and the coefficients a_lm alone are compared.
+Ŝ has no point values behind a smooth interface; only the coefficients a_lm are compared there.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -15,9 +14,9 @@ from formats.scene import Scene
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.estimate import estimate_coefficients
-from prt_bake.tracer.prepared import PreparedScene, is_unbent, prepare, smooth_part
+from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
 from prt_bake.trainer.samples.queries import Queries, QuerySource
-from prt_bake.trainer.samples.rows import render
+from prt_bake.trainer.samples.rows import trace_values
 
 Array = NDArray[np.float64]
 
@@ -25,36 +24,37 @@ VALIDATION_SEED = 0x7E57
 FINAL_SEED = 0xF17A
 _COEFFICIENT_DEGREE = 2
 _DIRECTIONS = 512
-_DIRECTIONS_ON_THE_WAY = 256
-"""Coefficients cost a network many more answers than values do: on the way fewer queries and directions must do."""
+_VALIDATION_DIRECTIONS = 256
+"""Directions while training. Coefficients need many more evaluations than values, so fewer queries and directions are
+used until the run ends."""
 
 
 class Reference(Protocol):
-    """Path-traced answers that a network is compared with: values of Ŝ ("transport") or "coefficients"."""
+    """Path-traced reference of a network: values of Ŝ ("transport") or a_lm ("coefficients")."""
 
-    of: ClassVar[str]
+    quantity: ClassVar[str]
 
     def relative_rmse(self, network: Any) -> float:
-        """The network's error over the size of the answers, the reference's noise taken out of both."""
+        """The network's relative RMSE, corrected for the reference's noise."""
 
     def scale(self) -> float:
-        """The root mean square of Ŝ [1/sr], or what is known of it."""
+        """The root mean square of Ŝ [1/sr], or a lower bound of it."""
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Path-traced queries: Ŝ [N,D,3] with its standard error, never learnt from."""
+    """Held-out queries: path-traced Ŝ [N,D,3] with its standard error."""
 
-    of: ClassVar[str] = "transport"
+    quantity: ClassVar[str] = "transport"
     queries: Queries
     mean: Array
     standard_error: Array
 
     def relative_rmse(self, network: Any) -> float:
-        """sqrt(Σ|f − Ŝ|² / Σ|Ŝ|²) of a network with the reference's noise Σ standard_error² taken out of both sums."""
+        """sqrt(Σ|f − Ŝ|² / Σ|Ŝ|²) of a network f, the reference's noise Σ standard_error² subtracted from both sums."""
         q = self.queries
-        answer = network.evaluate(q.incident, q.positions, q.outgoing)
-        return noise_free_ratio(answer, self.mean, self.standard_error)
+        predicted = network.evaluate(q.incident, q.positions, q.outgoing)
+        return noise_free_ratio(predicted, self.mean, self.standard_error)
 
     def scale(self) -> float:
         """The root mean square of Ŝ."""
@@ -63,9 +63,9 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class HeldOutCoefficients:
-    """Path-traced coefficients a_lm [N,K,3] of N queries with their standard error, never learnt from."""
+    """Held-out queries: path-traced coefficients a_lm [N,K,3] with their standard error."""
 
-    of: ClassVar[str] = "coefficients"
+    quantity: ClassVar[str] = "coefficients"
     positions: Array
     outgoing: Array
     mean: Array
@@ -73,37 +73,37 @@ class HeldOutCoefficients:
     directions: int
 
     def relative_rmse(self, network: Any) -> float:
-        """sqrt(Σ|â − a|² / Σ|a|²) of a network's coefficients, the reference's noise taken out of both sums."""
-        found = network_coefficients(network, self.positions, self.outgoing, self.directions)
-        return noise_free_ratio(found, self.mean, self.standard_error)
+        """sqrt(Σ|â − a|² / Σ|a|²) of a network's coefficients â, the reference's noise subtracted from both sums."""
+        predicted = network_coefficients(network, self.positions, self.outgoing, self.directions)
+        return noise_free_ratio(predicted, self.mean, self.standard_error)
 
     def scale(self) -> float:
-        """The root mean square over the sphere of Ŝ without its bands above the second, a lower bound of Ŝ's own."""
+        """The root mean square of the bands of Ŝ up to the second, a lower bound of that of Ŝ."""
         return float(np.sqrt(np.mean(np.sum(self.mean**2, axis=1)) / (4.0 * np.pi)))
 
 
 def hold_out(prepared: PreparedScene, count: int, directions: int, walks: int, seed: int) -> HeldOut:
-    """Path trace `count` queries of `directions` each with `walks` walks."""
+    """Path trace `count` queries with `directions` directions and `walks` walks each."""
     source = QuerySource(prepared, directions, seed)
     queries = source.draw(0, count)
-    mean, error = render(prepared, source, queries, walks, directions, seed)
+    mean, error = trace_values(prepared, source, queries, walks, directions, seed)
     return HeldOut(queries, mean, error)
 
 
 def hold_out_coefficients(scene: Scene, count: int, walks: int, seed: int, directions: int) -> HeldOutCoefficients:
-    """Path trace the coefficients of `count` queries with `walks` walks; networks answer in `directions`."""
+    """Path trace the coefficients of `count` queries with `walks` walks; networks are evaluated in `directions`."""
     queries = QuerySource(prepare(scene), 1, seed).draw(0, count)
-    found = estimate_coefficients(
+    traced = estimate_coefficients(
         scene, queries.location.positions, queries.outgoing, _COEFFICIENT_DEGREE, walks, seed + 1
     )
-    return HeldOutCoefficients(queries.positions, queries.outgoing, found.mean, found.standard_error, directions)
+    return HeldOutCoefficients(queries.positions, queries.outgoing, traced.mean, traced.standard_error, directions)
 
 
 def validation_reference(scene: Scene, prepared: PreparedScene, queries: int, walks: int) -> Reference:
-    """What a training of the scene is watched by: values, or coefficients where those are had for a tenth."""
-    if is_unbent(scene):
+    """The reference of the validation error: values, or coefficients where those cost a tenth."""
+    if is_unrefracted(scene):
         return hold_out(prepared, queries, 8, walks, VALIDATION_SEED)
-    return hold_out_coefficients(scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _DIRECTIONS_ON_THE_WAY)
+    return hold_out_coefficients(scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _VALIDATION_DIRECTIONS)
 
 
 def network_coefficients(network: Any, positions: Array, outgoing: Array, directions: int = _DIRECTIONS) -> Array:
@@ -114,19 +114,18 @@ def network_coefficients(network: Any, positions: Array, outgoing: Array, direct
     return np.asarray(np.einsum("kd,ndc->nkc", np.linalg.pinv(basis), values))
 
 
-def noise_free_ratio(answer: ArrayLike, mean: Array, error: Array) -> float:
-    """The relative RMSE of `answer` against noisy reference values: what the reference's variance explains is
-    subtracted.
-    """
+def noise_free_ratio(predicted: ArrayLike, mean: Array, error: Array) -> float:
+    """The relative RMSE of `predicted` against a noisy reference, whose variance is subtracted from both sums."""
     noise = float(np.sum(error**2))
-    difference = float(np.sum((np.asarray(answer, np.float64) - mean) ** 2)) - noise
+    difference = float(np.sum((np.asarray(predicted, np.float64) - mean) ** 2)) - noise
     return float(np.sqrt(max(0.0, difference) / max(float(np.sum(mean**2)) - noise, 1e-300)))
 
 
 @dataclass(frozen=True)
 class FinalErrors:
-    """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the size of the reference's own
-    noise; None for Ŝ behind a smooth interface, where it has no point values.
+    """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the reference's relative noise.
+
+    None for Ŝ behind a smooth interface, where it has no point values.
     """
 
     transport: float | None
@@ -136,26 +135,23 @@ class FinalErrors:
     queries: int
     walks: int
 
-    def as_json(self) -> dict[str, Any]:
-        """Plain values."""
-        return asdict(self)
-
 
 def final_errors(
     network: Any, scene: Scene, prepared: PreparedScene, queries: int, walks: int, seed: int = FINAL_SEED
 ) -> FinalErrors:
-    """The figures of a trained network against the path tracer, on queries of a seed of their own."""
+    """The errors of a trained network against the path tracer, on queries of a separate seed."""
     values = hold_out(prepared, queries, 8, walks, seed) if smooth_part(scene) is None else None
     reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS)
     return FinalErrors(
         transport=None if values is None else values.relative_rmse(network),
-        transport_noise=None if values is None else _noise(values),
+        transport_noise=None if values is None else relative_noise(values),
         coefficients=reference.relative_rmse(network),
-        coefficients_noise=_noise(reference),
+        coefficients_noise=relative_noise(reference),
         queries=queries,
         walks=walks,
     )
 
 
-def _noise(reference: HeldOut | HeldOutCoefficients) -> float:
+def relative_noise(reference: HeldOut | HeldOutCoefficients) -> float:
+    """The root mean square standard error of a reference over the root mean square of its values."""
     return float(np.sqrt(np.sum(reference.standard_error**2) / max(float(np.sum(reference.mean**2)), 1e-300)))

@@ -1,4 +1,4 @@
-"""Laws of the bakers: exact projection, honest errors, horizons, one loop with three ways in."""
+"""Bakes with a fixed number of samples: exact projection, correct errors, horizons, and three interfaces."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -10,13 +10,19 @@ import torch
 from numpy.typing import NDArray
 
 from bakers.baker import Block, Sampling, Task, bake_block, block_size, cuts
-from bakers.error_estimate import choose_estimator, halves_variance, held_against, neighbour_errors, suspect
-from bakers.horizon import LOWEST_COSINE, bend_to_horizon, vertex_faces
+from bakers.error_estimate import (
+    choose_estimator,
+    half_buffer_variance,
+    neighbour_errors,
+    unreliable_vertices,
+    validated_variance,
+)
+from bakers.horizon import LOWEST_COSINE, clamp_to_horizon, vertex_faces
 from bakers.in_order import in_order
 from bakers.path_traced import WALKS_AT_ONCE, Walks
 from bakers.plan import plan_bake, vertices_at_once
 from bakers.projection import DirectionPool, direction_pool, project, residual_variance
-from bakers.transport import as_radiance, way_in
+from bakers.transport import as_radiance, transport_kind
 from formats.errors import QueryError
 from prt_bake.mathematics import sh, sphere
 
@@ -29,7 +35,7 @@ def lattice_pool(directions: int, degree: int, copies: int = 8, fitted: bool = T
 
 
 @pytest.mark.parametrize(("degree", "directions"), [(0, 1), (2, 9), (2, 64), (5, 72), (8, 162)])
-def test_fitted_weights_recover_what_is_in_the_band(degree: int, directions: int) -> None:
+def test_fitted_weights_reproduce_band_limited_functions(degree: int, directions: int) -> None:
     pool = lattice_pool(directions, degree)
     rng = np.random.default_rng(1)
     a = rng.normal(size=(3, 4, sh.count(degree), 3))
@@ -38,8 +44,8 @@ def test_fitted_weights_recover_what_is_in_the_band(degree: int, directions: int
     np.testing.assert_allclose(project(values, pool, rotation), a, atol=1e-12 * pool.condition)
 
 
-def test_fitted_weights_are_unbiased_out_of_the_band() -> None:
-    """Over rotations uniform on SO(3) harmonics of degree 3 and 4 leave nothing on degrees 0 to 2."""
+def test_fitted_weights_are_unbiased_for_higher_degrees() -> None:
+    """Over rotations uniform on SO(3) harmonics of degree 3 and 4 do not leak into degrees 0 to 2."""
     pool = lattice_pool(16, 2, copies=4096)
     leaked = pool.weights @ sh.evaluate(pool.incident, 4)[..., 9:]
     deviation = leaked.mean(axis=0) / (leaked.std(axis=0) / np.sqrt(len(leaked)))
@@ -47,7 +53,7 @@ def test_fitted_weights_are_unbiased_out_of_the_band() -> None:
     assert 0.8 < deviation.std() < 1.2
 
 
-def test_equal_weights_are_the_plain_sum() -> None:
+def test_equal_weights_are_plain_monte_carlo() -> None:
     pool = lattice_pool(5, 1, fitted=False)
     values = np.random.default_rng(2).normal(size=(1, 1, 5, 3))
     rotation = np.array([[3]])
@@ -56,7 +62,7 @@ def test_equal_weights_are_the_plain_sum() -> None:
     assert pool.condition == 1.0
 
 
-def test_too_few_directions_are_refused_and_equal_many_have_no_known_error() -> None:
+def test_too_few_directions_are_refused_and_exactly_enough_have_an_unknown_error() -> None:
     with pytest.raises(QueryError, match="8 directions cannot determine 9"):
         lattice_pool(8, 2)
     pool = lattice_pool(9, 2)
@@ -73,7 +79,7 @@ def test_directions_on_one_circle_are_refused() -> None:
         direction_pool(circle, sh.evaluate(circle, 2), True)
 
 
-def test_residual_variance_is_right_for_independent_errors() -> None:
+def test_residual_variance_is_unbiased_for_independent_errors() -> None:
     """White noise of known size: the estimate's mean is the variance that the coefficients then have."""
     pool = lattice_pool(24, 2)
     rng = np.random.default_rng(4)
@@ -84,7 +90,7 @@ def test_residual_variance_is_right_for_independent_errors() -> None:
 
 
 @pytest.mark.parametrize("sectors", [32, 64])
-def test_neighbour_variance_sees_the_noise_and_not_the_signal(sectors: int) -> None:
+def test_neighbour_errors_contain_the_noise_and_not_the_signal(sectors: int) -> None:
     rng = np.random.default_rng(5)
     phi = 2 * np.pi * (np.arange(sectors) + 0.5) / sectors
     signal = (1.0 + 0.5 * np.cos(phi) + 0.2 * np.sin(2 * phi))[None, None, :, None, None]
@@ -96,41 +102,41 @@ def test_neighbour_variance_sees_the_noise_and_not_the_signal(sectors: int) -> N
     assert (neighbour_errors(signal, sectors) ** 2).mean(axis=(2, 3)).max() < 1e-6
 
 
-def test_what_neighbours_differ_by_is_held_against_pairs_where_it_may_be_view() -> None:
+def test_validation_bins_replace_the_neighbour_estimate_where_it_contains_signal() -> None:
     rng = np.random.default_rng(7)
     rough = np.full((3, 64), 4.0) * rng.uniform(0.5, 2.0, (3, 64))
     neighbours = np.outer([0.1, 3.0, 3.0], np.ones(64)) * rough.mean(axis=1, keepdims=True)
-    assert suspect(neighbours, rough, 64).tolist() == [1, 2]
-    assert suspect(neighbours, rough, 256).tolist() == [0, 1, 2]
-    assert suspect(neighbours / 2.5, rough, 0).tolist() == []
+    assert unreliable_vertices(neighbours, rough, 64).tolist() == [1, 2]
+    assert unreliable_vertices(neighbours, rough, 256).tolist() == [0, 1, 2]
+    assert unreliable_vertices(neighbours / 2.5, rough, 0).tolist() == []
     at = np.tile(np.arange(0, 64, 16), (3, 1))
-    # The first two pairs say as much as neighbours do; the third a hundredth of the residual.
+    # The first two pairs agree with the neighbours; the third has a hundredth of the residual.
     pairs = np.array([neighbours[0].mean(), neighbours[1].mean(), 0.04])
-    found = held_against(pairs, neighbours, rough, at)
+    found = validated_variance(pairs, neighbours, rough, at)
     np.testing.assert_array_equal(found[:2], neighbours[:2])
     assert found[2, at[2]].mean() == pytest.approx(0.04)
     np.testing.assert_allclose(found[2] / rough[2], found[2, 0] / rough[2, 0])
-    assert (held_against(np.zeros(3), neighbours, 0.0 * rough, at) == 0.0).all()
+    assert (validated_variance(np.zeros(3), neighbours, 0.0 * rough, at) == 0.0).all()
 
 
 @pytest.mark.parametrize("sectors", [1, 2, 8])
-def test_halves_variance_is_that_of_their_mean(sectors: int) -> None:
+def test_half_buffer_variance_is_that_of_the_mean(sectors: int) -> None:
     rng = np.random.default_rng(6)
     first, second = 0.1 * rng.normal(size=(2, 100, 2 * sectors, 9, 3))
-    estimate = halves_variance((first - second) / 2, np.ones((100, 2 * sectors)), sectors)
+    estimate = half_buffer_variance((first - second) / 2, np.ones((100, 2 * sectors)), sectors)
     assert estimate.shape == (100, 2 * sectors)
     assert estimate.mean() == pytest.approx((((first + second) / 2) ** 2).mean(), rel=0.05)
 
 
-def test_estimator_follows_what_there_is() -> None:
+def test_the_best_possible_estimator_is_chosen() -> None:
     assert choose_estimator(64, 9, 9, fitted=True) == "neighbours"
     assert choose_estimator(8, 64, 9, fitted=True) == "halves"
     assert choose_estimator(1, 162, 81, fitted=True) == "residual"
     assert choose_estimator(1, 2, 81, fitted=False) == "halves"
 
 
-def test_bend_brings_up_what_is_below_every_face() -> None:
-    """An octahedron's vertices, all directions: only those below all four faces move, in their own plane."""
+def test_directions_below_every_face_are_clamped() -> None:
+    """An octahedron's vertices, all directions: only those below all four faces move, in the plane of the normal."""
     corners = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
     faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     edges = corners[faces]
@@ -139,13 +145,13 @@ def test_bend_brings_up_what_is_below_every_face() -> None:
     around = vertex_faces(6, faces, normals)
     outgoing = np.broadcast_to(sphere.uniform(300, 1), (6, 300, 3)).copy()
     outgoing[0, 0] = -normals[0]
-    bent, count = bend_to_horizon(outgoing[2:4], around, first_vertex=2)
+    clamped, count = clamp_to_horizon(outgoing[2:4], around, first_vertex=2)
     for vertex in (2, 3):
         own = normals[(faces == vertex).any(axis=1)]
         cosines = outgoing[vertex] @ own.T
         below = cosines.max(axis=1) <= 0
         highest = own[cosines.argmax(axis=1)]
-        moved = bent[vertex - 2]
+        moved = clamped[vertex - 2]
         np.testing.assert_array_equal(moved[~below], outgoing[vertex][~below])
         np.testing.assert_allclose((moved * highest).sum(axis=1)[below], LOWEST_COSINE, atol=1e-12)
         np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 1, atol=1e-12)
@@ -155,17 +161,17 @@ def test_bend_brings_up_what_is_below_every_face() -> None:
     assert count == 0
 
 
-def test_straight_down_is_bent_too_and_a_lone_vertex_has_no_horizon() -> None:
+def test_the_inverted_normal_is_clamped_and_a_lone_vertex_has_no_horizon() -> None:
     around = vertex_faces(4, np.array([[0, 1, 2]]), np.array([[0.0, 0.0, 1.0]]))
     down = np.array([[[0.0, 0.0, -1.0]], [[0.0, 0.6, -0.8]]])
-    bent, count = bend_to_horizon(down, around, 2)
+    clamped, count = clamp_to_horizon(down, around, 2)
     assert count == 1
-    assert bent[0, 0, 2] == pytest.approx(LOWEST_COSINE)
-    np.testing.assert_array_equal(bent[1], down[1])
+    assert clamped[0, 0, 2] == pytest.approx(LOWEST_COSINE)
+    np.testing.assert_array_equal(clamped[1], down[1])
 
 
 class Lobed:
-    """Ŝ = exp(ωi·ωo) (1 + x), in three colours."""
+    """Ŝ = exp(ωi·ωo) (1 + x), in three channels."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         cosine = np.einsum(
@@ -175,7 +181,7 @@ class Lobed:
 
 
 class LobedInBlocks(Lobed):
-    """The same with the second way in."""
+    """The same with the block interface."""
 
     def evaluate_block(self, incident: Array, rotation: NDArray[np.int64], positions: Array, outgoing: Array) -> Array:
         cosine = np.einsum("nbdi,nbi->nbd", incident[rotation], outgoing)
@@ -189,7 +195,7 @@ class Estimate:
 
 
 class Walker:
-    """Answers with what it was asked."""
+    """Returns its arguments as coefficients."""
 
     def estimate_coefficients(self, positions: Array, outgoing: Array, degree: int, paths: int, seed: int) -> Estimate:
         mean = np.zeros((len(positions), (degree + 1) ** 2, 3))
@@ -213,21 +219,21 @@ def task(transport: Any, vertices: int = 7, rings: int = 2, sectors: int = 32, s
     return Task(transport, rng.uniform(size=(vertices, 3)), outgoing, len(local), sectors, sampling)
 
 
-def test_ways_in_are_found_by_presence() -> None:
-    assert way_in(Lobed()) == "evaluate"
-    assert way_in(LobedInBlocks()) == "block"
-    assert way_in(Walker()) == "coefficients"
+def test_interfaces_are_detected_by_their_methods() -> None:
+    assert transport_kind(Lobed()) == "evaluate"
+    assert transport_kind(LobedInBlocks()) == "block"
+    assert transport_kind(Walker()) == "coefficients"
     with pytest.raises(QueryError, match="object cannot be baked"):
-        way_in(object())
+        transport_kind(object())
 
 
-def test_ways_in_agree() -> None:
+def test_evaluate_and_evaluate_block_agree() -> None:
     plain, fused = bake_block(task(Lobed()), 0, 7), bake_block(task(LobedInBlocks()), 0, 7)
     np.testing.assert_allclose(plain.coefficients, fused.coefficients, rtol=1e-6)
     np.testing.assert_allclose(plain.standard_error, fused.standard_error, rtol=1e-3)
 
 
-def test_walks_are_keyed_by_vertex_and_their_errors_are_kept() -> None:
+def test_walks_are_seeded_by_vertex_and_their_errors_are_kept() -> None:
     block = bake_block(task(Walker(), sampling=Walks(1, 50, lambda vertex: 10 * vertex)), 2, 4)
     np.testing.assert_allclose(block.coefficients[:, 0, 2, 0], [20, 30])
     np.testing.assert_allclose(block.standard_error, 0.02, rtol=1e-6)
@@ -237,42 +243,42 @@ def in_blocks(work: Task, vertices: int, workers: int) -> Generator[Block, None,
     return in_order(lambda cut: bake_block(work, *cut), cuts(work, np.arange(vertices)), workers)
 
 
-def test_cuts_leave_out_what_is_not_baked(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cuts_contain_only_the_requested_vertices(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
     assert cuts(task(LobedInBlocks()), np.array([0, 1, 2, 5, 6])) == [(0, 2), (2, 3), (5, 7)]
     assert cuts(task(LobedInBlocks()), np.zeros(0, np.int64)) == []
 
 
 @pytest.mark.parametrize("workers", [1, 3])
-def test_blocks_come_in_order_and_do_not_depend_on_workers_or_cuts(
+def test_blocks_are_in_order_and_do_not_depend_on_workers_or_cuts(
     workers: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = bake_block(task(LobedInBlocks()), 0, 7)
+    single = bake_block(task(LobedInBlocks()), 0, 7)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
     blocks = list(in_blocks(task(LobedInBlocks()), 7, workers))
     assert [block.first_vertex for block in blocks] == [0, 2, 4, 6]
-    np.testing.assert_array_equal(np.concatenate([block.coefficients for block in blocks]), whole.coefficients)
-    np.testing.assert_array_equal(np.concatenate([block.standard_error for block in blocks]), whole.standard_error)
-    assert sum(block.bent for block in blocks) == 7
+    np.testing.assert_array_equal(np.concatenate([block.coefficients for block in blocks]), single.coefficients)
+    np.testing.assert_array_equal(np.concatenate([block.standard_error for block in blocks]), single.standard_error)
+    assert sum(block.clamped for block in blocks) == 7
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_what_a_transport_raises_is_raised(workers: int) -> None:
+def test_exceptions_of_a_transport_propagate(workers: int) -> None:
     class Broken(Lobed):
         def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-            raise RuntimeError("lamp is out")
+            raise RuntimeError("transport failed")
 
-    with pytest.raises(RuntimeError, match="lamp is out"):
+    with pytest.raises(RuntimeError, match="transport failed"):
         list(in_blocks(task(Broken()), 7, workers))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
-def test_vertices_that_are_not_finite_are_marked_and_the_rest_is_baked(value: float) -> None:
+def test_vertices_that_are_not_finite_are_marked_and_the_others_are_baked(value: float) -> None:
     class Cracked(Lobed):
         def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-            answer = super().evaluate(incident, positions, outgoing)
-            answer[positions[:, 0] == bad, 3, 1] = value
-            return answer
+            result = super().evaluate(incident, positions, outgoing)
+            result[positions[:, 0] == bad, 3, 1] = value
+            return result
 
     sound = bake_block(task(Lobed()), 0, 7)
     cracked = task(Cracked())
@@ -284,18 +290,18 @@ def test_vertices_that_are_not_finite_are_marked_and_the_rest_is_baked(value: fl
     assert not block.standard_error[4].any()
 
 
-def test_torch_answers_are_taken() -> None:
-    answer = as_radiance(torch.ones((2, 1, 3), dtype=torch.bfloat16, requires_grad=True), (2, 1, 3), "evaluate")
-    np.testing.assert_array_equal(answer, 1)
+def test_torch_results_are_converted() -> None:
+    result = as_radiance(torch.ones((2, 1, 3), dtype=torch.bfloat16, requires_grad=True), (2, 1, 3), "evaluate")
+    np.testing.assert_array_equal(result, 1)
 
 
-@pytest.mark.parametrize("answer", [np.ones((2, 3)), np.ones((2, 1, 3), dtype=complex), None, "light"])
-def test_answers_of_another_shape_are_refused(answer: object) -> None:
-    with pytest.raises(QueryError, match=r"evaluate answered .* expected real numbers of shape \(2, 1, 3\)"):
-        as_radiance(answer, (2, 1, 3), "evaluate")
+@pytest.mark.parametrize("result", [np.ones((2, 3)), np.ones((2, 1, 3), dtype=complex), None, "light"])
+def test_results_of_another_shape_are_refused(result: object) -> None:
+    with pytest.raises(QueryError, match=r"evaluate returned .* expected real numbers of shape \(2, 1, 3\)"):
+        as_radiance(result, (2, 1, 3), "evaluate")
 
 
-def test_plan_counts_what_evaluate_alone_would_be_asked() -> None:
+def test_plan_counts_evaluations() -> None:
     plan = plan_bake(11_533, 1024, 9, 64)
     assert plan.evaluations == 11_533 * 1024 * 64
     assert plan.raw_bytes == 11_533 * 1024 * 9 * 3 * 2
@@ -305,7 +311,7 @@ def test_plan_counts_what_evaluate_alone_would_be_asked() -> None:
     assert block_size(task(Walker(), sampling=Walks(1, 1 << 20, int))) == 1
 
 
-def test_loop_can_be_left_early() -> None:
+def test_the_iterator_can_be_closed_early() -> None:
     calls: list[int] = []
 
     class Counting(Lobed):

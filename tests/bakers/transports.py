@@ -18,7 +18,7 @@ def icosphere(subdivisions: int) -> Mesh:
 
 
 class Edged:
-    """A clamped cosine about the normal of a unit sphere, cut by a shadow's edge; the view does not matter."""
+    """A clamped cosine about the normal of a unit sphere, cut by a shadow edge; it does not depend on the view."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         cosine = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
@@ -40,10 +40,10 @@ class Lobed:
 
 
 class Incoherent:
-    """Kinks and lobes that have nothing to do with those of the vertices beside, and a kink in the view."""
+    """Kinks and lobes that are independent of those at neighbouring vertices, and a kink in the view."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        numbers = _of_places(positions)
+        numbers = _position_uniforms(positions)
         axes = _units(numbers[:, :6].reshape(-1, 2, 3) - 0.5)
         kinked = np.abs(np.einsum("ndi,ni->nd", incident, axes[:, 0]))
         kinked *= (np.maximum((outgoing * axes[:, 1]).sum(-1), 0.0) + 0.2)[:, None]
@@ -53,7 +53,7 @@ class Incoherent:
 
 
 class Chequered:
-    """What is seen changes with the view so fast that no view tells of another."""
+    """Varies so fast with the view that no view predicts another."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         chequer = np.sign(np.sin(40.0 * outgoing[:, 0]) * np.sin(40.0 * outgoing[:, 1]))
@@ -62,11 +62,11 @@ class Chequered:
 
 
 class Ringed:
-    """Rings in the view of which none foretells another, over light that changes slowly along the surface and leans
-    with the view, so that no few functions of it make up all bins.
+    """Rings in the view that do not predict each other, times a light that varies slowly along the surface and leans
+    with the view, so that no few components explain all bins.
 
-    `patch`: radius of a spot that is three times as bright. `sharp`: stripes of the world in their place, and no
-    vertex foretells another. `blind`: a place where nothing is finite.
+    `patch`: radius of a spot that is three times as bright. `sharp`: stripes in world space instead of rings, so that
+    no vertex predicts another. `blind`: a position at which nothing is finite.
     """
 
     def __init__(self, patch: float = 0.0, sharp: bool = False, blind: Array | None = None) -> None:
@@ -90,7 +90,7 @@ def patched(positions: Array, radius: float) -> NDArray[np.bool_]:
 
 
 class Clamped:
-    """A clamped cosine, darker towards grazing views as light behind an interface is."""
+    """A clamped cosine that is darker towards grazing views, like light behind an interface."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         view = 1.0 - 0.8 * (1.0 - np.clip((positions * outgoing).sum(-1), 0.0, 1.0)) ** 5
@@ -98,7 +98,7 @@ class Clamped:
 
 
 class Phased:
-    """Henyey and Greenstein's phase function about −ωo, and what is diffuse."""
+    """The Henyey–Greenstein phase function about −ωo, and a diffuse part."""
 
     def __init__(self, g: float = 0.8) -> None:
         self.g = g
@@ -110,7 +110,7 @@ class Phased:
 
 
 class Kinked:
-    """A kink across an axis that turns with the place and with the view."""
+    """A kink across an axis that varies with position and view."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         x, y, z = positions.T
@@ -128,27 +128,27 @@ class TwoLobed:
         return np.stack([back, 0.5 * (back + forward), forward], -1) + 0.3 * _facing(incident, positions)[..., None]
 
 
-class KinkedApart:
-    """A kink at every vertex that has nothing to do with those of the vertices beside."""
+class KinkedPerVertex:
+    """A kink at every vertex that is independent of those at neighbouring vertices."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        numbers = _of_places(positions) - 0.5
+        numbers = _position_uniforms(positions) - 0.5
         kinked = np.maximum(np.einsum("ndi,ni->nd", incident, _units(numbers[:, :3])), 0.0)
         return _coloured(kinked * (1.3 + (outgoing * _units(numbers[:, 3:6])).sum(-1))[:, None] + 0.05)
 
 
-class LobedApart:
-    """Forward lobes of which every vertex has its own width and strength."""
+class LobedPerVertex:
+    """Forward lobes with a different width and strength at every vertex."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        numbers = _of_places(positions)
+        numbers = _position_uniforms(positions)
         sharpness, strength, floor = 3.0 + 10.0 * numbers[:, :1], 0.3 + numbers[:, 1:2], 0.3 * numbers[:, 2:3]
         forward = np.exp(sharpness * (-np.einsum("ndi,ni->nd", incident, outgoing) - 1.0))
         return _coloured(strength * forward + floor * _facing(incident, positions))
 
 
 class Shadowed:
-    """A clamped cosine cut off to nothing by a horizon that wanders with the place."""
+    """A clamped cosine cut off by a horizon that varies with position."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         lit = incident[..., 1] > 0.3 * np.sin(3.0 * positions[:, :1])
@@ -156,7 +156,7 @@ class Shadowed:
 
 
 class Sunlit:
-    """A light of 5° that stays where it is, seen less and less towards grazing views, on a diffuse floor."""
+    """A fixed light of 5° that darkens towards grazing views, on a diffuse floor."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         towards = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
@@ -176,14 +176,14 @@ def _units(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def _of_places(positions: Array) -> Array:
-    """Uniform numbers [N,7] of each place."""
+def _position_uniforms(positions: Array) -> Array:
+    """Uniform random numbers [N,7] for each position."""
     key = np.round(positions * 1e6).astype(np.int64)
     return np.asarray(uniforms((1, key[:, 0], key[:, 1], key[:, 2]), 7))
 
 
 class Counting:
-    """Counts what another transport is asked for, from outside."""
+    """Counts the evaluations of another transport."""
 
     def __init__(self, transport: object) -> None:
         self.transport, self.evaluations = transport, 0
@@ -197,7 +197,7 @@ class Counting:
 def exact(
     transport: object, mesh: Mesh, rings: int, sectors: int, degree: int = 2, directions: int = 4096, every: int = 1
 ) -> Array:
-    """Coefficients [V,B,K,3] from a fit over many directions, turned anew at each vertex; of every so many bins."""
+    """Coefficients [V,B,K,3] from a fit over many directions, rotated anew at each vertex; of every so many bins."""
     lattice = sphere.fibonacci(directions)
     harmonics = sh.evaluate(lattice, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)
@@ -214,8 +214,12 @@ def exact(
     return found
 
 
-def uniform_needs(transport: object, mesh: Mesh, truth: Array, rings: int, sectors: int, error: float) -> float:
-    """Uniform directions a bin that plain Monte Carlo needs for the error: its variance of one direction, measured."""
+def uniform_directions_needed(
+    transport: object, mesh: Mesh, truth: Array, rings: int, sectors: int, error: float
+) -> float:
+    """Uniform directions per bin that plain Monte Carlo needs for the error, from its measured variance of one
+    direction.
+    """
     _tangents, views = views_of(mesh, rings, sectors)
     generator, squares, many = np.random.default_rng(3), 0.0, 0
     for vertex, x in enumerate(mesh.positions):

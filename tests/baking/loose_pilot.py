@@ -2,12 +2,16 @@
 
 from dataclasses import replace
 
-from bakers.adaptive.records import Refinement
-from prt_bake.baking.adaptive.tolerances import Aim, Pilot, aimed
+from bakers.adaptive.records import RefinementSettings
+from prt_bake.baking.adaptive.tolerances import PassSettings, Pilot, settings_for_error
 
 
-def loosely_aimed(pilot: Pilot, refinement: Refinement, error: float) -> Aim:
-    """`aimed`, its tolerances twice as wide."""
-    aim = aimed(pilot, refinement, error)
-    wide = replace(aim.refinement, light=2.0 * aim.refinement.light, view=2.0 * aim.refinement.view)
-    return replace(aim, refinement=wide)
+def loose_settings(pilot: Pilot, refinement: RefinementSettings, error: float) -> PassSettings:
+    """`settings_for_error`, its tolerances twice as wide."""
+    settings = settings_for_error(pilot, refinement, error)
+    wide = replace(
+        settings.refinement,
+        light_tolerance=2.0 * settings.refinement.light_tolerance,
+        view_tolerance=2.0 * settings.refinement.view_tolerance,
+    )
+    return replace(settings, refinement=wide)

@@ -84,7 +84,7 @@ def test_what_others_keep_where_the_journal_would_lie_stays(tmp_path: Path, resu
         foreign = tmp_path / own
         foreign.parent.mkdir(exist_ok=True)
         foreign.write_text("mine")
-        with pytest.raises(StorageError, match=f"{output}.journal: finished blocks of {output} would be kept there"):
+        with pytest.raises(StorageError, match=f"{output}.journal: expected a free path for the checkpoints of {output}"):
             bake.bake(Incoherent(), icosphere(0), **SMALL, out=tmp_path / output, resume=resume)
         assert foreign.read_text() == "mine"
 
@@ -94,7 +94,7 @@ def test_two_bakes_of_one_output_are_not_mixed(tmp_path: Path) -> None:
     with Journal(out, {"seed": 1}, resume=False) as journal:
         journal.write("block-0", {"one": np.ones(1)})
         for resume in (False, True):
-            with pytest.raises(StorageError, match="another process is at work on it"):
+            with pytest.raises(StorageError, match="another process is writing it"):
                 bake.bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=resume)
         assert journal.read("block-0") is not None
     assert sorted(path.name for path in journal_folder(out).iterdir()) == ["block-0.npz", "identity.json"]

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from bakers.error_covariance import unshaped
+from bakers.error_covariance import unknown_covariance
 from formats.asset import Asset, check_asset, read_asset, write_asset
 from formats.errors import QueryError
 from formats.mesh import Mesh
@@ -47,7 +47,7 @@ def assert_within(asset: Asset, error: float, compact: Asset) -> None:
     off, own = added_error(asset, decoded), np.square(asset.coefficients, dtype=np.float64).sum(axis=(1, 2, 3))
     own = own * asset.valid
     told = compact.coefficients.added
-    assert told.asked == error
+    assert told.requested == error
     assert told.total <= error
     total = np.sqrt(off.sum() / own.sum()) if own.any() else 0.0
     assert told.total == pytest.approx(total, rel=1e-3, abs=1e-7)
@@ -246,11 +246,11 @@ def test_what_cannot_be_compressed_is_refused(tmp_path) -> None:
 
 def test_the_command_says_what_it_came_to(tmp_path, prtbake: Run) -> None:
     asset = holding(of_rank(3, 0.01, bins=256), 8, 32)
-    write_asset(dataclasses.replace(asset, error_shape=unshaped(len(asset.valid), 9)), tmp_path / "a.h5")
+    write_asset(dataclasses.replace(asset, error_covariance=unknown_covariance(len(asset.valid), 9)), tmp_path / "a.h5")
     ended = prtbake("compress", tmp_path / "a.h5", "--error", "0.01")
     assert (ended.code, ended.err) == (0, "")
     compact = read_asset(tmp_path / "a.compact.h5")
-    assert compact.error_shape is not None
+    assert compact.error_covariance is not None
     table = compact.provenance["compression"]
     for told in (
         "1/",

@@ -6,10 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bakers.baker import _of_walks
-from bakers.error_covariance import both, gathered, of_errors, packed, shape_of, trace, unpacked, unshaped
+from bakers.baker import _walk_errors
+from bakers.error_covariance import (
+    added_covariance,
+    clustered,
+    error_sums,
+    normalised_covariance,
+    packed,
+    trace,
+    unknown_covariance,
+    unpacked,
+)
 from formats.asset import Asset
-from formats.asset.error_covariance import ErrorShape, pairs
+from formats.asset.error_covariance import ErrorCovariance, pairs
 from prt_bake import bake, compress
 from prt_bake.mathematics import sh
 from prt_bake.shading.radiance_error import radiance_error
@@ -69,7 +78,7 @@ def test_the_error_under_a_light_is_what_bakes_differ_by(way: str, bakes: list[A
     """
     light = light_from(LIGHTS[where])
     assert 0.75 < told_over_true(bakes, light) < (1.75 if way == "residual" else 1.3)
-    plain = told_over_true([dataclasses.replace(each, error_shape=None) for each in bakes], light)
+    plain = told_over_true([dataclasses.replace(each, error_covariance=None) for each in bakes], light)
     assert plain < 0.75 if where == "towards" else plain > 1.35
 
 
@@ -82,9 +91,9 @@ def test_of_an_asset_for_one_light_it_is_told_alike(where: str) -> None:
 @pytest.mark.parametrize("where", LIGHTS)
 def test_what_compaction_adds_is_told_alike(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of one view and equal channels, of bakes that do not err themselves, and a row for each vertex: exactly that."""
-    monkeypatch.setattr("bakers.error_covariance.A_ROW", 1)
+    monkeypatch.setattr("bakers.error_covariance.VERTICES_PER_CLUSTER", 1)
     coefficients = np.random.default_rng(0).normal(size=(42, 1, 9, 1)) * np.ones((1, 1, 1, 3)) + 20.0 * np.eye(9)[:, :1]
-    asset = asset_of(MESH, coefficients, 1, 1, 2, error_shape=unshaped(42, 9))
+    asset = asset_of(MESH, coefficients, 1, 1, 2, error_covariance=unknown_covariance(42, 9))
     asset = dataclasses.replace(asset, standard_error=np.zeros((42, 1), np.float32))
     light, compact = light_from(LIGHTS[where]), compress(asset, 0.02)
     off = radiance(compact, light) - radiance(asset, light)
@@ -97,25 +106,25 @@ def test_walks_tell_it_by_harmonic() -> None:
     """Of walks the errors of harmonics are known one by one, in the world's frame, and so in that of any view."""
     rng = np.random.default_rng(0)
     squares = rng.uniform(size=(5, 7, 9, 3))
-    errors = _of_walks(squares)
-    covariance, channels = of_errors(errors)
+    errors = _walk_errors(squares)
+    covariance, channels = error_sums(errors)
     np.testing.assert_allclose(unpacked(covariance, 9), squares.sum(axis=(1, 3))[:, :, None] * np.eye(9))
     np.testing.assert_allclose(channels, squares.sum(axis=(1, 2)))
 
 
-def shapes(count: int, vertices: int, kinds: int, seed: int = 0) -> ErrorShape:
+def shapes(count: int, vertices: int, kinds: int, seed: int = 0) -> ErrorCovariance:
     """Of a few kinds, each a little different at every vertex."""
     rng = np.random.default_rng(seed)
     errors = rng.normal(size=(kinds, 2, count, 3))[rng.integers(0, kinds, vertices)]
     errors = errors * (1.0 + 0.01 * rng.normal(size=errors.shape))
-    return shape_of(*of_errors(errors), rng.random((vertices, 2)), count)
+    return normalised_covariance(*error_sums(errors), rng.random((vertices, 2)), count)
 
 
 @pytest.mark.parametrize(("vertices", "kinds"), [(1, 1), (5, 2), (100, 3), (3000, 40)])
 def test_gathered_shapes_keep_what_all_vertices_have_together(vertices: int, kinds: int) -> None:
     shape, size = shapes(4, vertices, kinds), np.random.default_rng(1).random(vertices)
     size[1::7] = 0.0
-    few = gathered(shape, size)
+    few = clustered(shape, size)
     assert len(few.covariance) <= max(1, vertices // 16)
     each = few.of(np.arange(vertices))
     for name in ("covariance", "channels", "apart"):
@@ -127,7 +136,7 @@ def test_gathered_shapes_keep_what_all_vertices_have_together(vertices: int, kin
 
 def test_vertices_that_are_alike_share_a_row() -> None:
     shape = dataclasses.replace(shapes(9, 640, 4), apart=np.ones((640, 2), np.float32))
-    each = gathered(shape, np.ones(640)).of(np.arange(640))
+    each = clustered(shape, np.ones(640)).of(np.arange(640))
     np.testing.assert_allclose(each.covariance, shape.covariance, atol=0.2)
 
 
@@ -135,7 +144,7 @@ def test_errors_that_are_none_or_not_finite_have_a_shape() -> None:
     sums = np.zeros((3, pairs(4))), np.zeros((3, 3))
     sums[0][1], sums[1][2] = np.nan, np.inf
     with np.errstate(all="raise"):
-        shape = shape_of(*sums, np.array([0.5, np.nan, 2.0]), 4)
+        shape = normalised_covariance(*sums, np.array([0.5, np.nan, 2.0]), 4)
     np.testing.assert_array_equal(unpacked(shape.covariance, 4), np.broadcast_to(np.eye(4), (3, 4, 4)))
     np.testing.assert_array_equal(shape.channels, np.ones((3, 3)))
     np.testing.assert_array_equal(shape.apart, [[0.5, 1.0], [0.0, 1.0], [1.0, 1.0]])
@@ -144,7 +153,7 @@ def test_errors_that_are_none_or_not_finite_have_a_shape() -> None:
 def test_two_kinds_of_errors_are_told_by_their_sizes() -> None:
     first, second = (shapes(4, 6, 6, seed) for seed in (0, 1))
     size, more = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 0.5]), np.array([1.0, 0.0, 2.0, 1.0, 4.0, 1.5])
-    whole = both(first, size, second.covariance * more[:, None], second.channels * more[:, None])
+    whole = added_covariance(first, size, second.covariance * more[:, None], second.channels * more[:, None])
     share = (size / (size + more))[:, None]
     np.testing.assert_allclose(whole.covariance, share * first.covariance + (1 - share) * second.covariance, rtol=1e-5)
     np.testing.assert_allclose(whole.apart, share * first.apart, rtol=1e-5)
@@ -154,10 +163,10 @@ def test_bands_and_lights_of_a_shape() -> None:
     shape, light = shapes(9, 20, 20), np.random.default_rng(2).normal(size=(20, 9, 3))
     full = unpacked(shape.covariance, 9)
     expected = np.einsum("vkc,vkl,vlc->vc", light, full, light) * shape.channels
-    np.testing.assert_allclose(shape.under(light), expected, rtol=1e-5)
-    first = unpacked(shape.of_first(4).covariance, 4)
+    np.testing.assert_allclose(shape.variance_under(light), expected, rtol=1e-5)
+    first = unpacked(shape.truncated(4).covariance, 4)
     scale = 4.0 / np.trace(full[:, :4, :4], axis1=1, axis2=2)
     np.testing.assert_allclose(first, scale[:, None, None] * full[:, :4, :4], rtol=1e-5)
-    lone = unshaped(2, 9)
-    np.testing.assert_allclose(lone.under(light[:2]), (light[:2] ** 2).sum(axis=1), rtol=1e-6)
+    lone = unknown_covariance(2, 9)
+    np.testing.assert_allclose(lone.variance_under(light[:2]), (light[:2] ** 2).sum(axis=1), rtol=1e-6)
     np.testing.assert_array_equal(packed(full), np.asarray(shape.covariance, np.float64))

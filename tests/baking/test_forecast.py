@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prt_bake import bake
-from prt_bake.baking.job.forecast import FROM_COARSE, Forecast, Standing, power_of_error
+from prt_bake.baking.job.forecast import COARSE_EXPONENT, Forecast, BakeStatus, error_exponent
 from prt_bake.cli.shared.progress import in_words
 from tests.bakers.transports import Incoherent, icosphere
 
@@ -24,7 +24,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
 
 
 def test_what_is_left_goes_as_what_was_done(clock: Callable[[float], None]) -> None:
-    forecast = Forecast(np.ones(10), foretold=30.0, began=100.0)
+    forecast = Forecast(np.ones(10), predicted=30.0, began=100.0)
     assert forecast.left(0) == 30.0
     clock(8.0)
     assert forecast.left(2) == pytest.approx(32.0)
@@ -57,18 +57,18 @@ def test_the_slope_is_that_of_the_passes(power: float) -> None:
     errors = [0.2, 0.1, 0.02]
     seconds = np.cumsum([error**-power for error in errors])
     rows = [(float(taken), 0.0, error) for taken, error in zip(seconds, errors, strict=True)]
-    assert power_of_error(rows) == pytest.approx(power)
+    assert error_exponent(rows) == pytest.approx(power)
 
 
 def test_one_pass_has_no_slope() -> None:
-    assert power_of_error([]) == power_of_error([(1.0, 1.0, 0.1)]) == FROM_COARSE
-    assert power_of_error([(1.0, 1.0, 0.1), (2.0, 2.0, 0.1)]) == FROM_COARSE
+    assert error_exponent([]) == error_exponent([(1.0, 1.0, 0.1)]) == COARSE_EXPONENT
+    assert error_exponent([(1.0, 1.0, 0.1), (2.0, 2.0, 0.1)]) == COARSE_EXPONENT
 
 
 @pytest.mark.parametrize("asked", [{"samples": 36}, {"error": 0.05}])
 def test_a_bake_tells_what_is_left_until_nothing_is(asked: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 64)
-    told: list[tuple[int, Standing]] = []
+    told: list[tuple[int, BakeStatus]] = []
     bake(
         Incoherent(),
         icosphere(1),

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bakers.adaptive.records import Refined
+from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Threads
 from prt_bake import bake
 from prt_bake.baking.adaptive import pilot_pass
-from prt_bake.baking.adaptive.pilot import Site, first_refinement
-from prt_bake.baking.adaptive.tolerances import Aim, Pilot, aimed, pilot_vertices
+from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.tolerances import PassSettings, Pilot, pilot_vertices, settings_for_error
 from prt_bake.baking.bake import plan
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sphere
@@ -37,9 +37,9 @@ class Slow:
         return answer
 
 
-def site_of(transport: object, vertices: int = len(MESH.positions)) -> Site:
+def job_of(transport: object, vertices: int = len(MESH.positions)) -> AdaptiveJob:
     views, local = views_of(MESH, **GRID)[1], sphere.view_bins(**GRID)
-    return Site(transport, MESH, np.arange(vertices), views, local, 2, 0, (GRID["rings"], GRID["sectors"]))
+    return AdaptiveJob(transport, MESH, np.arange(vertices), views, local, 2, 0, (GRID["rings"], GRID["sectors"]))
 
 
 @pytest.mark.parametrize("error", [0.03, 0.05])
@@ -71,37 +71,37 @@ def test_seconds_are_those_of_the_bake_though_much_is_done_for_the_first_time() 
 
 def test_vertices_are_tried_until_their_mean_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of vertices a tenth of which cost ten times as much the mean lies within what is told of it."""
-    site = site_of(Edged(), 600)
+    job = job_of(Edged(), 600)
     dear = np.arange(600) % 10 == 0
     tried: list[np.ndarray] = []
 
-    def block(site: Site, how: object, vertices: Any) -> tuple[Refined, int]:
+    def block(job: AdaptiveJob, how: object, vertices: Any) -> tuple[RefinedBlock, int]:
         tried.append(vertices)
-        found, bent = original(site, how, vertices)
+        found, bent = original(job, how, vertices)
         found.directions[:] = np.where(dear[vertices], 500, 50)[:, None]
         return found, bent
 
     original = pilot_pass.refined_block
     monkeypatch.setattr(pilot_pass, "refined_block", block)
-    monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 16 * site.bins)
+    monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 16 * job.bins)
     monkeypatch.setattr(pilot_pass, "MOST", 0.5)
-    how = first_refinement(site)[0].for_views(0.1, 0.1)
-    found = pilot_pass.rehearsed(site, how, Threads(1))
+    how = first_refinement(job)[0].with_full_levels(0.1, 0.1)
+    found = pilot_pass.run_pilot_pass(job, how, Threads(1))
     vertices = np.concatenate(tried)
     assert found.vertices == len(vertices) == len(np.unique(vertices)) == 304
     mean = np.where(dear[vertices], 500, 50).mean()
     assert abs(mean - 95.0) < 3.0 * found.deviation * mean
     monkeypatch.setattr(pilot_pass, "ENOUGH", 2.0 * found.deviation)
-    assert pilot_pass.rehearsed(site, how, Threads(1)).vertices < 200
+    assert pilot_pass.run_pilot_pass(job, how, Threads(1)).vertices < 200
 
 
 def test_nothing_of_the_pilot_is_recalled() -> None:
     counted = Counting(Edged())
-    site = site_of(counted)
-    aim: Aim = aimed(Pilot(site), first_refinement(site)[0], 0.05)
+    job = job_of(counted)
+    settings: PassSettings = settings_for_error(Pilot(job), first_refinement(job)[0], 0.05)
     before = counted.evaluations
-    found = pilot_pass.rehearsed(site, aim.refinement, Threads(1))
-    assert found.tally.done[pilot_vertices(site)].any()
+    found = pilot_pass.run_pilot_pass(job, settings.refinement, Threads(1))
+    assert found.tally.done[pilot_vertices(job)].any()
     assert found.tally.recalled == 0
     assert counted.evaluations - before == found.tally.evaluations
 

@@ -8,9 +8,9 @@ import pytest
 
 from formats.errors import QueryError
 from prt_bake.baking.report.bins import drawn_bins, fitted, relative
-from prt_bake.baking.report.budget import error_budget, seen_points, texels_of
+from prt_bake.baking.report.budget import error_budget, visible_points, texels_of
 from prt_bake.baking.report.methods import Row, by_samples, seconds_for, slope
-from prt_bake.baking.report.page import by_way
+from prt_bake.baking.report.page import rows_by_method
 from prt_bake.baking.report.report import report_bake
 from prt_bake.geometry import camera
 from prt_bake.lights import environment
@@ -67,7 +67,7 @@ def test_texels_hold_all_the_light_of_a_sky() -> None:
 def test_points_are_seen_and_lie_on_the_object() -> None:
     mesh = icosphere(2)
     view = camera.fit(mesh, 64, 64, eye=np.array([4.0, 1.0, 2.0]), up="y")
-    seen = seen_points(mesh, view, 100, 0)
+    seen = visible_points(mesh, view, 100, 0)
     assert len(seen.places) == 100
     # But for the facets' slant: the ball is of 320 triangles.
     assert (seen.outgoing * seen.places).sum(axis=1).min() > -0.1
@@ -75,7 +75,7 @@ def test_points_are_seen_and_lie_on_the_object() -> None:
     away = camera.fit(mesh, 64, 64, eye=np.array([4.0, 1.0, 2.0]), up="y")
     away = type(away)(away.eye, away.eye + np.array([1.0, 0.0, 0.0]), away.up, 10.0, 64, 64)
     with pytest.raises(QueryError, match="sees nothing"):
-        seen_points(mesh, away, 100, 0)
+        visible_points(mesh, away, 100, 0)
 
 
 def test_parts_of_the_error_vanish_where_nothing_errs() -> None:
@@ -104,7 +104,7 @@ def test_a_report_holds_all_ways_and_the_budget(tmp_path: Path) -> None:
     )  # fmt: skip
     assert [file.name for file in files] == ["bake.md", "bake.json", "bake.png"]
     found = json.loads(files[1].read_text())
-    ways = by_way([Row(**{k: v for k, v in row.items() if k != "efficiency"}) for row in found["rows"]])
+    ways = rows_by_method([Row(**{k: v for k, v in row.items() if k != "efficiency"}) for row in found["rows"]])
     assert len(ways) == 5
     assert all(len(rows) >= 2 for rows in ways.values())
     logs = np.log([[row.evaluations, row.error] for row in ways["path traced"]])

@@ -11,13 +11,13 @@ import h5py
 import numpy as np
 import pytest
 
-from bakers.path_traced import Account
+from bakers.path_traced import WalkStatistics
 from formats.errors import StorageError
 from formats.journal import Journal
 from prt_bake import bake, read_asset
 from tests import ROOT
 from tests.bakers.transports import Incoherent, Lobed, icosphere
-from tests.baking.loose_pilot import loosely_aimed
+from tests.baking.loose_pilot import loose_settings
 
 GROUPS = "mesh", "basis", "bins", "transfer"
 SMALL = {"rings": 2, "sectors": 16}
@@ -68,7 +68,7 @@ class Walker:
 
         class Estimate:
             mean, standard_error = drawn, np.full(shape, 0.1 / paths**0.5)
-            account = Account(bins=shape[0] * shape[1], unreliable=shape[0], unscattered=0.25 * shape[0])
+            statistics = WalkStatistics(bins=shape[0] * shape[1], unreliable=shape[0], unscattered=0.25 * shape[0])
 
         return Estimate()
 
@@ -116,7 +116,7 @@ def test_a_kill_while_finished_blocks_are_removed(
     tmp_path: Path, removed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Two passes, of which the second needs the blocks of the first: what is left of both is no way to go on.
-    monkeypatch.setattr("prt_bake.baking.adaptive.run.aimed", loosely_aimed)
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 32)
     out, whole, left = tmp_path / "a.h5", tmp_path / "whole.h5", [removed]
     unlink, glob = Path.unlink, Path.glob

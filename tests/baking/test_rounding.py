@@ -11,7 +11,7 @@ from formats.errors import QueryError
 from formats.mesh import read_mesh
 from prt_bake import bake, load_model
 from prt_bake.baking.job.views import views_of
-from prt_bake.baking.pruning.rounding import rounding_of
+from prt_bake.baking.pruning.rounding import measure_rounding
 from prt_bake.baking.report.budget import error_budget
 from prt_bake.geometry.camera import Camera
 from tests.bakers.transports import Lobed, icosphere
@@ -42,10 +42,10 @@ def test_an_error_below_rounding_is_refused() -> None:
 
 def test_what_is_exact_is_not_measured() -> None:
     mesh = icosphere(0)
-    assert rounding_of(Lobed(), mesh, views_of(mesh, 4, 8)[1], 32, 2, 0) == (0.0, 0)
+    assert measure_rounding(Lobed(), mesh, views_of(mesh, 4, 8)[1], 32, 2, 0) == (0.0, 0)
     shipped = read_mesh(SHIPPED / "spot.obj")
     network = prepared(on_mesh(load_model(SHIPPED / "spot.pt"), shipped), "float32", "cpu")
-    assert rounding_of(network, shipped, views_of(shipped, 4, 8)[1], 32, 2, 0) == (0.0, 0)
+    assert measure_rounding(network, shipped, views_of(shipped, 4, 8)[1], 32, 2, 0) == (0.0, 0)
     assert network.exact() is network
 
 

@@ -168,11 +168,11 @@ def filled_up(kind: str, bakes: int, draw: random.Random) -> None:
             for _bake in range(bakes):
                 left = [draw.randint(1, 8) if "block" in name else 0]
 
-                def full(*arguments: object, left: list[int] = left, **arrays: object) -> None:
+                def full(*args: object, left: list[int] = left, **arrays: object) -> None:
                     left[0] -= 1
                     if left[0] < 0:
                         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-                    save(*arguments, **arrays)  # type: ignore[arg-type]
+                    save(*args, **arrays)  # type: ignore[arg-type]
 
                 with mock.patch(target, full):
                     spent = _timed(kind, place / "a.h5")
@@ -188,8 +188,8 @@ def main() -> None:
     parser.add_argument("--bakes", type=int, default=10)
     parser.add_argument("--kills", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    draw = random.Random(given.seed)
+    args = parser.parse_args()
+    draw = random.Random(args.seed)
     # What a cluster logs of its own end is no news here.
     logging.disable(logging.CRITICAL)
     import distributed  # noqa: F401  # whose settings are to be there before one of them is changed
@@ -197,10 +197,10 @@ def main() -> None:
     heads = "".join(f"/{group}".rjust(10) for group in GROUPS)
     print(f"{'accident':44}{'accidents':>10}{'whole':>8}{'lost':>8}{'most':>8}{heads}  left in the end")
     for kind in KINDS:
-        killed(kind, given.bakes, given.kills, draw)
+        killed(kind, args.bakes, args.kills, draw)
     for kind in ("error", "samples"):
-        clustered(kind, max(1, given.bakes // 5))
-        filled_up(kind, max(1, given.bakes // 3), draw)
+        clustered(kind, max(1, args.bakes // 5))
+        filled_up(kind, max(1, args.bakes // 3), draw)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""Error of baked coefficients against evaluations of Ŝ: what each way of choosing the light's directions costs.
+"""Error of baked coefficients by evaluations of Ŝ, for several methods of choosing the directions of incidence.
 
     python -m tests.bench.bake_error [--model MODEL.pt --mesh MESH] [--out bench]
 
-Prints a table of relative RMSE against directions per view bin, the slope of each way and how many times fewer
-evaluations it needs than uniform Monte Carlo at 1 %; draws the same as a plot. The transports are two analytic ones (a
-clamped cosine with a shadow's edge; lobes about the view) and, if given, a network on a mesh.
+Prints the relative RMSE by directions per view bin, each method's slope, and how many times fewer evaluations it needs
+than uniform Monte Carlo at 1 %; plots the same. The transports are two analytic ones (a clamped cosine with a shadow's
+edge; lobes about the view) and, if given, a network on a mesh.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from bakers.baker import Sampling, Task, bake_block
-from bakers.horizon import bend_to_horizon
+from bakers.horizon import clamp_to_horizon
 from bakers.projection import direction_pool
 from formats.mesh import Mesh, read_mesh
 from prt_bake.baking.job.sampling import DirectionKind, direction_sets
@@ -35,22 +35,22 @@ REFERENCE_DIRECTIONS = 1 << 15
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to choose directions and weights."""
+class Method:
+    """A method of choosing directions and weights."""
 
     name: str
     kind: DirectionKind
     fitted: bool
-    halves: bool
+    half_sets: bool
     directions: tuple[int, ...]
 
 
-WAYS = (
-    Way("uniform Monte Carlo", "uniform", False, False, tuple(4**k for k in range(2, 9))),
-    Way("scrambled Sobol", "sobol", False, False, tuple(2**k for k in range(4, 12))),
-    Way("rotated lattice, equal weights", "fibonacci", False, False, tuple(2**k for k in range(4, 12))),
-    Way("two half-size lattices, fitted", "fibonacci", True, True, tuple(2**k for k in range(5, 12))),
-    Way("rotated lattice, fitted (default)", "fibonacci", True, False, tuple(2**k for k in range(4, 12))),
+METHODS = (
+    Method("uniform Monte Carlo", "uniform", False, False, tuple(4**k for k in range(2, 9))),
+    Method("scrambled Sobol", "sobol", False, False, tuple(2**k for k in range(4, 12))),
+    Method("rotated lattice, equal weights", "fibonacci", False, False, tuple(2**k for k in range(4, 12))),
+    Method("two half-size lattices, fitted", "fibonacci", True, True, tuple(2**k for k in range(5, 12))),
+    Method("rotated lattice, fitted (default)", "fibonacci", True, False, tuple(2**k for k in range(4, 12))),
 )
 
 
@@ -64,7 +64,7 @@ class Shadowed:
 
 
 class Lobed:
-    """A forward lobe about −ωo on a diffuse floor, as a thin translucent sheet has it."""
+    """A forward lobe about −ωo on a diffuse floor, as of a thin translucent sheet."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         forward = np.exp(8.0 * (-np.einsum("ndi,ni->nd", incident, outgoing) - 1.0))
@@ -79,25 +79,25 @@ def bench_sphere() -> Mesh:
     return build_mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]))
 
 
-def baker_of(transport: Any, mesh: Mesh) -> Callable[[Way, int, int], Array]:
-    """(way, directions per bin, seed) → coefficients [V,B,K,3] at a few vertices of the mesh."""
+def baker_of(transport: Any, mesh: Mesh) -> Callable[[Method, int, int], Array]:
+    """A function (method, directions per bin, seed) → coefficients [V,B,K,3] at a few vertices of the mesh."""
     vertices = np.random.default_rng(1).permutation(len(mesh.positions))[:VERTICES]
     normals = mesh.normals[vertices]
     world = sphere.to_world(sphere.view_bins(RINGS, SECTORS), normals[:, None], sphere.tangent_frame(normals)[:, None])
     around = horizons(mesh)
     outgoing = np.concatenate(
-        [bend_to_horizon(view[None], around, int(vertex))[0] for vertex, view in zip(vertices, world, strict=True)]
+        [clamp_to_horizon(view[None], around, int(vertex))[0] for vertex, view in zip(vertices, world, strict=True)]
     )
     bins = RINGS * SECTORS
 
-    def bake(way: Way, directions: int, seed: int) -> Array:
-        size = directions // 2 if way.halves else directions
-        incident = direction_sets(way.kind, size, seed)
-        pool = direction_pool(incident, sh.evaluate(incident, DEGREE), way.fitted)
+    def bake(method: Method, directions: int, seed: int) -> Array:
+        size = directions // 2 if method.half_sets else directions
+        incident = direction_sets(method.kind, size, seed)
+        pool = direction_pool(incident, sh.evaluate(incident, DEGREE), method.fitted)
         taken = np.random.default_rng(seed).integers(0, len(incident), (len(vertices), bins))
         other = (taken + len(incident) // 2) % len(incident)
-        estimator = "halves" if way.halves else "neighbours"
-        sampling = Sampling(pool, lambda a, b: taken[a:b], (lambda a, b: other[a:b]) if way.halves else None, estimator)
+        estimator = "halves" if method.half_sets else "neighbours"
+        sampling = Sampling(pool, lambda a, b: taken[a:b], (lambda a, b: other[a:b]) if method.half_sets else None, estimator)
         task = Task(transport, mesh.positions[vertices], lambda a, b: (outgoing[a:b], 0), bins, SECTORS, sampling)
         return np.concatenate(
             [bake_block(task, v, v + 1).coefficients.astype(np.float64) for v in range(len(vertices))]
@@ -106,54 +106,54 @@ def baker_of(transport: Any, mesh: Mesh) -> Callable[[Way, int, int], Array]:
     return bake
 
 
-def measure(transport: Any, mesh: Mesh) -> dict[Way, Array]:
-    """Relative RMSE of every way at each of its numbers of directions."""
+def measure(transport: Any, mesh: Mesh) -> dict[Method, Array]:
+    """Relative RMSE of every method at each of its numbers of directions."""
     bake = baker_of(transport, mesh)
-    truth = bake(WAYS[-1], REFERENCE_DIRECTIONS, 1000)
-    errors: dict[Way, Array] = {}
-    for way in WAYS:
+    truth = bake(METHODS[-1], REFERENCE_DIRECTIONS, 1000)
+    errors: dict[Method, Array] = {}
+    for method in METHODS:
         squares = [
-            np.mean([((bake(way, directions, seed) - truth) ** 2).sum() for seed in range(SEEDS)])
-            for directions in way.directions
+            np.mean([((bake(method, directions, seed) - truth) ** 2).sum() for seed in range(SEEDS)])
+            for directions in method.directions
         ]
-        errors[way] = np.sqrt(np.array(squares) / (truth**2).sum())
+        errors[method] = np.sqrt(np.array(squares) / (truth**2).sum())
     return errors
 
 
-def slope(way: Way, errors: Array) -> float:
+def slope(method: Method, errors: Array) -> float:
     """Exponent p of error ≈ directions^p, fitted by least squares in logarithms."""
-    return float(np.polyfit(np.log(way.directions), np.log(errors), 1)[0])
+    return float(np.polyfit(np.log(method.directions), np.log(errors), 1)[0])
 
 
-def needed(way: Way, errors: Array) -> float:
+def needed(method: Method, errors: Array) -> float:
     """Directions per bin at which the error falls to the target, between measured points or past them by the slope."""
-    logs, counts = np.log(errors), np.log(way.directions)
+    logs, counts = np.log(errors), np.log(method.directions)
     below = np.flatnonzero(errors <= TARGET)
     if below.size and below[0] > 0:
         first = below[0]
         share = (logs[first - 1] - np.log(TARGET)) / (logs[first - 1] - logs[first])
         return float(np.exp(counts[first - 1] + share * (counts[first] - counts[first - 1])))
     if below.size:
-        return float(way.directions[0])
-    return float(np.exp(counts[-1] + (np.log(TARGET) - logs[-1]) / slope(way, errors)))
+        return float(method.directions[0])
+    return float(np.exp(counts[-1] + (np.log(TARGET) - logs[-1]) / slope(method, errors)))
 
 
-def table(name: str, errors: dict[Way, Array]) -> str:
+def table(name: str, errors: dict[Method, Array]) -> str:
     """The figures of one transport as plain text."""
-    columns = sorted({directions for way in WAYS for directions in way.directions})
+    columns = sorted({directions for method in METHODS for directions in method.directions})
     lines = [f"\n{name}: relative RMSE of degree-{DEGREE} coefficients by directions per view bin"]
     lines.append(f"{'':36}" + "".join(f"{column:>9}" for column in columns) + "    slope   at 1 %    fewer")
-    baseline = needed(WAYS[0], errors[WAYS[0]])
-    for way, values in errors.items():
-        at = dict(zip(way.directions, values, strict=True))
+    baseline = needed(METHODS[0], errors[METHODS[0]])
+    for method, values in errors.items():
+        at = dict(zip(method.directions, values, strict=True))
         cells = "".join(f"{at[column]:9.2g}" if column in at else f"{'':9}" for column in columns)
-        count = needed(way, values)
-        lines.append(f"{way.name:36}{cells} {slope(way, values):8.2f} {count:8.0f} {baseline / count:7.0f}×")
+        count = needed(method, values)
+        lines.append(f"{method.name:36}{cells} {slope(method, values):8.2f} {count:8.0f} {baseline / count:7.0f}×")
     return "\n".join(lines)
 
 
-def plot(results: dict[str, dict[Way, Array]], path: Path) -> None:
-    """One log-log panel a transport."""
+def plot(results: dict[str, dict[Method, Array]], path: Path) -> None:
+    """One log-log panel for each transport."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -161,8 +161,8 @@ def plot(results: dict[str, dict[Way, Array]], path: Path) -> None:
 
     figure, panels = pyplot.subplots(1, len(results), figsize=(5.2 * len(results), 4.4), sharey=True, squeeze=False)
     for panel, (name, errors) in zip(panels[0], results.items(), strict=True):
-        for way, values in errors.items():
-            panel.loglog(way.directions, values, marker="o", markersize=3, label=way.name)
+        for method, values in errors.items():
+            panel.loglog(method.directions, values, marker="o", markersize=3, label=method.name)
         panel.axhline(TARGET, color="black", linewidth=0.8, linestyle=":")
         panel.set(title=name, xlabel="evaluations of Ŝ per view bin")
         panel.grid(True, which="major", alpha=0.3)
@@ -178,23 +178,23 @@ def main() -> None:
     parser.add_argument("--model", type=Path, help="a network's checkpoint; needs --mesh")
     parser.add_argument("--mesh", type=Path)
     parser.add_argument("--out", type=Path, default=Path("bench"))
-    given = parser.parse_args()
+    args = parser.parse_args()
     torch.set_num_threads(1)
     transports: dict[str, tuple[Any, Mesh]] = {
         "clamped cosine with a shadow's edge": (Shadowed(), bench_sphere()),
         "forward lobe on a diffuse floor": (Lobed(), bench_sphere()),
     }
-    if given.model is not None:
-        if given.mesh is None:
+    if args.model is not None:
+        if args.mesh is None:
             parser.error("--model needs --mesh")
-        transports[f"network {given.model.name}"] = load_model(given.model).prepared(), read_mesh(given.mesh)
+        transports[f"network {args.model.name}"] = load_model(args.model).prepared(), read_mesh(args.mesh)
     results = {}
     for name, (transport, mesh) in transports.items():
         results[name] = measure(transport, mesh)
         print(table(name, results[name]), flush=True)
-    given.out.mkdir(parents=True, exist_ok=True)
-    plot(results, given.out / "bake_error.png")
-    print(f"\nplot: {given.out / 'bake_error.png'}")
+    args.out.mkdir(parents=True, exist_ok=True)
+    plot(results, args.out / "bake_error.png")
+    print(f"\nplot: {args.out / 'bake_error.png'}")
 
 
 if __name__ == "__main__":

@@ -156,13 +156,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--error", type=float, default=0.01)
     parser.add_argument("--only", default="")
-    given = parser.parse_args()
+    args = parser.parse_args()
     heads = f"{'evals':>8}{'less':>7}{'kB':>8}{'less':>7}{'planned':>8}{'s':>7}{'less':>6}{'adds':>8}{'told':>7}"
     print(f"{'scene':44}{heads}{'error':>8}{'told':>7}")
-    for name, scene in scenes(given.error).items():
-        if given.only in name:
+    for name, scene in scenes(args.error).items():
+        if args.only in name:
             with tempfile.TemporaryDirectory() as folder:
-                measure(name, scene, given.error, Path(folder))
+                measure(name, scene, args.error, Path(folder))
 
 
 if __name__ == "__main__":

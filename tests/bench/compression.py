@@ -1,10 +1,10 @@
-"""What compaction comes to: bytes against error and seconds, and the time of shading a compact asset and a plain one.
+"""Compression of assets: size, error and seconds, and the time to shade compact and plain assets.
 
     python -m tests.bench.compression ASSET.h5 [--errors 0.005,0.01,0.02]
     python -m tests.bench.compression --model MODEL.pt --mesh MESH [--error 0.01]
 
-An asset is taken as it is, or baked first to an error. Shading is all of `shade_vertices` at every vertex, a new light
-and a new view each time, median of 15; reading is from the file to the asset.
+The asset is a file, or baked first to an error. Shading is `shade_vertices` at every vertex with a new light and a new
+view each time, the median of 15; reading is from the file to the asset.
 """
 
 import argparse
@@ -53,8 +53,9 @@ def reading(path: Path) -> tuple[Asset, float]:
 
 
 def detail(asset: Asset) -> float:
-    """Root mean square of what varies within two rings and within four of 64 sectors alike, over that of all; white
-    noise alone would have 1.
+    """RMS of the finest detail (periods below two rings and below four of 64 sectors) over the RMS of all detail.
+
+    It is 1 for white noise.
     """
     fine = whole = 0.0
     for first in range(0, len(asset.valid), 64):
@@ -106,15 +107,15 @@ def main() -> None:
     parser.add_argument("asset", type=Path, nargs="?")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--mesh", type=Path)
-    parser.add_argument("--error", type=float, default=0.01, help="of the bake")
-    parser.add_argument("--errors", default="0.005,0.01,0.02", help="of the compaction")
-    given = parser.parse_args()
-    if given.asset is None and (given.model is None or given.mesh is None):
+    parser.add_argument("--error", type=float, default=0.01, help="error of the bake")
+    parser.add_argument("--errors", default="0.005,0.01,0.02", help="errors of the compression")
+    args = parser.parse_args()
+    if args.asset is None and (args.model is None or args.mesh is None):
         parser.error("give an asset, or a model and a mesh")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        path = given.asset or baked(given.model, given.mesh, given.error, folder)
-        measure(path, [float(error) for error in given.errors.split(",")], folder)
+        path = args.asset or baked(args.model, args.mesh, args.error, folder)
+        measure(path, [float(error) for error in args.errors.split(",")], folder)
 
 
 if __name__ == "__main__":

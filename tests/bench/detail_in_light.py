@@ -38,7 +38,7 @@ def views(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDArr
     cosine = (outgoing * mesh.normals[chosen]).sum(axis=1, keepdims=True)
     outgoing -= 2.0 * np.minimum(cosine, 0.0) * mesh.normals[chosen]
     positions = mesh.positions[chosen]
-    return positions, Surface(mesh).above_horizon(positions, outgoing)[0]
+    return positions, Surface(mesh).locate_clamped(positions, outgoing)[0]
 
 
 def by_degree(squares: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -61,11 +61,11 @@ def main() -> None:
     parser.add_argument("model", nargs="?", type=Path, default=SHIPPED / "spot.pt")
     parser.add_argument("--vertices", type=int, default=150)
     parser.add_argument("--walks", type=int, default=4096)
-    asked = parser.parse_args()
-    scene = read_scene(asked.scene)
-    network = load_model(asked.model).on(scene.mesh)
-    x, wo = views(scene.mesh, asked.vertices, 1)
-    traced = estimate_coefficients(scene, x, wo, DEGREE, asked.walks, 5)
+    args = parser.parse_args()
+    scene = read_scene(args.scene)
+    network = load_model(args.model).on(scene.mesh)
+    x, wo = views(scene.mesh, args.vertices, 1)
+    traced = estimate_coefficients(scene, x, wo, DEGREE, args.walks, 5)
     noise = traced.standard_error**2
     lattice = fibonacci(FINE)
     values = network.evaluate(lattice, x, wo).astype(np.float64)

@@ -1,9 +1,9 @@
-"""What a bake takes by the error that is asked for: evaluations a bin, how many passes, and what is told in the end.
+"""Cost of a bake by the requested error: evaluations per bin, refinement passes, and the estimated error.
 
     python -m tests.bench.errors_asked [--errors 0.1 0.05 0.03 0.02 0.01] [--seeds 3] \
         [--rings 4] [--sectors 8] [--model MODEL.pt --mesh MESH]
 
-A coarser error must not cost more than a finer one.
+A coarser error must never cost more than a finer one.
 """
 
 import argparse
@@ -27,18 +27,19 @@ def main() -> None:
     parser.add_argument("--sectors", type=int, default=8)
     parser.add_argument("--model", type=Path, default=SHIPPED / "spot.pt")
     parser.add_argument("--mesh", type=Path, default=SHIPPED / "spot.obj")
-    given = parser.parse_args()
-    network, mesh = load_model(given.model), read_mesh(given.mesh, drop_flat_faces=True)
-    bins = len(mesh.positions) * given.rings * given.sectors
-    print(f"{'asked':>7}{'seed':>6}{'a bin':>8}{'passes':>8}{'told':>8}{'95 %':>8}{'seconds':>9}")
-    for error in given.errors:
-        for seed in range(given.seeds):
+    args = parser.parse_args()
+    network, mesh = load_model(args.model), read_mesh(args.mesh, drop_flat_faces=True)
+    bins = len(mesh.positions) * args.rings * args.sectors
+    print(f"{'error':>7}{'seed':>6}{'per bin':>8}{'passes':>8}{'total':>8}{'95 %':>8}{'seconds':>9}")
+    for error in args.errors:
+        for seed in range(args.seeds):
             began = time.perf_counter()
-            told = bake(network, mesh, rings=given.rings, sectors=given.sectors, error=error, seed=seed).provenance
-            reached = told["estimated_relative_rmse"]
+            bins_of_view = {"rings": args.rings, "sectors": args.sectors}
+            provenance = bake(network, mesh, **bins_of_view, error=error, seed=seed).provenance
+            estimated = provenance["estimated_relative_rmse"]
             print(
-                f"{error:7.1%}{seed:6}{told['evaluations'] / bins:8.1f}{told['refinement']['passes']:8}"
-                f"{reached['total']:8.2%}{reached['percentile_95_over_vertices']:8.2%}"
+                f"{error:7.1%}{seed:6}{provenance['evaluations'] / bins:8.1f}{provenance['refinement']['passes']:8}"
+                f"{estimated['total']:8.2%}{estimated['percentile_95_over_vertices']:8.2%}"
                 f"{time.perf_counter() - began:9.1f}",
                 flush=True,
             )

@@ -1,10 +1,10 @@
-"""What extreme scenes cost, and whether they stay sound: relative error bar, seconds, energy lost, and what is amiss.
+"""Cost and soundness of path tracing extreme scenes: relative standard error, seconds, lost energy, and problems.
 
     python -m tests.bench.extremes [--paths 1024] [--queries 16] [--scenes]
 
-A row for Ŝ (one direction a query) where connections exist, and one for a_00, of random queries; `error` is the median
-error bar over its value, `unreliable` the share of queries so flagged. With --scenes, the scenes of `scenes/` follow,
-with `z` the largest deviation of the mean of Ŝ over random directions from a_00, in standard errors.
+Each scene has a row for Ŝ (one direction per query) if connections exist, and a row for a_00, over random queries.
+`error` is the median standard error over the value, `unreliable` the share of flagged queries. --scenes adds the scenes
+of `scenes/`, with `z`, the largest deviation of the mean of Ŝ over random directions from a_00 in standard errors.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def _rare() -> np.ndarray:
 
 
 def cases() -> dict[str, Callable[[Path], Scene]]:
-    """Every case by its name, as a scene to be written into a folder."""
+    """Every case by name, as a function that writes its scene into a folder."""
     found: dict[str, Callable[[Path], Scene]] = {}
     for name, interface in (("matched", {}), ("rough", ROUGH), ("smooth", {"eta": 1.4})):
         for sigma_t in (1.0, 1e2, 1e4):
@@ -65,7 +65,7 @@ def cases() -> dict[str, Callable[[Path], Scene]]:
     return found
 
 
-def _remarks(estimate: Estimate) -> str:
+def _problems(estimate: Estimate) -> str:
     found = []
     if not all(np.isfinite(values).all() for values in (estimate.mean, estimate.standard_error, estimate.unscattered)):
         found.append("not finite")
@@ -76,33 +76,33 @@ def _remarks(estimate: Estimate) -> str:
 
 
 def _row(name: str, estimate: Estimate, values: np.ndarray, errors: np.ndarray, more: str = "") -> None:
-    seen = values > 0.0
-    error = float(np.median(errors[seen] / values[seen])) if seen.any() else np.nan
+    positive = values > 0.0
+    error = float(np.median(errors[positive] / values[positive])) if positive.any() else np.nan
     lost = float(estimate.lost.max())
-    print(f"{name:46}{error:10.3g}{estimate.seconds:10.2f}{lost:8.2g}  {_remarks(estimate)}{more}", flush=True)
+    print(f"{name:46}{error:10.3g}{estimate.seconds:10.2f}{lost:8.2g}  {_problems(estimate)}{more}", flush=True)
 
 
 def measure(name: str, scene: Scene, count: int, paths: int) -> None:
     """Print the rows of a scene."""
     positions, outgoing, _ = queries(scene.mesh, count, 11)
     if connects(scene):
-        seen = estimate_transport(scene, positions, outgoing, unit_directions(count, 12), paths, 1)
-        _row(f"{name}: S", seen, seen.mean, seen.standard_error)
+        values = estimate_transport(scene, positions, outgoing, unit_directions(count, 12), paths, 1)
+        _row(f"{name}: S", values, values.mean, values.standard_error)
     exits = estimate_coefficients(scene, positions, outgoing, 0, paths, 1)
     _row(f"{name}: a_00", exits, exits.mean, exits.standard_error)
 
 
-def agreement(scene: Scene, count: int, paths: int, lots: int = 16) -> str:
-    """The largest z of 4π times the mean of Ŝ over 64 random directions, in lots, against the exits."""
+def agreement(scene: Scene, count: int, paths: int, batches: int = 16) -> str:
+    """The largest z of the difference between 4π times the mean of Ŝ over random directions and the exits' mean."""
     positions, outgoing, _ = queries(scene.mesh, count, 11)
     means = []
-    for seed in range(lots):
+    for seed in range(batches):
         incident = unit_directions(64 * count, 100 + seed).reshape(count, 64, 3)
         means.append(
             4.0 * np.pi * estimate_transport(scene, positions, outgoing, incident, paths, seed).mean.mean(axis=1)
         )
-    exits = estimate_coefficients(scene, positions, outgoing, 0, lots * paths, 999)
-    error = np.hypot(np.std(means, axis=0, ddof=1) / np.sqrt(lots), SQRT_4_PI * exits.standard_error[:, 0])
+    exits = estimate_coefficients(scene, positions, outgoing, 0, batches * paths, 999)
+    error = np.hypot(np.std(means, axis=0, ddof=1) / np.sqrt(batches), SQRT_4_PI * exits.standard_error[:, 0])
     z = (np.mean(means, axis=0) - SQRT_4_PI * exits.mean[:, 0]) / error
     ratio = np.mean(means) / np.mean(SQRT_4_PI * exits.mean[:, 0])
     return f"  z {np.abs(z).max():.1f} of {z.size}, ratio {ratio:.3f}"
@@ -129,25 +129,25 @@ def main() -> None:
     parser.add_argument("--paths", type=int, default=1024)
     parser.add_argument("--queries", type=int, default=16)
     parser.add_argument("--scenes", action="store_true")
-    arguments = parser.parse_args()
-    print(f"{'case':46}{'error':>10}{'seconds':>10}{'lost':>8}  remarks")
+    args = parser.parse_args()
+    print(f"{'case':46}{'error':>10}{'seconds':>10}{'lost':>8}  problems")
     for name, write in cases().items():
         with tempfile.TemporaryDirectory() as folder:
-            measure(name, write(Path(folder)), arguments.queries, arguments.paths)
+            measure(name, write(Path(folder)), args.queries, args.paths)
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in large(Path(folder)).items():
             begun = time.perf_counter()
             prepare(scene)
             print(f"{'preparing ' + name:46}{'':10}{time.perf_counter() - begun:10.2f}", flush=True)
-    for path in sorted(SCENES.glob("*/*.toml")) if arguments.scenes else []:
+    for path in sorted(SCENES.glob("*/*.toml")) if args.scenes else []:
         try:
             scene = read_scene(path)
-        except OSError as absent:
-            print(f"{path.stem:46}{absent}")
+        except OSError as error:
+            print(f"{path.stem:46}{error}")
             continue
-        measure(path.stem, scene, arguments.queries, arguments.paths)
+        measure(path.stem, scene, args.queries, args.paths)
         if connects(scene):
-            print(f"{path.stem}: connections and exits{agreement(scene, 8, arguments.paths // 4)}", flush=True)
+            print(f"{path.stem}: connections and exits{agreement(scene, 8, args.paths // 4)}", flush=True)
 
 
 if __name__ == "__main__":

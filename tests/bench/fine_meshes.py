@@ -57,9 +57,9 @@ def true_errors(transport: Any, mesh: Mesh, rings: int, sectors: int, asset: Any
 
 
 def one(name: str, transport: Any, mesh: Mesh, error: float, rings: int, sectors: int) -> None:
-    chosen = prt_bake.baking.adaptive.tolerances.nearby_for
+    chosen = prt_bake.baking.adaptive.tolerances.choose_interpolation
     for way in (NONE, "most foretold"):
-        prt_bake.baking.adaptive.tolerances.nearby_for = (lambda *_all: (None, 0)) if way == NONE else chosen
+        prt_bake.baking.adaptive.tolerances.choose_interpolation = (lambda *_all: (None, 0)) if way == NONE else chosen
         began = time.perf_counter()
         with bake(transport, mesh, error=error, rings=rings, sectors=sectors) as asset:
             seconds, told = time.perf_counter() - began, asset.provenance
@@ -83,14 +83,14 @@ def main() -> None:
     parser.add_argument("--subdivisions", type=int, default=5)
     parser.add_argument("--model", type=Path)
     parser.add_argument("--mesh", type=Path)
-    given = parser.parse_args()
-    if given.model is not None:
-        mesh = subdivided(given.mesh, given.subdivisions)
-        one(given.model.name, load_model(given.model), mesh, given.error, given.rings, given.sectors)
+    args = parser.parse_args()
+    if args.model is not None:
+        mesh = subdivided(args.mesh, args.subdivisions)
+        one(args.model.name, load_model(args.model), mesh, args.error, args.rings, args.sectors)
         return
     cases: dict[str, Any] = {"ringed": Ringed(), "lobed": Lobed(), "edged": Edged()}
     for name, transport in cases.items():
-        one(name, transport, icosphere(given.subdivisions), given.error, given.rings, given.sectors)
+        one(name, transport, icosphere(args.subdivisions), args.error, args.rings, args.sectors)
 
 
 if __name__ == "__main__":

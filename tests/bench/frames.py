@@ -348,14 +348,14 @@ def main() -> None:
     parser.add_argument("--asset", help="a baked asset instead of random ones")
     parser.add_argument("--compact", help="the same asset, compact")
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
-    given = parser.parse_args()
+    args = parser.parse_args()
     global CLOCK
-    CLOCK = time.process_time if given.clock == "cpu" else CLOCK
-    if given.asset:
-        named = {"as baked": given.asset, "compact": given.compact}
+    CLOCK = time.process_time if args.clock == "cpu" else CLOCK
+    if args.asset:
+        named = {"as baked": args.asset, "compact": args.compact}
         of_assets({name: read_asset(path) for name, path in named.items() if path})
         return
-    for part in given.only:
+    for part in args.only:
         PARTS[part]()
 
 

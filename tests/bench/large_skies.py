@@ -81,19 +81,19 @@ def main() -> None:
     parser.add_argument("--height", type=int, default=8192, help="rows of the sky")
     parser.add_argument("--asset", type=Path, help="asset to shade under it")
     parser.add_argument("--kinds", default="zip,piz,none", help=f"of {', '.join(COMPRESSIONS)}")
-    given = parser.parse_args()
+    args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path, picture = Path(folder) / "sky.exr", Path(folder) / "picture.png"
         write_sky(path, 1, "float16", "none")
-        shading = ["shade", given.asset, "--light", path, "-o", picture]
-        start = peak("light", path), peak(*shading) if given.asset else float("nan")
+        shading = ["shade", args.asset, "--light", path, "-o", picture]
+        start = peak("light", path), peak(*shading) if args.asset else float("nan")
         print(f"start: light {start[0]:.0f} MB, shade {start[1]:.0f} MB")
         print("sky         decode s  project s (of its speed)  smaller s (of its speed)  light MB  shade MB")
-        for compression in given.kinds.split(","):
+        for compression in args.kinds.split(","):
             for kind in ("float16", "float32"):
-                write_sky(path, given.height, kind, compression)
+                write_sky(path, args.height, kind, compression)
                 decode, project, smaller = seconds(path)
-                memory = peak("light", path), peak(*shading) if given.asset else float("nan")
+                memory = peak("light", path), peak(*shading) if args.asset else float("nan")
                 print(
                     f"{compression:>4} {kind}  {decode:7.2f}  {project:9.2f} {decode / project:15.2f}  {smaller:9.2f} "
                     f"{decode / smaller:15.2f}  {memory[0]:8.0f}  {memory[1]:8.0f}",

@@ -1,8 +1,9 @@
-"""Cost linear in vertices, in flat memory: analytic transports on a ring of V vertices at 4×8 view bins, to disk.
+"""Time and memory of bakes by the number of vertices: an analytic transport on a ring at 4×8 view bins, to disk.
 
     python -m tests.bench.many_vertices [--side 320 1000] [--samples 32] [--error 0.01]
 
-Each bake in a process of its own, whose largest resident memory is printed, and how much of it the mesh alone takes.
+Time should be linear in the vertices and memory nearly constant. Each bake has its own process, whose peak resident
+memory is printed, with that of the mesh alone.
 """
 
 import argparse
@@ -18,7 +19,7 @@ from tests.shapes import ring
 
 
 def resident() -> float:
-    """Largest resident memory so far, MiB."""
+    """Peak resident memory so far [MiB]."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
@@ -33,12 +34,12 @@ def one(side: int, samples: int | None, error: float | None, workers: int) -> No
         asset = bake(Lobed(), mesh, rings=4, sectors=8, out=out, workers=workers, **settings)
         seconds, size = time.perf_counter() - began, out.stat().st_size
     vertices, bins = len(mesh.positions), len(mesh.positions) * 32
-    told, spent = asset.provenance["estimated_relative_rmse"]["total"], asset.provenance["evaluations"] / bins
-    way = f"{samples} samples" if error is None else f"error {error:.1%}"
+    estimated, spent = asset.provenance["estimated_relative_rmse"]["total"], asset.provenance["evaluations"] / bins
+    effort = f"{samples} samples" if error is None else f"error {error:.1%}"
     print(
-        f"{vertices:9,} vertices, {way}: {told:.2%} told, {spent:.1f} evaluations a bin, {seconds:.0f} s "
-        f"({1e6 * seconds / vertices:.0f} µs a vertex), {size / 2**20:.0f} MiB on disk, resident {resident():.0f} MiB "
-        f"({before:.0f} before)",
+        f"{vertices:9,} vertices, {effort}: estimated error {estimated:.2%}, {spent:.1f} evaluations per bin, "
+        f"{seconds:.0f} s ({1e6 * seconds / vertices:.0f} µs per vertex), {size / 2**20:.0f} MiB on disk, "
+        f"peak memory {resident():.0f} MiB ({before:.0f} before)",
         flush=True,
     )
 
@@ -50,15 +51,15 @@ def main() -> None:
     parser.add_argument("--error", type=float, default=0.01)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--one", choices=("samples", "error"))
-    given = parser.parse_args()
-    if given.one is not None:
-        by_error = given.one == "error"
-        one(given.side[0], None if by_error else given.samples, given.error if by_error else None, given.workers)
+    args = parser.parse_args()
+    if args.one is not None:
+        by_error = args.one == "error"
+        one(args.side[0], None if by_error else args.samples, args.error if by_error else None, args.workers)
         return
-    for side in given.side:
-        for way in ("samples", "error"):
-            settings = ["--samples", str(given.samples), "--error", str(given.error), "--workers", str(given.workers)]
-            subprocess.run([sys.executable, __file__, "--one", way, "--side", str(side), *settings], check=True)
+    for side in args.side:
+        for effort in ("samples", "error"):
+            settings = ["--samples", str(args.samples), "--error", str(args.error), "--workers", str(args.workers)]
+            subprocess.run([sys.executable, __file__, "--one", effort, "--side", str(side), *settings], check=True)
 
 
 if __name__ == "__main__":

@@ -171,7 +171,7 @@ def main() -> None:
     parser.add_argument("--queries", type=int, default=20)
     parser.add_argument("--several-queries", type=int, default=8)
     parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+    args = parser.parse_args()
     variants, libraries = working_variants()
     numba.set_num_threads(1)
 
@@ -188,11 +188,11 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             scene = make_scene(Path(folder), case.mesh(), **case.keys)
         world = fastest(case, scene, variants)
-        found = pairs(case, world, scene, given.queries, given.seed, None)
+        found = pairs(case, world, scene, args.queries, args.seed, None)
         print(f"{line(case, False, found)}  {world.variant}", flush=True)
         if case is CASES[-1]:
             print(against_theory(found), flush=True)
-        many = pairs(case, world, scene, given.several_queries, given.seed + 1, fibonacci(DIRECTIONS))
+        many = pairs(case, world, scene, args.several_queries, args.seed + 1, fibonacci(DIRECTIONS))
         print(f"{line(case, True, many)}  {world.variant}", flush=True)
 
 

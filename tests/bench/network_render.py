@@ -1,12 +1,12 @@
-"""Noise of a network's pictures at equal time, sampled by light, lobe and both, the pilot included.
+"""Noise of a network's pictures at equal time, with light sampling, lobe sampling and MIS, the pilot included.
 
     python -m tests.bench.network_render [--size 96] [--spp 256] [--minutes 1] [--only LIGHT ...]
     python -m tests.bench.network_render --model grape.pt --mesh grape.obj --sky indoor.hdr
 
-The shipped Spot, model and sky, a sun on its own, and skies in which one of the ways has the upper hand; with --sky,
-that sky from four sides instead. An importance module is fitted first where the model has none beside it. A row gives,
-for each way, standard error over mean radiance on the object at the CPU time that the first took (medians); samples a
-pixel a second on one thread; the mixture chosen.
+Lights are the shipped sky, a sun alone, and skies that favour one of the methods; with --sky, that sky rotated to four
+sides. An importance module is fitted first if the model has none. A row has, for each method, the standard error over
+the mean radiance on the object at the CPU time of light sampling (medians), the samples per pixel and second on one
+thread, and the chosen mixture.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from prt_bake.network.bssrdf import load_model
 from prt_bake.rendering.network import render_network
 
 SHIPPED = Path(__file__).resolve().parents[2] / "prt_bake" / "shipped"
-WAYS = ("light", "lobe", "mis")
+METHODS = ("light", "lobe", "mis")
 
 
 def skies() -> dict[str, Lighting]:
@@ -56,13 +56,13 @@ def skies() -> dict[str, Lighting]:
     }
 
 
-def turned(sky: Path) -> dict[str, Lighting]:
+def rotated(sky: Path) -> dict[str, Lighting]:
     image = read_environment(sky)
     return {f"{sky.stem}, {turn} degrees": as_lighting(image, "y", float(turn)) for turn in (0, 90, 180, 270)}
 
 
 def module_of(model: Path, mesh: Mesh, minutes: float) -> ImportanceModule:
-    """The model's importance module, fitted here where there is none."""
+    """The model's importance module, fitted here if there is none."""
     if importance_path(model).is_file():
         return load_importance(model)
     with tempfile.TemporaryDirectory() as folder:
@@ -72,41 +72,41 @@ def module_of(model: Path, mesh: Mesh, minutes: float) -> ImportanceModule:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--spp", type=int, default=256)
-    parser.add_argument("--repeats", type=int, default=3, help="of each picture, for the median of the times")
+    parser.add_argument("--repeats", type=int, default=3, help="repeats of each picture, for median times")
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--model", type=Path, default=SHIPPED / "spot.pt")
-    parser.add_argument("--mesh", type=Path, default=SHIPPED / "spot.obj", help="the object that it was learnt from")
-    parser.add_argument("--sky", type=Path, help="a lat-long picture instead of the lights above")
-    parser.add_argument("--only", nargs="*", help="some of the lights")
-    given = parser.parse_args()
+    parser.add_argument("--mesh", type=Path, default=SHIPPED / "spot.obj", help="the model's object")
+    parser.add_argument("--sky", type=Path, help="a lat-long picture that replaces the lights")
+    parser.add_argument("--only", nargs="*", help="names of lights")
+    args = parser.parse_args()
     torch.set_num_threads(1)
-    mesh, network = read_mesh(given.mesh), load_model(given.model)
-    view = camera.fit(mesh, given.size, given.size)
-    module = module_of(given.model, mesh, given.minutes)
-    lights = turned(given.sky) if given.sky else skies()
-    render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # what is compiled is compiled
-    print(f"{'light':20}{'by light':>10}{'by lobe':>10}{'by both':>10}{'of better':>11}  rate, mixture")
+    mesh, network = read_mesh(args.mesh), load_model(args.model)
+    view = camera.fit(mesh, args.size, args.size)
+    module = module_of(args.model, mesh, args.minutes)
+    lights = rotated(args.sky) if args.sky else skies()
+    render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # compile
+    print(f"{'light':20}{'by light':>10}{'by lobe':>10}{'by MIS':>10}{'of better':>11}  rate, mixture")
     for name, light in lights.items():
-        if given.only and name not in given.only:
+        if args.only and name not in args.only:
             continue
-        noise, seconds, spp, rate, mixture = {}, {way: [] for way in WAYS}, {}, "", ""
-        for _ in range(given.repeats):
-            for way in WAYS:
+        noise, seconds, spp, rate, mixture = {}, {method: [] for method in METHODS}, {}, "", ""
+        for _ in range(args.repeats):
+            for method in METHODS:
                 began = time.process_time()
                 picture = render_network(
-                    network, mesh, light, view, given.spp, 1, sampling=way, importance=module, background=False
+                    network, mesh, light, view, args.spp, 1, sampling=method, importance=module, background=False
                 )
-                seconds[way].append(time.process_time() - began)
-                noise[way], spp[way] = picture.relative_noise, picture.spp
+                seconds[method].append(time.process_time() - began)
+                noise[method], spp[method] = picture.relative_noise, picture.spp
                 mixture = f"{picture.sampling['light']} {picture.sampling['lobe']} trust {picture.sampling['trust']:g}"
-        for way in WAYS:
-            noise[way] *= np.sqrt(np.median(seconds[way]) / np.median(seconds["light"]))
-            rate += f" {spp[way] / np.median(seconds[way]):.3g}"
+        for method in METHODS:
+            noise[method] *= np.sqrt(np.median(seconds[method]) / np.median(seconds["light"]))
+            rate += f" {spp[method] / np.median(seconds[method]):.3g}"
         ratio = noise["mis"] / max(1e-12, min(noise["light"], noise["lobe"]))
-        figures = "".join(f"{noise[way]:10.2%}" for way in WAYS)
+        figures = "".join(f"{noise[method]:10.2%}" for method in METHODS)
         print(f"{name:20}{figures}{ratio:11.2f} {rate}  {mixture}", flush=True)
 
 

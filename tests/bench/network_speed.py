@@ -23,7 +23,8 @@ from prt_bake.baking.sources import require_device
 from prt_bake.mathematics import sphere
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
-from prt_bake.network.inference.fused import PRECISIONS, FusedNetwork, _onednn_answers, _onednn_linear
+from prt_bake.network.inference.fused import PRECISIONS, FusedNetwork
+from prt_bake.network.inference.linear import onednn_linear, onednn_works
 
 BINS, DIRECTIONS, COPIES = 1024, 64, 256
 VERTICES = {"cpu": 4, "cuda": 64}
@@ -56,9 +57,9 @@ def product_rate(precision: str, side: int, device: str = "cpu") -> float:
     one, other = torch.rand(2, side, side, device=device).to(PRECISIONS[precision])
     none = torch.zeros(side, dtype=one.dtype, device=device)
     # Cards work on after they were asked: one number of the result is waited for.
-    ways = [lambda: torch.mm(one, other)[0, 0].cpu(), lambda: _onednn_linear(one, other, none, "none")]
+    ways = [lambda: torch.mm(one, other)[0, 0].cpu(), lambda: onednn_linear(one, other, none, "none")]
     with torch.inference_mode():
-        return 2 * side**3 / min(best_time(way) for way in (ways if _onednn_answers(one) else ways[:1]))
+        return 2 * side**3 / min(best_time(way) for way in (ways if onednn_works(one) else ways[:1]))
 
 
 def off(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...]) -> float:

@@ -1,11 +1,11 @@
-"""Whether figures without noise are the same however noisy the pictures: Spot at 16, 64 and 256 walks a pixel.
+"""Whether noise-corrected figures are independent of the pictures' noise: Spot at 16, 64 and 256 walks per pixel.
 
     python -m tests.bench.noise_free_comparison [--size 96] [--seeds 2] [--reference 2048]
 
-Each picture is path traced and held against a reference of other random numbers, over the pixels that Spot covers:
-as it is (what is left without noise is nothing), and multiplied by waves of 30 % and a tint, whose figures without
-noise are those of the reference times the same against itself. Prints each figure as it is and without noise with its
-interval, an asterisk where the interval misses, and the seconds that taking the noise out took.
+Each path-traced picture is compared with a reference of other random numbers over Spot's pixels: unchanged (the true
+figures are zero), and multiplied by waves of 30 % and a tint (the true figures are those of the multiplied reference
+against itself). Prints each figure as measured and corrected for noise with its interval, an asterisk if the interval
+misses the truth, and the seconds of the correction.
 """
 
 import argparse
@@ -43,33 +43,33 @@ def waves(size: int) -> NDArray[np.float64]:
 
 
 def main() -> None:
-    """Print a row a picture and figure."""
+    """Print a row for each picture and figure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=96)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--reference", type=int, default=2048)
-    asked = parser.parse_args()
-    reference = picture(asked.reference, asked.size, 1000)
+    args = parser.parse_args()
+    reference = picture(args.reference, args.size, 1000)
     mask, target = reference.coverage >= 1.0, reference.image.astype(np.float64)
-    for name, factor in (("as it is", np.ones_like(target)), ("waves", waves(asked.size))):
+    for name, factor in (("unchanged", np.ones_like(target)), ("waves", waves(args.size))):
         exact = compare(factor * target, target, mask, hdr=EXPOSURES)
         print(f"{name}: truth " + ", ".join(f"{figure} {getattr(exact, figure):.4g}" for figure in FIGURES))
         for spp in SPP:
-            for seed in range(asked.seeds):
-                seen = picture(spp, asked.size, spp + seed)
-                image, sigma = factor * seen.image, factor * seen.standard_error
+            for seed in range(args.seeds):
+                noisy = picture(spp, args.size, spp + seed)
+                image, sigma = factor * noisy.image, factor * noisy.standard_error
                 found = compare(image, target, mask, hdr=EXPOSURES)
                 errors = PixelErrors(sigma, reference.standard_error.astype(np.float64), np.zeros_like(target))
                 begun = time.perf_counter()
                 free = compare_without_noise(image, target, errors, mask, hdr=found.hdr_exposures)
                 seconds = time.perf_counter() - begun
-                print(f"  {spp} walks a pixel, seed {spp + seed}, {seconds:.1f} s")
+                print(f"  {spp} walks per pixel, seed {spp + seed}, {seconds:.1f} s")
                 for figure in FIGURES:
-                    at, true = free.figures[figure], getattr(exact, figure)
-                    missed = "" if not np.isfinite(at.low) or at.low <= true <= at.high else " *"
+                    interval, true = free.figures[figure], getattr(exact, figure)
+                    missed = "" if not np.isfinite(interval.low) or interval.low <= true <= interval.high else " *"
                     print(
-                        f"    {figure:<14} {getattr(found, figure):<10.4g} without noise {at.value:.4g} "
-                        f"({at.low:.4g} to {at.high:.4g}){missed}",
+                        f"    {figure:<14} {getattr(found, figure):<10.4g} without noise {interval.value:.4g} "
+                        f"({interval.low:.4g} to {interval.high:.4g}){missed}",
                         flush=True,
                     )
 

@@ -62,18 +62,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", nargs="*", type=Path, default=[SHIPPED / "spot.toml"])
     parser.add_argument("--queries", type=int, default=300)
-    asked = parser.parse_args()
-    for path in asked.scenes:
+    args = parser.parse_args()
+    for path in args.scenes:
         scene = read_scene(path)
         prepared = prepare(scene)
-        queries = QuerySource(prepared, 1, 1).draw(0, asked.queries)
+        queries = QuerySource(prepared, 1, 1).draw(0, args.queries)
         truth = estimate_coefficients(scene, queries.location.positions, queries.outgoing, 2, 2048, 5)
         size = float(np.sum(truth.mean**2) - np.sum(truth.standard_error**2))
         print(f"{path}\n{'rays':28}{'us a walk':>10}{'v':>8}{'us · v':>9}")
-        rows = [("exits", exits(prepared, asked.queries, size))]
+        rows = [("exits", exits(prepared, args.queries, size))]
         if smooth_part(scene) is None:
             rows += [
-                (f"{d} directions, {c} looked at", connections(prepared, asked.queries, size, d, c)) for d, c in WAYS
+                (f"{d} directions, {c} looked at", connections(prepared, args.queries, size, d, c)) for d, c in WAYS
             ]
         for name, (seconds, v) in rows:
             print(f"{name:28}{1e6 * seconds:10.1f}{v:8.2f}{1e6 * seconds * v:9.1f}", flush=True)

@@ -1,12 +1,11 @@
-"""Whether pictures are off by what they say: bakes of a model with other seeds, under each light.
+"""Whether pictures state their error correctly: bakes of a model with different seeds, under each light.
 
     python -m tests.bench.picture_error [LIGHT ...] [--rings 4] [--sectors 8] [--samples 64 | --error E] [--bakes 4]
         [--size 64] [--model M.pt --mesh M.ply] [--compress E]
 
-The told error of the object (relative RMSE of a picture), the same in truth, by how much the pictures differ, their
-quotient, and over pixels the root mean square of deviation / sigma and the median of sigma / deviation, both those of a
-pixel over all bakes. Where all are 1 the errors are told as they are. What all bakes have in common (too few view bins)
-is in neither.
+Prints the relative RMSE of the object as stated by the pictures and as measured from their differences, the ratio of
+the two, and over pixels the rms of deviation / sigma and the median of sigma / deviation. All three ratios are 1 if the
+stated errors are correct. Errors that all bakes share (too few view bins) are in neither.
 """
 
 import argparse
@@ -34,28 +33,28 @@ def main() -> None:
     parser.add_argument("--compress", type=float, help="compress the assets to this error")
     parser.add_argument("--model", default=SHIPPED / "spot.pt")
     parser.add_argument("--mesh", default=SHIPPED / "spot.obj")
-    asked = parser.parse_args()
-    network, mesh = load_model(asked.model), read_mesh(asked.mesh)
-    bins = {"rings": asked.rings, "sectors": asked.sectors}
-    way = {"samples": asked.samples} if asked.error is None else {"error": asked.error}
-    assets = [bake(network, mesh, seed=seed, **bins, **way) for seed in range(1, asked.bakes + 1)]
-    if asked.compress:
-        assets = [compress(asset, asked.compress) for asset in assets]
-    view = fit(mesh, asked.size, asked.size)
-    print(f"{'light':32}{'suns':8}{'told':>9}{'true':>9}{'quotient':>10}{'rms z':>8}{'median':>8}")
-    for name in asked.lights:
+    args = parser.parse_args()
+    network, mesh = load_model(args.model), read_mesh(args.mesh)
+    bins = {"rings": args.rings, "sectors": args.sectors}
+    effort = {"samples": args.samples} if args.error is None else {"error": args.error}
+    assets = [bake(network, mesh, seed=seed, **bins, **effort) for seed in range(1, args.bakes + 1)]
+    if args.compress:
+        assets = [compress(asset, args.compress) for asset in assets]
+    view = fit(mesh, args.size, args.size)
+    print(f"{'light':32}{'suns':8}{'stated':>9}{'true':>9}{'ratio':>10}{'rms z':>8}{'median':>8}")
+    for name in args.lights:
         lighting = read_lighting([name], "y", mesh=mesh)
         for suns in ("split", "plain"):
             pictures = [render_picture(asset, lighting, view, background=False, suns=suns) for asset in assets]
             inside = pictures[0].coverage > 0.99
             images = np.array([picture.image[inside] for picture in pictures], np.float64)
             stated = np.mean([picture.error[inside].astype(np.float64) ** 2 for picture in pictures], axis=0)
-            seen, signal = images.var(axis=0, ddof=1), (images**2).mean(axis=0).sum()
-            told, true = (np.sqrt(part.sum() / signal) for part in (stated, seen))
-            lit = (seen > 0.0) & (stated > 0.0)
-            off = np.sqrt((seen[lit] / stated[lit]).mean())
-            usual = np.median(np.sqrt(stated[lit] / seen[lit]))
-            row = f"{told:9.2%}{true:9.2%}{told / true:10.2f}{off:8.2f}{usual:8.2f}"
+            measured, signal = images.var(axis=0, ddof=1), (images**2).mean(axis=0).sum()
+            claimed, true = (np.sqrt(part.sum() / signal) for part in (stated, measured))
+            lit = (measured > 0.0) & (stated > 0.0)
+            rms = np.sqrt((measured[lit] / stated[lit]).mean())
+            median = np.median(np.sqrt(stated[lit] / measured[lit]))
+            row = f"{claimed:9.2%}{true:9.2%}{claimed / true:10.2f}{rms:8.2f}{median:8.2f}"
             print(f"{Path(name).name:32}{suns:8}{row}", flush=True)
 
 

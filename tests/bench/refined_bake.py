@@ -18,18 +18,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from bakers.adaptive.evaluation_cache import NOTHING
+from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.transport import on_mesh, prepared, up_to
 from formats.mesh import read_mesh
 from prt_bake import bake
-from prt_bake.baking.adaptive.pilot import Site, first_refinement
-from prt_bake.baking.adaptive.tolerances import Pilot, aimed, refined_block
+from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.tolerances import Pilot, refined_block, settings_for_error
 from prt_bake.baking.job.views import views_of
 from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
 from tests.bakers import transports as known
-from tests.bakers.transports import Array, Counting, exact, icosphere, uniform_needs
+from tests.bakers.transports import Array, Counting, exact, icosphere, uniform_directions_needed
 
 TUNED = known.Edged(), known.Lobed(), known.Incoherent(), known.Chequered()
 OTHERS = (
@@ -37,8 +37,8 @@ OTHERS = (
     known.Phased(),
     known.Kinked(),
     known.TwoLobed(),
-    known.KinkedApart(),
-    known.LobedApart(),
+    known.KinkedPerVertex(),
+    known.LobedPerVertex(),
     known.Shadowed(),
     known.Sunlit(),
 )
@@ -52,7 +52,7 @@ def analytic(transports: tuple[Any, ...], subdivisions: int, error: float, seeds
     print(f"{'':12}{'uniform':>9}{'ours':>8}{'fewer':>8}{'true':>8}{'told':>8}{'p95':>8}{'told':>8}{'within':>8}")
     for transport in transports:
         truth = exact(transport, mesh, 16, 64)
-        needs = uniform_needs(transport, mesh, truth, 16, 64, error)
+        needs = uniform_directions_needed(transport, mesh, truth, 16, 64, error)
         for seed in range(seeds):
             counted = Counting(transport)
             asset = bake(counted, mesh, error=error, seed=seed)
@@ -96,14 +96,14 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
     transport = prepared(bound, precision, "cpu")
     _tangents, views = views_of(mesh, 16, 64)
     chosen = np.sort(np.random.default_rng(5).permutation(len(mesh.positions))[:vertices])
-    site = Site(transport, mesh, np.arange(len(mesh.positions)), views, sphere.view_bins(16, 64), 2, 0)
+    job = AdaptiveJob(transport, mesh, np.arange(len(mesh.positions)), views, sphere.view_bins(16, 64), 2, 0)
     with limited_threads(transport, 1):
-        aim = aimed(Pilot(site), first_refinement(site)[0], error)
+        settings = settings_for_error(Pilot(job), first_refinement(job)[0], error)
         # What the pilot has found out is of no use here: every bin is timed.
-        how = replace(aim.refinement, answers=NOTHING)
+        how = replace(settings.refinement, cache=NO_CACHE)
         began = time.perf_counter()
-        cuts = range(0, len(chosen), site.block_vertices)
-        parts = [refined_block(site, how, chosen[first : first + site.block_vertices])[0] for first in cuts]
+        cuts = range(0, len(chosen), job.block_vertices)
+        parts = [refined_block(job, how, chosen[first : first + job.block_vertices])[0] for first in cuts]
         ours = (time.perf_counter() - began) / (len(chosen) * 1024)
     coefficients = np.concatenate([part.coefficients for part in parts]).astype(np.float64)
     spent = sum(part.evaluations for part in parts) / (len(chosen) * 1024)
@@ -124,7 +124,7 @@ def of_network(model: Path, mesh_path: Path, error: float, vertices: int, precis
 
     print(
         f"{model.name} {precision}, {error:.1%} asked for: {off(coefficients[rows, bins]):.2%} (told by the pilot "
-        f"{aim.error:.2%}) with {spent:.1f} evaluations and {1e6 * ours:.0f} µs a bin, {spent / ours / 1e6:.2f} M/s"
+        f"{settings.error:.2%}) with {spent:.1f} evaluations and {1e6 * ours:.0f} µs a bin, {spent / ours / 1e6:.2f} M/s"
     )
     for name, ask in (("row by row", row_by_row), ("view once", view_once)):
         few = 16 if ask is row_by_row else len(rows)
@@ -150,11 +150,11 @@ def main() -> None:
     parser.add_argument("--mesh", type=Path)
     parser.add_argument("--vertices", type=int, default=64)
     parser.add_argument("--precision", default="float32")
-    given = parser.parse_args()
-    if given.model is None:
-        analytic(OTHERS if given.others else TUNED, given.subdivisions, given.error, given.seeds)
+    args = parser.parse_args()
+    if args.model is None:
+        analytic(OTHERS if args.others else TUNED, args.subdivisions, args.error, args.seeds)
     else:
-        of_network(given.model, given.mesh, given.error, given.vertices, given.precision)
+        of_network(args.model, args.mesh, args.error, args.vertices, args.precision)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""What share of queries is flagged unreliable in the scenes that are shipped, by the number of paths.
+"""Share of queries that the path tracer flags as unreliable in the repository's scenes, by the number of paths.
 
     python -m tests.bench.reliable_share [NAME …] [--paths 16384] [--most 65536] [--queries 30]
 
-Queries are random: x by area, ωo over the hemisphere above it, one ωi over the whole sphere, so that half of the light
-comes from behind. Paths grow fourfold from --paths to --most; `enough` is where at most one query in twenty is flagged.
-Scenes behind a smooth interface have no values of Ŝ and are left out. `error` is the median error bar over its value.
+Queries are random: x uniform over the area, ωo over the hemisphere above it, and one ωi over the sphere, so that half
+of the light comes from behind. The number of paths grows fourfold from --paths to --most. `enough` marks rows with at
+most one flagged query in twenty, `error` is the median standard error over the value. Scenes behind a smooth interface
+have no values of Ŝ and are skipped.
 """
 
 import argparse
@@ -22,7 +23,7 @@ ALLOWED = 0.05
 
 
 def shipped(names: list[str]) -> dict[str, Scene]:
-    """The scenes of the repository whose meshes are there, by name; all of them if none is named."""
+    """The repository's scenes by name, all of them if `names` is empty; scenes without their meshes are skipped."""
     paths = [*sorted((ROOT / "scenes").glob("*/*.toml")), ROOT / "prt_bake" / "shipped" / "spot.toml"]
     found = {}
     for path in paths:
@@ -30,8 +31,8 @@ def shipped(names: list[str]) -> dict[str, Scene]:
             continue
         try:
             found[path.stem] = read_scene(path)
-        except OSError as absent:
-            print(f"{path.stem:14}{absent}")
+        except OSError as error:
+            print(f"{path.stem:14}{error}")
     return found
 
 
@@ -41,11 +42,11 @@ def measure(name: str, scene: Scene, count: int, least: int, most: int, seed: in
     incident = unit_directions(count, seed + 66)
     paths = least
     while paths <= most:
-        seen = estimate_transport(scene, positions, outgoing, incident, paths, 1)
-        share = 1.0 - float(seen.reliable.mean())
-        error = float(np.median(seen.standard_error / np.maximum(seen.mean, 1e-300)))
+        estimate = estimate_transport(scene, positions, outgoing, incident, paths, 1)
+        share = 1.0 - float(estimate.reliable.mean())
+        error = float(np.median(estimate.standard_error / np.maximum(estimate.mean, 1e-300)))
         enough = "enough" if share < ALLOWED + 1e-9 else ""
-        print(f"{name:14}{paths:9d}{100 * share:11.1f} %{error:9.3f}{seen.seconds:10.1f}  {enough}", flush=True)
+        print(f"{name:14}{paths:9d}{100 * share:11.1f} %{error:9.3f}{estimate.seconds:10.1f}  {enough}", flush=True)
         paths *= 4
 
 
@@ -57,11 +58,11 @@ def main() -> None:
     parser.add_argument("--most", type=int, default=65536)
     parser.add_argument("--queries", type=int, default=30)
     parser.add_argument("--seed", type=int, default=11)
-    arguments = parser.parse_args()
+    args = parser.parse_args()
     print(f"{'scene':14}{'paths':>9}{'unreliable':>13}{'error':>9}{'seconds':>10}")
-    for name, scene in shipped(arguments.names).items():
+    for name, scene in shipped(args.names).items():
         if connects(scene):
-            measure(name, scene, arguments.queries, arguments.paths, arguments.most, arguments.seed)
+            measure(name, scene, args.queries, args.paths, args.most, args.seed)
 
 
 if __name__ == "__main__":

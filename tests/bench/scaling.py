@@ -51,9 +51,9 @@ def watched(stage: str, owner: Any, name: str) -> None:
     """Keeps the time of a function by its stage."""
     work = getattr(owner, name)
 
-    def watching(*arguments: Any, **named: Any) -> Any:
+    def watching(*args: Any, **named: Any) -> Any:
         with timed(stage):
-            return work(*arguments, **named)
+            return work(*args, **named)
 
     setattr(owner, name, watching)
 
@@ -68,20 +68,20 @@ def main() -> None:
     parser.add_argument("--model", type=Path, required=True)
     parser.add_argument("--mesh", type=Path, required=True)
     parser.add_argument("--error", type=float, default=0.01)
-    asked = parser.parse_args()
+    args = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
-    prt_bake.baking.bake.opened_crew = one_worker
-    watched("what is needed", prt_bake.baking.bake, "needs_of")
+    prt_bake.baking.bake.open_workers = one_worker
+    watched("what is needed", prt_bake.baking.bake, "choose_pruning")
     watched("first look", prt_bake.baking.adaptive.run, "first_refinement")
-    watched("aim", prt_bake.baking.adaptive.run, "aimed")
+    watched("aim", prt_bake.baking.adaptive.run, "settings_for_error")
     watched("packing", formats.asset.chunk_writer, "_packed")
     watched("journal", Journal, "write")
     watched("asset written", prt_bake.baking.adaptive.run, "_write")
-    mesh = read_mesh(asked.mesh)
-    transport = open_source(asked.model, mesh, "cpu", None)
+    mesh = read_mesh(args.mesh)
+    transport = open_source(args.model, mesh, "cpu", None)
     with tempfile.TemporaryDirectory() as folder, timed("in all"):
         prt_bake.baking.bake(
-            transport, mesh, error=asked.error, out=Path(folder) / "a.h5", leave_out=prt_bake.baking.bake.ITEMS
+            transport, mesh, error=args.error, out=Path(folder) / "a.h5", leave_out=prt_bake.baking.bake.ITEMS
         )
     whole = SECONDS.pop("in all")
     for stage, part in (("first look", "survey"), ("aim", "pilot"), ("asset written", "packing")):

@@ -1,13 +1,12 @@
-"""An asset's pictures beside path-traced ones under a few skies: overcast, indoor, studio, sun, or any other.
+"""An asset's pictures compared with path-traced ones under several skies: overcast, indoor, studio, sun, or any other.
 
     python -m tests.bench.skies SCENE.toml ASSET.h5 [--skies overcast.hdr indoor.hdr …] [--spp 256] [--out FOLDER]
 
-`studio` (a dark room with three soft boxes of 10° to 40°) is made here, others are files. Each picture is rendered from
-the scene with `spp` walks a pixel, kept as `FOLDER/scene.sky.exr` and read from there the next time, and shaded from
-the asset, with and without what the surface reflects; both show the object alone. Over the pixels that it covers
-wholly, after an exposure at which its brightest twentieth is just white: FLIP as seen, FLIP without the noise of the
-reference with its interval, relative root mean square error and what of it is that noise, and the share of light that
-was clamped; seconds of both. `FOLDER/scene.sky.png` shows both pictures and their FLIP.
+The sky `studio` (a dark room with three soft boxes of 10° to 40°) is generated, others are files. References are
+rendered with `spp` walks per pixel and kept as `FOLDER/scene.sky.exr`. Pictures show the object alone, without and with
+surface reflection. Figures are over the fully covered pixels, at an exposure that maps the 95th percentile of the
+reference to white: FLIP, FLIP corrected for the reference's noise with its interval, relative RMSE, the reference's
+noise, the share of clamped light, and the seconds of both pictures. `FOLDER/scene.sky.png` shows both and their FLIP.
 """
 
 import argparse
@@ -46,42 +45,42 @@ def studio() -> Array:
 
 
 def reference(path: Path, scene: prt.Scene, light: prt.Lighting, view: camera.Camera, spp: int, gloss: bool) -> Path:
-    """The path-traced picture, made where it is not there; it says what it took."""
+    """Render the path-traced picture unless it exists, and write its seconds beside it."""
     if not path.exists():
         begun = time.perf_counter()
-        made = prt.render_scene(scene, light, view, spp, shown="scattered", background=False, reflection=gloss)
-        layers = {"error": made.standard_error, "coverage": made.coverage}
-        prt.write_image(path, made.image, layers=layers)
+        traced = prt.render_scene(scene, light, view, spp, shown="scattered", background=False, reflection=gloss)
+        layers = {"error": traced.standard_error, "coverage": traced.coverage}
+        prt.write_image(path, traced.image, layers=layers)
         path.with_suffix(".txt").write_text(f"{time.perf_counter() - begun:.1f}")
     return path
 
 
 def row(asset: Asset, light: prt.Lighting, view: camera.Camera, path: Path, gloss: bool) -> str:
-    """One line of the table; draws the sheet."""
+    """One line of the table; writes the pictures side by side."""
     layers = read_layers(path)
     shape = layers.image.shape
     truth, sigma = layers.image.astype(np.float64), layers.layers["error"].reshape(shape).astype(np.float64)
     mask = layers.layers["coverage"].reshape(shape[:2]) >= 1.0
     begun = time.perf_counter()
-    shown = render_picture(asset, light, view, background=False, reflection=gloss)
+    shaded = render_picture(asset, light, view, background=False, reflection=gloss)
     seconds = time.perf_counter() - begun
     exposure = -np.log2(np.quantile(truth[mask].max(axis=1), 0.95))
-    seen = compare(shown.image, truth, mask, exposure)
+    measured = compare(shaded.image, truth, mask, exposure)
     none = np.zeros(shape)
-    free = compare_without_noise(shown.image, truth, PixelErrors(none, sigma, none), mask, exposure).figures
-    write_side_by_side(shown.image, layers.image, seen.flip_map, path.with_suffix(".png"), exposure)
+    free = compare_without_noise(shaded.image, truth, PixelErrors(none, sigma, none), mask, exposure).figures
+    write_side_by_side(shaded.image, layers.image, measured.flip_map, path.with_suffix(".png"), exposure)
     noise = np.sqrt((sigma[mask] ** 2).mean()) / truth[mask].mean()
-    off = np.sqrt(((shown.image - truth)[mask] ** 2).mean()) / truth[mask].mean()
+    error = np.sqrt(((shaded.image - truth)[mask] ** 2).mean()) / truth[mask].mean()
     flip = free["flip"]
     return (
-        f"FLIP {seen.flip:.4f}, without noise {flip.value:.4f} [{flip.low:.4f}, {flip.high:.4f}]"
-        f"  rmse {off:.1%}, noise {noise:.1%}  clamped {abs(shown.clamped):.2%}"
+        f"FLIP {measured.flip:.4f}, without noise {flip.value:.4f} [{flip.low:.4f}, {flip.high:.4f}]"
+        f"  rmse {error:.1%}, noise {noise:.1%}  clamped {abs(shaded.clamped):.2%}"
         f"  {seconds:.1f} s; path traced {path.with_suffix('.txt').read_text()} s"
     )
 
 
 def main() -> None:
-    """Print two lines a sky."""
+    """Print two lines for each sky."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", type=Path)
     parser.add_argument("asset", type=Path)
@@ -90,18 +89,18 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--out", type=Path, default=Path("bench"))
     parser.add_argument("--without-reflection", action="store_true")
-    asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    asset, scene = prt.read_asset(asked.asset), prt.load_scene(asked.scene)
-    view = camera.fit(scene.mesh, asked.size, asked.size)
-    for sky in asked.skies:
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    asset, scene = prt.read_asset(args.asset), prt.load_scene(args.scene)
+    view = camera.fit(scene.mesh, args.size, args.size)
+    for sky in args.skies:
         name = Path(sky).stem
         if sky == "studio":
-            prt.write_image(asked.out / "studio.exr", studio())
-        light = prt.read_lighting([str(asked.out / "studio.exr") if sky == "studio" else sky])
-        for gloss in (False,) if asked.without_reflection else (False, True):
-            stem = f"{asked.scene.stem}.{name}{'.reflection' if gloss else ''}"
-            path = reference(asked.out / f"{stem}.exr", scene, light, view, asked.spp, gloss)
+            prt.write_image(args.out / "studio.exr", studio())
+        light = prt.read_lighting([str(args.out / "studio.exr") if sky == "studio" else sky])
+        for gloss in (False,) if args.without_reflection else (False, True):
+            stem = f"{args.scene.stem}.{name}{'.reflection' if gloss else ''}"
+            path = reference(args.out / f"{stem}.exr", scene, light, view, args.spp, gloss)
             print(f"{stem}: {row(asset, light, view, path, gloss)}", flush=True)
 
 

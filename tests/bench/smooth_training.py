@@ -59,12 +59,12 @@ def main() -> None:
     parser.add_argument("--scene", type=Path, default=SHIPPED / "spot.toml")
     parser.add_argument("--eta", type=float, default=1.4)
     parser.add_argument("--seeds", type=int, default=2)
-    asked = parser.parse_args()
-    print(f"{'variant':20} {'error of a_lm':>15} {'walks':>10} {'CPU s':>7}   ({asked.steps} steps)", flush=True)
+    args = parser.parse_args()
+    print(f"{'variant':20} {'error of a_lm':>15} {'walks':>10} {'CPU s':>7}   ({args.steps} steps)", flush=True)
     for name, (alpha, stream) in VARIANTS.items():
         with tempfile.TemporaryDirectory() as folder:
-            scene = with_interface(asked.scene, Path(folder), asked.eta, alpha)
-            found = np.array([learn(scene, stream, asked.steps, seed) for seed in range(asked.seeds)])
+            scene = with_interface(args.scene, Path(folder), args.eta, alpha)
+            found = np.array([learn(scene, stream, args.steps, seed) for seed in range(args.seeds)])
         error = found[:, 0]
         print(
             f"{name:20} {error.mean():8.4f} ±{np.ptp(error) / 2:6.4f} {found[0, 1]:10,.0f} {found[:, 2].mean():7.0f}",

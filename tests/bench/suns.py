@@ -1,14 +1,14 @@
-"""How suns are best given to an asset: pictures by several treatments against the path tracer.
+"""Methods of shading an asset under suns, compared with the path tracer.
 
     python -m tests.bench.suns REFERENCES SCENE.toml MODEL.pt ASSET.h5 [--lights behind front ...] [--spp 512]
 
-For each light a path-traced picture of the scene, 96x96, `REFERENCES/scene.light.exr`, is read, or rendered where it is
-not there; those of `sky` and of one sun added give `sky+sun` of a sun of 1e5 over 0.53 degrees. Against it, over the
-object, after an exposure at which its brightest twentieth is just white: FLIP, relative MSE, and the share of energy
-that was clamped. Rows: `plain` (all light in the asset's coefficients), `clamp` (the sun's part and the sky's each cut
-at 0), `window` (the sun's coefficients damped until they are nowhere negative), `window all` (those of all light),
-`vertex window` (each vertex's transport damped so), `entropy` (the positive transport of greatest entropy), and
-`network`, the network itself asked in the sun's direction at the vertices: what is left there no treatment can mend.
+The reference of each light is a path-traced picture of the scene, 96x96, read from `REFERENCES/scene.light.exr` or
+rendered if missing; the sum of `sky` and of a sun of 1e5 over 0.53 degrees is `sky+sun`. Figures are over the object, at
+an exposure that maps the 95th percentile of the reference to white: FLIP, MSE, relative MSE, and the share of clamped
+light. Methods: `plain` (all light in spherical harmonics), `clamp` (sun and sky each clamped at 0), `window` (the sun's
+coefficients damped until they are nowhere negative), `window all` (the same for all light), `vertex window` (the same for
+each vertex's transport), `entropy` (maximum-entropy reconstruction), and `network`, evaluated in the sun's direction at
+the vertices, whose error no method can remove.
 """
 
 import argparse
@@ -44,7 +44,7 @@ SAMPLES = 3
 
 
 def parts(light: str) -> list[tuple[str, str, float]]:
-    """References that sum to a light: name, what `--light` takes, factor."""
+    """References that sum to a light: name, argument of `--light`, factor."""
     if light.startswith("sky+"):
         return [("sky", SKY, 1.0), *((name, source, IRRADIANCE) for name, source, _ in parts(light[4:]))]
     if light in SUNS:
@@ -53,7 +53,7 @@ def parts(light: str) -> list[tuple[str, str, float]]:
 
 
 def lighting_of(light: str) -> Lighting:
-    """All of a light together."""
+    """The lighting of all parts of a light."""
     lights = [source.replace(":1,1,1:", f":{factor},{factor},{factor}:") for _, source, factor in parts(light)]
     return read_lighting(lights)
 
@@ -66,8 +66,8 @@ def reference(folder: Path, scene_path: Path, light: str, spp: int) -> tuple[Arr
     for name, source, factor in parts(light):
         path = folder / f"{scene_path.stem}.{name}.exr"
         if not path.exists():
-            made = prt.render_scene(scene, read_lighting([source]), view, spp, shown="scattered", background=False)
-            prt.write_image(path, made.image, layers={"coverage": made.coverage})
+            traced = prt.render_scene(scene, read_lighting([source]), view, spp, shown="scattered", background=False)
+            prt.write_image(path, traced.image, layers={"coverage": traced.coverage})
         layers = read_layers(path)
         coverage = layers.layers["coverage"].reshape(SIZE, SIZE)
         picture += factor * layers.image
@@ -75,7 +75,7 @@ def reference(folder: Path, scene_path: Path, light: str, spp: int) -> tuple[Arr
 
 
 class Viewed:
-    """An asset seen from one eye: the corners that every sample falls on, and its coefficients there."""
+    """An asset from a fixed eye: the vertices that contribute to each sample, and their coefficients."""
 
     def __init__(self, asset: Asset) -> None:
         self.asset, self.view = asset, camera.fit(asset.mesh, SIZE, SIZE)
@@ -83,20 +83,20 @@ class Viewed:
         offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
         rays = camera.directions(self.view, slice(0, SIZE), offsets).reshape(-1, 3)
         hits = camera.Visibility(asset.mesh).first_hits(self.view.eye, rays)
-        met = np.flatnonzero(hits.faces >= 0)
-        self._pixels = met // SAMPLES**2
-        corners, flat = asset.mesh.faces[hits.faces[met]], hits.barycentric[met]
-        self._shares = np.concatenate([1.0 - flat.sum(axis=1, keepdims=True), flat], axis=1)
-        self.vertices, places = np.unique(corners, return_inverse=True)
-        self._corners = places.reshape(-1, 3)
+        hit = np.flatnonzero(hits.faces >= 0)
+        self._pixels = hit // SAMPLES**2
+        corners, barycentric = asset.mesh.faces[hits.faces[hit]], hits.barycentric[hit]
+        self._weights = np.concatenate([1.0 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
+        self.vertices, index = np.unique(corners, return_inverse=True)
+        self._corners = index.reshape(-1, 3)
         at = vertices.between_bins(asset, self.view.eye, self.vertices)
         self.coefficients = gathered(asset, self.vertices, at)
         towards = self.view.eye - asset.mesh.positions[self.vertices]
         self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
     def picture(self, radiance: Array) -> Array:
-        """[H,W,3] of radiance [n,3] at the vertices seen."""
-        seen = np.einsum("sk,skc->sc", self._shares, radiance[self._corners])
+        """The picture [H,W,3] of radiance [n,3] at the visible vertices."""
+        seen = np.einsum("sk,skc->sc", self._weights, radiance[self._corners])
         return (
             np.stack([np.bincount(self._pixels, channel, SIZE * SIZE) for channel in seen.T], axis=1).reshape(
                 SIZE, SIZE, 3
@@ -105,34 +105,34 @@ class Viewed:
         )
 
 
-def treatments(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Lighting) -> dict[str, Array]:
-    """Radiance [n,3] at the vertices before the last clamp, by treatment."""
+def radiance_by_method(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Lighting) -> dict[str, Array]:
+    """Radiance [n,3] at the vertices by method, before the final clamp."""
     split, degree, a = split_lighting(lighting), viewed.asset.degree, viewed.coefficients
 
-    def lit(harmonics: Array) -> Array:
+    def shade(harmonics: Array) -> Array:
         return np.asarray(np.einsum("nkc,kc->nc", np.broadcast_to(a, (*a.shape[:2], 3)), harmonics))
 
     whole = project_lighting(lighting, degree)
     sky = project_lighting(Lighting(split.skies, ()), degree) if split.skies else np.zeros_like(whole)
     suns = [project_lighting(Lighting((), (sun,)), degree) for sun in split.suns]
-    answers = {"plain": lit(whole), "window all": lit(windowed(whole))}
+    answers = {"plain": shade(whole), "window all": shade(windowed(whole))}
     if suns:
-        answers["clamp"] = np.maximum(lit(sky), 0.0) + sum(np.maximum(lit(sun), 0.0) for sun in suns)
-        answers["window"] = lit(sky + sum(windowed(sun) for sun in suns))
+        answers["clamp"] = np.maximum(shade(sky), 0.0) + sum(np.maximum(shade(sun), 0.0) for sun in suns)
+        answers["window"] = shade(sky + sum(windowed(sun) for sun in suns))
         damped = vertex_windowed(a)
-        answers["vertex window"] = lit(sky) + sum(np.einsum("nkc,kc->nc", damped, sun) for sun in suns)
+        answers["vertex window"] = shade(sky) + sum(np.einsum("nkc,kc->nc", damped, sun) for sun in suns)
         directions = np.array([sun.direction for sun in split.suns])
         irradiance = np.array([sun.irradiance for sun in split.suns])
         begun = time.perf_counter()
-        answers["entropy"] = lit(sky) + np.einsum("ncd,dc->nc", positive_transport(a).towards(directions), irradiance)
+        answers["entropy"] = shade(sky) + np.einsum("ncd,dc->nc", positive_transport(a).towards(directions), irradiance)
         print(f"    entropy: {1e3 * (time.perf_counter() - begun):.0f} ms for {len(a)} vertices")
         exact = network.evaluate(directions, viewed.asset.mesh.positions[viewed.vertices], viewed.outgoing)
-        answers["network"] = lit(sky) + np.einsum("ndc,dc->nc", exact.astype(np.float64), irradiance)
+        answers["network"] = shade(sky) + np.einsum("ndc,dc->nc", exact.astype(np.float64), irradiance)
     return answers
 
 
 def vertex_windowed(a: Array) -> Array:
-    """Coefficients [n,K,C] damped, each on its own, until they are nowhere negative on a lattice."""
+    """Coefficients [n,K,C], each function damped until it is nowhere negative on a lattice."""
     l = np.sqrt(np.arange(a.shape[1])).astype(int)
     harmonics = sh.evaluate(fibonacci(400), sh.degree_of(a.shape[1]))
 
@@ -160,17 +160,17 @@ def main() -> None:
     parser.add_argument("asset", type=Path, nargs="?", default="spot.h5")
     parser.add_argument("--lights", nargs="+", default=["behind", "front", "side", "sky+behind", "sky+side"])
     parser.add_argument("--spp", type=int, default=512)
-    asked = parser.parse_args()
-    network = prt.load_model(asked.model)
-    viewed = Viewed(prt.read_asset(asked.asset))
+    args = parser.parse_args()
+    network = prt.load_model(args.model)
+    viewed = Viewed(prt.read_asset(args.asset))
     network = network.on(viewed.asset.mesh)
-    for light in asked.lights:
-        truth, coverage = reference(asked.references, asked.scene, light, asked.spp)
+    for light in args.lights:
+        truth, coverage = reference(args.references, args.scene, light, args.spp)
         mask = coverage > 0.5
         truth = truth * mask[..., None]
         exposure = -np.log2(np.quantile(truth[mask].max(axis=1), 0.95))
-        print(f"{asked.scene.stem}, {light}")
-        for name, radiance in treatments(viewed, network, lighting_of(light)).items():
+        print(f"{args.scene.stem}, {light}")
+        for name, radiance in radiance_by_method(viewed, network, lighting_of(light)).items():
             kept = np.maximum(radiance, 0.0)
             error = compare(viewed.picture(kept) * mask[..., None], truth, mask, exposure)
             clamped = (kept - radiance).sum() / kept.sum()

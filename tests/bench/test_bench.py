@@ -1,4 +1,4 @@
-"""Every measurement under tests/bench starts: what it imports is there, and the settings it compares make sense."""
+"""Every benchmark starts: its imports exist and its settings are valid. The README lists all of them."""
 
 import runpy
 import sys
@@ -17,3 +17,8 @@ def test_prints_its_help(script: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
         runpy.run_path(str(script), run_name="__main__")
     assert ended.value.code == 0
     assert script.name in capsys.readouterr().out
+
+
+def test_the_readme_lists_every_benchmark() -> None:
+    table = (BENCH / "README.md").read_text(encoding="utf-8")
+    assert [path.stem for path in SCRIPTS if f"`{path.stem}`" not in table] == []

@@ -1,13 +1,13 @@
-"""Which network and which training: the default against its variants, each trained for the same time.
+"""Ablation of the network and its training: the default and its variants, each trained for the same time.
 
     python -m tests.bench.training [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
 
-Prints the relative RMSE of Ŝ and of a_lm on fresh queries, the same for all, and of a_lm over vertices as a bake asks
-(reference noise taken out); the walks, the steps, and the model's size on disk. `--only` keeps the variants whose names
-hold one of the words. The paper's network is among them.
+Prints the relative RMSE of Ŝ and of a_lm on fresh queries, and of a_lm over vertices as in a bake, all corrected for the
+reference's noise; the walks, the steps, and the size of the model file. `--only` selects variants whose names contain
+one of the words. The paper's network is one of the variants.
 
-What a scene does not need is left out of every variant (`trainer.fit`): those of lobes and turns of the ray differ from
-the default on clear objects alone.
+`train` removes inputs that are useless for a scene: variants of lobes and of the refracted ray differ from the default
+only on clear objects.
 """
 
 import argparse
@@ -32,42 +32,42 @@ OURS = PRESETS["measured"]
 PLAIN = replace(
     OURS, features=256, ray_samples=0, tells_normal=False, lobes=0, shape_places=0, grid_places=0, light_places=0
 )
-"""With features of the position itself, and nothing told of the inside."""
+"""Features of the position alone, without the interior."""
 EARLY: dict[str, Any] = {"light_layers": 0, "angle_powers": 0, "skips": ((1, 3), (2, 4))}
-"""ωi enters the first layer, and nothing is told late."""
-ASKING = StreamSettings()
+"""ωi enters the first layer."""
+STREAM = StreamSettings()
 LEARNING = LearningSettings(held_out_queries=256)
-"""With little to watch a training by: what is printed is measured here."""
+"""With few validation queries: the printed errors are measured here."""
 QUERIES, VERTICES, VIEWS, WALKS, SEED = 1024, 256, 4, 256, 0xAB1A
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What differs from the default."""
+    """The settings of one training."""
 
     network: NetworkSettings = OURS
-    stream: StreamSettings = ASKING
+    stream: StreamSettings = STREAM
     learning: LearningSettings = LEARNING
 
 
-def network(**differing: Any) -> Variant:
-    return Variant(network=replace(OURS, **differing))
+def network(**changes: Any) -> Variant:
+    return Variant(network=replace(OURS, **changes))
 
 
-def plain(**differing: Any) -> Variant:
-    return Variant(network=replace(PLAIN, **differing))
+def plain(**changes: Any) -> Variant:
+    return Variant(network=replace(PLAIN, **changes))
 
 
-def stream(**differing: Any) -> Variant:
-    return Variant(stream=replace(ASKING, **differing))
+def stream(**changes: Any) -> Variant:
+    return Variant(stream=replace(STREAM, **changes))
 
 
-def learning(**differing: Any) -> Variant:
-    return Variant(learning=replace(LEARNING, **differing))
+def learning(**changes: Any) -> Variant:
+    return Variant(learning=replace(LEARNING, **changes))
 
 
 def deep(layers: int, skipping: bool) -> Variant:
-    """Hidden layers in all, two of them after ωi has entered; every second one is joined to the one before last."""
+    """A network of `layers` hidden layers, two of them after ωi enters, with a skip to every second layer."""
     skips = tuple((layer - 2, layer) for layer in range(3, layers - 1, 2)) if skipping else ()
     return network(layers=layers, skips=skips)
 
@@ -83,16 +83,16 @@ VARIANTS: dict[str, Variant] = {
     "1 lobe": network(lobes=1),
     "4 lobes": network(lobes=4),
     "no grid": network(grid_places=0),
-    "grid of 24 places": network(grid_places=24),
-    "grid of 48 places": network(grid_places=48),
-    "4 numbers at a place": network(grid_numbers=4),
-    "16 numbers at a place": network(grid_numbers=16),
+    "grid of 24 points": network(grid_places=24),
+    "grid of 48 points": network(grid_places=48),
+    "4 features per grid point": network(grid_numbers=4),
+    "16 features per grid point": network(grid_numbers=16),
     "96 Fourier features": network(features=96),
     "no shape": network(shape_places=0),
     "shape at x alone": network(shape_places=1),
-    "no way to the light": network(light_places=0),
-    "8 places on the way to the light": network(light_places=8),
-    "24 places on the way to the light": network(light_places=24),
+    "no samples towards the light": network(light_places=0),
+    "8 samples towards the light": network(light_places=8),
+    "24 samples towards the light": network(light_places=24),
     "no cosines to the light": network(light_cosines=False),
     "no angle": network(angle_powers=0),
     "4 powers of the angle": network(angle_powers=4),
@@ -121,42 +121,42 @@ VARIANTS: dict[str, Variant] = {
     "float32": learning(bfloat16=False),
     "batch 256": learning(batch=256),
     "batch 1024": learning(batch=1024),
-    "6 samples of the ray": network(ray_samples=6),
-    "24 samples of the ray": network(ray_samples=24),
+    "6 samples of the view ray": network(ray_samples=6),
+    "24 samples of the view ray": network(ray_samples=24),
     "no ray, light enters first, narrow spread": plain(**EARLY, feature_spread=0.09),
-    "no turns of the ray": network(ray_turns=0),
+    "view ray not refracted inside": network(ray_turns=0),
     "values": stream(rays="values", walks=1, connections=4),
     "exits": stream(rays="exits"),
     "queries by area alone": stream(face_share=0.0),
-    "rows learnt from twice": stream(reuse=2),
+    "rows used twice": stream(reuse=2),
     "a learner that never waits": stream(reuse=1000),
-    "4 walks a query, 8 directions besides": Variant(
-        stream=replace(ASKING, exits=4, kept=4), learning=replace(LEARNING, spread=8, coarse_steps=0)
+    "4 walks, 8 uniform directions": Variant(
+        stream=replace(STREAM, exits=4, kept=4), learning=replace(LEARNING, spread=8, coarse_steps=0)
     ),
-    "8 walks a query": stream(exits=8, kept=8),
-    "64 walks a query at most": stream(exits=64),
-    "32 walks a query, each a ray": stream(least_exits=32, kept=32),
-    "6 rays a query": stream(kept=6),
+    "8 walks per query": stream(exits=8, kept=8),
+    "at most 64 walks per query": stream(exits=64),
+    "32 walks per query, each a ray": stream(least_exits=32, kept=32),
+    "6 rays per query": stream(kept=6),
     "no coarse steps": learning(coarse_steps=0),
     "3000 coarse steps": learning(coarse_steps=3000),
-    "8 directions besides the exits": learning(spread=8),
-    "48 directions besides the exits": learning(spread=48),
-    "1 walk a value": stream(walks=1),
-    "4 walks a value": stream(walks=4),
+    "8 uniform directions": learning(spread=8),
+    "48 uniform directions": learning(spread=48),
+    "1 walk per value": stream(walks=1),
+    "4 walks per value": stream(walks=4),
 }
 
 
 class Truth:
-    """Path-traced answers that all variants are compared with: Ŝ where it has values, and a_lm."""
+    """Path-traced references of all variants: Ŝ if it has values, and a_lm."""
 
     def __init__(self, scene: Scene) -> None:
-        """Path trace them."""
+        """Path trace the references."""
         prepared = prepare(scene)
         self._values = hold_out(prepared, QUERIES, 8, WALKS, SEED) if smooth_part(scene) is None else None
         self._coefficients = hold_out_coefficients(scene, QUERIES, 8 * WALKS, SEED, directions=256)
         positions, outgoing = vertex_views(prepared, VERTICES, VIEWS, SEED).flat()
-        seen = estimate_coefficients(scene, positions, outgoing, 2, 8 * WALKS, SEED + 2)
-        self._vertices = HeldOutCoefficients(positions, outgoing, seen.mean, seen.standard_error, directions=256)
+        traced = estimate_coefficients(scene, positions, outgoing, 2, 8 * WALKS, SEED + 2)
+        self._vertices = HeldOutCoefficients(positions, outgoing, traced.mean, traced.standard_error, directions=256)
 
     def errors(self, network: NeuralBSSRDF) -> dict[str, float | None]:
         """The relative RMSE of a network."""
@@ -168,8 +168,8 @@ class Truth:
 
 
 def trained(scene: Scene, variant: Variant, minutes: float, truth: Truth) -> dict[str, Any]:
-    """The figures of one training."""
-    found = train(
+    """The errors, walks, steps and size of one training."""
+    model = train(
         scene,
         minutes=minutes,
         settings=variant.network,
@@ -178,10 +178,10 @@ def trained(scene: Scene, variant: Variant, minutes: float, truth: Truth) -> dic
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.pt"
-        save_model(found, path)
+        save_model(model, path)
         size = path.stat().st_size / 1024
-    training = found.metadata["training"]
-    return {**truth.errors(found.on(scene.mesh)), "walks": training["walks"], "steps": training["steps"], "kib": size}
+    training = model.metadata["training"]
+    return {**truth.errors(model.on(scene.mesh)), "walks": training["walks"], "steps": training["steps"], "kib": size}
 
 
 def main() -> None:
@@ -191,25 +191,25 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=1.0)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
-    scene = read_scene(asked.scene)
+    args = parser.parse_args()
+    scene = read_scene(args.scene)
     truth = Truth(scene)
     head = f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'vertices':>10}{'walks':>12}{'steps':>8}{'KiB':>6}"
-    print(f"{head}   ({asked.minutes:g} minutes)")
+    print(f"{head}   ({args.minutes:g} minutes)")
     rows = {}
     for name, variant in VARIANTS.items():
-        if asked.only and not any(word in name for word in asked.only):
+        if args.only and not any(word in name for word in args.only):
             continue
-        row = rows[name] = trained(scene, variant, asked.minutes, truth)
+        row = rows[name] = trained(scene, variant, args.minutes, truth)
         transport = "" if row["transport"] is None else f"{row['transport']:.4f}"
         print(
             f"{name:36}{transport:>11}{row['coefficients']:9.4f}{row['vertices']:10.4f}"
             f"{row['walks']:12,}{row['steps']:8,}{row['kib']:6.0f}",
             flush=True,
         )
-        if asked.out is not None:
-            asked.out.parent.mkdir(parents=True, exist_ok=True)
-            asked.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        if args.out is not None:
+            args.out.parent.mkdir(parents=True, exist_ok=True)
+            args.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,11 @@
-"""What a query costs on one thread as matter grows thick or uneven: seconds, and efficiency beside the first row's.
+"""Cost of a query on one thread as the medium grows thick or heterogeneous: seconds, and efficiency over the first row.
 
     python -m tests.bench.walk_cost [--queries 5]
 
-Ŝ of a sphere of diameter 1 behind an index-matched boundary, lit from the side that is seen; `seconds` are those of CPU
-to 1 % of a value, `paths/s` those of one query, both geometric means over queries. `events` are the scatterings a path:
-where dense voxels scatter they grow with the contrast, which is transport and no tracker's doing; where they absorb
-(albedo 0) what is left of the time is the way through them.
+Measures Ŝ of a sphere of diameter 1 with an index-matched boundary, lit from the visible side. `seconds` is the CPU time
+to an error of 1 % and `paths/s` the rate of a query, both geometric means over queries. `events` is the number of
+scatterings per path: if dense voxels scatter it grows with the contrast, whatever the tracking method; if they absorb
+(albedo 0) the remaining time is that of tracking through them.
 """
 
 import argparse
@@ -32,7 +32,7 @@ GRIDS = (16, 64)
 
 
 def cost(count: int, **keys: Any) -> tuple[float, float, float]:
-    """Paths/s of one query, seconds to a relative error of ERROR, and scatterings a path."""
+    """Paths/s of a query, seconds to a relative error of ERROR, and scatterings per path."""
     with tempfile.TemporaryDirectory() as folder:
         scene = make_scene(Path(folder), moved(sphere(4), 0.5), **keys)
     positions, outgoing, normals = queries(scene.mesh, count, 1)
@@ -48,7 +48,7 @@ def cost(count: int, **keys: Any) -> tuple[float, float, float]:
 
 
 def scatterings(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> float:
-    """Scatterings a path, from the walks that leave and those that end inside."""
+    """Scatterings per path, over walks that leave and walks that end inside."""
     prepared = prepare(scene)
     shape = (len(positions), PATHS_COUNTED)
     scattered = np.zeros(shape, np.int64)
@@ -59,8 +59,8 @@ def scatterings(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> fl
     return float(scattered.mean())
 
 
-def uneven(size: int, contrast: float, dense_albedo: float) -> dict[str, np.ndarray]:
-    """Extinction 5 and albedo 0.99, but in one voxel of a hundred, which is denser by the contrast."""
+def heterogeneous(size: int, contrast: float, dense_albedo: float) -> dict[str, np.ndarray]:
+    """Extinction 5 and albedo 0.99, with one voxel in a hundred denser by the contrast."""
     dense = np.random.default_rng(5).random((size,) * 3) < DENSE_SHARE
     return {"sigma_t": np.where(dense, 5.0 * contrast, 5.0), "albedo": np.where(dense, dense_albedo, 0.99)}
 
@@ -86,7 +86,7 @@ def main() -> None:
         table(f"thickness, albedo {albedo:g}", rows, count)
     for size in GRIDS:
         for name, albedo in (("absorb", 0.0), ("scatter", 0.99)):
-            rows = {f"{contrast:g}": uneven(size, contrast, albedo) for contrast in CONTRAST}
+            rows = {f"{contrast:g}": heterogeneous(size, contrast, albedo) for contrast in CONTRAST}
             table(f"contrast {size}³, {name}", rows, count)
 
 

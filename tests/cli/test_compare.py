@@ -270,10 +270,10 @@ def test_negative_radiance_is_told_and_seen_as_black(prtbake: Run, tmp_path: Pat
     ("name", "content", "said"),
     [
         ("missing.exr", None, "missing.exr: there is no such file"),
-        ("text.exr", b"not a picture", "text.exr: is not an OpenEXR picture"),
+        ("text.exr", b"not a picture", "text.exr: is not an OpenEXR image"),
         ("text.png", b"not a picture", "text.png: cannot be read as PNG"),
         ("empty.hdr", b"", "empty.hdr: "),
-        ("picture.tif", b"II*\0", "picture.tif: images of this kind cannot be read"),
+        ("picture.tif", b"II*\0", "picture.tif: the image cannot be read"),
     ],
 )
 def test_files_that_cannot_be_read_are_named(

@@ -1,4 +1,4 @@
-"""Files are whole or not there: faults, full disks and killed processes leave the older file as it was."""
+"""Atomic writes: errors, full disks and killed processes leave the older file unchanged."""
 
 import errno
 import os
@@ -16,7 +16,7 @@ from formats.errors import ImageError, StorageError
 from formats.image import write_image
 
 
-def test_the_new_file_takes_the_place_of_the_old(tmp_path):
+def test_the_new_file_replaces_the_old(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
     with replacing(path) as part:
@@ -27,7 +27,7 @@ def test_the_new_file_takes_the_place_of_the_old(tmp_path):
     assert os.listdir(tmp_path) == ["a.txt"]
 
 
-def test_a_link_stays_a_link(tmp_path):
+def test_a_symbolic_link_stays_a_link(tmp_path):
     (tmp_path / "real").write_text("old")
     (tmp_path / "link").symlink_to(tmp_path / "real")
     with replacing(tmp_path / "link") as part:
@@ -36,23 +36,23 @@ def test_a_link_stays_a_link(tmp_path):
     assert (tmp_path / "real").read_text() == "new"
 
 
-@pytest.mark.parametrize("fault", [ValueError("x"), KeyboardInterrupt(), OSError(errno.ENOENT, "x")])
-def test_a_fault_in_the_middle_leaves_the_old_file(tmp_path, fault):
+@pytest.mark.parametrize("error", [ValueError("x"), KeyboardInterrupt(), OSError(errno.ENOENT, "x")])
+def test_an_exception_keeps_the_old_file(tmp_path, error):
     path = tmp_path / "a.txt"
     path.write_text("old")
 
     def write_half() -> None:
         with replacing(path) as part:
             part.write_text("half")
-            raise fault
+            raise error
 
-    with pytest.raises(type(fault)):
+    with pytest.raises(type(error)):
         write_half()
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["a.txt"]
 
 
-def test_a_full_disk_is_told_in_one_sentence(tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_in_one_sentence(tmp_path, monkeypatch):
     path = tmp_path / "a.txt"
     path.write_text("old")
 
@@ -66,7 +66,7 @@ def test_a_full_disk_is_told_in_one_sentence(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["a.txt"]
 
 
-def test_unusable_places_are_refused_before_anything_is_written(tmp_path):
+def test_unusable_paths_are_refused_before_writing(tmp_path):
     for path, sentence in ((tmp_path / "no" / "a.txt", "folder .*no does not exist"), (tmp_path, "it is a folder")):
         with pytest.raises(StorageError, match=sentence), replacing(path):
             pytest.fail("the block must not be entered")
@@ -74,7 +74,7 @@ def test_unusable_places_are_refused_before_anything_is_written(tmp_path):
         pytest.fail("the block must not be entered")
 
 
-def test_files_to_be_read_must_exist(tmp_path):
+def test_missing_files_and_folders_cannot_be_read(tmp_path):
     with pytest.raises(StorageError, match="no such file"):
         existing(tmp_path / "a")
     with pytest.raises(StorageError, match="is a folder"):
@@ -86,7 +86,7 @@ def test_sha256_of_known_bytes(tmp_path):
     assert sha256(tmp_path / "abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
-def test_a_killed_process_leaves_the_old_file(tmp_path):
+def test_a_killed_process_keeps_the_old_file(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("old")
     program = (
@@ -99,7 +99,7 @@ def test_a_killed_process_leaves_the_old_file(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
-def test_images_that_grow_too_large_leave_the_old_one(tmp_path, suffix):
+def test_images_beyond_the_size_limit_keep_the_old_file(tmp_path, suffix):
     import resource
 
     path = tmp_path / f"a{suffix}"
@@ -115,7 +115,7 @@ def test_images_that_grow_too_large_leave_the_old_one(tmp_path, suffix):
     assert os.listdir(tmp_path) == [path.name]
 
 
-def test_an_image_that_cannot_be_written_leaves_the_old_one(tmp_path):
+def test_an_invalid_image_keeps_the_old_file(tmp_path):
     path = tmp_path / "a.hdr"
     path.write_text("old")
     with pytest.raises(ImageError, match="row 0, column 1"):

@@ -1,11 +1,11 @@
-"""Ctrl-C waits until the block ends and then arrives, whoever handles it; or is only noticed."""
+"""Ctrl-C is deferred to the end of a block, or sets a flag."""
 
 import signal
 import threading
 
 import pytest
 
-from formats.interrupts import deferred, noticed
+from formats.interrupts import deferred, interrupt_flag
 
 
 def test_an_interrupt_waits_for_the_end_of_the_block():
@@ -14,16 +14,16 @@ def test_an_interrupt_waits_for_the_end_of_the_block():
     def work() -> None:
         with deferred():
             signal.raise_signal(signal.SIGINT)
-            steps.append("went on")
+            steps.append("continued")
         steps.append("never reached")
 
     with pytest.raises(KeyboardInterrupt):
         work()
-    assert steps == ["went on"]
+    assert steps == ["continued"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_handler_of_the_program_gets_it_afterwards():
+def test_the_previous_handler_receives_the_deferred_interrupt():
     seen = []
     before = signal.signal(signal.SIGINT, lambda number, frame: seen.append(number))
     try:
@@ -35,7 +35,7 @@ def test_a_handler_of_the_program_gets_it_afterwards():
         signal.signal(signal.SIGINT, before)
 
 
-def test_other_threads_are_left_alone():
+def test_deferred_does_nothing_in_other_threads():
     reached = []
 
     def work() -> None:
@@ -48,20 +48,20 @@ def test_other_threads_are_left_alone():
     assert reached == [signal.default_int_handler]
 
 
-def test_an_interrupt_that_is_only_noticed_stops_nothing():
-    with noticed() as asked:
-        assert not asked()
+def test_an_interrupt_sets_the_flag_and_stops_nothing():
+    with interrupt_flag() as interrupted:
+        assert not interrupted()
         signal.raise_signal(signal.SIGINT)
-        assert asked()
+        assert interrupted()
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_other_threads_notice_nothing_and_change_nothing():
+def test_the_flag_does_nothing_in_other_threads():
     reached = []
 
     def work() -> None:
-        with noticed() as asked:
-            reached.append((asked(), signal.getsignal(signal.SIGINT)))
+        with interrupt_flag() as interrupted:
+            reached.append((interrupted(), signal.getsignal(signal.SIGINT)))
 
     thread = threading.Thread(target=work)
     thread.start()

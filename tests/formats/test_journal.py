@@ -1,4 +1,4 @@
-"""Bakes that are killed go on where they were, bit for bit; what has changed is named; a full disk loses nothing."""
+"""Killed bakes resume with bitwise equal results, changed settings are named, a full disk loses nothing."""
 
 import errno
 import os
@@ -15,7 +15,7 @@ from formats.errors import StorageError
 from formats.journal import Journal
 from prt_bake import bake, read_asset
 from tests.bakers.transports import Incoherent, icosphere
-from tests.baking.loose_pilot import loosely_aimed
+from tests.baking.loose_pilot import loose_settings
 
 BLOCKS = {"rings": 4, "sectors": 16, "error": 0.05}
 
@@ -37,7 +37,7 @@ import prt_bake.baking.adaptive.pilot as refined
 refined.BINS_AT_ONCE = 5 * 64
 from tests.baking import loose_pilot as loose_aim
 import prt_bake.baking.adaptive.run as passes
-passes.aimed = loose_aim.loosely_aimed
+passes.settings_for_error = loose_aim.loose_settings
 bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.05, out={out!r})
 """
 
@@ -55,20 +55,20 @@ def contents(path: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
-    """The contents of a bake in one run and two passes."""
-    out = tmp_path_factory.mktemp("whole") / "whole.h5"
+def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+    """The contents of an uninterrupted bake of two passes."""
+    out = tmp_path_factory.mktemp("uninterrupted") / "asset.h5"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 64)
-        patched.setattr("prt_bake.baking.adaptive.run.aimed", loosely_aimed)
+        patched.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
         with bake(Incoherent(), icosphere(1), **BLOCKS, out=out, workers=2) as asset:
             assert asset.provenance["refinement"]["passes"] == 2
     return contents(out)
 
 
 @pytest.mark.parametrize("blocks", [1, 4, 9, 10, 13, 19, 20])
-def test_killed_and_resumed_is_the_asset_of_one_run(
-    tmp_path: Path, blocks: int, whole: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+def test_a_killed_and_resumed_bake_equals_an_uninterrupted_one(
+    tmp_path: Path, blocks: int, uninterrupted: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "killed.h5"
     script = KILLED.format(path=[p for p in sys.path if p], blocks=blocks, out=str(out))
@@ -77,42 +77,40 @@ def test_killed_and_resumed_is_the_asset_of_one_run(
     journal = tmp_path / "killed.h5.journal"
     assert sum(not path.name.startswith("aim") for path in journal.glob("*.npz")) == blocks
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 64)
-    monkeypatch.setattr("prt_bake.baking.adaptive.run.aimed", loosely_aimed)
-    asked: list[int] = []
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
+    evaluated: list[int] = []
 
-    class Asked(Incoherent):
+    class Counting(Incoherent):
         def evaluate(self, incident: np.ndarray, positions: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-            asked.append(incident.shape[0] * incident.shape[1])
+            evaluated.append(incident.shape[0] * incident.shape[1])
             return super().evaluate(incident, positions, outgoing)
 
-    Asked.__name__ = "Incoherent"
-    resumed = bake(Asked(), icosphere(1), **BLOCKS, out=out, resume=True)
-    assert sum(asked) < resumed.provenance["evaluations"]
+    Counting.__name__ = "Incoherent"
+    resumed = bake(Counting(), icosphere(1), **BLOCKS, out=out, resume=True)
+    assert sum(evaluated) < resumed.provenance["evaluations"]
     found = contents(out)
-    assert found.keys() == whole.keys()
+    assert found.keys() == uninterrupted.keys()
     for name in found:
-        np.testing.assert_array_equal(found[name], whole[name], err_msg=name)
+        np.testing.assert_array_equal(found[name], uninterrupted[name], err_msg=name)
     assert not journal.exists()
 
 
-def test_a_changed_bake_is_not_resumed_and_what_changed_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bake_with_changed_settings_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "asset.h5"
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 64)
     calls = iter([False] * 2 + [True] * 100)
     part = bake(Incoherent(), icosphere(1), **BLOCKS, out=out, stop=lambda: next(calls))
     assert not part.complete
     assert part.provenance["vertices_baked"] == 10
-    for changed, named in (({"error": 0.04}, "error was 0.05 and is 0.04"), ({"seed": 5}, "seed was 0 and is 5")):
-        with pytest.raises(StorageError, match=named):
+    for changed, sentence in (({"error": 0.04}, "error was 0.05 and is 0.04"), ({"seed": 5}, "seed was 0 and is 5")):
+        with pytest.raises(StorageError, match=sentence):
             bake(Incoherent(), icosphere(1), **{**BLOCKS, **changed}, out=out, resume=True)
     with pytest.raises(StorageError, match="mesh was"):
         bake(Incoherent(), icosphere(0), **BLOCKS, out=out, resume=True)
     assert bake(Incoherent(), icosphere(1), **BLOCKS, out=out, resume=True).complete
 
 
-def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported_and_loses_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "asset.h5"
     bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.2, out=out)
     before = out.read_bytes()
@@ -135,7 +133,7 @@ def test_a_full_disk_is_told_and_loses_nothing(tmp_path: Path, monkeypatch: pyte
     assert read_asset(out).provenance["settings"]["error"] == 0.05
 
 
-def test_blocks_that_are_broken_are_not_there(tmp_path: Path) -> None:
+def test_damaged_blocks_are_treated_as_missing(tmp_path: Path) -> None:
     with Journal(tmp_path / "a.h5", {"seed": 1}, resume=False) as journal:
         journal.write("00-0", {"numbers": np.arange(5.0)})
     with Journal(tmp_path / "a.h5", {"seed": 1}, resume=True) as kept:

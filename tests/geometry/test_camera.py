@@ -1,4 +1,4 @@
-"""The camera: what its rays meet, what it frames, where it may not stand."""
+"""Cameras: hits of their rays, framing of the object, and eyes that are refused."""
 
 from dataclasses import replace
 
@@ -14,13 +14,13 @@ from tests.shapes import ball, ring
 MIDDLE = np.array([[0.5, 0.5]])
 
 
-def seen_from(mesh: Mesh, camera: Camera) -> np.ndarray:
-    """Where the mesh covers the picture, one ray a pixel: bool [H,W]."""
+def coverage(mesh: Mesh, camera: Camera) -> np.ndarray:
+    """Coverage of the picture by the mesh, one ray per pixel: bool [H,W]."""
     hits = Visibility(mesh).first_hits(*rays(camera, slice(None), MIDDLE).rows())
     return (hits.faces >= 0).reshape(camera.height, camera.width)
 
 
-def test_the_middle_ray_goes_to_the_target_and_the_edges_lie_half_the_field_of_view_off():
+def test_central_ray_hits_the_target_and_edges_are_half_the_field_of_view_away():
     camera = Camera(np.array([1.0, 2.0, 3.0]), np.array([4.0, -1.0, 2.0]), np.array([0.0, 3.0, 0.0]), 40.0, 3, 2)
     forward = (camera.target - camera.eye) / np.linalg.norm(camera.target - camera.eye)
     corner = np.array([[0.0, 0.0], [0.5, 0.0]])
@@ -35,7 +35,7 @@ def test_the_middle_ray_goes_to_the_target_and_the_edges_lie_half_the_field_of_v
     assert np.array_equal(directions(camera, slice(1, 2), corner), rays[1:2])
 
 
-def test_hits_are_those_of_a_sphere():
+def test_hits_agree_with_a_sphere():
     mesh = ball(5)
     rng = np.random.default_rng(1)
     origins = 3 * rng.normal(size=(2000, 3))
@@ -53,14 +53,14 @@ def test_hits_are_those_of_a_sphere():
     u, v = hits.barycentric[met].T[..., None]
     a, b, c = np.moveaxis(mesh.positions[mesh.faces[hits.faces[met]]], 1, 0)
     points = (1 - u - v) * a + u * b + v * c
-    # The point found lies on its ray, and on the near side of the ball.
+    # Hits are on their rays, on the near side of the ball.
     off = np.linalg.norm(np.cross(points - origins[met], rays[met]), axis=1)
     assert off.max() < 1e-5
     assert (np.sum(mesh.face_normals[hits.faces[met]] * rays[met], axis=1) < 1e-6).all()
 
 
 @pytest.mark.parametrize("distance", [3.0, 1e3, 1e6, 1e9])
-def test_a_far_eye_sees_as_sharply_as_a_near_one(distance):
+def test_distance_of_the_eye_costs_no_precision(distance):
     mesh = ball(4)
     rng = np.random.default_rng(2)
     points = rng.normal(size=(500, 2))
@@ -74,26 +74,26 @@ def test_a_far_eye_sees_as_sharply_as_a_near_one(distance):
     np.testing.assert_allclose(far.barycentric, near.barycentric, atol=1e-4)
 
 
-def test_pictures_do_not_depend_on_where_in_the_world_the_object_is():
+def test_pictures_do_not_depend_on_the_object_s_position():
     here = ball(4)
     there = build_mesh(here.positions + np.array([3e6, -1e6, 2e6]), here.faces)
-    assert np.array_equal(seen_from(here, fit(here, 40, 30)), seen_from(there, fit(there, 40, 30)))
+    assert np.array_equal(coverage(here, fit(here, 40, 30)), coverage(there, fit(there, 40, 30)))
 
 
-def test_nothing_behind_the_eye_is_met():
+def test_rays_hit_nothing_behind_the_eye():
     mesh = ball(3)
     away = Camera(np.array([0.0, 0.0, 3.0]), np.array([0.0, 0.0, 9.0]), np.array([0.0, 1.0, 0.0]), 60.0, 16, 16)
-    assert not seen_from(mesh, away).any()
+    assert not coverage(mesh, away).any()
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("size", [(40, 40), (80, 30), (30, 80)])
-def test_fit_shows_the_whole_object_as_large_as_it_can_be(size, up):
+def test_fit_fills_the_frame_with_the_object(size, up):
     mesh = build_mesh(ball(4).positions * [0.3, 1.0, 2.0] + [5.0, 0.0, 0.0], ball(4).faces)
-    covered = seen_from(mesh, fit(mesh, *size, up=up))
+    covered = coverage(mesh, fit(mesh, *size, up=up))
     assert covered.shape == size[::-1]
     assert not np.concatenate([covered[[0, -1]].ravel(), covered[:, [0, -1]].ravel()]).any()
-    # What reaches farthest leaves a margin of 8 % of the half frame, give or take a pixel.
+    # The tightest side has a margin of 8 % of the half frame, within a pixel.
     lines = [covered.any(axis=1), covered.any(axis=0)]
     margins = [min(line.argmax(), line[::-1].argmax()) - 0.5 * (1 - 1 / 1.08) * len(line) for line in lines]
     assert min(margins) < 1
@@ -101,17 +101,17 @@ def test_fit_shows_the_whole_object_as_large_as_it_can_be(size, up):
 
 @pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("orthographic", [False, True])
-def test_what_fits_all_round_fits_in_every_turn_of_the_eye(up, orthographic):
-    # Its length lies along the first view.
+def test_fit_to_all_turns_holds_for_every_turn(up, orthographic):
+    # The object is longest along the first view.
     mesh = build_mesh(ball(4).positions * ([0.6, 0.6, 3.0] if up == "y" else [0.6, 3.0, 0.6]) + 5.0, ball(4).faces)
     target = mesh.center + 0.2
 
     def margin(turns: int) -> int:
-        """The pixels that the picture's edge is off the object in the tightest of 24 turns."""
+        """Smallest distance in pixels between object and edge over 24 turns."""
         view, margins = fit(mesh, 60, 45, up=up, target=target, orthographic=orthographic, turns=turns), []
         for degrees in range(0, 360, 15):
             eye = target + rotation(degrees, up) @ (view.eye - target)
-            covered = seen_from(mesh, replace(view, eye=eye))
+            covered = coverage(mesh, replace(view, eye=eye))
             lines = [covered.any(axis=1), covered.any(axis=0)]
             margins.append(min(min(line.argmax(), line[::-1].argmax()) for line in lines))
         return min(margins)
@@ -121,7 +121,7 @@ def test_what_fits_all_round_fits_in_every_turn_of_the_eye(up, orthographic):
     assert margin(24) <= margin(3600) + 1
 
 
-def test_z_up_is_y_up_turned():
+def test_z_up_is_y_up_rotated():
     mesh = ball(3)
     turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     one = fit(build_mesh(mesh.positions * [1, 2, 3], mesh.faces), 20, 20, up="y")
@@ -130,9 +130,9 @@ def test_z_up_is_y_up_turned():
     np.testing.assert_allclose(other.up, turn @ one.up, atol=1e-12)
 
 
-def test_a_view_straight_down_the_up_axis_has_a_picture():
+def test_view_along_the_up_axis_works():
     mesh = ball(3)
-    assert seen_from(mesh, fit(mesh, 21, 21, eye=(0, 4, 0)))[10, 10]
+    assert coverage(mesh, fit(mesh, 21, 21, eye=(0, 4, 0)))[10, 10]
 
 
 @pytest.mark.parametrize(
@@ -141,19 +141,19 @@ def test_a_view_straight_down_the_up_axis_has_a_picture():
         ({"eye": (np.nan, 0, 0)}, "three finite numbers"),
         ({"eye": (1, 2)}, "three finite numbers"),
         ({"eye": (0, 0, 0)}, "off the target"),
-        ({"width": 0}, "0x8 pixels"),
-        ({"fov": 180.0}, "180 degrees"),
-        ({"fov": float("nan")}, "nan degrees"),
+        ({"width": 0}, "found 0x8"),
+        ({"fov": 180.0}, "between 0 and 180 degrees, found 180"),
+        ({"fov": float("nan")}, "between 0 and 180 degrees, found nan"),
         ({"up": "x"}, "'x'"),
     ],
 )
-def test_cameras_without_a_picture_are_refused(change, expected):
+def test_invalid_cameras_are_refused(change, expected):
     with pytest.raises(QueryError, match=expected):
         fit(ball(3), **{"width": 8, "height": 8, "eye": (0, 0, 5), **change})
 
 
 @pytest.mark.parametrize("inside_out", [False, True])
-def test_the_inside_is_refused_and_a_hole_is_not_inside(inside_out):
+def test_eye_inside_is_refused_but_a_hole_is_outside(inside_out):
     mesh = ring()
     if inside_out:
         mesh = build_mesh(mesh.positions, mesh.faces[:, ::-1])
@@ -164,7 +164,7 @@ def test_the_inside_is_refused_and_a_hole_is_not_inside(inside_out):
             refuse_eye_in_object(mesh, np.array(inside, np.float64))
 
 
-def test_an_eye_on_the_surface_is_refused():
+def test_eye_on_the_surface_is_refused():
     mesh = ring()
     triangle = mesh.positions[mesh.faces[7]]
     step = 1e-5 * mesh.diagonal * mesh.face_normals[7]
@@ -177,7 +177,7 @@ def test_an_eye_on_the_surface_is_refused():
         refuse_eye_in_object(Mesh(mesh.positions, collapsed, mesh.normals), triangle[0])
 
 
-def test_an_eye_in_line_with_an_edge_is_not_on_it():
+def test_eye_in_line_with_an_edge_is_accepted():
     mesh = ball(1)
     edges = mesh.positions[mesh.faces[:, 1]] - mesh.positions[mesh.faces[:, 0]]
     beyond = mesh.positions[mesh.faces[:, 1]] + 0.2 * edges
@@ -188,7 +188,7 @@ def test_an_eye_in_line_with_an_edge_is_not_on_it():
         refuse_eye_in_object(mesh, eye)
 
 
-def test_orthographic_rays_are_parallel_and_begin_in_the_plane_through_the_eye() -> None:
+def test_orthographic_rays_are_parallel_and_start_in_the_plane_through_the_eye() -> None:
     view = Camera(np.array([3.0, 1.0, -4.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), 30.0, 6, 4, 2.0)
     origins, towards = rays(view, slice(None), np.array([[0.5, 0.5], [0.0, 0.0]]))
     np.testing.assert_allclose(towards, np.broadcast_to(view.forward, towards.shape))
@@ -205,33 +205,33 @@ def test_orthographic_rays_are_parallel_and_begin_in_the_plane_through_the_eye()
 
 @pytest.mark.parametrize("eye", [None, [5.0, 1.0, 2.0], [0.0, -7.0, 0.01]])
 @pytest.mark.parametrize(("width", "height"), [(64, 64), (96, 32), (32, 96)])
-def test_an_orthographic_camera_frames_the_object_from_wherever_it_stands(eye, width, height) -> None:
+def test_orthographic_camera_frames_the_object_from_any_eye(eye, width, height) -> None:
     mesh = ring()
     view = fit(mesh, width, height, eye, orthographic=True)
-    seen = seen_from(mesh, view)
+    seen = coverage(mesh, view)
     assert seen.any()
     assert not np.concatenate([seen[[0, -1]].ravel(), seen[:, [0, -1]].ravel()]).any()
     assert max(seen.any(axis=0).mean(), seen.any(axis=1).mean()) > 0.8
 
 
-def test_what_is_seen_of_a_far_orthographic_camera_is_what_a_far_perspective_one_sees() -> None:
+def test_orthographic_picture_is_the_limit_of_distant_perspective() -> None:
     mesh = ring()
     far = 1e5 * np.array([0.3, 0.4, -0.8])
     parallel = fit(mesh, 48, 48, far, orthographic=True)
     distance = np.linalg.norm(far - parallel.target)
     fov = 2.0 * np.degrees(np.arctan(0.5 * parallel.extent / distance))
     perspective = fit(mesh, 48, 48, far, fov=fov)
-    assert (seen_from(mesh, parallel) != seen_from(mesh, perspective)).mean() < 0.01
+    assert (coverage(mesh, parallel) != coverage(mesh, perspective)).mean() < 0.01
     np.testing.assert_allclose(parallel.towards(mesh.positions) @ parallel.forward, -1.0)
 
 
-def test_a_camera_looks_where_it_is_told_to() -> None:
+def test_camera_looks_at_its_target() -> None:
     mesh = ball(3)
     view = fit(mesh, 33, 33, [0.0, 0.0, 5.0], target=[1.0, 0.0, 0.0], fov=60.0)
-    seen = seen_from(mesh, view)
+    seen = coverage(mesh, view)
     columns = np.flatnonzero(seen.any(axis=0))
     assert columns.mean() < 14
-    assert seen_from(mesh, fit(mesh, 33, 33, target=[0.5, 0.0, 0.0])).any()
+    assert coverage(mesh, fit(mesh, 33, 33, target=[0.5, 0.0, 0.0])).any()
     for wrong in (0.0, -1.0, np.inf, np.nan):
         with pytest.raises(QueryError, match="extent"):
             fit(mesh, 8, 8, extent=wrong)

@@ -1,4 +1,4 @@
-"""Parts that stick out of their parents: winding numbers and distances against shapes where both are known."""
+"""Protruding parts: winding numbers and distances of shapes for which both are known."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import trimesh
 
 from formats.mesh import build_mesh, write_mesh
 from formats.scene import read_scene
-from prt_bake.geometry.nesting import distances, winding
+from prt_bake.geometry.nesting import distances, winding_numbers
 from prt_bake.inspection.files import describe, find_faults, find_remarks
 from tests.tracer.scenes import moved, sphere, unit_directions
 
@@ -17,13 +17,13 @@ def box():
     return build_mesh(np.asarray(solid.vertices), np.asarray(solid.faces))
 
 
-def test_the_winding_number_is_one_inside_and_zero_outside(box):
+def test_winding_number_is_one_inside_and_zero_outside(box):
     points = np.random.default_rng(1).uniform(-2, 2, (2000, 3))
     inside = np.abs(points).max(axis=1) < 1
-    np.testing.assert_allclose(winding(box, points), inside, atol=1e-9)
+    np.testing.assert_allclose(winding_numbers(box, points), inside, atol=1e-9)
 
 
-def test_distances_to_a_box_are_those_of_its_formula(box):
+def test_distances_to_a_box_follow_its_formula(box):
     points = np.random.default_rng(2).uniform(-3, 3, (2000, 3))
     outwards = np.abs(points) - 1
     outside = np.linalg.norm(np.maximum(outwards, 0), axis=1)
@@ -42,19 +42,19 @@ def write_pair(folder, radius, offset):
 
 
 @pytest.mark.parametrize(("offset", "sticks_out"), [(0, False), (0.45, False), (0.6, True)])
-def test_a_part_that_sticks_out_is_remarked_upon(tmp_path, offset, sticks_out):
+def test_protruding_part_gives_a_remark(tmp_path, offset, sticks_out):
     path = write_pair(tmp_path, 0.5, offset)
     assert find_faults(path) == []
     remarks = find_remarks(path)
     assert len(remarks) == sticks_out
     if sticks_out:
-        # The farthest vertex, at 1.1, lies 0.1 outside a ball whose box has the diagonal 2√3.
+        # The farthest vertex, at 1.1, is 0.1 outside a ball whose bounding box has the diagonal 2√3.
         assert (
             f"'seed' sticks out of 'object' by {0.1 / read_scene(path).mesh.diagonal:.2g} of its diagonal" in remarks[0]
         )
 
 
-def test_a_dent_that_a_part_fills_is_found_by_the_parent_s_vertices(tmp_path):
+def test_dent_filled_by_a_part_is_found_by_the_parent_s_vertices(tmp_path):
     path = write_pair(tmp_path, 0.5, 0.0)
     dented = sphere(3).positions.copy()
     dented[np.argmax(dented[:, 0])] *= 0.2
@@ -64,13 +64,13 @@ def test_a_dent_that_a_part_fills_is_found_by_the_parent_s_vertices(tmp_path):
     assert "0 of 8 vertices" in find_remarks(path)[0]
 
 
-def test_far_from_the_surface_both_agree_on_a_ball():
+def test_winding_numbers_and_distances_far_from_a_ball():
     ball, points = sphere(3), unit_directions(200, 3) * np.linspace(1.5, 4, 200)[:, None]
     np.testing.assert_allclose(distances(ball, points), np.linalg.norm(points, axis=1) - 1, atol=0.02)
-    np.testing.assert_allclose(winding(ball, points), 0, atol=1e-9)
+    np.testing.assert_allclose(winding_numbers(ball, points), 0, atol=1e-9)
 
 
 def test_every_part_is_described(tmp_path):
-    told = describe(write_pair(tmp_path, 0.5, 0.0))
-    assert (told["parts"], told["seed: in"], told["seed: reflectance"]) == (2, "object", [0.1, 0.2, 0.3])
-    assert (told["eta"], told["sigma_t"]) == (1.0, 1.0)
+    described = describe(write_pair(tmp_path, 0.5, 0.0))
+    assert (described["parts"], described["seed: in"], described["seed: reflectance"]) == (2, "object", [0.1, 0.2, 0.3])
+    assert (described["eta"], described["sigma_t"]) == (1.0, 1.0)

@@ -1,4 +1,4 @@
-"""Laws of the importance module: what the fit recovers, what it lowers, that it repeats, and its files."""
+"""Tests of the importance module: its fit, its density, its reproducibility and its files."""
 
 import json
 import math
@@ -40,9 +40,9 @@ def ball() -> Mesh:
 
 
 class KnownLobe:
-    """Stands for a network: on a ball about the origin, a lobe about the normal or about the outgoing direction.
+    """A stand-in for a network: on a ball about the origin, a lobe about the normal or the outgoing direction.
 
-    σ is `sigma` on the equator and `slope` more at the pole.
+    σ is `sigma` on the equator and `sigma + slope` at the pole.
     """
 
     def __init__(
@@ -71,15 +71,15 @@ def fitted() -> ImportanceModule:
     return fit_importance(KNOWN, ball(), settings=settings, **FIT)
 
 
-def test_a_known_sigma_is_recovered(fitted: ImportanceModule) -> None:
-    """The transport is a lobe of the fit's own shape and uniform share, σ from 0.35 to 0.85 along z."""
+def test_the_fit_recovers_a_known_sigma(fitted: ImportanceModule) -> None:
+    """The transport is a lobe with the shape and uniform share of the fit, σ from 0.35 to 0.85 along z."""
     positions, outgoing, _normals = draw_queries(ball(), 77, seed=1)
     error = np.abs(fitted.sigma(positions, outgoing) / KNOWN.sigma(positions) - 1.0)
     assert np.quantile(error, 0.5) < 0.03
     assert np.quantile(error, 0.95) < 0.1
 
 
-def test_another_object_is_refused() -> None:
+def test_another_mesh_is_refused() -> None:
     network = NeuralBSSRDF(NetworkSettings(), (-0.5, -0.5, -0.5), 1.0)
     with pytest.raises(QueryError, match="outside the box that the model was trained in"):
         fit_importance(network, ball(), **FIT)
@@ -92,23 +92,23 @@ def test_the_fit_lowers_divergence_and_variance(fitted: ImportanceModule) -> Non
         assert fit["module"][quantity] < 0.3 * fit["constant"][quantity]
 
 
-def test_an_axis_of_its_own_finds_what_does_not_lie_about_the_normal() -> None:
-    transport, steps = KnownLobe(0.5, towards_eye=True, shape=3.0), {**FIT, "steps": 60}
-    tilted = fit_importance(transport, ball(), settings=SMALL, **steps).metadata["fit"]
-    upright = fit_importance(transport, ball(), settings=replace(SMALL, tilted=False), **steps).metadata["fit"]
+def test_a_tilted_axis_fits_lobes_that_are_not_about_the_normal() -> None:
+    transport, options = KnownLobe(0.5, towards_eye=True, shape=3.0), {**FIT, "steps": 60}
+    tilted = fit_importance(transport, ball(), settings=SMALL, **options).metadata["fit"]
+    upright = fit_importance(transport, ball(), settings=replace(SMALL, tilted=False), **options).metadata["fit"]
     assert tilted["module"]["divergence"] < 0.5 * upright["module"]["divergence"]
 
 
-def test_same_seed_and_steps_give_the_same_module_in_any_number_of_threads() -> None:
-    brief = {**FIT, "steps": 5}
+def test_the_fit_does_not_depend_on_the_number_of_threads() -> None:
+    options = {**FIT, "steps": 5}
     one, two = (
-        fit_importance(KnownLobe(0.5), ball(), settings=SMALL, **{**brief, "threads": threads}) for threads in (1, 2)
+        fit_importance(KnownLobe(0.5), ball(), settings=SMALL, **{**options, "threads": threads}) for threads in (1, 2)
     )
     for first, second in zip(one.state_dict().values(), two.state_dict().values(), strict=True):
         assert torch.equal(first, second)
 
 
-def test_the_size_of_the_values_does_not_matter_and_negative_ones_count_as_black() -> None:
+def test_targets_are_scale_invariant_and_negative_values_are_black() -> None:
     plain, dim = (gather_targets(KnownLobe(0.5, scale=scale), ball(), [0], 0) for scale in (1.0, 1e-4))
     np.testing.assert_allclose(plain.share, dim.share, rtol=1e-4)
     with pytest.raises(ModelError, match="black"):
@@ -116,12 +116,12 @@ def test_the_size_of_the_values_does_not_matter_and_negative_ones_count_as_black
 
 
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")
-def test_values_that_are_not_finite_are_refused_with_their_place() -> None:
+def test_values_that_are_not_finite_are_refused_with_their_position() -> None:
     with pytest.raises(ModelError, match="not finite"):
         gather_targets(KnownLobe(0.5, scale=math.nan), ball(), [0], 0)
 
 
-def test_queries_lie_above_their_faces_and_cover_the_surface() -> None:
+def test_queries_are_above_their_faces_and_cover_the_surface() -> None:
     positions, outgoing, normals = draw_queries(ball(), 0, seed=0)
     assert len(positions) == QUERIES_PER_BLOCK
     assert (np.sum(outgoing * normals, axis=1) >= 0.0).all()
@@ -129,47 +129,44 @@ def test_queries_lie_above_their_faces_and_cover_the_surface() -> None:
 
 
 @pytest.mark.parametrize(("sigma", "shape"), [(0.1, 2.0), (0.8, 3.0), (3.0, 1.0), (6.2, 2.0)])
-def test_density_that_learns_is_the_density_that_renders(sigma: float, shape: float) -> None:
+def test_the_density_of_the_fit_is_that_of_rendering(sigma: float, shape: float) -> None:
     cosine = np.cos(np.linspace(0.01, np.pi - 0.01, 60))
-    learnt = wrapped(torch.full((60,), sigma), shape, torch.as_tensor(cosine, dtype=torch.float32))
+    fitted = wrapped(torch.full((60,), sigma), shape, torch.as_tensor(cosine, dtype=torch.float32))
     expected = (lobe.density(sigma, shape, cosine) - 0.1 / (4 * np.pi)) / 0.9
-    np.testing.assert_allclose(learnt.numpy(), expected, rtol=2e-3, atol=1e-6)
+    np.testing.assert_allclose(fitted.numpy(), expected, rtol=2e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("lobes", [1, 3])
-def test_lobe_of_the_module_is_what_it_was_fitted_as(lobes: int) -> None:
+def test_the_modules_lobe_has_the_density_of_the_fit(lobes: int) -> None:
     module = ImportanceModule(replace(SMALL, lobes=lobes), (-1, -1, -1), 2.0)
     with torch.no_grad():
         module.output.weight.normal_(0.0, 0.5, generator=torch.Generator().manual_seed(1))
     targets = gather_targets(KnownLobe(0.5), ball(), [0], 0)
     tensors = TargetTensors.of(targets)
-    learnt = density(module, tensors, torch.arange(20)).detach().numpy()
+    fitted = density(module, tensors, torch.arange(20)).detach().numpy()
     rendered = module.lobe(targets.positions[:20], targets.outgoing[:20], targets.normals[:20])
-    np.testing.assert_allclose(learnt, rendered.density(targets.directions[targets.turn[:20]]), rtol=5e-3)
+    np.testing.assert_allclose(fitted, rendered.density(targets.directions[targets.turn[:20]]), rtol=5e-3)
 
 
 def test_f_over_density_is_bounded_by_the_uniform_share(fitted: ImportanceModule) -> None:
-    """Back light included: the directions are all around, the lobe is about the normal."""
+    """For directions all around, behind the surface too, and a lobe about the normal."""
     targets = gather_targets(KnownLobe(0.5), ball(), [0], 0)
     rendered = fitted.lobe(targets.positions, targets.outgoing, targets.normals)
     ratio = 1.0 / rendered.density(targets.directions[targets.turn])
     assert ratio.max() <= 4.0 * np.pi / 0.1 * (1.0 + 1e-12)
 
 
-def test_variance_of_uniform_directions_is_that_of_the_values() -> None:
+def test_the_variance_of_uniform_directions_is_that_of_the_values() -> None:
     share = torch.tensor([[0.5, 0.5, 0.0, 0.0]])
     assert float(variance(share, torch.full((1, 4), 1.0 / (4.0 * math.pi)))) == pytest.approx(1.0)
 
 
-def test_a_fresh_module_is_the_same_lobe_everywhere() -> None:
+def test_a_new_module_predicts_the_same_lobe_everywhere() -> None:
     for settings in IMPORTANCE_PRESETS.values():
         positions, outgoing, normals = draw_queries(ball(), 0, seed=0)
         module = ImportanceModule(settings, (-1, -1, -1), 2.0)
         np.testing.assert_allclose(module.sigma(positions, outgoing), 0.85, rtol=1e-5)
         np.testing.assert_allclose(module.lobe(positions, outgoing, normals).axes[:, 0], normals, atol=1e-12)
-
-
-# Files
 
 
 @pytest.fixture(scope="module")
@@ -182,11 +179,11 @@ def saved(tmp_path_factory: pytest.TempPathFactory, fitted: ImportanceModule) ->
 
 @pytest.fixture
 def model(saved: Path, tmp_path: Path) -> Path:
-    """A copy that a test may damage."""
+    """A copy for a test to damage."""
     return Path(shutil.copytree(saved, tmp_path / "copy")) / "ball.pt"
 
 
-def test_the_file_lies_beside_its_model_and_gives_the_same_lobes_back(model: Path, fitted: ImportanceModule) -> None:
+def test_the_file_is_beside_its_model_and_restores_the_module(model: Path, fitted: ImportanceModule) -> None:
     assert (model.parent / "ball.importance.pt").is_file()
     again = load_importance(model)
     assert (again.settings, again.metadata) == (fitted.settings, fitted.metadata)
@@ -194,7 +191,7 @@ def test_the_file_lies_beside_its_model_and_gives_the_same_lobes_back(model: Pat
     np.testing.assert_array_equal(again.sigma(positions, outgoing), fitted.sigma(positions, outgoing))
 
 
-def test_a_missing_module_is_told_with_the_command_that_makes_it(model: Path) -> None:
+def test_a_missing_module_is_reported_with_the_command_that_fits_one(model: Path) -> None:
     importance_path(model).unlink()
     with pytest.raises(ModelError, match=r"ball\.importance\.pt.*prtbake importance .*ball\.pt MESH"):
         load_importance(model)
@@ -206,14 +203,14 @@ def test_a_module_of_another_model_is_refused(model: Path) -> None:
         load_importance(model)
 
 
-def test_a_missing_model_is_told(model: Path) -> None:
+def test_a_missing_model_is_reported(model: Path) -> None:
     model.unlink()
     with pytest.raises(StorageError, match="no such file"):
         load_importance(model)
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "told"),
+    ("key", "value", "message"),
     [
         ("format", "prtbake model", "prtbake importance"),
         ("settings", {"features": 10**13}, "shape"),
@@ -228,12 +225,12 @@ def test_a_missing_model_is_told(model: Path) -> None:
         ("metadata", 3, "not readable"),
     ],
 )
-def test_a_hostile_description_is_refused(model: Path, key: str, value: Any, told: str) -> None:
+def test_a_hostile_description_is_refused(model: Path, key: str, value: Any, message: str) -> None:
     text, tensors = read_checkpoint(importance_path(model))
     head = json.loads(text)
     head[key] = {**head[key], **value} if isinstance(value, dict) else value
     write_checkpoint(importance_path(model), json.dumps(head), tensors)
-    with pytest.raises(ModelError, match=rf"ball\.importance\.pt.*{told}.*prtbake importance"):
+    with pytest.raises(ModelError, match=rf"ball\.importance\.pt.*{message}.*prtbake importance"):
         load_importance(model)
 
 
@@ -255,14 +252,14 @@ def test_a_truncated_file_is_refused(model: Path, length: int) -> None:
         load_importance(model)
 
 
-def test_the_command_writes_what_info_and_check_understand(prtbake: Run, folder: Path) -> None:
+def test_info_and_check_read_the_file_that_the_command_writes(prtbake: Run, folder: Path) -> None:
     made = prtbake("importance", "model.pt", "sphere.ply", "--steps", 2)
     assert made.code == 0, made.err
     assert "KL divergence" in made.out
     assert prtbake("check", "model.importance.pt") == (0, "model.importance.pt: sound\n", "")
-    told = json.loads(prtbake("info", "model.importance.pt", "--json").out)
-    assert told["kind"] == "importance"
-    assert told["fit"]["steps"] == 2
+    info = json.loads(prtbake("info", "model.importance.pt", "--json").out)
+    assert info["kind"] == "importance"
+    assert info["fit"]["steps"] == 2
     importance_path(folder / "model.pt").rename(folder / "other.importance.pt")
     assert prtbake("check", "other.importance.pt").code == 1
     (folder / "other.importance.pt").unlink()

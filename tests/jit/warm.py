@@ -8,7 +8,7 @@ import numpy as np
 
 from prt_bake.geometry.surface import Surface
 from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
-from prt_bake.tracer.light_samples import walk_out
+from prt_bake.tracer.light_samples import sample_exits
 from tests.tracer.scenes import make_scene, queries, sphere, unit_directions
 
 
@@ -22,7 +22,7 @@ def main() -> None:
     estimate_transport(scene, positions, outgoing, unit_directions(2, 3), 2)
     estimate_coefficients(scene, positions, outgoing, 1, 2)
     location = Surface(scene.mesh).locate(positions, outgoing)
-    walk_out(scene, location.faces, location.barycentric, outgoing, np.arange(2, dtype=np.uint64), 2, 1)
+    sample_exits(scene, location.faces, location.barycentric, outgoing, np.arange(2, dtype=np.uint64), 2, 1)
 
 
 if __name__ == "__main__":

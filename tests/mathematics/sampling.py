@@ -1,6 +1,6 @@
-"""Samples held against a density: counts in cells by chi-square, means by z.
+"""Statistical tests of samplers: chi-square for counts in cells, z-tests for means.
 
-Each single test would fail a sound sampler with probability FALSE_ALARM, had its seed not been fixed.
+With a random seed each single test would fail a correct sampler with probability FALSE_ALARM.
 """
 
 import math
@@ -16,7 +16,7 @@ SAMPLES = 200_000
 
 
 def assert_counts_follow(counts, probabilities):
-    """Chi-square of counts against probabilities that sum to 1; cells that expect too few are taken together."""
+    """Chi-square test of counts against probabilities that sum to 1; cells with too few expected counts are merged."""
     assert probabilities.sum() == pytest.approx(1.0, abs=1e-4)
     assert counts[probabilities == 0.0].sum() == 0
     expected = counts.sum() * probabilities
@@ -36,7 +36,7 @@ def assert_mean_is(values, expected):
 
 
 class SphereCells:
-    """The sphere cut into rings of equal height and sectors: integrals by 4×4 Gauss points a cell, and counts."""
+    """Cells of the sphere by rings of equal height and sectors: counts, and integrals by 4×4 Gauss points per cell."""
 
     def __init__(self, rings, sectors):
         self.rings, self.sectors = rings, sectors
@@ -49,7 +49,7 @@ class SphereCells:
         self.point_weights = np.outer(weights, weights) * np.pi / (rings * sectors)
 
     def integrate(self, values):
-        """∫ over each cell [cells]."""
+        """Integral over each cell [cells]."""
         table = values.reshape(self.rings, 4, self.sectors, 4)
         return np.einsum("iajb,ab->ij", table, self.point_weights).ravel()
 

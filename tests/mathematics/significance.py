@@ -1,15 +1,15 @@
-"""How far chance may take a figure: thresholds with a stated rate of false alarms."""
+"""Significance thresholds with a stated false-alarm rate."""
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
 FALSE_ALARM = 1e-4
-"""The probability that a test of this kind fails by chance when its seed is changed, unless it says otherwise."""
+"""Probability that a test fails by chance after a change of its seed, unless stated otherwise."""
 
 
 def largest_z(count: int, false_alarm: float = FALSE_ALARM) -> float:
-    """What the largest |z| of `count` normal figures stays below, dependent or not (Bonferroni)."""
+    """Bound of the largest |z| of `count` normal figures, dependent or not (Bonferroni)."""
     return float(stats.norm.isf(0.5 * false_alarm / count))
 
 
@@ -22,7 +22,7 @@ def z_scores(a: ArrayLike, a_error: ArrayLike, b: ArrayLike, b_error: ArrayLike 
 
 
 def assert_agree(a: ArrayLike, a_error: ArrayLike, b: ArrayLike, b_error: ArrayLike = 0.0) -> None:
-    """Every figure of `a` agrees with `b` within both errors, at FALSE_ALARM for all of them together."""
+    """Assert that all figures of `a` agree with `b` within both errors, at FALSE_ALARM for all of them together."""
     z = z_scores(a, a_error, b, b_error)
     limit = largest_z(z.size)
     worst = np.unravel_index(np.argmax(np.abs(z)), z.shape)

@@ -1,4 +1,4 @@
-"""Sets of directions: unit, keyed by their seed, uniform, and unbiased under random rotations."""
+"""Sets of directions: unit length, dependence on the seed, uniformity, and unbiasedness under random rotations."""
 
 import math
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from scipy.stats import chi2
 from formats.errors import QueryError
 from prt_bake.mathematics import sh, sphere
 
-FALSE_ALARM = 1e-6  # chance that a sound set would have failed, had the seed not been fixed
+FALSE_ALARM = 1e-6  # probability that a correct set fails with a random seed
 
 
 def on_square(directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(1 − z)/2 and φ/2π, each in [0, 1): uniform on the square exactly if the directions are uniform on the sphere."""
+    """(1 − z)/2 and φ/2π in [0, 1): uniform on the square if and only if the directions are uniform on the sphere."""
     x, y, z = np.moveaxis(directions, -1, 0)
     return np.stack([(1 - z) / 2, np.arctan2(y, x) / (2 * math.pi) % 1], axis=-1)
 
@@ -36,7 +36,7 @@ def test_directions_are_unit(directions: NDArray[np.float64]) -> None:
 
 
 @pytest.mark.parametrize("draw", [sphere.uniform, sphere.sobol, sphere.random_rotations])
-def test_sets_are_keyed_by_seed_and_index(draw: Callable[[int, int], NDArray[np.float64]]) -> None:
+def test_sets_depend_on_seed_and_index_alone(draw: Callable[[int, int], NDArray[np.float64]]) -> None:
     np.testing.assert_array_equal(draw(40, 3), draw(64, 3)[:40])
     assert not np.isclose(draw(40, 3), draw(40, 4)).all(axis=tuple(range(1, draw(1, 3).ndim))).any()
 
@@ -70,14 +70,14 @@ def test_scrambled_sobol_is_a_net(seed: int) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 16, 64, 333])
-def test_lattice_rows_have_equal_height_and_turn_by_the_golden_angle(count: int) -> None:
+def test_lattice_rows_have_equal_height_and_advance_by_the_golden_angle(count: int) -> None:
     square = on_square(sphere.fibonacci(count))
     np.testing.assert_allclose(square[:, 0], (np.arange(count) + 0.5) / count, atol=1e-14)
     steps = np.diff(square[:, 1]) % 1
     np.testing.assert_allclose(steps, 2 / (1 + math.sqrt(5)), atol=1e-12)
 
 
-def test_lattice_integrates_low_degrees_far_better_than_chance() -> None:
+def test_lattice_integrates_low_degrees_far_better_than_random_directions() -> None:
     count = 2_048
     sums = 4 * math.pi / count * sh.evaluate(sphere.fibonacci(count), 6).sum(axis=0)
     sums[0] -= math.sqrt(4 * math.pi)
@@ -91,7 +91,7 @@ def test_rotations_are_proper_and_orthogonal() -> None:
     np.testing.assert_allclose(np.linalg.det(rotations), 1, atol=1e-14)
 
 
-def test_rotations_take_any_axis_anywhere() -> None:
+def test_rotated_axes_are_uniform() -> None:
     rotations = sphere.random_rotations(40_000, 5)
     for axis in np.eye(3):
         assert_uniform(rotations @ axis)
@@ -108,7 +108,7 @@ def test_rotation_angles_have_the_density_of_the_haar_measure() -> None:
 
 
 def test_rotated_lattice_is_unbiased() -> None:
-    """A fixed lattice of 16 directions misses integrals of degrees 1 to 8; over random rotations its mean does not."""
+    """A fixed lattice of 16 directions errs for degrees 1 to 8; the mean over random rotations does not."""
     lattice, rotations = sphere.fibonacci(16), sphere.random_rotations(3_000, 7)
     harmonics = sh.evaluate(np.einsum("rij,dj->rdi", rotations, lattice), 8)
     estimates = 4 * math.pi / 16 * harmonics.sum(axis=1)
@@ -121,7 +121,7 @@ def test_rotated_lattice_is_unbiased() -> None:
     assert (np.abs(deviation) < 5 * sigma).all()
 
 
-def test_equal_seeds_do_not_tie_the_uses_together() -> None:
+def test_sets_with_equal_seeds_are_independent() -> None:
     directions, rotations = sphere.uniform(20_000, 8), sphere.random_rotations(20_000, 8)
     for column in range(3):
         correlation = (directions * rotations[:, :, column]).sum(axis=-1).mean()

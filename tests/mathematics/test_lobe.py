@@ -1,4 +1,4 @@
-"""Laws of the lobes: the density integrates to 1, draws follow it, extremes stay finite and right."""
+"""Lobes: the density integrates to 1, samples follow it, and extremes are finite and correct."""
 
 import math
 
@@ -16,7 +16,7 @@ RNG = np.random.default_rng(1)
 
 
 def angles(sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss nodes and weights over [0, π], refined towards both poles and over the lobe's own width."""
+    """Gauss nodes and weights over [0, π], refined towards both poles and over the width of the lobe."""
     near = np.geomspace(1e-6, np.pi, 120)
     own = np.minimum(np.linspace(0.0, 40.0 * sigma, 200), np.pi)
     edges = np.unique(np.concatenate([[0.0], near, np.pi - near[:-1], own, [np.pi]]))
@@ -39,7 +39,7 @@ def test_density_integrates_to_one(sigma: float, shape: float) -> None:
 
 
 @pytest.mark.parametrize("shape", [1.0, 2.0, 3.0])
-def test_sigma_is_the_standard_deviation_of_each_coordinate_in_the_plane(shape: float) -> None:
+def test_sigma_is_the_standard_deviation_of_each_planar_coordinate(shape: float) -> None:
     """A lobe too narrow to wrap: E[θ²] = 2σ²."""
     theta, weights = angles(0.05)
     own = (lobe.density(0.05, shape, np.cos(theta)) - 0.1 / (4 * np.pi)) / 0.9
@@ -47,7 +47,7 @@ def test_sigma_is_the_standard_deviation_of_each_coordinate_in_the_plane(shape: 
     assert second == pytest.approx(2.0 * 0.05**2, rel=1e-6)
 
 
-def test_gaussian_is_the_sum_over_its_wraps_written_out() -> None:
+def test_gaussian_is_the_sum_over_its_wraps() -> None:
     theta, sigma = np.array([0.3, 1.0, 2.0, 3.0]), 1.7
     radii = np.abs(theta[:, None] + 2.0 * np.pi * np.arange(-6, 7))
     planar = radii * np.exp(-(radii**2) / (2 * sigma**2)) / (2 * np.pi * sigma**2)
@@ -57,7 +57,7 @@ def test_gaussian_is_the_sum_over_its_wraps_written_out() -> None:
 
 @pytest.mark.parametrize("shape", [1.0, 2.0, 2.7])
 @pytest.mark.parametrize("sigma", [0.3, 1.1, 31.4])
-def test_draws_follow_the_density(sigma: float, shape: float) -> None:
+def test_samples_follow_the_density(sigma: float, shape: float) -> None:
     """Chi-square over 48×4 cells about an oblique axis, and the mean of 1/density, which is the sphere's area."""
     axis = np.array([0.6, -0.48, -0.64])
     draws = lobe.draw(
@@ -87,12 +87,12 @@ def test_density_is_finite_and_never_below_the_uniform_share(shape: float) -> No
         assert values.min() >= 0.1 / (4 * np.pi)
 
 
-def test_on_the_axis_a_narrow_lobe_has_its_planar_peak() -> None:
+def test_narrow_lobe_has_its_planar_peak_on_the_axis() -> None:
     expected = 0.9 / (2 * np.pi * 1e-3**2) + 0.1 / (4 * np.pi)
     assert lobe.density(1e-3, 2.0, 1.0) == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_very_wide_lobe_is_uniform_in_angle() -> None:
+def test_very_wide_lobe_is_uniform_in_angle() -> None:
     theta = np.linspace(0.1, 3.0, 7)
     expected = 0.9 / (2.0 * np.pi**2 * np.sin(theta)) + 0.1 / (4 * np.pi)
     np.testing.assert_allclose(lobe.density(100.0, 2.0, np.cos(theta)), expected, rtol=1e-3)
@@ -108,13 +108,13 @@ def test_extreme_numbers_give_unit_directions(shape: float) -> None:
             np.testing.assert_allclose(np.linalg.norm(draws, axis=1), 1.0, atol=1e-12)
 
 
-def test_several_lobes_draw_what_their_sum_says() -> None:
-    """Chi-square of draws of two queries against the density of their three lobes."""
+def test_samples_of_several_lobes_follow_their_sum() -> None:
+    """Chi-square of samples of two queries against the density of their three lobes."""
     axes, cells = unit(2, 3), SphereCells(24, 12)
     lobes = Lobe(axes, np.array([[0.3, 0.6, 0.5], [0.4, 0.5, 0.5]]), np.array([[0.5, 0.3, 0.2], [0.2, 0.0, 0.8]]), 3.0)
     draws = lobes.draw(np.random.default_rng(5).random((2, SAMPLES, 3)))
     assert draws.shape == (2, SAMPLES, 3)
-    # Steep lobes: the integral is taken over cells four times finer, and summed.
+    # Steep lobes: integrate over cells four times as fine, and sum.
     fine = SphereCells(24 * 4, 12 * 4)
     density = lobes.density(np.broadcast_to(fine.directions, (2, *fine.directions.shape)))
     for query in range(2):
@@ -122,7 +122,7 @@ def test_several_lobes_draw_what_their_sum_says() -> None:
         assert_counts_follow(cells.count(draws[query]), shares)
 
 
-def test_one_lobe_about_the_normal_is_the_plain_functions() -> None:
+def test_one_lobe_about_the_normal_equals_the_plain_functions() -> None:
     normals, numbers, sigma = unit(5), RNG.random((5, 2, 3)), RNG.uniform(0.1, 2.0, 5)
     lobes = Lobe(normals[:, None], sigma[:, None], np.ones((5, 1)), 2.0)
     draws = lobes.draw(numbers)
@@ -134,6 +134,6 @@ def test_one_lobe_about_the_normal_is_the_plain_functions() -> None:
 @pytest.mark.parametrize(
     ("sigma", "shape", "share"), [(0.0, 2, 0.1), (math.nan, 2, 0.1), (1.0, 0, 0.1), (1, 2, 0), (1, 2, 1.5)]
 )
-def test_what_is_no_lobe_is_refused(sigma: float, shape: float, share: float) -> None:
+def test_invalid_lobes_are_refused(sigma: float, shape: float, share: float) -> None:
     with pytest.raises(QueryError, match="lobe"):
         lobe.density([sigma, 1.0], shape, [0.5, 0.5], share)

@@ -1,7 +1,7 @@
-"""Figures against a noisy reference: without bias, and with intervals that hold the truth as often as they say.
+"""Error figures relative to a noisy reference are unbiased, and their intervals have the stated coverage.
 
-No path tracing here. Rates are counted over repeated trials and held against binomial bounds; every bound would fail a
-sound figure with probability FALSE_ALARM, had the seeds not been fixed.
+No path tracing here. Coverages over repeated trials are compared with binomial bounds. With random seeds each bound
+would fail a correct figure with probability FALSE_ALARM.
 """
 
 import numpy as np
@@ -25,32 +25,32 @@ FALSE_ALARM = 1e-5
 
 
 def noisy_reference(truth: np.ndarray, noise: float, batches: int, generator: np.random.Generator) -> Replicates:
-    """Estimates whose noise is skewed and grows with the value, as walks' is; `noise` is that of their mean."""
-    reference = Replicates.of(truth.shape)
+    """Estimates with skewed noise proportional to the value, as of walks; `noise` is the relative one of their mean."""
+    reference = Replicates.empty(truth.shape)
     for _ in range(batches):
         drawn = generator.exponential(size=truth.shape) - 1.0
         reference.add(truth * (1.0 + noise * np.sqrt(batches) * drawn))
     return reference
 
 
-def test_replicates_know_their_mean_and_its_variance() -> None:
+def test_replicates_give_mean_and_variance_of_the_mean() -> None:
     estimates = np.random.default_rng(1).exponential(size=(9, 4, 3)) + 100.0
-    reference = Replicates.of((4, 3))
+    reference = Replicates.empty((4, 3))
     for estimate in estimates:
         reference.add(estimate)
     np.testing.assert_allclose(reference.mean, estimates.mean(axis=0), rtol=1e-12)
     np.testing.assert_allclose(reference.variance, estimates.var(axis=0, ddof=1) / 9, rtol=1e-9)
 
 
-def test_one_replicate_tells_no_noise() -> None:
-    reference = Replicates.of((2,))
+def test_one_replicate_gives_no_variance() -> None:
+    reference = Replicates.empty((2,))
     reference.add([1.0, 2.0])
-    with pytest.raises(QueryError, match="1 where at least 2"):
+    with pytest.raises(QueryError, match="expected at least 2 to estimate the noise, found 1"):
         _ = reference.variance
 
 
 @pytest.mark.parametrize("error", [0.0, 0.02, 0.05])
-def test_the_noise_is_taken_out_without_bias_even_where_it_exceeds_the_error(error: float) -> None:
+def test_error_is_unbiased_even_if_the_noise_exceeds_it(error: float) -> None:
     generator = np.random.default_rng(2)
     truth = generator.exponential(size=(256, 12))
     found = []
@@ -59,62 +59,64 @@ def test_the_noise_is_taken_out_without_bias_even_where_it_exceeds_the_error(err
         found.append(clusters.error.sum() / clusters.value.sum())
     off = np.mean(found) - error**2
     assert abs(off) < norm.isf(FALSE_ALARM / 2) * np.std(found, ddof=1) / np.sqrt(len(found))
-    # The trials are sharp enough to tell: leaving the noise in would be seen.
+    # The trials are precise enough to detect uncorrected noise.
     assert np.std(found, ddof=1) / np.sqrt(len(found)) < 0.05**2 / 20
     assert relative_noise(clusters) == pytest.approx(0.05, rel=0.1)
 
 
 @pytest.mark.parametrize("spread", [0.3, 1.0])
-def test_intervals_of_the_relative_rmse_hold_the_truth(spread: float) -> None:
-    """At least 90 of 100 where few queries carry much of the error (the log of a query's error scatters by 1)."""
+def test_intervals_of_the_relative_rmse_cover_the_truth(spread: float) -> None:
+    """At least 90 of 100 if few queries dominate the error (spread 1: the log of a query's error has this
+    deviation).
+    """
     generator, trials = np.random.default_rng(3), 250
     true = 0.05 * np.exp(spread**2 / 4)
-    held = 0
+    covered = 0
     for trial in range(trials):
         value = np.exp(0.5 * generator.normal(size=256))
         error = 0.05**2 * np.exp(0.125 + spread * generator.normal(size=256))
         noise = 0.03**2 * generator.normal(size=256) + 2 * 0.02 * np.sqrt(error) * generator.normal(size=256)
         interval = relative_rmse(Sums(error + noise, value, np.full(256, 0.03**2)), trial)
-        held += interval.low <= true <= interval.high
+        covered += interval.low <= true <= interval.high
     least = 0.92 if spread < 0.5 else 0.9
-    assert held >= binom.ppf(FALSE_ALARM, trials, least)
-    assert held <= binom.isf(FALSE_ALARM, trials, 0.97)
+    assert covered >= binom.ppf(FALSE_ALARM, trials, least)
+    assert covered <= binom.isf(FALSE_ALARM, trials, 0.97)
 
 
-def test_intervals_of_a_signed_ratio_hold_the_truth() -> None:
+def test_intervals_of_a_signed_ratio_cover_the_truth() -> None:
     generator, trials = np.random.default_rng(4), 250
-    held = 0
+    covered = 0
     for trial in range(trials):
         value = generator.gamma(2.0, size=128)
         interval = ratio(0.02 * value + 0.1 * generator.normal(size=128) * value, value, trial)
-        held += interval.low <= 0.02 <= interval.high
-    assert binom.ppf(FALSE_ALARM, trials, 0.92) <= held <= binom.isf(FALSE_ALARM, trials, 0.97)
+        covered += interval.low <= 0.02 <= interval.high
+    assert binom.ppf(FALSE_ALARM, trials, 0.92) <= covered <= binom.isf(FALSE_ALARM, trials, 0.97)
 
 
 @pytest.mark.parametrize("noise", [0.33, 1.0])
 @pytest.mark.parametrize("variation", [0.35, 0.8])
-def test_the_percentile_over_positions_is_that_of_the_positions(noise: float, variation: float) -> None:
-    """Within 4 % on average, where scattering looks alone raise it by up to 13 %, and held by 87 of 100 intervals."""
+def test_percentile_over_positions_excludes_the_noise(noise: float, variation: float) -> None:
+    """Within 4 % on average, where noise raises the uncorrected one by up to 13 %; 87 of 100 intervals cover it."""
     generator, trials = np.random.default_rng(5), 60
     shape = variation**-2
     true = np.sqrt(np.quantile(generator.gamma(shape, 1 / shape, size=1_000_000), 0.95))
-    values, plain, held = [], [], 0
+    values, plain, covered = [], [], 0
     for trial in range(trials):
         position = generator.gamma(shape, 1 / shape, size=(192, 1))
-        look = position * generator.exponential(size=(192, 8))
+        strength = position * generator.exponential(size=(192, 8))
         difference = generator.normal(size=(192, 8, 8))
-        difference *= np.sqrt(look / (difference**2).sum(axis=2))[..., None]
-        seen = difference + noise / np.sqrt(8) * generator.normal(size=difference.shape)
-        interval, uncorrected = percentile_over((seen**2).sum(axis=2) - noise**2, np.ones((192, 8)), trial)
+        difference *= np.sqrt(strength / (difference**2).sum(axis=2))[..., None]
+        noisy = difference + noise / np.sqrt(8) * generator.normal(size=difference.shape)
+        interval, uncorrected = percentile_over((noisy**2).sum(axis=2) - noise**2, np.ones((192, 8)), trial)
         values.append(interval.value)
         plain.append(uncorrected)
-        held += interval.low <= true <= interval.high
+        covered += interval.low <= true <= interval.high
     assert np.mean(values) == pytest.approx(true, rel=0.04)
     assert np.mean(plain) > np.mean(values)
-    assert held >= binom.ppf(FALSE_ALARM, trials, 0.87)
+    assert covered >= binom.ppf(FALSE_ALARM, trials, 0.87)
 
 
-def test_the_percentile_of_signed_errors_is_that_without_their_noise() -> None:
+def test_percentile_of_signed_errors_excludes_their_noise() -> None:
     generator = np.random.default_rng(6)
     true = np.quantile(np.abs(0.01 + 0.01 * generator.normal(size=1_000_000)), 0.95)
     values, plain = [], []
@@ -127,16 +129,16 @@ def test_the_percentile_of_signed_errors_is_that_without_their_noise() -> None:
     assert np.mean(plain) > 1.1 * true
 
 
-def test_positions_that_are_all_alike_show_no_spread() -> None:
+def test_equal_positions_show_no_spread() -> None:
     generator = np.random.default_rng(7)
-    looks = 1.0 + 0.5 * generator.normal(size=(192, 8))
-    interval, uncorrected = percentile_over(looks, np.ones((192, 8)), 0)
+    samples = 1.0 + 0.5 * generator.normal(size=(192, 8))
+    interval, uncorrected = percentile_over(samples, np.ones((192, 8)), 0)
     assert interval.value == pytest.approx(1.0, abs=0.1)
     assert uncorrected > 1.1
 
 
 @pytest.mark.parametrize(
-    ("interval", "verdict"),
+    ("interval", "expected"),
     [
         (Interval(0.01, 0.0, 0.02), "met"),
         (Interval(-0.01, -0.029, 0.02), "met"),
@@ -146,8 +148,8 @@ def test_positions_that_are_all_alike_show_no_spread() -> None:
         (Interval(0.01, np.nan, np.nan), "undecided"),
     ],
 )
-def test_a_bound_is_met_missed_or_undecided(interval: Interval, verdict: str) -> None:
-    assert interval.within(0.03) == verdict
+def test_bound_is_met_not_met_or_undecided(interval: Interval, expected: str) -> None:
+    assert interval.within(0.03) == expected
 
 
 def test_too_few_clusters_give_no_interval() -> None:
@@ -156,7 +158,7 @@ def test_too_few_clusters_give_no_interval() -> None:
     assert np.isnan(interval.low)
 
 
-def test_an_exact_ratio_has_an_interval_without_width() -> None:
+def test_exact_ratio_has_an_interval_of_no_width() -> None:
     values = np.arange(1.0, 33.0)
     interval = ratio(0.25 * values, values, 0)
     assert (interval.low, interval.high) == pytest.approx((0.25, 0.25), rel=1e-6)

@@ -1,4 +1,4 @@
-"""Numbers keyed by integers: a known sequence, independence of everything but the keys, uniformity."""
+"""Counter-based random numbers: a known sequence, dependence on the keys alone, uniformity."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,11 @@ from scipy.stats import chi2
 
 from prt_bake.mathematics import random
 
-FALSE_ALARM = 1e-6  # chance that a sound generator would have failed, had the seed not been fixed
+FALSE_ALARM = 1e-6  # probability that a correct generator fails with a random seed
 
 
 def test_sequence_is_splitmix64() -> None:
-    # The first words of the author's reference program for the seed 1234567.
+    # The first words of the author's reference implementation for the seed 1234567.
     expected = [6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431]
     assert random.stream(1234567, 4).tolist() == expected
 
@@ -33,7 +33,7 @@ def test_negative_keys_count_modulo_2_to_64() -> None:
 
 
 @pytest.mark.parametrize("key", [0.5, 2**64, "seed"])
-def test_keys_that_are_no_integers_are_refused(key: object) -> None:
+def test_non_integer_keys_are_refused(key: object) -> None:
     with pytest.raises(TypeError, match="expected integers"):
         random.uniforms((key,), 1)  # type: ignore[arg-type]
 
@@ -57,7 +57,7 @@ def test_pairs_are_uniform_along_the_stream_and_across_keys(shift: int) -> None:
         assert statistic < chi2.isf(FALSE_ALARM, counts.size - 1)
 
 
-def test_one_bit_of_a_key_turns_half_the_bits() -> None:
+def test_one_bit_of_a_key_flips_half_the_bits() -> None:
     keys = np.arange(2_000, dtype=np.uint64)
     for bit in (0, 1, 31, 63):
         changed = random.words((keys,), 1) ^ random.words((keys ^ np.uint64(1 << bit),), 1)

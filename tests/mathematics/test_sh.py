@@ -1,4 +1,4 @@
-"""Laws of the real harmonics; one literal table pins their signs and order."""
+"""Properties of the real harmonics, and a literal table of their signs and order."""
 
 import math
 
@@ -49,7 +49,7 @@ def test_orthonormal_to_degree_20() -> None:
 
 
 def scipy_harmonics(directions: NDArray[np.float64], l: int) -> NDArray[np.float64]:
-    """The band `l` [D, 2l + 1] from the complex harmonics of scipy, which carry the Condon–Shortley phase."""
+    """Band `l` [D, 2l + 1] from SciPy's complex harmonics, which include the Condon–Shortley phase."""
     x, y, z = directions.T
     theta, phi = np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
     band = np.empty((len(directions), 2 * l + 1))
@@ -86,27 +86,27 @@ def test_addition_theorem() -> None:
         np.testing.assert_allclose(products[:, l * l : (l + 1) ** 2].sum(axis=-1), expected, atol=1e-12)
 
 
-def test_parity_is_that_of_the_degree() -> None:
+def test_parity_follows_the_degree() -> None:
     directions = sphere.uniform(100, 6)
     sign = np.repeat((-1.0) ** np.arange(DEGREE + 1), 2 * np.arange(DEGREE + 1) + 1)
     np.testing.assert_array_equal(sh.evaluate(-directions, DEGREE), sign * sh.evaluate(directions, DEGREE))
 
 
-def test_leading_axes_are_kept_and_a_lower_degree_is_a_prefix() -> None:
+def test_leading_axes_are_preserved_and_a_lower_degree_is_a_prefix() -> None:
     directions = sphere.uniform(24, 7).reshape(2, 3, 4, 3)
     harmonics = sh.evaluate(directions, 5)
     assert harmonics.shape == (2, 3, 4, 36)
     np.testing.assert_array_equal(sh.evaluate(directions[1, 2, 3], 2), harmonics[1, 2, 3, :9])
 
 
-def test_float32_directions_are_made_unit() -> None:
+def test_float32_directions_are_normalised() -> None:
     directions = sphere.uniform(100, 8).astype(np.float32)
     unit = directions / np.linalg.norm(directions.astype(np.float64), axis=-1, keepdims=True)
     np.testing.assert_allclose(sh.evaluate(directions, DEGREE), sh.evaluate(unit, DEGREE), atol=1e-12)
 
 
 @pytest.mark.parametrize("wrong", [[0, 0, 2.0], [0, 0, 0], [0, np.nan, 1]])
-def test_directions_that_are_not_unit_are_refused_with_count_and_index(wrong: list[float]) -> None:
+def test_non_unit_directions_are_refused_with_count_and_index(wrong: list[float]) -> None:
     directions = sphere.uniform(10, 9)
     directions[[4, 7]] = wrong
     with pytest.raises(QueryError, match=r"found 2 .* at index \[4\]"):
@@ -117,10 +117,10 @@ def test_directions_that_are_not_unit_are_refused_with_count_and_index(wrong: li
 def test_rotation_law(seed: int) -> None:
     matrix = sphere.random_rotations(1, seed)[0]
     directions = directions_with_poles(500, seed)
-    turned = sh.rotation(matrix, DEGREE)
-    difference = sh.evaluate(directions @ matrix.T, DEGREE) - sh.evaluate(directions, DEGREE) @ turned.T
+    matrix_of_harmonics = sh.rotation(matrix, DEGREE)
+    difference = sh.evaluate(directions @ matrix.T, DEGREE) - sh.evaluate(directions, DEGREE) @ matrix_of_harmonics.T
     assert np.abs(difference).max() < 1e-12
-    np.testing.assert_allclose(turned @ turned.T, np.eye(sh.count(DEGREE)), atol=1e-13)
+    np.testing.assert_allclose(matrix_of_harmonics @ matrix_of_harmonics.T, np.eye(sh.count(DEGREE)), atol=1e-13)
 
 
 def test_rotations_compose_and_invert() -> None:
@@ -130,13 +130,13 @@ def test_rotations_compose_and_invert() -> None:
     np.testing.assert_allclose(sh.rotation(first.T, 8), sh.rotation(first, 8).T, atol=1e-13)
 
 
-def test_first_band_turns_as_the_vector_itself() -> None:
+def test_first_band_rotates_like_a_vector() -> None:
     matrix = sphere.random_rotations(1, 11)[0]
     y_z_x = [1, 2, 0]
     np.testing.assert_allclose(sh.rotation(matrix, 1)[1:, 1:], matrix[np.ix_(y_z_x, y_z_x)], atol=1e-15)
 
 
-def test_reflections_obey_the_law() -> None:
+def test_reflections_obey_the_rotation_law() -> None:
     mirror = np.diag([1.0, -1.0, 1.0])
     directions = sphere.uniform(100, 12)
     expected = sh.evaluate(directions, 6) @ sh.rotation(mirror, 6).T
@@ -144,7 +144,7 @@ def test_reflections_obey_the_law() -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.eye(2), 2 * np.eye(3), np.full((3, 3), np.nan)])
-def test_matrices_that_do_not_rotate_are_refused(matrix: NDArray[np.float64]) -> None:
+def test_non_orthogonal_matrices_are_refused(matrix: NDArray[np.float64]) -> None:
     with pytest.raises(QueryError, match="rotation: expected"):
         sh.rotation(matrix, 2)
 

@@ -1,4 +1,4 @@
-"""View bins, the interpolation between them and tangent frames."""
+"""View bins, interpolation between them, and tangent frames."""
 
 import math
 
@@ -24,7 +24,7 @@ def direction(cos_theta: float, phi: float) -> NDArray[np.float64]:
 
 
 def interpolated(values: NDArray[np.float64], local: NDArray[np.float64]) -> float:
-    """The interpolation by its definition, one direction at a time: values [rings, sectors]."""
+    """The interpolation by definition, one direction at a time: values [rings, sectors]."""
     rings, sectors = values.shape
     phi = math.atan2(local[1], local[0]) % (2 * math.pi)
 
@@ -47,7 +47,7 @@ def interpolated(values: NDArray[np.float64], local: NDArray[np.float64]) -> flo
 
 
 @pytest.mark.parametrize(("rings", "sectors"), SIZES)
-def test_bins_stand_at_their_centres_in_ring_major_order(rings: int, sectors: int) -> None:
+def test_bins_have_the_directions_of_their_centres_in_ring_major_order(rings: int, sectors: int) -> None:
     bins = sphere.view_bins(rings, sectors)
     assert bins.shape == (rings * sectors, 3)
     for i in range(rings):
@@ -58,7 +58,7 @@ def test_bins_stand_at_their_centres_in_ring_major_order(rings: int, sectors: in
 
 @pytest.mark.parametrize(("rings", "sectors"), [(16, 64), (4, 7), (1, 5)])
 def test_bins_have_equal_solid_angle(rings: int, sectors: int) -> None:
-    """Of fine cells of equal solid angle as many have their largest weight at each bin: six by six."""
+    """Each bin has the largest weight for 6 × 6 fine cells of equal solid angle."""
     cos_theta = 1 - (np.arange(6 * rings) + 0.5) / (6 * rings)
     phi = 2 * math.pi * (np.arange(6 * sectors) + 0.5) / (6 * sectors)
     cells = np.stack([direction(c, p) for c in cos_theta for p in phi])
@@ -67,7 +67,7 @@ def test_bins_have_equal_solid_angle(rings: int, sectors: int) -> None:
 
 
 @pytest.mark.parametrize(("rings", "sectors"), SIZES)
-def test_interpolation_is_the_one_of_the_definition(rings: int, sectors: int) -> None:
+def test_interpolation_agrees_with_its_definition(rings: int, sectors: int) -> None:
     directions = hemisphere(400, seed=1)
     values = np.random.default_rng(2).normal(size=(rings, sectors))
     expected = [interpolated(values, local) for local in directions]
@@ -95,7 +95,7 @@ def test_weights_are_a_partition_of_unity(rings: int, sectors: int) -> None:
 
 
 @pytest.mark.parametrize(("rings", "sectors"), SIZES)
-def test_at_a_bin_s_centre_stands_its_value(rings: int, sectors: int) -> None:
+def test_interpolation_at_a_bin_s_centre_is_its_value(rings: int, sectors: int) -> None:
     matrix = sphere.bin_matrix(sphere.view_bins(rings, sectors), rings, sectors)
     np.testing.assert_allclose(matrix, np.eye(rings * sectors), atol=1e-12)
 
@@ -107,7 +107,7 @@ def test_four_weights_suffice_away_from_the_pole() -> None:
 
 
 @pytest.mark.parametrize(("rings", "sectors"), SIZES)
-def test_pole_has_one_value_and_every_azimuth_leads_to_it(rings: int, sectors: int) -> None:
+def test_pole_has_one_value_from_every_azimuth(rings: int, sectors: int) -> None:
     values = np.random.default_rng(4).normal(size=rings * sectors)
     azimuths = 2 * math.pi * np.arange(64) / 64
     approach = np.stack([np.cos(azimuths) * 1e-8, np.sin(azimuths) * 1e-8, np.full(64, math.sqrt(1 - 1e-16))], axis=-1)
@@ -117,7 +117,7 @@ def test_pole_has_one_value_and_every_azimuth_leads_to_it(rings: int, sectors: i
     np.testing.assert_allclose(sphere.bin_matrix(signed_zeros, rings, sectors) @ values, at_pole, atol=1e-14)
 
 
-def test_value_runs_linearly_from_the_pole_to_the_first_ring() -> None:
+def test_interpolation_is_linear_from_the_pole_to_the_first_ring() -> None:
     values = np.random.default_rng(5).normal(size=16 * 64)
     heights = 1 - np.linspace(0, 0.5 / 16, 9)
     profile = sphere.bin_matrix([direction(h, 2.0) for h in heights], 16, 64) @ values
@@ -136,7 +136,7 @@ def test_azimuth_wraps(cos_theta: float) -> None:
     np.testing.assert_allclose(half_way[[0, 63]], 0.5, atol=1e-12)
 
 
-def test_grazing_directions_clamp() -> None:
+def test_grazing_directions_are_clamped() -> None:
     values = np.random.default_rng(7).normal(size=16 * 64)
     last = sphere.bin_matrix([direction(0.5 / 16, 1.0)], 16, 64) @ values
     for cos_theta in (0.4 / 16, 1e-9, 0.0, -0.3, -1 + 1e-9):
@@ -144,14 +144,14 @@ def test_grazing_directions_clamp() -> None:
 
 
 def test_interpolation_is_continuous_everywhere() -> None:
-    """Small steps change the value by no more than the steepest slope between bins allows."""
+    """Small steps change the value by at most the steepest slope between bins."""
     values = np.random.default_rng(8).uniform(-1, 1, size=16 * 64)
     start = hemisphere(20_000, seed=9)
     step = 1e-7 * sphere.uniform(20_000, 10)
     end = (start + step) / np.linalg.norm(start + step, axis=-1, keepdims=True)
     change = np.abs((sphere.bin_matrix(end, 16, 64) - sphere.bin_matrix(start, 16, 64)) @ values)
-    # Values differ by 2 at most: 2·16 a unit of cosθ, twice that above ring 0; 2·64/2π a radian of φ, which turns by
-    # step/sinθ, most at ring 0: above it the effect of φ fades with 1 − cosθ, faster than sinθ.
+    # Values differ by at most 2: slope 2·16 per unit of cosθ, twice that above ring 0, and 2·64/2π per radian of φ. A
+    # step changes φ by step/sinθ, most at ring 0; above it the effect of φ falls with 1 − cosθ, faster than sinθ.
     slope = 2 * 2 * 16 + 2 * 64 / (2 * math.pi) / math.sin(math.acos(1 - 0.5 / 16))
     assert change.max() < slope * 1.1e-7
 
@@ -179,7 +179,7 @@ def test_frames_are_orthonormal_to_rounding_everywhere() -> None:
     np.testing.assert_allclose(np.linalg.norm(tangents, axis=-1), 1, atol=1e-15)
 
 
-def test_frame_is_the_shortest_turn_of_the_axes() -> None:
+def test_frame_is_the_shortest_rotation_of_the_axes() -> None:
     np.testing.assert_array_equal(sphere.tangent_frame([[0, 0, 1.0], [0, 0, -1.0]]), [[1, 0, 0], [1, 0, 0]])
     normal = direction(math.cos(0.8), 0.3)
     axis = np.cross([0, 0, 1], normal) / math.sin(0.8)
@@ -188,13 +188,13 @@ def test_frame_is_the_shortest_turn_of_the_axes() -> None:
     np.testing.assert_allclose(sphere.tangent_frame(normal), turned, atol=1e-15)
 
 
-def test_frames_are_continuous_but_at_the_south_pole() -> None:
+def test_frames_are_continuous_except_at_the_south_pole() -> None:
     equator = np.stack([direction(0.0, phi) for phi in np.linspace(0, 6, 50)])
     start = np.concatenate([sphere.uniform(20_000, 12), equator, near_south_pole()])
     start = start[start[:, 2] > -1 + 1e-10]
     step = 1e-9 * sphere.uniform(len(start), 13)
     change = np.linalg.norm(sphere.tangent_frame(start + step) - sphere.tangent_frame(start), axis=-1)
-    # Near −z the frame turns twice while the normal circles it once: 2/sinθ a radian, 1 elsewhere.
+    # Near −z the frame rotates twice per revolution of the normal: 2/sinθ per radian, 1 elsewhere.
     sin_theta = np.hypot(start[:, 0], start[:, 1])
     slope = np.where(start[:, 2] < 0, 2 / np.maximum(sin_theta, 1e-5), 0) + 2
     assert (change < 1.5e-9 * slope).all()
@@ -214,7 +214,7 @@ def test_normals_without_direction_are_refused(wrong: list[float]) -> None:
         sphere.tangent_frame(normals)
 
 
-def test_local_frame_is_right_handed_and_undone() -> None:
+def test_local_frame_is_right_handed_and_invertible() -> None:
     normals = sphere.uniform(50, 16)
     tangents = sphere.tangent_frame(normals)
     np.testing.assert_allclose(sphere.to_local(normals, normals, tangents), np.eye(3)[[2]].repeat(50, 0), atol=1e-15)

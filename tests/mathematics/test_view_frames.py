@@ -1,14 +1,14 @@
-"""Harmonics in the frames of views: the same functions, seen from there."""
+"""Harmonics in view frames represent the same functions."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from prt_bake.mathematics import sh, sphere
-from prt_bake.mathematics.view_frames import frames_of, turned
+from prt_bake.mathematics.view_frames import mesh_view_frames, rotated
 from tests.bakers.transports import icosphere
 
-TURNS = np.concatenate([
+ROTATIONS = np.concatenate([
     np.stack([np.eye(3), np.diag([1.0, -1.0, -1.0]), np.diag([-1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0])]),
     Rotation.random(40, random_state=1).as_matrix(),
     Rotation.from_euler("z", [[0.3], [2.0]]).as_matrix(),
@@ -17,17 +17,17 @@ TURNS = np.concatenate([
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 5, 8])
-def test_turning_is_what_rotation_matrices_do(degree: int) -> None:
-    """About no axis, half around each, about the pole and nearly so, and any other way."""
-    coefficients = np.random.default_rng(degree).normal(size=(len(TURNS), sh.count(degree), 2))
-    expected = sh.rotations(TURNS, degree) @ coefficients
-    np.testing.assert_allclose(turned(TURNS, coefficients), expected, atol=1e-6 if degree else 0)
-    np.testing.assert_allclose(turned(TURNS[:-2], coefficients[:-2]), expected[:-2], atol=1e-12)
+def test_rotation_agrees_with_rotation_matrices(degree: int) -> None:
+    """Identity, half turns about the axes, rotations about z or nearly z, and random ones."""
+    coefficients = np.random.default_rng(degree).normal(size=(len(ROTATIONS), sh.count(degree), 2))
+    expected = sh.rotations(ROTATIONS, degree) @ coefficients
+    np.testing.assert_allclose(rotated(ROTATIONS, coefficients), expected, atol=1e-6 if degree else 0)
+    np.testing.assert_allclose(rotated(ROTATIONS[:-2], coefficients[:-2]), expected[:-2], atol=1e-12)
 
 
-def test_in_the_frame_of_a_view_the_normal_is_up_and_the_eye_to_the_front() -> None:
+def test_view_frame_has_the_normal_along_z_and_the_eye_in_the_xz_plane() -> None:
     mesh = icosphere(1)
-    frames, vertices = frames_of(mesh), np.arange(42)
+    frames, vertices = mesh_view_frames(mesh), np.arange(42)
     outgoing = sphere.uniform(42, 3)
     outgoing *= np.sign(np.einsum("vi,vi->v", outgoing, mesh.normals))[:, None]
     outgoing[:2] = mesh.normals[:2]

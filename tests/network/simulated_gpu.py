@@ -1,7 +1,7 @@
-"""A graphics card that is not there: a device of torch's whose tensors the processor computes, and which is as strict.
+"""A simulated GPU: a torch device whose tensors the CPU computes, as strict as a real one.
 
-Tensors of it and of the processor do not mix, and have no `numpy`, as on a real card; what a program does there is
-done, and counted. It tells nothing of speed, and rounds as the processor does.
+Its tensors do not mix with CPU tensors and have no `numpy`, as on a real GPU. Operations are executed and counted. It
+says nothing about speed, and rounds as the CPU does.
 """
 
 from collections import Counter
@@ -12,63 +12,64 @@ import torch
 from torch.utils import backend_registration
 from torch.utils._pytree import tree_leaves, tree_map
 
-NAME = "card"
+NAME = "simulated"
 aten = torch.ops.aten
 MAY_MIX = {aten.copy_, aten._to_copy, aten.index, aten.index_put_}
-"""As on a real card: copies go between the two, and numbers of rows may lie on the processor."""
+"""As on a real GPU: copies go between the devices, and index tensors may be on the CPU."""
 VIEWS = {"view", "reshape", "expand", "select", "slice", "unsqueeze", "t", "transpose", "detach", "alias", "as_strided"}
 
 
 class SimulatedTensor(torch.Tensor):
-    """A tensor that says it is on the card; `held` has its numbers."""
+    """A tensor on the simulated GPU; `data_on_cpu` holds its values."""
 
-    held: torch.Tensor
+    data_on_cpu: torch.Tensor
 
     @staticmethod
-    def __new__(cls, held: torch.Tensor) -> "SimulatedTensor":
+    def __new__(cls, data_on_cpu: torch.Tensor) -> "SimulatedTensor":
         with torch.inference_mode(False):
             made = torch.Tensor._make_wrapper_subclass(
                 cls,
-                held.shape,
-                strides=held.stride(),
-                storage_offset=held.storage_offset(),
-                dtype=held.dtype,
+                data_on_cpu.shape,
+                strides=data_on_cpu.stride(),
+                storage_offset=data_on_cpu.storage_offset(),
+                dtype=data_on_cpu.dtype,
                 device=torch.device(NAME, 0),
             )
-        made.held = held
+        made.data_on_cpu = data_on_cpu
         return made
 
     def __array__(self, *_how: Any) -> Any:
-        raise TypeError(f"{NAME} tensors have no numpy: take them to the processor first")
+        raise TypeError(f"{NAME} tensors have no numpy: copy them to the CPU first")
 
     @classmethod
     def __torch_dispatch__(cls, operation: Any, _types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        given = tree_leaves((args, kwargs or {}))
-        there = [one for one in given if isinstance(one, SimulatedTensor)]
-        here = [one for one in given if isinstance(one, torch.Tensor) and not isinstance(one, SimulatedTensor) and one.dim()]
-        if here and operation.overloadpacket not in MAY_MIX:
+        leaves = tree_leaves((args, kwargs or {}))
+        on_gpu = [leaf for leaf in leaves if isinstance(leaf, SimulatedTensor)]
+        tensors = [leaf for leaf in leaves if isinstance(leaf, torch.Tensor) and leaf.dim()]
+        on_cpu = [leaf for leaf in tensors if not isinstance(leaf, SimulatedTensor)]
+        if on_cpu and operation.overloadpacket not in MAY_MIX:
             raise RuntimeError(f"{operation}: expected all tensors on one device, found some on {NAME} and some on cpu")
         if operation.overloadpacket.__name__ not in VIEWS:
             steps[operation] += 1
-        if here or operation.overloadpacket is aten._local_scalar_dense:
+        if on_cpu or operation.overloadpacket is aten._local_scalar_dense:
             waits[operation] += 1
-        result = operation(*tree_map(_held, args), **tree_map(_held, kwargs or {}))
+        result = operation(*tree_map(_to_cpu, args), **tree_map(_to_cpu, kwargs or {}))
         if operation.overloadpacket in (aten.copy_, aten.index_put_):
             return args[0]
-        asked = [one for one in given if isinstance(one, torch.device)]
-        if asked and asked[0].type == "cpu":
+        devices = [leaf for leaf in leaves if isinstance(leaf, torch.device)]
+        if devices and devices[0].type == "cpu":
             waits[operation] += 1
-            return tree_map(lambda one: one.clone() if any(one is own.held for own in there) else one, result)
-        known = {id(one.held): one for one in there}
-        return tree_map(lambda one: known[id(one)] if id(one) in known else _on_card(one), result)
+            return tree_map(lambda leaf: leaf.clone() if any(leaf is t.data_on_cpu for t in on_gpu) else leaf, result)
+        known = {id(tensor.data_on_cpu): tensor for tensor in on_gpu}
+        return tree_map(lambda leaf: known[id(leaf)] if id(leaf) in known else _on_gpu(leaf), result)
 
 
 steps: Counter[Any] = Counter()
-"""What was done on the card, each what a real one is asked for at a time; not counted: views, which cost nothing."""
+"""Operations on the GPU, each of which is a launch on a real one; views, which cost nothing, are not counted."""
 
 
 waits: Counter[Any] = Counter()
-"""What a real card cannot record to play it back: numbers that come from the processor, or go there."""
+"""Operations that a CUDA graph cannot record: transfers from and to the CPU."""
 
 
 class _Module(backend_registration._DummyBackendModule):
@@ -78,28 +79,28 @@ class _Module(backend_registration._DummyBackendModule):
 
 @cache
 def install() -> str:
-    """The card's name; once a process, for good."""
+    """Registers the device, once per process, and returns its name."""
     backend_registration._setup_privateuseone_for_python_backend(NAME, backend_module=_Module())
     library = torch.library.Library("aten", "IMPL")
     library.impl("empty.memory_format", _empty, "PrivateUse1")
     library.impl("empty_strided", _empty_strided, "PrivateUse1")
     library.impl("_copy_from", _copy_from, "PrivateUse1")
-    _kept.append(library)
+    _libraries.append(library)
     return NAME
 
 
-_kept: list[torch.library.Library] = []
-"""What is registered goes with its library."""
+_libraries: list[torch.library.Library] = []
+"""Keeps the registrations alive."""
 
 
-def _held(one: Any) -> Any:
-    if isinstance(one, torch.device):
+def _to_cpu(leaf: Any) -> Any:
+    if isinstance(leaf, torch.device):
         return torch.device("cpu")
-    return one.held if isinstance(one, SimulatedTensor) else one
+    return leaf.data_on_cpu if isinstance(leaf, SimulatedTensor) else leaf
 
 
-def _on_card(one: Any) -> Any:
-    return SimulatedTensor(one) if isinstance(one, torch.Tensor) else one
+def _on_gpu(leaf: Any) -> Any:
+    return SimulatedTensor(leaf) if isinstance(leaf, torch.Tensor) else leaf
 
 
 def _empty(size: Any, dtype: Any = None, **_how: Any) -> SimulatedTensor:
@@ -113,5 +114,5 @@ def _empty_strided(size: Any, stride: Any, dtype: Any = None, **_how: Any) -> Si
 def _copy_from(source: torch.Tensor, target: torch.Tensor, _non_blocking: bool = False) -> torch.Tensor:
     if isinstance(source, SimulatedTensor) != isinstance(target, SimulatedTensor):
         waits["copy"] += 1
-    _held(target).copy_(_held(source))
+    _to_cpu(target).copy_(_to_cpu(source))
     return target

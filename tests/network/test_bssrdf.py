@@ -1,4 +1,4 @@
-"""Laws of the neural BSSRDF: its size, its features, its two ways to evaluate, its files."""
+"""Tests of the neural BSSRDF: its size, features, evaluation and files."""
 
 import json
 import pickle
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from formats.errors import ModelError, QueryError
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
+from prt_bake.network.features.fourier import fourier_features
 from prt_bake.network.features.interior import LEVELS, Interior
-from prt_bake.network.settings import NetworkSettings as Settings
 
 SMALL = {"features": 12, "width": 16}
 
@@ -25,7 +25,7 @@ def unit(rng: np.random.Generator, *shape: int) -> NDArray[np.float64]:
 
 
 def trained(network: NeuralBSSRDF) -> NeuralBSSRDF:
-    """The network with biases, which a fresh one has not: what forgets them shows."""
+    """The network with random biases instead of 0, so that code which ignores them fails."""
     generator = torch.Generator().manual_seed(11)
     with torch.no_grad():
         for name, weights in network.named_parameters():
@@ -37,16 +37,16 @@ def trained(network: NeuralBSSRDF) -> NeuralBSSRDF:
 @pytest.fixture(params=["paper", "measured"])
 def network(request: pytest.FixtureRequest) -> NeuralBSSRDF:
     settings = PRESETS[request.param]
-    # As fine as the trainer would have it in an object that fills its box.
+    # As fine as the trainer chooses it for an object that fills its box.
     settings = replace(settings, grid_places=20) if settings.grid_places else settings
-    inside = rough_interior(40) if settings.ray_samples else None
-    return trained(NeuralBSSRDF(settings, (-1.0, -2.0, 0.5), 3.0, output_scale=0.7, interior=inside))
+    interior = rough_interior(40) if settings.ray_samples else None
+    return trained(NeuralBSSRDF(settings, (-1.0, -2.0, 0.5), 3.0, output_scale=0.7, interior=interior))
 
 
-def rough_interior(places: int) -> Interior:
-    """Inside and outside in turns, anyhow; 40 places a side take about as much as an object's may."""
-    levels = np.random.default_rng(7).integers(-LEVELS, LEVELS + 1, (1, *(places,) * 3))
-    return Interior(levels.astype(np.int8), (-0.1, -0.1, -0.1), 1.2 / (places - 1), (4.0,), 1.4)
+def rough_interior(nodes: int) -> Interior:
+    """Random levels; 40 nodes per axis take about as much space as the interior of an object."""
+    levels = np.random.default_rng(7).integers(-LEVELS, LEVELS + 1, (1, *(nodes,) * 3))
+    return Interior(levels.astype(np.int8), (-0.1, -0.1, -0.1), 1.2 / (nodes - 1), (4.0,), 1.4)
 
 
 def test_default_network_has_the_papers_number_of_weights() -> None:
@@ -54,13 +54,13 @@ def test_default_network_has_the_papers_number_of_weights() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
-def test_file_has_the_papers_size_and_gives_the_same_network_back(
+def test_a_file_has_the_papers_size_and_restores_the_network(
     network: NeuralBSSRDF, suffix: str, tmp_path: Path
 ) -> None:
     network.metadata = {"up": "z", "eta": 1.3, "training": {"steps": 5}}
     path = tmp_path / f"model{suffix}"
     if network.view is not None:
-        network = network.rounded()  # as trainers write it
+        network = network.rounded()  # as the trainer writes it
     save_model(network, path)
     least, most = (640, 660) if network.view is None else (560, 660)
     assert least * 1024 <= path.stat().st_size <= most * 1024
@@ -72,9 +72,7 @@ def test_file_has_the_papers_size_and_gives_the_same_network_back(
     np.testing.assert_array_equal(again.evaluate(*query), network.evaluate(*query))
 
 
-def test_a_rounded_network_takes_half_the_bytes_and_answers_nearly_the_same(
-    network: NeuralBSSRDF, tmp_path: Path
-) -> None:
+def test_a_rounded_network_takes_half_the_size_and_changes_little(network: NeuralBSSRDF, tmp_path: Path) -> None:
     rounded = network.rounded()
     save_model(rounded, tmp_path / "model.pt")
     assert (tmp_path / "model.pt").stat().st_size <= (372 if network.view is None else 660) * 1024
@@ -87,7 +85,7 @@ def test_a_rounded_network_takes_half_the_bytes_and_answers_nearly_the_same(
 
 
 @pytest.mark.filterwarnings("error")
-def test_weights_beyond_half_precision_are_kept(tmp_path: Path) -> None:
+def test_weights_beyond_the_range_of_float16_keep_their_value(tmp_path: Path) -> None:
     network = NeuralBSSRDF(NetworkSettings(**SMALL))
     with torch.no_grad():
         network.output.weight[0, 0], network.output.weight[0, 1] = 1e6, 1.0 / 3.0
@@ -96,7 +94,11 @@ def test_weights_beyond_half_precision_are_kept(tmp_path: Path) -> None:
     assert kept == [1e6, float(np.float16(1.0 / 3.0))]
 
 
-def test_features_are_those_of_the_definition_even_far_from_the_origin() -> None:
+def first_features(network: NeuralBSSRDF, query: list[torch.Tensor]) -> torch.Tensor:
+    return fourier_features(network.inputs(*query), network.frequencies, network.settings.feature_mean)
+
+
+def test_features_match_their_definition_far_from_the_origin() -> None:
     """cos 2πGu and sin 2πGu in float64, with mean 18 and an object a million units away."""
     box_min = np.array([1e6, -2e6, 3e6])
     network = NeuralBSSRDF(box_min=box_min, box_side=2.0)
@@ -109,17 +111,17 @@ def test_features_are_those_of_the_definition_even_far_from_the_origin() -> None
     u = np.concatenate([angles[0], relative, angles[1]], axis=1)
     phase = 2 * np.pi * u @ network.frequencies.double().numpy().T
     query = [torch.as_tensor(array) for array in (wi, box_min + 2.0 * relative, wo)]
-    features = network.fourier_features(network.inputs(*query)).numpy()
+    features = first_features(network, query).numpy()
     np.testing.assert_allclose(features, np.concatenate([np.cos(phase), np.sin(phase)], axis=1), atol=2e-5)
 
 
 def test_forward_is_the_architecture_of_the_paper() -> None:
-    """Five hidden layers, layer 1 joined to layer 3's input and layer 2 to layer 4's, written out by hand."""
+    """Five hidden layers, layer 1 concatenated to layer 3's input and layer 2 to layer 4's, written out."""
     network = trained(NeuralBSSRDF(NetworkSettings(**SMALL), output_scale=2.0))
     rng = np.random.default_rng(3)
     query = [torch.as_tensor(array) for array in (unit(rng, 7), rng.uniform(0, 1, (7, 3)), unit(rng, 7))]
     w = {name: weights.detach().double().numpy() for name, weights in network.named_parameters()}
-    x = network.fourier_features(network.inputs(*query)).double().numpy()
+    x = first_features(network, query).double().numpy()
 
     def layer(number: int, h: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.maximum(h @ w[f"hidden.{number - 1}.weight"].T + w[f"hidden.{number - 1}.bias"], 0.0)
@@ -132,8 +134,8 @@ def test_forward_is_the_architecture_of_the_paper() -> None:
     np.testing.assert_allclose(network(*query).detach().numpy(), expected, atol=1e-5)
 
 
-def test_forward_lets_the_light_in_late() -> None:
-    """Two of four layers see ωi and powers of ωi·ωo, written out by hand; skips lead from 1 to 3 and from 2 to 4."""
+def test_late_layers_see_the_incident_direction() -> None:
+    """Two of four layers see ωi and powers of ωi·ωo, written out; skips lead from 1 to 3 and from 2 to 4."""
     late: dict[str, Any] = {"light_layers": 2, "light_features": 5, "light_spread": 0.4, "angle_powers": 3}
     settings = NetworkSettings(6, 0.0, 0.5, 8, 4, ((1, 3), (2, 4)), "silu", "cartesian", **late)
     network = trained(NeuralBSSRDF(settings, output_scale=2.0))
@@ -162,7 +164,7 @@ def test_forward_lets_the_light_in_late() -> None:
 
 
 @pytest.mark.parametrize(("precision", "tolerance"), [("float32", 2e-5), ("bfloat16", 3e-2)])
-def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precision: str, tolerance: float) -> None:
+def test_a_fused_block_agrees_with_the_reference(network: NeuralBSSRDF, precision: str, tolerance: float) -> None:
     rng = np.random.default_rng(4)
     incident, rotation = unit(rng, 4, 10), rng.integers(0, 4, (3, 70))
     positions, outgoing = rng.uniform(-1, 2, (3, 3)), unit(rng, 3, 70)
@@ -176,11 +178,11 @@ def test_fused_block_agrees_with_plain_evaluation(network: NeuralBSSRDF, precisi
 
 @pytest.mark.parametrize("late", [0, 1, 2, 3])
 @pytest.mark.parametrize("activation", ["relu", "silu"])
-def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
-    """Odd widths, other skips and another activation; more directions than one tile or table holds."""
+def test_a_fused_block_supports_all_settings(activation: str, late: int) -> None:
+    """Odd widths, other skips and activations; more directions than a tile or a table holds."""
     skips = ((1, 3), (1, 4), (2, 4))
-    told: dict[str, Any] = {"activation": activation, "light_layers": late, "angle_powers": max(0, late - 1)}
-    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, directions="cartesian", **told)
+    options: dict[str, Any] = {"activation": activation, "light_layers": late, "angle_powers": max(0, late - 1)}
+    settings = NetworkSettings(5, 0.5, 1.0, 7, 4, skips, directions="cartesian", **options)
     network = trained(NeuralBSSRDF(settings))
     rng = np.random.default_rng(5)
     incident, positions, outgoing = unit(rng, 20, 900), rng.uniform(0, 1, (1, 3)), unit(rng, 1, 3)
@@ -190,8 +192,8 @@ def test_fused_block_knows_every_setting(activation: str, late: int) -> None:
     np.testing.assert_allclose(block[0], plain, atol=2e-5 * np.abs(plain).max())
 
 
-def test_powers_of_the_angle_need_layers_that_take_them() -> None:
-    with pytest.raises(ModelError, match="angle_powers must not be negative, and without light_layers"):
+def test_powers_of_the_cosine_need_late_layers() -> None:
+    with pytest.raises(ModelError, match="angle_powers must not be negative, and must be 0 without light_layers"):
         NetworkSettings(angle_powers=2)
     with pytest.raises(ModelError, match="found -1"):
         NetworkSettings(light_layers=1, angle_powers=-1)
@@ -201,36 +203,36 @@ LATE = NetworkSettings(features=9, directions="cartesian", light_layers=2, angle
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_block_does_not_depend_on_how_it_is_cut(network: NeuralBSSRDF, precision: str) -> None:
-    assert_any_cut_is_alike(network, precision)
+def test_a_block_does_not_depend_on_how_it_is_cut(network: NeuralBSSRDF, precision: str) -> None:
+    assert_cuts_agree(network, precision)
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_block_of_a_network_that_sees_the_light_late_does_neither(precision: str) -> None:
-    assert_any_cut_is_alike(trained(NeuralBSSRDF(LATE)), precision)
+def test_a_block_with_late_layers_does_not_depend_on_how_it_is_cut(precision: str) -> None:
+    assert_cuts_agree(trained(NeuralBSSRDF(LATE)), precision)
 
 
-def assert_any_cut_is_alike(network: NeuralBSSRDF, precision: str) -> None:
-    """156 bins of 13 directions fill a tile; 2,100 are more than views are taken at once."""
+def assert_cuts_agree(network: NeuralBSSRDF, precision: str) -> None:
+    """156 bins of 13 directions fill a tile; 2,100 are more than a batch of views."""
     rng = np.random.default_rng(6)
     incident, rotation = unit(rng, 8, 13), rng.integers(0, 8, (3, 700))
     positions, outgoing = rng.uniform(0, 1, (3, 3)), unit(rng, 3, 700)
     fused = network.prepared(precision)
-    whole = fused.evaluate_block(incident, rotation, positions, outgoing)
+    complete = fused.evaluate_block(incident, rotation, positions, outgoing)
     part = fused.evaluate_block(incident, rotation[1:2, 3:], positions[1:2], outgoing[1:2, 3:])
-    np.testing.assert_array_equal(part, whole[1:2, 3:])
+    np.testing.assert_array_equal(part, complete[1:2, 3:])
 
 
-def test_shared_directions_are_each_querys_own_repeated(network: NeuralBSSRDF) -> None:
+def test_shared_directions_equal_separate_ones(network: NeuralBSSRDF) -> None:
     rng = np.random.default_rng(7)
     incident, positions, outgoing = unit(rng, 6), rng.uniform(0, 1, (4, 3)), unit(rng, 4)
-    own = np.broadcast_to(incident, (4, 6, 3))
+    separate = np.broadcast_to(incident, (4, 6, 3))
     np.testing.assert_array_equal(
-        network.evaluate(incident, positions, outgoing), network.evaluate(own, positions, outgoing)
+        network.evaluate(incident, positions, outgoing), network.evaluate(separate, positions, outgoing)
     )
 
 
-def test_preparing_leaves_the_network_as_it_was(network: NeuralBSSRDF) -> None:
+def test_preparing_leaves_the_network_unchanged(network: NeuralBSSRDF) -> None:
     network.train()
     network.prepared("bfloat16")
     assert network.training
@@ -247,7 +249,7 @@ class Hostile:
         return open, (str(self.target), "w")
 
 
-def test_hostile_pickle_is_refused_and_never_runs(tmp_path: Path) -> None:
+def test_a_hostile_pickle_is_refused_and_never_runs(tmp_path: Path) -> None:
     target = tmp_path / "it ran"
     torch.save({"prtbake": "{}", "tensors": Hostile(target)}, tmp_path / "model.pt")
     with pytest.raises(ModelError, match=r"model\.pt.*refused"):
@@ -259,7 +261,7 @@ def test_hostile_pickle_is_refused_and_never_runs(tmp_path: Path) -> None:
 
 
 def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
-    """A small model with some tensors replaced (None: taken out)."""
+    """The file of a small model with some tensors replaced (None: removed)."""
     path = tmp_path / "model.pt"
     save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
     content = torch.load(path, weights_only=True)
@@ -271,7 +273,7 @@ def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"),
+    ("change", "message"),
     [
         (
             {"hidden.2.weight": torch.full((16, 32), torch.nan)},
@@ -284,19 +286,19 @@ def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
         ({"output.bias": "words"}, r"'output\.bias' is not a named tensor"),
     ],
 )
-def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, object], sentence: str) -> None:
-    with pytest.raises(ModelError, match=sentence):
+def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, object], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
         load_model(damaged(tmp_path, change))
 
 
 @pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
-def test_files_of_another_kind_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
+def test_other_files_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"model{suffix}"
     with pytest.raises(ModelError, match="no such file"):
         load_model(path)
     save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
-    whole = path.read_bytes()
-    for content in (b"", b"ply\nformat ascii 1.0\n", whole[: len(whole) // 2]):
+    complete = path.read_bytes()
+    for content in (b"", b"ply\nformat ascii 1.0\n", complete[: len(complete) // 2]):
         path.write_bytes(content)
         with pytest.raises(ModelError, match=f"model\\{suffix}: "):
             load_model(path)
@@ -304,14 +306,14 @@ def test_files_of_another_kind_are_refused_by_name(tmp_path: Path, suffix: str) 
         load_model(tmp_path / "model.onnx")
 
 
-def test_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
+def test_a_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
     torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
-    with pytest.raises(ModelError, match="something else"):
+    with pytest.raises(ModelError, match="a checkpoint of another program"):
         load_model(tmp_path / "other.pt")
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "sentence"),
+    ("key", "value", "message"),
     [
         ("colour", 1, "unknown key 'colour'"),
         ("width", "wide", "width must be of type int"),
@@ -321,17 +323,17 @@ def test_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
         ("activation", "sine", "activation must be relu or silu"),
     ],
 )
-def test_settings_that_make_no_network_are_refused(key: str, value: object, sentence: str) -> None:
-    with pytest.raises(ModelError, match=sentence):
-        Settings.from_json(Settings().as_json() | {key: value})
+def test_inconsistent_settings_are_refused(key: str, value: object, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        NetworkSettings.from_json(NetworkSettings().as_json() | {key: value})
 
 
 def test_settings_survive_json() -> None:
     for settings in PRESETS.values():
-        assert Settings.from_json(json.loads(json.dumps(settings.as_json()))) == settings
+        assert NetworkSettings.from_json(json.loads(json.dumps(settings.as_json()))) == settings
 
 
-def test_unsound_network_is_not_saved_over_a_good_file(tmp_path: Path) -> None:
+def test_an_unsound_network_does_not_replace_a_good_file(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     network = NeuralBSSRDF(NetworkSettings(**SMALL))
     save_model(network, path)
@@ -343,6 +345,6 @@ def test_unsound_network_is_not_saved_over_a_good_file(tmp_path: Path) -> None:
     assert path.read_bytes() == before
 
 
-def test_unknown_precision_is_refused(network: NeuralBSSRDF) -> None:
+def test_an_unknown_precision_is_refused(network: NeuralBSSRDF) -> None:
     with pytest.raises(QueryError, match="float32, bfloat16"):
         network.prepared("float16")

@@ -1,4 +1,4 @@
-"""Numbers that are learnt at places of the object: where they lie, how they are summed, what is kept of them."""
+"""Tests of the grid of learned features: its nodes, its sums and gradients, and its storage."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,31 +16,31 @@ from prt_bake.network.settings import NetworkSettings
 from prt_bake.trainer.interior import MOST_LEARNT_BYTES, interior_of, with_fitting_grid
 from prt_bake.trainer.train import train
 from prt_bake.trainer.training_data import box_of
-from tests.network.test_interior import LOOKING, features, full, half_space
+from tests.network.test_interior import RAY_SETTINGS, features, full, half_space
 from tests.network.test_lobes import glass_ball, unit
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
 from tests.trainer import small_training
 
 RNG = np.random.default_rng(12)
-GRIDDED = replace(LOOKING, grid_places=16, grid_numbers=3)
+GRIDDED = replace(RAY_SETTINGS, grid_places=16, grid_numbers=3)
 
 
-def solid(places: int = 21) -> Interior:
-    """Inside everywhere in the unit box and a tenth around it."""
-    return Interior(np.full((1, *(places,) * 3), LEVELS, np.int8), (-0.1,) * 3, 1.2 / (places - 1), (3.0,), 1.0)
+def solid(nodes: int = 21) -> Interior:
+    """Inside everywhere in the unit box and a margin of a tenth around it."""
+    return Interior(np.full((1, *(nodes,) * 3), LEVELS, np.int8), (-0.1,) * 3, 1.2 / (nodes - 1), (3.0,), 1.0)
 
 
-def learnt(grid: FeatureGrid) -> FeatureGrid:
-    """With random numbers, none for what is not kept."""
+def randomised(grid: FeatureGrid) -> FeatureGrid:
+    """The grid with random features, 0 for nodes that are not stored."""
     with torch.no_grad():
         grid.rows[1:] = torch.from_numpy(RNG.normal(size=(len(grid.rows) - 1, grid.rows.shape[1]))).float()
     return grid
 
 
-def test_sums_are_those_of_scipys_linear_interpolation() -> None:
-    """Inside, on the last places and outside, where the border goes on."""
-    grid = learnt(FeatureGrid(solid(), 10, 4, 3.0))
+def test_sums_match_scipys_trilinear_interpolation() -> None:
+    """Inside, on the last nodes and outside, where values are clamped to the border."""
+    grid = randomised(FeatureGrid(solid(), 10, 4, 3.0))
     shape = grid.row_index.shape
     assert tuple(shape) == (13, 13, 13)
     dense = grid.rows[grid.row_index].detach().double().numpy()
@@ -49,20 +49,20 @@ def test_sums_are_those_of_scipys_linear_interpolation() -> None:
     at = ((points + 0.1) * 10).reshape(-1, 3).T
     values = np.stack([map_coordinates(dense[..., c], at, order=1, mode="nearest") for c in range(4)], axis=-1)
     exact = (values.reshape(50, 6, 4) * weights[..., None]).sum(axis=1)
-    for alone in (False, True):
-        grid.torch_only = alone
+    for torch_only in (False, True):
+        grid.torch_only = torch_only
         found = grid(torch.from_numpy(points).float(), torch.from_numpy(weights).float())
         np.testing.assert_allclose(found.detach().numpy(), exact, atol=2e-4)
 
 
 def test_gradients_of_kernel_and_tensors_agree() -> None:
-    """In half precision, too, as a learner asks."""
-    grid = learnt(FeatureGrid(half_space(), 12, 5, 0.3))
+    """Under autocast, as in training."""
+    grid = randomised(FeatureGrid(half_space(), 12, 5, 0.3))
     points, weights = torch.from_numpy(RNG.uniform(0, 1, (60, 7, 3))).float(), torch.from_numpy(RNG.random((60, 7)))
     towards = torch.from_numpy(RNG.normal(size=(60, 5))).float()
     found = []
-    for alone in (False, True):
-        grid.torch_only = alone
+    for torch_only in (False, True):
+        grid.torch_only = torch_only
         grid.rows.grad = None
         with torch.autocast("cpu", torch.bfloat16):
             torch.autograd.backward((grid(points, weights.float()) * towards).sum())
@@ -73,8 +73,8 @@ def test_gradients_of_kernel_and_tensors_agree() -> None:
     np.testing.assert_allclose(found[0], found[1], atol=1e-4)
 
 
-def test_what_is_not_kept_stays_zero_when_it_is_learnt() -> None:
-    """Half of what is asked for lies above the boundary, at ½."""
+def test_nodes_that_are_not_stored_stay_zero_in_training() -> None:
+    """Half of the points are above the boundary, which is at ½."""
     grid = FeatureGrid(half_space(), 10, 2, 0.15)
     optimizer = torch.optim.Adam(grid.parameters(), lr=0.1)
     for _ in range(20):
@@ -89,15 +89,15 @@ def test_what_is_not_kept_stays_zero_when_it_is_learnt() -> None:
 
 
 @pytest.mark.parametrize("reach", [0.1, 0.3, 3.0])
-def test_places_are_kept_where_rays_of_view_reach(reach: float) -> None:
-    """A ball: all of its surface and all that lies less deep than `reach`, and nothing two cells further."""
-    inside = glass_ball(1.0)
-    kept = kept_places(inside, 25, reach)
-    grid = FeatureGrid(inside, 25, 1, reach)
+def test_nodes_are_kept_where_view_rays_reach(reach: float) -> None:
+    """A ball: its surface and everything less deep than `reach` is kept, and nothing two cells further."""
+    interior = glass_ball(1.0)
+    kept = kept_places(interior, 25, reach)
+    grid = FeatureGrid(interior, 25, 1, reach)
     outward = unit(4000, 1).double().numpy()
     depth = RNG.uniform(0.0, min(reach, 0.45), (4000, 1))
     points = torch.from_numpy(0.5 + (0.45 - depth) * outward).float()[:, None]
-    rows, shares = grid._around(points)
+    rows, shares = grid._neighbours(points)
     assert float((shares * (rows == 0)).sum() / shares.sum()) < 1e-3
     places = np.argwhere(kept) / 25 - 0.1
     depths = 0.45 - np.linalg.norm(places - 0.5, axis=1)
@@ -107,7 +107,7 @@ def test_places_are_kept_where_rays_of_view_reach(reach: float) -> None:
 
 @pytest.mark.parametrize("level", [3, -3])
 def test_the_object_may_be_thinner_than_a_cell(level: int) -> None:
-    """A plate of a fifth of a cell, between two planes of places; or so thin that none of the interior's lies in it."""
+    """A plate of a fifth of a cell, between two planes of nodes; or so thin that no node of the interior is in it."""
     levels = np.full((1, 51, 51, 51), -LEVELS, np.int8)
     levels[0, :, :, 23] = level
     plate = Interior(levels, (0.0,) * 3, 0.02, (3.0,), 1.0)
@@ -117,28 +117,28 @@ def test_the_object_may_be_thinner_than_a_cell(level: int) -> None:
     assert not kept[:, :, 6:].any()
 
 
-def test_views_are_told_what_x_has_and_the_mean_along_the_ray() -> None:
+def test_inputs_are_the_features_at_x_and_their_mean_along_the_ray() -> None:
     chosen = replace(GRIDDED, tells_normal=False)
     view, without = features(half_space(), chosen), features(half_space(), replace(chosen, grid_places=0))
     assert view.grid is not None
-    learnt(view.grid)
+    randomised(view.grid)
     x, eye = torch.from_numpy(RNG.uniform(0.2, 0.49, (40, 3))).float(), unit(40, 2).float()
-    told, rest = view(x, eye).detach(), without(x, eye)
-    assert told.shape[1] == chosen.view_inputs == rest.shape[1] + 6
-    np.testing.assert_array_equal(told[:, 6:].numpy(), rest.numpy())
-    told_of = view.told(x, eye)
-    points, weight = told_of.points, told_of.weight
+    found, rest = view(x, eye).detach(), without(x, eye)
+    assert found.shape[1] == chosen.view_inputs == rest.shape[1] + 6
+    np.testing.assert_array_equal(found[:, 6:].numpy(), rest.numpy())
+    encoding = view.encode(x, eye)
+    points, weight = encoding.points, encoding.weight
     one = torch.ones(40, 1)
     at_x = view.grid(x[:, None], one)
     mean = torch.stack([view.grid(points[:, [k]], one) for k in range(12)]).mean(dim=0) * weight[:, None]
-    np.testing.assert_allclose(told[:, :6].numpy(), torch.cat((at_x, mean), dim=1).detach().numpy(), atol=1e-5)
+    np.testing.assert_allclose(found[:, :6].numpy(), torch.cat((at_x, mean), dim=1).detach().numpy(), atol=1e-5)
 
 
-def test_models_keep_what_is_learnt(tmp_path: Path) -> None:
+def test_a_file_stores_the_learned_features(tmp_path: Path) -> None:
     network = NeuralBSSRDF(GRIDDED, interior=glass_ball(1.3))
     assert network.view is not None
     assert network.view.grid is not None
-    learnt(network.view.grid)
+    randomised(network.view.grid)
     query = unit(6, 3).numpy().reshape(3, 2, 3), RNG.uniform(0.1, 0.9, (3, 3)), unit(3, 4).numpy()
     save_model(network, tmp_path / "model.pt")
     np.testing.assert_array_equal(load_model(tmp_path / "model.pt").evaluate(*query), network.evaluate(*query))
@@ -147,7 +147,7 @@ def test_models_keep_what_is_learnt(tmp_path: Path) -> None:
     assert not np.array_equal(load_model(tmp_path / "model.pt").evaluate(*query), network.evaluate(*query))
 
 
-def test_a_trainer_takes_the_finest_grid_that_fits(tmp_path: Path) -> None:
+def test_the_trainer_chooses_the_finest_grid_that_fits(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, ball(4), sigma_t=0.5)
     interior = interior_of(scene, box_of(scene))
     fitting = with_fitting_grid(PRESETS["measured"], interior)
@@ -156,9 +156,9 @@ def test_a_trainer_takes_the_finest_grid_that_fits(tmp_path: Path) -> None:
     }
     first, second = bytes_at.values()
     assert first <= MOST_LEARNT_BYTES < second
-    chosen = replace(LOOKING, grid_places=40)
-    how = {"stream": small_training.STREAM, "learning": small_training.LEARNING, "steps": 3, "synchronous": True}
-    network = train(scene, settings=chosen, **how)
+    chosen = replace(RAY_SETTINGS, grid_places=40)
+    options = {"stream": small_training.STREAM, "learning": small_training.LEARNING, "steps": 3, "synchronous": True}
+    network = train(scene, settings=chosen, **options)
     assert network.settings == replace(with_fitting_grid(chosen, interior), tells_normal=False)
     assert network.settings.grid_places < 40
     assert network.view is not None
@@ -168,10 +168,10 @@ def test_a_trainer_takes_the_finest_grid_that_fits(tmp_path: Path) -> None:
     assert with_fitting_grid(replace(PRESETS["measured"], grid_places=0), interior).grid_places == 0
 
 
-def test_grids_that_cannot_be_are_refused() -> None:
+def test_inconsistent_grid_settings_are_refused() -> None:
     for broken in ({"grid_places": -1}, {"grid_places": 129}, {"grid_numbers": 0}, {"grid_numbers": 65}):
         with pytest.raises(ModelError, match="grid_places must be from 0 to 128 and grid_numbers from 1 to 64, found"):
-            replace(LOOKING, **broken)
-    with pytest.raises(ModelError, match="there is no grid"):
+            replace(RAY_SETTINGS, **broken)
+    with pytest.raises(ModelError, match="grid_places needs ray_samples"):
         NetworkSettings(grid_places=8)
     assert FeatureGrid(full(), 4, 2, 0.1).rows.shape[1] == 2

@@ -1,4 +1,4 @@
-"""Lobes of networks: what they are, how they are summed, learnt from and left out."""
+"""Tests of lobes: their values and means, their axes, their training and their settings."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -15,7 +15,7 @@ from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model, save_mode
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.view_features import ViewFeatures
 from prt_bake.network.inference.pairs import PairNetwork
-from prt_bake.network.lobes import LOBE_PARAMETERS, evaluate_lobes, decode_lobes, mean_square
+from prt_bake.network.lobes import LOBE_PARAMETERS, decode_lobes, evaluate_lobes, mean_square
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.objective import LobeTerms, exit_loss
@@ -30,7 +30,7 @@ LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, ray
 SPACING = 0.02
 
 
-def told(views: int, lobes: int, spread: float, seed: int = 1) -> torch.Tensor:
+def lobe_parameters(views: int, lobes: int, spread: float, seed: int = 1) -> torch.Tensor:
     return spread * torch.randn((views, LOBE_PARAMETERS * lobes), generator=torch.Generator().manual_seed(seed))
 
 
@@ -56,25 +56,25 @@ def lobed() -> NeuralBSSRDF:
 
 
 def over_the_sphere(lobes: int, spread: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Values in 40,000 directions [5,D,3], the mean that the numbers tell, and the mean of the square as computed."""
-    numbers = told(5, lobes, spread)
-    found = decode_lobes(numbers, unit(5, 4))
+    """Values in 40,000 directions [5,D,3], the means that the parameters give, and the mean square in closed form."""
+    parameters = lobe_parameters(5, lobes, spread)
+    found = decode_lobes(parameters, unit(5, 4))
     everywhere = torch.from_numpy(fibonacci(40_000)).float().expand(5, -1, 3)
-    carried = torch.nn.functional.softplus(numbers.reshape(5, lobes, LOBE_PARAMETERS)[..., :3] - 3.0).sum(dim=1)
-    each = [part.double().numpy() for part in (evaluate_lobes(found, everywhere), carried, mean_square(found))]
-    return each[0], each[1], each[2]
+    means = torch.nn.functional.softplus(parameters.reshape(5, lobes, LOBE_PARAMETERS)[..., :3] - 3.0).sum(dim=1)
+    parts = [part.double().numpy() for part in (evaluate_lobes(found, everywhere), means, mean_square(found))]
+    return parts[0], parts[1], parts[2]
 
 
 @pytest.mark.parametrize("lobes", [1, 3])
 @pytest.mark.parametrize("spread", [0.0, 0.5, 3.0])
-def test_means_over_the_sphere_are_what_lobes_carry_and_the_mean_square_is_exact(lobes: int, spread: float) -> None:
-    """At a spread of 3 some lobes are as sharp and some as wide as they may be."""
-    values, carried, square = over_the_sphere(lobes, spread)
-    np.testing.assert_allclose(values.mean(axis=1), carried, rtol=1e-3)
+def test_lobes_have_the_mean_of_their_parameters_and_the_exact_mean_square(lobes: int, spread: float) -> None:
+    """At a spread of 3 some lobes have the maximum sharpness and some the minimum."""
+    values, means, square = over_the_sphere(lobes, spread)
+    np.testing.assert_allclose(values.mean(axis=1), means, rtol=1e-3)
     np.testing.assert_allclose((values**2).mean(axis=1), square, rtol=2e-3)
 
 
-def test_numbers_that_are_zero_are_a_faint_lobe_where_the_ray_leaves() -> None:
+def test_parameters_of_zero_give_a_faint_lobe_along_the_exit() -> None:
     exits = unit(4, 5)
     lobes = decode_lobes(torch.zeros((4, LOBE_PARAMETERS)), exits)
     torch.testing.assert_close(lobes.axes[:, 0], exits)
@@ -85,33 +85,33 @@ def test_numbers_that_are_zero_are_a_faint_lobe_where_the_ray_leaves() -> None:
 
 @pytest.mark.parametrize("turns", [0, 4])
 @pytest.mark.parametrize("eta", [0.8, 1.0, 1.4])
-def test_rays_leave_a_ball_as_snells_law_says(eta: float, turns: int) -> None:
-    """In a ball both ends of a chord have the same angles: what goes in comes out, bent twice as far."""
+def test_rays_leave_a_ball_by_snells_law(eta: float, turns: int) -> None:
+    """A chord of a ball has the same angle at both ends: a ray is refracted twice by the same angle."""
     view = ViewFeatures(replace(LOBED, ray_turns=turns), torch.zeros((LOBED.features, 6)), glass_ball(eta))
     normal, eye = uniform(400, 21), uniform(400, 22)
     cosine = np.sum(normal * eye, axis=1)
-    seen = cosine > (0.7 if eta < 1.0 else 0.1)
-    normal, eye, cosine = normal[seen], eye[seen], cosine[seen, None]
+    visible = cosine > (0.7 if eta < 1.0 else 0.1)
+    normal, eye, cosine = normal[visible], eye[visible], cosine[visible, None]
     inner = np.sqrt(1.0 - (1.0 - cosine**2) / eta**2)
     back = eye / eta + (inner - cosine / eta) * normal
     other = normal - 2.0 * inner * back
     expected = -eta * back + (cosine - eta * inner) * other
     x = torch.from_numpy(0.5 + 0.45 * normal)
     found = view(x, torch.from_numpy(eye), torch.from_numpy(normal)).detach().numpy()[:, -EXIT_INPUTS:]
-    off = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1.0, 1.0)))
-    assert np.median(off) < 1.5
-    assert np.mean(off < 6.0) > 0.9
+    error = np.degrees(np.arccos(np.clip(np.sum(found * expected, axis=1), -1.0, 1.0)))
+    assert np.median(error) < 1.5
+    assert np.mean(error < 6.0) > 0.9
 
 
-def test_a_ray_that_turns_leaves_along_its_last_piece() -> None:
-    """In a cube of index 1.5 a wall that is met at 53° reflects; the bottom, met at 37°, lets through."""
+def test_a_reflected_ray_leaves_along_its_last_segment() -> None:
+    """In a cube of index 1.5 a wall reflects a ray at 53°; the bottom transmits it at 37°."""
     x, eye = torch.tensor([[0.7, 0.5, 1.0]]), torch.tensor([[-0.9, 0.0, (1.0 - 0.81) ** 0.5]])
     view = ViewFeatures(replace(LOBED, ray_turns=4), torch.zeros((LOBED.features, 6)), cube(0.5, 1.5))
     found = view(x, eye, torch.tensor([[0.0, 0.0, 1.0]]))[:, -EXIT_INPUTS:]
     torch.testing.assert_close(found, -eye * torch.tensor([-1.0, 1.0, 1.0]), atol=0.03, rtol=0.0)
 
 
-def test_lobes_begin_much_alike_by_the_seed_alone() -> None:
+def test_initial_lobes_are_nearly_alike_and_depend_on_the_seed() -> None:
     one, same, other = (NeuralBSSRDF(replace(LOBED, seed=seed), interior=glass_ball(1.4)).lobes for seed in (1, 1, 2))
     assert one is not None
     assert same is not None
@@ -122,7 +122,7 @@ def test_lobes_begin_much_alike_by_the_seed_alone() -> None:
     assert not one.bias.any()
 
 
-def test_a_network_is_its_layers_and_its_lobes_on_every_path(tmp_path: Path) -> None:
+def test_all_evaluations_are_the_sum_of_layers_and_lobes(tmp_path: Path) -> None:
     network = lobed()
     incident, positions, outgoing = uniform(6, 6).reshape(3, 2, 3), np.full((3, 3), 0.4), uniform(3, 7)
     query = [torch.from_numpy(part) for part in (incident, positions, outgoing)]
@@ -141,10 +141,10 @@ def test_a_network_is_its_layers_and_its_lobes_on_every_path(tmp_path: Path) -> 
     np.testing.assert_array_equal(read, network.evaluate(incident, positions, outgoing))
 
 
-def test_the_loss_of_exits_takes_the_square_of_lobes_exactly() -> None:
-    """Few directions see the square of sharp lobes with much noise: its mean stays, its noise goes."""
+def test_the_exit_loss_uses_the_exact_mean_square_of_lobes() -> None:
+    """A few directions sample the square of sharp lobes with much noise; the exact one has the same mean."""
     draws, spread = 4000, 8
-    lobes = decode_lobes(told(1, 2, 1.5).expand(draws, -1), unit(1, 8).expand(draws, -1))
+    lobes = decode_lobes(lobe_parameters(1, 2, 1.5).expand(draws, -1), unit(1, 8).expand(draws, -1))
     everywhere = unit(draws * spread, 9).reshape(draws, spread, 3)
     smooth = 0.3 + 0.2 * everywhere
     added = evaluate_lobes(lobes, everywhere)
@@ -156,8 +156,8 @@ def test_the_loss_of_exits_takes_the_square_of_lobes_exactly() -> None:
     assert float(exact.std()) < 0.3 * float(plain.std())
 
 
-def test_what_lobes_alone_are_learnt_from_hangs_on_no_draw() -> None:
-    """Where nothing but lobes answers, directions all over the sphere say nothing that is not known exactly."""
+def test_the_exit_loss_of_lobes_does_not_depend_on_the_directions() -> None:
+    """If only lobes contribute, the exact mean square replaces all sampled directions."""
     network = lobed()
     with torch.no_grad():
         network.output.weight.zero_()
@@ -175,7 +175,7 @@ def test_what_lobes_alone_are_learnt_from_hangs_on_no_draw() -> None:
 
 
 class Exits:
-    """A source of exits, as far as the learner asks."""
+    """A source of exits with what the learner uses."""
 
     exits = True
 
@@ -183,8 +183,8 @@ class Exits:
         return f"query {number}"
 
 
-def test_lobes_need_a_ray_that_leads_to_them() -> None:
-    with pytest.raises(ModelError, match="lobes must not be negative, and without tells_normal"):
+def test_lobes_need_a_normal() -> None:
+    with pytest.raises(ModelError, match="lobes must not be negative, and must be 0 without tells_normal"):
         NetworkSettings(lobes=1)
     with pytest.raises(ModelError, match="found -1"):
         replace(LOBED, lobes=-1)
@@ -194,10 +194,10 @@ def test_lobes_need_a_ray_that_leads_to_them() -> None:
     ("eta", "roughness", "sigma_t", "lobes"),
     [(1.0, 0.2, 0.5, 0), (1.4, 0.2, 0.5, 2), (1.4, 0.0, 0.5, 0), (1.4, 0.2, 3.0, 0)],
 )
-def test_lobes_are_for_rough_objects_that_light_crosses(
+def test_training_uses_lobes_for_clear_objects_behind_rough_interfaces(
     tmp_path: Path, eta: float, roughness: float, sigma_t: float, lobes: int
 ) -> None:
-    """A ball of diameter 2: clear up to an optical depth of 4. What crosses a smooth interface is no part of Ŝ."""
+    """A ball of diameter 2 is clear up to an optical depth of 4; a smooth interface leaves no such light in Ŝ."""
     scene = make_scene(tmp_path, ball(3), eta=eta, roughness=roughness, sigma_t=sigma_t)
     settings = replace(PRESETS["measured"], features=8, width=8)
     given = {"stream": small_training.STREAM, "learning": small_training.LEARNING}

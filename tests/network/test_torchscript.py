@@ -1,4 +1,4 @@
-"""TorchScript files as transports: the seven numbers they are handed, and what is refused."""
+"""Tests of TorchScript files as transports: their seven inputs, and refused files."""
 
 import warnings
 from pathlib import Path
@@ -42,19 +42,19 @@ def script(module: torch.nn.Module, tmp_path: Path) -> Path:
         ("outgoing,position,incident; angles=radians; axis=y", [np.pi, 0, 0.25, 0.5, 0.75, 0, 0]),
     ],
 )
-def test_seven_numbers_are_what_the_convention_says(convention: str, rows: list[float], tmp_path: Path) -> None:
+def test_the_seven_inputs_follow_the_convention(convention: str, rows: list[float], tmp_path: Path) -> None:
     transport = load_torchscript(script(FirstThree(), tmp_path), convention, (1.0, 1.0, 1.0), 2.0)
     answer = transport.evaluate([[0.0, 1.0, 0.0]], [[1.5, 2.0, 2.5]], [[0.0, -1.0, 0.0]])
     expected = np.array(rows[0:3]) + 10 * np.array(rows[3:6]) + 100 * rows[6]
     np.testing.assert_allclose(answer[0, 0], expected, rtol=1e-6)
 
 
-def test_own_directions_and_shared_ones_agree(tmp_path: Path) -> None:
+def test_separate_and_shared_directions_agree(tmp_path: Path) -> None:
     transport = load_torchscript(script(FirstThree(), tmp_path))
     light, positions = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0]]), np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    own = np.stack([light, light])
+    separate = np.stack([light, light])
     np.testing.assert_array_equal(
-        transport.evaluate(light, positions, light), transport.evaluate(own, positions, light)
+        transport.evaluate(light, positions, light), transport.evaluate(separate, positions, light)
     )
 
 
@@ -73,13 +73,13 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("text", "message"),
     [
         ("incident, outgoing", "in some order"),
         ("incident, position, outgoing; colour=red", "unknown key 'colour'"),
         ("incident, position, outgoing; axis=x", "axis must be z or y"),
     ],
 )
-def test_conventions_that_say_nothing_are_refused(text: str, sentence: str) -> None:
-    with pytest.raises(QueryError, match=sentence):
+def test_bad_conventions_are_refused(text: str, message: str) -> None:
+    with pytest.raises(QueryError, match=message):
         Convention.parse(text)

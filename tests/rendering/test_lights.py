@@ -13,7 +13,7 @@ from prt_bake.lights.lighting import Lighting, Sky, as_lighting
 from prt_bake.rendering.scene import SHOWS, SHOWS_ROUGH, Rendering, render_scene
 from prt_bake.tracer.estimate import estimate_transport
 from prt_bake.tracer.kernels import sum_transport
-from prt_bake.tracer.light_samples import walk_lit
+from prt_bake.tracer.light_samples import sample_transport
 from prt_bake.tracer.prepared import prepare
 from tests.mathematics.significance import assert_agree
 from tests.rendering.pictures import WHITE, front, make_scene, mean_z, uneven_sky, z_score
@@ -76,10 +76,10 @@ def test_what_a_walk_receives_is_the_transport_function(tmp_path: Path, interfac
     incident = unit_directions(18, 2).reshape(6, 3, 3)
     at = prepare(scene).surface.locate(positions, outgoing)
     keys = np.arange(6, dtype=np.uint64)
-    mean, square = walk_lit(scene, at.faces, at.barycentric, outgoing, keys, incident, 2048, 5)
+    mean, square = sample_transport(scene, at.faces, at.barycentric, outgoing, keys, incident, 2048, 5)
     expected = estimate_transport(scene, positions, outgoing, incident, 2048, 6, connections=3)
     assert_agree(mean, np.sqrt((square - mean**2) / 2047), expected.mean, expected.standard_error)
-    shared, _square = walk_lit(scene, at.faces, at.barycentric, outgoing, keys, incident[0], 2048, 5)
+    shared, _square = sample_transport(scene, at.faces, at.barycentric, outgoing, keys, incident[0], 2048, 5)
     np.testing.assert_array_equal(shared[0], mean[0])
     # A second one is a minute of compiling, of all who draw a picture.
     assert len(sum_transport.signatures) == 1

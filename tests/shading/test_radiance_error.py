@@ -7,7 +7,7 @@ import pytest
 
 from bakers.error_covariance import packed
 from formats.asset import Asset
-from formats.asset.error_covariance import ErrorShape
+from formats.asset.error_covariance import ErrorCovariance
 from prt_bake.mathematics import sphere
 from prt_bake.shading.picture import radiance_error, render_picture, shade
 from prt_bake.shading.radiance_error import over_faces
@@ -39,10 +39,10 @@ def test_errors_between_bins_are_those_of_bins_that_err_together_or_apart(
     exact = make_asset(ball(2), rings, sectors, seed=1)
     count, bins = len(exact.mesh.positions), rings * sectors
     sigma = rng.uniform(0.5, 2.0, (count, bins)).astype(np.float32)
-    shape = ErrorShape(
+    shape = ErrorCovariance(
         packed(np.eye(9))[None], np.array([[1.5, 1.0, 0.5]]), np.array([[apart, 1.0]]), np.zeros(count, np.int64)
     )
-    asset = dataclasses.replace(exact, standard_error=sigma, error_shape=shape)
+    asset = dataclasses.replace(exact, standard_error=sigma, error_covariance=shape)
     light = np.zeros((9, 3))
     light[0] = 1.0
     for views in every_view(asset):
@@ -68,9 +68,9 @@ def test_vertices_that_err_by_themselves_err_less_between_them() -> None:
     squares = np.sqrt(np.einsum("nk,nkc->nc", shares**2, sigma[corners] ** 2))
     for apart, expected in ((None, linear), (0.0, linear), (1.0, squares)):
         shape = (
-            None if apart is None else ErrorShape(packed(np.eye(9))[None], np.ones((1, 3)), np.array([[1.0, apart]]))
+            None if apart is None else ErrorCovariance(packed(np.eye(9))[None], np.ones((1, 3)), np.array([[1.0, apart]]))
         )
-        told = over_faces(dataclasses.replace(asset, error_shape=shape), shares, corners, sigma)
+        told = over_faces(dataclasses.replace(asset, error_covariance=shape), shares, corners, sigma)
         np.testing.assert_allclose(told, expected)
         np.testing.assert_allclose(told[1], sigma[corners[1, 0]])
 

@@ -9,7 +9,7 @@ import pytest
 import prt_bake as prt
 from bakers.error_covariance import packed
 from formats.asset import read_asset, write_asset
-from formats.asset.error_covariance import ErrorShape
+from formats.asset.error_covariance import ErrorCovariance
 from formats.errors import QueryError
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.harmonics import project_lighting
@@ -88,9 +88,9 @@ def test_errors_are_told_as_suns_have_them(lights: tuple[Sky, ...]) -> None:
     rng = np.random.default_rng(2)
     exact, line = lobed(rings=1, sectors=1), np.array([1.0, 0.5, -1.0, 0.3, 0.0, 0.7, -0.8, 0.2, 0.4])
     line *= 3.0 / np.linalg.norm(line)
-    shape = ErrorShape(packed(line[:, None] * line)[None], np.array([[1.5, 1.0, 0.5]]), np.ones((1, 2)))
+    shape = ErrorCovariance(packed(line[:, None] * line)[None], np.array([[1.5, 1.0, 0.5]]), np.ones((1, 2)))
     sigma = np.full((len(exact.valid), 1), 0.002, np.float32)
-    asset = replace(exact, standard_error=sigma, error_shape=shape, tangents=sphere.tangent_frame(exact.mesh.normals))
+    asset = replace(exact, standard_error=sigma, error_covariance=shape, tangents=sphere.tangent_frame(exact.mesh.normals))
     light, everywhere = suns_apart(Lighting(lights, (sun(),)), 2), np.arange(len(exact.valid))
     views = ViewFrames(asset.mesh.normals, asset.tangents)
     outgoing = sphere.to_world(asset.directions[0], asset.mesh.normals, asset.tangents)

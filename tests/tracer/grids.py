@@ -1,4 +1,4 @@
-"""Media of one region for tests of the kernels, and what SciPy finds in the same grids."""
+"""Media of one region for kernel tests, and SciPy's interpolation of the same grids."""
 
 from types import SimpleNamespace
 
@@ -18,7 +18,7 @@ def medium_of(sigma_t: object, albedo: object = 1.0, phase_g: float = 0.0) -> Me
 
 
 def look_up(grid: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """scipy's own trilinear look-up of a grid [Z,Y,X,…] at points [N,3] = (x, y, z), clamped to the cell centres."""
+    """SciPy's trilinear interpolation of a grid [Z,Y,X,…] at points [N,3] = (x, y, z), clamped to the cell centres."""
     for axis in range(3):
         if grid.shape[axis] == 1:
             grid = np.repeat(grid, 2, axis=axis)

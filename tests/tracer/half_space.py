@@ -10,14 +10,14 @@ _NODES = 64
 
 
 def h_function(albedo: float, cosine: ArrayLike) -> np.ndarray:
-    """H at cosines of any shape, by iteration on Gauss–Legendre nodes in √μ (the slope at 0 is infinite)."""
+    """H at cosines of any shape, by iteration on Gauss–Legendre nodes in √μ, as the slope at 0 is infinite."""
     x, w = np.polynomial.legendre.leggauss(_NODES)
     root = 0.5 * (x + 1.0)
     nodes, weights = root**2, root * w
     h = np.ones(_NODES)
     for _ in range(10_000):
         last, h = h, _next(albedo, nodes, nodes, weights, h)
-        # The mean of two iterates converges where the plain iteration swings about its limit.
+        # The plain iteration oscillates about its limit; the mean of two iterates converges.
         h = 0.5 * (h + last)
         if np.abs(h - last).max() < 1e-13:
             break
@@ -30,10 +30,12 @@ def _next(albedo: float, cosine: np.ndarray, nodes: np.ndarray, weights: np.ndar
 
 
 def reflected(albedo: float, outgoing_cosine: ArrayLike, incident_cosine: ArrayLike) -> np.ndarray:
-    """Ŝ [1/sr]: radiance towards μo for unit irradiance across the light's direction; 0 for light from below."""
+    """Ŝ [1/sr]: radiance towards μo for unit irradiance normal to the light's direction; 0 for light from below."""
     mu_o, mu_i = np.asarray(outgoing_cosine, np.float64), np.asarray(incident_cosine, np.float64)
-    lit = np.maximum(mu_i, 1e-300)
-    value = albedo / (4.0 * np.pi) * lit / (lit + mu_o) * h_function(albedo, mu_o) * h_function(albedo, lit)
+    positive = np.maximum(mu_i, 1e-300)
+    value = (
+        albedo / (4.0 * np.pi) * positive / (positive + mu_o) * h_function(albedo, mu_o) * h_function(albedo, positive)
+    )
     return np.where(mu_i > 0.0, value, 0.0)
 
 

@@ -1,8 +1,8 @@
-"""A random walk over Smith's microsurface of a rough dielectric, bounce by bounce, as a second opinion on how the light
-that single scattering loses is shared out.
+"""A random walk over the Smith microsurface of a rough dielectric, as an independent reference for how the energy lost
+by single scattering splits into reflection and transmission.
 
 Heitz et al. 2016, "Multiple-scattering microfacet BSDFs with the Smith model": heights uniform in (−1, 1), visible
-normals of GGX for any direction by spherical caps (Dupuy and Benyoub 2023). None of the product's code.
+normals of GGX for any direction by spherical caps (Dupuy and Benyoub 2023). It shares no code with the product.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ def _normals(w: np.ndarray, alpha: float, generator: np.random.Generator) -> np.
 
 
 def _heights(w: np.ndarray, h: np.ndarray, alpha: float, generator: np.random.Generator) -> np.ndarray:
-    """Where a ray from height h meets the surface again; infinite where it gets away."""
+    """Height of the next hit of a ray from height h; inf if it escapes."""
     z = np.where(np.abs(w[:, 2]) < 1e-6, 1e-6, w[:, 2])
     slope = np.maximum(0.0, 1.0 - z * z) / (z * z)
     lengths = np.minimum(0.5 * (-1.0 + np.sign(z) * np.sqrt(1.0 + alpha**2 * slope)), np.inf)
@@ -40,7 +40,7 @@ def _heights(w: np.ndarray, h: np.ndarray, alpha: float, generator: np.random.Ge
 
 
 def transmitted(cosine: float, alpha: float, eta: float, count: int, seed: int) -> np.ndarray:
-    """Which of `count` rays that come at `cosine` from index 1 end in index `eta`, all bounces counted."""
+    """Which of `count` rays at `cosine` from index 1 end in index `eta` after any number of bounces."""
     generator = np.random.default_rng(seed)
     w = np.tile([-np.sqrt(1.0 - cosine**2), 0.0, -cosine], (count, 1))
     side, h, flying = np.ones(count), np.ones(count), np.arange(count)

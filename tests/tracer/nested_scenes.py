@@ -1,4 +1,4 @@
-"""Small scenes of several parts, written as files and read back as any user's are."""
+"""Small scenes of several parts, written to files and read back."""
 
 import json
 from pathlib import Path
@@ -16,10 +16,10 @@ CLEAR: dict[str, Any] = {"sigma_t": 0.0, "albedo": 1.0}
 def nested_scene(
     folder: Path, mesh: Mesh, medium: dict[str, Any], inside: tuple[dict[str, Any], ...] = (), **interface: Any
 ) -> Scene:
-    """Write an object of this medium with parts in it, and read the scene.
+    """Write an object with inner parts, and read the scene.
 
-    Each part of `inside` has a mesh and the keys of [[inside]]; its medium and interface are tables of their own.
-    Grids, and textures of roughness and reflectance, may be arrays.
+    Each part of `inside` has a mesh, the keys of [[inside]], and optional tables `medium` and `interface`. Grids, and
+    textures of roughness and reflectance, may be arrays.
     """
     write_mesh(mesh, folder / "object.ply")
     lines = ['[object]\nmesh = "object.ply"\n[interface]', *_keys(folder, "object", interface), "[medium]"]

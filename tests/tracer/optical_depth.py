@@ -1,4 +1,4 @@
-"""Light along straight lines through an object, by every face and a fine sum; nothing is shared with the walk."""
+"""Optical depths along straight lines, by testing every face and fine sums; shares no code with the path tracer."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -7,12 +7,12 @@ from formats.scene import Scene
 
 
 def extinction(scene: Scene, points: np.ndarray) -> np.ndarray:
-    """sigma_t at points [...,3]: trilinear between cell centres, clamped."""
+    """sigma_t at points [...,3], trilinear between cell centres and clamped."""
     return at_cells(np.asarray(scene.sigma_t, np.float64), scene.bounds, points)
 
 
 def at_cells(grid: np.ndarray, bounds: np.ndarray | None, points: np.ndarray) -> np.ndarray:
-    """A grid [Z,Y,X] over `bounds` at points [...,3]; a number is the same everywhere."""
+    """A grid [Z,Y,X] over `bounds`, or a constant, at points [...,3]."""
     if grid.ndim == 0 or bounds is None:
         return np.full(points.shape[:-1], float(grid))
     low, high = bounds
@@ -22,7 +22,7 @@ def at_cells(grid: np.ndarray, bounds: np.ndarray | None, points: np.ndarray) ->
 
 
 def crossings(scene: Scene, origins: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Distances [R,C] at which rays from origins [R,3] cross the surface, ascending, filled up with infinity."""
+    """Distances [R,C] at which rays from origins [R,3] cross the surface, ascending, padded with inf."""
     corners = np.asarray(scene.mesh.positions)[np.asarray(scene.mesh.faces)]
     u_edge, v_edge = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(direction, v_edge)
@@ -38,7 +38,7 @@ def crossings(scene: Scene, origins: np.ndarray, direction: np.ndarray) -> np.nd
 
 
 def optical_depth(scene: Scene, points: np.ndarray, direction: np.ndarray, steps: int = 64) -> np.ndarray:
-    """∫ sigma_t [R] from points inside to infinity, every crossing included."""
+    """∫ sigma_t [R] from points inside to infinity, through all crossings."""
     ends = crossings(scene, points, direction)
     ends = np.concatenate([np.zeros((len(points), 1)), ends], axis=1)
     depth = np.zeros(len(points))
@@ -55,7 +55,7 @@ def optical_depth(scene: Scene, points: np.ndarray, direction: np.ndarray, steps
 def single_scattering(
     scene: Scene, position: np.ndarray, outgoing: np.ndarray, incident: np.ndarray, steps: int = 1500
 ) -> float:
-    """Ŝ of one scattering event behind an index-matched boundary, at albedo 1 (midpoints along the view ray)."""
+    """Ŝ of single scattering behind an index-matched boundary at albedo 1, by the midpoint rule along the view ray."""
     ends = crossings(scene, position[None], -outgoing)[0]
     edges = np.concatenate([[0.0], ends[np.isfinite(ends)]])
     total, depth = 0.0, 0.0

@@ -1,8 +1,8 @@
-"""An absorbing slab between two rough interfaces, solved by quadrature over directions inside it: no random numbers.
+"""An absorbing slab between two rough interfaces, solved by quadrature over inner directions, without random numbers.
 
-The interface is written down here a second time, from Walter et al. 2007 ("Microfacet models for refraction through
-rough surfaces", eqs. 16–22, 33, 34), in vectors and without the product's code. Directions are of flight along the eye
-path: from the eye down through the top (z up), to and fro inside, and out towards the light.
+This is a second, vectorised implementation of the interface from Walter et al. 2007 ("Microfacet models for refraction
+through rough surfaces", eqs. 16–22, 33, 34) without the product's code. Directions are those of flight along the eye
+path: from the eye down through the top (z up), back and forth inside, and out towards the light.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def fresnel(cosine: np.ndarray, index_from: float, index_to: float) -> np.ndarray:
-    """Unpolarised reflectance by Walter's eq. 22; 1 where nothing is refracted."""
+    """Unpolarised reflectance, Walter's eq. 22; 1 for total internal reflection."""
     squared = (index_to / index_from) ** 2 - 1.0 + cosine**2
     g = np.sqrt(np.maximum(squared, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -23,7 +23,7 @@ def fresnel(cosine: np.ndarray, index_from: float, index_to: float) -> np.ndarra
 
 
 def _shape(half: np.ndarray, i: np.ndarray, o: np.ndarray, alpha: float) -> np.ndarray:
-    """G D for the upward half vector: Smith's masking of both sides, and GGX."""
+    """G D for the upward half vector: Smith masking of both directions times GGX."""
     cosine = half[..., 2]
     tangent = (1.0 - cosine**2) / np.maximum(cosine, 1e-12) ** 2
     d = alpha**2 / (np.pi * np.maximum(cosine, 1e-12) ** 4 * (alpha**2 + tangent) ** 2)
@@ -35,14 +35,14 @@ def _shape(half: np.ndarray, i: np.ndarray, o: np.ndarray, alpha: float) -> np.n
 
 
 def reflect(i: np.ndarray, o: np.ndarray, alpha: float, index_from: float, index_to: float) -> np.ndarray:
-    """f_r |o·n| for i and o [...,3] both above (z up) on the side of `index_from`."""
+    """f_r |o·n| for i and o [...,3], both above (z up) on the side of `index_from`."""
     half = i + o
     half = half / np.linalg.norm(half, axis=-1, keepdims=True)
     return fresnel(_dot(i, half), index_from, index_to) * _shape(half, i, o, alpha) / (4.0 * i[..., 2])
 
 
 def transmit(i: np.ndarray, o: np.ndarray, alpha: float, index_from: float, index_to: float) -> np.ndarray:
-    """f_t |o·n| for i above and o below, as the density that an eye path is scattered with (eq. 21)."""
+    """f_t |o·n| for i above and o below, as a scattering density of an eye path (eq. 21)."""
     half = -(index_from * i + index_to * o)
     length = np.linalg.norm(half, axis=-1, keepdims=True)
     half = half / np.maximum(length, 1e-300)
@@ -58,7 +58,7 @@ def black_slab(
 ) -> np.ndarray:
     """Ŝ [D] of a slab of optical thickness `depth` at albedo 0, for light from `incident` [D,3] above or below.
 
-    Order by order: across, then reflected inside up to `orders` − 1 times.
+    Sums over the number of internal reflections, up to `orders` − 1.
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     mu, phi = 0.5 * (x + 1.0), 2.0 * np.pi * (np.arange(2 * nodes) + 0.5) / (2 * nodes)
@@ -67,14 +67,14 @@ def black_slab(
     up = up.reshape(-1, 3)
     weight = np.repeat(0.5 * w * np.pi / nodes, 2 * nodes) * np.exp(-depth / up[:, 2])
     down = up * [1.0, 1.0, -1.0]
-    # Seen from inside, z always points back into the slab: leaving light flies to −z, and the half space is flipped.
+    # From inside, z always points into the slab: exits fly to −z, and the frame is flipped at the top.
     flying = transmit(np.broadcast_to(outgoing, down.shape), down, alpha, 1.0, eta)
     light_below = incident * np.where(incident[:, 2:] < 0.0, 1.0, -1.0) ** [0, 0, 1]
     total = np.zeros(len(incident))
     for order in range(orders):
         leaves_below = order % 2 == 0
         seen = (incident[:, 2] < 0.0) == leaves_below
-        # i is the way back, into the slab: −flight, with z flipped where the walk arrives at the top.
+        # i points back into the slab: −flight, with z flipped if the walk arrives at the top.
         back = -up * [1.0, 1.0, -1.0]
         for k in np.flatnonzero(seen):
             out = np.broadcast_to(light_below[k], back.shape)
@@ -84,7 +84,7 @@ def black_slab(
 
 
 def _bounce(back: np.ndarray, away: np.ndarray, flying: np.ndarray, alpha: float, eta: float, left: int) -> np.ndarray:
-    """What flies away after one reflection inside, on the same directions with z flipped."""
+    """Flux after one internal reflection, on the same directions with z flipped."""
     result = np.zeros(len(away))
     if left <= 0:
         return result

@@ -1,4 +1,4 @@
-"""Small scenes for the path tracer's tests, written as files and read back as any user's are."""
+"""Small scenes for tests of the path tracer, written to files and read back."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ def sphere(subdivisions: int = 3) -> Mesh:
 
 
 def lumpy(subdivisions: int = 3) -> Mesh:
-    """A closed mesh with hollows: rays from its surface meet it again."""
+    """A closed concave mesh: rays from its surface hit it again."""
     ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     v = np.asarray(ball.vertices)
     radius = 1.0 + 0.45 * np.sin(4.0 * v[:, :1]) * np.cos(3.0 * v[:, 1:2])
@@ -28,7 +28,7 @@ def lumpy(subdivisions: int = 3) -> Mesh:
 
 
 def slab(side: float) -> Mesh:
-    """A square box of height 1 about the origin, z up, so wide that its rim is out of sight from its middle."""
+    """A square box of height 1 about the origin, z up."""
     box = trimesh.creation.box(extents=(side, side, 1.0))
     return build_mesh(np.asarray(box.vertices), np.asarray(box.faces))
 
@@ -39,7 +39,7 @@ def moved(mesh: Mesh, scale: float, offset: ArrayLike = 0.0) -> Mesh:
 
 
 def with_uv(mesh: Mesh) -> Mesh:
-    """The mesh with longitude and height as texture coordinates, a seam and all."""
+    """The mesh with longitude and height as texture coordinates, including a seam."""
     v = np.asarray(mesh.positions)
     turn = np.arctan2(v[:, 1], v[:, 0]) / (2.0 * np.pi) % 1.0
     height = (v[:, 2] - v[:, 2].min()) / np.ptp(v[:, 2])
@@ -79,13 +79,13 @@ def unit_directions(count: int, seed: int) -> np.ndarray:
     return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
 
 
-def turned_lattices(count: int, directions: int, seed: int) -> np.ndarray:
-    """`count` lattices of directions [count,directions,3], each turned at random: every direction alone is uniform."""
+def rotated_lattices(count: int, directions: int, seed: int) -> np.ndarray:
+    """`count` randomly rotated lattices of directions [count,directions,3]; each direction alone is uniform."""
     return np.einsum("nij,dj->ndi", random_rotations(count, seed), fibonacci(directions))
 
 
 def queries(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions on faces [N,3], directions to the eye above them [N,3], and the normals [N,3]."""
+    """Positions on faces [N,3], directions to the eye above them [N,3], and normals [N,3]."""
     generator = np.random.default_rng(seed)
     areas = np.asarray(mesh.face_areas)
     faces = generator.choice(len(mesh.faces), count, p=areas / areas.sum())
@@ -97,5 +97,5 @@ def queries(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, 
 
 
 def blotches(shape: tuple[int, ...], contrast: float, seed: int) -> np.ndarray:
-    """A random grid whose values are 1 or 1 / contrast, half of each."""
+    """A random grid of the values 1 and 1 / contrast with equal probability."""
     return np.where(np.random.default_rng(seed).random(shape) < 0.5, 1.0, 1.0 / contrast)

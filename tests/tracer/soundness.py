@@ -1,11 +1,11 @@
-"""What every estimate must keep in any scene, however extreme: numbers, signs, energy."""
+"""Checks that hold for every estimate in any scene: finite numbers, signs, energy conservation."""
 
 import numpy as np
 
 from formats.scene import Scene
 from prt_bake.geometry.surface import Surface
 from prt_bake.tracer.estimate import Estimate, estimate_coefficients, estimate_transport
-from prt_bake.tracer.light_samples import walk_out
+from prt_bake.tracer.light_samples import sample_exits
 from prt_bake.tracer.prepared import smooth_part
 from tests.tracer.rough_slab import fresnel
 
@@ -13,12 +13,12 @@ SQRT_4_PI = np.sqrt(4.0 * np.pi)
 
 
 def assert_sound(estimate: Estimate) -> None:
-    """Numbers everywhere, errors and shares that can be, and no walk cut."""
+    """Assert finite numbers, plausible errors and transmittances, and no truncated walk."""
     for name in ("mean", "standard_error", "unscattered", "lost"):
         assert np.isfinite(getattr(estimate, name)).all(), name
     assert (estimate.standard_error >= 0.0).all()
     assert estimate.unscattered.min() >= 0.0
-    # Where channels differ, a walk carries up to three times as much in one of them, and shares know this noise.
+    # If channels differ, a walk carries up to three times as much in one of them, which shows as noise.
     assert estimate.unscattered.max() <= (1.0 + 1e-9 if estimate.unscattered.ndim == 1 else 3.0 + 1e-9)
     np.testing.assert_array_equal(estimate.lost, 0.0)
 
@@ -26,26 +26,26 @@ def assert_sound(estimate: Estimate) -> None:
 def white_sky(
     scene: Scene, positions: np.ndarray, outgoing: np.ndarray, paths: int, seed: int = 1
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a sky of radiance 1 makes of each query, unscattered light counted: mean and error [N,3]."""
-    seen = estimate_coefficients(scene, positions, outgoing, 0, paths, seed)
-    assert_sound(seen)
-    assert seen.mean.min() >= 0.0
-    return SQRT_4_PI * seen.mean[:, 0] + seen.unscattered.reshape(len(seen.mean), -1), SQRT_4_PI * seen.standard_error[
-        :, 0
-    ]
+    """Radiance of each query under a sky of radiance 1, including unscattered light: mean and error [N,3]."""
+    result = estimate_coefficients(scene, positions, outgoing, 0, paths, seed)
+    assert_sound(result)
+    assert result.mean.min() >= 0.0
+    return SQRT_4_PI * result.mean[:, 0] + result.unscattered.reshape(
+        len(result.mean), -1
+    ), SQRT_4_PI * result.standard_error[:, 0]
 
 
-def let_in(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """1 − F(ωo) [N] of a smooth boundary, on the face that each query is taken to."""
+def transmitted_share(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+    """1 − F(ωo) [N] of a smooth boundary on the face of each query."""
     normals = np.asarray(scene.mesh.face_normals)[Surface(scene.mesh).locate(positions, outgoing).faces]
     return np.asarray(1.0 - fresnel(np.sum(outgoing * normals, axis=1), 1.0, scene.eta))
 
 
 def assert_furnace(scene: Scene, positions: np.ndarray, outgoing: np.ndarray, paths: int, rtol: float = 1e-5) -> None:
-    """White matter and a smooth or index-matched boundary: each walk comes back whole, but for the reflection at x."""
+    """White furnace behind a smooth or index-matched boundary: only the reflection at x is missing."""
     total, _error = white_sky(scene, positions, outgoing, paths)
-    due = let_in(scene, positions, outgoing)
-    np.testing.assert_allclose(total, np.repeat(due[:, None], 3, axis=1), rtol=rtol, atol=1e-12)
+    expected = transmitted_share(scene, positions, outgoing)
+    np.testing.assert_allclose(total, np.repeat(expected[:, None], 3, axis=1), rtol=rtol, atol=1e-12)
 
 
 def cap(axis: np.ndarray, degrees: float, count: int, seed: int) -> np.ndarray:
@@ -71,23 +71,25 @@ def into_cap(
     *,
     paths: int,
     exits: int,
-    lots: int = 24,
+    batches: int = 24,
     directions: int = 16,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """∫ Ŝ dωi [3] over a cap by connections, its error, and the same from the exits that fall into it, with theirs."""
-    incident = cap(axis, degrees, lots * directions, 3).reshape(lots, directions, 3)
-    seen = estimate_transport(scene, np.tile(position, (lots, 1)), np.tile(outgoing, (lots, 1)), incident, paths, 2)
+    """∫ Ŝ dωi [3] over a cap by connections, its error, and the same by exits into it, with their error."""
+    incident = cap(axis, degrees, batches * directions, 3).reshape(batches, directions, 3)
+    result = estimate_transport(
+        scene, np.tile(position, (batches, 1)), np.tile(outgoing, (batches, 1)), incident, paths, 2
+    )
     solid_angle = 2.0 * np.pi * (1.0 - np.cos(np.radians(degrees)))
-    means = solid_angle * seen.mean.mean(axis=1)
-    # Lots share neither walks nor directions; twenty-four know their own error to a seventh, which is allowed for.
-    error = 1.3 * means.std(axis=0, ddof=1) / np.sqrt(lots)
+    means = solid_angle * result.mean.mean(axis=1)
+    # Batches are independent. An error from 24 of them is itself known to a seventh, hence the factor.
+    error = 1.3 * means.std(axis=0, ddof=1) / np.sqrt(batches)
     location = Surface(scene.mesh).locate(position[None], outgoing[None])
     keys = np.zeros(1, np.uint64)
-    walked = walk_out(scene, location.faces, location.barycentric, outgoing[None], keys, exits, 5)
+    walked = sample_exits(scene, location.faces, location.barycentric, outgoing[None], keys, exits, 5)
     into = walked.throughput[0] * (walked.directions[0] @ axis > np.cos(np.radians(degrees)))[:, None]
     return means.mean(axis=0), error, into.mean(axis=0), into.std(axis=0) / np.sqrt(exits)
 
 
-def connects(scene: Scene) -> bool:
+def has_connections(scene: Scene) -> bool:
     """Whether connections exist in the scene."""
     return smooth_part(scene) is None

@@ -1,9 +1,9 @@
-"""The error bars are what they say: mean ± 1.96 standard_error covers the truth in 95 % of all pairs (query, seed).
+"""Calibration of the error bars: mean ± 1.96 standard_error covers the truth in 95 % of all pairs (query, seed).
 
-The truth of a pair is the mean of its query's other seeds, of which none shares a path with it: with 209 others its own
-error is 1 / √209 of a pair's and takes less than 0.1 % from the coverage. A pair counts where the estimator calls it
-reliable. Coverage over 2,000 pairs has a standard deviation of 0.5 %: 93–97 % is four of them. The scene whose walks
-cost most has 1,680 pairs and 0.53 %. Of all pairs four in five must be reliable.
+The truth of a pair is the mean over the other seeds of its query, which share no path with it. With 209 others its
+error is 1 / √209 of a pair's and lowers the coverage by less than 0.1 %. Only pairs that the estimator calls reliable
+count; four in five must be. Coverage over 2,000 pairs has a standard deviation of 0.5 %, so that 93–97 % is ±4 of them;
+the most expensive scene has 1,680 pairs and 0.53 %.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ THICK = {"sigma_t": 20.0, "albedo": [0.9, 0.7, 0.5], "phase_g": 0.5, "eta": 1.3,
 
 
 class Experiment:
-    """One estimator on one scene, by paths and seed; light from all sides, or from behind the object alone."""
+    """One estimator on one scene, with light from all sides, or only from behind the object."""
 
     def __init__(self, folder, mesh, medium, estimator, behind=False, count=QUERIES):
         self.scene = make_scene(folder, mesh, **medium)
@@ -39,7 +39,7 @@ class Experiment:
         return estimate_transport(self.scene, self.positions, self.outgoing, self.incident, paths, seed)
 
     def coverage(self, paths, seeds=SEEDS):
-        """Whether each pair's bound covers the truth [seeds,N,values], and whether it is called reliable [seeds,N]."""
+        """Whether the bound of each pair covers the truth [seeds,N,values], and whether it is reliable [seeds,N]."""
         estimates = [self.estimate(paths, seed) for seed in range(seeds)]
         means, errors = (np.stack([getattr(e, name) for e in estimates]) for name in ("mean", "standard_error"))
         truths = (means.sum(axis=0) - means) / (seeds - 1)
@@ -75,8 +75,8 @@ def test_bounds_cover_the_truth(estimator, mesh, medium, paths, count, tmp_path)
     assert each.max() <= 0.97
 
 
-def test_too_few_paths_for_heavy_tails_are_flagged(tmp_path):
-    """Light from behind a thick object comes through rarely and strongly: the bounds fall short, and say so."""
+def test_too_few_paths_for_heavy_tails_are_unreliable(tmp_path):
+    """Light from behind a thick object comes in rare, strong paths: bounds are too narrow and flagged as unreliable."""
     thick = Experiment(tmp_path, sphere(2), THICK, "transport", behind=True, count=FEWER_QUERIES)
     covered, reliable = thick.coverage(1024, seeds=20)
     assert reliable.mean() < 0.1
@@ -84,16 +84,16 @@ def test_too_few_paths_for_heavy_tails_are_flagged(tmp_path):
 
 
 @pytest.mark.parametrize("sharp", [{"phase_g": 0.9}, {"phase_g": -0.9}, {"eta": 1.3, "roughness": 0.05}])
-def test_a_sharp_lobe_needs_many_paths(sharp, tmp_path):
-    """A sample that missed all of the strong paths looks perfect: the scene says how many it takes."""
+def test_sharp_lobe_requires_many_paths(sharp, tmp_path):
+    """A sample that missed all strong paths looks perfect, so the scene determines the required number."""
     for estimator, expected in (("transport", False), ("coefficients", True)):
         few = Experiment(tmp_path, sphere(2), MATCHED | sharp, estimator).estimate(4096, seed=1)
         assert few.reliable.any() == expected
 
 
 @pytest.mark.parametrize("estimator", ["coefficients", "transport"])
-def test_a_value_that_no_path_has_touched_is_flagged(estimator, tmp_path):
-    """0 ± 0 covers nothing: a thin medium of which all walks but one in some ten thousand come through unscattered."""
+def test_value_without_any_contribution_is_unreliable(estimator, tmp_path):
+    """0 ± 0 covers nothing: in this thin medium only one walk in ten thousand scatters."""
     thin = Experiment(tmp_path, sphere(2), {"sigma_t": 1e-4, "albedo": 0.9}, estimator)
     few = thin.estimate(64, seed=1)
     untouched = (few.standard_error == 0.0).reshape(QUERIES, -1).all(axis=1)
@@ -102,14 +102,16 @@ def test_a_value_that_no_path_has_touched_is_flagged(estimator, tmp_path):
     assert (thin.estimate(20_000, seed=2).mean[:, ..., 0] != 0.0).any()
 
 
-def test_dark_values_are_told_by_an_upper_bound(tmp_path):
-    """From behind a thick body hardly a path comes: with paths enough the bound is small, and holds what they miss."""
+def test_dark_values_get_an_upper_bound(tmp_path):
+    """From behind a thick body hardly any path arrives: with enough paths the bound is small and covers what they
+    miss.
+    """
     thick = Experiment(tmp_path, sphere(2), {"sigma_t": 15.0, "albedo": [0.97, 0.5, 0.1]}, "transport", behind=True)
     few, many, truth = (thick.estimate(paths, seed) for paths, seed in ((1024, 1), (16384, 2), (65536, 3)))
     rare = ~few.reliable
     assert rare.sum() >= 10
     assert many.reliable.mean() >= 0.9
-    # What fewer than three in 16,384 walks would bring, each as much as white paper, is in the bound.
+    # The bound includes fewer than three in 16,384 walks with the contribution of a white diffuse surface.
     unseen = 3 / (np.pi * 16384)
     bounded = (BOUND * many.standard_error >= unseen) & (many.mean + BOUND * many.standard_error < 1e-3 / (4 * np.pi))
     assert bounded[rare].any(axis=1).sum() >= 10
@@ -117,8 +119,8 @@ def test_dark_values_are_told_by_an_upper_bound(tmp_path):
     assert (np.abs(many.mean - truth.mean) <= BOUND * many.standard_error)[bounded].mean() >= 0.95
 
 
-def test_light_that_is_bent_inside_needs_more_paths(tmp_path):
-    """Only chance finds it through the boundary: four times as many, and a texture counts by its narrow places too."""
+def test_refraction_inside_requires_more_paths(tmp_path):
+    """Refracted light reaches the boundary by chance only: four times as many. A texture counts on average."""
     inner = {"mesh": moved(sphere(2), 0.4), "name": "ice", "interface": {"eta": 1.1}, "medium": MATCHED}
     for name, inside, roughness, paths in (
         ("plain", (), 0.25, 1024),
@@ -129,7 +131,7 @@ def test_light_that_is_bent_inside_needs_more_paths(tmp_path):
         (tmp_path / name).mkdir()
         scene = nested_scene(tmp_path / name, with_uv(sphere(2)), MATCHED, inside, eta=1.3, roughness=roughness)
         positions, outgoing, _ = queries(scene.mesh, 24, seed=11)
-        seen = [
+        result = [
             estimate_transport(scene, positions, outgoing, outgoing, n, 1).reliable.any() for n in (paths - 1, paths)
         ]
-        assert seen == [False, True], name
+        assert result == [False, True], name

@@ -1,5 +1,5 @@
-"""The compensated rough interface: it keeps all energy, sends light as its density says, is reciprocal, and shares out
-what single scattering loses much as a random walk over the microsurface does.
+"""Compensated rough interfaces: energy conservation, samples that follow the density, reciprocity, and agreement of the
+transmitted loss with a random walk over the microsurface.
 """
 
 import math
@@ -29,7 +29,7 @@ WHITE = {"sigma_t": 3.0, "albedo": 1.0}
 
 
 def table(eta, low, high=None):
-    """Losses for both sides of an interface, for one roughness or a range."""
+    """Loss tables for both sides of an interface, for one roughness or a range."""
     denser = max(eta, 1 / eta)
     return loss_tables([denser, 1 / denser], (low, high or low))
 
@@ -50,7 +50,7 @@ def events(losses, alpha, eta, i, transmit_only, count):
 
 @njit
 def densities(losses, alpha, eta, i, o):
-    """The whole density, and the part that is given back."""
+    """The complete density, and that of the compensating lobe."""
     values = np.empty((2, len(o)))
     for n in range(len(o)):
         values[1, n] = returned_density(losses, alpha, eta, i[2], o[n, 2])
@@ -64,8 +64,8 @@ def cells():
 
 
 @pytest.mark.parametrize(("alpha", "eta", "cosine"), INTERFACES)
-def test_the_density_is_whole_and_drawn(alpha, eta, cosine, cells):
-    """False-alarm rate `sampling.FALSE_ALARM`; the table and the cells' integrals are good to about 1e-3."""
+def test_density_integrates_to_one_and_is_sampled(alpha, eta, cosine, cells):
+    """False-alarm rate `sampling.FALSE_ALARM`; the table and the integrals over cells err by about 1e-3."""
     for losses in (table(eta, alpha), table(eta, 0.05, 1.0)):
         density, returned = densities(losses, alpha, eta, at_cosine(cosine), cells.directions)
         probabilities = cells.integrate(density)
@@ -78,25 +78,25 @@ def test_the_density_is_whole_and_drawn(alpha, eta, cosine, cells):
 
 
 @pytest.mark.parametrize(("alpha", "eta", "cosine"), INTERFACES)
-def test_what_is_let_in_is_what_is_not_reflected(alpha, eta, cosine, cells):
+def test_transmission_is_the_complement_of_reflection(alpha, eta, cosine, cells):
     losses, i = table(eta, alpha), at_cosine(cosine)
     up = cells.directions[:, 2] > 0
     density, returned = densities(losses, alpha, eta, i, cells.directions)
-    let_in = events(losses, alpha, eta, i, True, SAMPLES)
-    assert (let_in[:, 2] < 0).all()
-    assert (let_in[:, 3] <= 1.0 + 1e-12).all()
+    transmitted_rows = events(losses, alpha, eta, i, True, SAMPLES)
+    assert (transmitted_rows[:, 2] < 0).all()
+    assert (transmitted_rows[:, 3] <= 1.0 + 1e-12).all()
     reflected = (events(losses, alpha, eta, i, False, SAMPLES)[:, 2] > 0).mean()
-    error = math.hypot(let_in[:, 3].std(), math.sqrt(reflected * (1 - reflected))) / math.sqrt(SAMPLES)
-    assert abs(let_in[:, 3].mean() + reflected - 1.0) < 5 * error
+    error = math.hypot(transmitted_rows[:, 3].std(), math.sqrt(reflected * (1 - reflected))) / math.sqrt(SAMPLES)
+    assert abs(transmitted_rows[:, 3].mean() + reflected - 1.0) < 5 * error
     if eta > 1:
         assert not returned[up].any()
     probabilities = cells.integrate(np.where(up, 0.0, density))
-    assert_mean_is(let_in[:, 3], probabilities.sum() / cells.integrate(density).sum())
+    assert_mean_is(transmitted_rows[:, 3], probabilities.sum() / cells.integrate(density).sum())
 
 
 @pytest.mark.parametrize("alpha", [0.02, 0.3, 1.0])
-def test_the_returned_part_is_reciprocal(alpha):
-    """iz k(i, o) = eta² |oz| k(o, i): étendue is kept, through the interface and in reflection on either side."""
+def test_compensating_lobe_is_reciprocal(alpha):
+    """iz k(i, o) = eta² |oz| k(o, i), for transmission and for reflection on either side."""
     eta = 1.4
     losses = table(eta, alpha)
     for a, b in np.random.default_rng(3).uniform(0.01, 1.0, (50, 2)):
@@ -106,20 +106,20 @@ def test_the_returned_part_is_reciprocal(alpha):
         assert inside == pytest.approx(b * returned_density(losses, alpha, 1 / eta, b, a), rel=1e-9)
 
 
-def test_losses_lie_between_none_and_all_and_grow_with_roughness():
+def test_losses_are_between_0_and_1_and_grow_with_roughness():
     for eta in (1.0 + 1e-6, 1.1, 1.5, 2.5, 4.0):
         rows = table(eta, 0.01, 1.0)
         losses = rows[:, :, LOSS : LOSS + 49]
         assert losses.min() >= 0.0
         assert losses.max() <= 1.0
         assert (np.diff(rows[:, :, MEAN], axis=1) > 0.0).all()
-        # The denser side can take in all that the rarer one loses, and gives back no more than it loses itself.
+        # The denser side can receive the loss of the rarer one, and transmits no more than its own loss.
         assert (eta**2 * rows[1, :, MEAN] >= rows[0, :, MEAN]).all()
 
 
 @pytest.mark.parametrize("alpha", [0.3, 0.6, 1.0])
-def test_as_much_gets_through_as_over_a_microsurface(alpha):
-    """Averaged over the cosine, all bounces counted. Single scattering alone is 0.04, 0.12 and 0.24 below."""
+def test_transmission_agrees_with_the_microsurface(alpha):
+    """Mean over the cosine, with all bounces. Single scattering alone is lower by 0.04, 0.12 and 0.24."""
     eta, cosines = 1.4, np.sqrt((np.arange(8) + 0.5) / 8)
     losses = table(eta, alpha)
     walked = np.mean([transmitted(c, alpha, eta, 20_000, n).mean() for n, c in enumerate(cosines)])
@@ -128,7 +128,7 @@ def test_as_much_gets_through_as_over_a_microsurface(alpha):
 
 
 def reflectance(cosines, alpha, eta):
-    """R(ωo) [N] of single scattering outside, by quadrature over a second implementation of Walter's model."""
+    """R(ωo) [N] of single scattering outside, by quadrature over the second implementation of Walter's model."""
     x, w = np.polynomial.legendre.leggauss(200)
     mu, phi = 0.5 * (x + 1), np.pi * (np.arange(200) + 0.5) / 200
     r = np.sqrt(1 - mu**2)[:, None]
@@ -152,41 +152,41 @@ FURNACES: dict[str, tuple[Any, dict[str, Any], tuple[dict[str, Any], ...]]] = {
 
 
 @pytest.mark.parametrize("name", FURNACES)
-def test_furnace(name: str, tmp_path: Path) -> None:
-    """Under a constant sky Ŝ and the reflection at x make 1, whatever the shape: within 3e-3 and the noise."""
+def test_furnace_by_exits(name: str, tmp_path: Path) -> None:
+    """Under a constant sky Ŝ and the reflection at x sum to 1 for any shape, within 3e-3 and the noise."""
     mesh, medium, inside = FURNACES[name]
     np.save(tmp_path / "sigma_t.npy", 20.0 * blotches((6, 5, 7), 1e3, 5))
     scene = nested(tmp_path, mesh, medium, {"eta": 1.4, **COMPENSATED}, *inside)
     positions, outgoing, normals = queries(scene.mesh, 30, 3)
     cosines = np.sum(outgoing * normals, axis=1)
     clear = cosines > 0.1
-    seen = estimate_coefficients(scene, positions[clear], outgoing[clear], 0, 2048, 1)
-    furnace = ROOT * seen.mean[:, 0, 0] + reflectance(cosines[clear], 0.3, 1.4)
-    np.testing.assert_allclose(furnace, 1.0, atol=3e-3 + 5 * ROOT * seen.standard_error[:, 0, 0].max())
+    result = estimate_coefficients(scene, positions[clear], outgoing[clear], 0, 2048, 1)
+    furnace = ROOT * result.mean[:, 0, 0] + reflectance(cosines[clear], 0.3, 1.4)
+    np.testing.assert_allclose(furnace, 1.0, atol=3e-3 + 5 * ROOT * result.standard_error[:, 0, 0].max())
     assert abs(furnace.mean() - 1.0) < 1.5e-3
-    np.testing.assert_array_equal(seen.lost, 0.0)
+    np.testing.assert_array_equal(result.lost, 0.0)
 
 
 def test_furnace_by_transport(tmp_path: Path) -> None:
-    """The same from connections to random directions, which go by the density and not by the draws."""
+    """The same by connections to random directions, which use the density instead of samples."""
     scene = nested(tmp_path, sphere(2), WHITE, {"eta": 1.4, **COMPENSATED, "roughness": 0.5})
     positions, outgoing, normals = queries(scene.mesh, 4, 6)
     copies, directions = 256, 32
     incident = unit_directions(4 * copies * directions, 7).reshape(-1, directions, 3)
-    seen = estimate_transport(scene, np.repeat(positions, copies, 0), np.repeat(outgoing, copies, 0), incident, 32, 2)
-    sums = 4.0 * np.pi * seen.mean.mean(axis=1)[:, 1].reshape(4, copies)
-    due = 1.0 - reflectance(np.sum(outgoing * normals, axis=1), 0.5, 1.4)
+    result = estimate_transport(scene, np.repeat(positions, copies, 0), np.repeat(outgoing, copies, 0), incident, 32, 2)
+    sums = 4.0 * np.pi * result.mean.mean(axis=1)[:, 1].reshape(4, copies)
+    expected = 1.0 - reflectance(np.sum(outgoing * normals, axis=1), 0.5, 1.4)
     error = np.hypot(sums.std(axis=1, ddof=1) / np.sqrt(copies), 2e-3)
-    assert_agree(sums.mean(axis=1), error, due)
+    assert_agree(sums.mean(axis=1), error, expected)
 
 
-def test_what_a_boundary_loses_of_a_furnace_is_what_walks_lose(tmp_path: Path) -> None:
-    """`furnace_loss` takes the light inside as even, which in white matter it nearly is: to a fiftieth here."""
+def test_furnace_loss_agrees_with_walks(tmp_path: Path) -> None:
+    """`furnace_loss` assumes diffuse light inside, which holds to 2 % in this white medium."""
     scene = nested(tmp_path, sphere(2), {**WHITE, "sigma_t": 8.0}, {"eta": 1.4, "roughness": 0.3})
     positions, outgoing, normals = queries(scene.mesh, 400, 3)
     cosines = np.sum(outgoing * normals, axis=1)
-    seen = estimate_coefficients(scene, positions, outgoing, 0, 256, 1)
-    lost = 1.0 - ROOT * seen.mean[:, 0, 0] - reflectance(cosines, 0.3, 1.4)
+    result = estimate_coefficients(scene, positions, outgoing, 0, 256, 1)
+    lost = 1.0 - ROOT * result.mean[:, 0, 0] - reflectance(cosines, 0.3, 1.4)
     assert np.average(lost, weights=cosines) == pytest.approx(furnace_loss(0.3, 1.4), rel=0.02)
     assert furnace_loss(0.3, 1.4) == pytest.approx(0.29, abs=0.005)
     (remark,) = find_remarks(scene.path)

@@ -1,4 +1,4 @@
-"""Laws of the two estimators, and what they refuse. z-bounds are those of `significance.FALSE_ALARM`; fixed seeds."""
+"""Properties of the two estimators, and refused arguments. z-bounds at `significance.FALSE_ALARM`, fixed seeds."""
 
 import numba
 import numpy as np
@@ -8,7 +8,7 @@ from formats.errors import QueryError
 from prt_bake.mathematics import sh
 from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
 from tests.mathematics.significance import assert_agree
-from tests.tracer.scenes import lumpy, make_scene, moved, queries, sphere, turned_lattices, unit_directions
+from tests.tracer.scenes import lumpy, make_scene, moved, queries, rotated_lattices, sphere, unit_directions
 
 GENERATOR = np.random.default_rng(7)
 SIGMA_T, ALBEDO = GENERATOR.uniform(0.5, 6.0, (3, 4, 5)), GENERATOR.uniform(0.4, 1.0, (4, 3, 3, 3))
@@ -26,12 +26,12 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_values_integrate_to_the_coefficients(kind, tmp_path):
-    """Two independent estimators of one thing: ∫ Ŝ Y over lattices turned at random, and the exits' Y."""
+    """Two independent estimators of the same value: ∫ Ŝ Y over randomly rotated lattices, and Y at exits."""
     shape, medium = KINDS[kind]
     scene = make_scene(tmp_path, shape(), **medium)
     positions, outgoing, _ = queries(scene.mesh, 6, seed=1)
     copies, directions = 64, 32
-    incident = turned_lattices(6 * copies, directions, seed=2)
+    incident = rotated_lattices(6 * copies, directions, seed=2)
     values = estimate_transport(
         scene, np.repeat(positions, copies, 0), np.repeat(outgoing, copies, 0), incident, paths=25, seed=3
     )
@@ -43,7 +43,7 @@ def test_values_integrate_to_the_coefficients(kind, tmp_path):
 
 
 @pytest.mark.parametrize("interface", [{}, {"eta": 1.3, "roughness": 0.4}])
-def test_a_grid_of_one_value_is_a_homogeneous_medium(interface, tmp_path):
+def test_constant_grid_is_a_homogeneous_medium(interface, tmp_path):
     positions, outgoing, _ = queries(lumpy(), 20, seed=1)
     incident = unit_directions(20, seed=2)
     values, coefficients = [], []
@@ -66,7 +66,7 @@ SCALED = {"albedo": 0.9, "eta": 1.3, "roughness": 0.3}
 
 @pytest.fixture(scope="module")
 def near(tmp_path_factory):
-    """A scene, and positions, outgoing and incident of it."""
+    """A scene with positions, outgoing and incident directions."""
     scene = make_scene(tmp_path_factory.mktemp("near"), lumpy(), sigma_t=4.0 * SIGMA_T, **SCALED)
     positions, outgoing, _ = queries(scene.mesh, 20, seed=1)
     return scene, positions, outgoing, unit_directions(20, seed=2)
@@ -82,15 +82,15 @@ def near_estimates(near):
 
 
 def far(folder, near, scale, shift):
-    """The same object far away, its extinction scaled along, and the same queries."""
+    """The same object and queries at another size and place, with the extinction scaled along."""
     scene, positions, outgoing, incident = near
     moved_scene = make_scene(folder, moved(scene.mesh, scale, shift), sigma_t=4.0 * SIGMA_T / scale, **SCALED)
     return moved_scene, positions * scale + shift, outgoing, incident
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e5), (3.7, -20.0), (1e-6, 3.0)])
-def test_only_the_optical_thickness_counts(scale, shift, near, near_estimates, tmp_path):
-    """A mesh of another size or far from the origin, its extinction scaled along: the same numbers by other seeds."""
+def test_estimates_depend_on_the_optical_thickness_alone(scale, shift, near, near_estimates, tmp_path):
+    """Another size or position, with the extinction scaled along, gives the same values from other seeds."""
     scene, positions, outgoing, incident = far(tmp_path, near, scale, shift)
     values = estimate_transport(scene, positions, outgoing, incident, paths=1500, seed=1)
     coefficients = estimate_coefficients(scene, positions, outgoing, 2, 1500, seed=1)
@@ -98,18 +98,18 @@ def test_only_the_optical_thickness_counts(scale, shift, near, near_estimates, t
         assert_agree(first.mean, first.standard_error, second.mean, second.standard_error)
 
 
-def test_doubling_changes_no_bit(near, tmp_path):
-    """Powers of two are exact: the same seed gives the very same walks."""
+def test_scaling_by_a_power_of_two_changes_no_bit(near, tmp_path):
+    """Powers of two are exact: the same seed gives the same walks."""
     first, second = (estimate_transport(*scene, 200, 3) for scene in (near, far(tmp_path, near, 2.0**20, 0.0)))
     np.testing.assert_array_equal(first.mean, second.mean)
 
 
 @pytest.mark.parametrize("estimate", ["transport", "coefficients"])
 def test_results_depend_on_neither_threads_nor_batches(estimate, tmp_path, monkeypatch):
-    """Bit by bit: one thread and all of them, blocks of two queries and one of ten, the first four and all ten; each
-    query in three chunks of paths.
+    """Bit by bit: one thread or all, blocks of two queries or ten, the first four queries or ten; three chunks of paths
+    per query.
     """
-    monkeypatch.setattr("prt_bake.tracer.estimate._PATHS_A_CHUNK", 128)
+    monkeypatch.setattr("prt_bake.tracer.estimate._PATHS_PER_CHUNK", 128)
     scene = make_scene(tmp_path, lumpy(), sigma_t=SIGMA_T, albedo=0.9, eta=1.3, roughness=0.4)
     positions, outgoing, _ = queries(scene.mesh, 10, seed=1)
     incident = unit_directions(40, seed=2).reshape(10, 4, 3)
@@ -135,8 +135,8 @@ def test_results_depend_on_neither_threads_nor_batches(estimate, tmp_path, monke
 
 
 @pytest.mark.parametrize("kind", ["index-matched grid", "rough"])
-def test_connections_are_a_matter_of_cost_alone(kind, tmp_path):
-    """However few of the directions an event looks at, sums over sixteen of them stay; the errors come from copies."""
+def test_number_of_connections_does_not_change_the_expectation(kind, tmp_path):
+    """Sums over sixteen directions do not depend on how many of them an event connects to; errors from copies."""
     shape, medium = KINDS[kind]
     scene = make_scene(tmp_path, shape(2), **medium)
     count, copies = 4, 48
@@ -144,15 +144,15 @@ def test_connections_are_a_matter_of_cost_alone(kind, tmp_path):
     incident = np.repeat(unit_directions(count * 16, seed=2).reshape(count, 16, 3), copies, axis=0)
     means, errors = [], []
     for connections in (1, 3, 16):
-        seen = estimate_transport(scene, positions, outgoing, incident, 200, connections, connections=connections)
-        sums = np.einsum("ndc,d->nc", seen.mean, np.tile([1.0, 0.5], 8)).reshape(count, copies, 3)
+        result = estimate_transport(scene, positions, outgoing, incident, 200, connections, connections=connections)
+        sums = np.einsum("ndc,d->nc", result.mean, np.tile([1.0, 0.5], 8)).reshape(count, copies, 3)
         means.append(sums.mean(axis=1))
         errors.append(sums.std(axis=1, ddof=1) / np.sqrt(copies))
     assert_agree(means[0], errors[0], means[2], errors[2])
     assert_agree(means[1], errors[1], means[2], errors[2])
 
 
-def test_one_direction_a_query_or_many_is_the_same_thing(tmp_path):
+def test_single_and_multiple_directions_per_query_agree(tmp_path):
     scene = make_scene(tmp_path, sphere(2))
     positions, outgoing, _ = queries(scene.mesh, 5, seed=1)
     incident = unit_directions(5, seed=2)
@@ -187,33 +187,33 @@ def test_vertices_edges_and_grazing_views_are_sound(interface, tmp_path):
     assert (np.sqrt(4 * np.pi) * estimate.mean[:, 0] <= 1 + 1e-9).all()
 
 
-class TestRefusals:
+class TestRefusedArguments:
     @pytest.fixture
-    def asked(self, tmp_path):
+    def scene_queries(self, tmp_path):
         scene = make_scene(tmp_path, sphere(2))
         return scene, *queries(scene.mesh, 4, seed=1)[:2]
 
-    def test_a_smooth_interface_has_no_values(self, tmp_path):
+    def test_smooth_interface_has_no_point_values(self, tmp_path):
         scene = make_scene(tmp_path, sphere(2), eta=1.4)
         positions, outgoing, _ = queries(scene.mesh, 4, seed=1)
         with pytest.raises(QueryError, match="smooth interface"):
             estimate_transport(scene, positions, outgoing, outgoing, paths=10)
         assert np.isfinite(estimate_coefficients(scene, positions, outgoing, paths=10).mean).all()
 
-    def test_below_the_horizon(self, asked):
-        scene, positions, outgoing = asked
+    def test_directions_below_the_horizon(self, scene_queries):
+        scene, positions, outgoing = scene_queries
         outgoing[2:] *= -1
-        with pytest.raises(QueryError, match=r"2 of 4 queries lie below .* number 2 "):
+        with pytest.raises(QueryError, match=r"found 2 of 4 queries below .* number 2 "):
             estimate_coefficients(scene, positions, outgoing, paths=10)
 
-    def test_off_the_surface(self, asked):
-        scene, positions, outgoing = asked
+    def test_positions_off_the_surface(self, scene_queries):
+        scene, positions, outgoing = scene_queries
         positions[1] *= 1.5
-        with pytest.raises(QueryError, match=r"1 of 4 do not lie on the surface; the first is number 1, 0\.[45]"):
+        with pytest.raises(QueryError, match=r"found 1 of 4 farther away; the first, number 1, is 0\.[45]"):
             estimate_coefficients(scene, positions, outgoing, paths=10)
 
-    def test_within_reach_is_taken_to_the_surface(self, asked):
-        scene, positions, outgoing = asked
+    def test_positions_in_reach_are_moved_to_the_surface(self, scene_queries):
+        scene, positions, outgoing = scene_queries
         moved = estimate_coefficients(scene, positions * (1 + 1e-5), outgoing, paths=50)
         np.testing.assert_allclose(
             moved.mean, estimate_coefficients(scene, positions, outgoing, paths=50).mean, rtol=0.02
@@ -222,20 +222,20 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("change", "match"),
         [
-            ({"outgoing": 2.0}, "outgoing: 4 directions are not of unit length"),
-            ({"positions": np.nan}, "positions: 4 of 4 are not finite"),
-            ({"incident": 0.5}, "incident: 4 directions are not of unit length"),
+            ({"outgoing": 2.0}, "outgoing: expected unit vectors, found 4 that are not"),
+            ({"positions": np.nan}, "found 4 of 4 that are not finite"),
+            ({"incident": 0.5}, "incident: expected unit vectors, found 4 that are not"),
         ],
     )
-    def test_numbers_out_of_their_domain(self, asked, change, match):
-        scene, positions, outgoing = asked
+    def test_values_out_of_range(self, scene_queries, change, match):
+        scene, positions, outgoing = scene_queries
         arguments = {"positions": positions, "outgoing": outgoing, "incident": outgoing}
         arguments = {name: value * change.get(name, 1.0) for name, value in arguments.items()}
         with pytest.raises(QueryError, match=match):
             estimate_transport(scene, paths=10, **arguments)
 
-    def test_shapes(self, asked):
-        scene, positions, outgoing = asked
+    def test_wrong_shapes(self, scene_queries):
+        scene, positions, outgoing = scene_queries
         with pytest.raises(QueryError, match="incident"):
             estimate_transport(scene, positions, outgoing, outgoing[:3], paths=10)
         with pytest.raises(QueryError, match="positions"):

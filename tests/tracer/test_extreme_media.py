@@ -1,4 +1,4 @@
-"""Media at their limits: thick, white, sharp, uneven, coloured. No NaN, no lost energy, no endless walk.
+"""Media at their limits: thick, white, sharp, heterogeneous, chromatic. No NaN, no lost energy, no endless walk.
 
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 25 of them.
 """
@@ -24,30 +24,28 @@ ROUGH: dict[str, Any] = {"eta": 1.4, "roughness": 0.3}
 
 @pytest.mark.parametrize("interface", [MATCHED, SMOOTH])
 @pytest.mark.parametrize("sigma_t", [1e-9, 1e-3, 100.0, 1e4])
-def test_white_matter_of_any_thickness_gives_everything_back(
-    tmp_path: Path, sigma_t: float, interface: dict[str, Any]
-) -> None:
+def test_white_furnace_holds_for_any_thickness(tmp_path: Path, sigma_t: float, interface: dict[str, Any]) -> None:
     scene = make_scene(tmp_path, moved(sphere(3), 0.5), sigma_t=sigma_t, albedo=1.0, **interface)
     assert_furnace(scene, *queries(scene.mesh, 12, 3)[:2], paths=48)
 
 
 @pytest.mark.parametrize("albedo", [0.9999, 1.0])
-def test_ten_thousand_mean_free_paths_reflect_as_a_half_space(tmp_path: Path, albedo: float) -> None:
-    """Ŝ by Chandrasekhar's H, grazing directions among them; what gets through is 1e-4 at most."""
+def test_ten_thousand_mean_free_paths_reflect_like_a_half_space(tmp_path: Path, albedo: float) -> None:
+    """Ŝ by Chandrasekhar's H function, including grazing directions; the transmitted share is at most 1e-4."""
     scene = make_scene(tmp_path, slab(1.0), sigma_t=1e4, albedo=albedo)
     cosine = np.array([1.0, 0.9, 0.6, 0.3, 0.1, 0.02])
     outgoing = _at_cosines(cosine, 0.0)
     incident = _at_cosines(np.roll(cosine, 2), 2.0)
     top = np.tile([0.05, 0.02, 0.5], (len(cosine), 1))
-    seen = estimate_transport(scene, top, outgoing, incident, 256, 1)
-    assert_sound(seen)
-    due = half_space.reflected(albedo, outgoing[:, 2], incident[:, 2])
-    assert_agree(seen.mean[:, 1], seen.standard_error[:, 1], due)
-    assert np.median(seen.standard_error[:, 1] / due) < 0.2
+    result = estimate_transport(scene, top, outgoing, incident, 256, 1)
+    assert_sound(result)
+    expected = half_space.reflected(albedo, outgoing[:, 2], incident[:, 2])
+    assert_agree(result.mean[:, 1], result.standard_error[:, 1], expected)
+    assert np.median(result.standard_error[:, 1] / expected) < 0.2
 
 
 @pytest.mark.parametrize("albedo", [0.0, 0.5, 0.99, 0.9999])
-def test_a_white_sky_over_ten_thousand_mean_free_paths(tmp_path: Path, albedo: float) -> None:
+def test_white_sky_over_ten_thousand_mean_free_paths(tmp_path: Path, albedo: float) -> None:
     scene = make_scene(tmp_path, slab(1.0), sigma_t=1e4, albedo=albedo)
     outgoing = _at_cosines(np.array([1.0, 0.7, 0.3, 0.05]), 1.0)
     total, error = white_sky(scene, np.tile([0.05, 0.02, 0.5], (4, 1)), outgoing, 512)
@@ -59,26 +57,26 @@ def _at_cosines(cosine: np.ndarray, turn: float) -> np.ndarray:
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=1)
 
 
-def test_walks_that_are_cut_are_reported_as_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What comes back and what was lost make one, by exits and by connections."""
+def test_truncated_walks_are_reported_as_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Returned and lost energy sum to 1, for exits; connections report the same loss."""
     monkeypatch.setattr(prepared, "MOST_EVENTS", 50)
     scene = make_scene(tmp_path, moved(sphere(3), 0.5), sigma_t=500.0, albedo=1.0)
     positions, outgoing, _ = queries(scene.mesh, 6, 3)
-    seen = estimate_coefficients(scene, positions, outgoing, 0, 512, 1)
-    assert seen.lost.min() > 0.05
-    np.testing.assert_allclose(SQRT_4_PI * seen.mean[:, 0, 0] + seen.unscattered + seen.lost, 1.0, rtol=1e-12)
+    result = estimate_coefficients(scene, positions, outgoing, 0, 512, 1)
+    assert result.lost.min() > 0.05
+    np.testing.assert_allclose(SQRT_4_PI * result.mean[:, 0, 0] + result.unscattered + result.lost, 1.0, rtol=1e-12)
     connected = estimate_transport(scene, positions, outgoing, unit_directions(6, 1), 512, 1)
-    assert (np.abs(connected.lost - seen.lost) < 0.15).all()
+    assert (np.abs(connected.lost - result.lost) < 0.15).all()
 
 
 @pytest.mark.parametrize("interface", [MATCHED, SMOOTH])
 @pytest.mark.parametrize("phase_g", [-0.9999, -0.99, 0.99, 0.9999])
-def test_sharp_phase_functions_keep_all_energy(tmp_path: Path, phase_g: float, interface: dict[str, Any]) -> None:
+def test_sharp_phase_functions_conserve_energy(tmp_path: Path, phase_g: float, interface: dict[str, Any]) -> None:
     scene = make_scene(tmp_path, lumpy(2), sigma_t=20.0, albedo=1.0, phase_g=phase_g, **interface)
     positions, outgoing, _ = queries(scene.mesh, 12, 4)
     assert_furnace(scene, positions, outgoing, paths=256)
     if not interface:
-        # Straight ahead, straight back and along the axes are where a sharp phase function is largest.
+        # Forward, backward and axis directions, at and away from the peak.
         incident = np.stack([-outgoing, outgoing, *np.broadcast_to(np.eye(3)[:, None], (3, *outgoing.shape))], axis=1)
         assert_sound(estimate_transport(scene, positions, outgoing, incident, 128, 1))
 
@@ -91,24 +89,24 @@ def test_connections_to_a_sharp_phase_function_agree_with_exits(tmp_path: Path, 
     position *= 0.9995 / np.linalg.norm(position)
     sideways = np.array([1.0, 0.0, 0.0])
     for axis, degrees in ((-outgoing, 12.0), (outgoing, 12.0), (sideways, 40.0)):
-        mean, error, due, due_error = into_cap(
+        mean, error, expected, due_error = into_cap(
             scene, _on_surface(scene, position), outgoing, axis, degrees, paths=2000, exits=100_000
         )
         straight = estimate_transport(scene, _on_surface(scene, position)[None], outgoing[None], sideways[None], 2)
-        # The exits hold the light that meets nothing, the connections do not.
-        due = due - straight.unscattered[0] * (axis @ -outgoing > 0.99)
-        assert_agree(mean, error, due, due_error)
+        # Exits include unscattered light, connections do not.
+        expected = expected - straight.unscattered[0] * (axis @ -outgoing > 0.99)
+        assert_agree(mean, error, expected, due_error)
 
 
 def _on_surface(scene: Scene, near: np.ndarray) -> np.ndarray:
-    """The middle of the face whose middle is nearest."""
+    """The nearest face centre."""
     middles = scene.mesh.positions[scene.mesh.faces].mean(axis=1)
     return np.asarray(middles[np.argmin(np.linalg.norm(middles - near, axis=1))])
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])
-def test_rare_dense_cells_do_not_decide_the_cost(tmp_path: Path, interface: dict[str, Any]) -> None:
-    """1e4 : 1 in five of 32,768 cells: a majorant for the whole grid would take some thousand steps a flight."""
+def test_rare_dense_cells_do_not_determine_the_cost(tmp_path: Path, interface: dict[str, Any]) -> None:
+    """1e4 : 1 in five of 32,768 cells: one majorant for the whole grid would take some thousand steps per flight."""
     rare = np.ones((32, 32, 32))
     rare[[4, 9, 16, 20, 28], [16, 20, 15, 9, 16], [16, 9, 15, 22, 17]] = 1e4
     seconds = {}
@@ -124,28 +122,28 @@ def test_rare_dense_cells_do_not_decide_the_cost(tmp_path: Path, interface: dict
 
 @pytest.mark.parametrize("interface", [MATCHED, SMOOTH])
 @pytest.mark.parametrize("contrast", [1e4, np.inf])
-def test_uneven_white_matter_gives_everything_back(tmp_path: Path, contrast: float, interface: dict[str, Any]) -> None:
-    """Cells a ten thousand times as dense as others, and empty ones."""
+def test_heterogeneous_white_furnace(tmp_path: Path, contrast: float, interface: dict[str, Any]) -> None:
+    """Cells ten thousand times as dense as others, and empty ones."""
     dense = np.random.default_rng(3).random((12, 9, 10)) < 0.05
     scene = make_scene(tmp_path, lumpy(2), sigma_t=np.where(dense, 200.0, 200.0 / contrast), albedo=1.0, **interface)
     assert_furnace(scene, *queries(scene.mesh, 12, 3)[:2], paths=128)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (5, 4, 6)])
-def test_a_grid_of_nothing_is_nothing(tmp_path: Path, shape: tuple[int, int, int]) -> None:
+def test_grid_of_zeros_is_a_vacuum(tmp_path: Path, shape: tuple[int, int, int]) -> None:
     scene = make_scene(tmp_path, lumpy(2), sigma_t=np.zeros(shape), albedo=0.5)
     positions, outgoing, _ = queries(scene.mesh, 8, 3)
-    for seen in (
+    for result in (
         estimate_coefficients(scene, positions, outgoing, 1, 64, 1),
         estimate_transport(scene, positions, outgoing, -outgoing, 64, 1),
     ):
-        assert_sound(seen)
-        np.testing.assert_array_equal(seen.mean, 0.0)
-        np.testing.assert_array_equal(seen.unscattered, 1.0)
+        assert_sound(result)
+        np.testing.assert_array_equal(result.mean, 0.0)
+        np.testing.assert_array_equal(result.unscattered, 1.0)
 
 
 @pytest.mark.parametrize("bounds", [None, [[-0.1] * 3, [0.1] * 3], [[-1e3] * 3, [1e3] * 3], [[7.0] * 3, [8.0] * 3]])
-def test_one_cell_is_a_number_wherever_its_box_lies(tmp_path: Path, bounds: Any) -> None:
+def test_single_cell_is_a_constant_for_any_box(tmp_path: Path, bounds: Any) -> None:
     (tmp_path / "plain").mkdir()
     plain = make_scene(tmp_path / "plain", lumpy(2), sigma_t=3.0, albedo=0.8)
     grid = make_scene(
@@ -154,8 +152,8 @@ def test_one_cell_is_a_number_wherever_its_box_lies(tmp_path: Path, bounds: Any)
     _assert_alike(plain, grid)
 
 
-def test_beside_its_box_a_grid_goes_on_as_at_its_rim(tmp_path: Path) -> None:
-    """The object lies wholly below the box, so that all of it is as the lowest cell."""
+def test_grid_is_clamped_outside_its_box(tmp_path: Path) -> None:
+    """The object is entirely below the box, so that the lowest cell fills it."""
     values = np.random.default_rng(4).uniform(0.0, 9.0, (3, 4, 5))
     (tmp_path / "plain").mkdir()
     plain = make_scene(tmp_path / "plain", lumpy(2), sigma_t=values[0, 0, 0], albedo=0.8)
@@ -172,8 +170,8 @@ def _assert_alike(one: Scene, two: Scene) -> None:
     assert_agree(a.mean, a.standard_error, b.mean, b.standard_error)
 
 
-def test_a_grid_of_256_cells_each_way(tmp_path: Path) -> None:
-    """Whatever its majorants, it is looked up rightly (what preparing it takes: `tests/bench/extremes.py`)."""
+def test_grid_of_256_cells_per_axis(tmp_path: Path) -> None:
+    """Look-ups in a large grid are correct (`tests/bench/extremes.py` measures its preparation)."""
     generator = np.random.default_rng(6)
     grid = generator.uniform(1.0, 7.0, (256, 256, 256)).astype(np.float32)
     grid[generator.integers(0, 256, 500), 128, 128] = 1e4
@@ -183,8 +181,8 @@ def test_a_grid_of_256_cells_each_way(tmp_path: Path) -> None:
     assert_furnace(scene, *queries(scene.mesh, 8, 3)[:2], paths=64)
 
 
-def test_an_albedo_of_zero_takes_all_light(tmp_path: Path) -> None:
-    """Everywhere: nothing but what meets nothing is seen. In cells: less than everything, and never a NaN."""
+def test_albedo_of_zero_absorbs_all_light(tmp_path: Path) -> None:
+    """With albedo 0 everywhere only unscattered light is left; with albedo 0 in some cells there is less and no NaN."""
     (tmp_path / "black").mkdir()
     black = make_scene(tmp_path / "black", lumpy(2), sigma_t=2.0, albedo=np.zeros((2, 3, 2, 3)))
     positions, outgoing, _ = queries(black.mesh, 12, 3)
@@ -203,34 +201,34 @@ CHANNELS = [[0.1, 3.0, 100.0], [0.0, 1.0, 100.0], [0.0, 0.0, 5.0], [5.0, 0.0, 0.
 
 @pytest.mark.parametrize("interface", [MATCHED, SMOOTH])
 @pytest.mark.parametrize("sigma_t", CHANNELS)
-def test_channels_a_thousand_to_one_keep_their_energy(
+def test_very_different_channels_conserve_energy(
     tmp_path: Path, sigma_t: list[float], interface: dict[str, Any]
 ) -> None:
-    """The sum of the three exactly, each within its error."""
+    """The sum of the three channels is exact."""
     scene = make_scene(tmp_path, lumpy(2), sigma_t=sigma_t, albedo=1.0, **interface)
     positions, outgoing, normals = queries(scene.mesh, 12, 3)
     inside = np.sum(outgoing * normals, axis=1) > 0.2
     positions, outgoing = positions[inside], outgoing[inside]
-    seen = estimate_coefficients(scene, positions, outgoing, 0, 1024, 1)
-    assert_sound(seen)
-    total = SQRT_4_PI * seen.mean[:, 0] + seen.unscattered.reshape(len(positions), -1)
+    result = estimate_coefficients(scene, positions, outgoing, 0, 1024, 1)
+    assert_sound(result)
+    total = SQRT_4_PI * result.mean[:, 0] + result.unscattered.reshape(len(positions), -1)
     (tmp_path / "plain").mkdir()
     plain = make_scene(tmp_path / "plain", lumpy(2), sigma_t=1.0, albedo=1.0, **interface)
-    due, _ = white_sky(plain, positions, outgoing, 16)
-    np.testing.assert_allclose(total.sum(axis=1), due.sum(axis=1), rtol=1e-5)
-    np.testing.assert_array_equal(seen.mean[..., np.array(sigma_t) == 0.0], 0.0)
+    expected, _ = white_sky(plain, positions, outgoing, 16)
+    np.testing.assert_allclose(total.sum(axis=1), expected.sum(axis=1), rtol=1e-5)
+    np.testing.assert_array_equal(result.mean[..., np.array(sigma_t) == 0.0], 0.0)
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])
-def test_each_of_very_different_channels_is_as_if_alone(tmp_path: Path, interface: dict[str, Any]) -> None:
+def test_very_different_channels_agree_with_single_ones(tmp_path: Path, interface: dict[str, Any]) -> None:
     sigma_t = [0.05, 2.0, 50.0]
     together = make_scene(tmp_path, sphere(3), sigma_t=sigma_t, albedo=0.9, **interface)
     positions, outgoing, _ = queries(together.mesh, 8, 3)
     incident = unit_directions(8, 6)
-    seen = estimate_transport(together, positions, outgoing, incident, 6000, 1)
-    assert_sound(seen)
+    result = estimate_transport(together, positions, outgoing, incident, 6000, 1)
+    assert_sound(result)
     for c, value in enumerate(sigma_t):
         (tmp_path / str(c)).mkdir()
         alone = make_scene(tmp_path / str(c), sphere(3), sigma_t=value, albedo=0.9, **interface)
         one = estimate_transport(alone, positions, outgoing, incident, 6000, 2)
-        assert_agree(seen.mean[:, c], seen.standard_error[:, c], one.mean[:, c], one.standard_error[:, c])
+        assert_agree(result.mean[:, c], result.standard_error[:, c], one.mean[:, c], one.standard_error[:, c])

@@ -1,4 +1,4 @@
-"""Meshes at their limits: tiny, huge, far away, of slivers, of twelve faces or hundreds of thousands, broken ones.
+"""Meshes at their limits: tiny, huge, distant, slivers, twelve faces or hundreds of thousands, broken ones.
 
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 5 of them.
 """
@@ -22,7 +22,7 @@ ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 SMOOTH: dict[str, Any] = {"eta": 1.4}
 
 
-def _asked(folder: Path, scale: float, offset: Any, **interface: Any) -> tuple[Estimate, Estimate]:
+def _estimates(folder: Path, scale: float, offset: Any, **interface: Any) -> tuple[Estimate, Estimate]:
     """The same queries of the same object at another size and place."""
     folder.mkdir()
     scene = make_scene(folder, moved(lumpy(2), scale, offset), sigma_t=4.0 / scale, albedo=[0.9, 1.0, 0.5], **interface)
@@ -35,11 +35,11 @@ def _asked(folder: Path, scale: float, offset: Any, **interface: Any) -> tuple[E
 
 
 @pytest.mark.parametrize("interface", [{}, ROUGH])
-def test_size_and_place_do_not_matter(tmp_path: Path, interface: dict[str, Any]) -> None:
-    """Powers of two change no digit; other sizes and far places change roundings only (float64 file)."""
-    here = _asked(tmp_path / "here", 1.0, 0.0, **interface)
+def test_size_and_position_do_not_matter(tmp_path: Path, interface: dict[str, Any]) -> None:
+    """Powers of two change no digit; other sizes and distant positions change roundings only."""
+    here = _estimates(tmp_path / "here", 1.0, 0.0, **interface)
     for name, scale in (("tiny", 2.0**-20), ("huge", 2.0**20)):
-        for a, b in zip(here, _asked(tmp_path / name, scale, 0.0, **interface), strict=True):
+        for a, b in zip(here, _estimates(tmp_path / name, scale, 0.0, **interface), strict=True):
             assert_sound(b)
             np.testing.assert_array_equal(a.mean, b.mean)
             np.testing.assert_array_equal(a.standard_error, b.standard_error)
@@ -48,15 +48,15 @@ def test_size_and_place_do_not_matter(tmp_path: Path, interface: dict[str, Any])
         **{"small and far": (1e-3, [1e3, 0.0, -1e3])},
     }
     for name, (scale, offset) in places.items():
-        for a, b in zip(here, _asked(tmp_path / name, scale, offset, **interface), strict=True):
+        for a, b in zip(here, _estimates(tmp_path / name, scale, offset, **interface), strict=True):
             assert_sound(b)
             assert_agree(a.mean, a.standard_error, b.mean, b.standard_error)
-            # Nearly all walks are the very same.
+            # Nearly all walks are identical.
             assert np.median(np.abs(a.mean - b.mean) / np.maximum(a.standard_error, 1e-30)) < 1e-2
 
 
 def _prism(angles: np.ndarray, height: float) -> Mesh:
-    """A prism over points of a circle, its caps cut into triangles from their middles."""
+    """A prism over points of a circle, with caps triangulated from their centres."""
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     n = len(ring)
     positions = np.concatenate([np.c_[ring, np.full(n, z)] for z in (-height / 2, height / 2)])
@@ -68,8 +68,8 @@ def _prism(angles: np.ndarray, height: float) -> Mesh:
 
 
 @pytest.mark.parametrize("interface", [{}, SMOOTH])
-def test_slivers_leak_nothing(tmp_path: Path, interface: dict[str, Any]) -> None:
-    """Sides and caps of triangles ten thousand times as long as wide, seen from the slivers themselves."""
+def test_slivers_do_not_leak(tmp_path: Path, interface: dict[str, Any]) -> None:
+    """Triangles ten thousand times as long as wide, with queries on the slivers too."""
     angles = np.concatenate([np.arange(24) * 2.0 * np.pi / 24, 0.1 + 1e-4 * np.arange(30)])
     mesh = _prism(np.sort(angles), 1.0)
     edges = np.linalg.norm(mesh.positions[mesh.faces] - np.roll(mesh.positions[mesh.faces], 1, axis=1), axis=2)
@@ -84,19 +84,21 @@ def test_slivers_leak_nothing(tmp_path: Path, interface: dict[str, Any]) -> None
 
 @pytest.mark.parametrize("extents", [(1.0, 1.0, 1e-4), (1.0, 1e-3, 1e-3)])
 @pytest.mark.parametrize("interface", [{}, SMOOTH])
-def test_leaves_and_needles_leak_nothing(tmp_path: Path, extents: tuple[float, ...], interface: dict[str, Any]) -> None:
+def test_thin_plates_and_needles_do_not_leak(
+    tmp_path: Path, extents: tuple[float, ...], interface: dict[str, Any]
+) -> None:
     box = trimesh.creation.box(extents=extents)
     mesh = build_mesh(np.asarray(box.vertices), np.asarray(box.faces))
     scene = make_scene(tmp_path, mesh, sigma_t=3.0 / min(extents), albedo=1.0, **interface)
     positions, outgoing, normals = queries(mesh, 24, 3)
     steep = np.sum(outgoing * normals, axis=1) > 0.1
-    # Positions are held in float32 of the longest side: a thin thing's refracted views know their angle to 1e-4.
+    # Positions are float32 relative to the longest side, which limits the angles in a thin object to 1e-4.
     assert_furnace(scene, positions[steep], outgoing[steep], paths=128, rtol=1e-5)
 
 
 @pytest.mark.parametrize("interface", [{}, SMOOTH])
-def test_a_cube_of_twelve_faces_from_everywhere(tmp_path: Path, interface: dict[str, Any]) -> None:
-    """From its vertices, from its edges and the diagonals of its sides, and from within the faces."""
+def test_cube_of_twelve_faces_from_all_points(tmp_path: Path, interface: dict[str, Any]) -> None:
+    """From vertices, edges, diagonals of the sides, and face centres."""
     mesh = slab(1.0)
     scene = make_scene(tmp_path, mesh, sigma_t=3.0, albedo=1.0, **interface)
     corners = mesh.positions[mesh.faces]
@@ -104,13 +106,13 @@ def test_a_cube_of_twelve_faces_from_everywhere(tmp_path: Path, interface: dict[
     places = np.concatenate([mesh.positions, middles, corners.mean(axis=1)])
     outgoing = places / np.linalg.norm(places, axis=1, keepdims=True)
     assert_furnace(scene, places, outgoing, paths=256)
-    # And from far aside: through the corner of the cube that lies next.
+    # Oblique views towards the nearest corner of the cube.
     aside = outgoing + 2.0 * np.sign(places)
     assert_furnace(scene, places, aside / np.linalg.norm(aside, axis=1, keepdims=True), paths=64)
 
 
 def test_hundreds_of_thousands_of_faces(tmp_path: Path) -> None:
-    """A ball of 407,000 faces answers as one of 40,000 does (what preparing it takes: `tests/bench/extremes.py`)."""
+    """A ball of 407,000 faces agrees with one of 40,000 (`tests/bench/extremes.py` measures its preparation)."""
     means = []
     for sectors in (100, 320):
         (tmp_path / str(sectors)).mkdir()
@@ -127,11 +129,11 @@ def test_hundreds_of_thousands_of_faces(tmp_path: Path) -> None:
 
 
 def _soup(mesh: Mesh) -> Mesh:
-    """The same faces, each with vertices of its own."""
+    """The same faces with separate vertices."""
     return build_mesh(mesh.positions[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))
 
 
-def test_doubled_vertices_are_one(tmp_path: Path) -> None:
+def test_duplicate_vertices_are_merged(tmp_path: Path) -> None:
     for name in ("plain", "doubled"):
         (tmp_path / name).mkdir()
     plain = make_scene(tmp_path / "plain", lumpy(2), **ROUGH)
@@ -142,7 +144,7 @@ def test_doubled_vertices_are_one(tmp_path: Path) -> None:
     assert_agree(one.mean, one.standard_error, two.mean, two.standard_error)
 
 
-def test_broken_meshes_are_refused_with_the_reason(tmp_path: Path) -> None:
+def test_broken_meshes_are_refused_with_a_reason(tmp_path: Path) -> None:
     ball = sphere(1)
     flat = build_mesh(ball.positions, np.concatenate([ball.faces, [[0, 1, 0]]]))
     doubled = build_mesh(ball.positions, np.concatenate([ball.faces, ball.faces[:2]]))
@@ -151,7 +153,7 @@ def test_broken_meshes_are_refused_with_the_reason(tmp_path: Path) -> None:
     _refused(tmp_path / "flat", flat, MeshError, "1 of 81 faces have no area, the first is face 80")
     _refused(tmp_path / "doubled", doubled, SceneError, "not closed: 6 edges are not shared by exactly two faces")
     _refused(tmp_path / "twice", twice, SceneError, "not closed: 120 edges are not shared by exactly two faces")
-    _refused(tmp_path / "torn", torn, SceneError, "3 edges between faces wound against one another")
+    _refused(tmp_path / "torn", torn, SceneError, "3 edges between faces of opposite winding")
 
 
 def _refused(folder: Path, mesh: Mesh, error: type[Exception], message: str) -> None:
@@ -160,7 +162,7 @@ def _refused(folder: Path, mesh: Mesh, error: type[Exception], message: str) -> 
         make_scene(folder, mesh)
 
 
-def test_an_object_inside_out_is_turned(tmp_path: Path) -> None:
+def test_inverted_object_is_flipped(tmp_path: Path) -> None:
     ball = sphere(2)
     scene: Scene = make_scene(tmp_path, build_mesh(ball.positions, ball.faces[:, ::-1]), albedo=1.0)
     assert scene.flipped

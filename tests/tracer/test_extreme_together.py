@@ -1,4 +1,4 @@
-"""Limits met together: sharp phase functions behind narrow interfaces, textures, nests of high indices, tiny meshes.
+"""Combined limits: sharp phase functions behind narrow interfaces, textures, nested high indices, tiny meshes.
 
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 15 of them.
 """
@@ -15,7 +15,7 @@ from prt_bake.tracer.estimate import estimate_transport
 from tests.mathematics.significance import assert_agree, largest_z
 from tests.tracer.nested_scenes import CLEAR, nested_scene
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions, with_uv
-from tests.tracer.soundness import assert_furnace, assert_sound, connects, into_cap, white_sky
+from tests.tracer.soundness import assert_furnace, assert_sound, has_connections, into_cap, white_sky
 
 WHITE: dict[str, Any] = {"sigma_t": 3.0, "albedo": 1.0}
 SHARP: dict[str, Any] = {"sigma_t": 5.0, "albedo": 1.0, "phase_g": 0.99}
@@ -25,7 +25,7 @@ NARROW: dict[str, Any] = {"eta": 1.5, "roughness": 0.01}
 
 
 def textured(folder: Path, medium: dict[str, Any]) -> Scene:
-    """A ball whose roughness runs from 0.01 to 1, high beside low."""
+    """A ball with a texture of roughness from 0.01 to 1."""
     return nested_scene(
         folder, with_uv(sphere(3)), medium, eta=2.5, roughness=np.geomspace(0.01, 1.0, 64).reshape(8, 8)
     )
@@ -58,14 +58,14 @@ SCENES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_extremes_together_are_sound(tmp_path: Path, name: str) -> None:
-    """Numbers, and never more than there is."""
+def test_combined_extremes_are_sound(tmp_path: Path, name: str) -> None:
+    """Finite numbers, and no gain of energy."""
     scene = SCENES[name](tmp_path)
     positions, outgoing, _ = queries(scene.mesh, 12, 3)
     total, error = white_sky(scene, positions, outgoing, 256)
     assert (total <= 1.0 + largest_z(total.size) * error + 1e-9).all()
     assert (total > 0.0).any(axis=1).all()
-    assert connects(scene)
+    assert has_connections(scene)
     incident = np.stack([-outgoing, outgoing, *unit_directions(24, 4).reshape(2, 12, 3)], axis=1)
     assert_sound(estimate_transport(scene, positions, outgoing, incident, 128, 1))
 
@@ -82,22 +82,22 @@ def test_connections_agree_with_exits(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("inner", "medium"), [(2.5, WHITE), (1.0, CLEAR), (2.5, {"sigma_t": 1e-2 * RARE, "albedo": 1.0, "bounds": BOX})]
 )
-def test_nests_of_high_indices_keep_all_energy(tmp_path: Path, inner: float, medium: dict[str, Any]) -> None:
-    """Total reflection at both boundaries, out of the inner part and around it; its medium white, none, or patchy."""
+def test_nested_high_indices_conserve_energy(tmp_path: Path, inner: float, medium: dict[str, Any]) -> None:
+    """Total internal reflection at both boundaries; the inner medium is white, a vacuum, or has rare dense cells."""
     scene = nest(tmp_path, {"eta": inner}, medium, eta=1.5 if inner > 2.0 else 2.5)
     assert_furnace(scene, *queries(scene.mesh, 12, 3)[:2], paths=128)
 
 
 @pytest.mark.parametrize("interface", [{}, {"eta": 1.5}, NARROW])
 @pytest.mark.parametrize("mesh", [lumpy(1), slab(1.0), moved(lumpy(2), 1e-6)], ids=["hollows", "cube", "micron"])
-def test_vertices_seen_at_a_grazing_angle(tmp_path: Path, mesh: Mesh, interface: dict[str, Any]) -> None:
-    """ωo·n = 1e-3 on the best of a vertex's faces."""
+def test_grazing_views_of_vertices(tmp_path: Path, mesh: Mesh, interface: dict[str, Any]) -> None:
+    """ωo·n = 1e-3 on the face of a vertex that faces the eye most."""
     size = float(np.ptp(mesh.positions, axis=0).max())
     scene = make_scene(tmp_path, mesh, sigma_t=6.0 / size, albedo=1.0, **interface)
     places, outgoing = _grazing_at_vertices(mesh)
     assert len(places) > 8
     if "roughness" not in interface:
-        # The steepest of angles: what float32 leaves of a face's normal counts a thousand times.
+        # At this angle the float32 rounding of a normal is magnified a thousand times.
         assert_furnace(scene, places, outgoing, paths=128, rtol=1e-3)
         return
     total, error = white_sky(scene, places, outgoing, 256)

@@ -1,4 +1,4 @@
-"""The majorants of a grid decide what tracking costs, and nothing of what it finds.
+"""The majorants of a grid determine the cost of tracking, but not its result.
 
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, a dozen of them.
 """
@@ -19,7 +19,7 @@ from tests.tracer.scenes import lumpy, make_scene, queries, unit_directions
 
 GENERATOR = np.random.default_rng(21)
 RARE = np.where(GENERATOR.random((24, 20, 18)) < 0.02, 60.0, GENERATOR.uniform(0.0, 2.0, (24, 20, 18)))
-"""Few dense cells in matter that is empty in places, so that there are blocks, and free flights cross many."""
+"""Few dense cells in a thin medium, so that there are several blocks, and free flights cross many."""
 COLOURED = RARE[..., None] * [1.0, 0.3, 0.05]
 GRIDS = {"grey": RARE, "coloured": COLOURED}
 INTERFACES: dict[str, dict[str, Any]] = {"matched": {}, "rough": {"eta": 1.4, "roughness": 0.5}}
@@ -27,7 +27,7 @@ PATHS = 1500
 
 
 def _scaled(scene: Scene, factor: float, monkeypatch: pytest.MonkeyPatch) -> PreparedScene:
-    """Let the estimates see the scene with all its majorants times `factor`."""
+    """Multiply all majorants that the estimators use by `factor`."""
     prepared = PreparedScene(scene)
     assert len(prepared.medium.blocks) > 8
     prepared.medium.blocks[:, 1] *= factor
@@ -36,7 +36,7 @@ def _scaled(scene: Scene, factor: float, monkeypatch: pytest.MonkeyPatch) -> Pre
     return prepared
 
 
-def _seen(scene: Scene, seed: int) -> tuple[Estimate, Estimate]:
+def _estimates(scene: Scene, seed: int) -> tuple[Estimate, Estimate]:
     positions, outgoing, _ = queries(scene.mesh, 8, 3)
     incident = unit_directions(8, 4)
     return (
@@ -47,35 +47,35 @@ def _seen(scene: Scene, seed: int) -> tuple[Estimate, Estimate]:
 
 @pytest.mark.parametrize("interface", INTERFACES)
 @pytest.mark.parametrize("grid", GRIDS)
-def test_majorants_times_two_and_ten_change_nothing(
+def test_larger_majorants_do_not_change_the_estimates(
     tmp_path: Path, grid: str, interface: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Free flights by the walk, ratio tracking by connections and by the unscattered share; each by other numbers."""
+    """Free flights in walks, ratio tracking in connections and unscattered transmittances; independent seeds."""
     scene = make_scene(
         tmp_path, lumpy(2), sigma_t=GRIDS[grid], albedo=[0.95, 0.9, 0.7], phase_g=0.3, **INTERFACES[interface]
     )
     by_factor = {}
     for seed, factor in enumerate((1.0, 2.0, 10.0)):
         _scaled(scene, factor, monkeypatch)
-        by_factor[factor] = _seen(scene, seed)
+        by_factor[factor] = _estimates(scene, seed)
     for factor in (2.0, 10.0):
         for once, more in zip(by_factor[1.0], by_factor[factor], strict=True):
             assert_agree(once.mean, once.standard_error, more.mean, more.standard_error)
             np.testing.assert_array_equal(more.lost, 0.0)
     if interface == "matched":
-        shares = {factor: seen[0].unscattered for factor, seen in by_factor.items()}
-        # A share in [0, 1], or up to 1 by channel, has a standard deviation of a half at most.
+        shares = {factor: result[0].unscattered for factor, result in by_factor.items()}
+        # A transmittance in [0, 1] has a standard deviation of at most a half.
         for factor in (2.0, 10.0):
             assert_agree(shares[1.0], 0.5 / np.sqrt(PATHS), shares[factor], 0.5 / np.sqrt(PATHS))
 
 
-def test_majorants_too_low_are_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tenth of them leaves out most of what is in the dense cells: the same comparison sees it."""
+def test_too_small_majorants_are_detected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tenth of the majorants misses most of the dense cells, and the comparison detects it."""
     scene = make_scene(tmp_path, lumpy(2), sigma_t=RARE, albedo=[0.95, 0.9, 0.7], phase_g=0.3)
     _scaled(scene, 1.0, monkeypatch)
-    right = _seen(scene, 0)
+    right = _estimates(scene, 0)
     _scaled(scene, 0.1, monkeypatch)
-    wrong = _seen(scene, 1)
+    wrong = _estimates(scene, 1)
     assert any(
         np.abs(z_scores(a.mean, a.standard_error, b.mean, b.standard_error)).max() > 2.0 * largest_z(a.mean.size)
         for a, b in zip(right, wrong, strict=True)

@@ -1,8 +1,8 @@
-"""The path tracer against Mitsuba 3, an independent renderer, query by query on scenes of both kinds.
+"""The path tracer compared with Mitsuba 3, an independent renderer, query by query.
 
-Every value's z-score counts both renderers' noise. The largest |z| of all values of a scene may pass its bound once in
-10,000 draws of the seeds; behind rough interfaces, where tails are heavy, only values that the estimator itself calls
-reliable are taken one by one, and the sum over all queries is compared besides.
+z-scores include the noise of both renderers. The largest |z| of a scene's values exceeds its bound for one in 10,000
+seeds. Individual values are compared only if the estimator calls them reliable, since rough interfaces have heavy
+tails; the sum over all queries is compared too.
 """
 
 import numpy as np
@@ -66,9 +66,9 @@ def test_values_agree(name, tmp_path):
         for seed, query in enumerate(zip(positions, outgoing, incident, strict=True))
     ]
     mean, error = (np.array(part) for part in zip(*theirs, strict=True))
-    told = ours.reliable
-    assert told.sum() >= QUERIES // 2
-    assert_agree(mean[told], error[told], ours.mean[told], ours.standard_error[told])
+    kept = ours.reliable
+    assert kept.sum() >= QUERIES // 2
+    assert_agree(mean[kept], error[kept], ours.mean[kept], ours.standard_error[kept])
     total, total_error = mean.sum(axis=0), np.sqrt(np.sum(error**2, axis=0))
     our_error = np.sqrt(np.sum(ours.standard_error**2, axis=0))
     assert_agree(total, total_error, ours.mean.sum(axis=0), our_error)
@@ -88,14 +88,14 @@ def test_values_of_nested_parts_agree(name, tmp_path):
         for seed, query in enumerate(zip(positions, outgoing, incident, strict=True))
     ]
     mean, error = (np.array(part) for part in zip(*theirs, strict=True))
-    told = ours.reliable
-    assert told.sum() > NESTED_QUERIES // 2
-    assert_agree(mean[told], error[told], ours.mean[told], ours.standard_error[told])
+    kept = ours.reliable
+    assert kept.sum() > NESTED_QUERIES // 2
+    assert_agree(mean[kept], error[kept], ours.mean[kept], ours.standard_error[kept])
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-def test_sums_agree_where_no_connection_exists(name, tmp_path):
-    """Light from a white sky, through smooth boundaries: what leaves x, scattered or not."""
+def test_sums_agree_behind_smooth_boundaries(name, tmp_path):
+    """All light at x from a white sky through smooth boundaries, scattered or not."""
     from tests.tracer.mitsuba_reference import under_white_sky
 
     interface, inside = SMOOTH[name]

@@ -1,7 +1,7 @@
-"""The independent renderer's own answers, on nested scenes whose light is known without any renderer.
+"""Mitsuba as a reference, on nested scenes with analytic solutions.
 
-What this guards is the export (nesting, indices, media, grids, textures) and how paths are begun by hand; z-tests at
-`significance.FALSE_ALARM` unless the answer has no noise.
+These tests verify the export (nesting, indices, media, grids, textures) and the manual start of paths. z-tests at
+`significance.FALSE_ALARM` unless a result has no noise.
 """
 
 from pathlib import Path
@@ -28,23 +28,23 @@ def from_above(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def chords(scene, position: np.ndarray, outgoing: np.ndarray) -> list[float]:
-    """Lengths of the straight line within each part, those inside it included."""
-    begin = (position - 1e-9 * outgoing)[None]
+    """Length of the straight line within each part, including its inner parts."""
+    start_point = (position - 1e-9 * outgoing)[None]
     lengths = []
     for part in scene.parts:
-        ends = crossings(_OnePart(part.mesh), begin, -outgoing)[0]
+        ends = crossings(_SinglePart(part.mesh), start_point, -outgoing)[0]
         ends = ends[np.isfinite(ends)]
         lengths.append(float(ends[0]) if len(ends) == 1 else float(ends[1] - ends[0]))
     return lengths
 
 
-class _OnePart:
+class _SinglePart:
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = mesh
 
 
-def test_light_falls_off_along_a_line_through_nested_parts_far_from_the_origin(tmp_path: Path) -> None:
-    """Black, index-matched, by channel: exp(−∫ σt), each medium where it belongs and nowhere else."""
+def test_transmittance_through_nested_parts_far_from_the_origin(tmp_path: Path) -> None:
+    """Black index-matched chromatic media: exp(−∫ σt), each medium in its own part only."""
     from tests.tracer.mitsuba_reference import under_white_sky
 
     far = np.array([3e5, -1e5, 2e5])
@@ -68,16 +68,16 @@ def test_light_falls_off_along_a_line_through_nested_parts_far_from_the_origin(t
     position, outgoing = from_above(scene.mesh)
     outer, shell, core = chords(scene, position, outgoing)
     lengths = [outer - shell, shell - core, core]
-    due = np.exp(-sum(length * sigma_t for length, sigma_t in zip(lengths, extinction, strict=True)))
+    expected = np.exp(-sum(length * sigma_t for length, sigma_t in zip(lengths, extinction, strict=True)))
     mean, error = under_white_sky(scene, position, outgoing, 20_000, 1)
     assert (error > 0.0).all()
     assert (error < 0.02).all()
-    assert_agree(mean, error, due)
+    assert_agree(mean, error, expected)
 
 
 @pytest.mark.parametrize("parallel", [(), (1.0,)])
-def test_a_diffuse_ball_in_clear_matter_is_lambert_s(tmp_path: Path, parallel: tuple[float, ...]) -> None:
-    """ρ/π max(0, n·ωi) of the face that is seen; a matched shell of nothing around it changes nothing."""
+def test_diffuse_ball_in_a_vacuum_is_lambertian(tmp_path: Path, parallel: tuple[float, ...]) -> None:
+    """ρ/π max(0, n·ωi) of the visible face; an index-matched shell of vacuum around it changes nothing."""
     from tests.tracer.mitsuba_reference import transport
 
     shells = tuple({"name": "air", "mesh": moved(BALL, 0.9)} for _ in parallel)
@@ -86,18 +86,18 @@ def test_a_diffuse_ball_in_clear_matter_is_lambert_s(tmp_path: Path, parallel: t
     scene = nested_scene(tmp_path, BALL, CLEAR, (*shells, ball))
     position, outgoing = from_above(scene.mesh)
     inner = scene.parts[-1].mesh
-    seen = inner.face_normals[first_face(inner, position, outgoing)]
-    lit = 0
+    result = inner.face_normals[first_face(inner, position, outgoing)]
+    nonzero = 0
     for incident in unit_directions(6, 3):
-        due = np.array([0.2, 0.5, 0.9]) / np.pi * max(0.0, float(seen @ incident))
+        expected = np.array([0.2, 0.5, 0.9]) / np.pi * max(0.0, float(result @ incident))
         mean, _ = transport(scene, position, outgoing, incident, 4, 1)
-        np.testing.assert_allclose(mean, due, rtol=1e-4, atol=1e-7)
-        lit += bool(due.any())
-    assert 0 < lit < 6
+        np.testing.assert_allclose(mean, expected, rtol=1e-4, atol=1e-7)
+        nonzero += bool(expected.any())
+    assert 0 < nonzero < 6
 
 
 def first_face(mesh: Mesh, position: np.ndarray, outgoing: np.ndarray) -> int:
-    """The face that the view ray meets first, by every face's plane and edges."""
+    """The first face that the view ray hits, by testing every face."""
     a, b, c = np.moveaxis(mesh.positions[mesh.faces], 1, 0)
     facing = mesh.face_normals @ outgoing > 0.0
     distance = np.einsum("fi,fi->f", position - a, mesh.face_normals) / (mesh.face_normals @ outgoing)
@@ -109,14 +109,14 @@ def first_face(mesh: Mesh, position: np.ndarray, outgoing: np.ndarray) -> int:
     return int(face)
 
 
-def test_a_reflectance_texture_is_read_with_v_upwards_and_seams_kept(tmp_path: Path) -> None:
-    """Every face has its own place in the image; what is seen is the texel there."""
+def test_reflectance_texture_has_v_upwards_and_preserves_seams(tmp_path: Path) -> None:
+    """Every face has its own texel."""
     from tests.tracer.mitsuba_reference import transport
 
     ball = moved(BALL, 0.6)
     image = np.random.default_rng(4).uniform(0.1, 0.9, (4, 5, 3))
     rows, columns = np.divmod(np.arange(len(ball.faces)) % 20, 5)
-    # All three corners at one texel's centre, so that interpolation does not enter.
+    # All three corners at one texel's centre, so that there is no interpolation.
     uv = np.stack([(columns + 0.5) / 5, 1.0 - (rows + 0.5) / 4], axis=1)
     corner_uv = np.repeat(uv[:, None], 3, axis=1)
     ball = Mesh(ball.positions, ball.faces, ball.normals, np.zeros((len(ball.positions), 2)), corner_uv)
@@ -141,16 +141,16 @@ INSIDES = {
 @pytest.mark.parametrize("eta", [1.0, 1.3])
 @pytest.mark.parametrize("inside", INSIDES)
 def test_nested_furnace(tmp_path: Path, inside: str, eta: float) -> None:
-    """Nothing absorbs: all that is not reflected at x comes through, 1 − F, whatever lies inside."""
+    """Without absorption the result is 1 − F, whatever is inside."""
     from tests.tracer.mitsuba_reference import under_white_sky
 
     scene = nested_scene(tmp_path, BALL, SCATTERING, (INSIDES[inside],), eta=eta)
     position, outgoing = from_above(scene.mesh)
     mean, error = under_white_sky(scene, position, outgoing, 1000, 1)
     normal = scene.mesh.face_normals[first_face(scene.mesh, position + 0.1 * outgoing, outgoing)]
-    due = 1.0 - fresnel(float(normal @ outgoing), eta)
-    # Emitters are sampled besides, so that figures have noise where no boundary is in the way; float32 leaves 1e-3.
-    assert_agree(mean, np.maximum(error, 2e-4), due)
+    expected = 1.0 - fresnel(float(normal @ outgoing), eta)
+    # Emitters are sampled too, so that values have noise; float32 errs by 1e-3.
+    assert_agree(mean, np.maximum(error, 2e-4), expected)
     assert (error < 0.02).all()
 
 
@@ -161,17 +161,17 @@ def fresnel(cosine: float, eta: float) -> float:
     return float(0.5 * (parallel**2 + perpendicular**2))
 
 
-def test_the_same_light_whether_a_matched_part_is_there_or_not(tmp_path: Path) -> None:
-    """A medium cut in two by an index-matched boundary, behind a rough surface, is the medium."""
+def test_index_matched_part_of_the_same_medium_changes_nothing(tmp_path: Path) -> None:
+    """A medium divided by an index-matched boundary behind a rough surface equals the undivided medium."""
     from tests.tracer.mitsuba_reference import transport
 
     medium = {"sigma_t": [1.0, 2.0, 3.0], "albedo": [0.9, 0.8, 0.5], "phase_g": 0.3}
     (tmp_path / "cut").mkdir()
-    whole = nested_scene(tmp_path, BALL, medium, eta=1.3, roughness=0.5)
+    uncut = nested_scene(tmp_path, BALL, medium, eta=1.3, roughness=0.5)
     part = {"mesh": moved(BALL, 0.7), "medium": medium}
     cut = nested_scene(tmp_path / "cut", BALL, medium, (part,), eta=1.3, roughness=0.5)
-    position, outgoing = from_above(whole.mesh)
+    position, outgoing = from_above(uncut.mesh)
     for seed, incident in enumerate(unit_directions(2, 5)):
-        one = transport(whole, position, outgoing, incident, 10_000, seed)
+        one = transport(uncut, position, outgoing, incident, 10_000, seed)
         other = transport(cut, position, outgoing, incident, 10_000, seed + 10)
         assert_agree(*one, *other)

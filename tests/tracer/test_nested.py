@@ -1,4 +1,4 @@
-"""Objects inside the object: regions, relative indices, diffuse bodies, clipping, and connections past all of them.
+"""Objects inside the object: regions, relative indices, diffuse parts, clipping, and connections.
 
 z-tests of false-alarm rate `significance.FALSE_ALARM` each, about 20 of them.
 """
@@ -16,10 +16,10 @@ from formats.scene import Scene, read_scene
 from prt_bake.geometry.surface import Surface
 from prt_bake.mathematics import sh
 from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
-from prt_bake.tracer.light_samples import walk_out
+from prt_bake.tracer.light_samples import sample_exits
 from prt_bake.tracer.surface.interface import fresnel
 from tests.mathematics.significance import assert_agree
-from tests.tracer.scenes import lumpy, moved, queries, slab, sphere, turned_lattices, unit_directions
+from tests.tracer.scenes import lumpy, moved, queries, rotated_lattices, slab, sphere, unit_directions
 
 HAZE = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3}
 MILK = {"sigma_t": 9.0, "albedo": [0.99, 0.8, 0.5]}
@@ -31,7 +31,7 @@ ROUGH = {"eta": 1.3, "roughness": 0.4}
 def nested(
     folder: Path, mesh: Mesh, medium: dict[str, Any], interface: dict[str, Any], *inside: dict[str, Any]
 ) -> Scene:
-    """A scene of an outer mesh and inner tables, whose "mesh" is a Mesh."""
+    """A scene of an outer mesh and tables of inner parts, whose "mesh" is a Mesh."""
     write_mesh(mesh, folder / "outer.ply")
     lines = ["[object]", 'mesh = "outer.ply"', "[interface]", *_keys(interface), "[medium]", *_keys(medium)]
     for i, table in enumerate(inside):
@@ -87,28 +87,28 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_connections_agree_with_exits(name, tmp_path):
-    """∫ Ŝ Y_lm dωi from connections to random directions is a_lm from where walks leave."""
+    """∫ Ŝ Y_lm dωi by connections to random directions equals a_lm by exits."""
     interface, inner = CASES[name]
     scene = nested(tmp_path, lumpy(2), HAZE, interface, inner)
     positions, outgoing, _ = queries(scene.mesh, 12, 5)
     exits = estimate_coefficients(scene, positions, outgoing, 1, 10_000, seed=1)
-    lots = [_integrated(scene, positions, outgoing, seed) for seed in range(2, 26)]
-    mean, error = np.mean(lots, axis=0), np.std(lots, axis=0, ddof=1) / np.sqrt(len(lots))
-    # Two dozen lots know their own error to a seventh, which a t-distribution would allow for.
+    batches = [_integrated(scene, positions, outgoing, seed) for seed in range(2, 26)]
+    mean, error = np.mean(batches, axis=0), np.std(batches, axis=0, ddof=1) / np.sqrt(len(batches))
+    # An error from two dozen batches is itself known to a seventh, hence the factor.
     assert_agree(exits.mean, exits.standard_error, mean, 1.3 * error)
 
 
 def _integrated(scene: Scene, positions: np.ndarray, outgoing: np.ndarray, seed: int) -> np.ndarray:
-    """a_lm to degree 1 [N,4,3] from 32 directions a query, a lattice turned at random: an estimate without bias whose
-    error is a third of that of independent directions.
+    """a_lm to degree 1 [N,4,3] from 32 directions per query, a randomly rotated lattice: unbiased, with a third of the
+    error of independent directions.
     """
-    incident = turned_lattices(len(positions), 32, seed)
+    incident = rotated_lattices(len(positions), 32, seed)
     values = estimate_transport(scene, positions, outgoing, incident, 50, seed).mean
     return 4.0 * np.pi * np.einsum("ndc,ndk->nkc", values, sh.evaluate(incident, 1)) / 32
 
 
 @pytest.mark.parametrize("interface", [{}, ROUGH])
-def test_a_part_like_its_surroundings_changes_nothing(interface, tmp_path):
+def test_part_of_the_same_medium_changes_nothing(interface, tmp_path):
     (tmp_path / "plain").mkdir()
     plain = nested(tmp_path / "plain", lumpy(2), HAZE, interface)
     parted = nested(tmp_path, lumpy(2), HAZE, interface, {"mesh": small(0.5), "medium": HAZE})
@@ -122,7 +122,7 @@ def test_a_part_like_its_surroundings_changes_nothing(interface, tmp_path):
             np.testing.assert_allclose(one.unscattered, two.unscattered, rtol=1e-6, atol=1e-12)
 
 
-def test_a_diffuse_ball_in_clear_matter_is_seen_as_lambert_says(tmp_path):
+def test_diffuse_ball_in_a_vacuum_is_lambertian(tmp_path):
     scene = nested(
         tmp_path,
         moved(sphere(3), 2.0),
@@ -134,21 +134,21 @@ def test_a_diffuse_ball_in_clear_matter_is_seen_as_lambert_says(tmp_path):
     eye = unit_directions(20, 6)
     aside = np.cross(eye, unit_directions(20, 7))
     start = 0.8 * generator.random((20, 1)) * aside
-    positions, hit = _along(scene.mesh, start, eye), _along(scene.parts[1].mesh, start, eye)
+    positions, hit = _first_hits(scene.mesh, start, eye), _first_hits(scene.parts[1].mesh, start, eye)
     incident = unit_directions(20, 8)
-    seen = estimate_transport(scene, positions, eye, incident, 16, seed=1)
+    result = estimate_transport(scene, positions, eye, incident, 16, seed=1)
     faces = Surface(scene.parts[1].mesh).choose(hit, eye)[0].faces
     cosine = np.maximum(np.sum(scene.parts[1].mesh.face_normals[faces] * incident, axis=1), 0.0)
-    due = np.array([0.9, 0.2, 0.5]) * cosine[:, None] / np.pi
-    lit = cosine > 0.05
-    assert lit.sum() >= 5
-    np.testing.assert_allclose(seen.mean[lit], due[lit], rtol=1e-5)
-    np.testing.assert_allclose(seen.mean[cosine == 0.0], 0.0, atol=1e-12)
-    assert (seen.unscattered == 0.0).all()
+    expected = np.array([0.9, 0.2, 0.5]) * cosine[:, None] / np.pi
+    illuminated = cosine > 0.05
+    assert illuminated.sum() >= 5
+    np.testing.assert_allclose(result.mean[illuminated], expected[illuminated], rtol=1e-5)
+    np.testing.assert_allclose(result.mean[cosine == 0.0], 0.0, atol=1e-12)
+    assert (result.unscattered == 0.0).all()
 
 
-def _along(mesh: Mesh, start: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Where rays from far along `eye` through `start` meet a ball of triangles first."""
+def _first_hits(mesh: Mesh, start: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """First hits of rays through `start` from afar in direction `eye`."""
     from tests.shading.reference import nearest_hits
 
     corners = mesh.positions[mesh.faces]
@@ -160,8 +160,8 @@ def _along(mesh: Mesh, start: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
-def test_a_stack_of_plates_transmits_by_the_relative_indices(tmp_path):
-    """Glass around liquid around ice, plane and clear: T of the stack from each boundary's Fresnel reflectance."""
+def test_stack_of_plates_transmits_by_the_relative_indices(tmp_path):
+    """Clear plane glass around liquid around ice: T of the stack from the Fresnel reflectance of each boundary."""
     etas = [1.5, 1.33, 1.25]
     plates = [moved(slab(4.0), 1.0), moved(slab(3.9), 0.6), moved(slab(3.8), 0.3)]
     inside = [
@@ -172,7 +172,7 @@ def test_a_stack_of_plates_transmits_by_the_relative_indices(tmp_path):
     cosine = 0.8
     outgoing = np.array([[0.6, 0.0, cosine]])
     location = scene_location(scene, np.array([[0.01, 0.02, 0.5]]), outgoing)
-    exits = walk_out(scene, location.faces, location.barycentric, outgoing, np.zeros(1, np.uint64), 200_000, 3)
+    exits = sample_exits(scene, location.faces, location.barycentric, outgoing, np.zeros(1, np.uint64), 200_000, 3)
     through = np.where(exits.directions[0] @ -outgoing[0] > 1.0 - 1e-6, exits.throughput[0, :, 0], 0.0)
     reflectances = []
     for before, after in zip([1.0, *etas[:-1]], etas, strict=True):
@@ -188,7 +188,7 @@ def scene_location(scene: Scene, positions: np.ndarray, outgoing: np.ndarray) ->
 
 @pytest.mark.parametrize("interface", [{}, {"eta": 1.4}])
 def test_nested_white_furnace(interface, tmp_path):
-    """Nothing absorbs: all light comes back, whatever stands inside, but for what is reflected at x."""
+    """Without absorption all light but the reflection at x returns, whatever is inside."""
     scene = nested(
         tmp_path,
         lumpy(2),
@@ -204,15 +204,15 @@ def test_nested_white_furnace(interface, tmp_path):
         },
     )
     positions, outgoing, normals = queries(scene.mesh, 12, 5)
-    seen = estimate_coefficients(scene, positions, outgoing, 0, 3000, seed=1)
-    total = seen.mean[:, 0] * np.sqrt(4.0 * np.pi) + seen.unscattered[:, None]
+    result = estimate_coefficients(scene, positions, outgoing, 0, 3000, seed=1)
+    total = result.mean[:, 0] * np.sqrt(4.0 * np.pi) + result.unscattered[:, None]
     cosines = np.sum(outgoing * normals, axis=1)
-    due = np.array([1.0 - fresnel(c, scene.eta) if scene.eta != 1.0 else 1.0 for c in cosines])
-    np.testing.assert_allclose(total, np.broadcast_to(due[:, None], total.shape), rtol=2e-5)
+    expected = np.array([1.0 - fresnel(c, scene.eta) if scene.eta != 1.0 else 1.0 for c in cosines])
+    np.testing.assert_allclose(total, np.broadcast_to(expected[:, None], total.shape), rtol=2e-5)
 
 
-def test_a_part_that_fills_the_object_is_what_is_seen(tmp_path):
-    """Coincident surfaces: the deepest part counts, and the interface is that between it and outside."""
+def test_part_that_fills_the_object_replaces_it(tmp_path):
+    """Of coincident surfaces the innermost part counts; the interface is that between it and the outside."""
     (tmp_path / "plain").mkdir()
     plain = nested(tmp_path / "plain", sphere(3), MILK, ROUGH)
     lining = {"mesh": sphere(3), "interface": {"eta": 1.3, "roughness": 0.4}, "medium": MILK}
@@ -223,7 +223,7 @@ def test_a_part_that_fills_the_object_is_what_is_seen(tmp_path):
     assert_agree(one.mean, one.standard_error, two.mean, two.standard_error)
 
 
-def test_a_part_that_sticks_out_is_clipped(tmp_path):
+def test_protruding_part_is_clipped(tmp_path):
     (tmp_path / "cut").mkdir()
     lying = {"mesh": moved(slab(3.0), 1.0), "medium": MILK}
     cut = {"mesh": moved(slab(1.3), 1.0), "medium": MILK}
@@ -236,7 +236,7 @@ def test_a_part_that_sticks_out_is_clipped(tmp_path):
     assert_agree(a.mean, a.standard_error, b.mean, b.standard_error)
 
 
-def test_smooth_glass_in_index_matched_matter_is_refused_by_name(tmp_path):
+def test_smooth_glass_in_an_index_matched_medium_is_refused_by_name(tmp_path):
     inner = {"mesh": small(0.5), "name": "marble", "interface": {"eta": 1.5}, "medium": CLEAR}
     scene = nested(tmp_path, sphere(2), HAZE, {}, inner)
     positions, outgoing, _ = queries(scene.mesh, 2, 1)

@@ -1,7 +1,7 @@
-"""Both estimators against integrals that are done without random numbers and without the product's code.
+"""Both estimators compared with deterministic integrals that share no code with the product.
 
-z-tests whose bounds are `significance.FALSE_ALARM` for all values of a test; what the integration itself is off by is
-stated where it counts.
+z-tests at `significance.FALSE_ALARM` for all values of a test; the errors of the integrals are stated where they
+matter.
 """
 
 from pathlib import Path
@@ -29,29 +29,29 @@ SINGLE: dict[str, tuple[Any, dict[str, Any]]] = {
 
 @pytest.mark.parametrize("kind", SINGLE)
 def test_single_scattering(kind: str, tmp_path: Path) -> None:
-    """Ŝ / ε at an albedo of ε = 1e-5: one scattering, along a view and out to the light, every crossing included."""
+    """Ŝ / ε at an albedo of ε = 1e-5: single scattering along the view, through all crossings."""
     shape, medium = SINGLE[kind]
     epsilon, copies = 1e-5, 4
     scene = make_scene(tmp_path, shape(2), albedo=epsilon, **medium)
     positions, outgoing, _ = (np.repeat(rows, copies, axis=0) for rows in queries(scene.mesh, 10, seed=1))
     incident = unit_directions(len(positions), seed=2)
     ours = estimate_transport(scene, positions, outgoing, incident, 10_000, 3)
-    told = np.flatnonzero(ours.reliable)
-    assert len(told) >= 15
-    exact = np.array([single_scattering(scene, positions[n], outgoing[n], incident[n], steps=800) for n in told])
-    # 800 midpoints leave 1e-3 where a hollow's shadow begins on the view ray.
-    assert_agree(ours.mean[told, 0] / epsilon, ours.standard_error[told, 0] / epsilon, exact, 1e-3 * exact)
+    kept = np.flatnonzero(ours.reliable)
+    assert len(kept) >= 15
+    exact = np.array([single_scattering(scene, positions[n], outgoing[n], incident[n], steps=800) for n in kept])
+    # 800 midpoints err by 1e-3 at shadow edges on the view ray.
+    assert_agree(ours.mean[kept, 0] / epsilon, ours.standard_error[kept, 0] / epsilon, exact, 1e-3 * exact)
 
 
-def test_single_scattering_takes_the_albedo_where_it_happens(tmp_path: Path) -> None:
-    """Many mean free paths in a facet: a half space lit along its normal, ∫ σ exp(−σ t (1 + cosθo)) dt / 4π."""
+def test_single_scattering_uses_the_local_albedo(tmp_path: Path) -> None:
+    """Faces of many mean free paths: a half space under normal light, ∫ σ exp(−σ t (1 + cosθo)) dt / 4π."""
     albedo = np.full((1, 1, 4, 3), 1e-6) * np.array([1.0, 2.0, 5.0, 9.0])[:, None]
     scene = make_scene(tmp_path, sphere(1), sigma_t=2000.0, albedo=albedo, phase_g=0.0)
     positions, outgoing, normals = queries(scene.mesh, 40, seed=1)
     ours = estimate_transport(scene, positions, outgoing, normals, 4_000, 3)
     here = at_cells(albedo[..., 1], scene.bounds, positions)
     exact = here / (4.0 * np.pi * (1.0 + np.sum(outgoing * normals, axis=1)))
-    # Over a mean free path the albedo changes by 0.3 % at most.
+    # Over a mean free path the albedo changes by at most 0.3 %.
     assert_agree(ours.mean[:, 1], ours.standard_error[:, 1], exact, 3e-3 * exact)
 
 
@@ -65,13 +65,13 @@ def absorbing_slab(folder: Path) -> Scene:
     return make_scene(folder, slab(40.0), sigma_t=ABSORBING["depth"], albedo=0.0, **interface)
 
 
-def test_a_black_medium_behind_a_rough_interface(tmp_path: Path) -> None:
-    """Albedo 0: what is seen came straight through two rough crossings, or was reflected inside in between."""
+def test_black_medium_behind_a_rough_interface(tmp_path: Path) -> None:
+    """Albedo 0: light passes two rough interfaces, with internal reflections in between."""
     scene = absorbing_slab(tmp_path)
     incident = np.array([[-0.3, -0.2, -0.9], [0.3, 0.1, -0.95], [-0.6, -0.3, -0.5], [0.0, 0.0, -1.0]])
     incident /= np.linalg.norm(incident, axis=1, keepdims=True)
     copies = 8
-    seen = estimate_transport(
+    result = estimate_transport(
         scene,
         np.tile(MIDDLE, (copies, 1)),
         np.tile(VIEW, (copies, 1)),
@@ -80,16 +80,16 @@ def test_a_black_medium_behind_a_rough_interface(tmp_path: Path) -> None:
         1,
         connections=1,
     )
-    mean = seen.mean[..., 0].mean(axis=0)
-    error = np.sqrt(np.sum(seen.standard_error[..., 0] ** 2, axis=0)) / copies
+    mean = result.mean[..., 0].mean(axis=0)
+    error = np.sqrt(np.sum(result.standard_error[..., 0] ** 2, axis=0)) / copies
     exact = black_slab(VIEW, incident, **ABSORBING, nodes=40, orders=3)
-    # 40 × 80 directions are right to 1e-3; light that no walk has scattered is none of a delta's.
+    # 40 × 80 directions err by 1e-3. Behind a rough interface nothing counts as unscattered.
     assert_agree(mean, error, exact, 1e-3 * exact)
-    np.testing.assert_array_equal(seen.unscattered, 0.0)
+    np.testing.assert_array_equal(result.unscattered, 0.0)
 
 
 def test_exits_from_a_black_medium_behind_a_rough_interface(tmp_path: Path) -> None:
-    """The same by the walks' exits: all that comes through, and where it goes."""
+    """The same by exits."""
     scene = absorbing_slab(tmp_path)
     x, w = np.polynomial.legendre.leggauss(20)
     mu, phi = 0.5 * (x + 1.0), 2.0 * np.pi * (np.arange(32) + 0.5) / 32
@@ -99,6 +99,6 @@ def test_exits_from_a_black_medium_behind_a_rough_interface(tmp_path: Path) -> N
     weight = np.tile(np.repeat(0.5 * w * np.pi / 16, 32), 2)
     values = black_slab(VIEW, incident, **ABSORBING, nodes=20, orders=3)
     exact = sh.evaluate(incident, 2).T @ (weight * values)
-    seen = estimate_coefficients(scene, MIDDLE[None], VIEW[None], 2, 400_000, 5)
-    # Sums over 20 × 40 directions inside and as many outside agree with twice as many to 2e-3 of the largest.
-    assert_agree(seen.mean[0, :, 0], seen.standard_error[0, :, 0], exact, 2e-3 * exact[0])
+    result = estimate_coefficients(scene, MIDDLE[None], VIEW[None], 2, 400_000, 5)
+    # Sums over 20 × 40 directions inside and outside differ from those over twice as many by 2e-3 of the largest.
+    assert_agree(result.mean[0, :, 0], result.standard_error[0, :, 0], exact, 2e-3 * exact[0])

@@ -1,4 +1,4 @@
-"""What the path tracer draws follows the density it says: streams, phase function and diffuse surfaces.
+"""Samples of the path tracer follow their densities: random streams, phase function, diffuse surfaces.
 
 About 50 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
@@ -15,7 +15,7 @@ from prt_bake.mathematics import sh
 from prt_bake.mathematics.counter import begin_stream, uniform
 from prt_bake.tracer.kernels import harmonics
 from prt_bake.tracer.volume.media import phase, phase_cosine
-from prt_bake.tracer.walk import COUNTS_SIZE, DIRECTION, MASK, NORMAL, PHASE, STATE_SIZE, bounce, scatter
+from prt_bake.tracer.walk import COUNTS_SIZE, DENSITY, DIRECTION, MASK, NORMAL, STATE_SIZE, bounce, scatter
 from tests.mathematics.sampling import SAMPLES, assert_counts_follow, assert_mean_is
 from tests.tracer.grids import medium_of
 from tests.tracer.scenes import unit_directions
@@ -42,7 +42,7 @@ def phase_cosines(g, u):
 
 @njit
 def scattered(regions, medium, before, count):
-    """Directions [N,3] after one scattering each, and the density that the walk keeps [N]."""
+    """Directions [N,3] after one scattering each, and the stored densities [N]."""
     drawn, densities = np.empty((count, 3)), np.empty(count)
     state, counts, stream = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(2, np.uint64)
     counts[MASK] = 1
@@ -50,20 +50,20 @@ def scattered(regions, medium, before, count):
         begin_stream(stream, 7, 2, n)
         state[DIRECTION : DIRECTION + 3] = before
         scatter(regions, medium, state, counts, stream)
-        drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[PHASE]
+        drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[DENSITY]
     return drawn, densities
 
 
 @njit
 def bounced(boundary, normal, before, count):
-    """Directions [N,3] after one diffuse reflection each at face 0, and the density that the walk keeps [N]."""
+    """Directions [N,3] after one diffuse reflection each at face 0, and the stored densities [N]."""
     drawn, densities = np.empty((count, 3)), np.empty(count)
     state, counts, stream = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64), np.zeros(2, np.uint64)
     for n in range(count):
         begin_stream(stream, 7, 3, n)
         state[DIRECTION : DIRECTION + 3], state[NORMAL : NORMAL + 3] = before, normal
         bounce(boundary, state, counts, stream)
-        drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[PHASE]
+        drawn[n], densities[n] = state[DIRECTION : DIRECTION + 3], state[DENSITY]
     return drawn, densities
 
 
@@ -91,7 +91,7 @@ def test_streams_are_uniform_and_independent_along_and_across(varied, shift):
     assert_counts_follow(np.bincount(lowest_bits.ravel().astype(int), minlength=16), np.full(16, 1 / 16))
 
 
-def test_every_part_of_a_key_opens_another_stream():
+def test_every_part_of_a_key_selects_another_stream():
     seeds, queries, paths = (part.ravel().astype(np.uint64) for part in np.mgrid[0:20, 0:20, 0:20])
     table = stream_numbers(seeds, queries, paths, 2)
     assert len(np.unique(table[:, 0])) == len(np.unique(table[:, 1])) == 8000
@@ -99,7 +99,7 @@ def test_every_part_of_a_key_opens_another_stream():
 
 @pytest.mark.parametrize("g", [-0.99, -0.5, 0.0, 1e-9, 0.3, 0.9, 0.99])
 def test_phase_function_is_normalised_and_its_mean_cosine_is_g(g):
-    # In cos = 1 − (1 − |g|)(e^s − 1) toward the peak the integrand is smooth on a scale of one.
+    # In s, cos = 1 − (1 − |g|)(e^s − 1) toward the peak, the integrand is smooth on a scale of one.
     def around_the_peak(moment):
         near = 1 - abs(g)
         sign = math.copysign(1.0, g)
@@ -119,7 +119,7 @@ def test_phase_cosines_follow_the_phase_function(g):
     cosines = phase_cosines(g, np.random.default_rng(1).random(SAMPLES))
     assert np.abs(cosines).max() <= 1.0
     assert_mean_is(cosines, g)
-    # Edges where a tabulated inverse of the density's own integral has equal shares.
+    # Edges of equal probability from a tabulated integral of the density.
     s = np.linspace(0.0, 1.0, 400_001)
     near = 1 - abs(g)
     table = np.sign(g or 1.0) * (1 - near * np.expm1(s * math.log1p(2 / near)))
@@ -131,14 +131,14 @@ def test_phase_cosines_follow_the_phase_function(g):
 
 
 @pytest.mark.parametrize("g", [-0.99, 0.0, 0.7])
-def test_phase_cosine_runs_from_backward_to_forward(g):
+def test_phase_cosine_increases_from_backward_to_forward(g):
     cosines = phase_cosines(g, np.linspace(0.0, 1.0, 10_001))
     assert cosines[0] == pytest.approx(-1.0, abs=1e-12)
     assert cosines[-1] == pytest.approx(1.0, abs=1e-12)
     assert (np.diff(cosines) >= 0.0).all()
 
 
-def test_kernel_harmonics_are_those_of_the_package():
+def test_kernel_harmonics_agree_with_sh():
     directions = np.concatenate([unit_directions(500, seed=9), np.eye(3), -np.eye(3)])
     for degree in (0, 1, 2, 7, 20):
         basis = np.full((len(directions), (degree + 1) ** 2), np.nan)
@@ -148,8 +148,8 @@ def test_kernel_harmonics_are_those_of_the_package():
 
 
 @pytest.mark.parametrize("g", [-0.5, 0.0, 0.8])
-def test_scattered_directions_lie_about_the_old_one(g):
-    """Cosine and azimuth to the direction before; the density that the walk keeps is that of the direction drawn."""
+def test_scattered_directions_follow_the_phase_function(g):
+    """Cosine and azimuth relative to the previous direction; the stored density is that of the sample."""
     before = np.array([0.6, -0.48, -0.64])
     drawn, densities = scattered(Regions(np.array([0, 1])), medium_of(2.0, phase_g=g), before, SAMPLES)
     np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1.0, atol=1e-14)
@@ -161,8 +161,8 @@ def test_scattered_directions_lie_about_the_old_one(g):
 
 
 @pytest.mark.parametrize("from_behind", [False, True])
-def test_diffuse_surfaces_send_light_by_the_cosine_on_the_side_it_came_from(from_behind):
-    """About the interpolated normal, which is not the face's own; the density kept is that of the direction drawn."""
+def test_diffuse_reflection_follows_the_cosine_on_the_incident_side(from_behind):
+    """About the interpolated normal, which differs from the face normal; the stored density is that of the sample."""
     face = np.array([0.48, 0.6, 0.64])
     normal = face + np.array([0.1, -0.05, 0.02])
     normal /= np.linalg.norm(normal)

@@ -1,4 +1,4 @@
-"""Laws of light that no implementation may break: reciprocity, and that a turned object looks the same, turned.
+"""Symmetries: reciprocity, and invariance under rotation.
 
 z-tests at `significance.FALSE_ALARM` for all values of a test together.
 """
@@ -35,71 +35,75 @@ BODIES: dict[str, tuple[Any, dict[str, Any]]] = {
 
 @pytest.mark.parametrize("body", BODIES)
 def test_reciprocity(body: str, tmp_path: Path) -> None:
-    """What all of the surface sends from ωi towards ωo, it sends from ωo towards ωi: ∫ Ŝ V (ωo·n)⁺ dA is symmetric."""
+    """∫ Ŝ V (ωo·n)⁺ dA over the surface is symmetric in ωi and ωo."""
     shape, keys = BODIES[body]
     scene = make_scene(tmp_path, shape(2), **keys)
     pairs = unit_directions(6, 3).reshape(3, 2, 3)
-    there = [_sent(scene, light, eye, seed) for seed, (light, eye) in enumerate(pairs)]
-    back = [_sent(scene, eye, light, 10 + seed) for seed, (light, eye) in enumerate(pairs)]
-    (mean, error), (other, other_error) = (map(np.array, zip(*way, strict=True)) for way in (there, back))
+    forward = [_transported(scene, light, eye, seed) for seed, (light, eye) in enumerate(pairs)]
+    backward = [_transported(scene, eye, light, 10 + seed) for seed, (light, eye) in enumerate(pairs)]
+    (mean, error), (other, other_error) = (
+        map(np.array, zip(*direction, strict=True)) for direction in (forward, backward)
+    )
     assert (error < 0.1 * mean).all()
     assert_agree(mean, error, other, other_error)
 
 
-def _sent(scene: Scene, light: np.ndarray, eye: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def _transported(scene: Scene, light: np.ndarray, eye: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """∫ Ŝ V (ωo·n)⁺ dA [3] and its standard error, from points spread over the surface."""
     positions, _, normals = queries(scene.mesh, 4000, seed)
     cosine = normals @ eye
-    seen = np.flatnonzero(cosine > 0.0)
-    blocked = np.isfinite(crossings(scene, positions[seen] + 1e-9 * normals[seen], eye)).any(axis=1)
-    seen = seen[~blocked]
-    toward = np.repeat(eye[None], len(seen), axis=0)
+    result = np.flatnonzero(cosine > 0.0)
+    blocked = np.isfinite(crossings(scene, positions[result] + 1e-9 * normals[result], eye)).any(axis=1)
+    result = result[~blocked]
+    toward = np.repeat(eye[None], len(result), axis=0)
     values = estimate_transport(
-        scene, positions[seen], toward, np.repeat(light[None], len(seen), axis=0), 12, seed
+        scene, positions[result], toward, np.repeat(light[None], len(result), axis=0), 12, seed
     ).mean
     area = float(np.sum(scene.mesh.face_areas))
     sent = np.zeros((len(positions), 3))
-    sent[seen] = area * cosine[seen, None] * values
+    sent[result] = area * cosine[result, None] * values
     return sent.mean(axis=0), sent.std(axis=0, ddof=1) / np.sqrt(len(sent))
 
 
-TURNED: dict[str, dict[str, Any]] = {
+ROTATED: dict[str, dict[str, Any]] = {
     "matched": {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.5},
     "rough": {"sigma_t": 2.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3, "eta": 1.3, "roughness": 0.4},
     "smooth": {"sigma_t": 2.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3, "eta": 1.3},
 }
 
 
-@pytest.mark.parametrize("kind", TURNED)
-def test_a_turned_object_looks_the_same_turned(kind: str, tmp_path: Path) -> None:
-    mesh, keys = lumpy(2), TURNED[kind]
+@pytest.mark.parametrize("kind", ROTATED)
+def test_estimates_rotate_with_the_object(kind: str, tmp_path: Path) -> None:
+    mesh, keys = lumpy(2), ROTATED[kind]
     rotation = random_rotations(1, 5)[0]
     (tmp_path / "turned").mkdir()
     scene = make_scene(tmp_path, mesh, **keys)
-    turned = make_scene(tmp_path / "turned", build_mesh(mesh.positions @ rotation.T, mesh.faces), **keys)
+    rotated = make_scene(tmp_path / "turned", build_mesh(mesh.positions @ rotation.T, mesh.faces), **keys)
     positions, outgoing, _ = queries(mesh, 12, 2)
     incident = unit_directions(12, 3)
     if kind != "smooth":
         one = estimate_transport(scene, positions, outgoing, incident, 8_000, 1)
-        two = estimate_transport(turned, positions @ rotation.T, outgoing @ rotation.T, incident @ rotation.T, 8_000, 2)
+        two = estimate_transport(
+            rotated, positions @ rotation.T, outgoing @ rotation.T, incident @ rotation.T, 8_000, 2
+        )
         assert_agree(one.mean, one.standard_error, two.mean, two.standard_error)
     one = estimate_coefficients(scene, positions, outgoing, 2, 8_000, 1)
-    two = estimate_coefficients(turned, positions @ rotation.T, outgoing @ rotation.T, 2, 8_000, 2)
+    two = estimate_coefficients(rotated, positions @ rotation.T, outgoing @ rotation.T, 2, 8_000, 2)
     harmonics = sh.rotation(rotation, 2)
     mean = np.einsum("jk,nkc->njc", harmonics, one.mean)
-    # Errors of a turned band add at worst.
+    # Upper bound of the errors of a rotated band.
     error = np.einsum("jk,nkc->njc", np.abs(harmonics), one.standard_error)
     assert_agree(mean, error, two.mean, two.standard_error)
 
 
-def test_axes_are_named_in_grids_as_in_space(tmp_path: Path) -> None:
-    """(x, y, z) → (y, z, x), grids and all: [Z,Y,X] → [X,Z,Y]."""
+def test_grid_axes_follow_the_axes_of_space(tmp_path: Path) -> None:
+    """(x, y, z) → (y, z, x) for the mesh, [Z,Y,X] → [X,Z,Y] for the grids."""
     mesh = moved(lumpy(2), 1.0, [0.3, -0.2, 0.5])
     (tmp_path / "turned").mkdir()
     keys = {"phase_g": 0.5, "eta": 1.2, "roughness": 0.5}
     cyclic = [1, 2, 0]
     scene = make_scene(tmp_path, mesh, sigma_t=SIGMA_T, albedo=ALBEDO, **keys)
-    turned = make_scene(
+    rotated = make_scene(
         tmp_path / "turned",
         build_mesh(mesh.positions[:, cyclic], mesh.faces),
         sigma_t=SIGMA_T.transpose(2, 0, 1),
@@ -109,5 +113,5 @@ def test_axes_are_named_in_grids_as_in_space(tmp_path: Path) -> None:
     positions, outgoing, _ = queries(mesh, 12, 2)
     incident = unit_directions(12, 3)
     one = estimate_transport(scene, positions, outgoing, incident, 8_000, 1)
-    two = estimate_transport(turned, positions[:, cyclic], outgoing[:, cyclic], incident[:, cyclic], 8_000, 2)
+    two = estimate_transport(rotated, positions[:, cyclic], outgoing[:, cyclic], incident[:, cyclic], 8_000, 2)
     assert_agree(one.mean, one.standard_error, two.mean, two.standard_error)

@@ -1,4 +1,4 @@
-"""Free flights and transmittances follow the optical depth, whatever the grid, its blocks and its channels.
+"""Free flights and transmittances follow the optical depth for any grid, blocks and channels.
 
 About 30 tests of false-alarm rate `sampling.FALSE_ALARM` each.
 """
@@ -10,7 +10,7 @@ import pytest
 from numba import njit
 
 from prt_bake.mathematics.counter import begin_stream
-from prt_bake.tracer.volume.majorants import blocks_of
+from prt_bake.tracer.volume.majorants import extinction_blocks
 from prt_bake.tracer.volume.media import extinction, multiply_albedo
 from prt_bake.tracer.volume.tracking import attenuate, flight_by_channel, free_flight
 from tests.mathematics.sampling import SAMPLES, assert_counts_follow, assert_mean_is
@@ -19,7 +19,7 @@ from tests.tracer.grids import HIGH, LOW, look_up, medium_of, optical_depths
 GENERATOR = np.random.default_rng(17)
 EVEN = GENERATOR.uniform(0.1, 4.0, (3, 4, 5)).astype(np.float32)
 RARE = np.where(GENERATOR.random((24, 20, 18)) < 0.01, 25.0, 0.0025).astype(np.float32)
-"""Few cells 10,000 times as dense as the others, so that there are blocks."""
+"""Few cells 10,000 times as dense as the others, so that there are several blocks."""
 COLOURED = GENERATOR.uniform(0.0, 4.0, (3, 4, 5, 3)).astype(np.float32)
 GRIDS = {"even": EVEN, "rare dense cells": RARE}
 FROM, ALONG = np.array([-0.6, -0.5, -0.35]), np.array([0.6, 0.64, 0.48])
@@ -37,7 +37,7 @@ def flights(medium, p, d, far, count):
 
 @njit
 def coloured_flights(medium, p, d, far, before, count):
-    """Distances [N] and what a throughput of `before` becomes [N,3]."""
+    """Distances [N], and throughputs [N,3] after flights that start with throughput `before`."""
     distances, after, at, stream = np.empty(count), np.empty((count, 3)), np.zeros(3), np.zeros(2, np.uint64)
     for n in range(count):
         begin_stream(stream, 5, 3, n)
@@ -79,8 +79,8 @@ def test_free_flights_in_a_homogeneous_medium_are_exponential():
 
 @pytest.mark.parametrize("sigma_t", [COLOURED, np.array([0.0, 1.0, 6.0])])
 @pytest.mark.parametrize("before", [np.array([1.0, 1.0, 1.0]), np.array([0.2, 0.0, 3.0])])
-def test_flights_by_channel_are_weighted_to_each_channels_own(sigma_t, before):
-    """Per channel: what scatters in each stretch of the flight, and what comes through; and no weight explodes."""
+def test_flights_by_channel_are_unbiased_in_each_channel(sigma_t, before):
+    """Per channel: scattering in each interval of the flight, and transmittance; weights are bounded."""
     far = 1.2
     if sigma_t.ndim == 1:
         t = np.linspace(0.0, far, 101)
@@ -98,12 +98,12 @@ def test_flights_by_channel_are_weighted_to_each_channels_own(sigma_t, before):
         _assert_mean_is(np.where(np.isinf(distances), after[:, c], 0.0), kept[-1])
 
 
-def _assert_mean_is(values, due):
-    """What cannot happen must not, and what happens by chance has the right mean."""
-    if due == 0.0:
+def _assert_mean_is(values, mean):
+    """Values of an impossible event are 0; others have the expected mean."""
+    if mean == 0.0:
         assert not values.any()
     else:
-        assert_mean_is(values, due)
+        assert_mean_is(values, mean)
 
 
 def test_thick_media_do_not_underflow_by_channel():
@@ -112,13 +112,13 @@ def test_thick_media_do_not_underflow_by_channel():
     np.testing.assert_allclose(after.sum(axis=1), 3.0, rtol=1e-9)
 
 
-def test_nothing_is_met_in_a_vacuum():
+def test_vacuum_has_no_events():
     vacuum = medium_of(0.0)
     assert np.isinf(flights(vacuum, np.zeros(3), np.array([0.0, 0.0, 1.0]), np.inf, 10)).all()
     assert (transmittances(vacuum, np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.0, 5.0, 10) == 1.0).all()
 
 
-# The last one is deep enough for the roulette to decide nearly always.
+# The last one is so deep that roulette ends nearly all.
 @pytest.mark.parametrize(("near", "far"), [(0.0, 0.3), (0.4, 1.2), (0.0, 4.0)])
 @pytest.mark.parametrize("name", [*GRIDS, "coloured"])
 def test_transmittance_in_a_grid_is_unbiased(name, near, far):
@@ -137,15 +137,15 @@ def test_transmittance_of_a_homogeneous_medium_is_exact():
     np.testing.assert_allclose(kept, math.exp(-2.5 * 0.7), rtol=1e-14)
 
 
-def test_transmittance_of_an_even_grid_is_exact():
+def test_transmittance_of_a_constant_grid_is_exact():
     kept = transmittances(medium_of(np.full((4, 4, 4), 2.5)), FROM, ALONG, 0.2, 0.9, 3)
     np.testing.assert_allclose(kept, math.exp(-2.5 * 0.7), rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(24, 20, 18), (1, 1, 1), (40, 1, 3), (64, 64, 64)])
-def test_blocks_hold_what_lies_in_them(shape):
+def test_blocks_bound_the_extinction_in_them(shape):
     grid = np.where(np.random.default_rng(2).random(shape) < 0.02, 1000.0, 0.1)
-    bounds, (nx, ny, nz) = blocks_of(grid, HIGH - LOW)
+    bounds, (nx, ny, nz) = extinction_blocks(grid, HIGH - LOW)
     points = np.random.default_rng(3).uniform(LOW, HIGH, (20_000, 3))
     voxels = np.array(shape[::-1])
     across = ((points - LOW) / (HIGH - LOW) * voxels - 0.5) / np.maximum(voxels - 1, 1)
@@ -156,9 +156,9 @@ def test_blocks_hold_what_lies_in_them(shape):
     assert (values <= high * (1 + 1e-9)).all()
 
 
-def test_blocks_are_only_as_many_as_pay():
-    assert np.prod(blocks_of(np.full((32, 32, 32), 3.0), np.ones(3))[1]) == 1
-    assert np.prod(blocks_of(RARE, np.ones(3))[1]) > 100
+def test_number_of_blocks_follows_the_contrast():
+    assert np.prod(extinction_blocks(np.full((32, 32, 32), 3.0), np.ones(3))[1]) == 1
+    assert np.prod(extinction_blocks(RARE, np.ones(3))[1]) > 100
 
 
 @pytest.mark.parametrize("shape", [(3, 4, 5), (1, 4, 2), (2, 1, 1), (1, 1, 1)])

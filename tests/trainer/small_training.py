@@ -1,4 +1,4 @@
-"""A scene and settings that train in seconds."""
+"""A small scene and settings that train in seconds."""
 
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ LEARNING = LearningSettings(batch=128, rate=1e-2, spread=8, bfloat16=False, held
 
 
 def make_scene(folder: Path, eta: float = 1.0, roughness: float = 0.0) -> Scene:
-    """An ellipsoid of four mean free paths."""
+    """An ellipsoid four mean free paths long."""
     ball = trimesh.creation.icosphere(subdivisions=2)
     stretched = np.asarray(ball.vertices) * [1.0, 0.5, 2.0]
     write_mesh(build_mesh(stretched, np.asarray(ball.faces)), folder / "ball.ply")
@@ -38,7 +38,7 @@ def make_scene(folder: Path, eta: float = 1.0, roughness: float = 0.0) -> Scene:
     return read_scene(folder / "scene.toml")
 
 
-def learnt(scene: Scene, steps: int, **more: Any) -> NeuralBSSRDF:
-    """A training of some steps."""
-    given = {"settings": SMALL, "stream": STREAM, "learning": LEARNING, "seed": 1}
-    return train(scene, steps=steps, **{**given, **more})
+def train_small(scene: Scene, steps: int, **arguments: Any) -> NeuralBSSRDF:
+    """Train a small network for some steps."""
+    defaults = {"settings": SMALL, "stream": STREAM, "learning": LEARNING, "seed": 1}
+    return train(scene, steps=steps, **{**defaults, **arguments})

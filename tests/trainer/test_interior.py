@@ -1,4 +1,4 @@
-"""Laws of the grids that a trainer makes of a scene's object: distances, normals, bytes, bodies."""
+"""Distance grids of a scene's object: distances, normals, size in bytes, bodies."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,8 +33,8 @@ def test_levels_are_the_distances_to_a_sphere(tmp_path: Path, scale: float) -> N
     assert interior.levels.size <= 1.2 * 96**3
 
 
-def test_the_grids_normals_of_wide_faces_are_exact(tmp_path: Path) -> None:
-    """A box of 12 faces along the axes: what turns at its walls hangs on their normals."""
+def test_the_grid_s_normals_of_wide_faces_are_exact(tmp_path: Path) -> None:
+    """A box of 12 faces along the axes; rays refract at its walls by these normals."""
     box = trimesh.creation.box((1.0, 0.8, 0.6))
     scene = make_scene(tmp_path, build_mesh(box.vertices, box.faces), eta=1.5, sigma_t=2.0)
     interior = interior_of(scene, box_of(scene))
@@ -48,8 +48,8 @@ def test_the_grids_normals_of_wide_faces_are_exact(tmp_path: Path) -> None:
         np.testing.assert_allclose(normals, np.tile(np.eye(3)[axis], (200, 1)), atol=1e-6)
 
 
-def test_distances_are_those_of_another_implementation() -> None:
-    """Faces that meet at all angles, wide and narrow, and some of no area."""
+def test_distances_agree_with_trimesh() -> None:
+    """Faces at all angles, wide and narrow, and some without area."""
     rng = np.random.default_rng(6)
     triangles = rng.uniform(0.0, 2.0, (60, 3, 3)) * rng.choice([0.05, 1.0], (60, 1, 1))
     corners = ((0, 0, 1), (0, 1, 1), (0, 1, 0), (2, 2, 2))
@@ -62,7 +62,7 @@ def test_distances_are_those_of_another_implementation() -> None:
     np.testing.assert_allclose(found.ravel(), exact, atol=1e-12)
 
 
-def test_interior_does_not_depend_on_units_and_place(tmp_path: Path) -> None:
+def test_the_interior_does_not_depend_on_unit_and_position(tmp_path: Path) -> None:
     here = make_scene(tmp_path, ball(3), sigma_t=2.0)
     there = make_scene(tmp_path, moved(ball(3), 250.0, 1000.0), sigma_t=2.0)
     ours, theirs = (interior_of(scene, box_of(scene)) for scene in (here, there))
@@ -71,7 +71,7 @@ def test_interior_does_not_depend_on_units_and_place(tmp_path: Path) -> None:
     assert theirs.attenuation[0] == pytest.approx(250.0 * ours.attenuation[0])
 
 
-def test_a_rugged_object_gets_a_coarser_grid_and_no_more_bytes(tmp_path: Path) -> None:
+def test_a_rough_surface_gets_a_coarser_grid_within_the_byte_budget(tmp_path: Path) -> None:
     smooth = ball(6)
     spikes = 1.0 + 0.2 * np.random.default_rng(1).random((len(smooth.positions), 1))
     scene = make_scene(tmp_path, build_mesh(smooth.positions * spikes, smooth.faces), sigma_t=2.0)
@@ -82,8 +82,8 @@ def test_a_rugged_object_gets_a_coarser_grid_and_no_more_bytes(tmp_path: Path) -
     assert network.view.interior is interior
 
 
-def test_parts_inside_are_bodies_of_their_own(tmp_path: Path) -> None:
-    """The block in the block in the ball, each after what it lies in; where light does not enter, nothing comes out."""
+def test_parts_inside_are_separate_bodies(tmp_path: Path) -> None:
+    """A block in a block in a ball, each after the body that contains it; the inner block is opaque."""
     write_mesh(ball(3), tmp_path / "ball.ply")
     for name, side in (("outer", 1.0), ("inner", 0.5)):
         box = trimesh.creation.box(extents=(side,) * 3)

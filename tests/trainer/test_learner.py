@@ -1,4 +1,4 @@
-"""The learner: what its losses measure, how its rate falls, what its average remembers, and how it fails."""
+"""The learner: its losses, its rate schedule, its average of weights, and its errors."""
 
 import dataclasses
 import itertools
@@ -20,23 +20,23 @@ ALBEDO = np.array([0.9, 0.5, 0.1])
 
 
 class Rows:
-    """A source that gives the same rows for ever."""
+    """A source that always returns the same rows."""
 
     def __init__(self, batch, exits=False):
         self.batch, self.exits = batch, exits
 
-    def where(self, number):
+    def describe(self, number):
         return f"query {number} on face 7"
 
 
-def answered(directions):
-    """A network's answers [M,3] somewhere, negative in places."""
+def network_value(directions):
+    """Values [M,3] of a network at one query, negative in places."""
     x, y, z = np.moveaxis(directions, -1, 0)
     return np.stack([0.1 + 0.05 * z, 0.04 + 0.1 * x * y, 0.02 - 0.06 * z + 0.03 * y], axis=-1)
 
 
 def transport(directions):
-    """Ŝ [M,3]: a cosine lobe about z that holds ALBEDO of the light."""
+    """Ŝ [M,3]: a cosine lobe about z whose integral is ALBEDO."""
     return ALBEDO * (1.0 + 0.8 * directions[..., 2:]) / SPHERE
 
 
@@ -55,8 +55,8 @@ def exits(count, generator):
     return np.stack([r * np.cos(2 * np.pi * v), r * np.sin(2 * np.pi * v), z], axis=1)
 
 
-def over_sphere(values):
-    """Means over the sphere of values at a product quadrature [D]."""
+def sphere_mean(values):
+    """Means over the sphere of values at the nodes [D] of a product quadrature."""
     return np.average(values, axis=0, weights=sphere_weights())
 
 
@@ -73,47 +73,48 @@ def sphere_weights():
 
 
 def weight(directions, loss, floor):
-    return np.ones(len(directions)) if loss == "l2" else 1.0 / (answered(directions).mean(axis=-1) ** 2 + floor)
+    return np.ones(len(directions)) if loss == "l2" else 1.0 / (network_value(directions).mean(axis=-1) ** 2 + floor)
 
 
 @pytest.mark.parametrize("loss", ["l2", "relative"])
-def test_the_loss_of_exits_is_the_squared_distance_less_a_constant(loss):
+def test_the_exit_loss_is_the_squared_distance_less_a_constant(loss):
     floor, count = 0.01, 200_000
     generator = np.random.default_rng(5)
     out = exits(3 * count, generator).reshape(count, 3, 3)
-    anywhere = uniform_directions(2 * count, generator).reshape(count, 2, 3)
-    carried = np.broadcast_to(ALBEDO, out.shape)
-    each = exit_loss(*(torch.from_numpy(a) for a in (answered(out), carried.copy(), answered(anywhere))), loss, floor)
+    uniform = uniform_directions(2 * count, generator).reshape(count, 2, 3)
+    throughput = np.broadcast_to(ALBEDO, out.shape).copy()
+    tensors = (torch.from_numpy(values) for values in (network_value(out), throughput, network_value(uniform)))
+    losses = exit_loss(*tensors, loss, floor)
     at = nodes()
     w = weight(at, loss, floor)[:, None]
-    distance = over_sphere(w * (answered(at) - transport(at)) ** 2).mean()
-    constant = over_sphere(w * transport(at) ** 2).mean()
-    spread = float(each.std()) / np.sqrt(count)
-    assert abs(float(each.mean()) - (distance - constant)) < 4.5 * spread  # false alarm 1e-5
-    assert spread < 0.02 * constant  # else the test could not tell
+    distance = sphere_mean(w * (network_value(at) - transport(at)) ** 2).mean()
+    constant = sphere_mean(w * transport(at) ** 2).mean()
+    standard_error = float(losses.std()) / np.sqrt(count)
+    assert abs(float(losses.mean()) - (distance - constant)) < 4.5 * standard_error  # false alarm 1e-5
+    assert standard_error < 0.02 * constant  # else the test is too weak
 
 
 @pytest.mark.parametrize("loss", ["l2", "relative"])
-def test_the_loss_of_values_is_the_squared_distance(loss):
+def test_the_value_loss_is_the_squared_distance(loss):
     at = nodes()
-    answer, truth = (torch.from_numpy(f(at).reshape(-1, 8, 3)) for f in (answered, transport))
-    each = value_loss(answer, truth, loss, 0.01).numpy()
-    expected = weight(at, loss, 0.01) * ((answered(at) - transport(at)) ** 2).mean(axis=1)
-    np.testing.assert_allclose(each, expected.reshape(-1, 8).mean(axis=1), rtol=1e-12)
+    predicted, truth = (torch.from_numpy(f(at).reshape(-1, 8, 3)) for f in (network_value, transport))
+    losses = value_loss(predicted, truth, loss, 0.01).numpy()
+    expected = weight(at, loss, 0.01) * ((network_value(at) - transport(at)) ** 2).mean(axis=1)
+    np.testing.assert_allclose(losses, expected.reshape(-1, 8).mean(axis=1), rtol=1e-12)
 
 
-def test_directions_for_the_first_term_are_uniform():
+def test_lattice_directions_are_uniform():
     lattices = rotated_lattice(100_000, 5, np.random.default_rng(1)).astype(np.float64)
     np.testing.assert_allclose(np.linalg.norm(lattices, axis=2), 1.0, atol=1e-6)
     basis = sphere.fibonacci(64)
-    for d in np.moveaxis(lattices, 1, 0):  # each on its own: together they are spread evenly
+    for d in np.moveaxis(lattices, 1, 0):  # each alone is uniform, together they are evenly spread
         assert np.abs(d.mean(axis=0)).max() < 4.5 / np.sqrt(3 * len(d))
         share = np.mean(d @ basis.T > 0.9, axis=0)
         assert np.abs(share - 0.05).max() < 5 * np.sqrt(0.05 / len(d))  # false alarm 2e-4 over 320 caps
 
 
 @pytest.mark.parametrize("rays", [2, 3, 4, 11, 12])
-def test_thirds_of_the_rays_carry_together_what_all_carry(rays):
+def test_the_mean_over_thirds_of_the_rays_is_that_of_all_rays(rays):
     all_rays = torch.rand((5, rays, 6), dtype=torch.float64, generator=torch.Generator().manual_seed(2))
     before = all_rays.clone()
     thirds = [every_third(all_rays, first) for first in range(3)]
@@ -123,42 +124,42 @@ def test_thirds_of_the_rays_carry_together_what_all_carry(rays):
     assert torch.equal(all_rays, before)
 
 
-def test_the_first_steps_ask_the_network_less():
-    batch, asked = rows_of(np.full(3, 0.2), rays=12), []
-    learner = Learner(network_with(), dataclasses.replace(LEARNING, spread=24, coarse_steps=2))
-    answers = learner._answers
-    learner._answers = lambda incident, *rest: asked.append(incident.shape[1]) or answers(incident, *rest)
+def test_coarse_steps_evaluate_a_third_of_the_directions():
+    batch, evaluated = random_rows(np.full(3, 0.2), rays=12), []
+    learner = Learner(small_network(), dataclasses.replace(LEARNING, spread=24, coarse_steps=2))
+    predict = learner._predict
+    learner._predict = lambda incident, *rest: evaluated.append(incident.shape[1]) or predict(incident, *rest)
     for _step in range(3):
         learner.learn(Rows(batch, True), batch, 0.0, np.random.default_rng(0))
-    assert asked == [4 + 8, 4 + 8, 12 + 24]
+    assert evaluated == [4 + 8, 4 + 8, 12 + 24]
 
 
-def test_the_first_steps_look_at_one_third_after_another():
-    batch, asked = rows_of(np.full(3, 0.2), rays=12), []
-    learner = Learner(network_with(), dataclasses.replace(LEARNING, coarse_steps=30))
-    answers, generator = learner._answers, np.random.default_rng(0)
-    learner._answers = lambda incident, *rest: asked.append(incident[0, 0].numpy()) or answers(incident, *rest)
+def test_coarse_steps_use_all_thirds():
+    batch, evaluated = random_rows(np.full(3, 0.2), rays=12), []
+    learner = Learner(small_network(), dataclasses.replace(LEARNING, coarse_steps=30))
+    predict, generator = learner._predict, np.random.default_rng(0)
+    learner._predict = lambda incident, *rest: evaluated.append(incident[0, 0].numpy()) or predict(incident, *rest)
     for _step in range(30):
         learner.learn(Rows(batch, True), batch, 0.0, generator)
-    first = [[np.array_equal(direction, ray[INCIDENT]) for direction in asked] for ray in batch.rays[0, :3]]
+    first = [[np.array_equal(direction, ray[INCIDENT]) for direction in evaluated] for ray in batch.rays[0, :3]]
     assert np.sum(first) == 30
     assert np.sum(first, axis=1).min() >= 2  # false alarm 3 (2/3)^30 · 16, 2e-4, at one fixed seed
 
 
 @pytest.mark.parametrize("ray", range(12))
-def test_the_first_steps_stop_at_whichever_ray_is_not_finite(ray):
-    batch = rows_of(np.full(3, 0.2), rays=12)
+def test_coarse_steps_stop_at_any_ray_that_is_not_finite(ray):
+    batch = random_rows(np.full(3, 0.2), rays=12)
     batch.rays[5, ray, CHANNELS] = np.nan
-    learner = Learner(network_with(), dataclasses.replace(LEARNING, coarse_steps=2))
+    learner = Learner(small_network(), dataclasses.replace(LEARNING, coarse_steps=2))
     with pytest.raises(QueryError, match="query 105"):
         learner.learn(Rows(batch, True), batch, 0.0, np.random.default_rng(0))
 
 
-def network_with(**more):
-    return NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0, **more)
+def small_network(**arguments):
+    return NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0, **arguments)
 
 
-def rows_of(channels, count=64, seed=0, rays=2):
+def random_rows(channels, count=64, seed=0, rays=2):
     generator = np.random.default_rng(seed)
     rows = np.empty((count, 6 + 6 * rays), np.float32)
     rows[:, POSITION], rows[:, OUTGOING] = generator.random((count, 3)), uniform_directions(count, generator)
@@ -172,13 +173,13 @@ def rows_of(channels, count=64, seed=0, rays=2):
 @pytest.mark.parametrize("loss", ["l2", "relative"])
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 def test_steps_scale_with_the_output(exits, loss, scale):
-    """The unit of radiance does not matter, however dark."""
+    """Learning does not depend on the unit of radiance, however dark the scene."""
     fitted = []
     for factor in (1.0, scale):
         learner = Learner(
-            network_with(output_scale=factor), dataclasses.replace(LEARNING, loss=loss, warm_up=0.0, spread=2)
+            small_network(output_scale=factor), dataclasses.replace(LEARNING, loss=loss, warm_up=0.0, spread=2)
         )
-        batch = rows_of(np.array([0.5, 1.0, 2.0], np.float32) * np.float32(factor))
+        batch = random_rows(np.array([0.5, 1.0, 2.0], np.float32) * np.float32(factor))
         generator = np.random.default_rng(3)
         for _ in range(10):
             assert np.isfinite(learner.learn(Rows(batch, exits), batch, 0.5, generator))
@@ -186,41 +187,41 @@ def test_steps_scale_with_the_output(exits, loss, scale):
     np.testing.assert_allclose(fitted[0], fitted[1], rtol=2e-2, atol=2e-3)
 
 
-def test_the_average_weighs_late_steps_more():
-    """Of weights that grow by one a step the average lags by `average_length` of the steps."""
+def test_the_average_weights_late_steps_more():
+    """The average of weights that grow by one per step lags by `average_length` of the steps."""
     for length in (0.05, 0.2, 0.5):
-        learner = Learner(network_with(), dataclasses.replace(LEARNING, average_length=length))
+        learner = Learner(small_network(), dataclasses.replace(LEARNING, average_length=length))
         for step in range(1, 401):
             learner.step = step
             with torch.no_grad():
                 for parameter in learner.network.parameters():
                     parameter.fill_(float(step))
             learner._average()
-        lag = 1.0 - float(learner.answer.output.bias.detach()[0]) / 400
+        lag = 1.0 - float(learner.model.output.bias.detach()[0]) / 400
         assert lag == pytest.approx(length, abs=0.01)
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.1, 2.0])
-def test_weights_that_nothing_asks_for_shrink_with_the_rate(decay):
-    """Where the answer is what it should be, and asks no weight to change, decay alone does."""
-    learner = Learner(network_with(), dataclasses.replace(LEARNING, decay=decay, rate=0.02, warm_up=0.0))
+def test_weights_without_gradient_decay_with_the_rate(decay):
+    """The prediction is exact and no weight has a gradient, so only decay changes the weights."""
+    learner = Learner(small_network(), dataclasses.replace(LEARNING, decay=decay, rate=0.02, warm_up=0.0))
     with torch.no_grad():
         learner.network.output.weight.zero_()
         learner.network.output.bias.zero_()
     before = learner.network.hidden[0].weight.detach().clone()
     for _ in range(3):
-        learner.learn(Rows(rows_of(np.zeros(3, np.float32))), rows_of(np.zeros(3, np.float32)), 0.0, None)
+        learner.learn(Rows(random_rows(np.zeros(3, np.float32))), random_rows(np.zeros(3, np.float32)), 0.0, None)
     rate = learning_rate(learner.settings, 0.0)
-    shrunk = before * (1.0 - rate * decay) ** 3
-    np.testing.assert_allclose(learner.network.hidden[0].weight.detach(), shrunk, rtol=1e-5)
+    decayed = before * (1.0 - rate * decay) ** 3
+    np.testing.assert_allclose(learner.network.hidden[0].weight.detach(), decayed, rtol=1e-5)
 
 
 def test_without_an_average_the_model_is_the_network():
-    learner = Learner(network_with(), dataclasses.replace(LEARNING, average=False))
-    assert learner.answer is learner.network
+    learner = Learner(small_network(), dataclasses.replace(LEARNING, average=False))
+    assert learner.model is learner.network
 
 
-def test_rates_rise_and_fall_as_the_schedule_says():
+def test_rates_follow_the_schedule():
     settings = LearningSettings(rate=1.0, warm_up=0.1, last_rate=0.01)
     for schedule, last in (("cosine", 0.0), ("constant", 1.0), ("exponential", 0.01)):
         chosen = dataclasses.replace(settings, schedule=schedule)
@@ -249,27 +250,27 @@ def test_settings_out_of_range_are_refused(wrong):
 
 @pytest.mark.parametrize("exits", [False, True])
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e38])
-def test_a_loss_that_is_not_finite_names_its_query_and_touches_no_weight(exits, value):
-    network = network_with(output_scale=0.5 if value < np.inf else 1.0)
+def test_a_loss_that_is_not_finite_names_its_query_and_changes_no_weight(exits, value):
+    network = small_network(output_scale=0.5 if value < np.inf else 1.0)
     learner = Learner(network, LEARNING)
-    batch = rows_of(np.ones(3, np.float32))
+    batch = random_rows(np.ones(3, np.float32))
     ray = batch.rays[17, 1]
     ray[CHANNELS] = 3e38 if exits and value == 1e38 else value
     before = [parameter.detach().clone() for parameter in network.parameters()]
     with pytest.raises(QueryError) as fault:
         learner.learn(Rows(batch, exits), batch, 0.5, np.random.default_rng(0))
-    said = str(fault.value)
-    assert "query 117 on face 7" in said
-    assert "position (" in said
+    message = str(fault.value)
+    assert "query 117 on face 7" in message
+    assert "position (" in message
     for part in (batch.rows[17, OUTGOING], ray[INCIDENT]):
-        assert f"{part[0]:.6g}" in said
+        assert f"{part[0]:.6g}" in message
     assert all(torch.equal(a, b) for a, b in zip(before, network.parameters(), strict=True))
 
 
-def test_a_network_that_broke_is_told_from_a_query_that_did():
-    learner = Learner(network_with(), LEARNING)
+def test_a_diverged_network_is_distinguished_from_a_bad_query():
+    learner = Learner(small_network(), LEARNING)
     with torch.no_grad():
         learner.network.output.bias.fill_(torch.nan)
-    batch = rows_of(np.ones(3, np.float32))
-    with pytest.raises(QueryError, match="so is that of every other query: lower the rate"):
+    batch = random_rows(np.ones(3, np.float32))
+    with pytest.raises(QueryError, match="so are the losses of all other queries: lower the rate"):
         learner.learn(Rows(batch), batch, 0.5, np.random.default_rng(0))

@@ -1,4 +1,4 @@
-"""Samples on file: what is recorded, which side each query is on, and that a network learns from them."""
+"""Files of samples: recording, the split into training, validation and test sets, and learning from them."""
 
 import dataclasses
 import functools
@@ -17,10 +17,10 @@ from prt_bake.trainer.offline import split_by_key
 from prt_bake.trainer.report import picture, report
 from prt_bake.trainer.samples.queries import QuerySource
 from prt_bake.trainer.samples.record import query_keys, record_samples
-from prt_bake.trainer.samples.rows import StreamSettings, render
+from prt_bake.trainer.samples.rows import StreamSettings, trace_values
 from prt_bake.trainer.validation import hold_out, noise_free_ratio
 from tests.cli.command_line import Run
-from tests.trainer.small_training import LEARNING, learnt, make_scene
+from tests.trainer.small_training import LEARNING, make_scene, train_small
 
 BRIEF = dataclasses.replace(LEARNING, held_out_queries=64, held_out_walks=32, report_every=0.1)
 
@@ -40,16 +40,16 @@ def file(scene, tmp_path_factory):
 def test_samples_are_estimates_of_their_queries(scene, file):
     samples = read_samples(file)
     some = np.arange(0, 4000, 40)
-    seen = estimate_transport(
+    reference = estimate_transport(
         scene, samples.positions[some], samples.outgoing[some], samples.incident[some], 512, seed=8, connections=6
     )
-    difference = samples.mean[some] - seen.mean
-    # The error of four walks is itself uncertain, so sums over all queries are compared.
+    difference = samples.mean[some] - reference.mean
+    # The error estimate of four walks is itself uncertain, so sums over all queries are compared.
     variance = samples.standard_error[some].astype(np.float64) ** 2
     total = difference.sum(axis=(0, 1))
     spread = np.sqrt(np.sum(np.sum(samples.standard_error[some], axis=1, dtype=np.float64) ** 2, axis=0))
     assert np.all(np.abs(total) < 4.5 * spread)
-    assert np.sum(difference**2) == pytest.approx(variance.sum() + np.sum(seen.standard_error**2), rel=0.35)
+    assert np.sum(difference**2) == pytest.approx(variance.sum() + np.sum(reference.standard_error**2), rel=0.35)
 
 
 def test_a_longer_file_begins_with_the_shorter_one(scene, file, tmp_path):
@@ -60,41 +60,39 @@ def test_a_longer_file_begins_with_the_shorter_one(scene, file, tmp_path):
     assert not set(query_keys(4, np.arange(1000))) & set(long.keys)
 
 
-def test_stopping_keeps_what_is_done(scene, tmp_path):
-    done = record_samples(scene, tmp_path / "s.h5", 4000, directions=64, walks=2, stop=lambda: True)
+def test_stopping_keeps_the_queries_so_far(scene, tmp_path):
+    count = record_samples(scene, tmp_path / "s.h5", 4000, directions=64, walks=2, stop=lambda: True)
     found = read_samples(tmp_path / "s.h5")
-    assert 0 < done < 4000
-    assert (len(found.keys), found.complete) == (done, False)
+    assert 0 < count < 4000
+    assert (len(found.keys), found.complete) == (count, False)
     assert record_samples(scene, tmp_path / "s.h5", 8, stop=lambda: True) == 8
     assert read_samples(tmp_path / "s.h5").complete
 
 
-def test_a_value_that_is_not_finite_names_its_query_and_costs_nothing_before_it(scene, tmp_path, monkeypatch):
+def test_a_value_that_is_not_finite_names_its_query_and_keeps_those_before_it(scene, tmp_path, monkeypatch):
     def broken(prepared, source, queries, *more):
-        mean, error = render(prepared, source, queries, *more)
+        mean, error = trace_values(prepared, source, queries, *more)
         mean[queries.keys == 13] = np.nan
         return mean, error
 
-    monkeypatch.setattr("prt_bake.trainer.samples.record.render", broken)
+    monkeypatch.setattr("prt_bake.trainer.samples.record.trace_values", broken)
     monkeypatch.setattr("prt_bake.trainer.samples.record._VALUES_AT_ONCE", 20)
     (tmp_path / "s.h5").write_text("older")
-    with pytest.raises(
-        SamplesError, match=r"query 13 of seed 0, on face \d+ is not finite; .*s.h5 holds the 10 before"
-    ):
+    with pytest.raises(SamplesError, match=r"query 13 of seed 0, on face \d+ is not finite; .*s.h5 has the 10 before"):
         record_samples(scene, tmp_path / "s.h5", 40, walks=2, directions=2)
     found = read_samples(tmp_path / "s.h5")
     assert (len(found.keys), found.complete) == (10, False)
     monkeypatch.setattr("prt_bake.trainer.samples.record._VALUES_AT_ONCE", 80)
-    with pytest.raises(SamplesError, match="none before it was kept"):
+    with pytest.raises(SamplesError, match="no query was kept"):
         record_samples(scene, tmp_path / "s.h5", 40, walks=2, directions=2)
     assert len(read_samples(tmp_path / "s.h5").keys) == 10
 
 
-def test_queries_are_drawn_as_the_trainer_draws_them(scene, tmp_path):
-    """Half of the queries off vertices and edges have every face alike, and a stop is asked for between few walks."""
-    asked = []
-    record_samples(scene, tmp_path / "s.h5", 64, walks=1 << 14, directions=8, stop=lambda: bool(asked.append(1)))
-    assert len(asked) > 4
+def test_recorded_queries_are_those_of_the_trainer(scene, tmp_path):
+    """With the trainer's shares of faces and edges; `stop` is also called between few long queries."""
+    calls = []
+    record_samples(scene, tmp_path / "s.h5", 64, walks=1 << 14, directions=8, stop=lambda: bool(calls.append(1)))
+    assert len(calls) > 4
     stream = StreamSettings()
     source = QuerySource(prepare(scene), 8, 0, stream.face_share, stream.edge_share)
     found = read_samples(tmp_path / "s.h5").positions
@@ -107,29 +105,29 @@ def test_numbers_out_of_range_are_refused(scene, tmp_path):
             record_samples(scene, tmp_path / "s.h5", **wrong)
 
 
-def test_five_in_a_hundred_validate_and_five_test():
+def test_five_percent_validate_and_five_percent_test():
     keys = query_keys(0, np.arange(100_000))
-    sides = split_by_key(keys)
-    np.testing.assert_array_equal(np.sum(sides, axis=0), 1)
-    for side in (sides.validation, sides.test):
-        assert abs(side.mean() - 0.05) < 4.5 * np.sqrt(0.05 * 0.95 / len(keys))  # false alarm 1e-5
-    # Split of neighbours are independent.
-    both = np.mean(sides.test[1:] & sides.test[:-1])
+    split = split_by_key(keys)
+    np.testing.assert_array_equal(np.sum(split, axis=0), 1)
+    for chosen in (split.validation, split.test):
+        assert abs(chosen.mean() - 0.05) < 4.5 * np.sqrt(0.05 * 0.95 / len(keys))  # false alarm 1e-5
+    # Neighbouring queries are independent.
+    both = np.mean(split.test[1:] & split.test[:-1])
     assert abs(both - 0.0025) < 5 * np.sqrt(0.0025 / len(keys))
 
 
-def test_a_query_stays_on_its_side_in_any_file():
+def test_a_query_is_in_the_same_set_in_any_file():
     keys = query_keys(9, np.arange(5000))
     order = np.random.default_rng(0).permutation(5000)[:700]
-    for whole, part in zip(split_by_key(keys), split_by_key(keys[order]), strict=True):
-        np.testing.assert_array_equal(whole[order], part)
-    # The hash is fixed for ever: these keys were split by the first version of the program.
+    for every, part in zip(split_by_key(keys), split_by_key(keys[order]), strict=True):
+        np.testing.assert_array_equal(every[order], part)
+    # The hash must never change: these keys were split by the first version of the program.
     np.testing.assert_array_equal(np.flatnonzero(split_by_key(keys).test)[:6], [3, 39, 61, 67, 115, 128])
 
 
 def test_a_network_learns_from_a_file(scene, file, tmp_path):
-    rows = []
-    network = learnt(scene, 400, samples=file, learning=BRIEF, output=tmp_path / "m.pt", progress=rows.append)
+    reports = []
+    network = train_small(scene, 400, samples=file, learning=BRIEF, output=tmp_path / "m.pt", progress=reports.append)
     training = network.metadata["training"]
     counts = {name: training["samples"][f"{name}_queries"] for name in ("learning", "validation", "test")}
     assert sum(counts.values()) == 4000
@@ -140,54 +138,53 @@ def test_a_network_learns_from_a_file(scene, file, tmp_path):
     assert error < 0.8 * constant
     assert training["test_relative_rmse"]["transport"] == pytest.approx(error, rel=0.35)
     assert training["test_relative_rmse"]["transport_noise"] > 0.1
-    assert rows[-1].reuse == pytest.approx(400 * 128 / counts["learning"])
-    assert rows[-1].walks_per_second == 0.0
+    assert reports[-1].reuse == pytest.approx(400 * 128 / counts["learning"])
+    assert reports[-1].walks_per_second == 0.0
 
 
-def test_tested_queries_are_never_learnt_from(scene, file, tmp_path):
-    """A file whose testing and validating values are changed trains the same network."""
+def test_test_queries_are_never_learnt_from(scene, file, tmp_path):
+    """A file with other values in its test set trains the same network."""
     samples = read_samples(file)
-    sides = split_by_key(samples.keys)
     changed = samples.mean.copy()
-    changed[sides.test] += 100.0
+    changed[split_by_key(samples.keys).test] += 100.0
     with SamplesWriter(tmp_path / "s.h5", samples.head) as writer:
         writer.append(
             samples.keys, samples.positions, samples.outgoing, samples.incident, changed, samples.standard_error
         )
         writer.finish()
-    first = learnt(scene, 20, samples=file, learning=BRIEF, synchronous=True)
-    second = learnt(scene, 20, samples=tmp_path / "s.h5", learning=BRIEF, synchronous=True)
+    first = train_small(scene, 20, samples=file, learning=BRIEF, synchronous=True)
+    second = train_small(scene, 20, samples=tmp_path / "s.h5", learning=BRIEF, synchronous=True)
     for a, b in zip(first.parameters(), second.parameters(), strict=True):
         assert a.detach().numpy().tobytes() == b.detach().numpy().tobytes()
     test = [network.metadata["training"]["test_relative_rmse"]["transport"] for network in (first, second)]
     assert test[0] != test[1]
 
 
-def test_a_resumed_run_goes_on_in_the_file(scene, file, tmp_path):
+def test_a_resumed_run_continues_in_the_file(scene, file, tmp_path):
     eager = dataclasses.replace(BRIEF, report_every=0.0, checkpoint_every=0.0)
 
     class Killed(Exception):
         pass
 
-    def die(row):
-        if row.step == 31:
+    def die(report):
+        if report.step == 31:
             raise Killed
 
-    run = {"samples": file, "learning": eager, "synchronous": True}
+    arguments = {"samples": file, "learning": eager, "synchronous": True}
     with pytest.raises(Killed):
-        learnt(scene, 50, output=tmp_path / "m.pt", progress=die, **run)
-    resumed = learnt(scene, 50, output=tmp_path / "m.pt", resume=True, **run)
-    for a, b in zip(resumed.parameters(), learnt(scene, 50, **run).parameters(), strict=True):
+        train_small(scene, 50, output=tmp_path / "m.pt", progress=die, **arguments)
+    resumed = train_small(scene, 50, output=tmp_path / "m.pt", resume=True, **arguments)
+    for a, b in zip(resumed.parameters(), train_small(scene, 50, **arguments).parameters(), strict=True):
         assert a.detach().numpy().tobytes() == b.detach().numpy().tobytes()
 
 
 def test_files_that_do_not_fit_are_refused(scene, file, tmp_path):
     other = make_scene(tmp_path, eta=1.2, roughness=0.4)
     with pytest.raises(SamplesError, match="was sampled from another scene"):
-        learnt(other, 1, samples=file)
+        train_small(other, 1, samples=file)
     record_samples(scene, tmp_path / "few.h5", 3, walks=2, directions=1)
-    with pytest.raises(SamplesError, match="of its 3 queries none is left for"):
-        learnt(scene, 1, samples=tmp_path / "few.h5")
+    with pytest.raises(SamplesError, match="none of its 3 queries is left for"):
+        train_small(scene, 1, samples=tmp_path / "few.h5")
     samples = read_samples(file)
     moved = SamplesHead(**{**dataclasses.asdict(samples.head), "scene_hash": scene.content_hash})
     with SamplesWriter(tmp_path / "moved.h5", moved) as writer:
@@ -201,12 +198,12 @@ def test_files_that_do_not_fit_are_refused(scene, file, tmp_path):
         )
         writer.finish()
     with pytest.raises(QueryError, match="do not lie on the surface"):
-        learnt(scene, 1, samples=tmp_path / "moved.h5")
+        train_small(scene, 1, samples=tmp_path / "moved.h5")
 
 
 @pytest.fixture
-def briefly(monkeypatch):
-    """Training, report and importance module with little of everything."""
+def short_runs(monkeypatch):
+    """Shortens training, report and importance module."""
     monkeypatch.setattr(train, "LearningSettings", lambda: BRIEF)
     monkeypatch.setattr(after_training, "_LEAST_SECONDS", 0.1)
     brief = functools.partial(report.report_training, queries=64, vertices=16)
@@ -214,12 +211,12 @@ def briefly(monkeypatch):
     monkeypatch.setattr(picture, "_SPP", 16)
 
 
-@pytest.mark.usefixtures("briefly")
-def test_the_commands_work_together(prtbake: Run, tmp_path):
+@pytest.mark.usefixtures("short_runs")
+def test_sample_and_train_commands_work_together(prtbake: Run, tmp_path):
     sampled = prtbake("sample", "scene.toml", "--count", 600, "-o", tmp_path / "s.h5", "--walks", 2, "--directions", 3)
     assert (sampled.code, sampled.out) == (0, f"{tmp_path}/s.h5: 600 queries of 3 directions, 1,200 walks\n")
-    told = prtbake("info", tmp_path / "s.h5")
-    assert "\nwalks a query          2\n" in told.out
+    info = prtbake("info", tmp_path / "s.h5")
+    assert "\nwalks a query          2\n" in info.out
     assert prtbake("check", tmp_path / "s.h5").code == 0
     alone = ("--no-report", "--no-importance")
     trained = prtbake(
@@ -231,7 +228,7 @@ def test_the_commands_work_together(prtbake: Run, tmp_path):
     assert "of coefficients" in trained.out
 
 
-@pytest.mark.usefixtures("briefly")
+@pytest.mark.usefixtures("short_runs")
 def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path):
     trained = prtbake("train", "scene.toml", "--synchronous", "-o", tmp_path / "m.pt", "--steps", 3)
     assert trained.code == 0, trained.err

@@ -1,4 +1,4 @@
-"""Which precision a learner's matrix work has: what the machine is faster in, and what a resumed run began with."""
+"""Precision of the learner's matrix products: the machine's faster one, or that of the run that is resumed."""
 
 import dataclasses
 import time
@@ -11,19 +11,20 @@ from prt_bake.shipped import demonstration
 from prt_bake.trainer import learner as learning
 from prt_bake.trainer import precision
 from prt_bake.trainer.learner import Learner
-from tests.trainer.small_training import LEARNING, SMALL, learnt, make_scene
+from tests.trainer.small_training import LEARNING, SMALL, make_scene, train_small
 
-ASKING = dataclasses.replace(LEARNING, bfloat16=True)
+BFLOAT16 = dataclasses.replace(LEARNING, bfloat16=True)
 
 
-def learner_where(pays, monkeypatch, settings=ASKING):
-    monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: pays)
+def learner_if(faster, monkeypatch, settings=BFLOAT16):
+    """A learner on a machine that is faster in bfloat16, or not."""
+    monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: faster)
     return Learner(NeuralBSSRDF(SMALL, [-1.0] * 3, 2.0, 0.05), settings)
 
 
-@pytest.mark.parametrize(("share", "pays"), [(0.2, True), (0.9, False), (2.0, False)])
-def test_what_is_faster_is_measured(share, pays, monkeypatch):
-    """A machine whose products in bfloat16 take a share of the time of those in float32."""
+@pytest.mark.parametrize(("share", "faster"), [(0.2, True), (0.9, False), (2.0, False)])
+def test_the_faster_precision_is_measured(share, faster, monkeypatch):
+    """A machine whose products in bfloat16 take `share` of the time of products in float32."""
 
     def product(rows, weights):
         time.sleep(2e-3 * (share if rows.dtype == torch.bfloat16 else 1.0))
@@ -31,87 +32,87 @@ def test_what_is_faster_is_measured(share, pays, monkeypatch):
     monkeypatch.setattr(torch.nn.functional, "linear", product)
     precision.bfloat16_is_faster.cache_clear()
     try:
-        assert precision.bfloat16_is_faster("cpu") is pays
+        assert precision.bfloat16_is_faster("cpu") is faster
     finally:
         precision.bfloat16_is_faster.cache_clear()
 
 
-def test_what_comes_between_does_not_count(monkeypatch):
-    """Something else has the processor during some of the products in bfloat16, the last among them."""
-    asked = []
+def test_interrupted_measurements_do_not_count(monkeypatch):
+    """Another process interrupts some of the products in bfloat16, including the last."""
+    products = []
 
     def product(rows, weights):
-        asked.append(rows.dtype)
-        disturbed = rows.dtype == torch.bfloat16 and asked.count(rows.dtype) in (1, 3, 4, 7)
-        time.sleep(20e-3 if disturbed else 2e-3 * (0.2 if rows.dtype == torch.bfloat16 else 1.0))
+        products.append(rows.dtype)
+        interrupted = rows.dtype == torch.bfloat16 and products.count(rows.dtype) in (1, 3, 4, 7)
+        time.sleep(20e-3 if interrupted else 2e-3 * (0.2 if rows.dtype == torch.bfloat16 else 1.0))
 
     monkeypatch.setattr(torch.nn.functional, "linear", product)
-    assert precision._gain() > 1.3
-    assert len(asked) == 14
+    assert precision._speedup() > 1.3
+    assert len(products) == 14
 
 
-@pytest.mark.parametrize(("asked", "pays"), [(True, True), (True, False), (False, True)])
-def test_matrix_work_is_in_bfloat16_where_it_is_asked_for_and_pays(asked, pays, monkeypatch):
-    learner = learner_where(pays, monkeypatch, dataclasses.replace(LEARNING, bfloat16=asked))
-    assert learner.bfloat16 is (asked and pays)
-    kinds = []
+@pytest.mark.parametrize(("requested", "faster"), [(True, True), (True, False), (False, True)])
+def test_products_are_in_bfloat16_if_requested_and_faster(requested, faster, monkeypatch):
+    learner = learner_if(faster, monkeypatch, dataclasses.replace(LEARNING, bfloat16=requested))
+    assert learner.bfloat16 is (requested and faster)
+    autocast = []
     monkeypatch.setattr(
         learner.network,
-        "parts",
-        lambda *query: kinds.append(torch.is_autocast_enabled("cpu")) or (torch.zeros(1), None),
+        "components",
+        lambda *query: autocast.append(torch.is_autocast_enabled("cpu")) or (torch.zeros(1), None),
     )
-    learner._answers(torch.zeros(1, 1, 3), torch.zeros(1, 16), None)
-    assert kinds == [asked and pays]
+    learner._predict(torch.zeros(1, 1, 3), torch.zeros(1, 16), None)
+    assert autocast == [requested and faster]
 
 
 @pytest.mark.parametrize("began_with", [True, False])
-def test_a_resumed_run_goes_on_in_the_precision_it_began_with(began_with, monkeypatch):
-    state = learner_where(began_with, monkeypatch).state()
-    other = learner_where(not began_with, monkeypatch)
+def test_a_resumed_run_keeps_its_precision(began_with, monkeypatch):
+    state = learner_if(began_with, monkeypatch).state()
+    other = learner_if(not began_with, monkeypatch)
     other.restore(state)
     assert other.bfloat16 is began_with
 
 
-def test_a_state_that_does_not_say_goes_on_as_the_machine_would(monkeypatch):
-    learner = learner_where(True, monkeypatch)
+def test_a_state_without_precision_uses_the_machine_s(monkeypatch):
+    learner = learner_if(True, monkeypatch)
     learner.restore({name: part for name, part in learner.state().items() if name != "bfloat16"})
     assert learner.bfloat16
 
 
-@pytest.mark.parametrize(("pays", "said"), [(True, "bfloat16"), (False, "float32")])
-def test_a_model_says_what_it_was_learnt_in(tmp_path, pays, said, monkeypatch):
-    monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: pays)
-    network = learnt(make_scene(tmp_path), 2, learning=ASKING)
-    assert network.metadata["training"]["precision"] == said
+@pytest.mark.parametrize(("faster", "expected"), [(True, "bfloat16"), (False, "float32")])
+def test_a_model_states_its_training_precision(tmp_path, faster, expected, monkeypatch):
+    monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type: faster)
+    network = train_small(make_scene(tmp_path), 2, learning=BFLOAT16)
+    assert network.metadata["training"]["precision"] == expected
 
 
-def test_no_clock_decides_the_bits_of_a_synchronous_run(tmp_path, monkeypatch):
+def test_synchronous_runs_do_not_depend_on_the_measured_precision(tmp_path, monkeypatch):
     scene, weights = make_scene(tmp_path), []
-    for pays in (True, False):
-        monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type, pays=pays: pays)
-        network = learnt(scene, 2, learning=ASKING, synchronous=True)
+    for faster in (True, False):
+        monkeypatch.setattr(learning, "bfloat16_is_faster", lambda device_type, faster=faster: faster)
+        network = train_small(scene, 2, learning=BFLOAT16, synchronous=True)
         assert network.metadata["training"]["precision"] == "float32"
         weights.append(network.state_dict())
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
-def test_products_that_are_hopeless_are_not_repeated(monkeypatch):
-    """A processor without the instructions takes hundreds of times as long, seconds a product."""
-    asked, now = [], [0.0]
+def test_hopelessly_slow_products_are_not_repeated(monkeypatch):
+    """A processor without the instructions is hundreds of times slower, seconds per product."""
+    products, now = [], [0.0]
 
     def product(rows, weights):
-        asked.append(rows.dtype)
+        products.append(rows.dtype)
         now[0] += 0.2 if rows.dtype == torch.bfloat16 else 1e-3
 
     monkeypatch.setattr(torch.nn.functional, "linear", product)
-    # A busy machine would sleep for longer than it was asked to.
+    # A simulated clock: a busy machine may sleep longer than requested.
     monkeypatch.setattr(precision.time, "perf_counter", lambda: now[0])
-    assert precision._gain() < 0.1
-    assert len(asked) == 2
+    assert precision._speedup() < 0.1
+    assert len(products) == 2
 
 
-@pytest.mark.parametrize(("pays", "expected"), [(True, "bfloat16"), (False, "float32")])
-def test_a_demonstration_is_rounded_where_that_pays(pays, expected, monkeypatch):
-    monkeypatch.setattr(demonstration, "bfloat16_is_faster", lambda device_type: pays)
+@pytest.mark.parametrize(("faster", "expected"), [(True, "bfloat16"), (False, "float32")])
+def test_the_quick_demonstration_uses_bfloat16_if_faster(faster, expected, monkeypatch):
+    monkeypatch.setattr(demonstration, "bfloat16_is_faster", lambda device_type: faster)
     assert demonstration.QUICK.precision == expected
     assert demonstration.FINE.precision == "float32"

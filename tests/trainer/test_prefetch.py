@@ -1,4 +1,4 @@
-"""Batches that are made ready while the learner learns: the same ones, told the same, learnt from alike."""
+"""Prefetching changes neither the batches nor their view encodings nor what is learnt."""
 
 import threading
 from typing import Any
@@ -19,7 +19,7 @@ from tests.trainer.test_learner import uniform_directions
 
 
 class Numbered:
-    """A source whose batch k, of 8 rows with 2 rays, depends on k alone; breaks after `last`."""
+    """A source whose batch k, of 8 rows with 2 rays, depends on k alone; fails after `last` batches."""
 
     exits = True
 
@@ -28,7 +28,7 @@ class Numbered:
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
         if self.drawn >= self.last:
-            raise QueryError("the source broke")
+            raise QueryError("the source failed")
         own = np.random.default_rng(self.drawn)
         rows = np.empty((8, 18), np.float32)
         rows[:, POSITION], rows[:, OUTGOING] = own.uniform(0.3, 0.7, (8, 3)), uniform_directions(8, own)
@@ -39,10 +39,10 @@ class Numbered:
         self.drawn += 1
         return Batch(rows, numbers)
 
-    def where(self, number: int) -> str:
+    def describe(self, number: int) -> str:
         return f"query {number}"
 
-    def done(self) -> SourceStatistics:
+    def statistics(self) -> SourceStatistics:
         return SourceStatistics(0, 0, 0.0)
 
     def state(self) -> dict[str, int]:
@@ -53,75 +53,75 @@ class Numbered:
     def stop(self) -> None: ...
 
 
-def a_learner() -> Learner:
+def make_learner() -> Learner:
     return Learner(NeuralBSSRDF(GRIDDED, interior=glass_ball(1.3)), LEARNING)
 
 
-def learnt_with(threads: int, tells: bool = True) -> tuple[list[Any], Numbered]:
-    learner, source, generator = a_learner(), Numbered(), np.random.default_rng(2)
-    ahead = Prefetcher(source, learner, np.random.default_rng(0), threads)
+def train_with(threads: int, encode: bool = True) -> tuple[list[Any], Numbered]:
+    """The weights after 12 steps with `threads` prefetching threads, and the source."""
+    learner, source, generator = make_learner(), Numbered(), np.random.default_rng(2)
+    prefetcher = Prefetcher(source, learner, np.random.default_rng(0), threads)
     for _ in range(12):
-        batch, told = ahead.draw()
-        learner.learn(source, batch, 0.5, generator, told if tells else None)
-    ahead.stop()
+        batch, encoding = prefetcher.draw()
+        learner.learn(source, batch, 0.5, generator, encoding if encode else None)
+    prefetcher.stop()
     return [weight.detach().clone() for weight in learner.network.parameters()], source
 
 
-def test_what_is_learnt_does_not_depend_on_what_is_made_ready_beforehand() -> None:
-    """Bit by bit, with a thread beside the learner, without, and where the learner asks for itself."""
-    plain, _ = learnt_with(0, tells=False)
+def test_weights_do_not_depend_on_prefetching() -> None:
+    """Bit by bit: with a thread, without, and with encodings computed by the learner."""
+    plain, _ = train_with(0, encode=False)
     for threads in (0, 1):
-        weights, source = learnt_with(threads)
+        weights, source = train_with(threads)
         assert all(torch.equal(a, b) for a, b in zip(plain, weights, strict=True))
         assert source.drawn == 12 + threads
 
 
 def test_several_threads_hand_over_every_row_once_in_order() -> None:
     source = Numbered()
-    ahead = Prefetcher(source, a_learner(), np.random.default_rng(0), 3)
-    batches = [ahead.draw() for _ in range(40)]
-    ahead.stop()
-    numbers = np.concatenate([ready.batch.numbers for ready in batches])
+    prefetcher = Prefetcher(source, make_learner(), np.random.default_rng(0), 3)
+    batches = [prefetcher.draw() for _ in range(40)]
+    prefetcher.stop()
+    numbers = np.concatenate([prepared.batch.numbers for prepared in batches])
     np.testing.assert_array_equal(numbers, np.arange(320))
     assert source.drawn <= 43
-    alone = a_learner()
-    for batch, told in batches[::7]:
-        again = alone.told(batch)
-        assert told is not None
-        assert again is not None
-        assert all(torch.equal(a, b) for a, b in zip(told, again, strict=True))
+    learner = make_learner()
+    for batch, encoding in batches[::7]:
+        expected = learner.encode_views(batch)
+        assert encoding is not None
+        assert expected is not None
+        assert all(torch.equal(a, b) for a, b in zip(encoding, expected, strict=True))
 
 
-def test_what_was_told_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    learner, source = a_learner(), Numbered()
+def test_prefetched_encodings_are_not_computed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    learner, source = make_learner(), Numbered()
     view = learner.network.view
     assert view is not None
-    ahead = Prefetcher(source, learner, np.random.default_rng(0), 0)
-    batch, told = ahead.draw()
-    monkeypatch.setattr(view, "_told", lambda *views: pytest.fail("asked again"))
-    assert np.isfinite(learner.learn(source, batch, 0.5, np.random.default_rng(2), told))
+    batch, encoding = Prefetcher(source, learner, np.random.default_rng(0), 0).draw()
+    monkeypatch.setattr(view, "_told", lambda *views: pytest.fail("encoded again"))
+    assert np.isfinite(learner.learn(source, batch, 0.5, np.random.default_rng(2), encoding))
 
 
-def test_no_thread_is_left() -> None:
-    ahead = Prefetcher(Numbered(), a_learner(), np.random.default_rng(0), 2)
-    ahead.draw()
-    assert any(thread.name.startswith("prtbake-ahead") for thread in threading.enumerate())
-    ahead.stop()
-    assert not any(thread.name.startswith("prtbake-ahead") for thread in threading.enumerate())
+def test_stopping_ends_all_threads() -> None:
+    prefetcher = Prefetcher(Numbered(), make_learner(), np.random.default_rng(0), 2)
+    prefetcher.draw()
+    assert any(thread.name.startswith("prtbake-prefetch") for thread in threading.enumerate())
+    prefetcher.stop()
+    assert not any(thread.name.startswith("prtbake-prefetch") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize("threads", [0, 1, 2])
-def test_what_breaks_the_source_is_raised_where_rows_are_asked_for(threads: int) -> None:
-    ahead = Prefetcher(Numbered(last=3), a_learner(), np.random.default_rng(0), threads)
+def test_errors_of_the_source_are_raised_when_drawing(threads: int) -> None:
+    prefetcher = Prefetcher(Numbered(last=3), make_learner(), np.random.default_rng(0), threads)
     for _ in range(3 - threads):
-        ahead.draw()
-    with pytest.raises(QueryError, match="the source broke"):
-        ahead.draw()
-    ahead.stop()
+        prefetcher.draw()
+    with pytest.raises(QueryError, match="the source failed"):
+        prefetcher.draw()
+    prefetcher.stop()
 
 
-def test_networks_that_are_told_nothing_beforehand_have_nothing_made_ready() -> None:
+def test_networks_without_a_view_encoding_have_none_prefetched() -> None:
     learner = Learner(NeuralBSSRDF(SMALL, (0.0, 0.0, 0.0), 2.0), LEARNING)
-    ahead = Prefetcher(Numbered(), learner, np.random.default_rng(0), 1)
-    assert ahead.draw().told is None
-    ahead.stop()
+    prefetcher = Prefetcher(Numbered(), learner, np.random.default_rng(0), 1)
+    assert prefetcher.draw().encoding is None
+    prefetcher.stop()

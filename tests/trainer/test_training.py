@@ -1,4 +1,4 @@
-"""The trainer: what it asks, what it hands over, that it learns, and that it can go on after a stop."""
+"""Training: its queries, its ring buffer, and that a network learns."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ from prt_bake.trainer.validation import hold_out, noise_free_ratio
 from tests.mathematics.sampling import SphereCells, assert_counts_follow
 from tests.tracer import scenes
 from tests.tracer.scenes import lumpy
-from tests.trainer.small_training import LEARNING, SMALL, STREAM, learnt, make_scene
+from tests.trainer.small_training import LEARNING, SMALL, STREAM, make_scene, train_small
 
 
 @pytest.fixture(scope="module")
@@ -34,15 +34,15 @@ def test_queries_cover_the_surface_by_area(scene, queries):
     interior = queries.location.barycentric
     inside = (interior.min(axis=1) > 2e-4) & (interior.sum(axis=1) < 1 - 2e-4)
     expected = scene.mesh.face_areas / scene.mesh.face_areas.sum()
-    found = np.bincount(queries.location.faces[inside], minlength=len(expected))
+    counts = np.bincount(queries.location.faces[inside], minlength=len(expected))
     expected = expected * inside.sum()
-    chi_square = np.sum((found - expected) ** 2 / expected)
+    chi_square = np.sum((counts - expected) ** 2 / expected)
     freedom = len(expected) - 1
     assert abs(chi_square - freedom) < 4.5 * np.sqrt(2 * freedom)  # false alarm 1e-5
 
 
 def test_queries_are_uniform_in_their_triangles(queries):
-    """Shape-preserving: with b₀ the first coordinate, (1 − b₀)² and b₂ / (1 − b₀) are uniform and independent."""
+    """With b₀ the first barycentric coordinate, (1 − b₀)² and b₂ / (1 − b₀) are uniform and independent."""
     u, v = queries.location.barycentric.T
     inside = (u > 2e-4) & (v > 2e-4) & (u + v < 1 - 2e-4)
     u, v = u[inside], v[inside]
@@ -61,7 +61,7 @@ def test_a_tenth_of_the_queries_lies_on_vertices_and_edges(queries):
     assert abs(on_vertex.mean() - EDGE_SHARE / 2) < 4.5 * spread
 
 
-def test_more_or_none_of_the_queries_lie_on_vertices_and_edges(scene):
+def test_the_share_of_queries_on_vertices_and_edges_is_a_setting(scene):
     for share in (0.0, 0.4, 1.0):
         u, v = QuerySource(prepare(scene), 1, 4, edge_share=share).draw(0, 5_000).location.barycentric.T
         on_edge = np.minimum(np.minimum(u, v), 1 - u - v) < 1.5e-4
@@ -99,13 +99,13 @@ def test_each_direction_of_incidence_is_uniform(queries):
 
 def test_a_query_depends_on_seed_and_number_alone(scene):
     source = QuerySource(prepare(scene), 3, seed=5)
-    whole, part = source.draw(0, 100), source.draw(40, 20)
-    np.testing.assert_array_equal(whole.outgoing[40:60], part.outgoing)
-    np.testing.assert_array_equal(whole.incident[40:60], part.incident)
+    hundred, part = source.draw(0, 100), source.draw(40, 20)
+    np.testing.assert_array_equal(hundred.outgoing[40:60], part.outgoing)
+    np.testing.assert_array_equal(hundred.incident[40:60], part.incident)
     assert not np.array_equal(part.outgoing, QuerySource(prepare(scene), 3, seed=6).draw(40, 20).outgoing)
 
 
-def test_the_ring_keeps_the_newest():
+def test_the_ring_keeps_the_newest_rows():
     ring = RingBuffer(10)
     for first in (0, 6, 12):
         numbers = np.arange(first, first + 6)
@@ -118,7 +118,7 @@ def test_the_ring_keeps_the_newest():
 
 
 def test_rows_of_the_ring_are_drawn_equally_often():
-    """A reader that goes round 2.5 times as fast as the writer meets every row two or three times."""
+    """A reader 2.5 times as fast as the writer reads every row two or three times."""
     ring, drawn = RingBuffer(40), np.zeros(0, int)
     for first in range(0, 4000, 8):
         numbers = np.arange(first, first + 8)
@@ -129,7 +129,7 @@ def test_rows_of_the_ring_are_drawn_equally_often():
     assert np.mean(times) == pytest.approx(2.5, abs=0.02)
 
 
-def test_the_reference_noise_is_taken_out():
+def test_the_reference_s_noise_is_subtracted():
     generator = np.random.default_rng(4)
     truth = generator.uniform(1, 2, (2000, 8, 3))
     answer = truth * 1.05
@@ -139,16 +139,15 @@ def test_the_reference_noise_is_taken_out():
     assert noise_free_ratio(truth, truth + generator.normal(0, error), error) < 0.02
 
 
-def test_training_learns(scene, tmp_path):
-    rows = []
-    network = learnt(scene, 600, output=tmp_path / "m.pt", progress=rows.append)
-    figures = network.metadata["training"]["relative_rmse"]
+def test_a_network_learns_a_scene(scene, tmp_path):
+    network = train_small(scene, 600, output=tmp_path / "m.pt")
+    errors = network.metadata["training"]["relative_rmse"]
     held_out = hold_out(prepare(scene), 256, 4, 64, seed=99)
     error = held_out.relative_rmse(network)
     constant = noise_free_ratio(held_out.mean.mean(axis=(0, 1)), held_out.mean, held_out.standard_error)
     assert error < 0.7 * constant
-    assert abs(figures["transport"] - error) < 0.25 * error
-    assert figures["coefficients"] < error
+    assert abs(errors["transport"] - error) < 0.25 * error
+    assert errors["coefficients"] < error
     read = load_model(tmp_path / "m.pt")
     q = held_out.queries
     np.testing.assert_array_equal(
@@ -157,7 +156,7 @@ def test_training_learns(scene, tmp_path):
 
 
 def test_ctrl_c_keeps_what_was_learnt(scene, tmp_path):
-    def interrupt(row):
+    def interrupt(_report):
         raise KeyboardInterrupt
 
     network = train(
@@ -174,21 +173,21 @@ def test_ctrl_c_keeps_what_was_learnt(scene, tmp_path):
 
 
 def test_a_loss_that_is_not_finite_stops_the_run(scene):
-    wild = dataclasses.replace(LEARNING, rate=1e20, warm_up=1e-9)
+    divergent = dataclasses.replace(LEARNING, rate=1e20, warm_up=1e-9)
     with pytest.raises(QueryError, match="the loss of step"):
-        train(scene, steps=50, settings=SMALL, stream=STREAM, learning=wild)
+        train(scene, steps=50, settings=SMALL, stream=STREAM, learning=divergent)
 
 
-def test_a_share_of_the_queries_has_every_face_alike(tmp_path):
-    """Faces of very different area: each has what the share and its area let expect (chi-square)."""
+def test_a_share_of_the_queries_is_uniform_over_the_faces(tmp_path):
+    """Faces of very different area have the counts that their area and the share predict (chi-square)."""
     mesh = lumpy(1)
     scene = scenes.make_scene(tmp_path, build_mesh(mesh.positions * [1.0, 0.1, 2.0], mesh.faces))
     location = QuerySource(prepare(scene), 1, 5, face_share=0.3).draw(0, 40_000).location
     full = np.concatenate([1.0 - location.barycentric.sum(axis=1, keepdims=True), location.barycentric], axis=1)
-    # Queries on edges are taken to whichever face sees them most.
+    # Queries on edges are assigned to the face that faces the view most.
     faces = location.faces[full.min(axis=1) > 2e-4]
-    found = np.bincount(faces, minlength=len(scene.mesh.faces))
+    counts = np.bincount(faces, minlength=len(scene.mesh.faces))
     area = scene.mesh.face_areas / scene.mesh.face_areas.sum()
-    assert_counts_follow(found, 0.3 / len(area) + 0.7 * area)
+    assert_counts_follow(counts, 0.3 / len(area) + 0.7 * area)
     with pytest.raises(AssertionError):
-        assert_counts_follow(found, area)
+        assert_counts_follow(counts, area)

@@ -1,5 +1,6 @@
-"""Bakes to an error that is asked for, or within a time: pilot, passes, interpolated vertices.
+"""Adaptive bakes, to a requested error or within a time: pilot, passes, interpolation between vertices.
 
-`run.py` goes through the passes, `pilot.py` and `tolerances.py` find out how, `passes.py` does one.
-May import: `bakers.adaptive`, the other sub-rooms of `prt_bake.baking` except `report`. Begin with `run.py`.
+`pilot.py` and `tolerances.py` choose the settings of a pass, `passes.py` runs one, `run.py` runs one after the other.
+May import: `bakers.adaptive`, `prt_bake.baking.job`, `.pruning`, `.output`, and the rooms that these may import.
+Begin with `run.py`.
 """

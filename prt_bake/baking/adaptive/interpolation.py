@@ -1,160 +1,186 @@
-"""Vertices foretold from those around them, where a mesh is finer than what is seen on it.
+"""Interpolates vertices from their neighbours, on meshes that are finer than the detail of the transport.
 
-One vertex of each cell is evaluated first; the others follow from those (`bakers.adaptive.vertex_interpolation`), each
-held against the transport at a few bins. Those that fail are evaluated.
+One vertex per cell is evaluated first. The others are interpolated from these (`bakers.adaptive.vertex_interpolation`)
+and compared with the transport at a few bins; those that fail are evaluated.
 """
 
 from dataclasses import replace
 from threading import Lock
-from typing import Any, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.records import WAYS, Checks, Refined, Refinement, joined
+from bakers.adaptive.records import METHODS, RefinedBlock, RefinementSettings, ValidationSamples, joined
 from bakers.adaptive.refinement import refine
 from bakers.adaptive.vertex_interpolation import Parents
-from bakers.adaptive.vertex_validation import checked, held_against
-from bakers.error_covariance import joined_shapes
-from bakers.workers import Crew
-from formats.asset.error_covariance import ErrorShape
-from prt_bake.baking.adaptive.interpolation_kernel import foretold_from
-from prt_bake.baking.adaptive.parent_vertices import Nearby, held_bins
-from prt_bake.baking.adaptive.pilot import Site
+from bakers.adaptive.vertex_validation import validation_errors, validation_samples
+from bakers.error_covariance import concatenated
+from bakers.workers import Workers
+from formats.asset.error_covariance import ErrorCovariance
+from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
+from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
+from prt_bake.baking.adaptive.parent_vertices import Interpolation, tested_bins
+from prt_bake.baking.adaptive.pilot import AdaptiveJob
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 
-class Kept(Protocol):
-    """Where the evaluated vertices of each block lie until all that are foretold from them are."""
+class Known(NamedTuple):
+    """Evaluated vertices: places [G] among all evaluated ones, coefficients [G,B,K,3] and error covariances [G]."""
 
-    def keep_evaluated(self, first: int, refined: Refined, bent: int) -> None:
-        """Takes the evaluated vertices of a block."""
-
-    def evaluated(self, first: int) -> tuple[Refined, int] | None:
-        """Gives them back."""
+    places: Index
+    coefficients: NDArray[np.float32]
+    covariance: ErrorCovariance
 
 
-class Library:
-    """Coefficients of evaluated vertices by their place among them, and how their errors hang together, read block by
-    block as they are needed.
-    """
+class EvaluatedVertices:
+    """The evaluated vertices of all blocks, read from the checkpoints when they are needed."""
 
-    def __init__(self, site: Site, nearby: Nearby, kept: Kept, most_bytes: int = 1 << 28) -> None:
-        self._kept, self._lock, self._most = kept, Lock(), most_bytes
-        places = np.flatnonzero(nearby.evaluated)
-        block = places // site.block_vertices
-        self._first = block * site.block_vertices
+    def __init__(
+        self,
+        job: AdaptiveJob,
+        interpolation: Interpolation,
+        checkpoints: PassCheckpoints,
+        most_bytes: int = 1 << 28,
+    ) -> None:
+        """Keeps at most `most_bytes` of coefficients in memory."""
+        self._checkpoints, self._lock, self._most_bytes = checkpoints, Lock(), most_bytes
+        places = np.flatnonzero(interpolation.evaluated)
+        block = places // job.block_vertices
+        self._first = block * job.block_vertices
         self._row = np.arange(len(places)) - np.searchsorted(block, block)
-        self._read: dict[int, Refined] = {}
+        self._blocks: dict[int, RefinedBlock] = {}
 
-    def of(self, places: Index) -> tuple[NDArray[np.float32], ErrorShape]:
-        """Coefficients [G,B,K,3] and shapes [G] of these evaluated vertices."""
+    def of(self, places: Index) -> Known:
+        """The vertices at these places [G] among the evaluated ones."""
         blocks = [(self._block(int(self._first[place])), self._row[place]) for place in places]
-        shapes = [block.shape.of(np.array([row])) for block, row in blocks]
-        return np.stack([block.coefficients[row] for block, row in blocks]), joined_shapes(shapes)
+        covariances = [block.error_covariance.at_vertices(np.array([row])) for block, row in blocks]
+        return Known(places, np.stack([block.coefficients[row] for block, row in blocks]), concatenated(covariances))
 
-    def _block(self, first: int) -> Refined:
+    def _block(self, first: int) -> RefinedBlock:
         with self._lock:
-            if first in self._read:
-                self._read[first] = self._read.pop(first)
-                return self._read[first]
-        there = self._kept.evaluated(first)
-        assert there is not None
+            if first in self._blocks:
+                self._blocks[first] = self._blocks.pop(first)
+                return self._blocks[first]
+        found = self._checkpoints.read_evaluated(first)
+        assert found is not None
         with self._lock:
-            self._read[first] = there[0]
-            while sum(each.coefficients.nbytes for each in self._read.values()) > self._most and len(self._read) > 1:
-                del self._read[next(iter(self._read))]
-            return there[0]
+            self._blocks[first] = found[0]
+            while self._bytes() > self._most_bytes and len(self._blocks) > 1:
+                del self._blocks[next(iter(self._blocks))]
+            return found[0]
+
+    def _bytes(self) -> int:
+        return sum(block.coefficients.nbytes for block in self._blocks.values())
 
 
-def block_from_nearby(
-    site: Site, refinement: Refinement, nearby: Nearby, crew: Crew, kept: Kept, library: Library, first: int
-) -> tuple[Refined, int]:
-    """A block: its evaluated vertices as they are kept, the others foretold from those around, or evaluated after all;
-    and how many of its bins were bent to the horizon.
-    """
-    vertices = site.block(first)
-    here = nearby.evaluated[first : first + len(vertices)]
-    parts, bent = list[tuple[Index, Refined]](), 0
-    if here.any():
-        there = kept.evaluated(first)
-        assert there is not None
-        parts, bent = [(np.flatnonzero(here), there[0])], there[1]
-    rest = np.flatnonzero(~here)
+def interpolated_block(
+    job: AdaptiveJob,
+    refinement: RefinementSettings,
+    interpolation: Interpolation,
+    workers: Workers,
+    checkpoints: PassCheckpoints,
+    evaluated_vertices: EvaluatedVertices,
+    first: int,
+) -> ClampedBlock:
+    """A block: evaluated vertices from the checkpoints; the others interpolated, or evaluated if that fails."""
+    vertices = job.block(first)
+    evaluated = interpolation.evaluated[first : first + len(vertices)]
+    parts, clamped = list[tuple[Index, RefinedBlock]](), 0
+    if evaluated.any():
+        found = checkpoints.read_evaluated(first)
+        assert found is not None
+        parts, clamped = [(np.flatnonzero(evaluated), found[0])], found[1]
+    rest = np.flatnonzero(~evaluated)
     if len(rest):
-        parents = nearby.parents(site, vertices[rest])
-        sound = np.flatnonzero(parents.sound)
-        wanted = np.unique(parents.of[sound])
-        known = library.of(wanted) if len(wanted) else None
-        found, more = crew.do(_foretold_block, (site, refinement, nearby), vertices[rest], parents, wanted, known)
-        parts.append((rest, found))
-        bent += more
-    return joined(len(vertices), parts), bent
+        parents = interpolation.parents(job, vertices[rest])
+        places = np.unique(parents.indices[np.flatnonzero(parents.usable)])
+        known = evaluated_vertices.of(places) if len(places) else None
+        shared = job, refinement, interpolation
+        block, more = workers.do(_interpolate_or_evaluate, shared, vertices[rest], parents, known)
+        parts.append((rest, block))
+        clamped += more
+    return joined(len(vertices), parts), clamped
 
 
-def _foretold_block(
-    site: Site, refinement: Refinement, nearby: Nearby, vertices: Index, parents: Parents, wanted: Index, known: Any
-) -> tuple[Refined, int]:
-    views = [site.views(int(vertex), int(vertex) + 1) for vertex in vertices]
-    outgoing, bent = np.concatenate([view for view, _bent in views]), sum(many for _view, many in views)
-    positions = site.mesh.positions[vertices]
-    rows, found, told = _all_foretold(site, refinement, nearby, parents, wanted, known[0] if known else None)
-    transport, spent, parts = site.transport, 0, list[tuple[Index, Refined]]()
-    if len(rows):
-        bins = held_bins(site, vertices[rows], nearby.bins)
-        off, spent = held_against(transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, bins)
-        good = off.mean(axis=1) <= nearby.error**2
-        rows, found, told = rows[good], found[good], told[good]
-    if len(rows) and known:
-        checks = checked(transport, refinement, vertices[rows], positions[rows], outgoing[rows], found, told)
-        parts.append((rows, _as_refined(found, told, _shape_of_parents(parents, rows, wanted, known[1]), checks)))
+def _interpolate_or_evaluate(
+    job: AdaptiveJob,
+    refinement: RefinementSettings,
+    interpolation: Interpolation,
+    vertices: Index,
+    parents: Parents,
+    known: Known | None,
+) -> ClampedBlock:
+    views = [job.views(int(vertex), int(vertex) + 1) for vertex in vertices]
+    outgoing, clamped = np.concatenate([view for view, _clamped in views]), sum(count for _view, count in views)
+    positions, transport = job.mesh.positions[vertices], job.transport
+    rows, evaluations, parts = np.zeros(0, np.int64), 0, list[tuple[Index, RefinedBlock]]()
+    if known is not None:
+        rows, coefficients, variance = _interpolate(job, refinement, interpolation, parents, known)
+        if len(rows):
+            bins = tested_bins(job, vertices[rows], interpolation.bins)
+            at = vertices[rows], positions[rows], outgoing[rows]
+            squared, evaluations = validation_errors(transport, refinement, *at, coefficients, bins)
+            good = squared.mean(axis=1) <= interpolation.error**2
+            rows, coefficients, variance = rows[good], coefficients[good], variance[good]
+        if len(rows):
+            at = vertices[rows], positions[rows], outgoing[rows]
+            samples = validation_samples(transport, refinement, *at, coefficients, variance)
+            covariance = _mean_covariance(parents, rows, known)
+            parts.append((rows, _as_block(coefficients, variance, covariance, samples)))
     if len(others := np.setdiff1d(np.arange(len(vertices)), rows)):
-        evaluated = refine(transport, refinement, vertices[others], positions[others], outgoing[others])
-        parts.append((others, evaluated))
-    whole = joined(len(vertices), parts)
-    return replace(whole, evaluations=whole.evaluations + spent), bent
+        at = vertices[others], positions[others], outgoing[others]
+        parts.append((others, refine(transport, refinement, *at)))
+    block = joined(len(vertices), parts)
+    return replace(block, evaluations=block.evaluations + evaluations), clamped
 
 
-def _all_foretold(
-    site: Site, refinement: Refinement, nearby: Nearby, parents: Parents, wanted: Index, known: Any
+def _interpolate(
+    job: AdaptiveJob, refinement: RefinementSettings, interpolation: Interpolation, parents: Parents, known: Known
 ) -> tuple[Index, Array, Array]:
-    """Rows [m] of those that can be, by what their fits leave over; coefficients [m,B,K,C] and variances [m,B]."""
-    if known is None:
-        return np.zeros(0, np.int64), np.zeros((0, site.bins, 0, 3)), np.zeros((0, site.bins))
-    assert site.grid is not None
-    by_view = np.ascontiguousarray(known).reshape(len(known), *site.grid, -1)
-    good, coefficients, variance = list[int](), list[Array](), list[Array]()
-    for row in np.flatnonzero(parents.sound):
-        places = np.searchsorted(wanted, parents.of[row])
-        values, told = foretold_from(by_view, places, parents, int(row))
+    """Rows [m] of vertices with small residuals, their coefficients [m,B,K,C] and variances [m,B]."""
+    assert job.grid is not None
+    by_view = np.ascontiguousarray(known.coefficients).reshape(len(known.places), *job.grid, -1)
+    rows, coefficients, variances = list[int](), list[Array](), list[Array]()
+    for row in np.flatnonzero(parents.usable):
+        indices = np.searchsorted(known.places, parents.indices[row])
+        values, variance = interpolated_from(by_view, indices, parents, int(row))
         scale = max(float((values**2).mean()), refinement.floor**2)
-        if told.mean() <= nearby.error**2 * scale:
-            good.append(int(row))
-            coefficients.append(values.reshape(site.bins, -1, 3))
-            variance.append(told)
-    if not good:
-        return np.zeros(0, np.int64), np.zeros((0, site.bins, 0, 3)), np.zeros((0, site.bins))
-    return np.array(good), np.stack(coefficients), np.stack(variance)
+        if variance.mean() <= interpolation.error**2 * scale:
+            rows.append(int(row))
+            coefficients.append(values.reshape(job.bins, -1, 3))
+            variances.append(variance)
+    if not rows:
+        return np.zeros(0, np.int64), np.zeros((0, job.bins, 0, 3)), np.zeros((0, job.bins))
+    return np.array(rows), np.stack(coefficients), np.stack(variances)
 
 
-def _shape_of_parents(parents: Parents, rows: Index, wanted: Index, known: ErrorShape) -> ErrorShape:
-    """What is foretold errs as the vertices do that it was foretold from, on average, and as those beside it."""
-    places = [np.searchsorted(wanted, parents.of[row]) for row in rows]
+def _mean_covariance(parents: Parents, rows: Index, known: Known) -> ErrorCovariance:
+    """The mean error covariance of each vertex's parents; all its bins err together."""
+    places = [np.searchsorted(known.places, parents.indices[row]) for row in rows]
     covariance, channels = (
         np.stack([each[some].mean(axis=0) for some in places]).astype(np.float64)
-        for each in (known.covariance, known.channels)
+        for each in (known.covariance.covariance, known.covariance.channels)
     )
-    return ErrorShape(covariance.astype(np.float32), channels.astype(np.float32), np.zeros((len(rows), 2), np.float32))
+    apart = np.zeros((len(rows), 2), np.float32)
+    return ErrorCovariance(covariance.astype(np.float32), channels.astype(np.float32), apart)
 
 
-def _as_refined(found: Array, variance: Array, shape: ErrorShape, checks: Checks) -> Refined:
-    directions = np.zeros(variance.shape, np.uint16)
-    way = np.full(variance.shape, WAYS.index("nearby"), np.uint8)
-    deviation = np.sqrt(variance).astype(np.float32)
-    together = np.ones(len(variance), np.float32)
-    shapes = shape.covariance, shape.channels, shape.apart
-    return Refined(
-        found.astype(np.float32), deviation, directions, way, together, *shapes, checks.evaluations, 0, checks
+def _as_block(
+    coefficients: Array, variance: Array, covariance: ErrorCovariance, samples: ValidationSamples
+) -> RefinedBlock:
+    return RefinedBlock(
+        coefficients.astype(np.float32),
+        np.sqrt(variance).astype(np.float32),
+        np.zeros(variance.shape, np.uint16),
+        np.full(variance.shape, METHODS.index("nearby"), np.uint8),
+        np.ones(len(variance), np.float32),
+        covariance.covariance,
+        covariance.channels,
+        covariance.apart,
+        samples.evaluations,
+        0,
+        samples,
     )

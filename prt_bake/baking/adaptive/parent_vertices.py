@@ -1,14 +1,14 @@
-"""Which vertices are evaluated where the others are foretold from them: one of each cell, as large as will do."""
+"""Chooses the vertices from which all others are interpolated: one per cell, with the largest usable cells."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.records import Refinement
-from bakers.adaptive.vertex_interpolation import PARENTS, Parents, Surroundings, carried_along, spread_out
+from bakers.adaptive.records import RefinementSettings
+from bakers.adaptive.vertex_interpolation import PARENTS, Parents, VertexInterpolator, one_per_cell, rotated_with_normal
 from bakers.evaluation import values_at
-from prt_bake.baking.adaptive.pilot import MANY, Site
+from prt_bake.baking.adaptive.pilot import MANY, AdaptiveJob
 from prt_bake.baking.job.lattices import drawn
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.random import hashed
@@ -17,169 +17,180 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 FEWEST_VERTICES, FEWEST_SECTORS = 1500, 32
-"""Fewer sectors tell too little of what is seen at azimuths between them, where frames are turned."""
+"""Objects of fewer vertices or sectors are not interpolated: frames are rotated, and few sectors do not determine the
+values between them.
+"""
 SPACINGS = 2.0, 3.0, 4.0, 6.0, 8.0
-"""Of the distance to the nearest vertex, cells that are tried."""
-TRIED, TRIED_BINS, TRIED_DIRECTIONS, TRIED_SHARE = 48, 8, (64, 512), 0.03
-"""Vertices, and at how many bins and in how many directions cells of all sizes are tried there: as few as come to that
-share of the whole bake.
+"""Cell sizes that are tried, in distances to the nearest vertex."""
+TRIAL_VERTICES, TRIAL_BINS, TRIAL_DIRECTIONS, TRIAL_SHARE = 48, 8, (64, 512), 0.03
+"""Vertices, bins and range of directions of the trials of cell sizes; the number of directions is chosen such that all
+trials cost this share of the bake.
 """
-HELD_BINS, HELD_SHARE = 4, 0.06
-"""A foretold vertex is held against the transport at so many bins, or as few as come to that share of what evaluating
-it takes.
+TESTED_BINS, TESTED_SHARE = 4, 0.06
+"""An interpolated vertex is compared with the transport at so many bins, or fewer, so that it costs this share of its
+evaluation.
 """
-SWEPT, WORTH = 2.0, 0.5
-"""Evaluations of a network a bin that foretelling takes as long as; and of what it takes without, what it must come
-down to, at most, for it to be done.
+INTERPOLATION_TIME, WORTH = 2.0, 0.5
+"""Time to interpolate a bin, in network evaluations; and largest cost with interpolation over the cost without."""
+TOLERANCE, TRIAL_TOLERANCE, ELSEWHERE = 0.8, 0.85, 0.7
+"""Largest error of an interpolated vertex at its tested bins, over the requested error. The error of the interpolation
+alone, over that: largest at a vertex of a trial, and largest rms at other bins of all vertices that pass. The noise of
+the parents adds to it; its variance there is a third of that at the tested bins.
 """
-FORETOLD, ALONE, GOOD = 0.8, 0.85, 0.7
-"""Of the error asked for, what a foretold vertex may be off by where it is held against the transport. Of this, what
-foretelling alone may be off by at a vertex that is thought to pass, and in rms at all that are, at other bins than
-those where they are held: the noise of their parents, that comes on top, is a third in variance of what it is at those.
-"""
-_SPREAD_STREAM, _HELD_STREAM = 41, 42
+_CELL_STREAM, _TEST_STREAM = 41, 42
 
 
 @dataclass(frozen=True)
-class Nearby:
-    """Which of the baked vertices are evaluated, and how the others are foretold.
+class Interpolation:
+    """The vertices that are evaluated, and how the others are interpolated.
 
     Attributes:
-        spacing: size of the cells of each of which one vertex is evaluated.
-        error: relative error that foretold vertices may have.
-        bins: at which they are held against the transport.
-        each: directions at each of those, about, of both lattices.
-        passing: share of them that is thought to pass.
-        per_vertex: evaluations that an evaluated vertex is thought to take, checks apart.
-        evaluated: [n] of the baked vertices.
-        numbers: [C], vertex numbers of the evaluated.
+        spacing: size of the cells; one vertex of each is evaluated.
+        error: largest relative error of an interpolated vertex.
+        bins: number of bins at which an interpolated vertex is compared with the transport.
+        per_bin: directions at each of these bins, about, of both lattices together.
+        passing: predicted share of interpolated vertices that pass this test.
+        per_vertex: predicted evaluations of an evaluated vertex, without validation samples.
+        evaluated: mask [n] of the baked vertices.
+        numbers: [C], indices of the evaluated vertices.
     """
 
     spacing: float
     error: float
     bins: int
-    each: float
+    per_bin: float
     passing: float
     per_vertex: float
     evaluated: NDArray[np.bool_]
     numbers: Index
-    surroundings: Surroundings
+    interpolator: VertexInterpolator
 
     @property
     def on_average(self) -> float:
-        """Evaluations that a vertex takes, checks apart."""
-        other = self.bins * self.each + (1.0 - self.passing) * self.per_vertex
-        return self.share * self.per_vertex + (1.0 - self.share) * other
+        """Mean evaluations of a vertex, without validation samples."""
+        interpolated = self.bins * self.per_bin + (1.0 - self.passing) * self.per_vertex
+        return self.share * self.per_vertex + (1.0 - self.share) * interpolated
 
     @property
     def ahead(self) -> float:
-        """Share of the work that is done once all vertices are that others are foretold from."""
+        """Share of the work that is done when all vertices to interpolate from are evaluated."""
         return self.share * self.per_vertex / self.on_average
 
     @property
     def share(self) -> float:
-        """Of the vertices, those that are evaluated first."""
+        """Share of the vertices that are evaluated first."""
         return float(self.evaluated.mean())
 
-    def parents(self, site: Site, vertices: Index) -> Parents:
-        """What these vertices are foretold from."""
-        normals = site.mesh.normals[vertices]
-        return self.surroundings.parents(site.mesh.positions[vertices], normals, sphere.tangent_frame(normals))
+    def parents(self, job: AdaptiveJob, vertices: Index) -> Parents:
+        """The vertices from which these are interpolated."""
+        normals = job.mesh.normals[vertices]
+        return self.interpolator.parents(job.mesh.positions[vertices], normals, sphere.tangent_frame(normals))
 
 
-def nearby_for(
-    site: Site, refinement: Refinement, error: float, per_vertex: float, each: float
-) -> tuple[Nearby | None, int]:
-    """The cells that come cheapest at that error, by what they do at a few vertices, or None where evaluating all, at
-    `per_vertex` evaluations, is hardly dearer; and the evaluations that it took to find out. A bin is held against the
-    transport in about `each` directions, half of them for each of two lattices.
+def choose_interpolation(
+    job: AdaptiveJob, refinement: RefinementSettings, error: float, per_vertex: float, per_bin: float
+) -> tuple[Interpolation | None, int]:
+    """The cheapest interpolation for that error, from trials at a few vertices, and the evaluations of the trials. None
+    if it saves too little over evaluating all vertices with `per_vertex` evaluations each.
+
+    per_bin: directions of a comparison with the transport, of two lattices together.
     """
-    few = len(site.vertices) < FEWEST_VERTICES or site.many < MANY
-    if few or site.grid is None or site.grid[1] < FEWEST_SECTORS:
+    few = len(job.vertices) < FEWEST_VERTICES or job.many < MANY
+    if few or job.grid is None or job.grid[1] < FEWEST_SECTORS:
         return None, 0
-    bins = int(np.clip(HELD_SHARE * per_vertex / max(each, 1.0), 1, min(HELD_BINS, site.bins)))
-    for_one = len(SPACINGS) * TRIED * TRIED_BINS * (PARENTS + 1)
-    directions = int(np.clip(TRIED_SHARE * per_vertex * len(site.vertices) / for_one, *TRIED_DIRECTIONS))
-    apart, tried, spent, most = _apart(site), list[Nearby](), 0, 1.0
-    for spacing in SPACINGS if apart > 0.0 else ():
-        nearby = cells(site, spacing * apart, FORETOLD * error, bins, each, per_vertex)
-        # Others cannot be cheaper, however good they are.
-        if _cost(site, nearby) < WORTH * per_vertex:
-            passing, well, taken = _tried(site, refinement, nearby, directions)
-            # In larger cells no more are foretold: what seems so is chance.
-            most, spent = min(most, passing), spent + taken
-            if well:
-                tried.append(replace(nearby, passing=most))
-    best = min(tried, key=lambda nearby: _cost(site, nearby), default=None)
-    return (best if best is not None and _cost(site, best) < WORTH * per_vertex else None), spent
+    bins = int(np.clip(TESTED_SHARE * per_vertex / max(per_bin, 1.0), 1, min(TESTED_BINS, job.bins)))
+    bins_of_trials = len(SPACINGS) * TRIAL_VERTICES * TRIAL_BINS * (PARENTS + 1)
+    directions = int(np.clip(TRIAL_SHARE * per_vertex * len(job.vertices) / bins_of_trials, *TRIAL_DIRECTIONS))
+    distance, usable, evaluations, most = _vertex_distance(job), list[Interpolation](), 0, 1.0
+    for spacing in SPACINGS if distance > 0.0 else ():
+        interpolation = cell_interpolation(job, spacing * distance, TOLERANCE * error, bins, per_bin, per_vertex)
+        # With all vertices passing it would have to be cheap enough.
+        if _cost(job, interpolation) < WORTH * per_vertex:
+            passing, accurate, more = _trial(job, refinement, interpolation, directions)
+            # Fewer vertices pass with larger cells; the opposite is chance.
+            most, evaluations = min(most, passing), evaluations + more
+            if accurate:
+                usable.append(replace(interpolation, passing=most))
+    best = min(usable, key=lambda interpolation: _cost(job, interpolation), default=None)
+    return (best if best is not None and _cost(job, best) < WORTH * per_vertex else None), evaluations
 
 
-def _cost(site: Site, nearby: Nearby) -> float:
-    """What a vertex takes, in evaluations, foretelling itself included."""
-    return nearby.on_average + SWEPT * site.bins * (1.0 - nearby.share)
+def _cost(job: AdaptiveJob, interpolation: Interpolation) -> float:
+    """Mean cost of a vertex in evaluations, including the time of the interpolation."""
+    return interpolation.on_average + INTERPOLATION_TIME * job.bins * (1.0 - interpolation.share)
 
 
-def cells(site: Site, spacing: float, error: float, bins: int, each: float, per_vertex: float) -> Nearby:
-    """One vertex evaluated of each cell of that size, and the others thought to pass."""
-    some = site.vertices
-    positions, normals = site.mesh.positions[some], site.mesh.normals[some]
-    evaluated = spread_out(positions, normals, spacing, hashed(_SPREAD_STREAM, site.seed, some))
-    parts = positions[evaluated], normals[evaluated]
-    around = Surroundings(*parts, sphere.tangent_frame(parts[1]))
-    return Nearby(spacing, error, bins, each, 1.0, per_vertex, evaluated, some[evaluated], around)
+def cell_interpolation(
+    job: AdaptiveJob, spacing: float, error: float, bins: int, per_bin: float, per_vertex: float
+) -> Interpolation:
+    """Interpolation from one vertex per cell of that size; all others are assumed to pass."""
+    vertices = job.vertices
+    positions, normals = job.mesh.positions[vertices], job.mesh.normals[vertices]
+    evaluated = one_per_cell(positions, normals, spacing, hashed(_CELL_STREAM, job.seed, vertices))
+    interpolator = VertexInterpolator(
+        positions[evaluated], normals[evaluated], sphere.tangent_frame(normals[evaluated])
+    )
+    return Interpolation(spacing, error, bins, per_bin, 1.0, per_vertex, evaluated, vertices[evaluated], interpolator)
 
 
-def _apart(site: Site) -> float:
-    """The distance between neighbouring vertices."""
+def _vertex_distance(job: AdaptiveJob) -> float:
+    """Median distance between neighbouring vertices."""
     from scipy.spatial import cKDTree
 
-    positions = site.mesh.positions[site.vertices]
-    some = drawn(site.seed + 6, len(positions), 256)
-    return float(np.median(cKDTree(positions).query(positions[some], 2)[0][:, 1]))
+    positions = job.mesh.positions[job.vertices]
+    chosen = drawn(job.seed + 6, len(positions), 256)
+    return float(np.median(cKDTree(positions).query(positions[chosen], 2)[0][:, 1]))
 
 
-def _tried(site: Site, refinement: Refinement, nearby: Nearby, directions: int) -> tuple[float, bool, int]:
-    """What share of a few vertices passes, were they held against many directions at their bins, less one sigma of
-    that; whether those are as good at other bins; and evaluations.
+def _trial(
+    job: AdaptiveJob, refinement: RefinementSettings, interpolation: Interpolation, directions: int
+) -> tuple[float, bool, int]:
+    """Interpolates a few vertices. Returns the share that passes at the tested bins, less one sigma; whether these are
+    accurate at other bins too; and evaluations.
     """
-    rest = site.vertices[~nearby.evaluated]
-    tried = rest[drawn(site.seed + 7, len(rest), min(TRIED, len(rest)))]
-    parents = nearby.parents(site, tried)
-    off, spent = _off(site, refinement, nearby, parents, tried, directions)
-    passing = (off[:, : nearby.bins] ** 2).mean(axis=1) <= (ALONE * nearby.error) ** 2
-    elsewhere = off[passing, nearby.bins :]
-    well = elsewhere.size > 0 and bool(np.sqrt((elsewhere**2).mean()) <= GOOD * nearby.error)
-    share = float(passing.sum() / len(tried))
-    return max(share - float(np.sqrt(share * (1.0 - share) / len(tried))), 0.0), well, spent
+    rest = job.vertices[~interpolation.evaluated]
+    chosen = rest[drawn(job.seed + 7, len(rest), min(TRIAL_VERTICES, len(rest)))]
+    parents = interpolation.parents(job, chosen)
+    errors, evaluations = _interpolation_errors(job, refinement, interpolation, parents, chosen, directions)
+    passing = (errors[:, : interpolation.bins] ** 2).mean(axis=1) <= (TRIAL_TOLERANCE * interpolation.error) ** 2
+    elsewhere = errors[passing, interpolation.bins :]
+    accurate = elsewhere.size > 0 and bool(np.sqrt((elsewhere**2).mean()) <= ELSEWHERE * interpolation.error)
+    share = float(passing.sum() / len(chosen))
+    return max(share - float(np.sqrt(share * (1.0 - share) / len(chosen))), 0.0), accurate, evaluations
 
 
-def _off(
-    site: Site, refinement: Refinement, nearby: Nearby, parents: Parents, vertices: Index, directions: int
+def _interpolation_errors(
+    job: AdaptiveJob,
+    refinement: RefinementSettings,
+    interpolation: Interpolation,
+    parents: Parents,
+    vertices: Index,
+    directions: int,
 ) -> tuple[Array, int]:
-    """What sound ones of these vertices are off by [m,bins], relative to the vertex, when foretold from what their
-    parents answer in the same directions, at bins that are drawn: without noise of the light. And evaluations.
+    """Relative errors [m,bins] at random bins of those vertices that have usable parents, and evaluations. Vertex and
+    parents are evaluated in the same directions, so that the errors have no noise of the light.
     """
-    few, rows = min(directions, len(refinement.lattice.directions)), np.flatnonzero(parents.sound)
+    few, rows = min(directions, len(refinement.lattice.directions)), np.flatnonzero(parents.usable)
     lattice, fit = refinement.lattice.directions[:few], np.linalg.pinv(refinement.lattice.harmonics[:few])
-    off, normals, spent = np.zeros((len(rows), TRIED_BINS)), site.mesh.normals, 0
-    for place, row in enumerate(rows):
+    errors, normals, evaluations = np.zeros((len(rows), TRIAL_BINS)), job.mesh.normals, 0
+    for number, row in enumerate(rows):
         vertex, used = vertices[row], np.flatnonzero(parents.weights[row] != 0.0)
-        outgoing = site.views(int(vertex), int(vertex) + 1)[0][0][held_bins(site, vertex, TRIED_BINS)]
-        family = nearby.numbers[parents.of[row][used]]
-        carried = carried_along(outgoing[None], normals[vertex][None, None], normals[family][:, None])
-        seen = np.concatenate([carried, outgoing[None]]).reshape(-1, 3)
-        where = np.repeat(site.mesh.positions[np.append(family, vertex)], TRIED_BINS, axis=0)
-        answers = values_at(site.transport, lattice[None], np.zeros(len(seen), np.int64), where, seen)
-        a = (fit @ answers.astype(np.float64)).reshape(len(family) + 1, TRIED_BINS, -1)
+        outgoing = job.views(int(vertex), int(vertex) + 1)[0][0][tested_bins(job, vertex, TRIAL_BINS)]
+        sources = interpolation.numbers[parents.indices[row][used]]
+        rotated = rotated_with_normal(outgoing[None], normals[vertex][None, None], normals[sources][:, None])
+        towards = np.concatenate([rotated, outgoing[None]]).reshape(-1, 3)
+        positions = np.repeat(job.mesh.positions[np.append(sources, vertex)], TRIAL_BINS, axis=0)
+        values = values_at(job.transport, lattice[None], np.zeros(len(towards), np.int64), positions, towards)
+        a = (fit @ values.astype(np.float64)).reshape(len(sources) + 1, TRIAL_BINS, -1)
         with np.errstate(invalid="ignore", over="ignore"):
-            left = np.tensordot(parents.weights[row][used], a[:-1], axes=1) - a[-1]
+            difference = np.tensordot(parents.weights[row][used], a[:-1], axes=1) - a[-1]
             scale = np.maximum((a**2).mean(), refinement.floor**2)
-            off[place] = np.sqrt((left**2).mean(axis=-1) / scale)
-        spent += len(seen) * few
-    return off, spent
+            errors[number] = np.sqrt((difference**2).mean(axis=-1) / scale)
+        evaluations += len(towards) * few
+    return errors, evaluations
 
 
-def held_bins(site: Site, vertices: NDArray[np.integer], bins: int) -> Index:
-    """The bins [...,bins] at which vertices [...] are held against the transport."""
-    keys = hashed(_HELD_STREAM, site.seed, np.asarray(vertices)[..., None], np.arange(bins))
-    return np.asarray((keys % np.uint64(site.bins)).astype(np.int64))
+def tested_bins(job: AdaptiveJob, vertices: NDArray[np.integer], bins: int) -> Index:
+    """The bins [...,bins] at which interpolated vertices [...] are compared with the transport."""
+    keys = hashed(_TEST_STREAM, job.seed, np.asarray(vertices)[..., None], np.arange(bins))
+    return np.asarray((keys % np.uint64(job.bins)).astype(np.int64))

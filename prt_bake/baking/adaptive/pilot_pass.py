@@ -1,7 +1,7 @@
-"""Some vertices baked as a pass would bake them, to foretell what all of them take.
+"""A pass over some vertices, which predicts the cost of a pass over all of them.
 
-A pilot tells little of time: its blocks are small, much is done for the first time, and some of it is recalled. Nor are
-its vertices many: where a few cost several times as much as the others, two dozen are off by a sixth.
+The trials of a pilot predict time badly: their blocks are small, much is done for the first time, and some values are
+cached. If a few vertices cost several times as much as the others, the mean of two dozen vertices is off by a sixth.
 """
 
 import time
@@ -11,92 +11,90 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.adaptive.calibration import Tally
-from bakers.adaptive.evaluation_cache import NOTHING
-from bakers.adaptive.records import Refined, Refinement
-from bakers.workers import Crew
-from prt_bake.baking.adaptive.parent_vertices import SWEPT
+from bakers.adaptive.evaluation_cache import NO_CACHE
+from bakers.adaptive.records import RefinedBlock, RefinementSettings
+from bakers.workers import Workers
+from prt_bake.baking.adaptive.parent_vertices import INTERPOLATION_TIME
+from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block
 from prt_bake.baking.adaptive.passes import Pass, tighter
-from prt_bake.baking.adaptive.pilot import MANY, Site
-from prt_bake.baking.adaptive.tolerances import PILOT_CHECKS, Aim, refined_block
-from prt_bake.baking.job.forecast import COST
+from prt_bake.baking.adaptive.pilot import MANY, AdaptiveJob
+from prt_bake.baking.adaptive.trials import PILOT_VALIDATION_BINS
+from prt_bake.baking.job.forecast import COST_EXPONENT
 from prt_bake.baking.job.lattices import drawn
 
 ENOUGH, MOST, LARGEST = 0.06, 0.06, 0.25
-"""Blocks are baked until the mean over their vertices is known to within so much, one sigma, or until they are so large
-a share of all; and the largest share that the first of them may be.
+"""Blocks are baked until the standard error of the mean cost of a vertex is below `ENOUGH`, or until they are a share
+`MOST` of all; a block is at most a share `LARGEST`.
 """
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What some vertices took of a pass."""
+class PilotPass:
+    """Cost of a pass at some vertices."""
 
     vertices: int
-    """How many."""
+    """Number of vertices."""
     seconds: float
-    """For one vertex, with all workers at it."""
+    """Per vertex, with all workers."""
     evaluations: float
-    """For one vertex, checks among them."""
+    """Per vertex, with validation samples."""
     deviation: float
-    """Of the mean over all vertices as these tell it, one sigma, relative."""
-    block: Refined
+    """Relative standard error of the mean cost over all vertices."""
+    block: RefinedBlock
     """One of the blocks."""
     tally: Tally
-    """Of them all."""
+    """Of all blocks."""
 
-    def of_passes(self, aim: Aim, site: Site) -> "Rehearsal":
-        """The same of a pass to that aim, which foretells vertices from others where that is to be done."""
-        near = aim.foretelling
-        if near is None:
+    def of_pass(self, settings: PassSettings, job: AdaptiveJob) -> "PilotPass":
+        """The cost of a pass with these settings, which may interpolate vertices."""
+        interpolation = settings.active_interpolation
+        if interpolation is None:
             return self
-        by_network = near.on_average / near.per_vertex
-        swept = (1.0 - near.share) * SWEPT * site.bins / near.per_vertex
-        return replace(self, seconds=self.seconds * (by_network + swept), evaluations=self.evaluations * by_network)
+        evaluated = interpolation.on_average / interpolation.per_vertex
+        time_share = (1.0 - interpolation.share) * INTERPOLATION_TIME * job.bins / interpolation.per_vertex
+        return replace(self, seconds=self.seconds * (evaluated + time_share), evaluations=self.evaluations * evaluated)
 
-    def again(self, aim: Aim, error: float, site: Site) -> float:
-        """How much of a pass follows it, over the pass itself: none, unless the pilot and these vertices say that it
-        leaves more than that error.
-        """
-        correction = self.tally.correction(aim.correction)
+    def repeats(self, settings: PassSettings, error: float, job: AdaptiveJob) -> float:
+        """Predicted cost of the pass that follows, over that of the pass itself; 0 if the pass reaches the error."""
+        correction = self.tally.correction(settings.correction)
         done = Pass(self.tally, correction, *self.tally.relative(correction), True)
-        if aim.nearby is not None or min(done.worst, aim.error) <= 0.0:
+        if settings.interpolation is not None or min(done.worst, settings.error) <= 0.0:
             return 0.0
-        # Either knows the more of it, the more bins were held against others.
-        checks = PILOT_CHECKS[int(site.many >= MANY)], self.tally.checked
-        told = float(np.exp(np.average(np.log([aim.error, done.worst]), weights=checks)))
-        if told <= error:
+        # Both predictions of the error count in proportion to their validation bins.
+        weights = PILOT_VALIDATION_BINS[int(job.many >= MANY)], self.tally.validated_bins
+        predicted = float(np.exp(np.average(np.log([settings.error, done.worst]), weights=weights)))
+        if predicted <= error:
             return 0.0
-        following = tighter(aim, done, error * done.worst / told)
-        assert following.again is not None
-        finer = aim.refinement.light / following.refinement.light
-        return float(following.again[self.tally.done].mean() * finer**COST)
+        following = tighter(settings, done, error * done.worst / predicted)
+        assert following.rebake is not None
+        finer = settings.refinement.light_tolerance / following.refinement.light_tolerance
+        return float(following.rebake[self.tally.done].mean() * finer**COST_EXPONENT)
 
 
-def rehearsed(site: Site, how: Refinement, crew: Crew) -> Rehearsal:
-    """Bakes blocks of vertices that are drawn by the seed, as many at a time as there are workers, and nothing of the
-    pilot's recalled.
-    """
-    how, count = replace(how, answers=NOTHING), len(site.vertices)
-    size = max(1, min(site.block_vertices, int(LARGEST * count)))
-    order = site.vertices[drawn(site.seed + 6, count, count)]
-    seconds, done, blocks, tally = 0.0, 0, list[Refined](), Tally(len(site.mesh.positions))
+def run_pilot_pass(job: AdaptiveJob, refinement: RefinementSettings, workers: Workers) -> PilotPass:
+    """Bakes blocks of random vertices, one for each worker at a time, without the cache of the pilot."""
+    refinement, count = replace(refinement, cache=NO_CACHE), len(job.vertices)
+    size = max(1, min(job.block_vertices, int(LARGEST * count)))
+    order = job.vertices[drawn(job.seed + 6, count, count)]
+    seconds, done, blocks, tally = 0.0, 0, list[RefinedBlock](), Tally(len(job.mesh.positions))
+    shared = job, refinement
     while done < count:
-        cut = [np.sort(order[first : first + size]) for first in range(done, count, size)][: crew.workers]
+        pieces = [np.sort(order[first : first + size]) for first in range(done, count, size)][: workers.count]
         began = time.monotonic()
-        found = list(crew.in_order(lambda some: crew.do(refined_block, (site, how), some)[0], cut))
+        new = list(workers.in_order(lambda piece: workers.do(refined_block, shared, piece)[0], pieces))
         seconds += time.monotonic() - began
-        done, blocks = done + sum(len(some) for some in cut), [*blocks, *found]
-        for some, block in zip(cut, found, strict=True):
-            tally.add(some, block)
+        done, blocks = done + sum(len(piece) for piece in pieces), [*blocks, *new]
+        for piece, block in zip(pieces, new, strict=True):
+            tally.add(piece, block)
         costs = np.concatenate([block.directions.sum(axis=1, dtype=np.float64) for block in blocks])
         deviation = _deviation(costs, count)
         if done >= MOST * count or deviation <= ENOUGH:
             break
-    return Rehearsal(done, seconds / done, tally.evaluations / done, deviation, blocks[-1], tally)
+    return PilotPass(done, seconds / done, tally.evaluations / done, deviation, blocks[-1], tally)
 
 
 def _deviation(costs: NDArray[np.float64], count: int) -> float:
-    """One sigma of the mean of `costs`, which were drawn without repetition from `count`, over that mean."""
+    """Relative standard error of the mean of `costs`, which were drawn without replacement from `count`."""
     if len(costs) < 2:
         return 1.0
     spread = float(costs.std(ddof=1) / max(costs.mean(), 1e-300))

@@ -1,4 +1,4 @@
-"""A bake with its arguments checked and resolved: bins, basis, sampling, lattices, pilot and time forecast.
+"""A bake with its arguments checked and resolved: view bins, pruning, sampling, lattices, pilot and time forecast.
 
-May import: `bakers`, `prt_bake.mathematics`, `prt_bake.geometry` and `formats`. Begin with `job.py`.
+May import: `bakers`, `formats`, `prt_bake.mathematics`, `prt_bake.geometry` and `prt_bake.jit`. Begin with `job.py`.
 """

@@ -1,4 +1,4 @@
-"""How long a bake still takes until it has come to what it is for: from what its blocks have taken so far."""
+"""Progress of a bake and a forecast of the time that it still takes, extrapolated from the blocks done so far."""
 
 import math
 import time
@@ -8,19 +8,19 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-COST = 1.5
-"""Evaluations grow with that power of 1 / error, at small errors."""
-FROM_COARSE = 0.9
-"""The same between a coarse pass and a fine one (0.7 to 1.1 on the shipped networks), until a pilot tells better."""
-POWERS = 0.7, 3.0
+COST_EXPONENT = 1.5
+"""Evaluations grow with this power of 1 / error, at small errors."""
+COARSE_EXPONENT = 0.9
+"""The same from a coarse pass to a fine one: 0.7 to 1.1 on the shipped networks. Used until two passes are measured."""
+EXPONENT_RANGE = 0.7, 3.0
 
 
-class Standing(tuple[float, float, float]):
-    """A row (seconds, evaluations, estimated relative error), and how long it still takes.
+class BakeStatus(tuple[float, float, float]):
+    """A row (seconds, evaluations, estimated relative error) of a bake in progress.
 
     Attributes:
-        left: seconds until the target, as they are foretold; None where nothing tells.
-        stage: what is being done, where a bake has several parts.
+        left: predicted seconds until the target; None without a prediction.
+        stage: which part of the bake runs, empty for bakes of one part.
     """
 
     left: float | None
@@ -28,46 +28,47 @@ class Standing(tuple[float, float, float]):
 
     def __new__(cls, row: tuple[float, float, float], left: float | None, stage: str = "") -> Self:
         """The row, with attributes."""
-        standing = super().__new__(cls, row)
-        standing.left, standing.stage = left, stage
-        return standing
+        status = super().__new__(cls, row)
+        status.left, status.stage = left, stage
+        return status
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Of one pass over the vertices, and of what comes after it."""
+    """Time of one pass over the vertices, and of the work that follows it."""
 
     work: NDArray[np.float64]
-    """What is to be done at each vertex [n] of the pass, in any unit; 0 where it is there already."""
-    foretold: float | None = None
-    """Seconds that a pilot says the pass takes."""
+    """Work at each vertex [n] of the pass, in any unit; 0 where it was done before."""
+    predicted: float | None = None
+    """Seconds of the pass according to a pilot."""
     after: float = 0.0
-    """Times the pass's own seconds, that all that comes after it takes."""
+    """Time of all work after the pass, over that of the pass."""
     deadline: float = math.inf
     """By the monotonic clock."""
     began: float = field(default_factory=time.monotonic)
 
     def left(self, done: int) -> float | None:
-        """Seconds until the target, once the first `done` vertices of the pass are."""
+        """Predicted seconds until the target, after the first `done` vertices of the pass."""
         now = time.monotonic()
-        ours, whole = float(self.work[:done].sum()), float(self.work.sum())
-        seconds = (now - self.began) * whole / ours if ours > 0.0 else self.foretold
-        if whole == 0.0:
+        work_done, total_work = float(self.work[:done].sum()), float(self.work.sum())
+        seconds = (now - self.began) * total_work / work_done if work_done > 0.0 else self.predicted
+        if total_work == 0.0:
             seconds = 0.0
-        by_time = self.deadline - now if math.isfinite(self.deadline) else None
+        by_deadline = self.deadline - now if math.isfinite(self.deadline) else None
         if seconds is None or not math.isfinite(self.after):
-            return by_time
-        by_target = max(0.0, seconds * (1.0 - (ours / whole if whole else 1.0)) + seconds * self.after)
-        return by_target if by_time is None else max(0.0, min(by_target, by_time))
+            return by_deadline
+        remaining = 1.0 - (work_done / total_work if total_work else 1.0)
+        by_target = max(0.0, seconds * remaining + seconds * self.after)
+        return by_target if by_deadline is None else max(0.0, min(by_target, by_deadline))
 
 
-def power_of_error(rows: list[tuple[float, float, float]]) -> float:
-    """The power of 1 / error that seconds grow with, from the rows (seconds, evaluations, error) of whole passes, each
-    of which took what lies between its row and the one before.
+def error_exponent(rows: list[tuple[float, float, float]]) -> float:
+    """The power of 1 / error by which the time of a pass grows, fitted to rows (seconds, evaluations, error) after
+    complete passes. A pass took the difference between its seconds and those of the row before.
     """
-    taken = np.diff([0.0] + [row[0] for row in rows])
+    seconds = np.diff([0.0] + [row[0] for row in rows])
     errors = np.array([row[2] for row in rows])
-    good = (taken > 0.0) & (errors > 0.0)
-    if good.sum() < 2 or np.ptp(np.log(errors[good])) < math.log(1.2):
-        return FROM_COARSE
-    return float(np.clip(-np.polyfit(np.log(errors[good]), np.log(taken[good]), 1)[0], *POWERS))
+    usable = (seconds > 0.0) & (errors > 0.0)
+    if usable.sum() < 2 or np.ptp(np.log(errors[usable])) < math.log(1.2):
+        return COARSE_EXPONENT
+    return float(np.clip(-np.polyfit(np.log(errors[usable]), np.log(seconds[usable]), 1)[0], *EXPONENT_RANGE))

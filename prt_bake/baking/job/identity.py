@@ -1,4 +1,4 @@
-"""What a resumed bake must have been begun with: by what the transport is known again."""
+"""The identity of a transport, by which a resumed bake recognises the bake that it continues."""
 
 import hashlib
 from typing import Any
@@ -6,16 +6,18 @@ from typing import Any
 import numpy as np
 
 from bakers.evaluation import values_at
-from bakers.transport import way_in
+from bakers.transport import transport_kind
 from formats.mesh import Mesh
 from prt_bake.mathematics import sphere
 
-PLACES, DIRECTIONS = 4, 16
+POSITIONS, DIRECTIONS = 4, 16
 
 
 def identity_of(transport: Any, mesh: Mesh, provenance: dict[str, Any]) -> tuple[str, int]:
-    """The hash of the source file, of a network's weights, or of what the transport answers at a few places; and the
-    evaluations that it took. Of walks, which never answer the same, the hash of their scene.
+    """A hash that identifies the transport, and the number of evaluations that it took.
+
+    Hashes the source file, a network's weights, the scene of a path tracer (whose estimates are random), or the values
+    of the transport at a few vertices.
     """
     if "source_sha256" in provenance:
         return str(provenance["source_sha256"]), 0
@@ -25,11 +27,12 @@ def identity_of(transport: Any, mesh: Mesh, provenance: dict[str, Any]) -> tuple
         for name, tensor in network.state_dict().items():
             digest.update(name.encode() + tensor.detach().cpu().numpy().tobytes())
         return digest.hexdigest(), 0
-    if way_in(transport) == "coefficients":
+    if transport_kind(transport) == "coefficients":
         digest.update(str((getattr(transport, "metadata", None) or {}).get("scene_hash")).encode())
         return digest.hexdigest(), 0
-    some = np.unique(np.linspace(0, len(mesh.positions) - 1, PLACES).astype(np.int64))
+    chosen = np.unique(np.linspace(0, len(mesh.positions) - 1, POSITIONS).astype(np.int64))
     lattice = sphere.fibonacci(DIRECTIONS)[None]
-    answers = values_at(transport, lattice, np.zeros(len(some), np.int64), mesh.positions[some], mesh.normals[some])
-    digest.update(np.ascontiguousarray(answers, np.float64).tobytes())
-    return digest.hexdigest(), answers.shape[0] * answers.shape[1]
+    rows = np.zeros(len(chosen), np.int64)
+    values = values_at(transport, lattice, rows, mesh.positions[chosen], mesh.normals[chosen])
+    digest.update(np.ascontiguousarray(values, np.float64).tobytes())
+    return digest.hexdigest(), values.shape[0] * values.shape[1]

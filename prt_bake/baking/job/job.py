@@ -1,4 +1,4 @@
-"""A bake with everything resolved: where, in which bins and basis, how the light is sampled."""
+"""A bake with the same number of samples at every view bin, all arguments resolved."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from bakers.baker import Sampling, Task
 from bakers.path_traced import Walks
 from formats.mesh import Mesh
-from prt_bake.baking.job.pruning_record import Needs
+from prt_bake.baking.job.pruning_record import Pruning
 from prt_bake.baking.job.sampling import Resolved, resolve_sampling
 from prt_bake.baking.job.views import views_of
-from prt_bake.mathematics.view_frames import frames_of
+from prt_bake.mathematics.view_frames import mesh_view_frames
 
 
 @dataclass(frozen=True)
 class Job:
-    """Everything resolved: where, in which bins and basis, how."""
+    """Transport, mesh, view bins, harmonics, sampling and pruning of a bake."""
 
     transport: Any
     mesh: Mesh
@@ -27,12 +27,12 @@ class Job:
     degree: int
     resolved: Resolved
     task: Task
-    needs: Needs | None = None
+    pruning: Pruning | None = None
 
     @property
     def vertices(self) -> NDArray[np.int64]:
-        """Numbers of those that are baked."""
-        return np.arange(len(self.mesh.positions)) if self.needs is None else self.needs.vertices
+        """Indices of the vertices that are baked."""
+        return np.arange(len(self.mesh.positions)) if self.pruning is None else self.pruning.vertices
 
 
 def resolve(
@@ -44,25 +44,27 @@ def resolve(
     directions: str,
     samples: int,
     seed: int,
-    needs: Needs | None = None,
+    pruning: Pruning | None = None,
 ) -> Job:
-    """Raises QueryError for arguments out of their domain. `needs`: what of it all is baked, everything by default."""
+    """The job of these arguments; without `pruning` everything is baked. Raises QueryError as `resolve_sampling` and
+    `views_of` do.
+    """
     outgoing, bins, around = views_of(mesh, rings, sectors)[1], rings * sectors, sectors
-    if needs is not None and needs.views != "all":
-        outgoing, bins, around = needs.outgoing, len(needs.local), 1
+    if pruning is not None and pruning.views != "all":
+        outgoing, bins, around = pruning.outgoing, len(pruning.local), 1
     resolved = resolve_sampling(transport, degree, bins, around, directions, samples, seed)
     sampling = resolved.sampling
-    if needs is not None and needs.views == "one" and not isinstance(sampling, Walks):
-        sampling = alike(sampling)
-    task = Task(transport, mesh.positions, outgoing, bins, around, sampling, frames_of(mesh))
-    return Job(transport, mesh, rings, sectors, degree, resolved, task, needs)
+    if pruning is not None and pruning.views == "one" and not isinstance(sampling, Walks):
+        sampling = _same_directions_in_all_views(sampling)
+    task = Task(transport, mesh.positions, outgoing, bins, around, sampling, mesh_view_frames(mesh))
+    return Job(transport, mesh, rings, sectors, degree, resolved, task, pruning)
 
 
-def alike(sampling: Sampling) -> Sampling:
-    """All bins of a vertex lit from the same directions: what they differ by is no noise."""
+def _same_directions_in_all_views(sampling: Sampling) -> Sampling:
+    """All bins of a vertex sampled by the same directions, so that noise does not contribute to their differences."""
 
-    def of_first(rotation: Callable[[int, int], NDArray[np.int64]]) -> Callable[[int, int], NDArray[np.int64]]:
+    def of_first_bin(rotation: Callable[[int, int], NDArray[np.int64]]) -> Callable[[int, int], NDArray[np.int64]]:
         return lambda first, last: np.broadcast_to(rotation(first, last)[:, :1], rotation(first, last).shape)
 
-    second = None if sampling.second_rotation is None else of_first(sampling.second_rotation)
-    return replace(sampling, rotation=of_first(sampling.rotation), second_rotation=second)
+    second = None if sampling.second_rotation is None else of_first_bin(sampling.second_rotation)
+    return replace(sampling, rotation=of_first_bin(sampling.rotation), second_rotation=second)

@@ -1,5 +1,5 @@
-"""What a refined bake draws: the lattice of directions and its turns, and the bins that are checked. All keyed by the
-seed, and by vertex and bin.
+"""Random choices of an adaptive bake: rotations of the direction lattices, and validation bins. All are counter-based,
+keyed by the seed, the vertex and the bin.
 """
 
 from collections.abc import Callable
@@ -21,20 +21,22 @@ SMALLEST_LATTICE = 16
 COPIES = 16, 256
 GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 POOL_DIRECTIONS = 1 << 14
-"""In all copies of a lattice: as many as a network holds tables for."""
-_TURN_STREAM, _CHECK_STREAM, _POOL_STREAM, _PILOT_STREAM, _PAIR_STREAM, _COPY_STREAM = 21, 22, 23, 24, 25, 27
+"""Directions in all copies of a lattice together, as many as a network holds tables for."""
+_TURN_STREAM, _VALIDATION_STREAM, _POOL_STREAM, _PILOT_STREAM, _PAIR_STREAM, _COPY_STREAM = 21, 22, 23, 24, 25, 27
 
 
 @cache
 def lattice_for(degree: int) -> NestedLattice:
-    """The lattice that coefficients to `degree` are fitted over: its sizes double from about 3K to 2¹⁴ directions.
+    """The lattice for least-squares fits to `degree`; its sizes double from about 3K to 2¹⁴ directions.
 
-    Raises QueryError for degrees that these do not determine.
+    Raises QueryError for degrees that need more directions.
     """
     count = sh.count(degree)
     first = max(SMALLEST_LATTICE, 1 << (3 * count - 1).bit_length())
     if first > LARGEST_LATTICE:
-        raise QueryError(f"degree: {degree} has {count} coefficients, too many to be refined")
+        raise QueryError(
+            f"degree: {degree} has {count} coefficients, too many for a bake to an error; give a lower degree or samples"
+        )
     sizes = tuple(1 << power for power in range(first.bit_length() - 1, LARGEST_LATTICE.bit_length()))
     directions = extensible_lattice(LARGEST_LATTICE)
     return nested_lattice(directions, sh.evaluate(directions, degree), sizes)
@@ -46,15 +48,14 @@ def vertex_turns(seed: int) -> Callable[[Index], NDArray[np.float64]]:
 
 
 def pools_for(degree: int, seed: int) -> Pools:
-    """Fibonacci lattices of about 3K to 2¹⁴ directions, each √2 times the one before, in 16 to 256 copies.
-
-    Raises QueryError for degrees that these do not determine.
+    """Fibonacci lattices of about 3K to 2¹⁴ directions, each √2 times as large as the one before, in 16 to 256 rotated
+    copies. Raises QueryError for degrees that need more directions.
     """
     first, last = lattice_for(degree).sizes[0], LARGEST_LATTICE
     steps = 2 * (last.bit_length() - first.bit_length())
     sizes = tuple(round(first * 2.0 ** (step / 2.0)) for step in range(steps + 1))
 
-    def made(size: int) -> Pool:
+    def make_pool(size: int) -> Pool:
         lattice = fibonacci(size)
         copies = int(np.clip(POOL_DIRECTIONS // size, *COPIES))
         turns = rotations(uniforms((_POOL_STREAM, seed, size, np.arange(copies)), 3))
@@ -62,32 +63,32 @@ def pools_for(degree: int, seed: int) -> Pools:
         weights = np.asarray(np.linalg.solve(harmonics.T @ harmonics, harmonics.T), np.float64)
         return Pool(lattice, lattice @ turns.transpose(0, 2, 1), sh.rotations(turns, degree), harmonics, weights)
 
-    def taken(vertices: Index, bins: Index, which: int) -> Index:
+    def copy_of_bin(vertices: Index, bins: Index, which: int) -> Index:
         return (hashed(_COPY_STREAM, seed, which, vertices, bins) >> np.uint64(1)).astype(np.int64)
 
-    return Pools(sizes, made, taken)
+    return Pools(sizes, make_pool, copy_of_bin)
 
 
 def pair_turns(seed: int, size: int, which: int, bins: Index) -> NDArray[np.float64]:
-    """Rotations [M,3,3] of one of the two lattices of `size` directions that a bin's noise is seen by."""
+    """Rotations [M,3,3] of one of the two lattices of `size` directions whose difference measures a bin's noise."""
     return rotations(uniforms((_PAIR_STREAM, seed, size, which, bins), 3))
 
 
-def checked_bins(seed: int, bins: int, share: float) -> Callable[[Index], NDArray[np.bool_]]:
-    """Vertices [n] → bins [n,B] that are drawn, each with the probability `share`.
+def validation_bins(seed: int, bins: int, share: float) -> Callable[[Index], NDArray[np.bool_]]:
+    """Vertices [n] → mask [n,B] of validation bins, each chosen with the probability `share`.
 
-    They are spread evenly over the bins of each vertex and, begun elsewhere at the next, over all rings and sectors:
-    errors are larger at some views than at others, and a few bins that are drawn apart may meet too few of those.
+    Systematic sampling: the bins are evenly spaced at each vertex, and the offset changes from vertex to vertex by the
+    golden ratio. Independent draws could miss the views where errors are large.
     """
-    steps, first = np.arange(bins + 1) * share, uniforms((_CHECK_STREAM, seed), 1)[0]
+    steps, first = np.arange(bins + 1) * share, uniforms((_VALIDATION_STREAM, seed), 1)[0]
 
     def chosen(vertices: Index) -> NDArray[np.bool_]:
-        begin = (first + vertices * GOLDEN) % 1.0
-        return np.asarray(np.diff(np.floor(begin[:, None] + steps), axis=1) > 0.0)
+        offset = (first + vertices * GOLDEN) % 1.0
+        return np.asarray(np.diff(np.floor(offset[:, None] + steps), axis=1) > 0.0)
 
     return chosen
 
 
 def drawn(seed: int, many: int, count: int) -> Index:
-    """`count` of `many` numbers, drawn without repetition, in the order in which they are drawn."""
+    """`count` of the numbers 0 … many − 1, drawn without replacement, in the order drawn."""
     return np.argsort(hashed(_PILOT_STREAM, seed, np.arange(many)), kind="stable")[:count]

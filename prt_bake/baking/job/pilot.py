@@ -1,4 +1,4 @@
-"""What a few vertices tell of a whole bake: its error and its time for more and for fewer directions."""
+"""A pilot bake of a few vertices: error and time of the whole bake for more and for fewer samples."""
 
 import math
 import time
@@ -22,45 +22,48 @@ from prt_bake.mathematics.random import hashed, uniforms
 PILOT_VERTICES = 32
 PILOT_LIMIT = 1 << 14
 LADDER = (18, 32, 64, 128, 256)
-SEEN = 0.3
-"""A relative error of walks below which their number is foretold from it."""
+RELIABLE_ERROR = 0.3
+"""Largest relative error of walks from which the required number of walks is predicted."""
 MARGIN = 1.1
-"""More walks than foretold, for what a few vertices do not show."""
+"""Factor on the predicted number of walks, because a pilot samples few vertices."""
 STEEPEST = {"uniform": 0.5, "sobol": 1.5}
-"""Power of the number of directions that an error falls with at most."""
-WITHIN = 1.2
-"""Times the error asked for, that a foretold one must exceed to be out of reach: a pilot's is not exact."""
-_PILOT_STREAM, _LIKE_STREAM = 14, 44
+"""Largest power of 1 / directions by which the error falls."""
+UNREACHABLE = 1.2
+"""An error is out of reach if the prediction exceeds it by this factor: a pilot's error is not exact."""
+_PILOT_STREAM, _IMPORTANCE_STREAM = 14, 44
 READ_AT_ONCE = 64
-"""Vertices of an asset."""
+"""Vertices of an asset that are read together."""
 
 
-def reach(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]:
-    """Takes more samples until a few vertices, drawn by the seed, show the error asked for; and what that took.
+def choose_samples(job: Job, error: float, directions: str, seed: int) -> tuple[Job, int]:
+    """The job with enough samples for the requested error at a few random vertices, and the evaluations of this pilot.
 
-    Directions are doubled. The error of walks falls as the root of their number, so that one pilot tells how many.
+    Directions are doubled until they suffice. The number of walks is predicted from one pilot, because their error
+    falls with the square root of their number. Raises QueryError if the error is out of reach.
     """
     vertices = _pilot_vertices(job, seed)
     bins, spent = job.task.bins, 0
     walks = isinstance(job.resolved.sampling, Walks)
     limit, kind = (MOST_SAMPLES, "walks") if walks else (PILOT_LIMIT, "directions")
-    foretold = False
+    predicted = False
     while True:
-        meter, more = _baked(job, vertices)
+        meter, more = _bake_vertices(job, vertices)
         spent += len(vertices) * bins * job.resolved.samples + more
         if meter.total <= error:
             return job, spent
         samples = 2 * job.resolved.samples
         least = 0.0 if walks else meter.total * min(1.0, job.resolved.samples / limit) ** STEEPEST[directions]
-        if walks and meter.total < SEEN:
-            samples, foretold = math.ceil(MARGIN * job.resolved.samples * (meter.total / error) ** 2), True
-        if samples > limit or least > WITHIN * error:
+        if walks and meter.total < RELIABLE_ERROR:
+            samples, predicted = math.ceil(MARGIN * job.resolved.samples * (meter.total / error) ** 2), True
+        if samples > limit or least > UNREACHABLE * error:
             raise QueryError(
                 f"error: a relative RMSE of {error:g} is out of reach; {job.resolved.samples} {kind} a bin leave "
-                f"{meter.total:.3g}, and more than {limit:,} are not tried; ask for a larger one"
+                f"{meter.total:.3g}, and at most {limit:,} are tried; request a larger error"
             )
-        job = resolve(job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed, job.needs)
-        if foretold:
+        job = resolve(
+            job.transport, job.mesh, job.degree, job.rings, job.sectors, directions, samples, seed, job.pruning
+        )
+        if predicted:
             return job, spent
 
 
@@ -80,20 +83,22 @@ def error_ladder(
 ) -> NDArray[np.float64]:
     """Rows (seconds, evaluations, estimated relative RMSE) of baking the whole mesh with each number of directions.
 
-    Error and time come from a few vertices drawn by the seed; the time is carried to all vertices and shared among the
-    workers. Where a few vertices have most of the error, as many drawn evenly hardly ever show it: those are drawn
-    the more often then, the larger a share of the error or of the squares of the coefficients `baked` has at them, a
-    bake of the same mesh in any way. Raises as `bake` does.
+    Error and time are measured at a few vertices drawn by the seed; the time is scaled to all vertices and divided by
+    the workers. With `baked`, an earlier bake of the same mesh, vertices are drawn by importance: in proportion to
+    their share of its error and of its squared coefficients. Uniform draws would usually miss the error if a few
+    vertices have most of it. Raises as `bake` does.
     """
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     rows = []
     with limited_threads(transport, 1):
         for count in samples:
             job = resolve(transport, mesh, degree, rings, sectors, "fibonacci", count, seed)
-            vertices, times = (_pilot_vertices(job, seed), None) if baked is None else _drawn_like(baked, seed)
+            vertices, weights = (
+                (_pilot_vertices(job, seed), None) if baked is None else _importance_sampled(baked, seed)
+            )
             bake_block(job.task, 0, 1)
             began = time.monotonic()
-            error = _baked(job, vertices, times)[0].total
+            error = _bake_vertices(job, vertices, weights)[0].total
             share = len(mesh.positions) / len(vertices)
             seconds = (time.monotonic() - began) * share / max(1, workers)
             rows.append((seconds, float(len(mesh.positions) * rings * sectors * job.resolved.samples), error))
@@ -105,20 +110,20 @@ def _pilot_vertices(job: Job, seed: int) -> list[int]:
     return [int(vertex) for vertex in job.vertices[order[:PILOT_VERTICES]]]
 
 
-def _drawn_like(baked: Asset, seed: int) -> tuple[list[int], list[float]]:
-    """A few vertices, and how many of all each stands for."""
-    errors, squares = _by_vertex(baked)
+def _importance_sampled(baked: Asset, seed: int) -> tuple[list[int], list[float]]:
+    """A few vertices, and the weight of each: the number of vertices that it represents."""
+    errors, squares = _error_and_signal(baked)
     shares = (errors / max(errors.sum(), 1e-300) + squares / max(squares.sum(), 1e-300)) / 2.0
     shares = shares / shares.sum() if shares.sum() > 0.0 else np.full(len(shares), 1.0 / len(shares))
-    # Evenly through all shares: what is drawn varies less than by chance alone.
-    at = (np.arange(PILOT_VERTICES) + uniforms((_LIKE_STREAM, seed, 0), 1)) / PILOT_VERTICES
-    places = np.minimum(np.searchsorted(np.cumsum(shares), at), len(shares) - 1)
-    vertices, often = np.unique(places, return_counts=True)
-    return vertices.tolist(), (often / (PILOT_VERTICES * shares[vertices])).tolist()
+    # Systematic resampling has less variance than independent draws.
+    at = (np.arange(PILOT_VERTICES) + uniforms((_IMPORTANCE_STREAM, seed, 0), 1)) / PILOT_VERTICES
+    drawn = np.minimum(np.searchsorted(np.cumsum(shares), at), len(shares) - 1)
+    vertices, counts = np.unique(drawn, return_counts=True)
+    return vertices.tolist(), (counts / (PILOT_VERTICES * shares[vertices])).tolist()
 
 
-def _by_vertex(baked: Asset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Squared error and squares of the coefficients, sums over B, K and C, of each vertex [V]."""
+def _error_and_signal(baked: Asset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Squared error and squared coefficients of each vertex [V], summed over B, K and C."""
     errors, squares = np.zeros((2, len(baked.mesh.positions)))
     for first in range(0, len(errors), READ_AT_ONCE):
         some = slice(first, first + READ_AT_ONCE)
@@ -129,11 +134,11 @@ def _by_vertex(baked: Asset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return errors, squares
 
 
-def _baked(job: Job, vertices: list[int], times: list[float] | None = None) -> tuple[ErrorMeter, int]:
-    """The error at these vertices, each counted so many times, and evaluations beyond `samples` at every bin."""
+def _bake_vertices(job: Job, vertices: list[int], weights: list[float] | None = None) -> tuple[ErrorMeter, int]:
+    """The error at these vertices, and the evaluations beyond `samples` at every bin."""
     meter, more = ErrorMeter(), 0
-    for vertex, often in zip(vertices, times or [1.0] * len(vertices), strict=True):
+    for vertex, weight in zip(vertices, weights or [1.0] * len(vertices), strict=True):
         block = bake_block(job.task, vertex, vertex + 1)
-        meter.add(block, often)
-        more += block.more
+        meter.add(block, weight)
+        more += block.extra_evaluations
     return meter, more

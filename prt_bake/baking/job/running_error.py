@@ -1,4 +1,4 @@
-"""The running error figures of a bake, estimated from its standard errors."""
+"""Running figures of a bake's error, estimated from its standard errors."""
 
 from dataclasses import dataclass, field
 
@@ -10,15 +10,15 @@ from bakers.baker import Block
 
 @dataclass
 class ErrorMeter:
-    """Adds up blocks; the relative RMSE is sqrt(Σ se² · K · 3 / Σ a²) over V, B, K and channels."""
+    """Accumulates blocks. The relative RMSE is sqrt(Σ se² · K · 3 / Σ a²) over vertices, bins, K and channels."""
 
     squared_error: float = 0.0
     squared_estimate: float = 0.0
-    """Σ â², the errors included."""
+    """Σ â² of the noisy estimates."""
     _ratios: list[NDArray[np.float64]] = field(default_factory=list)
 
     def add(self, block: Block, times: float = 1.0) -> None:
-        """Takes in the valid vertices of a block, each as if it were so many in the total."""
+        """Adds the valid vertices of a block; each counts `times` times in the total."""
         estimate = block.coefficients[block.valid].astype(np.float64)
         standard_error = block.standard_error[block.valid].astype(np.float64)
         error = (standard_error**2).sum(axis=1) * estimate.shape[2] * estimate.shape[3]
@@ -29,20 +29,20 @@ class ErrorMeter:
 
     @property
     def total(self) -> float:
-        """Relative RMSE over everything so far; 0 where nothing is there."""
+        """Relative RMSE over all blocks so far; 0 without any."""
         return float(_ratio(np.array(self.squared_error), np.array(self.squared_estimate)))
 
     @property
     def percentile_95(self) -> float:
-        """95th percentile over vertices of the same ratio taken per vertex."""
+        """95th percentile over vertices of the relative RMSE of each vertex."""
         ratios = np.concatenate(self._ratios) if self._ratios else np.zeros(0)
         return float(np.percentile(ratios, 95, method="higher")) if ratios.size else 0.0
 
 
 def _ratio(error: NDArray[np.float64], squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """sqrt(error / Σ a²) with Σ a² = Σ â² − error: the estimate's own errors swell its squares.
+    """sqrt(error / Σ a²) with Σ a² = Σ â² − error, because noise adds to the squares of an estimate.
 
-    At most half is taken off: beyond that the error is as large as the value, and the figure says so anyway.
+    At most half of the squares is subtracted: beyond that the error is as large as the signal.
     """
     signal = np.maximum(squares - error, squares / 2.0)
     return np.asarray(np.sqrt(np.divide(error, signal, out=np.zeros_like(error), where=signal > 0.0)))

@@ -1,4 +1,4 @@
-"""How a bake samples the light: sets of directions, which of them each view bin takes, and how many are enough."""
+"""How a bake samples the light: sets of directions, which set each view bin uses, and how many directions suffice."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Sampling
-from bakers.error_estimate import choose_estimator, how_many_held
+from bakers.error_estimate import choose_estimator, validation_bin_count
 from bakers.path_traced import Walks
 from bakers.projection import direction_pool
-from bakers.transport import way_in
+from bakers.transport import transport_kind
 from formats.errors import QueryError
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.random import hashed, uniforms
@@ -23,13 +23,13 @@ MOST_SAMPLES = 1 << 20
 POOL_SIZE = 256
 SMALLEST_POOL = 32
 POOL_DIRECTIONS = 1 << 14
-"""Most directions in a pool, as many as a network holds tables for: larger sets come in fewer copies."""
-_POOL_STREAM, _BIN_STREAM, _WALK_STREAM, _HELD_STREAM = 11, 12, 13, 15
+"""Most directions in a pool, as many as a network holds tables for; larger sets have fewer copies."""
+_POOL_STREAM, _BIN_STREAM, _WALK_STREAM, _TWICE_STREAM = 11, 12, 13, 15
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """A sampling and what a report says about it."""
+    """A sampling, and its description for reports."""
 
     sampling: Sampling | Walks
     directions: str
@@ -42,20 +42,19 @@ class Resolved:
 def resolve_sampling(
     transport: Any, degree: int, bins: int, sectors: int, directions: str, samples: int, seed: int
 ) -> Resolved:
-    """Decides how `transport` is sampled.
+    """Chooses the sampling of `transport`: `samples` directions per bin, or random walks if it estimates coefficients.
 
-    `samples` directions a bin (walks, if the transport estimates coefficients itself). The default of 64 is raised to
-    2K, K = (degree + 1)². The Fibonacci lattice is fitted by least squares and needs at least K directions, Sobol and
-    uniform sets are summed with equal weights. Where the error comes from two half-size sets an odd number is rounded
-    up. Raises QueryError on an unknown kind of directions or too few of them.
+    The default of 64 is raised to 2K, K = (degree + 1)². The Fibonacci lattice is fitted by least squares and needs at
+    least K directions; Sobol and uniform sets are summed with equal weights. An odd number is rounded up if the error
+    is estimated from two half-size sets. Raises QueryError on an unknown kind of directions or too few of them.
     """
     if samples < 1:
         raise QueryError(f"samples must be at least 1, found {samples}")
     if samples > MOST_SAMPLES:
-        raise QueryError(f"samples: {samples:,} a bin, where at most {MOST_SAMPLES:,} are possible")
-    if way_in(transport) == "coefficients":
+        raise QueryError(f"samples must be at most {MOST_SAMPLES:,} a bin, found {samples:,}")
+    if transport_kind(transport) == "coefficients":
         if samples < 2:
-            raise QueryError("samples: 1 walk a bin, where at least 2 are needed for an error estimate")
+            raise QueryError("samples must be at least 2 walks a bin, for an error estimate, found 1")
         walks = Walks(degree, samples, lambda vertex: int(hashed(_WALK_STREAM, seed, vertex) >> np.uint64(1)))
         return Resolved(walks, "random walks", samples, "independent walks", None)
     if directions not in get_args(DirectionKind):
@@ -66,27 +65,27 @@ def resolve_sampling(
         samples = max(samples, 2 * count)
     if fitted and samples < count:
         raise QueryError(
-            f"samples: degree {degree} has {count} coefficients and needs at least as many directions, "
-            f"better {2 * count}; found {samples}"
+            f"samples: degree {degree} has {count} coefficients and needs as many directions, found {samples}; "
+            f"give {2 * count} or more, or another kind of directions"
         )
     estimator = choose_estimator(sectors, samples, count, fitted)
     size = -(-samples // 2) if estimator == "halves" else samples
     incident = direction_sets(cast(DirectionKind, directions), size, seed)
     pool = direction_pool(incident, sh.evaluate(incident, degree), fitted)
-    taken = _taken_by_bin(bins, len(incident), seed)
-    second = None if estimator == "residual" else lambda a, b: (taken(a, b) + len(incident) // 2) % len(incident)
-    held = _held(bins, seed) if estimator == "neighbours" else None
+    sets = _sets_of_bins(bins, len(incident), seed)
+    second = None if estimator == "residual" else lambda a, b: (sets(a, b) + len(incident) // 2) % len(incident)
+    twice = _evaluated_twice(bins, seed) if estimator == "neighbours" else None
     total = 2 * size if estimator == "halves" else size
     return Resolved(
-        Sampling(pool, taken, second, estimator, held), directions, total, estimator, pool.condition if fitted else None
+        Sampling(pool, sets, second, estimator, twice), directions, total, estimator, pool.condition if fitted else None
     )
 
 
 def direction_sets(kind: DirectionKind, size: int, seed: int) -> NDArray[np.float64]:
-    """R independent sets of `size` unit directions [R,D,3], keyed by the seed; R is 256, fewer for very large sets.
+    """R independent sets of `size` unit directions [R,D,3], keyed by the seed; R is 256, less for very large sets.
 
-    fibonacci: one lattice, turned by rotations uniform on SO(3). sobol: independent scramblings. uniform: all
-    independent.
+    fibonacci: one lattice under rotations uniform on SO(3). sobol: independent scramblings. uniform: independent
+    points.
     """
     copies = POOL_SIZE
     while copies > SMALLEST_POOL and copies * size > POOL_DIRECTIONS:
@@ -99,28 +98,28 @@ def direction_sets(kind: DirectionKind, size: int, seed: int) -> NDArray[np.floa
     return sphere.uniform(copies * size, key).reshape(copies, size, 3)
 
 
-def _taken_by_bin(bins: int, copies: int, seed: int) -> Callable[[int, int], NDArray[np.int64]]:
-    """Which set each bin takes: steps through the pool from a random start, with a random odd stride, for each vertex.
+def _sets_of_bins(bins: int, copies: int, seed: int) -> Callable[[int, int], NDArray[np.int64]]:
+    """The set of each bin: a walk through the pool from a random start with a random odd stride, for each vertex.
 
-    The number of sets is a power of two, so that neighbouring bins never share one.
+    The number of sets is a power of two, so neighbouring bins never share one.
     """
 
-    def taken(first: int, last: int) -> NDArray[np.int64]:
+    def sets(first: int, last: int) -> NDArray[np.int64]:
         vertex = np.arange(first, last)
         start = hashed(_BIN_STREAM, seed, vertex, 0) % np.uint64(copies)
         stride = hashed(_BIN_STREAM, seed, vertex, 1) % np.uint64(copies) | np.uint64(1)
         steps = np.arange(bins, dtype=np.uint64)
         return ((start[:, None] + stride[:, None] * steps) % np.uint64(copies)).astype(np.int64)
 
-    return taken
+    return sets
 
 
-def _held(bins: int, seed: int) -> Callable[[int, int], NDArray[np.int64]]:
-    """The bins that a vertex is evaluated at twice: spread evenly, begun elsewhere at each."""
-    many = how_many_held(bins)
+def _evaluated_twice(bins: int, seed: int) -> Callable[[int, int], NDArray[np.int64]]:
+    """The bins at which a vertex is evaluated twice: evenly spaced, with a random offset for each vertex."""
+    count = validation_bin_count(bins)
 
-    def held(first: int, last: int) -> NDArray[np.int64]:
-        begin = uniforms((_HELD_STREAM, seed, np.arange(first, last)), 1)
-        return ((np.arange(many) + begin) * (bins / many)).astype(np.int64)
+    def twice(first: int, last: int) -> NDArray[np.int64]:
+        offset = uniforms((_TWICE_STREAM, seed, np.arange(first, last)), 1)
+        return ((np.arange(count) + offset) * (bins / count)).astype(np.int64)
 
-    return held
+    return twice

@@ -1,4 +1,4 @@
-"""What every bake is handed: the transport, what is needed of it, where the asset goes, and whom to tell."""
+"""What every method of baking is given: transport, pruning, output, workers, callbacks and the cost so far."""
 
 import time
 from collections.abc import Callable
@@ -6,32 +6,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bakers.workers import Crew
+from bakers.workers import Workers
 from formats.asset import AssetHead
 from formats.mesh import Mesh
-from prt_bake.baking.job.forecast import Standing
-from prt_bake.baking.job.pruning_record import Needs
+from prt_bake.baking.job.forecast import BakeStatus
+from prt_bake.baking.job.pruning_record import Pruning
 
-Progress = Callable[[int, int, Standing], None]
-"""progress(vertices done, vertices in all, (seconds, evaluations, estimated relative error)); the last one's attribute
-`left` is the seconds that are left, as they are foretold, or None, and `stage` says in words which pass it is.
+Progress = Callable[[int, int, BakeStatus], None]
+"""progress(vertices done, all vertices, (seconds, evaluations, estimated relative error)). The last argument also has
+the attributes `left`, predicted seconds or None, and `stage`, the name of the current pass.
 """
 
 
 @dataclass
 class Work:
-    """A bake that is to be done, and what it has cost so far."""
+    """A bake to be done, and its cost so far."""
 
     transport: Any
     mesh: Mesh
-    needs: Needs
+    pruning: Pruning
     head: AssetHead
-    """Of an asset of which nothing is left out."""
+    """Of the asset without pruning."""
     report: dict[str, Any]
     """Provenance that is known before the bake."""
     out: str | Path | None
     storage: str
-    crew: Crew
+    workers: Workers
     seed: int
     progress: Progress | None
     stop: Callable[[], bool] | None
@@ -45,5 +45,5 @@ class Work:
 
     @property
     def stopped(self) -> bool:
-        """Whether it is to end early."""
+        """Whether the caller asked for an early end."""
         return self.stop is not None and self.stop()

@@ -1,4 +1,4 @@
-"""Where baked blocks go: arrays, asset files and checkpoints.
+"""Where baked blocks go: arrays in memory, asset files and checkpoints.
 
-May import: `prt_bake.baking.job`, `prt_bake.baking.pruning`, `bakers` and `formats`. Begin with `sink.py`.
+May import: `prt_bake.baking.job`, `prt_bake.baking.pruning`, and the rooms that these may import. Begin with `sink.py`.
 """

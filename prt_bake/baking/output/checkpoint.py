@@ -1,4 +1,4 @@
-"""What a bake keeps of its finished blocks while it runs: in a journal beside the asset, or in memory."""
+"""Stores for the finished blocks of a bake in progress: a journal beside the asset, or memory."""
 
 from pathlib import Path
 from typing import Any, Protocol
@@ -8,59 +8,59 @@ from numpy.typing import NDArray
 from formats.journal import Journal
 
 
-class Store(Protocol):
-    """Keeps named arrays by name: in memory, or `formats.journal.Journal`."""
+class CheckpointStore(Protocol):
+    """Keeps groups of arrays by name; `formats.journal.Journal` is one."""
 
     def read(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """What was kept under that name."""
+        """The arrays of that name; None if there are none, or they are damaged."""
 
     def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keeps arrays."""
+        """Keeps arrays under a name."""
 
     def names(self, stage: str) -> list[str]:
-        """The names that begin so."""
+        """The names with that prefix."""
 
     def forget(self, stage: str) -> None:
-        """Drops what is kept under names that begin so."""
+        """Deletes all names with that prefix."""
 
     def remove(self) -> None:
-        """Drops everything."""
+        """Deletes everything."""
 
     def close(self) -> None:
-        """Lets go of what is kept."""
+        """Ends the use of the store."""
 
 
-class Memory:
+class MemoryStore:
     """A store in memory."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, dict[str, NDArray[Any]]] = {}
+        self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
 
     def read(self, name: str) -> dict[str, NDArray[Any]] | None:
-        """What was kept under that name."""
-        return self._kept.get(name)
+        """The arrays of that name."""
+        return self._arrays.get(name)
 
     def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keeps arrays."""
-        self._kept[name] = arrays
+        """Keeps arrays under a name."""
+        self._arrays[name] = arrays
 
     def names(self, stage: str) -> list[str]:
-        """The names that begin so."""
-        return sorted(name for name in self._kept if name.startswith(stage))
+        """The names with that prefix."""
+        return sorted(name for name in self._arrays if name.startswith(stage))
 
     def forget(self, stage: str) -> None:
-        """Drops what is kept under names that begin so."""
+        """Deletes all names with that prefix."""
         for name in self.names(stage):
-            del self._kept[name]
+            del self._arrays[name]
 
     def remove(self) -> None:
-        """Drops everything."""
-        self._kept.clear()
+        """Deletes everything."""
+        self._arrays.clear()
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Nothing to do."""
 
 
-def opened_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> Store:
-    """A journal beside the asset, or memory where there is no asset on disk."""
-    return Memory() if out is None else Journal(out, identity, resume)
+def open_checkpoint_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> CheckpointStore:
+    """A journal beside the asset `out`, or memory for a bake without a file."""
+    return MemoryStore() if out is None else Journal(out, identity, resume)

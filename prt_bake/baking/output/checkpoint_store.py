@@ -1,4 +1,4 @@
-"""Finished blocks of a bake in fixed samples, in a store: what a bake that was stopped or killed goes on from."""
+"""Checkpoints of a bake with fixed samples: finished blocks, from which a stopped or killed bake resumes."""
 
 from dataclasses import astuple
 from typing import Any
@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block, Task, cuts
-from bakers.path_traced import Account
-from formats.asset.error_covariance import ErrorShape
-from prt_bake.baking.output.checkpoint import Store
+from bakers.path_traced import WalkStatistics
+from formats.asset.error_covariance import ErrorCovariance
+from prt_bake.baking.output.checkpoint import CheckpointStore
 
 Cut = tuple[int, int]
 """The first vertex of a block, and the one after its last."""
@@ -17,60 +17,60 @@ Cut = tuple[int, int]
 _STAGE = "block-"
 
 
-class Shelf:
-    """Blocks by their vertices; nothing is kept without a store."""
+class BlockCheckpoints:
+    """Blocks by their vertices; without a store nothing is kept."""
 
-    def __init__(self, store: Store | None) -> None:
+    def __init__(self, store: CheckpointStore | None) -> None:
         self._store = store
 
     @property
-    def there(self) -> list[Cut]:
-        """The blocks that an earlier run has done."""
+    def finished(self) -> list[Cut]:
+        """The blocks of an earlier run."""
         return [] if self._store is None else [_cut(name) for name in self._store.names(_STAGE)]
 
     def cuts(self, task: Task, vertices: NDArray[np.int64]) -> list[Cut]:
-        """What is there of these vertices, and between it the blocks that are missing, in order."""
-        kept = self.there
-        there = [vertices[(vertices >= first) & (vertices < last)] for first, last in kept]
-        missing = np.setdiff1d(vertices, np.concatenate([vertices[:0], *there]))
-        return sorted(kept + cuts(task, missing))
+        """The finished blocks of these vertices and blocks of all others, in order."""
+        finished = self.finished
+        done = [vertices[(vertices >= first) & (vertices < last)] for first, last in finished]
+        missing = np.setdiff1d(vertices, np.concatenate([vertices[:0], *done]))
+        return sorted(finished + cuts(task, missing))
 
-    def keep(self, block: Block) -> None:
-        """Takes a block."""
+    def write(self, block: Block) -> None:
+        """Keeps a block."""
         if self._store is not None:
             name = _name(block.first_vertex, block.first_vertex + len(block.valid))
             self._store.write(name, as_arrays(block))
 
-    def kept(self, cut: Cut) -> Block | None:
-        """Gives a block back; None where it is not there, or broken."""
+    def read(self, cut: Cut) -> Block | None:
+        """A finished block; None if it is missing or damaged."""
         arrays = None if self._store is None else self._store.read(_name(*cut))
         if arrays is None:
             return None
         parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
         account = _account(arrays["account"]) if "account" in arrays else None
-        shape = ErrorShape(arrays["covariance"], arrays["channels"], arrays["apart"])
-        return Block(cut[0], *parts, account, int(arrays["more"]), shape=shape)
+        shape = ErrorCovariance(arrays["covariance"], arrays["channels"], arrays["apart"])
+        return Block(cut[0], *parts, account, int(arrays["more"]), error_covariance=shape)
 
 
 def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
-    """A block as it is kept."""
+    """The arrays that a checkpoint of the block holds."""
     arrays: dict[str, NDArray[Any]] = {
         "coefficients": block.coefficients,
         "standard_error": block.standard_error,
         "valid": block.valid,
-        "bent": np.asarray(block.bent),
-        "more": np.asarray(block.more),
+        "bent": np.asarray(block.clamped),
+        "more": np.asarray(block.extra_evaluations),
     }
-    if block.shape is not None:
-        arrays |= {name: getattr(block.shape, name) for name in ("covariance", "channels", "apart")}
-    if block.account is not None:
-        arrays["account"] = np.array(astuple(block.account), np.float64)
+    if block.error_covariance is not None:
+        arrays |= {name: getattr(block.error_covariance, name) for name in ("covariance", "channels", "apart")}
+    if block.statistics is not None:
+        arrays["account"] = np.array(astuple(block.statistics), np.float64)
     return arrays
 
 
-def _account(numbers: NDArray[np.float64]) -> Account:
-    bins, bent, unreliable = (int(number) for number in numbers[:3])
-    return Account(bins, bent, unreliable, *(float(number) for number in numbers[3:]))
+def _account(numbers: NDArray[np.float64]) -> WalkStatistics:
+    bins, clamped, unreliable = (int(number) for number in numbers[:3])
+    return WalkStatistics(bins, clamped, unreliable, *(float(number) for number in numbers[3:]))
 
 
 def _name(first: int, last: int) -> str:

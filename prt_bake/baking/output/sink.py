@@ -1,4 +1,4 @@
-"""Where baked blocks go: into an array, or straight into an asset file so that memory stays flat."""
+"""Sinks for baked blocks: an array in memory, or an asset file that is written block by block."""
 
 from pathlib import Path
 from types import TracebackType
@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.baker import Block
+from bakers.transport import transport_property
 from formats.asset import Asset, AssetHead, Storage, read_asset
 from formats.asset.writer import AssetWriter
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.baking.output.covariance_rows import ShapeRows
+from prt_bake.baking.output.covariance_rows import CovarianceRows
 from prt_bake.mathematics import sh, sphere
 
 CHECK_DIRECTIONS = np.array([[2.0, 3.0, 6.0], [-6.0, 2.0, -3.0]]) / 7.0
@@ -27,12 +28,12 @@ SELFTEST_LOCAL = np.array(
     ]
 )
 SELFTEST_LOCAL /= np.linalg.norm(SELFTEST_LOCAL, axis=1, keepdims=True)
-"""Local directions to the eye at which an importer's radiance is compared: two anywhere, the pole, beside the pole,
-over the seam of φ, and grazing."""
+"""Local directions to the eye for the selftest of importers: two general ones, the pole, near the pole, across the seam
+of φ, and grazing."""
 
 
 class Sink(Protocol):
-    """Takes blocks in order and closes the asset; a file is discarded if the context is left without `finish`."""
+    """Takes blocks in order and finishes the asset; a file is discarded if the context ends without `finish`."""
 
     def __enter__(self) -> Self: ...
 
@@ -41,10 +42,10 @@ class Sink(Protocol):
     ) -> None: ...
 
     def write(self, block: Block) -> None:
-        """Keeps a block; vertices that are not valid are left out."""
+        """Takes the valid vertices of a block."""
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset, whole or in part."""
+        """The asset, complete or partial."""
 
 
 def open_sink(
@@ -57,19 +58,20 @@ def open_sink(
 ) -> Sink:
     """A sink in memory, or one that streams to the file `out`; raises QueryError on an unknown storage type.
 
-    views: length of the view axis, B by default. channels: of the last axis. light: that radiance was made for [K,3].
+    views: length of the view axis, B by default. channels: length of the last axis. light: coefficients [K,3] of the
+    light of an asset of radiance.
     """
     if storage not in ("float16", "float32"):
         raise QueryError(f"storage must be float16 or float32, found {storage!r}")
-    kept = cast(Storage, storage)
+    kind = cast(Storage, storage)
     axes = views or len(head.directions), channels
-    return ArraySink(head, kept, axes, light) if out is None else FileSink(head, kept, axes, light, out)
+    return ArraySink(head, kind, axes, light) if out is None else FileSink(head, kind, axes, light, out)
 
 
 def asset_head(
     mesh: Mesh, tangents: NDArray[np.float64], rings: int, sectors: int, degree: int, transport: Any
 ) -> AssetHead:
-    """All that is known before the first vertex; up and unit are the transport's, from its metadata or attributes."""
+    """The asset's data that is known before the bake; up and unit are those of the transport."""
     return AssetHead(
         mesh=mesh,
         tangents=tangents,
@@ -79,15 +81,9 @@ def asset_head(
         degree=degree,
         check_directions=CHECK_DIRECTIONS,
         check_values=sh.evaluate(CHECK_DIRECTIONS, degree),
-        up=str(said_by(transport, "up", "y")),
-        unit=str(said_by(transport, "unit", "unit")),
+        up=str(transport_property(transport, "up", "y")),
+        unit=str(transport_property(transport, "unit", "unit")),
     )
-
-
-def said_by(transport: Any, name: str, otherwise: Any) -> Any:
-    """What a transport says of itself, in its metadata or as an attribute."""
-    metadata = getattr(transport, "metadata", None) or {}
-    return metadata.get(name, getattr(transport, name, otherwise))
 
 
 class ArraySink:
@@ -102,7 +98,7 @@ class ArraySink:
         self._coefficients = np.zeros((vertices, views, terms, channels), dtype=np.float32)
         self._standard_error = np.zeros((vertices, views), dtype=np.float32)
         self._valid = np.zeros(vertices, dtype=np.bool_)
-        self._shapes = ShapeRows(self._coefficients.shape)
+        self._covariances = CovarianceRows(self._coefficients.shape)
 
     def __enter__(self) -> Self:
         return self
@@ -113,15 +109,15 @@ class ArraySink:
         pass
 
     def write(self, block: Block) -> None:
-        """Keeps the block's valid vertices."""
+        """Takes the block's valid vertices."""
         rows = slice(block.first_vertex, block.first_vertex + len(block.valid))
         self._coefficients[rows] = block.coefficients
         self._standard_error[rows] = block.standard_error
         self._valid[rows] = block.valid
-        self._shapes.keep(block)
+        self._covariances.add(block)
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """Closes the asset and hands it over."""
+        """The asset."""
         first = int(self._valid.argmax())
         return Asset(
             **vars(self._head),
@@ -133,14 +129,14 @@ class ArraySink:
             error_vs_time=error_vs_time,
             selftest=selftest(self._head, first, self._coefficients[first], self._light) if self._valid.any() else {},
             storage=self._storage,
-            error_shape=self._shapes.finished(),
+            error_covariance=self._covariances.finished(),
         )
 
 
 class FileSink:
     """Streams the coefficients to an asset file.
 
-    Where `out` exists already the new one takes its place only when it is whole; a part stays beside it as
+    An existing file `out` is replaced only by a complete asset; a partial asset is then written beside it as
     partial-NAME.
     """
 
@@ -157,7 +153,7 @@ class FileSink:
         self._target = self._out.with_name(f"partial-{self._out.name}") if replaces else self._out
         self._writer = AssetWriter(self._target, head, storage=storage, views=axes[0], channels=axes[1])
         self._first: tuple[int, NDArray[np.float32]] | None = None
-        self._shapes = ShapeRows(self._writer.shape)
+        self._covariances = CovarianceRows(self._writer.shape)
 
     def __enter__(self) -> Self:
         self._writer.__enter__()
@@ -169,7 +165,7 @@ class FileSink:
         self._writer.__exit__(kind, fault, trace)
 
     def write(self, block: Block) -> None:
-        """Keeps the block's valid vertices."""
+        """Takes the block's valid vertices."""
         good = np.flatnonzero(block.valid)
         for run in np.split(good, np.flatnonzero(np.diff(good) > 1) + 1):
             if run.size:
@@ -177,20 +173,20 @@ class FileSink:
                 self._writer.write_block(
                     block.first_vertex + rows.start, block.coefficients[rows], block.standard_error[rows]
                 )
-        self._shapes.keep(block)
+        self._covariances.add(block)
         if self._first is None and good.size:
             self._first = block.first_vertex + int(good[0]), block.coefficients[good[0]].copy()
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """Closes the asset and hands it over."""
+        """The asset."""
         check: dict[str, NDArray[Any]] = {}
         if self._first is not None:
             vertex, coefficients = self._first
             check = selftest(self._head, vertex, coefficients.astype(self._writer.storage), self._light)
         if self._writer.storage_note:
             provenance = provenance | {"storage_note": self._writer.storage_note}
-        shape = self._shapes.finished()
-        self._writer.finish(provenance, error_vs_time, check, complete=complete, error_shape=shape)
+        shape = self._covariances.finished()
+        self._writer.finish(provenance, error_vs_time, check, complete=complete, error_covariance=shape)
         if complete and self._target != self._out:
             self._target.replace(self._out)
         return read_asset(self._out if complete else self._target, load=False)
@@ -199,10 +195,10 @@ class FileSink:
 def selftest(
     head: AssetHead, vertex: int, coefficients: NDArray[np.floating], folded: NDArray[np.float64] | None
 ) -> dict[str, NDArray[Any]]:
-    """A light, some views of one vertex and the radiance that an importer must find there, coefficients [B,K,C] given.
+    """A light, some views of one vertex and their radiance, by which importers test themselves.
 
-    The radiance is interpolated between view bins and not clamped. The light is `folded` [K,3] where the coefficients
-    are the radiance that it makes.
+    coefficients: [B,K,C] of the vertex. folded: the light [K,3] of an asset of radiance. The radiance is interpolated
+    between view bins and not clamped at 0.
     """
     count = sh.count(head.degree)
     fall = 1.0 / (1.0 + np.arange(count))

@@ -1,4 +1,4 @@
-"""What a scene does not need is not baked: hidden vertices, constant views, empty bands, equal channels.
+"""Which parts of a bake are redundant: hidden and duplicate vertices, constant views, empty bands, equal channels.
 
-May import: `prt_bake.baking.job` and what that may import. Begin with `pruning.py`.
+May import: `prt_bake.baking.job`, and the rooms that it may import. Begin with `pruning.py`.
 """

@@ -1,4 +1,4 @@
-"""What the precision of a transport's arithmetic adds to the error of a bake: measured, not assumed."""
+"""The error that a transport's arithmetic adds to a bake in half precision, measured against float32."""
 
 from typing import Any
 
@@ -16,11 +16,11 @@ BINS, DIRECTIONS = 256, 64
 _ROUNDING_STREAM = 33
 
 
-def rounding_of(transport: Any, mesh: Mesh, views: Views, bins: int, degree: int, seed: int) -> tuple[float, int]:
-    """Relative RMSE of the coefficients that a transport in half precision adds, and the evaluations that it took.
+def measure_rounding(transport: Any, mesh: Mesh, views: Views, bins: int, degree: int, seed: int) -> tuple[float, int]:
+    """Relative RMSE that half precision adds to the coefficients, and the evaluations of the measurement.
 
-    Bins drawn by the seed, of `bins` at each vertex, are projected in the same directions by the transport and by its
-    twin in float32. 0 without any work for transports that are exact, or say nothing of it.
+    Random view bins, of `bins` at each vertex, are projected in the same directions by the transport and by its float32
+    version `transport.exact()`. Returns 0 at no cost for transports in float32 or without that method.
     """
     if not hasattr(transport, "exact") or transport.precision == "float32":
         return 0.0, 0
@@ -31,12 +31,12 @@ def rounding_of(transport: Any, mesh: Mesh, views: Views, bins: int, degree: int
     harmonics = sh.evaluate(lattice, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)
     turned = lattice @ rotations(uniforms((_ROUNDING_STREAM, seed, np.arange(len(chosen))), 3)).transpose(0, 2, 1)
-    # Coefficients in each bin's own frame: a turn changes none of their sums of squares.
-    found, exact = (
-        fit @ values_at(asked, turned, np.arange(len(chosen)), mesh.positions[vertices], outgoing).astype(np.float64)
-        for asked in (transport, transport.exact())
+    # Coefficients are in each bin's rotated frame: a rotation changes no sum of squares.
+    rounded, exact = (
+        fit @ values_at(each, turned, np.arange(len(chosen)), mesh.positions[vertices], outgoing).astype(np.float64)
+        for each in (transport, transport.exact())
     )
-    finite = np.isfinite(found).all(axis=(1, 2)) & np.isfinite(exact).all(axis=(1, 2))
+    finite = np.isfinite(rounded).all(axis=(1, 2)) & np.isfinite(exact).all(axis=(1, 2))
     signal = float((exact[finite] ** 2).sum())
-    off = float(((found - exact)[finite] ** 2).sum())
-    return float(np.sqrt(off / signal)) if signal > 0.0 else 0.0, 2 * len(chosen) * len(lattice)
+    error = float(((rounded - exact)[finite] ** 2).sum())
+    return float(np.sqrt(error / signal)) if signal > 0.0 else 0.0, 2 * len(chosen) * len(lattice)

@@ -1,4 +1,5 @@
-"""`prtbake report bake`: error against time for each method, and the error budget of a picture.
+"""Reports on bakes: the summary of one bake, and `prtbake report bake`, which compares methods and splits the error of
+a picture into its parts.
 
-May import: the rest of `prt_bake.baking`, `prt_bake.reflection` and `prt_bake.lights`. Begin with `report.py`.
+May import: the rest of `prt_bake.baking`, and the rooms that it may import. Begin with `report.py`.
 """

@@ -1,4 +1,4 @@
-"""View bins at which ways to bake are held against the truth: one whole ring at each of a few vertices."""
+"""View bins at which methods are compared with a reference: one complete ring at each of a few vertices."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,12 +18,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 VALUES_AT_ONCE = 1 << 21
-_TRUTH_STREAM = 31
+_REFERENCE_STREAM = 31
 
 
 @dataclass(frozen=True)
 class Bins:
-    """n vertices, and of each the bins [n,b] of one ring, in directions `outgoing` [n,b,3]."""
+    """n vertices, the bins [n,b] of one ring of each, and their directions `outgoing` [n,b,3]."""
 
     mesh: Mesh
     vertices: Index
@@ -35,12 +35,12 @@ class Bins:
 
     @property
     def count(self) -> int:
-        """n·b"""
+        """Number of bins, n·b."""
         return self.bins.size
 
 
 def drawn_bins(mesh: Mesh, rings: int, sectors: int, degree: int, vertices: int, seed: int) -> Bins:
-    """A ring at each of some vertices drawn by the seed; all rings come up alike."""
+    """One ring at each of `vertices` random vertices; all rings are equally frequent."""
     chosen = drawn(seed, len(mesh.positions), min(vertices, len(mesh.positions)))
     ring = np.arange(len(chosen)) * rings // len(chosen)
     bins = ring[:, None] * sectors + np.arange(sectors)
@@ -50,8 +50,8 @@ def drawn_bins(mesh: Mesh, rings: int, sectors: int, degree: int, vertices: int,
 
 
 def fitted(transport: Any, positions: Array, outgoing: Array, degree: int, directions: int, seed: int) -> Array:
-    """Coefficients [N,K,3] at positions [N,3] along outgoing [N,3] by least squares over a Fibonacci lattice of so many
-    directions, turned anew for each.
+    """Coefficients [N,K,3] at positions [N,3] along outgoing [N,3], by least squares over a Fibonacci lattice with its
+    own random rotation for each.
     """
     lattice = sphere.fibonacci(directions)
     y = sh.evaluate(lattice, degree)
@@ -60,14 +60,14 @@ def fitted(transport: Any, positions: Array, outgoing: Array, degree: int, direc
     step = max(1, VALUES_AT_ONCE // directions)
     for first in range(0, len(positions), step):
         some = slice(first, min(first + step, len(positions)))
-        turns = rotations(uniforms((_TRUTH_STREAM, seed, np.arange(some.start, some.stop)), 3))
+        turns = rotations(uniforms((_REFERENCE_STREAM, seed, np.arange(some.start, some.stop)), 3))
         rows = np.arange(some.stop - some.start)
         values = values_at(transport, lattice @ turns.transpose(0, 2, 1), rows, positions[some], outgoing[some])
         found[some] = sh.rotations(turns, degree) @ (fit @ values.astype(np.float64))
     return found
 
 
-def relative(off: Array, truth: Array) -> float:
-    """The root of Σ off² over Σ truth²."""
-    signal = float((truth**2).sum())
-    return float(np.sqrt((off**2).sum() / signal)) if signal > 0.0 else 0.0
+def relative(difference: Array, reference: Array) -> float:
+    """The root of Σ difference² over Σ reference²; 0 without a signal."""
+    signal = float((reference**2).sum())
+    return float(np.sqrt((difference**2).sum() / signal)) if signal > 0.0 else 0.0

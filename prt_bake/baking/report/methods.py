@@ -1,4 +1,4 @@
-"""Error against run time for every way to bake: uniform Monte Carlo, Sobol, a lattice, adaptive, and path traced."""
+"""Error against run time of every method: uniform Monte Carlo, Sobol, a lattice, adaptive, and path traced."""
 
 import itertools
 import time
@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.adaptive.calibration import Tally
-from bakers.adaptive.evaluation_cache import NOTHING
+from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.baker import Task, bake_block
 from bakers.path_traced import Walks
 from formats.errors import QueryError
-from prt_bake.baking.adaptive.pilot import Site, first_refinement
-from prt_bake.baking.adaptive.tolerances import CHECK_NOISE, Aim, Pilot, aimed, refined_block
-from prt_bake.baking.job.lattices import checked_bins
+from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, PassSettings, refined_block
+from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.tolerances import settings_for_error
+from prt_bake.baking.adaptive.trials import Pilot
+from prt_bake.baking.job.lattices import validation_bins
 from prt_bake.baking.job.sampling import resolve_sampling
 from prt_bake.baking.job.views import views_of
 from prt_bake.baking.report.bins import Bins, relative
@@ -38,26 +40,26 @@ NAMES = {
 ERRORS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 WALKS = (16, 64, 256, 1024, 4096, 16384)
 GOOD_ENOUGH = 0.001
-AIMED = 0.02
-"""Error that the pilot is for; tolerances for others are in proportion."""
-CHECKED = 0.02
+PILOT_ERROR = 0.02
+"""Error that the pilot calibrates for; tolerances for other errors are proportional."""
+VALIDATION_SHARE = 0.02
 GROWTH = 8.0
-"""How much longer the next step of a ladder may take than the last one."""
-APART = 1.3
-"""Times the shortest, that the longest of the times must be that a slope is fitted to."""
+"""Largest predicted growth of the time from one row to the next."""
+LEAST_TIME_RATIO = 1.3
+"""Least ratio of the longest to the shortest time for a slope to be fitted."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One bake of a way, a view bin's share of it."""
+    """One bake with a method; costs are per view bin."""
 
-    way: str
+    method: str
     evaluations: float
     seconds: float
     error: float
-    """Against the truth; for walks their own standard error."""
-    told: float
-    """What the bake itself says of its error."""
+    """Compared with the reference; for walks their own standard error."""
+    reported: float
+    """Error that the bake itself reports."""
 
     @property
     def efficiency(self) -> float:
@@ -65,13 +67,15 @@ class Row:
         return 1.0 / max(self.error**2 * self.seconds, 1e-300)
 
 
-def by_samples(transport: Any, bins: Bins, kind: str, truth: Array | None, seconds: float, seed: int) -> list[Row]:
-    """Rows of one kind of directions, or of walks where there is no truth, ever more of them for so many seconds, two
-    at least.
+def fixed_sample_rows(
+    transport: Any, bins: Bins, kind: str, reference: Array | None, seconds: float, seed: int
+) -> list[Row]:
+    """Rows of one kind of directions, or of walks without a reference, with growing sample counts for about `seconds`,
+    at least two.
     """
     rows: list[Row] = []
     ends = time.monotonic() + seconds
-    for samples in WALKS if truth is None else LADDERS[kind]:
+    for samples in WALKS if reference is None else LADDERS[kind]:
         late = len(rows) > 1 and time.monotonic() + _next(rows, bins) > ends
         if late or (rows and rows[-1].error < GOOD_ENOUGH):
             break
@@ -84,25 +88,25 @@ def by_samples(transport: Any, bins: Bins, kind: str, truth: Array | None, secon
         spent = time.monotonic() - began
         found = np.concatenate([block.coefficients for block in blocks]).astype(np.float64)
         stated = np.concatenate([block.standard_error for block in blocks]).astype(np.float64)
-        wide = stated[..., None, None] * np.ones(found.shape[2:])
-        signal = found if truth is None else truth
-        told = relative(wide, signal)
-        if truth is None:
-            told = float(told / np.sqrt(max(1.0 - told**2, 0.5)))
+        errors = stated[..., None, None] * np.ones(found.shape[2:])
+        signal = found if reference is None else reference
+        reported = relative(errors, signal)
+        if reference is None:
+            reported = float(reported / np.sqrt(max(1.0 - reported**2, 0.5)))
         each = task.sampling.paths if isinstance(task.sampling, Walks) else samples
-        error = told if truth is None else relative(found - truth, truth)
-        rows.append(Row(NAMES["walks" if truth is None else kind], each, spent / bins.count, error, told))
+        error = reported if reference is None else relative(found - reference, reference)
+        rows.append(Row(NAMES["walks" if reference is None else kind], each, spent / bins.count, error, reported))
     return rows
 
 
 def _next(rows: list[Row], bins: Bins) -> float:
-    """Seconds that the next step is likely to take."""
+    """Predicted seconds of the next row."""
     ratio = rows[-1].seconds / rows[-2].seconds if len(rows) > 1 else 4.0
     return float(np.clip(ratio, 1.0, GROWTH)) * rows[-1].seconds * bins.count
 
 
 def _task(transport: Any, bins: Bins, kind: str, samples: int, seed: int) -> Task | None:
-    """The rows of `bins` as vertices 0 … n − 1; None where so few samples do not do."""
+    """A task with the rows of `bins` as vertices 0 … n − 1; None if there are too few samples."""
     try:
         resolved = resolve_sampling(transport, bins.degree, bins.bins.shape[1], bins.sectors, kind, samples, seed)
     except QueryError:
@@ -116,10 +120,10 @@ def _task(transport: Any, bins: Bins, kind: str, samples: int, seed: int) -> Tas
     )
 
 
-def adaptively(transport: Any, bins: Bins, truth: Array, seconds: float, seed: int) -> list[Row]:
-    """Rows of bakes to ever smaller errors; all view bins of the vertices are baked, the pilot is not counted."""
+def adaptive_rows(transport: Any, bins: Bins, reference: Array, seconds: float, seed: int) -> list[Row]:
+    """Rows of bakes to decreasing errors. All view bins of the vertices are baked; the pilot is not counted."""
     mesh = bins.mesh
-    site = Site(
+    job = AdaptiveJob(
         transport,
         mesh,
         np.arange(len(mesh.positions)),
@@ -128,69 +132,69 @@ def adaptively(transport: Any, bins: Bins, truth: Array, seconds: float, seed: i
         bins.degree,
         seed,
     )
-    refinement, _spent = first_refinement(site)
-    refinement = replace(refinement, checks=checked_bins(seed, site.bins, CHECKED))
+    refinement, _spent = first_refinement(job)
+    refinement = replace(refinement, validation_bins=validation_bins(seed, job.bins, VALIDATION_SHARE))
     rows: list[Row] = []
     try:
-        aim = aimed(Pilot(site), refinement, AIMED)
+        settings = settings_for_error(Pilot(job), refinement, PILOT_ERROR)
     except QueryError:
         return rows
     ends = time.monotonic() + seconds
     for error in ERRORS:
-        late = len(rows) > 1 and time.monotonic() + 3.0 * _all_bins(site, bins) * rows[-1].seconds > ends
+        late = len(rows) > 1 and time.monotonic() + 3.0 * _all_bins(job, bins) * rows[-1].seconds > ends
         if late or (rows and rows[-1].error < GOOD_ENOUGH):
             break
-        rows.append(_refined_to(site, _scaled(aim, error), bins, truth))
+        rows.append(_refined_to(job, _scaled(settings, error), bins, reference))
     return rows
 
 
-def _all_bins(site: Site, bins: Bins) -> int:
-    return site.bins * len(bins.vertices)
+def _all_bins(job: AdaptiveJob, bins: Bins) -> int:
+    return job.bins * len(bins.vertices)
 
 
-def _scaled(aim: Aim, error: float) -> Aim:
-    """The same tolerances for another error."""
-    by = error / AIMED
+def _scaled(settings: PassSettings, error: float) -> PassSettings:
+    """The settings scaled to another error."""
+    by = error / PILOT_ERROR
     how = replace(
-        aim.refinement,
-        light=by * aim.refinement.light,
-        view=by * aim.refinement.view,
-        checked=CHECK_NOISE * error,
-        begin=aim.refinement.begin_for(error),
-        answers=NOTHING,
+        settings.refinement,
+        light_tolerance=by * settings.refinement.light_tolerance,
+        view_tolerance=by * settings.refinement.view_tolerance,
+        validation_noise=VALIDATION_NOISE * error,
+        initial_sizes=settings.refinement.initial_sizes_for(error),
+        cache=NO_CACHE,
     )
-    return replace(aim, refinement=how, error=error)
+    return replace(settings, refinement=how, error=error)
 
 
-def _refined_to(site: Site, aim: Aim, bins: Bins, truth: Array) -> Row:
-    began, tally, found = time.monotonic(), Tally(len(site.mesh.positions)), []
-    for first in range(0, len(bins.vertices), site.block_vertices):
-        some = bins.vertices[first : first + site.block_vertices]
-        refined, _bent = refined_block(site, aim.refinement, some)
+def _refined_to(job: AdaptiveJob, settings: PassSettings, bins: Bins, reference: Array) -> Row:
+    began, tally, found = time.monotonic(), Tally(len(job.mesh.positions)), []
+    for first in range(0, len(bins.vertices), job.block_vertices):
+        some = bins.vertices[first : first + job.block_vertices]
+        refined, _bent = refined_block(job, settings.refinement, some)
         tally.add(some, refined)
-        own = bins.bins[first : first + site.block_vertices]
+        own = bins.bins[first : first + job.block_vertices]
         found.append(np.take_along_axis(refined.coefficients, own[:, :, None, None], axis=1))
-    spent, count = time.monotonic() - began, _all_bins(site, bins)
-    told = tally.relative(tally.correction(aim.correction))[0]
-    error = relative(np.concatenate(found) - truth, truth)
-    return Row(NAMES["adaptive"], tally.evaluations / count, spent / count, error, told)
+    spent, count = time.monotonic() - began, _all_bins(job, bins)
+    reported = tally.relative(tally.correction(settings.correction))[0]
+    error = relative(np.concatenate(found) - reference, reference)
+    return Row(NAMES["adaptive"], tally.evaluations / count, spent / count, error, reported)
 
 
 def slope(rows: list[Row]) -> tuple[float, float]:
-    """Of log error over log time, fitted to all rows but that of the fewest samples; and the log error at 1 s.
+    """Slope of log error over log time, fitted to all rows but that of the fewest samples; and the log error at 1 s.
 
-    NaN where the times are too much alike for a slope to say anything.
+    NaN if the times are too similar for a fit.
     """
     used = rows[1:] if len(rows) > 2 else rows
     times = [row.seconds for row in used]
-    if len(used) < 2 or max(times) < APART * min(times):
+    if len(used) < 2 or max(times) < LEAST_TIME_RATIO * min(times):
         return float("nan"), float("nan")
     logs = np.log([[row.seconds, max(row.error, 1e-12)] for row in used])
     return cast(tuple[float, float], tuple(np.polyfit(logs[:, 0], logs[:, 1], 1).tolist()))
 
 
 def seconds_for(rows: list[Row], error: float) -> tuple[float, bool]:
-    """Seconds a bin that an error takes: between two rows, or carried on by the fitted law, and then True."""
+    """Seconds per bin for an error, interpolated between two rows; or extrapolated by the slope, and then True."""
     falling = sorted(rows, key=lambda row: row.seconds)
     for before, after in itertools.pairwise(falling):
         if before.error >= error >= after.error and before.error > after.error:

@@ -1,4 +1,4 @@
-"""The report of a bake as a table and a plot."""
+"""The report of `prtbake report bake` as JSON, as tables and as a plot."""
 
 import math
 from pathlib import Path
@@ -9,70 +9,81 @@ from formats.errors import PrtbakeError
 from prt_bake.baking.report.budget import Part
 from prt_bake.baking.report.methods import Row, seconds_for, slope
 
-MARKED = 0.01, 0.001
+ERRORS = 0.01, 0.001
 
 
-def by_way(rows: list[Row]) -> dict[str, list[Row]]:
-    """Rows of each way, in the order in which they came."""
-    ways: dict[str, list[Row]] = {}
+def rows_by_method(rows: list[Row]) -> dict[str, list[Row]]:
+    """The rows of each method, in their order."""
+    methods: dict[str, list[Row]] = {}
     for row in rows:
-        ways.setdefault(row.way, []).append(row)
-    return ways
+        methods.setdefault(row.method, []).append(row)
+    return methods
 
 
 def as_json(rows: list[Row], parts: list[Part], bins: int) -> dict[str, Any]:
-    """Plain values; `bins` in the whole asset."""
-    ways = by_way(rows)
+    """The report as plain values; `bins`: view bins of the asset."""
+    methods = rows_by_method(rows)
     return {
         "bins_in_the_asset": bins,
-        "rows": [vars(row) | {"efficiency": row.efficiency} for row in rows],
-        "slopes": {way: slope(some)[0] for way, some in ways.items()},
+        "rows": [
+            {
+                "way": row.method,
+                "evaluations": row.evaluations,
+                "seconds": row.seconds,
+                "error": row.error,
+                "told": row.reported,
+                "efficiency": row.efficiency,
+            }
+            for row in rows
+        ],
+        "slopes": {method: slope(own)[0] for method, own in methods.items()},
         "seconds_a_bin_for": {
-            way: {f"{error:g}": seconds_for(some, error)[0] for error in MARKED} for way, some in ways.items()
+            method: {f"{error:g}": seconds_for(own, error)[0] for error in ERRORS} for method, own in methods.items()
         },
         "error_budget": [vars(part) for part in parts],
     }
 
 
 def as_markdown(title: str, rows: list[Row], parts: list[Part], bins: int, remarks: list[str]) -> str:
-    """Tables of error against time, of what an error takes, and of the parts of the error."""
-    ways = by_way(rows)
-    uniform = max((row.efficiency for row in rows if row.way.startswith("uniform")), default=math.nan)
+    """Tables of error against time, of the time for an error, and of the parts of the error of a picture."""
+    methods = rows_by_method(rows)
+    uniform = max((row.efficiency for row in rows if row.method.startswith("uniform")), default=math.nan)
     lines = [
         f"# {title}",
         "",
         *remarks,
         "",
-        "| way | evaluations a bin | µs a bin | error | told | efficiency, uniform = 1 |",
+        "| method | evaluations per bin | µs per bin | error | reported error | efficiency, uniform = 1 |",
         "|---|---|---|---|---|---|",
     ]
     lines += [
-        f"| {row.way} | {row.evaluations:,.4g} | {1e6 * row.seconds:,.4g} | {row.error:.3%} | {row.told:.3%} "
+        f"| {row.method} | {row.evaluations:,.4g} | {1e6 * row.seconds:,.4g} | {row.error:.3%} | {row.reported:.3%} "
         f"| {row.efficiency / uniform:,.3g} |"
         for row in rows
     ]
-    lines += ["", "| way | slope of error over time | 1 % takes | 0.1 % takes |", "|---|---|---|---|"]
-    for way, some in ways.items():
-        lines.append(f"| {way} | {slope(some)[0]:.2f} | {_told(some, 0.01, bins)} | {_told(some, 0.001, bins)} |")
+    lines += ["", "| method | slope of error over time | 1 % takes | 0.1 % takes |", "|---|---|---|---|"]
+    for method, own in methods.items():
+        lines.append(f"| {method} | {slope(own)[0]:.2f} | {_time(own, 0.01, bins)} | {_time(own, 0.001, bins)} |")
     if parts:
-        lines += ["", "| what errs in the picture | relative RMSE of its radiance | measured |", "|---|---|---|"]
+        lines += ["", "| source of error in the picture | relative RMSE of its radiance | measured |", "|---|---|---|"]
         lines += [f"| {part.name} | {part.radiance:.3%} | {part.how} |" for part in parts]
     return "\n".join(lines) + "\n"
 
 
-def _told(rows: list[Row], error: float, bins: int) -> str:
-    seconds, carried = seconds_for(rows, error)
-    if not math.isfinite(seconds):
-        return "not known"
-    whole = seconds * bins
-    unit, name = next((u, n) for u, n in ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (0.0, "s")) if whole >= u)
-    return f"{whole / (unit or 1.0):,.3g} {name}{' (by the slope)' if carried else ''}"
+def _time(rows: list[Row], error: float, bins: int) -> str:
+    """Time of the whole bake for an error."""
+    per_bin, extrapolated = seconds_for(rows, error)
+    if not math.isfinite(per_bin):
+        return "unknown"
+    seconds = per_bin * bins
+    unit, name = next((u, n) for u, n in ((86400.0, "d"), (3600.0, "h"), (60.0, "min"), (0.0, "s")) if seconds >= u)
+    return f"{seconds / (unit or 1.0):,.3g} {name}{' (extrapolated)' if extrapolated else ''}"
 
 
 def plot(rows: list[Row], path: str | Path) -> None:
-    """Error over seconds a view bin of every way, on logarithmic axes, with the fitted laws.
+    """Plots error over seconds per view bin for every method, on logarithmic axes, with the fitted power laws.
 
-    Raises PrtbakeError where the extra `evaluate` is not installed, StorageError if the place cannot be written.
+    Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
     try:
         from matplotlib.figure import Figure
@@ -81,15 +92,15 @@ def plot(rows: list[Row], path: str | Path) -> None:
 
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
-    for way, some in by_way(rows).items():
-        seconds, errors = [row.seconds for row in some], [row.error for row in some]
-        steepness, at_one = slope(some)
-        (line,) = axes.loglog(seconds, errors, marker="o", linestyle="", label=f"{way} ({steepness:.2f})")
+    for method, own in rows_by_method(rows).items():
+        seconds, errors = [row.seconds for row in own], [row.error for row in own]
+        steepness, at_one = slope(own)
+        (line,) = axes.loglog(seconds, errors, marker="o", linestyle="", label=f"{method} ({steepness:.2f})")
         if math.isfinite(steepness):
             ends = [min(seconds), max(seconds)]
             axes.loglog(ends, [math.exp(at_one) * s**steepness for s in ends], color=line.get_color(), alpha=0.6)
-    axes.set(xlabel="seconds a view bin, one core", ylabel="relative RMSE of the coefficients")
-    axes.set_title("error against run time (slope of the fitted law)")
+    axes.set(xlabel="seconds per view bin, one core", ylabel="relative RMSE of the coefficients")
+    axes.set_title("error against run time (slope of the fitted power law)")
     axes.legend()
     axes.grid(alpha=0.3, which="both")
     with replacing(path) as part:

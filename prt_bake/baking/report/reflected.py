@@ -1,4 +1,4 @@
-"""What pictures of an asset lack of the light that its surface reflects: all of it, or what is reflected twice."""
+"""Reflected light that is missing in pictures of an asset: all of it, or the second reflection."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from prt_bake.reflection.surface import SMOOTHEST, ReflectingSurface
 Array = NDArray[np.float64]
 
 SAMPLES = 256
-"""Rays a point, in two halves."""
+"""Rays per point, in two half buffers."""
 _STREAM, _SEED = 0xC4, 33
 
 
@@ -31,10 +31,10 @@ def reflected_at(
     outgoing: Array,
     seed: int,
 ) -> tuple[Array, Array]:
-    """Radiance [2,N,3] reflected once from the sky at (u, v) [N,2] of faces [N], and [2,N,3] by the object twice.
+    """Radiance of the sky that reaches the eye at (u, v) [N,2] of faces [N] after one reflection, and after two.
 
-    Each is estimated twice, by halves of the rays that know nothing of one another: their product has no noise in the
-    mean. Zero where the index `eta` is 1.
+    Both are [2,N,3], in half buffers of independent rays: the mean of the product of two half buffers has no noise.
+    0 for an index of refraction `eta` of 1.
     """
     surface = ReflectingSurface(mesh, eta)
     once, twice = np.zeros((2, len(faces), 3)), np.zeros((2, len(faces), 3))
@@ -71,6 +71,6 @@ def reflected_at(
     return 2.0 / SAMPLES * once, 2.0 / SAMPLES * twice
 
 
-def noise_free_rms(halves: Array, whole: Array) -> float:
-    """Root mean square of what `halves` [2,N,3] estimate, over that of `whole` [N,3], their noise out."""
-    return float(np.sqrt(max(0.0, float((halves[0] * halves[1]).sum())) / (whole**2).sum()))
+def noise_free_rms(halves: Array, reference: Array) -> float:
+    """Root mean square of the radiance in half buffers [2,N,3] without their noise, over that of `reference` [N,3]."""
+    return float(np.sqrt(max(0.0, float((halves[0] * halves[1]).sum())) / (reference**2).sum()))

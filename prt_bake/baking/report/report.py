@@ -1,4 +1,4 @@
-"""`prtbake report bake`: error against run time for every way to bake, and the error budget of the picture."""
+"""`prtbake report bake`: error against run time for every method, and the error budget of a picture."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.transport import on_mesh, prepared, refuse_foreign, up_to, way_in
+from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from formats.atomic import replacing
 from formats.json_report import write_report
 from formats.mesh import Mesh
@@ -15,13 +15,13 @@ from formats.scene import Scene
 from prt_bake.baking.path_traced import PathTraced
 from prt_bake.baking.report.bins import drawn_bins, fitted
 from prt_bake.baking.report.budget import Part, error_budget
-from prt_bake.baking.report.methods import LADDERS, Row, adaptively, by_samples
+from prt_bake.baking.report.methods import LADDERS, Row, adaptive_rows, fixed_sample_rows
 from prt_bake.baking.report.page import as_json, as_markdown, plot
 from prt_bake.geometry.camera import Camera
 from prt_bake.jit.limits import limited_threads
 
 Array = NDArray[np.float64]
-TRUE_DIRECTIONS = 1 << 13
+REFERENCE_DIRECTIONS = 1 << 13
 
 
 def report_bake(
@@ -46,47 +46,48 @@ def report_bake(
 ) -> list[Path]:
     """Writes bake.md, bake.json and bake.png into the folder `out`, and returns their paths.
 
-    transport: what answers Ŝ, or random walks alone. scene: of which the path-traced bake is, and the network's error.
-    sky, view: a lat-long picture [H,W,3] and a camera for the error budget; it is left out without them. seconds: for
-    all ways together, about; each gets its share.
+    transport: evaluates Ŝ, or estimates coefficients by random walks. scene: for a path-traced bake, and as the
+    reference for the network's error. sky, view: a lat-long picture [H,W,3] and a camera for the error budget, which is
+    omitted without them. seconds: approximate time of all methods together.
 
-    Raises QueryError for a mesh that is not the transport's, PrtbakeError where the extra `evaluate` is not installed.
+    Raises QueryError for a mesh that is not the transport's, PrtbakeError if the extra `evaluate` is not installed.
     """
     refuse_foreign(transport, mesh)
     bins = drawn_bins(mesh, rings, sectors, degree, vertices, seed)
     rows, parts = list[Row](), list[Part]()
     walks = PathTraced(scene) if scene is not None else None
-    if way_in(transport) == "coefficients":
+    if transport_kind(transport) == "coefficients":
         walks = walks or transport
-    own = [] if way_in(transport) == "coefficients" else [*LADDERS, "adaptive"]
+    own = [] if transport_kind(transport) == "coefficients" else [*LADDERS, "adaptive"]
     share = seconds / max(1, len(own) + (walks is not None))
     with limited_threads(walks if walks is not None else transport, 1):
         if own:
-            whole = prepared(on_mesh(transport, mesh), precision, "cpu")
+            unlimited = prepared(on_mesh(transport, mesh), precision, "cpu")
             fast = prepared(up_to(on_mesh(transport, mesh), degree), precision, "cpu")
-            say(f"the truth at {bins.count} view bins, {TRUE_DIRECTIONS} directions each")
+            say(f"reference at {bins.count} view bins, {REFERENCE_DIRECTIONS} directions each")
             flat = np.repeat(mesh.positions[bins.vertices], sectors, axis=0), bins.outgoing.reshape(-1, 3)
-            truth = fitted(fast, *flat, degree, TRUE_DIRECTIONS, seed).reshape(len(bins.vertices), sectors, -1, 3)
+            reference = fitted(fast, *flat, degree, REFERENCE_DIRECTIONS, seed)
+            reference = reference.reshape(len(bins.vertices), sectors, -1, 3)
             for kind in LADDERS:
                 say(kind)
-                rows += by_samples(fast, bins, kind, truth, share, seed)
+                rows += fixed_sample_rows(fast, bins, kind, reference, share, seed)
             say("adaptive")
-            rows += adaptively(fast, bins, truth, share, seed)
+            rows += adaptive_rows(fast, bins, reference, share, seed)
         if walks is not None:
             say("path traced")
-            rows += by_samples(on_mesh(walks, mesh), bins, "walks", None, share, seed)
+            rows += fixed_sample_rows(on_mesh(walks, mesh), bins, "walks", None, share, seed)
         if own and sky is not None and view is not None:
             say("error budget")
             parts = error_budget(
-                whole, fast, mesh, sky, view, degree=degree, rings=rings, sectors=sectors, up=up, points=points,
+                unlimited, fast, mesh, sky, view, degree=degree, rings=rings, sectors=sectors, up=up, points=points,
                 seed=seed, walks=None if walks is None else _walks(walks, degree, seed),
             )  # fmt: skip
     count = len(mesh.positions) * rings * sectors
     remarks = [
         f"{len(mesh.positions):,} vertices, {rings}×{sectors} view bins, degree {degree}. Measured on one core at "
-        f"{bins.count} bins of {len(bins.vertices)} vertices, the truth from {TRUE_DIRECTIONS:,} directions each; a "
-        "walk counts as an evaluation, and the error of a path-traced bake is its own standard error. Adaptive bakes "
-        "are of all bins of these vertices, their pilot not counted."
+        f"{bins.count} bins of {len(bins.vertices)} vertices; the reference has {REFERENCE_DIRECTIONS:,} directions a "
+        "bin. A walk counts as an evaluation, and the error of a path-traced bake is its own standard error. Adaptive "
+        "bakes cover all bins of these vertices; their pilot is not counted."
     ]
     out.mkdir(parents=True, exist_ok=True)
     with replacing(out / "bake.md") as part:

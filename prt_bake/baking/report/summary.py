@@ -1,4 +1,4 @@
-"""What a bake did, as plain values and as a plot of error against time."""
+"""Summary of a bake as plain values, and a plot of its error against time."""
 
 from pathlib import Path
 from typing import Any
@@ -15,17 +15,17 @@ REACHED = 1.02
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
-    """What a bake did and how exact it is, as plain JSON values: provenance, completeness and error against time.
+    """Provenance, completeness and error against time of a bake, as plain JSON values.
 
-    `model_error` is what the baked network itself said of its coefficients when it was trained, where it did.
-    `error_reached` is whether an error that was asked for was, of the object and of 95 % of its vertices.
+    `model_error`: error of the coefficients of the baked network after its training, if it is known.
+    `error_reached`: whether the object and 95 % of its vertices have the requested error, if one was requested.
     """
     trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
-    asked, told = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
-    worst = max(told["total"], told["percentile_95_over_vertices"])
+    requested, rmse = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
+    worst = max(rmse["total"], rmse["percentile_95_over_vertices"])
     return {
         **({"model_error": trained["coefficients"]} if "coefficients" in trained else {}),
-        **({} if asked is None else {"error_reached": asset.complete and worst <= REACHED * asked}),
+        **({} if requested is None else {"error_reached": asset.complete and worst <= REACHED * requested}),
         "complete": asset.complete,
         "vertices": len(asset.mesh.positions),
         "left_out": asset.left_out,
@@ -38,11 +38,11 @@ def bake_report(asset: Asset) -> dict[str, Any]:
 
 
 def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: str | Path) -> None:
-    """Draw the estimated relative error of bakes against their run time, both on logarithmic axes.
+    """Plots the estimated relative error of bakes against their run time, both on logarithmic axes.
 
-    ladder: rows of (seconds, evaluations, error) [rows,3], one a number of directions; baked: those of the bake itself.
+    ladder: rows (seconds, evaluations, error) [rows,3], one for each number of directions. baked: rows of the bake.
 
-    Raises PrtbakeError where the extra `evaluate` is not installed, StorageError if the place cannot be written.
+    Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
     try:
         from matplotlib.figure import Figure
@@ -52,10 +52,12 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
 
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
-    axes.loglog(ladder[:, 0], ladder[:, 2], marker="o", label="as many directions at every bin, from a few vertices")
+    axes.loglog(
+        ladder[:, 0], ladder[:, 2], marker="o", label="equal directions at every bin, estimated at a few vertices"
+    )
     axes.loglog(baked[:, 0], baked[:, 2], marker="*", markersize=12, label="this bake")
     for time, count, level in [*ladder, *baked]:
-        # Below the curves, which fall.
+        # Labels are below the curves, which fall.
         axes.annotate(
             f"{float(f'{count / 1e6:.3g}'):g} M",
             (time, level),

@@ -32,7 +32,7 @@ def training(
     from formats.scene import read_scene
     from prt_bake.network.bssrdf import load_model
     from prt_bake.trainer.report.report import report_training
-    from prt_bake.trainer.report.summary import criterion
+    from prt_bake.trainer.report.summary import criterion_line
 
     network, given = load_model(model), read_scene(scene)
     say("path tracing fresh queries")
@@ -40,5 +40,5 @@ def training(
         network, given, model, seconds=seconds, queries=queries, vertices=vertices, seed=seed
     )
     for row in found["criteria"]:
-        print(criterion(row))
+        print(criterion_line(row))
     print(f"{page_path}: {found['summary'][0]}")

@@ -18,7 +18,7 @@ _MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
     """Write MODEL.report.json and MODEL.report.html, and print the verdicts; what goes wrong is only told."""
     from prt_bake.trainer.report.report import report_training
-    from prt_bake.trainer.report.summary import criterion
+    from prt_bake.trainer.report.summary import criterion_line
 
     say("path tracing fresh queries for the report")
     try:
@@ -30,7 +30,7 @@ def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> N
         say(f"no report; 'prtbake report training {model} {scene.path}' makes it up")
         return
     for row in found["criteria"]:
-        print(criterion(row))
+        print(criterion_line(row))
     print(f"{page}: {found['summary'][0]}")
 
 

@@ -10,7 +10,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from prt_bake.baking.job.forecast import Standing
+    from prt_bake.baking.job.forecast import BakeStatus
 
 PLAIN_INTERVAL = 5.0
 """Seconds between two lines where there is no terminal."""
@@ -84,19 +84,19 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
         yield report
 
 
-def bake_progress(show: Report) -> Callable[[int, int, "Standing"], None]:
+def bake_progress(show: Report) -> Callable[[int, int, "BakeStatus"], None]:
     """What a bake tells, shown as its share of the time to its target; where what is left turns out longer than was
     foretold the share stays until the bake has caught up.
     """
     furthest = 0.0
 
-    def told(done: int, total: int, standing: "Standing") -> None:
+    def told(done: int, total: int, status: "BakeStatus") -> None:
         nonlocal furthest
-        seconds, _evaluations, error = standing
-        left = standing.left
+        seconds, _evaluations, error = status
+        left = status.left
         if left is not None:
             furthest = max(furthest, min(seconds / max(seconds + left, 1e-9), NEARLY))
-        stage = f"{standing.stage}: " if standing.stage else ""
+        stage = f"{status.stage}: " if status.stage else ""
         show(None if left is None else furthest, f"{stage}{done} of {total} vertices, error {error:.2%}", left)
 
     return told

@@ -1,4 +1,5 @@
-"""Inputs of the network: what a ray of view meets inside the object, what is on the way to the light, learned grids.
+"""Inputs of the network: Fourier features, averages along the view ray, occupancy toward the light, learned grids.
 
-May import: `prt_bake.network.settings`, `prt_bake.jit` and `formats`. Begin with `view_features.py`.
+May import: `prt_bake.network.settings`, `prt_bake.jit` and `formats`, but not `prt_bake.network.core` or `inference`.
+Begin with `view_features.py`. The `*_kernel.py` files are the compiled CPU versions, `cuda_rays.py` the GPU version.
 """

@@ -1,4 +1,4 @@
-"""Rays of view that turn, followed on a graphics card."""
+"""View rays with total internal reflections, traced on a GPU."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,7 +12,7 @@ from prt_bake.network.features import interior, view_ray
 from prt_bake.network.features.view_ray import Ray
 
 ROWS = 32
-"""Rays that are followed in step."""
+"""Rays per program, traced in lockstep."""
 _kernel: Callable[[Callable[..., Any]], Any] = triton.jit
 _REACH = tl.constexpr(interior.REACH)
 _STEP = tl.constexpr(view_ray.STEP)
@@ -22,22 +22,29 @@ _MIN_SLOPE = tl.constexpr(view_ray.MIN_SLOPE)
 
 
 def trace_rays(
-    levels: Tensor, corner: Tensor, spacing: float, eta: float, turns: int, longest: float, x: Tensor, back: Tensor
+    levels: Tensor,
+    corner: Tensor,
+    spacing: float,
+    eta: float,
+    reflections: int,
+    longest: float,
+    x: Tensor,
+    back: Tensor,
 ) -> Ray:
-    """`view_ray.folded` in the grid levels [X,Y,Z] that begins at `corner`."""
-    pieces = len(x), turns + 1
-    starts, towards = (torch.empty((*pieces, 3), device=x.device) for _ in range(2))
-    begins = torch.empty(pieces, device=x.device)
-    _folded[(-(-len(x) // ROWS),)](
+    """`view_ray.trace` in the grid levels [X,Y,Z], whose first node is at `corner`."""
+    segments = len(x), reflections + 1
+    starts, towards = (torch.empty((*segments, 3), device=x.device) for _ in range(2))
+    begins = torch.empty(segments, device=x.device)
+    _trace[(-(-len(x) // ROWS),)](
         starts, towards, begins, levels, (x - corner).contiguous(), (-back).contiguous(), len(x), *levels.shape,
-        spacing, eta, longest, PIECES=turns + 1, ROWS=ROWS, num_warps=1, enable_fp_fusion=True,
+        spacing, eta, longest, SEGMENTS=reflections + 1, ROWS=ROWS, num_warps=1, enable_fp_fusion=True,
     )  # fmt: skip
     return Ray(starts + corner, towards, begins)
 
 
 @_kernel
 def _distance(levels, x, y, z, nx, ny, nz):
-    """The grid's value at points in places from its corner; outside, that of its border."""
+    """The grid's trilinear value at points in spacings from its corner, clamped to its border."""
     u = tl.minimum(tl.maximum(x, 0.0), nx - 1.0)
     v = tl.minimum(tl.maximum(y, 0.0), ny - 1.0)
     w = tl.minimum(tl.maximum(z, 0.0), nz - 1.0)
@@ -53,61 +60,61 @@ def _distance(levels, x, y, z, nx, ny, nz):
 
 
 @_kernel
-def _store(vectors, at, x, y, z, where):
-    tl.store(vectors + 3 * at, x, mask=where)
-    tl.store(vectors + 3 * at + 1, y, mask=where)
-    tl.store(vectors + 3 * at + 2, z, mask=where)
+def _store(vectors, at, x, y, z, mask):
+    tl.store(vectors + 3 * at, x, mask=mask)
+    tl.store(vectors + 3 * at + 1, y, mask=mask)
+    tl.store(vectors + 3 * at + 2, z, mask=mask)
 
 
 @_kernel
-def _folded(
+def _trace(
     starts, towards, begins, levels, points, along, count, nx, ny, nz, spacing, eta, longest,
-    PIECES: tl.constexpr, ROWS: tl.constexpr,
+    SEGMENTS: tl.constexpr, ROWS: tl.constexpr,
 ):  # fmt: skip
-    """`view_kernel.trace_rows`, ROWS rays in step."""
+    """`view_kernel.trace_rows`, ROWS rays in lockstep."""
     n = tl.program_id(0) * ROWS + tl.arange(0, ROWS)
-    going = n < count
+    active = n < count
     n = tl.minimum(n, count - 1)
     x, y, z = tl.load(points + 3 * n), tl.load(points + 3 * n + 1), tl.load(points + 3 * n + 2)
     u, v, w = tl.load(along + 3 * n), tl.load(along + 3 * n + 1), tl.load(along + 3 * n + 2)
-    begun, length, inside = x * 0.0, x * 0.0, x * 0.0
-    for piece in tl.static_range(PIECES):
-        at = n * PIECES + piece
-        tl.store(begins + at, begun if piece == 0 else begun + float("inf"), mask=going)
-        _store(starts, at, x, y, z, going)
-        _store(towards, at, u, v, w, going)
-    pieces, entered = tl.zeros((ROWS,), tl.int32), tl.zeros((ROWS,), tl.int1)
+    begin, length, inside = x * 0.0, x * 0.0, x * 0.0
+    for segment in tl.static_range(SEGMENTS):
+        at = n * SEGMENTS + segment
+        tl.store(begins + at, begin if segment == 0 else begin + float("inf"), mask=active)
+        _store(starts, at, x, y, z, active)
+        _store(towards, at, u, v, w, active)
+    segment, entered = tl.zeros((ROWS,), tl.int32), tl.zeros((ROWS,), tl.int1)
     per_length = 1.0 / spacing
-    while tl.max(going.to(tl.int32), axis=0) > 0:
+    while tl.max(active.to(tl.int32), axis=0) > 0:
         step = spacing * tl.maximum(_STEP * inside, _MIN_STEP)
-        s = length + step - begun
-        then = _REACH * _distance(
+        s = length + step - begin
+        distance = _REACH * _distance(
             levels, (x + s * u) * per_length, (y + s * v) * per_length, (z + s * w) * per_length, nx, ny, nz
         )
-        met = going & entered & (then <= 0.0)
-        entered = entered | (going & (then > _ENTRY_DEPTH))
-        length += tl.where(going, tl.where(met, inside / tl.maximum(inside - then, 1e-6) * step, step), 0.0)
-        inside = tl.where(met, 0.0, then)
+        met = active & entered & (distance <= 0.0)
+        entered = entered | (active & (distance > _ENTRY_DEPTH))
+        length += tl.where(active, tl.where(met, inside / tl.maximum(inside - distance, 1e-6) * step, step), 0.0)
+        inside = tl.where(met, 0.0, distance)
         if tl.max(met.to(tl.int32), axis=0) > 0:
-            s = length - begun
-            there_x, there_y, there_z = x + s * u, y + s * v, z + s * w
-            p, q, r = there_x * per_length, there_y * per_length, there_z * per_length
+            s = length - begin
+            hit_x, hit_y, hit_z = x + s * u, y + s * v, z + s * w
+            p, q, r = hit_x * per_length, hit_y * per_length, hit_z * per_length
             a = _distance(levels, p - 1.0, q, r, nx, ny, nz) - _distance(levels, p + 1.0, q, r, nx, ny, nz)
             b = _distance(levels, p, q - 1.0, r, nx, ny, nz) - _distance(levels, p, q + 1.0, r, nx, ny, nz)
             c = _distance(levels, p, q, r - 1.0, nx, ny, nz) - _distance(levels, p, q, r + 1.0, nx, ny, nz)
             slope = tl.maximum(tl.sqrt(a * a + b * b + c * c), _MIN_SLOPE)
             a, b, c = a / slope, b / slope, c / slope
             cosine = u * a + v * b + w * c
-            turned = met & (pieces + 1 < PIECES) & (cosine > 0.0) & (eta * eta * (1.0 - cosine * cosine) > 1.0)
-            going = going & ~(met & ~turned)
-            pieces += turned.to(tl.int32)
-            x, y, z = tl.where(turned, there_x, x), tl.where(turned, there_y, y), tl.where(turned, there_z, z)
-            back = tl.where(turned, 2.0 * cosine, 0.0)
+            reflected = met & (segment + 1 < SEGMENTS) & (cosine > 0.0) & (eta * eta * (1.0 - cosine * cosine) > 1.0)
+            active = active & ~(met & ~reflected)
+            segment += reflected.to(tl.int32)
+            x, y, z = tl.where(reflected, hit_x, x), tl.where(reflected, hit_y, y), tl.where(reflected, hit_z, z)
+            back = tl.where(reflected, 2.0 * cosine, 0.0)
             u, v, w = u - back * a, v - back * b, w - back * c
-            begun = tl.where(turned, length, begun)
-            entered = entered & ~turned
-            at = n * PIECES + pieces
-            tl.store(begins + at, begun, mask=turned)
-            _store(starts, at, x, y, z, turned)
-            _store(towards, at, u, v, w, turned)
-        going = going & (length < longest)
+            begin = tl.where(reflected, length, begin)
+            entered = entered & ~reflected
+            at = n * SEGMENTS + segment
+            tl.store(begins + at, begin, mask=reflected)
+            _store(starts, at, x, y, z, reflected)
+            _store(towards, at, u, v, w, reflected)
+        active = active & (length < longest)

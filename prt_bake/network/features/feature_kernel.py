@@ -1,4 +1,4 @@
-"""Sums over a grid of learnt numbers and their gradients, compiled: what `feature_grid` has in tensors, on a CPU."""
+"""Compiled sums over a grid of learned features, and their gradients: the CPU version of `feature_grid`."""
 
 from typing import Any
 
@@ -11,7 +11,7 @@ _ONE, _ZERO = np.float32(1.0), np.float32(0.0)
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _cell(row_index: Any, per_side: Any, corner: Any, point: Any) -> Any:
-    """The lowest place around a point, and how far the point is towards the next one along each axis."""
+    """The lowest node (i, j, k) around a point, and the point's position between it and the next one on each axis."""
     nx, ny, nz = row_index.shape
     u = min(max((point[0] - corner[0]) * per_side, _ZERO), np.float32(nx - 1))
     v = min(max((point[1] - corner[1]) * per_side, _ZERO), np.float32(ny - 1))
@@ -24,8 +24,11 @@ def _cell(row_index: Any, per_side: Any, corner: Any, point: Any) -> Any:
 def sum_rows(
     row_index: Any, per_side: Any, corner: Any, rows: Any, points: Any, weights: Any, sums: Any, gradient: Any
 ) -> None:
-    """Where `gradient` is empty, set sums [N,C] to what `rows` [R,C] have at points [N,K,3], times weights [N,K];
-    otherwise add to `gradient` [R,C], row 0 left out, that of `sums`, which are then derivatives.
+    """Weighted sums of trilinear features, or their gradient.
+
+    With an empty `gradient`, sets sums [N,C] to the features of `rows` [R,C] at points [N,K,3] times weights [N,K].
+    Otherwise `sums` holds the derivatives of a loss by the sums, and the gradient is added to `gradient` [R,C], except
+    for row 0.
     """
     numbers, backward = sums.shape[1], len(gradient) > 0
     for n in range(len(points)):

@@ -1,8 +1,8 @@
-"""What a ray of view meets inside an object, small enough to travel with its network.
+"""The inside of an object as view rays meet it, small enough to be stored with the network.
 
-Coarse grids of signed distances to the boundaries say where the object is and what lies inside it; beside them stand
-how fast each medium attenuates on average, and how the interface bends the ray. Lengths are in sides of the object's
-box, from its corner.
+Coarse grids hold signed distances to the boundaries of the object and of bodies inside it. With them are stored the
+mean attenuation of each medium and the index of refraction. Lengths are in box sides, positions relative to the box's
+corner.
 """
 
 import hashlib
@@ -19,21 +19,21 @@ from formats.errors import ModelError
 
 LEVELS = 15
 REACH = 3.0
-"""Distances are told as far as this, in spacings of the grid, in steps of REACH / LEVELS of one."""
+"""Distances are clipped to ±REACH spacings of the grid and stored in steps of REACH / LEVELS spacings."""
 MAX_NODES = 1 << 22
 _LZMA = ({"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME},)
 
 
 @dataclass(frozen=True)
 class Interior:
-    """The inside of an object as a ray of view meets it; raises ModelError on what cannot be one.
+    """The inside of an object; raises ModelError on inconsistent values.
 
     Attributes:
         levels: int8 [B,X,Y,Z], signed distance to the boundary of each body times LEVELS / (REACH · spacing), positive
-            inside, clipped to ±LEVELS. The first is the object; what lies in another comes after it.
-        corner: where levels[:,0,0,0] lies.
-        spacing: of the grid.
-        attenuation: of what fills each body, per box side, light that is scattered on ahead not counted.
+            inside, clipped to ±LEVELS. The first body is the object; a body comes after the one that contains it.
+        corner: position of levels[:,0,0,0].
+        spacing: distance of the grid's nodes.
+        attenuation: that of each body's medium, per box side, without light that is scattered forward.
         eta: index of refraction inside relative to outside.
     """
 
@@ -47,10 +47,10 @@ class Interior:
         levels = np.ascontiguousarray(self.levels, np.int8)
         object.__setattr__(self, "levels", levels)
         grid, lengths = levels.shape, np.array([*self.corner, self.spacing, self.eta])
-        if len(grid) != 4 or grid[0] < 1 or min(grid[1:]) < 2 or levels.size > MAX_NODES or _beyond(levels):
+        if len(grid) != 4 or grid[0] < 1 or min(grid[1:]) < 2 or levels.size > MAX_NODES or _out_of_range(levels):
             raise ModelError(
-                f"interior: levels must be [B,X,Y,Z], 2 or more each way, {MAX_NODES} in all at most, from -{LEVELS} "
-                f"to {LEVELS}; found {grid}"
+                f"interior: levels must be [B,X,Y,Z] with 2 or more nodes per axis, at most {MAX_NODES} in all, and "
+                f"values from -{LEVELS} to {LEVELS}; found shape {grid}"
             )
         if lengths.shape != (5,) or not np.isfinite(lengths).all() or min(lengths[3:]) <= 0:
             raise ModelError(
@@ -66,11 +66,15 @@ class Interior:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all of it, 64 hexadecimal digits."""
+        """SHA-256 of all values, 64 hexadecimal digits."""
         return hashlib.sha256(repr(self.as_json()).encode() + self.levels.tobytes()).hexdigest()
 
+    def occupancy(self) -> Tensor:
+        """The share of the object [X,Y,Z] in the surroundings of each node, in [0, 1], float32."""
+        return torch.from_numpy(self.levels[0].astype(np.float32) * (REACH / LEVELS) + 0.5).clamp_(0.0, 1.0)
+
     def as_json(self) -> dict[str, Any]:
-        """Everything but the levels, as plain values."""
+        """All values except the levels, as plain JSON."""
         return {
             "places": list(self.levels.shape),
             "corner": list(self.corner),
@@ -80,29 +84,31 @@ class Interior:
         }
 
     def packed(self) -> Tensor:
-        """The levels, compressed: uint8 [bytes]."""
+        """The levels, compressed by LZMA: uint8 [bytes]."""
         content = lzma.compress(self.levels.tobytes(), lzma.FORMAT_RAW, filters=_LZMA)
         return torch.from_numpy(np.frombuffer(content, np.uint8).copy())
 
     @staticmethod
     def unpacked(values: dict[str, Any], packed: Tensor) -> "Interior":
-        """The reverse of `as_json` and `packed`; raises ModelError where they are not what those gave."""
+        """The inverse of `as_json` and `packed`; raises ModelError on values that they cannot have written."""
         places = tuple(int(n) for n in values["places"])
         size = int(np.prod(places, dtype=np.float64)) if len(places) == 4 and min(places) > 0 else 0
         if not 8 <= size <= MAX_NODES:
-            raise ModelError(f"interior: places {places} where four numbers are expected, {MAX_NODES} in all at most")
+            raise ModelError(
+                f"interior: places must be four positive numbers with a product of at most {MAX_NODES}, found {places}"
+            )
         try:
             reader = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=_LZMA)
             content = reader.decompress(packed.to(torch.uint8).numpy().tobytes(), max_length=size + 1)
         except lzma.LZMAError as fault:
-            raise ModelError(f"interior: its grid cannot be unpacked ({fault}); write the model anew") from None
+            raise ModelError(f"interior: its grid cannot be unpacked ({fault}); train the model again") from None
         if len(content) != size:
-            raise ModelError(f"interior: its grid holds {len(content)} places, expected {size}; write the model anew")
+            raise ModelError(f"interior: its grid holds {len(content)} nodes, expected {size}; train the model again")
         x, y, z = (float(n) for n in values["corner"])
         levels = np.frombuffer(content, np.int8).reshape(places)
         attenuation = tuple(float(n) for n in values["attenuation"])
         return Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]))
 
 
-def _beyond(levels: NDArray[np.int8]) -> bool:
+def _out_of_range(levels: NDArray[np.int8]) -> bool:
     return int(levels.min()) < -LEVELS or int(levels.max()) > LEVELS

@@ -1,4 +1,4 @@
-"""Features of views, compiled: what `view_features` computes with tensors, several times as fast on a CPU."""
+"""Compiled features of views: the CPU version of `view_features`, several times as fast as torch."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from prt_bake.jit.compilation import compiled
 from prt_bake.network.features.interior import REACH
-from prt_bake.network.features.pair_kernel import turned
+from prt_bake.network.features.pair_kernel import cos_sin
 from prt_bake.network.features.view_ray import ENTRY_DEPTH, MIN_SLOPE, MIN_STEP, STEP
 
 _STEP, _MIN_STEP, _ENTRY_DEPTH, _REACH = (np.float32(number) for number in (STEP, MIN_STEP, ENTRY_DEPTH, REACH))
@@ -17,7 +17,7 @@ _ZERO = np.float32(0.0)
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def distance_at(levels: Any, per_length: Any, x: Any, y: Any, z: Any) -> Any:
-    """The grid's value at a point in lengths from its corner, linear between places; outside, that of its border."""
+    """The grid's trilinear value at a point from its corner, clamped to its border."""
     nx, ny, nz = levels.shape
     u = min(max(x * per_length, _ZERO), np.float32(nx - 1))
     v = min(max(y * per_length, _ZERO), np.float32(ny - 1))
@@ -34,16 +34,16 @@ def distance_at(levels: Any, per_length: Any, x: Any, y: Any, z: Any) -> Any:
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def distance_rows(levels: Any, per_length: Any, points: Any, distances: Any) -> None:
-    """Set distances [N,K] to the grid's values at points [N,K,3] from the grid's corner."""
+    """Sets distances [N,K] to the grid's values at points [N,K,3] from its corner."""
     for n in range(points.shape[0]):
         for k in range(points.shape[1]):
             distances[n, k] = distance_at(levels, per_length, points[n, k, 0], points[n, k, 1], points[n, k, 2])
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def shape_rows(told: Any, per_length: Any, points: Any, rows: Any) -> None:
-    """Set rows [N,C] to the values of a grid [X,Y,Z,C] at points [N,3] from its corner: `shape.trilinear`."""
-    nx, ny, nz, channels = told.shape
+def shape_rows(grid: Any, per_length: Any, points: Any, rows: Any) -> None:
+    """Sets rows [N,C] to the values of a grid [X,Y,Z,C] at points [N,3] from its corner: `shape.trilinear`."""
+    nx, ny, nz, channels = grid.shape
     for n in range(len(points)):
         u = min(max(points[n, 0] * per_length, _ZERO), np.float32(nx - 1))
         v = min(max(points[n, 1] * per_length, _ZERO), np.float32(ny - 1))
@@ -56,14 +56,12 @@ def shape_rows(told: Any, per_length: Any, points: Any, rows: Any) -> None:
                 across = (u if a else _ONE - u) * (v if b else _ONE - v)
                 low, high = across * (_ONE - w), across * w
                 for c in range(channels):
-                    rows[n, c] += low * told[i + a, j + b, k, c] + high * told[i + a, j + b, k + 1, c]
+                    rows[n, c] += low * grid[i + a, j + b, k, c] + high * grid[i + a, j + b, k + 1, c]
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
-    """The grid's normal at a point from its corner, pointing out, as `prt_bake.network.features.view_ray.normals` has
-    it.
-    """
+    """The grid's outward normal at a point from its corner: `view_ray.normals`."""
     per_length = _ONE / spacing
     u = distance_at(levels, per_length, x - spacing, y, z) - distance_at(levels, per_length, x + spacing, y, z)
     v = distance_at(levels, per_length, x, y - spacing, z) - distance_at(levels, per_length, x, y + spacing, z)
@@ -76,8 +74,9 @@ def normal_at(levels: Any, spacing: Any, x: Any, y: Any, z: Any) -> Any:
 def trace_rows(
     levels: Any, spacing: Any, eta: Any, longest: Any, points: Any, along: Any, starts: Any, towards: Any, begins: Any
 ) -> None:
-    """Set starts [N,P,3], towards [N,P,3] and begins [N,P] to the pieces of rays from points [N,3] along unit vectors
-    [N,3] that turn where they are totally reflected: `view_ray.folded`. Points are from the grid's corner.
+    """Sets starts [N,P,3], towards [N,P,3] and begins [N,P] to the segments of rays: `view_ray.trace`.
+
+    The rays start at points [N,3] from the grid's corner, along unit vectors [N,3].
     """
     per_length = _ONE / spacing
     for n in range(points.shape[0]):
@@ -86,88 +85,87 @@ def trace_rows(
         starts[n], towards[n] = points[n], along[n]
         begins[n] = np.float32(np.inf)
         begins[n, 0] = _ZERO
-        piece, entered = 0, False
-        begun, length, inside = _ZERO, _ZERO, _ZERO
+        segment, entered = 0, False
+        begin, length, inside = _ZERO, _ZERO, _ZERO
         while length < longest:
             step = spacing * max(_STEP * inside, _MIN_STEP)
-            s = length + step - begun
-            then = _REACH * distance_at(levels, per_length, x + s * u, y + s * v, z + s * w)
-            if not (entered and then <= _ZERO):
-                length, inside = length + step, then
-                entered = entered or then > _ENTRY_DEPTH
+            s = length + step - begin
+            distance = _REACH * distance_at(levels, per_length, x + s * u, y + s * v, z + s * w)
+            if not (entered and distance <= _ZERO):
+                length, inside = length + step, distance
+                entered = entered or distance > _ENTRY_DEPTH
                 continue
-            length += inside / max(inside - then, np.float32(1e-6)) * step
-            s = length - begun
+            length += inside / max(inside - distance, np.float32(1e-6)) * step
+            s = length - begin
             x, y, z = x + s * u, y + s * v, z + s * w
             a, b, c = normal_at(levels, spacing, x, y, z)
             cosine = u * a + v * b + w * c
-            if piece + 1 == begins.shape[1] or cosine <= _ZERO or eta * eta * (_ONE - cosine * cosine) <= _ONE:
+            if segment + 1 == begins.shape[1] or cosine <= _ZERO or eta * eta * (_ONE - cosine * cosine) <= _ONE:
                 break
-            piece += 1
+            segment += 1
             u, v, w = u - 2 * cosine * a, v - 2 * cosine * b, w - 2 * cosine * c
-            starts[n, piece, 0], starts[n, piece, 1], starts[n, piece, 2] = x, y, z
-            towards[n, piece, 0], towards[n, piece, 1], towards[n, piece, 2] = u, v, w
-            begins[n, piece] = begun = length
+            starts[n, segment, 0], starts[n, segment, 1], starts[n, segment, 2] = x, y, z
+            towards[n, segment, 0], towards[n, segment, 1], towards[n, segment, 2] = u, v, w
+            begins[n, segment] = begin = length
             inside, entered = _ZERO, False
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def place_rows(depths: Any, edges: Any, places: Any, opacities: Any) -> None:
-    """Set places [N,K] to where light comes from along rays, all equally likely, and opacities [N].
+def sample_rows(depths: Any, edges: Any, lengths: Any, opacities: Any) -> None:
+    """Sets lengths [N,K] along rays from where light comes, equally probable, and the rays' opacities [N].
 
-    depths [N,M]: the optical depth of each interval between edges [M+1], even within; the k-th place is where the
-    opacity reaches (k + ½)/K of what it is at the end of the ray; all are 0 where nothing is met.
+    depths [N,M] are the optical depths of the intervals between edges [M+1], uniform within each. At the k-th length
+    the opacity is (k + ½)/K of that at the end of the ray. All are 0 for a ray that meets nothing.
     """
-    count, last = places.shape[1], depths.shape[1]
+    count, last = lengths.shape[1], depths.shape[1]
     for n in range(len(depths)):
-        whole = 0.0
+        total = 0.0
         for j in range(last):
-            whole += depths[n, j]
-        opacity = -np.expm1(-whole)
+            total += depths[n, j]
+        opacity = -np.expm1(-total)
         opacities[n] = opacity
-        places[n] = 0.0
+        lengths[n] = 0.0
         if opacity <= 0.0:
             continue
         before, j = 0.0, 0
         for k in range(count):
-            wanted = -np.log1p(-(k + 0.5) / count * opacity)
-            while before + depths[n, j] < wanted and j + 1 < last:
+            target = -np.log1p(-(k + 0.5) / count * opacity)
+            while before + depths[n, j] < target and j + 1 < last:
                 before += depths[n, j]
                 j += 1
-            share = min(max((wanted - before) / max(float(depths[n, j]), 1e-30), 0.0), 1.0)
-            places[n, k] = edges[j] + share * (edges[j + 1] - edges[j])
+            share = min(max((target - before) / max(float(depths[n, j]), 1e-30), 0.0), 1.0)
+            lengths[n, k] = edges[j] + share * (edges[j + 1] - edges[j])
 
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
-def mean_rows(positions: Any, places: Any, eyes: Any, weights: Any, frequencies: Any, own: Any, rows: Any) -> None:
-    """Fill the first 2F columns of rows with [cosines, sines]: of the first `own` frequencies at x itself, of the
-    others averaged over places along rays, times their weight.
+def mean_rows(positions: Any, points: Any, eyes: Any, weights: Any, frequencies: Any, first: Any, rows: Any) -> None:
+    """Fills rows [N,2F] with [cosines, sines]: of x for the `first` frequencies, for the others averaged over points.
 
-    positions, eyes [N,3] float32: x and ωo; places [N,K,3] and weights [N] float32; frequencies [6,F] float32, of x and
-    of ωo, in cycles.
+    All float32: positions and eyes [N,3] are x and ωo; points [N,K,3] on the rays; weights [N] of the averages;
+    frequencies [6,F] of x and ωo, in cycles.
     """
-    features, averaged = frequencies.shape[1], frequencies.shape[1] - own
-    count = places.shape[1]
-    a, b, c = frequencies[0, own:], frequencies[1, own:], frequencies[2, own:]
+    features, averaged = frequencies.shape[1], frequencies.shape[1] - first
+    count = points.shape[1]
+    a, b, c = frequencies[0, first:], frequencies[1, first:], frequencies[2, first:]
     cosine_sums, sine_sums = np.empty(averaged, np.float32), np.empty(averaged, np.float32)
-    begun = np.empty(features, np.float32)
+    eye_cycles = np.empty(features, np.float32)
     for n in range(len(positions)):
         u, v, w = eyes[n, 0], eyes[n, 1], eyes[n, 2]
         x, y, z = positions[n, 0], positions[n, 1], positions[n, 2]
         for i in range(features):
-            begun[i] = u * frequencies[3, i] + v * frequencies[4, i] + w * frequencies[5, i]
-        for i in range(own):
-            cycles = begun[i] + x * frequencies[0, i] + y * frequencies[1, i] + z * frequencies[2, i]
-            rows[n, i], rows[n, features + i] = turned(cycles)
+            eye_cycles[i] = u * frequencies[3, i] + v * frequencies[4, i] + w * frequencies[5, i]
+        for i in range(first):
+            cycles = eye_cycles[i] + x * frequencies[0, i] + y * frequencies[1, i] + z * frequencies[2, i]
+            rows[n, i], rows[n, features + i] = cos_sin(cycles)
         cosine_sums[:] = _ZERO
         sine_sums[:] = _ZERO
         weight = weights[n] / np.float32(count)
-        here = begun[own:]
+        averaged_cycles = eye_cycles[first:]
         for k in range(count if weight > _ZERO else 0):
-            x, y, z = places[n, k, 0], places[n, k, 1], places[n, k, 2]
+            x, y, z = points[n, k, 0], points[n, k, 1], points[n, k, 2]
             for i in range(averaged):
-                cosine, sine = turned(here[i] + x * a[i] + y * b[i] + z * c[i])
+                cosine, sine = cos_sin(averaged_cycles[i] + x * a[i] + y * b[i] + z * c[i])
                 cosine_sums[i] += cosine
                 sine_sums[i] += sine
         for i in range(averaged):
-            rows[n, own + i], rows[n, features + own + i] = weight * cosine_sums[i], weight * sine_sums[i]
+            rows[n, first + i], rows[n, features + first + i] = weight * cosine_sums[i], weight * sine_sums[i]

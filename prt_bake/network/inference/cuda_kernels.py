@@ -1,8 +1,8 @@
-"""Kernels for graphics cards: the layers of a network and what they are told, without a look at memory between them.
+"""GPU kernels: features and all layers of a network in one kernel, with no memory traffic between layers.
 
-What comes in is a block's rows, one of an outgoing direction and one of incidence each; a program takes ROWS of them
-from their features to RGB. A row's numbers depend on no other row. Float32 products are sums of three TF32 ones each
-(`tf32x3`), which the matrix units do, and which is exact to some 10⁻⁶.
+The input is the rows of a block, each a pair of a view and an incident direction. A program computes ROWS of them from
+their features to RGB. No row depends on another. A float32 product is the sum of three TF32 products (`tf32x3`), which
+run on the matrix units and are exact to about 10⁻⁶.
 """
 
 from collections.abc import Callable
@@ -18,80 +18,81 @@ _OCCUPANCY_SCALE = tl.constexpr(OCCUPANCY_SCALE)
 
 
 @_kernel
-def _active(h, RELU: tl.constexpr):
+def _activation(h, RELU: tl.constexpr):
     return tl.maximum(h, 0.0) if RELU else h * tl.sigmoid(h)
 
 
 @_kernel
 def _product(h, weight, before, EXACT: tl.constexpr):
-    """before + h @ weight, in the type of the weight."""
+    """before + h @ weight; h is rounded to the weight's dtype."""
     if EXACT:
         return tl.dot(h, weight, before, input_precision="tf32x3")
     return tl.dot(h.to(weight.dtype), weight, before)
 
 
 @_kernel
-def _and_next(h, weight, before, following, EXACT: tl.constexpr):
-    """The product, and the weights of the following one. Where there is room, they are asked for ahead: they take as
-    long to come as a product takes.
+def _product_and_next(h, weight, before, following, EXACT: tl.constexpr):
+    """The product, and the weights of the following product.
+
+    In bfloat16 there are registers to load these before the product, which hides their latency.
     """
     if EXACT:
-        told = _product(h, weight, before, EXACT)
-        return told, tl.load(following)
-    coming = tl.load(following)
-    return _product(h, weight, before, EXACT), coming
+        result = _product(h, weight, before, EXACT)
+        return result, tl.load(following)
+    next_weight = tl.load(following)
+    return _product(h, weight, before, EXACT), next_weight
 
 
 @_kernel
 def network_rows(
-    answer, light, chosen, view, first_weight, weights, biases, output, count, directions, scale,
-    FEATURES: tl.constexpr, WIDTH: tl.constexpr, LAYERS: tl.constexpr, JOINED: tl.constexpr, RELU: tl.constexpr,
-    EXACT: tl.constexpr, ROWS: tl.constexpr, PIECE: tl.constexpr, OUTPUTS: tl.constexpr,
+    result, light, chosen, view, first_weight, weights, biases, output, count, directions, scale,
+    FEATURES: tl.constexpr, WIDTH: tl.constexpr, LAYERS: tl.constexpr, SKIPS: tl.constexpr, RELU: tl.constexpr,
+    EXACT: tl.constexpr, ROWS: tl.constexpr, STEP: tl.constexpr, OUTPUTS: tl.constexpr,
 ):  # fmt: skip
-    """Ŝ [count,3], count = N·D, of a network whose first layer sees everything.
+    """Ŝ [count,3], count = N·D, of a network whose first layer sees all inputs.
 
-    light [R·D,2F] and view [N,2F]: cosines, then sines; chosen [N]: which set of directions lights a view;
-    first_weight [W,2F]; weights [·,W,W]: of the layers after it, one after another, two of a layer whose bit of JOINED
-    says that it sees the one before its own source, too, and one that is not used; biases [LAYERS·W + OUTPUTS]; output
-    [OUTPUTS,W].
+    light [R·D,2F] and view [N,2F]: cosines, then sines; chosen [N]: the rotation under which a view is lit;
+    first_weight [W,2F]; weights [·,W,W]: those of the other hidden layers in order, two for a layer whose bit of SKIPS
+    is set (on the layer before, then on the one before that), and one unused block at the end; biases
+    [LAYERS·W + OUTPUTS]; output [OUTPUTS,W].
     """
     row = tl.minimum(tl.program_id(0) * ROWS + tl.arange(0, ROWS), count - 1)
-    seen = row // directions
-    lit = tl.load(chosen + seen) * directions + row % directions
-    piece, across = tl.arange(0, PIECE), tl.arange(0, WIDTH)
-    light_at = lit[:, None] * (2 * FEATURES) + piece[None, :]
-    view_at = seen[:, None] * (2 * FEATURES) + piece[None, :]
-    weight_at = across[None, :] * (2 * FEATURES) + piece[:, None]
+    view_row = row // directions
+    light_row = tl.load(chosen + view_row) * directions + row % directions
+    frequency, unit = tl.arange(0, STEP), tl.arange(0, WIDTH)
+    light_at = light_row[:, None] * (2 * FEATURES) + frequency[None, :]
+    view_at = view_row[:, None] * (2 * FEATURES) + frequency[None, :]
+    weight_at = unit[None, :] * (2 * FEATURES) + frequency[:, None]
     h = tl.zeros((ROWS, WIDTH), tl.float32)
-    for begin in range(0, FEATURES, PIECE):
+    for begin in range(0, FEATURES, STEP):
         a, b = tl.load(light + begin + light_at), tl.load(light + (begin + FEATURES) + light_at)
         c, s = tl.load(view + begin + view_at), tl.load(view + (begin + FEATURES) + view_at)
         h = _product(a * c - b * s, tl.load(first_weight + begin + weight_at), h, EXACT)
         h = _product(a * s + b * c, tl.load(first_weight + (begin + FEATURES) + weight_at), h, EXACT)
-    kind = weights.dtype.element_ty
-    square, block = across[None, :] * WIDTH + across[:, None], 0
+    dtype = weights.dtype.element_ty
+    square, block = unit[None, :] * WIDTH + unit[:, None], 0
     weight = tl.load(weights + square)
-    h = _active(h + tl.load(biases + across)[None, :], RELU).to(kind)
-    before = h
+    h = _activation(h + tl.load(biases + unit)[None, :], RELU).to(dtype)
+    previous = h
     for layer in tl.static_range(2, LAYERS + 1):
-        told = tl.load(biases + (layer - 1) * WIDTH + across)[None, :] + tl.zeros((ROWS, WIDTH), tl.float32)
+        total = tl.load(biases + (layer - 1) * WIDTH + unit)[None, :] + tl.zeros((ROWS, WIDTH), tl.float32)
         block += 1
-        told, weight = _and_next(h, weight, told, weights + block * WIDTH * WIDTH + square, EXACT)
-        if (JOINED >> layer) & 1:
+        total, weight = _product_and_next(h, weight, total, weights + block * WIDTH * WIDTH + square, EXACT)
+        if (SKIPS >> layer) & 1:
             block += 1
-            told, weight = _and_next(before, weight, told, weights + block * WIDTH * WIDTH + square, EXACT)
-        before = h
-        h = _active(told, RELU).to(kind)
+            total, weight = _product_and_next(previous, weight, total, weights + block * WIDTH * WIDTH + square, EXACT)
+        previous = h
+        h = _activation(total, RELU).to(dtype)
     channel = tl.arange(0, OUTPUTS)
-    last = tl.load(output + channel[None, :] * WIDTH + across[:, None])
-    told = tl.load(biases + LAYERS * WIDTH + channel)[None, :] + tl.zeros((ROWS, OUTPUTS), tl.float32)
-    told = _product(h, last, told, EXACT) * scale
-    tl.store(answer + row[:, None] * 3 + channel[None, :], told, mask=channel[None, :] < 3)
+    last = tl.load(output + channel[None, :] * WIDTH + unit[:, None])
+    radiance = tl.load(biases + LAYERS * WIDTH + channel)[None, :] + tl.zeros((ROWS, OUTPUTS), tl.float32)
+    radiance = _product(h, last, radiance, EXACT) * scale
+    tl.store(result + row[:, None] * 3 + channel[None, :], radiance, mask=channel[None, :] < 3)
 
 
 @_kernel
 def _trilinear(grid, base, u, v, w, ny, nz, within):
-    """Values linear between the eight places around (u, v, w), which lie at base + (i·ny + j)·nz + k of the grid."""
+    """Trilinear values at (u, v, w), in spacings, of a grid whose node (i, j, k) is at base + (i·ny + j)·nz + k."""
     i, j, k = u.to(tl.int32), v.to(tl.int32), w.to(tl.int32)
     u, v, w = u - i, v - j, w - k
     at = grid + base + (i * ny + j) * nz + k
@@ -106,22 +107,21 @@ def _trilinear(grid, base, u, v, w, ny, nz, within):
 
 @_kernel
 def _pair_inputs(
-    x, y, z, cosine, seen, frame, grids, numbers, lengths,
-    POWERS: tl.constexpr, FRAME_VECTORS: tl.constexpr, LIGHT_PLACES: tl.constexpr, PAIRS: tl.constexpr,
+    x, y, z, cosine, view_row, frame, grids, numbers, lengths,
+    POWERS: tl.constexpr, FRAME_ROWS: tl.constexpr, LIGHT_PLACES: tl.constexpr, PAIRS: tl.constexpr,
 ):  # fmt: skip
-    """What is told of views and directions (x, y, z) together [ROWS,PAIRS]: `NeuralBSSRDF.pair_features`.
+    """Features [ROWS,PAIRS] of views and directions (x, y, z) together: `NetworkCore.pair_features`.
 
-    numbers [PAIRS,5] int32: which of the FRAME_VECTORS vectors of the frame a column is of, then where its grid begins and how
-    many places that has each way; lengths [PAIRS,5]: how far along the direction, the grid's corner, and places a
-    length.
+    numbers [PAIRS,5] int32: the row of the view's frame that a column uses, where its grid begins, and the grid's
+    shape; lengths [PAIRS,5]: the distance along the direction, the grid's corner, and nodes per length.
     """
     column = tl.arange(0, PAIRS)
-    held = frame + (seen[:, None] * FRAME_VECTORS + tl.load(numbers + 5 * column)[None, :]) * 3
-    fx, fy, fz = tl.load(held), tl.load(held + 1), tl.load(held + 2)
-    told = fx * x[:, None] + fy * y[:, None] + fz * z[:, None]
+    vector = frame + (view_row[:, None] * FRAME_ROWS + tl.load(numbers + 5 * column)[None, :]) * 3
+    fx, fy, fz = tl.load(vector), tl.load(vector + 1), tl.load(vector + 2)
+    features = fx * x[:, None] + fy * y[:, None] + fz * z[:, None]
     power = cosine
     for number in tl.static_range(POWERS):
-        told = tl.where(column[None, :] == number, power[:, None], told)
+        features = tl.where(column[None, :] == number, power[:, None], features)
         power *= cosine
     if LIGHT_PLACES > 0:
         reach, per_length = tl.load(lengths + 5 * column)[None, :], tl.load(lengths + 5 * column + 4)[None, :]
@@ -130,73 +130,79 @@ def _pair_inputs(
         w = (fz + reach * z[:, None] - tl.load(lengths + 5 * column + 3)[None, :]) * per_length
         base, nx = tl.load(numbers + 5 * column + 1)[None, :], tl.load(numbers + 5 * column + 2)[None, :]
         ny, nz = tl.load(numbers + 5 * column + 3)[None, :], tl.load(numbers + 5 * column + 4)[None, :]
-        way = (column[None, :] >= POWERS) & (column[None, :] < POWERS + LIGHT_PLACES)
-        within = way & (u >= 0.0) & (v >= 0.0) & (w >= 0.0) & (u < nx - 1) & (v < ny - 1) & (w < nz - 1)
+        occupancy = (column[None, :] >= POWERS) & (column[None, :] < POWERS + LIGHT_PLACES)
+        within = occupancy & (u >= 0.0) & (v >= 0.0) & (w >= 0.0) & (u < nx - 1) & (v < ny - 1) & (w < nz - 1)
         u, v, w = tl.where(within, u, 0.0), tl.where(within, v, 0.0), tl.where(within, w, 0.0)
-        told = tl.where(way, _OCCUPANCY_SCALE * _trilinear(grids, base, u, v, w, ny, nz, within), told)
-    return told
+        values = _OCCUPANCY_SCALE * _trilinear(grids, base, u, v, w, ny, nz, within)
+        features = tl.where(occupancy, values, features)
+    return features
 
 
 @_kernel
 def _lobe_sum(
-    x, y, z, seen, channel, axes, shapes, peaks,
+    x, y, z, view_row, channel, axes, shapes, peaks,
     LOBES: tl.constexpr, BANDS: tl.constexpr, ROWS: tl.constexpr, OUTPUTS: tl.constexpr,
 ):  # fmt: skip
-    """What lobes add, or their bands, if there are any [ROWS,OUTPUTS]: `lobes.evaluate_lobes`."""
-    added = tl.zeros((ROWS, OUTPUTS), tl.float32)
+    """The sum of lobes, or of their bands if BANDS > 0 [ROWS,OUTPUTS]: `lobes.evaluate_lobes`."""
+    total = tl.zeros((ROWS, OUTPUTS), tl.float32)
     for lobe in tl.static_range(LOBES):
-        which = seen * LOBES + lobe
+        which = view_row * LOBES + lobe
         cosine = x * tl.load(axes + 3 * which) + y * tl.load(axes + 3 * which + 1) + z * tl.load(axes + 3 * which + 2)
         if BANDS == 0:
             shape = tl.exp(tl.load(shapes + which) * (cosine - 1.0))
         else:
-            shape, before, value = tl.load(shapes + which * BANDS), cosine * 0.0 + 1.0, cosine
+            shape, previous, value = tl.load(shapes + which * BANDS), cosine * 0.0 + 1.0, cosine
             for band in tl.static_range(1, BANDS):
                 shape += tl.load(shapes + which * BANDS + band) * value
-                following = ((2 * band + 1) * cosine * value - band * before) / (band + 1)
-                before, value = value, following
+                following = ((2 * band + 1) * cosine * value - band * previous) / (band + 1)
+                previous, value = value, following
         peak = tl.load(peaks + which[:, None] * 3 + channel[None, :], channel[None, :] < 3, 0.0)
-        added += shape[:, None] * peak
-    return added
+        total += shape[:, None] * peak
+    return total
 
 
 @_kernel
 def late_rows(
-    answer, table, chosen, views, incident, eye, frame, grids, numbers, lengths, pair_weights, weights, output,
-    output_bias, axes, shapes, peaks, count, directions, sets, many, scale,
-    WIDTH: tl.constexpr, LAYERS: tl.constexpr, POWERS: tl.constexpr, FRAME_VECTORS: tl.constexpr, LIGHT_PLACES: tl.constexpr,
-    PAIRS: tl.constexpr, LOBES: tl.constexpr, BANDS: tl.constexpr, RELU: tl.constexpr, EXACT: tl.constexpr,
-    ROWS: tl.constexpr, OUTPUTS: tl.constexpr,
+    result, table, chosen, views, incident, eye, frame, grids, numbers, lengths, pair_weights, weights, output,
+    output_bias, axes, shapes, peaks, count, directions, sets, view_count, scale,
+    WIDTH: tl.constexpr, LAYERS: tl.constexpr, POWERS: tl.constexpr, FRAME_ROWS: tl.constexpr,
+    LIGHT_PLACES: tl.constexpr, PAIRS: tl.constexpr, LOBES: tl.constexpr, BANDS: tl.constexpr, RELU: tl.constexpr,
+    EXACT: tl.constexpr, ROWS: tl.constexpr, OUTPUTS: tl.constexpr,
 ):  # fmt: skip
-    """Ŝ [count,3] of a network that sees ωi late, as `network_rows`, where each late layer acts on the one before.
+    """Ŝ [count,3] of a network whose late layers see ωi; each late layer acts on the late layer before it alone.
 
-    table [LAYERS,sets·D,W] and views [LAYERS,many,W]: what directions and views add to each late layer; incident
-    [sets·D,3], eye [N,3], frame [N,FRAME_VECTORS,3]; pair_weights [LAYERS,W,PAIRS], weights [LAYERS−1,W,W], output [OUTPUTS,W].
+    table [LAYERS,sets·D,W] and views [LAYERS,view_count,W]: contributions of directions and views to the late layers;
+    incident [sets·D,3], eye [N,3], frame [N,FRAME_ROWS,3]; pair_weights [LAYERS,W,PAIRS], weights [LAYERS−1,W,W],
+    output [OUTPUTS,W].
     """
     row = tl.minimum(tl.program_id(0) * ROWS + tl.arange(0, ROWS), count - 1)
-    seen = row // directions
-    lit = tl.load(chosen + seen) * directions + row % directions
-    x, y, z = tl.load(incident + 3 * lit), tl.load(incident + 3 * lit + 1), tl.load(incident + 3 * lit + 2)
-    cosine = x * tl.load(eye + 3 * seen) + y * tl.load(eye + 3 * seen + 1) + z * tl.load(eye + 3 * seen + 2)
-    told = _pair_inputs(x, y, z, cosine, seen, frame, grids, numbers, lengths, POWERS, FRAME_VECTORS, LIGHT_PLACES, PAIRS)
-    across, column = tl.arange(0, WIDTH), tl.arange(0, PAIRS)
-    of_light, of_view = lit[:, None] * WIDTH + across[None, :], seen[:, None] * WIDTH + across[None, :]
-    pair_at = pair_weights + across[None, :] * PAIRS + column[:, None]
-    square = across[None, :] * WIDTH + across[:, None]
-    h = tl.load(table + of_light).to(tl.float32) + tl.load(views + of_view).to(tl.float32)
-    kind = weights.dtype.element_ty
-    told = told.to(kind)
-    h = _active(_product(told, tl.load(pair_at), h, EXACT), RELU).to(kind)
+    view_row = row // directions
+    light_row = tl.load(chosen + view_row) * directions + row % directions
+    light, view = incident + 3 * light_row, eye + 3 * view_row
+    x, y, z = tl.load(light), tl.load(light + 1), tl.load(light + 2)
+    cosine = x * tl.load(view) + y * tl.load(view + 1) + z * tl.load(view + 2)
+    pairs = _pair_inputs(
+        x, y, z, cosine, view_row, frame, grids, numbers, lengths, POWERS, FRAME_ROWS, LIGHT_PLACES, PAIRS
+    )
+    unit, column = tl.arange(0, WIDTH), tl.arange(0, PAIRS)
+    light_at, view_at = light_row[:, None] * WIDTH + unit[None, :], view_row[:, None] * WIDTH + unit[None, :]
+    pair_at = pair_weights + unit[None, :] * PAIRS + column[:, None]
+    square = unit[None, :] * WIDTH + unit[:, None]
+    h = tl.load(table + light_at).to(tl.float32) + tl.load(views + view_at).to(tl.float32)
+    dtype = weights.dtype.element_ty
+    pairs = pairs.to(dtype)
+    h = _activation(_product(pairs, tl.load(pair_at), h, EXACT), RELU).to(dtype)
     for layer in tl.static_range(1, LAYERS):
         table += sets * directions * WIDTH
-        views += many * WIDTH
-        after = tl.load(table + of_light).to(tl.float32) + tl.load(views + of_view).to(tl.float32)
-        after = _product(told, tl.load(pair_at + layer * WIDTH * PAIRS), after, EXACT)
-        h = _active(_product(h, tl.load(weights + (layer - 1) * WIDTH * WIDTH + square), after, EXACT), RELU).to(kind)
+        views += view_count * WIDTH
+        total = tl.load(table + light_at).to(tl.float32) + tl.load(views + view_at).to(tl.float32)
+        total = _product(pairs, tl.load(pair_at + layer * WIDTH * PAIRS), total, EXACT)
+        total = _product(h, tl.load(weights + (layer - 1) * WIDTH * WIDTH + square), total, EXACT)
+        h = _activation(total, RELU).to(dtype)
     channel = tl.arange(0, OUTPUTS)
-    last = tl.load(output + channel[None, :] * WIDTH + across[:, None])
+    last = tl.load(output + channel[None, :] * WIDTH + unit[:, None])
     radiance = tl.load(output_bias + channel)[None, :] + tl.zeros((ROWS, OUTPUTS), tl.float32)
     radiance = _product(h, last, radiance, EXACT)
     if LOBES > 0:
-        radiance += _lobe_sum(x, y, z, seen, channel, axes, shapes, peaks, LOBES, BANDS, ROWS, OUTPUTS)
-    tl.store(answer + row[:, None] * 3 + channel[None, :], radiance * scale, mask=channel[None, :] < 3)
+        radiance += _lobe_sum(x, y, z, view_row, channel, axes, shapes, peaks, LOBES, BANDS, ROWS, OUTPUTS)
+    tl.store(result + row[:, None] * 3 + channel[None, :], radiance * scale, mask=channel[None, :] < 3)

@@ -1,20 +1,19 @@
-"""The fast way through a frozen network: many view bins, each lit from one of R shared copies of a direction set.
+"""Fast evaluation of a frozen network for baking: many view bins, each lit from one of R copies of a direction set.
 
-The phases of x, ωo and ωi add, so exp(i·phase) is a product of three precomputed tables: one row per (rotation,
-direction), one per vertex, one per bin. What remains per evaluation is one complex product per frequency and the
-matrix work. Rows are taken in tiles of one fixed size that stay in cache; a result therefore does not depend on how
-the vertices are cut into blocks. Networks that see ωi late need far less: `prt_bake.network.inference.late_layers`.
+If ωi enters the first layer, the phases of x, ωo and ωi add, so exp(i·phase) is a product of three precomputed tables:
+one row per (rotation, direction), one per vertex, one per bin. An evaluation then costs one complex product per
+frequency and the matrix products. Networks whose late layers see ωi cost far less: see `late_layers`.
 
-On CPUs oneDNN's fused linear + activation is called directly: float32 `F.linear` goes to MKL, which on AMD processors
-stays at half of what the vector units can do (107 against 231 GFLOP/s on one Zen 5 core).
+Rows are computed in tiles of one fixed size that stay in cache. The rounding of a row depends on the shape of the
+matrix product; with fixed tiles a result does not depend on how the vertices are cut into blocks.
 """
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
 from itertools import pairwise
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,45 +21,42 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import QueryError
+from prt_bake.network.core import NetworkCore, float64_tensor
+from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.inference.late_layers import LateLayers
+from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
-from prt_bake.network.lobes import Bands, Lobes, lobe_bands, evaluate_bands, evaluate_lobes
-
-if TYPE_CHECKING:
-    from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
 
 PRECISIONS = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 ROWS_PER_TILE = {"cpu": 2048, "cuda": 1 << 17}
 VIEWS_PER_BATCH = {"cpu": 256, "cuda": 1024}
-"""Views whose features are computed at once: they stay in cache; a card takes as long for a few as for many."""
+"""Views whose features are computed together: they stay in cache; a GPU takes as long for a few as for many."""
 LIGHTS_PER_BATCH = 1024
-"""Incident directions whose features are computed at once: a product of one shape, whatever their number."""
+"""Incident directions whose features are computed together, in matrix products of one shape."""
 TABLES = 12
-"""Whole tables that are remembered, those of the arrays that were handed in last."""
+"""Light tables that are cached, those of the incident arrays used last."""
 TABLE_ROWS = 1 << 14
-"""Most (rotation, direction) rows whose exponentials are held at once: 32 MiB with 256 frequencies."""
+"""Maximum of (rotation, direction) rows in a table: 32 MiB with 256 frequencies."""
 
 
 class LightTable(NamedTuple):
-    """What is known of directions of incidence beforehand.
+    """Precomputed values of R sets of D incident directions.
 
     Attributes:
-        table: [R,D,2F] cosines and sines of their phases, or what they add to late layers [layers,R,D,width].
-        towards: themselves [R,D,3], float32.
+        table: cosines and sines of their phases [R,D,2F], or their contributions to late layers [layers,R,D,width].
+        directions: [R,D,3], float32.
     """
 
     table: Tensor
-    towards: Tensor
-
-
-Linear = Callable[[Tensor, Tensor, Tensor, str], Tensor]
+    directions: Tensor
 
 
 class FusedNetwork:
     """A frozen network behind `evaluate` and `evaluate_block`; safe to call from several threads."""
 
-    def __init__(self, network: "NeuralBSSRDF", precision: str = "float32", device: str = "cpu") -> None:
-        """Copies the weights to `device` in `precision` ("float32" or "bfloat16"); raises QueryError on another one."""
+    def __init__(self, network: NetworkCore, precision: str = "float32", device: str = "cpu") -> None:
+        """Copies the weights to `device` in `precision` ("float32" or "bfloat16"); raises QueryError on others."""
         if precision not in PRECISIONS:
             raise QueryError(f"precision must be one of {', '.join(PRECISIONS)}, found {precision!r}")
         self.network = deepcopy(network).to(device).eval()
@@ -69,136 +65,132 @@ class FusedNetwork:
         self._dtype = PRECISIONS[precision]
         self._device = torch.device(device)
         kind = "cpu" if self._device.type == "cpu" else "cuda"
-        self._rows, self._views_at_once = ROWS_PER_TILE[kind], VIEWS_PER_BATCH[kind]
+        self._rows, self._views_per_batch = ROWS_PER_TILE[kind], VIEWS_PER_BATCH[kind]
         settings = network.settings
         self._skips = [settings.sources(layer) for layer in range(1, settings.layers + 1)]
         self._activation = settings.activation
         layers: list[Any] = [*self.network.hidden, self.network.output]
         self._weights = [layer.weight.detach().to(self._dtype).contiguous() for layer in layers]
         self._biases = [layer.bias.detach().to(self._dtype) for layer in layers]
-        self._linear: Linear = _onednn_linear if _onednn_answers(self._weights[-1]) else _plain_linear
+        self._linear = linear_for(self._weights[-1])
         self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
         self._lock = Lock()
         self._tables: OrderedDict[int, tuple[ArrayLike, LightTable]] = OrderedDict()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copies in other processes lay out the weights for the processor that they are on."""
+        """A copy in another process is rebuilt there, for the processor on which it runs."""
         return FusedNetwork, (self.network, self.precision, str(self._device))
 
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
-        """Ŝ [N,D,3] by the plain float32 path: `NeuralBSSRDF.evaluate`."""
+        """Ŝ [N,D,3] by the reference in float32: `NetworkCore.evaluate`."""
         return self.network.evaluate(incident, positions, outgoing)
 
     def exact(self) -> "FusedNetwork":
         """The same network in float32."""
-        return self if self.precision == "float32" else self.network.prepared("float32", str(self._device))
+        return self if self.precision == "float32" else FusedNetwork(self.network, "float32", str(self._device))
 
     def evaluate_block(
         self, incident: ArrayLike, rotation: ArrayLike, positions: ArrayLike, outgoing: ArrayLike
     ) -> NDArray[np.float32]:
         """Ŝ [N,B,D,3] in 1/sr, float32.
 
-        Bin (n, b) lies at positions[n], is seen along outgoing[n, b] and lit from incident[rotation[n, b]]:
+        Bin (n, b) is at positions[n], is seen along outgoing[n, b] and lit from incident[rotation[n, b]]:
 
         incident [R,D,3] unit vectors; rotation [N,B] integers below R; positions [N,3] in object space; outgoing
         [N,B,3]. Agrees with `evaluate` to about 10⁻⁵ of the output's size in float32, 10⁻² in bfloat16. The tables of a
-        few incident arrays are kept for the next calls with the same objects.
+        few incident arrays are cached for later calls with the same array objects.
         """
         light = np.asarray(incident)
-        copies, directions = light.shape[:2]
         vertices, bins = np.shape(rotation)
-        answer = np.empty((vertices * bins, directions, 3), dtype=np.float32)
-        step = -(-directions // -(-directions // max(1, TABLE_ROWS // copies)))
-        bounds = [*range(0, directions, step), directions]
+        directions = light.shape[1]
+        result = np.empty((vertices * bins, directions, 3), dtype=np.float32)
         with torch.inference_mode():
             chosen = torch.as_tensor(np.asarray(rotation, dtype=np.int64).reshape(-1), device=self._device)
             view, frame = self._views(positions, outgoing)
             eye = _float32(np.reshape(outgoing, (-1, 3)), self._device)
-            for first, last in pairwise(bounds):
-                known = self._known_of_light(incident, light[:, first:last], whole=last - first == directions)
-                if self._late is None and self._device.type == "cpu":
-                    self._fill_swept(answer[:, first:last], known.table, chosen, view)
-                elif self._late is None:
-                    self._fill(answer[:, first:last], known.table, chosen, view)
+            for first, last in table_bounds(light, TABLE_ROWS):
+                table = self._light_table(incident, light[:, first:last], complete=last - first == directions)
+                part = result[:, first:last]
+                if self._late is not None:
+                    self._fill_late(self._late, part, table, chosen, view, (eye, frame))
+                elif self._device.type == "cpu":
+                    self._fill_compiled(part, table.table, chosen, view)
                 else:
-                    between = known.towards, eye, frame
-                    self._fill_late(self._late, answer[:, first:last], known.table, chosen, view, between)
-        return answer.reshape(vertices, bins, directions, 3)
+                    self._fill(part, table.table, chosen, view)
+        return result.reshape(vertices, bins, directions, 3)
 
     def _fill_late(
         self,
         late: LateLayers,
-        answer: NDArray[np.float32],
-        table: Tensor,
+        result: NDArray[np.float32],
+        light: LightTable,
         chosen: Tensor,
         view: Tensor,
-        between: tuple[Tensor, Tensor, Tensor],
+        pair_inputs: tuple[Tensor, Tensor],
     ) -> None:
-        """As `_fill`, from the table [layers, rotations, D, width] of what directions add to the late layers, those
-        directions [rotations, D, 3] themselves, the outgoing ones [N·B, 3], and the views' frames.
-        """
-        layers, _rotations, directions, width = table.shape
+        """As `_fill`, for late networks; pair_inputs are outgoing directions [N·B,3] and frames [N·B,·,3]."""
+        layers, _rotations, directions, width = light.table.shape
         tile, pad, count = max(1, self._rows // directions), torch.nn.functional.pad, len(chosen)
-        added = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
+        terms = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
         chosen = pad(chosen, (0, tile))
-        along, frame = (pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in between[1:])
-        bins_at_once = tile * max(1, self._rows // tile)
-        for begin in range(0, count, bins_at_once):
-            some = view[begin : begin + bins_at_once]
-            of_bins, lobes = self._trunk(late, some, tile)
-            for first in range(0, len(some), tile):
-                # Whole tiles in all that is done: the last digits of a row depend on the shape that it is done in.
-                which = slice(begin + first, begin + first + tile)
+        eye, frame = (pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in pair_inputs)
+        bins_per_batch = tile * max(1, self._rows // tile)
+        for begin in range(0, count, bins_per_batch):
+            batch = view[begin : begin + bins_per_batch]
+            view_terms, lobes = self._trunk(late, batch, tile)
+            for first in range(0, len(batch), tile):
+                # Every operation runs on a full tile: the last digits of a row depend on the shape of the product.
+                rows = slice(begin + first, begin + first + tile)
                 for layer in range(layers):
-                    torch.index_select(table[layer], 0, chosen[which], out=added[layer])
-                towards = between[0][chosen[which]]
-                pairs = self.network.pair_features(towards, along[which], frame[which])
-                rows = late.add_views(added, of_bins[:, first : first + tile], pairs)
-                radiance = late.radiance(rows).view(tile, directions, 3).float()
+                    torch.index_select(light.table[layer], 0, chosen[rows], out=terms[layer])
+                incident = light.directions[chosen[rows]]
+                pairs = self.network.pair_features(incident, eye[rows], frame[rows])
+                added = late.add_views(terms, view_terms[:, first : first + tile], pairs)
+                radiance = late.radiance(added).view(tile, directions, 3).float()
                 if isinstance(lobes, Lobes):
-                    radiance = radiance + evaluate_lobes(Lobes(*_rows(lobes, first, tile)), towards)
+                    radiance = radiance + evaluate_lobes(Lobes(*_rows(lobes, first, tile)), incident)
                 elif lobes is not None:
-                    radiance = radiance + evaluate_bands(Bands(*_rows(lobes, first, tile)), towards)
+                    radiance = radiance + evaluate_bands(Bands(*_rows(lobes, first, tile)), incident)
                 last = min(begin + first + tile, count)
-                whole = (radiance * self.network.output_scale).cpu().numpy()
-                answer[begin + first : last] = whole[: last - begin - first]
+                scaled = (radiance * self.network.output_scale).cpu().numpy()
+                result[begin + first : last] = scaled[: last - begin - first]
 
     def _trunk(self, late: LateLayers, view: Tensor, tile: int) -> tuple[Tensor, Lobes | Bands | None]:
-        """What views [N,·] add to each later layer [layers, ≥ N + tile, width], and their lobes, as many, or the bands
-        of these that are asked for; in lots of one size, whatever their number: the result must not depend on how bins
-        are cut.
+        """Contributions [layers, ≥ N + tile, width] of views [N,·] to the late layers, and their lobes or bands.
+
+        Runs batches of one fixed size, so that the result does not depend on how bins are cut.
         """
         parts = []
-        for first in range(0, len(view), self._views_at_once):
-            some = view[first : first + self._views_at_once]
-            seen = torch.zeros((self._views_at_once, view.shape[1]), dtype=view.dtype, device=self._device)
-            seen[: len(some)] = some
-            parts.append(late.bins(seen))
-        of_bins = torch.cat([part for part, _lobes in parts], dim=1)
-        of_bins = torch.nn.functional.pad(of_bins, (0, 0, 0, tile))
+        for first in range(0, len(view), self._views_per_batch):
+            some = view[first : first + self._views_per_batch]
+            batch = torch.zeros((self._views_per_batch, view.shape[1]), dtype=view.dtype, device=self._device)
+            batch[: len(some)] = some
+            parts.append(late.view_terms(batch))
+        terms = torch.cat([part for part, _lobes in parts], dim=1)
+        terms = torch.nn.functional.pad(terms, (0, 0, 0, tile))
         lobes = [lobes for _part, lobes in parts if lobes is not None]
         if not lobes:
-            return of_bins, None
+            return terms, None
         if self.network.band is None:
-            return of_bins, Lobes(*_together(lobes, tile))
-        return of_bins, Bands(*_together([lobe_bands(some_lobes, self.network.band) for some_lobes in lobes], tile))
+            return terms, Lobes(*_concatenated(lobes, tile))
+        return terms, Bands(*_concatenated([lobe_bands(part, self.network.band) for part in lobes], tile))
 
-    def _fill_swept(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
-        """As `_fill`, features in one sweep: bins by their copy, so that what they share is still in cache."""
+    def _fill_compiled(self, result: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
+        """As `_fill`, with compiled features; bins with the same rotation run together, so its table stays in cache."""
         directions, width = table.shape[1:]
         tile = max(1, self._rows // directions)
-        swept = np.zeros((tile * directions, width), np.float32 if self._dtype is torch.float32 else np.uint16)
-        rows = torch.from_numpy(swept).view(self._dtype)
-        light, seen, copies = table.numpy(), view.numpy(), chosen.numpy()
-        order = np.argsort(copies, kind="stable")
+        features = np.zeros((tile * directions, width), np.float32 if self._dtype is torch.float32 else np.uint16)
+        rows = torch.from_numpy(features).view(self._dtype)
+        light, views, rotations = table.numpy(), view.numpy(), chosen.numpy()
+        order = np.argsort(rotations, kind="stable")
         for first in range(0, len(order), tile):
             some = order[first : first + tile]
-            product_rows(light, copies[some], seen[some], swept)
+            product_rows(light, rotations[some], views[some], features)
             radiance = self._layers(rows).view(tile, directions, 3)[: len(some)].float() * self.network.output_scale
-            answer[some] = radiance.numpy()
+            result[some] = radiance.numpy()
 
-    def _fill(self, answer: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
-        """Runs fixed tiles of whole bins; the last one computes leftovers of the one before in its unused rows."""
+    def _fill(self, result: NDArray[np.float32], table: Tensor, chosen: Tensor, view: Tensor) -> None:
+        """Fills result [N·B,D,3] in fixed tiles of complete bins; unused rows of the last tile hold older features."""
         directions, width = table.shape[1:]
         tile = max(1, self._rows // directions)
         rows = torch.ones((tile, directions, width), dtype=self._dtype, device=self._device)
@@ -209,7 +201,7 @@ class FusedNetwork:
             rows[:bins] = torch.cat((a * c - b * s, a * s + b * c), dim=-1)
             radiance = self._layers(rows.flatten(0, 1))
             radiance = radiance.view(tile, directions, 3)[:bins].float() * self.network.output_scale
-            answer[first : first + bins] = radiance.cpu().numpy()
+            result[first : first + bins] = radiance.cpu().numpy()
 
     def _layers(self, h: Tensor) -> Tensor:
         activations: list[Tensor] = []
@@ -221,86 +213,102 @@ class FusedNetwork:
         return self._linear(h, self._weights[-1], self._biases[-1], "none")
 
     def _views(self, positions: ArrayLike, outgoing: ArrayLike) -> tuple[Tensor, Tensor]:
-        """What is known of each bin beforehand, [N·B, ·]: exp(i·phase) where directions enter with it, else the
-        features that the first layer sees; and what is held against ωi, as `view_rows` has it.
+        """Precomputed values [N·B,·] of bins, and their frames [N·B,·,3] (`ViewEncoding.frame`).
+
+        The values are the cosines and sines of the phases of x and ωo if ωi enters the first layer, else the inputs of
+        the first layer.
         """
         if self.network.view is None:
-            exponentials = self._view_exponentials(positions, outgoing)
+            phases = self._cycles("positions", positions)[:, None, :] + self._cycles("outgoing", outgoing)
+            exponentials = _exponential(phases).reshape(-1, phases.shape[-1])
             return _planes(exponentials), torch.empty((len(exponentials), 0, 3), device=self._device)
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
 
     def view_rows(self, positions: Tensor, outgoing: Tensor) -> tuple[Tensor, Tensor]:
-        """`NeuralBSSRDF.view_features` [N, view_inputs], and `ViewEncoding.frame`, which is 0 where nothing is told; in lots of
-        one size, so that no row depends on those beside it.
+        """`NetworkCore.view_features` [N, view_inputs], and the frames of the views, 0 for networks without an
+        interior.
+
+        Runs batches of one fixed size, so that no row depends on the others of a batch.
         """
         count = len(positions)
         features = torch.empty((count, self.network.settings.view_inputs), device=self._device)
         frame = torch.zeros((count, self.network.settings.frame_rows, 3), device=self._device)
-        for first in range(0, count, self._views_at_once):
-            some = slice(first, min(first + self._views_at_once, count))
-            x, eye = torch.zeros((2, self._views_at_once, 3), dtype=torch.float64, device=self._device)
-            x[: some.stop - first], eye[: some.stop - first] = positions[some], outgoing[some]
-            told = self.network.encode_views(x, eye)
-            features[some] = self.network.view_features(x, eye, told)[: some.stop - first]
-            if told is not None:
-                frame[some] = told.frame[: some.stop - first]
+        for first in range(0, count, self._views_per_batch):
+            rows = slice(first, min(first + self._views_per_batch, count))
+            size = rows.stop - first
+            x, eye = torch.zeros((2, self._views_per_batch, 3), dtype=torch.float64, device=self._device)
+            x[:size], eye[:size] = positions[rows], outgoing[rows]
+            encoding = self.network.encode_views(x, eye)
+            features[rows] = self.network.view_features(x, eye, encoding)[:size]
+            if encoding is not None:
+                frame[rows] = encoding.frame[:size]
         return features, frame
 
-    def _view_exponentials(self, positions: ArrayLike, outgoing: ArrayLike) -> Tensor:
-        """exp(i·phase) of position and outgoing direction together [N·B, features]."""
-        at_x = self.network.cycles("positions", positions)
-        along = self.network.cycles("outgoing", outgoing)
-        return _exponential(at_x[:, None, :] + along).reshape(-1, along.shape[-1])
+    def _cycles(self, part: str, vectors: ArrayLike) -> Tensor:
+        """The share of one input in Gu [..., features], in cycles modulo 1, float32; the shares add up to Gu modulo 1.
 
-    def _known_of_light(self, key: ArrayLike, light: NDArray[Any], whole: bool) -> LightTable:
-        """What is known of incident directions [R,D,3] beforehand; that of a few whole arrays is remembered."""
-        if not whole:
-            return self._of_light(light)
+        part: "incident" (if it enters the first layer), "positions" or "outgoing".
+        """
+        network, settings = self.network, self.network.settings
+        values = float64_tensor(vectors, network.frequencies.device)
+        size = settings.direction_inputs
+        begin = 0 if settings.trunk else size
+        columns = {
+            "incident": slice(0, begin),
+            "positions": slice(begin, begin + 3),
+            "outgoing": slice(begin + 3, begin + 3 + size),
+        }
+        positions = part == "positions"
+        u = network.relative_positions(values) if positions else encode_directions(values, settings.directions)
+        return ((u @ network.frequencies[:, columns[part]].double().T) % 1.0).float()
+
+    def _light_table(self, key: ArrayLike, light: NDArray[Any], complete: bool) -> LightTable:
+        """The table of incident directions [R,D,3]; tables of a few complete arrays are cached by the array `key`."""
+        if not complete:
+            return self._new_light_table(light)
         with self._lock:
-            # The array itself is kept beside its table, so that no other takes its number meanwhile.
+            # The array is kept beside its table, so that no other array can get its id meanwhile.
             if id(key) not in self._tables:
-                self._tables[id(key)] = key, self._of_light(light)
+                self._tables[id(key)] = key, self._new_light_table(light)
                 if len(self._tables) > TABLES:
                     self._tables.popitem(last=False)
             self._tables.move_to_end(id(key))
             return self._tables[id(key)][1]
 
-    def _of_light(self, light: NDArray[Any]) -> LightTable:
-        towards = _float32(light, self._device)
+    def _new_light_table(self, light: NDArray[Any]) -> LightTable:
+        incident = _float32(light, self._device)
         if self._late is None:
-            return LightTable(_planes(_exponential(self.network.cycles("incident", light))), towards)
+            return LightTable(_planes(_exponential(self._cycles("incident", light))), incident)
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
         rows, parts = directions.reshape(-1, 3), []
         for first in range(0, len(rows), LIGHTS_PER_BATCH):
-            # Whole lots, whatever their number: a row must not depend on how many there are beside it.
-            some = torch.zeros((LIGHTS_PER_BATCH, 3), dtype=rows.dtype, device=self._device)
+            # Full batches always: the rounding of a row must not depend on how many others there are.
+            batch = torch.zeros((LIGHTS_PER_BATCH, 3), dtype=rows.dtype, device=self._device)
             last = min(first + LIGHTS_PER_BATCH, len(rows))
-            some[: last - first] = rows[first:last]
-            table = self._late.light_table(self.network.light_features(some))
+            batch[: last - first] = rows[first:last]
+            table = self._late.light_table(self.network.light_features(batch))
             parts.append(table[:, : last - first])
-        return LightTable(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), towards)
+        return LightTable(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), incident)
 
 
-def prepared_for(network: "NeuralBSSRDF", precision: str, device: str) -> FusedNetwork:
-    """A frozen copy of the network for a device: on a graphics card by its kernels, where it has some."""
-    if device == "cuda" and precision in PRECISIONS:
-        from prt_bake.network.inference.cuda import cuda_network
-
-        return cuda_network(network, precision, device)
-    return FusedNetwork(network, precision, device)
+def table_bounds(light: NDArray[Any], max_rows: int) -> Iterator[tuple[int, int]]:
+    """(first, last) of ranges of the D directions of light [R,D,3], of nearly `max_rows` (rotation, direction) rows."""
+    copies, directions = light.shape[:2]
+    step = -(-directions // -(-directions // max(1, max_rows // copies)))
+    return pairwise([*range(0, directions, step), directions])
 
 
-def _together(parts: Sequence[Iterable[Tensor]], more: int) -> Iterator[Tensor]:
-    """Tuples of tensors [N,...], one after another and then zeros for `more`."""
-    for alike in zip(*parts, strict=True):
-        whole = torch.cat(alike)
-        yield torch.nn.functional.pad(whole, (0, 0) * (whole.dim() - 1) + (0, more))
+def _concatenated(parts: Sequence[Iterable[Tensor]], padding: int) -> Iterator[Tensor]:
+    """The tensors [N,...] of tuples, concatenated, and `padding` rows of zeros at the end."""
+    for tensors in zip(*parts, strict=True):
+        joined = torch.cat(tensors)
+        yield torch.nn.functional.pad(joined, (0, 0) * (joined.dim() - 1) + (0, padding))
 
 
-def _rows(parts: Iterable[Tensor], first: int, many: int) -> Iterator[Tensor]:
-    return (part[first : first + many] for part in parts)
+def _rows(parts: Iterable[Tensor], first: int, count: int) -> Iterator[Tensor]:
+    return (part[first : first + count] for part in parts)
 
 
 def _float32(directions: Any, device: torch.device) -> Tensor:
@@ -314,36 +322,3 @@ def _exponential(cycles: Tensor) -> Tensor:
 def _planes(exponentials: Tensor) -> Tensor:
     """Cosines, then sines."""
     return torch.cat((exponentials.real, exponentials.imag), dim=-1)
-
-
-def _plain_linear(h: Tensor, weight: Tensor, bias: Tensor, activation: str) -> Tensor:
-    result = torch.nn.functional.linear(h, weight, bias)
-    if activation == "none":
-        return result
-    return result.relu_() if activation == "relu" else torch.nn.functional.silu(result, inplace=True)
-
-
-def _onednn_linear(h: Tensor, weight: Tensor, bias: Tensor, activation: str) -> Tensor:
-    name = {"silu": "swish"}.get(activation, activation)
-    result: Tensor = torch.ops.mkldnn._linear_pointwise(h, weight, bias, name, [], "")
-    return result
-
-
-def _onednn_answers(weight: Tensor) -> bool:
-    """Whether oneDNN's fused operator, which torch does not document, exists here and is right for this dtype."""
-    if weight.device.type != "cpu" or not hasattr(torch.ops.mkldnn, "_linear_pointwise"):
-        return False
-    h = torch.linspace(-1.0, 1.0, 8 * weight.shape[1]).view(8, -1).to(weight.dtype)
-    bias = torch.linspace(-0.5, 0.5, weight.shape[0]).to(weight.dtype)
-    try:
-        return all(
-            torch.allclose(
-                _onednn_linear(h, weight, bias, activation).float(),
-                _plain_linear(h, weight, bias, activation).float(),
-                rtol=0.02,
-                atol=0.02,
-            )
-            for activation in ("relu", "silu", "none")
-        )
-    except (AttributeError, RuntimeError):
-        return False

@@ -1,6 +1,4 @@
-"""Fourier features of views and directions from those of each, compiled: exp(i·phase) is a product of both, taken in
-one sweep that ends in the type of the matrix work.
-"""
+"""Compiled Fourier features of a view and a direction as the complex product of their exponentials exp(i·phase)."""
 
 from typing import Any
 
@@ -13,7 +11,7 @@ _HALF, _LOW, _BITS = np.uint32(0x7FFF), np.uint32(1), np.uint32(16)
 
 @compiled(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def product_rows(light: Any, chosen: Any, view: Any, rows: Any) -> None:
-    """Fill rows [N·D, 2F] with [cosines, sines] of view n and direction d of the set light[chosen[n]], in row n·D + d.
+    """Fills row n·D + d of rows [N·D, 2F] with [cosines, sines] of view n and direction d of light[chosen[n]].
 
     light [R,D,2F] and view [N,2F] float32 hold cosines, then sines; rows are float32, or bfloat16's bits as uint16.
     """
@@ -35,5 +33,5 @@ def product_rows(light: Any, chosen: Any, view: Any, rows: Any) -> None:
                     row[f] = a[f] * c[f] - b[f] * s[f]
                     row[features + f] = a[f] * s[f] + b[f] * c[f]
                 for f in range(width):
-                    # To the nearest, ties to even.
+                    # Round to nearest, ties to even.
                     out[f] = (bits[f] + _HALF + ((bits[f] >> _BITS) & _LOW)) >> _BITS

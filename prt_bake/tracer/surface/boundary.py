@@ -1,8 +1,8 @@
-"""The surfaces of a scene as the kernels take them, and which media meet at a face.
+"""The surfaces of a scene in the kernels' layout, and the interface at a hit.
 
-A walker remembers which parts it is inside of as the bits of a mask; `region_of_mask` tells the region that this makes
-(0 outside, part p + 1 where part p is the deepest). A face belongs to one part: crossing it from the front sets the
-part's bit, from behind clears it, and where that changes the region, an interface stands between the two indices.
+A walk keeps the set of parts that contain it as the bits of a mask. `region_of_mask` maps a mask to a region: 0
+outside, p + 1 if part p is the innermost. A face belongs to one part. Crossing it from the front sets the part's bit,
+crossing from behind clears it. If that changes the region, there is an interface between the two refractive indices.
 """
 
 import math
@@ -16,54 +16,53 @@ from prt_bake.tracer.surface.embree import nearest_hit
 from prt_bake.tracer.surface.interface import MATCHED, ROUGH, SMOOTH
 
 PASS, DIFFUSE, OPAQUE = -1, 3, 4
-"""What a crossing may be beside the kinds of dielectrics: nothing, a diffuse surface met, one met from within."""
+"""Kinds of interfaces beside the dielectric ones: none, a diffuse surface, a diffuse surface hit from inside."""
 SAME_INDEX = 1e-9
 """Relative indices closer to 1 than this are index-matched."""
 SMOOTHEST = 1e-4
-"""A rough interface below this alpha is taken as smooth: its lobe is narrower than what float64 samples tell apart."""
-CLEARANCE = 1e-6
-"""How far a ray that starts on a face must fly before it may meet another one: some ten roundings of a position, so
-that at a vertex no walk is handed to and fro between faces that all lie at distance 0. Faces of several parts that lie
-so near one another are met together, as one interface between what is before and what is behind all of them."""
+"""Rough interfaces below this alpha count as smooth: float64 samples cannot resolve a narrower lobe."""
+RAY_EPSILON = 1e-6
+"""Least distance from a face to the next hit: some ten roundings of a position, so that at a vertex no walk bounces
+between faces at distance 0. Faces of several parts within this distance count as one interface between the media before
+and behind all of them."""
 
 
 class Boundary(NamedTuple):
-    """All parts' surfaces; lengths in units of the object's longest side, about its centre.
+    """Surfaces of all parts; lengths in units of the object's longest side, relative to its centre.
 
-    Kernels hand this record from function to function, each array as some ten words: few wide tables cost less than
-    many narrow ones (a third of the walk's time).
+    Kernels pass this record by value, about ten words per array. Few wide tables instead of many narrow ones save a
+    third of the walk's time.
     """
 
     intersect: int
     scene: int
     faces: NDArray[np.float64]
-    """[F,29]: normal (first), corners, normals and texture coordinates of the corners, part, and whether nothing lies
-    in front of its plane. Those of part 0, the object itself, come first."""
+    """[F,29]: normal, corners, normals and texture coordinates of the corners, part, and whether nothing lies in front
+    of the face's plane. Faces of part 0, the object itself, come first."""
     planes: NDArray[np.float64]
-    """[F,4]: each face's normal, and its plane's distance from the origin along it."""
+    """[F,4]: normal, and distance of the plane from the origin along it."""
     parts: NDArray[np.float64]
     """[P,13]: alpha, mean reflectance, whether diffuse, whether normals are interpolated, the texture's first texel,
     height (0: no texture) and width, whether a rough interface is compensated, the absolute index inside, the address
-    of Embree's scene of the part alone (float64 holds it exactly), and the part's first face."""
+    of an Embree scene of this part alone (exact in float64), and the part's first face."""
     texels: NDArray[np.float32]
-    """The textures of all parts, three channels, one after the other."""
+    """Concatenated textures of all parts, three channels."""
     losses: NDArray[np.float64]
-    """What compensated interfaces give back (`prt_bake.tracer.surface.losses.loss_tables`); empty where there are none.
-    """
+    """Tables of compensated interfaces (`prt_bake.tracer.surface.losses.loss_tables`); empty if there are none."""
     region_of_mask: NDArray[np.int64]
     clearance: NDArray[np.float32]
-    """[n,n,n], z first, over the box −½ … ½: from anywhere in the cell no face is nearer; 0 outside the object."""
+    """[n,n,n], z first, over the box −½ … ½: lower bound of the distance from a cell to any face; 0 outside."""
     near: NDArray[np.int32]
-    """The faces near each cell of a grid (`prt_bake.tracer.surface.clearance.near_faces`)."""
+    """Faces near each cell of a grid (`prt_bake.tracer.surface.clearance.near_faces`)."""
     nested: bool
     kind: int
     alpha: float
     eta: float
-    """Kind, mean alpha and index of the object's own interface."""
+    """Kind, mean alpha and refractive index of the outer interface."""
     radius: float
-    """A ball about the origin of this radius holds the object."""
+    """Radius of a bounding ball about the origin."""
     most_events: int
-    """A walk ends after so many events; what it still carried is counted as lost and reported."""
+    """Events after which a walk is truncated; the throughput that it still carries is reported as lost."""
 
 
 CORNERS, CORNER_NORMALS, CORNER_UV, PART, OPEN, FACE_SIZE = 3, 12, 21, 27, 28, 29
@@ -79,9 +78,7 @@ def part_of(boundary: Any, face: Any) -> Any:
 
 @called_function()
 def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
-    """Write the interface's normal at (u, v) of a face: the face's own, or the interpolated one where it is asked
-    for.
-    """
+    """Write the shading normal at (u, v) of a face: the face's own, or the interpolated one if the part uses those."""
     row = boundary.faces[face]
     for k in range(3):
         normal[k] = row[k]
@@ -97,7 +94,7 @@ def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
 
 
 @walk_function()
-def place_on(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> None:
+def point_on_face(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> None:
     """Write the point at (u, v) of a face."""
     row = boundary.faces[face]
     for k in range(3):
@@ -106,7 +103,7 @@ def place_on(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> None:
 
 @walk_function()
 def _texel(boundary: Any, part: Any, s: Any, t: Any, channel: Any) -> Any:
-    """A part's texture at (s, t), bilinear and repeating; t = 0 is the bottom row's lower edge."""
+    """Texture of a part at (s, t), bilinear and repeating; t = 0 is the lower edge of the bottom row."""
     row = boundary.parts[part]
     first, height, width = int(row[FIRST_TEXEL]), int(row[HEIGHT]), int(row[WIDTH])
     x, y = s * width - 0.5, (1.0 - t) * height - 0.5
@@ -141,7 +138,7 @@ def alpha_at(boundary: Any, face: Any, u: Any, v: Any) -> Any:
 
 @called_function()
 def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel: Any) -> Any:
-    """What the diffuse `part` reflects where it is met at a face (of another part where both surfaces coincide)."""
+    """Reflectance of the diffuse `part` at a hit; the face is another part's if both surfaces coincide."""
     if boundary.parts[part, HEIGHT] == 0.0 or part_of(boundary, face) != part:
         return boundary.parts[part, REFLECTANCE + channel]
     return _textured(boundary, face, u, v, channel)
@@ -149,63 +146,62 @@ def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel:
 
 @walk_function()
 def is_compensated(boundary: Any, face: Any) -> Any:
-    """Whether the interface at a face, where it is rough, gives back what single scattering loses."""
+    """Whether a rough interface at this face compensates the energy that single scattering loses."""
     return boundary.losses.shape[0] > 0 and boundary.parts[part_of(boundary, face), COMPENSATED] != 0.0
 
 
 @walk_function()
 def sees_sky(boundary: Any, face: Any, d: Any) -> Any:
-    """Whether a ray that leaves the face along d is known to meet nothing any more."""
+    """Whether a ray that leaves the face along d certainly hits nothing."""
     row = boundary.faces[face]
     return row[OPEN] != 0.0 and d[0] * row[0] + d[1] * row[1] + d[2] * row[2] > 0.0
 
 
 @walk_function()
-def met_from_behind(boundary: Any, face: Any, d: Any) -> Any:
-    """Whether a ray along d meets the face from inside its part."""
+def hits_back(boundary: Any, face: Any, d: Any) -> Any:
+    """Whether a ray along d hits the face from behind, that is from inside its part."""
     g = boundary.faces[face]
     return d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
 
 
 @walk_function()
 def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
-    """The mask of a walker that meets the face along d: its side tells whether it is in the face's part."""
+    """The mask of a walk that hits the face along d; the side that it hits tells whether it is in the face's part."""
     bit = 1 << part_of(boundary, face)
-    return mask | bit if met_from_behind(boundary, face, d) else mask & ~bit
+    return mask | bit if hits_back(boundary, face, d) else mask & ~bit
 
 
 @walk_function()
-def meet(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) -> Any:
-    """What a walker with `mask` meets at p + t d, where `ray` has just hit a face: the face that decides, where on it
-    (u, v), and the masks before and behind that place.
+def resolve_hit(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) -> Any:
+    """The interface at p + t d, where `ray` has just hit a face: decisive face, (u, v) on it, masks before and behind.
 
-    All parts whose faces lie there are crossed as one; the first of them in the scene gives the interface.
+    Coincident faces of several parts count as one. The first of these parts in the scene decides the interface.
     """
     u, v = np.float64(ray[15]), np.float64(ray[16])
     before = mask_before(boundary, face, d, mask)
     after = before ^ (1 << part_of(boundary, face))
     if boundary.nested:
-        face, u, v, before, after = _meet_together(boundary, ray, p, d, t, face, u, v, before, after)
+        face, u, v, before, after = _resolve_coincident(boundary, ray, p, d, t, face, u, v, before, after)
     return face, u, v, before, after
 
 
 @called_function()
-def _meet_together(
+def _resolve_coincident(
     boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, u: Any, v: Any, before: Any, after: Any
 ) -> Any:
-    """Each part is asked by itself, since faces that lie on one another hide each other."""
-    back = t - CLEARANCE
+    """Traces each part alone, since coincident faces hide each other."""
+    back = t - RAY_EPSILON
     start = (p[0] + back * d[0], p[1] + back * d[1], p[2] + back * d[2])
     hit = part_of(boundary, face)
     for part in range(len(boundary.parts)):
         if part == hit:
             continue
         tree, first = int(boundary.parts[part, TREE]), int(boundary.parts[part, FIRST_FACE])
-        found, _t = nearest_hit(boundary.intersect, tree, ray, start, d, 0.0, 2.0 * CLEARANCE, -1)
+        found, _t = nearest_hit(boundary.intersect, tree, ray, start, d, 0.0, 2.0 * RAY_EPSILON, -1)
         if found < 0:
             continue
         other, bit = first + found, 1 << part
-        if met_from_behind(boundary, other, d):
+        if hits_back(boundary, other, d):
             before, after = before | bit, after & ~bit
         else:
             before, after = before & ~bit, after | bit
@@ -215,12 +211,12 @@ def _meet_together(
 
 
 @walk_function()
-def crossing(boundary: Any, face: Any, before: Any, after: Any) -> Any:
-    """Kind of interface, and relative index, at a face with these masks of the walker before and behind it."""
+def interface_at(boundary: Any, face: Any, before: Any, after: Any) -> Any:
+    """Kind of interface and relative index at a face, from the masks before and behind it."""
     kind = boundary.kind
     eta = boundary.eta if before == 0 else 1.0 / boundary.eta
     if boundary.nested:
-        kind, eta = _crossing_of_parts(boundary, face, before, after)
+        kind, eta = _nested_interface(boundary, face, before, after)
     return kind, eta
 
 
@@ -230,7 +226,7 @@ def _index(boundary: Any, region: Any) -> Any:
 
 
 @called_function()
-def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any:
+def _nested_interface(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     here, there = boundary.region_of_mask[before], boundary.region_of_mask[after]
     if here == there:
         return PASS, 1.0
@@ -246,9 +242,8 @@ def _crossing_of_parts(boundary: Any, face: Any, before: Any, after: Any) -> Any
 
 @walk_function()
 def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
-    """The interface normal turned to the side that d comes from.
-
-    An interpolated normal that d sees from the wrong side gives way to the face's own.
+    """The shading normal on the side that d comes from; the face's own normal if d sees the shading normal from
+    behind.
     """
     g = boundary.faces[face]
     geometric = d[0] * g[0] + d[1] * g[1] + d[2] * g[2]
@@ -260,47 +255,46 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
 
 
 @walk_function()
-def next_face(boundary: Any, ray: Any, p: Any, d: Any, at: Any, far: Any, face: Any) -> Any:
-    """The nearest face along p + t d between `at`, where `face` lies (−1: none), and `far`, and its distance t.
+def next_face(boundary: Any, ray: Any, p: Any, d: Any, start: Any, far: Any, face: Any) -> Any:
+    """Nearest face along p + t d between `start`, on `face` (−1: none), and `far`, with its distance t.
 
-    Faces closer to `face` than CLEARANCE are left out: they were met together with it.
+    Skips faces within RAY_EPSILON of `face`: `resolve_hit` has treated them together with it.
     """
-    near = at + CLEARANCE if face >= 0 else at
+    near = start + RAY_EPSILON if face >= 0 else start
     return nearest_hit(boundary.intersect, boundary.scene, ray, p, d, near, max(far, near), face)
 
 
 @called_function()
-def reach(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
-    """The first face along p + t d that is more than an index-matched boundary, where on it the ray arrives (u, v), its
-    distance, and the masks before and behind it.
+def next_interface(boundary: Any, ray: Any, p: Any, d: Any, face: Any, mask: Any) -> Any:
+    """The first face along p + t d that is not index-matched: face, u, v, distance, masks before and behind it.
 
-    Face −1: the ray reaches the sky. The ray starts on `face` (−1: on none) with the walker's `mask`.
+    Face −1: the ray reaches the sky. The ray starts on `face` (−1: none), inside the parts of `mask`.
     """
-    at = 0.0
+    start = 0.0
     while True:
-        found, t = next_face(boundary, ray, p, d, at, np.inf, face)
+        found, t = next_face(boundary, ray, p, d, start, np.inf, face)
         if found < 0:
             return found, 0.0, 0.0, t, mask, mask
-        found, u, v, before, after = meet(boundary, ray, p, d, t, found, mask)
-        kind, _eta = crossing(boundary, found, before, after)
+        found, u, v, before, after = resolve_hit(boundary, ray, p, d, t, found, mask)
+        kind, _eta = interface_at(boundary, found, before, after)
         if kind != PASS and kind != MATCHED:
             return found, u, v, t, before, after
-        face, mask, at = found, after, t
+        face, mask, start = found, after, t
 
 
 @called_function()
-def contained(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
-    """Mask of the parts other than the face's own that hold the point just inside `face` along `inward`.
+def containing_parts(boundary: Any, p: Any, inward: Any, face: Any, ray: Any) -> Any:
+    """Mask of the other parts that contain the point just inside `face` along `inward`.
 
-    Each part is asked by itself, so that surfaces that lie on one another do not hide each other.
+    Traces each part alone, since coincident faces hide each other.
     """
     mask = 0
     for part in range(len(boundary.parts)):
         if not boundary.nested or part == part_of(boundary, face):
             continue
-        # What lies within the clearance lies on the face: the point just inside is beyond it.
+        # Faces within RAY_EPSILON coincide with this one: the point just inside is beyond them.
         tree, first = int(boundary.parts[part, TREE]), int(boundary.parts[part, FIRST_FACE])
-        found, _t = nearest_hit(boundary.intersect, tree, ray, p, inward, CLEARANCE, np.inf, -1)
-        if found >= 0 and met_from_behind(boundary, first + found, inward):
+        found, _t = nearest_hit(boundary.intersect, tree, ray, p, inward, RAY_EPSILON, np.inf, -1)
+        if found >= 0 and hits_back(boundary, first + found, inward):
             mask |= 1 << part
     return mask

@@ -1,7 +1,7 @@
-"""How far it is to the nearest face, at least, from anywhere inside: deep in a thick object no ray need be traced.
+"""Grids that save rays: lower bounds of the distance to the nearest face, and the faces near each cell.
 
-The box −½ … ½ is cut into cells; those that a face may touch have no clearance, and neither have those outside the
-object. For the others the distance between cell centres is turned into a bound that holds for every point of the cell.
+The box −½ … ½ is divided into cells. Cells that a face may touch and cells outside the object have clearance 0. For the
+others a distance transform between cell centres becomes a bound that holds in the whole cell.
 """
 
 import numpy as np
@@ -10,20 +10,23 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _FEWEST_FREE_PATHS = 2.0
-"""In objects thinner than this, in mean free paths, flights seldom end where there is any clearance."""
+"""In thinner objects, measured in mean free paths, flights rarely end where there is any clearance."""
 _THICK = 120.0
 _COARSE, _FINE = 48, 128
+"""Cells along a side, below and above `_THICK` mean free paths."""
 _THICK_NEAR = 20.0
 _MOST_ENTRIES = 30_000_000
 _ON_PLANE = 1e-6
 _MOST_PAIRS = 100_000_000
 NEAR_CELLS = 64
 REACH = 1.0
-"""In sides of a cell of NEAR_CELLS."""
+"""Margin around a cell, in cell sides, within which its list of faces is complete."""
 
 
 def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> NDArray[np.float32]:
-    """Clearances [n,n,n], z first, for faces within −½ … ½ and an object `depth` mean free paths across; n may be 0."""
+    """Clearances [n,n,n], z first, of faces within −½ … ½; n is 0 for thin objects. `depth`: size in mean free
+    paths.
+    """
     if depth < _FEWEST_FREE_PATHS:
         return np.zeros((0, 0, 0), np.float32)
     from scipy import ndimage
@@ -36,17 +39,16 @@ def clearance_grid(positions: Array, faces: NDArray[np.int64], depth: float) -> 
     labels, _count = ndimage.label(~touched)
     outside = labels == labels[0, 0, 0]
     distance = ndimage.distance_transform_edt(~(touched | outside))[1:-1, 1:-1, 1:-1]
-    # A point of the cell and a point of a face lie at most half a cell's diagonal from their centres; the faces are
-    # known at samples, which miss the nearest point by less than a quarter of a cell.
+    # Points of the cell and of a face are at most half a cell diagonal from their cells' centres. Faces are sampled,
+    # each point less than a quarter of a cell from a sample.
     bound = (distance - np.sqrt(3.0) - 0.5) / n
     return np.ascontiguousarray(np.maximum(bound, 0.0), np.float32)
 
 
 def near_faces(positions: Array, faces: NDArray[np.int64], depth: float) -> NDArray[np.int32]:
-    """Which faces come near each cell: n³ + 1 places, then the faces of one cell after those of another.
+    """Faces near each cell, in one table: n³ + 1 offsets, then the concatenated lists of all cells; n is NEAR_CELLS.
 
-    A face that a cell does not name stays out of the cell grown by REACH of its side on every side. n is NEAR_CELLS, or
-    the table empty where the object is thin.
+    Every face that touches a cell grown by REACH sides is in its list. The table is empty for thin objects.
     """
     n = NEAR_CELLS
     if depth < _THICK_NEAR:
@@ -76,10 +78,10 @@ def near_faces(positions: Array, faces: NDArray[np.int64], depth: float) -> NDAr
 
 
 def open_faces(rows: Array, positions: Array) -> NDArray[np.bool_]:
-    """Which faces [F,28] have nothing in front of their plane: a ray that leaves by them meets nothing any more.
+    """Which faces [F,28+] have nothing in front of their plane, so that a ray that leaves there hits nothing: bool [F].
 
-    On a convex object that is every face. Only the corners of the convex hull need be looked at; where even those are
-    too many, an object that is not convex all over counts as having no such face.
+    All faces of a convex object qualify. Testing the vertices of the convex hull suffices. If these are too many, a
+    concave object counts as having no such face.
     """
     from scipy.spatial import ConvexHull, QhullError
 
@@ -91,19 +93,19 @@ def open_faces(rows: Array, positions: Array) -> NDArray[np.bool_]:
         import trimesh
 
         index = np.arange(3 * len(rows)).reshape(-1, 3)
-        whole = trimesh.Trimesh(rows[:, 3:12].reshape(-1, 3), index, process=True)
-        return np.full(len(rows), bool(whole.is_convex))
+        surface = trimesh.Trimesh(rows[:, 3:12].reshape(-1, 3), index, process=True)
+        return np.full(len(rows), bool(surface.is_convex))
     normals = rows[:, :3]
     behind = np.einsum("fi,fi->f", normals, rows[:, 3:6]) + _ON_PLANE
     step = max(1, 4_000_000 // len(hull))
-    lots = [
+    blocks = [
         (normals[i : i + step] @ hull.T <= behind[i : i + step, None]).all(axis=1) for i in range(0, len(rows), step)
     ]
-    return np.concatenate(lots)
+    return np.concatenate(blocks)
 
 
 def _samples(corners: Array, spacing: float) -> list[Array]:
-    """Points on triangles [F,3,3], no place of one farther than `spacing` from them, in lots of equal fineness."""
+    """Samples of triangles [F,3,3] that leave no point farther than `spacing` away, in blocks of equal subdivision."""
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.maximum(1, np.ceil(edges / spacing).astype(int))
     lots = []

@@ -1,7 +1,7 @@
-"""Embree 4 for numba kernels: one triangle mesh, one ray a call, no Python in between.
+"""Embree 4 for numba kernels: one triangle mesh, one ray per call, no Python in between.
 
-`embreex` carries the Embree library with its whole C interface. A kernel gets the address of `rtcIntersect1` and the
-scene's handle as plain integers at run time, so that numba may keep its compiled code on disk.
+The wheel of `embreex` contains the Embree library with its C interface. Kernels get the address of `rtcIntersect1` and
+the scene's handle as integers at run time, so that numba can cache their compiled code on disk.
 """
 
 import ctypes
@@ -25,7 +25,7 @@ _ROBUST = 4
 _HIGH_QUALITY = 2
 _NO_HIT = np.uint32(0xFFFFFFFF)
 RAY_FLOATS = 32
-"""float32 words of one ray record (RTCRayHit is 96 bytes; a whole number of cache lines keeps threads apart)."""
+"""float32 words of one ray record. RTCRayHit has 96 bytes; two full cache lines avoid false sharing between threads."""
 
 _HANDLES: dict[str, tuple[Any, list[Any]]] = {
     "rtcNewDevice": (ctypes.c_void_p, [ctypes.c_char_p]),
@@ -51,7 +51,7 @@ def _library() -> dict[str, Callable[..., Any]]:
     folder = Path(embreex.__file__).parent.with_name("embreex.libs")
     found = sorted(folder.glob("libembree4*")) if folder.is_dir() else []
     if not found:
-        raise ImportError(f"embreex: no Embree library in {folder}; install embreex 4.4 from a wheel")
+        raise ImportError(f"embreex: expected libembree4 in {folder}, found none; install embreex 4.4 from a wheel")
     import embreex.rtcore_scene
 
     loaded = ctypes.CDLL(str(found[0]))
@@ -70,9 +70,9 @@ def intersect_address() -> int:
 
 
 class TriangleScene:
-    """A committed Embree scene of one mesh, robust traversal on.
+    """A committed Embree scene of one mesh, with robust traversal.
 
-    `handle` is the scene as an integer. The object owns it: keep the object alive while kernels run.
+    `handle` is the address of the scene. Keep this object alive while kernels use it.
     """
 
     def __init__(self, positions: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
@@ -115,7 +115,7 @@ def _call_pointer(typingctx: Any, address: Any, first: Any, second: Any, third: 
 
 @compiled()
 def new_ray() -> Any:
-    """A ray record for `nearest_hit`, on a 16-byte boundary."""
+    """A ray record for `nearest_hit`, aligned to 16 bytes."""
     room = np.empty(RAY_FLOATS + 4, np.float32)
     first = (room.ctypes.data // 4) % 4
     return room[(4 - first) % 4 : (4 - first) % 4 + RAY_FLOATS]
@@ -141,10 +141,10 @@ def _intersect(
 
 @called_function()
 def nearest_hit(address: Any, scene: Any, ray: Any, p: Any, d: Any, near: Any, far: Any, skip: Any) -> Any:
-    """The nearest face that the ray p + t d meets with near < t < far, `skip` left out.
+    """Nearest hit of the ray p + t d with near < t < far: (face or −1, t).
 
-    `skip` is the face that the ray starts on (−1: none): a plane triangle cannot be met again, so such a hit is
-    rounding. Returns (face or −1, t); the barycentric coordinates u, v of the hit stay in ray[15], ray[16].
+    `skip` is the face that the ray starts on (−1: none). A ray cannot hit that plane again, so such a hit is a rounding
+    error. The barycentric coordinates u, v of the hit are in ray[15] and ray[16].
     """
     while _intersect(address, scene, ray, p[0], p[1], p[2], d[0], d[1], d[2], near, far):
         face = np.int64(ray.view(np.uint32)[17])

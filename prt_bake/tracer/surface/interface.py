@@ -1,12 +1,11 @@
-"""What happens at the object's boundary: nothing (index-matched), a smooth dielectric or a rough one.
+"""Dielectric interfaces: index-matched, smooth, or rough.
 
 The rough interface is the single-scattering microfacet model of Walter et al. 2007 with the GGX distribution and
-separable Smith masking; microfacets are drawn from the visible ones (Heitz 2018, "Sampling the GGX distribution of
-visible normals"). `alpha` is the GGX roughness, `eta` the index of the side that light is sent to divided by the side
-it comes from.
+separable Smith masking. Visible normals are sampled (Heitz 2018, "Sampling the GGX distribution of visible normals").
+`alpha` is the GGX roughness, `eta` the refractive index beyond the interface over that on the side of `i`.
 
-All functions work in a local frame whose z axis is the normal on the side of `i`, the direction back along the path.
-Squared index ratios are left out: a path begins and ends outside the object, so that their product is one.
+All functions use a local frame whose z axis is the normal on the side of `i`, the direction back along the path. They
+omit the squared index ratio: paths begin and end outside, so that the product of all ratios is 1.
 """
 
 import math
@@ -20,7 +19,7 @@ MATCHED, SMOOTH, ROUGH = 0, 1, 2
 
 @walk_function()
 def fresnel(cosine: Any, eta: Any) -> Any:
-    """Reflectance of unpolarised light, `cosine` ≥ 0 on the side of incidence; 1 on total internal reflection."""
+    """Fresnel reflectance of unpolarised light at `cosine` ≥ 0; 1 for total internal reflection."""
     squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
     if squared <= 0.0:
         return 1.0
@@ -32,7 +31,7 @@ def fresnel(cosine: Any, eta: Any) -> Any:
 
 @walk_function()
 def masking(cosine: Any, alpha: Any) -> Any:
-    """Smith's G1 of GGX for a direction at `cosine` to the normal (Walter 2007, eq. 34)."""
+    """Smith's masking function G1 of GGX (Walter 2007, eq. 34)."""
     squared = cosine * cosine
     if squared <= 0.0:
         return 0.0
@@ -41,7 +40,7 @@ def masking(cosine: Any, alpha: Any) -> Any:
 
 @walk_function()
 def microfacet_density(cosine: Any, alpha: Any) -> Any:
-    """GGX's D (Walter 2007, eq. 33), written to stay accurate for small alpha."""
+    """GGX distribution D (Walter 2007, eq. 33), in a form that is accurate for small alpha."""
     squared = cosine * cosine
     root = (1.0 - squared) + alpha * alpha * squared
     return alpha * alpha / (math.pi * root * root)
@@ -49,7 +48,7 @@ def microfacet_density(cosine: Any, alpha: Any) -> Any:
 
 @called_function()
 def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) -> Any:
-    """A microfacet normal seen from `i` (iz > 0), density G1(i) |i·m| D(m) / iz (Heitz 2018, by the disc)."""
+    """Sample a visible normal from `i` (iz > 0) with density G1(i) |i·m| D(m) / iz (Heitz 2018, disc method)."""
     x, y, z = alpha * ix, alpha * iy, iz
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     x, y, z = x * scale, y * scale, z * scale
@@ -75,7 +74,7 @@ def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) 
 
 @walk_function()
 def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
-    """Where a microfacet at `cosine` to i refracts light to; along the facet where it reflects all."""
+    """Direction of refraction at a microfacet at `cosine` to i; tangential under total internal reflection."""
     across = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))
     along = cosine / eta - across
     return along * mx - ix / eta, along * my - iy / eta, along * mz - iz / eta
@@ -85,10 +84,10 @@ def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, e
 def sample_interface(
     kind: Any, alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, transmit_only: Any, stream: Any
 ) -> Any:
-    """Draw what an eye path that comes along −i does next; returns (ox, oy, oz, weight), oz < 0 where it crosses.
+    """Sample the event of an eye path that arrives along −i: (ox, oy, oz, weight), oz < 0 for transmission.
 
-    With `transmit_only` the path crosses always and the weight holds the transmittance (the first event of a query).
-    Weight 0: the path ends (single scattering loses what meets a second microfacet).
+    With `transmit_only`, the first event of a query, the path always crosses and the weight is the transmittance.
+    Weight 0 ends the path: single scattering loses what hits a second microfacet.
     """
     if kind == MATCHED:
         return -ix, -iy, -iz, 1.0
@@ -119,7 +118,7 @@ def sample_interface(
 
 @called_function()
 def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: Any, u2: Any) -> Any:
-    """Draw a direction by refraction at a visible microfacet, density `microfacet_transport`; oz ≥ 0: none."""
+    """Sample a direction by refraction at a visible microfacet, density `microfacet_transport`; oz ≥ 0: void sample."""
     mx, my, mz = visible_microfacet(ix, iy, iz, alpha, u1, u2)
     cosine = ix * mx + iy * my + iz * mz
     if cosine <= 0.0 or fresnel(cosine, eta) >= 1.0:
@@ -129,9 +128,8 @@ def refract_at_microfacet(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, u1: A
 
 @called_function()
 def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
-    """Density of o, per solid angle, when a visible microfacet drawn from i reflects (oz > 0) or refracts (oz < 0).
-
-    Returns it with the reflectance of that microfacet (Walter 2007, eqs. 38 and 40, Heitz 2018).
+    """Density of o per solid angle, if a visible microfacet sampled from i reflects (oz > 0) or refracts (oz < 0)
+    there, and the Fresnel reflectance of that microfacet (Walter 2007, eqs. 38 and 40; Heitz 2018).
     """
     if iz <= 0.0 or oz == 0.0:
         return 0.0, 0.0
@@ -161,9 +159,10 @@ def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: An
 
 @called_function()
 def rough_density(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: Any, oy: Any, oz: Any) -> Any:
-    """f(i, o) |o·n| of the rough interface, for reflection (oz > 0) or transmission (oz < 0), per solid angle of o.
+    """f(i, o) |o·n| of the rough interface per solid angle of o, for reflection (oz > 0) or transmission (oz < 0).
 
-    It is `sample_interface`'s weight times its density: Walter 2007, eqs. 20 and 21, less the squared index ratio.
+    It equals the weight of `sample_interface` times its density: Walter 2007, eqs. 20 and 21, without the squared index
+    ratio.
     """
     density, reflectance = microfacet_transport(alpha, eta, ix, iy, iz, ox, oy, oz)
     return density * masking(oz, alpha) * (reflectance if oz > 0.0 else 1.0 - reflectance)

@@ -1,8 +1,8 @@
-"""What is known about the faces close to a place without tracing a ray.
+"""Clearances and hits from grids, without tracing a ray.
 
-Deep inside, a grid of clearances says how far the nearest face is. Near the surface a table names the few faces close
-to each cell, and those are met one by one: in thick matter most flights and connections end before any other face could
-come in their way, and a handful of planes costs a third of a ray.
+Deep inside, a grid stores a lower bound of the distance to the nearest face. Near the surface, a table lists the few
+faces close to each cell, and these are intersected one by one. In thick media most flights and connections end before
+any other face, and a handful of planes costs a third of a ray.
 """
 
 from typing import Any
@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 
 from prt_bake.jit.without_counts import walk_function
-from prt_bake.tracer.surface.boundary import CLEARANCE, CORNERS
+from prt_bake.tracer.surface.boundary import CORNERS, RAY_EPSILON
 from prt_bake.tracer.surface.clearance import NEAR_CELLS, REACH
 
 _MOST_FACES = 24
 _MARGIN = 1e-6
-"""Barycentric coordinates closer to an edge than this leave it to Embree to say which of the faces there is met."""
+"""Hits with barycentric coordinates closer to an edge than this are left to Embree."""
 
 
 @walk_function()
-def room_about(boundary: Any, p: Any) -> Any:
-    """A distance from p, inside the object, within which there is no face; 0 where nothing is known."""
-    room = clear_about(boundary, p)
-    if room > 0.0 or boundary.near.shape[0] == 0:
-        return room
-    return _room_before_planes(boundary, p)
+def clearance_at(boundary: Any, p: Any) -> Any:
+    """Lower bound of the distance from p, inside the object, to any face; 0 if unknown."""
+    clearance = _grid_clearance(boundary, p)
+    if clearance > 0.0 or boundary.near.shape[0] == 0:
+        return clearance
+    return _plane_clearance(boundary, p)
 
 
 @walk_function()
-def clear_about(boundary: Any, p: Any) -> Any:
-    """The same deep inside alone, from the grid of clearances."""
+def _grid_clearance(boundary: Any, p: Any) -> Any:
+    """`clearance_at` from the grid alone, which is 0 near the surface."""
     n = boundary.clearance.shape[0]
     if n == 0:
         return 0.0
@@ -40,27 +40,27 @@ def clear_about(boundary: Any, p: Any) -> Any:
 
 
 @walk_function()
-def _room_before_planes(boundary: Any, p: Any) -> Any:
-    """The same near the surface: the distance to the planes of the faces that come near."""
+def _plane_clearance(boundary: Any, p: Any) -> Any:
+    """`clearance_at` near the surface: the least distance to the planes of the listed faces."""
     first, last = _faces_near(boundary, p)
     if last == first:
         return 0.0
-    room = REACH / NEAR_CELLS
+    clearance = REACH / NEAR_CELLS
     for i in range(first, last):
-        # In front of a plane nothing is known of the side that the place is on.
-        room = min(room, max(0.0, -_height(boundary.planes[boundary.near[i]], p)))
-    return room
+        # A point in front of a plane has no clearance: it is unknown whether the face or its neighbour is nearer.
+        clearance = min(clearance, max(0.0, -_height(boundary.planes[boundary.near[i]], p)))
+    return clearance
 
 
 @walk_function()
 def _cell_axis(x: Any) -> Any:
-    """The cell of a place on one axis; the box's own sides belong to the outermost cells."""
+    """Cell index of a coordinate, clamped to the box."""
     return min(max(int((x + 0.5) * NEAR_CELLS), 0), NEAR_CELLS - 1)
 
 
 @walk_function()
 def _faces_near(boundary: Any, p: Any) -> Any:
-    """First and last place in `near` of the faces close to p, equal where none are or too many."""
+    """Range in `near` of the faces close to p; empty if there are none or too many."""
     x, y, z = _cell_axis(p[0]), _cell_axis(p[1]), _cell_axis(p[2])
     cell = (z * NEAR_CELLS + y) * NEAR_CELLS + x
     first, last = boundary.near[cell], boundary.near[cell + 1]
@@ -71,13 +71,13 @@ def _faces_near(boundary: Any, p: Any) -> Any:
 
 @walk_function()
 def _height(plane: Any, p: Any) -> Any:
-    """How far p lies in front of a plane."""
+    """Signed distance of p in front of a plane."""
     return p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] - plane[3]
 
 
 @walk_function()
-def _known_ahead(p: Any, d: Any) -> Any:
-    """How far p + t d stays where only the faces named for the cell of p can be."""
+def _known_distance(p: Any, d: Any) -> Any:
+    """Distance along d from p within which the list of p's cell is complete."""
     far = np.inf
     for k in range(3):
         low = (_cell_axis(p[k]) - REACH) / NEAR_CELLS - 0.5
@@ -90,21 +90,20 @@ def _known_ahead(p: Any, d: Any) -> Any:
 
 
 @walk_function()
-def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
-    """What p + t d meets first, if that is known without a ray: (face, t, u, v, whether p is inside for certain).
+def nearby_hit(boundary: Any, p: Any, d: Any, face: Any) -> Any:
+    """First hit of p + t d from the listed faces: (face, t, u, v, whether p is certainly inside).
 
-    Face −1: nothing is met before t, which is 0 where nothing is known. The ray starts on `face` (−1: on none). Nested
-    objects are left to Embree.
+    Face −1: no hit before t; t is 0 if unknown. The ray starts on `face` (−1: none). Nested scenes are left to Embree.
     """
     if boundary.near.shape[0] == 0 or boundary.nested:
         return -1, 0.0, 0.0, 0.0, False
     first, last = _faces_near(boundary, p)
     if last == first:
         return -1, 0.0, 0.0, 0.0, False
-    begin = CLEARANCE if face >= 0 else 0.0
-    far = _known_ahead(p, d)
+    begin = RAY_EPSILON if face >= 0 else 0.0
+    far = _known_distance(p, d)
     behind = True
-    # Planes are tried by distance, those at the same one in their order.
+    # Planes are tried in order of distance, ties in order of the list.
     tried = last
     while True:
         found, chosen, t = -1, last, far
@@ -113,7 +112,7 @@ def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
             height = _height(plane, p)
             behind = behind and (height <= 0.0 or boundary.near[i] == face)
             slope = d[0] * plane[0] + d[1] * plane[1] + d[2] * plane[2]
-            # A division by zero gives a distance that is no candidate.
+            # Parallel planes are never hit.
             there = -height / slope if slope != 0.0 else np.inf
             later = there > begin or (there == begin and i > tried)
             if later and there < t and boundary.near[i] != face:
@@ -121,7 +120,7 @@ def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
         if found < 0:
             return -1, far, 0.0, 0.0, behind
         row = boundary.faces[found]
-        u, v = _place_in(row, p, d, t)
+        u, v = _barycentric(row, p, d, t)
         least = min(u, min(v, 1.0 - u - v))
         if least > _MARGIN:
             return found, t, u, v, d[0] * row[0] + d[1] * row[1] + d[2] * row[2] > 0.0
@@ -131,7 +130,7 @@ def meet_nearby(boundary: Any, p: Any, d: Any, face: Any) -> Any:
 
 
 @walk_function()
-def _place_in(row: Any, p: Any, d: Any, t: Any) -> Any:
+def _barycentric(row: Any, p: Any, d: Any, t: Any) -> Any:
     """Barycentric coordinates (u, v) of p + t d in the plane of a face."""
     ax, ay, az = row[CORNERS], row[CORNERS + 1], row[CORNERS + 2]
     ex, ey, ez = row[CORNERS + 3] - ax, row[CORNERS + 4] - ay, row[CORNERS + 5] - az
@@ -139,8 +138,8 @@ def _place_in(row: Any, p: Any, d: Any, t: Any) -> Any:
     qx, qy, qz = p[0] + t * d[0] - ax, p[1] + t * d[1] - ay, p[2] + t * d[2] - az
     ee, ef, ff = ex * ex + ey * ey + ez * ez, ex * fx + ey * fy + ez * fz, fx * fx + fy * fy + fz * fz
     eq, fq = ex * qx + ey * qy + ez * qz, fx * qx + fy * qy + fz * qz
-    whole = ee * ff - ef * ef
-    if whole <= 0.0:
-        # A sliver without area: Embree shall say.
+    determinant = ee * ff - ef * ef
+    if determinant <= 0.0:
+        # A degenerate sliver is left to Embree.
         return 0.0, 0.0
-    return (ff * eq - ef * fq) / whole, (ee * fq - ef * eq) / whole
+    return (ff * eq - ef * fq) / determinant, (ee * fq - ef * eq) / determinant

@@ -1,4 +1,4 @@
-"""Media: extinction, albedo and phase function; free flights and transmittance.
+"""Participating media: extinction, albedo, phase function, free-flight sampling and transmittance.
 
 May import: `prt_bake.mathematics`, `prt_bake.jit` and `formats`. Begin with `tracking.py`.
 """

@@ -1,8 +1,8 @@
-"""Cells of a grid followed one by one, where majorants would fail: next to a dense voxel extinction is steep.
+"""Exact tracking cell by cell, for blocks of a grid whose majorant would be costly.
 
-Between the centres of neighbouring voxels extinction is trilinear, along a ray a cubic, which two points integrate
-exactly (Gauss and Legendre). A cell then costs the same however dense it is, while a majorant of a cell costs as many
-tentative events as that majorant is deep: rays that pass a dense voxel by would pay for it.
+Between voxel centres extinction is trilinear, so along a ray it is a cubic, which two Gauss–Legendre points integrate
+exactly. A cell costs the same at any density. Delta tracking costs as many tentative collisions as the majorant's
+optical depth, also for rays that only pass near a dense voxel.
 """
 
 import math
@@ -21,7 +21,9 @@ _EXACT = 1e-11
 
 @walk_function()
 def _axis_end(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any) -> Any:
-    """Where p + t d comes to the next voxel centre on one axis, beyond `probe`; none lie outside the outermost ones."""
+    """Distance beyond `probe` at which p + t d reaches the next voxel centre on one axis; inf beyond the outermost
+    ones.
+    """
     if d == 0.0:
         return np.inf
     below = math.floor((p + probe * d - low) * per_length * count - 0.5)
@@ -33,7 +35,7 @@ def _axis_end(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any)
 
 @walk_function()
 def _cell_end(row: Any, p: Any, d: Any, t: Any) -> Any:
-    """Where p + t d leaves its cell (beyond t, whatever the rounding)."""
+    """Distance at which p + t d leaves its cell; always greater than t."""
     probe = t + 1e-7
     nz, ny, nx = row[EXTINCTION_GRID + 2], row[EXTINCTION_GRID + 3], row[EXTINCTION_GRID + 4]
     x = _axis_end(p[0], d[0], probe, row[LOW], row[PER_LENGTH], nx)
@@ -43,52 +45,52 @@ def _cell_end(row: Any, p: Any, d: Any, t: Any) -> Any:
 
 
 @walk_function()
-def _sigma_t(media: Any, region: Any, p: Any, d: Any, t: Any, channel: Any, at: Any) -> Any:
+def _sigma_t(media: Any, region: Any, p: Any, d: Any, t: Any, channel: Any, point: Any) -> Any:
     for k in range(3):
-        at[k] = p[k] + t * d[k]
-    return extinction(media, region, at, channel)
+        point[k] = p[k] + t * d[k]
+    return extinction(media, region, point, channel)
 
 
 @called_function()
-def _depth(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, channel: Any, at: Any) -> Any:
-    """∫ sigma_t along p + t d from `near` to `far` within a cell."""
+def _depth(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, channel: Any, point: Any) -> Any:
+    """Optical depth ∫ sigma_t along p + t d from `near` to `far` within a cell."""
     middle, half = 0.5 * (near + far), _GAUSS * (far - near)
-    first = _sigma_t(media, region, p, d, middle - half, channel, at)
-    return 0.5 * (far - near) * (first + _sigma_t(media, region, p, d, middle + half, channel, at))
+    first = _sigma_t(media, region, p, d, middle - half, channel, point)
+    return 0.5 * (far - near) * (first + _sigma_t(media, region, p, d, middle + half, channel, point))
 
 
 @called_function()
-def flight_in_cells(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any) -> Any:
-    """Distance to the next scattering event along p + t d between `near` and `far`, infinite where none comes; all
-    channels alike.
-    """
+def flight_in_cells(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, point: Any, stream: Any) -> Any:
+    """Distance to the next scattering event along p + t d between `near` and `far`, else inf; for grey extinction."""
     depth = -math.log(1.0 - uniform(stream))
     t = near
     while t < far:
         end = min(_cell_end(media.regions[region], p, d, t), far)
-        passed = _depth(media, region, p, d, t, end, 0, at)
-        if depth < passed:
-            return _place_of(media, region, p, d, t, end, depth, passed, at)
-        depth -= passed
+        cell_depth = _depth(media, region, p, d, t, end, 0, point)
+        if depth < cell_depth:
+            return _invert_depth(media, region, p, d, t, end, depth, cell_depth, point)
+        depth -= cell_depth
         t = end
     return np.inf
 
 
 @called_function()
-def _place_of(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, depth: Any, passed: Any, at: Any) -> Any:
-    """Where along a cell of depth `passed` the depth is `depth`: Newton's steps, else halves."""
+def _invert_depth(
+    media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, depth: Any, cell_depth: Any, point: Any
+) -> Any:
+    """Distance at which the optical depth in a cell reaches `depth`: Newton's method with bisection."""
     low, high = near, far
-    t = near + (far - near) * depth / passed
+    t = near + (far - near) * depth / cell_depth
     for _ in range(_MOST_STEPS):
-        beyond = _depth(media, region, p, d, near, t, 0, at) - depth
-        if abs(beyond) <= _EXACT * passed:
+        excess = _depth(media, region, p, d, near, t, 0, point) - depth
+        if abs(excess) <= _EXACT * cell_depth:
             break
-        if beyond > 0.0:
+        if excess > 0.0:
             high = t
         else:
             low = t
-        slope = _sigma_t(media, region, p, d, t, 0, at)
-        t = t - beyond / slope if slope > 0.0 else low
+        slope = _sigma_t(media, region, p, d, t, 0, point)
+        t = t - excess / slope if slope > 0.0 else low
         if not low < t < high:
             t = 0.5 * (low + high)
     return t
@@ -96,17 +98,17 @@ def _place_of(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, dept
 
 @called_function()
 def attenuate_in_cells(
-    media: Any, region: Any, channels: Any, p: Any, d: Any, near: Any, far: Any, at: Any, kept: Any
+    media: Any, region: Any, channels: Any, p: Any, d: Any, near: Any, far: Any, point: Any, transmittance: Any
 ) -> None:
-    """Multiply kept [3] by exp(−∫ sigma_t) along p + t d from `near` to `far`."""
+    """Multiply transmittance [3] by exp(−∫ sigma_t) along p + t d from `near` to `far`."""
     t = near
-    while t < far and kept[0] + kept[1] + kept[2] > 0.0:
+    while t < far and transmittance[0] + transmittance[1] + transmittance[2] > 0.0:
         end = min(_cell_end(media.regions[region], p, d, t), far)
         if channels == 1.0:
-            factor = math.exp(-_depth(media, region, p, d, t, end, 0, at))
+            factor = math.exp(-_depth(media, region, p, d, t, end, 0, point))
             for c in range(3):
-                kept[c] *= factor
+                transmittance[c] *= factor
         else:
             for c in range(3):
-                kept[c] *= math.exp(-_depth(media, region, p, d, t, end, c, at))
+                transmittance[c] *= math.exp(-_depth(media, region, p, d, t, end, c, point))
         t = end

@@ -1,8 +1,8 @@
-"""Blocks of a grid with their least and largest extinction, so that tracking steps as far as each place allows.
+"""Local majorants: blocks of a grid with their least and largest extinction.
 
-A majorant for the whole grid would let its densest cell decide the cost everywhere; blocks as small as cells would cost
-more steps than they save. The number of blocks is chosen by the steps that a long ray is expected to take. Blocks that
-are deeper than their cells are many are followed cell by cell (`prt_bake.tracer.volume.cells`).
+With one majorant for the whole grid the densest cell would determine the cost everywhere. Blocks as small as cells
+would cost more steps than they save. The number of blocks minimises the expected steps of a long ray. Blocks whose
+optical depth exceeds the cost of following their cells are tracked cell by cell (`prt_bake.tracer.volume.cells`).
 """
 
 import numpy as np
@@ -11,23 +11,24 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _STEP_COST = 0.4
-"""Leaving a block, in tentative events."""
+"""Cost of a step to the next block, in tentative collisions."""
 _CELL_COST = 1.2
-"""Following a cell exactly, in tentative events."""
+"""Cost of tracking one cell exactly, in tentative collisions."""
 _MOST = 64
+"""Largest number of blocks along the longest side."""
 
 
-def steep(cells: tuple[int, ...], side: Array) -> float:
-    """The extinction above which following the cells of a grid [Z,Y,X] costs less than tentative events."""
+def steep_extinction(cells: tuple[int, ...], side: Array) -> float:
+    """Extinction above which exact tracking through the cells of a grid [Z,Y,X] is cheaper than delta tracking."""
     return _CELL_COST * float((np.array(cells[:3]) / side[::-1]).max())
 
 
-def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
-    """Least and largest extinction [.,2] of the blocks of a grid [Z,Y,X] or [Z,Y,X,3] over a box of `side` (x, y, z).
+def extinction_blocks(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
+    """Least and largest extinction [.,2] of the blocks of a grid [Z,Y,X] or [Z,Y,X,3] over a box of `side` (x, y, z),
+    x fastest, and the number of blocks along x, y and z.
 
-    Returns them, x fastest, with the number of blocks along x, y and z. They share the box between the centres of the
-    outermost voxels evenly, and beyond that box those at its sides go on. Values between the centres are trilinear, so
-    that what is largest and least in a block lies among the voxels that it reaches to.
+    Blocks divide the box between the centres of the outermost voxels evenly; the outermost blocks extend to infinity.
+    Values between centres are trilinear, so the voxels at the corners of its cells bound a block.
     """
     low = grid.min(axis=3) if grid.ndim == 4 else grid
     high = grid.max(axis=3) if grid.ndim == 4 else grid
@@ -48,7 +49,7 @@ def blocks_of(grid: Array, side: Array) -> tuple[Array, tuple[int, int, int]]:
 
 
 def _shape(cells: tuple[int, ...], side: Array, count: int) -> tuple[int, int, int]:
-    """Blocks along z, y, x: `count` along the longest side, no more than there are cells between centres."""
+    """Blocks along z, y, x: `count` along the longest side, at most one per cell between voxel centres."""
     wanted = np.ceil(count * side[::-1] / side.max()).astype(int)
     nz, ny, nx = (int(max(1, min(n - 1, w))) for n, w in zip(cells, wanted, strict=True))
     return nz, ny, nx
@@ -68,6 +69,6 @@ def _reduced(grid: Array, shape: tuple[int, int, int], take: np.ufunc) -> Array:
 
 
 def _steps(bounds: Array, shape: tuple[int, int, int], cells: tuple[int, ...], side: Array) -> float:
-    """Tentative events and steps between blocks that a ray along the longest side is expected to take."""
+    """Expected tentative collisions and weighted block steps of a ray as long as the longest side."""
     crossed = np.mean(np.array(shape[::-1]) / side) * side.max() if np.prod(shape) > 1 else 0.0
-    return float(np.minimum(bounds[..., 1], steep(cells, side)).mean() * side.max() + _STEP_COST * crossed)
+    return float(np.minimum(bounds[..., 1], steep_extinction(cells, side)).mean() * side.max() + _STEP_COST * crossed)

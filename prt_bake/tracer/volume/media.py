@@ -1,7 +1,6 @@
-"""What fills each region: extinction, albedo and phase function, as the kernels take them.
+"""Media of all regions in the kernels' layout: extinction, albedo and Henyey–Greenstein phase function.
 
-Grids of all regions lie one after the other in flat arrays; `layout` says where. Lengths are the walk's own (the
-object's longest side is about one).
+The grids of all regions are concatenated in flat arrays. Lengths are in units of the object's longest side.
 """
 
 import math
@@ -15,10 +14,10 @@ from prt_bake.jit.without_counts import called_function, walk_function
 
 
 class Media(NamedTuple):
-    """The media of R regions; region 0 is outside, where nothing is. Few wide tables, as in `Boundary`."""
+    """Media of R regions; region 0, outside, is a vacuum. Few wide tables, as in `Boundary`."""
 
     regions: NDArray[np.float64]
-    """[R,37], by the names below."""
+    """[R,37]; columns are named below."""
     extinction_cells: NDArray[np.float32]
     albedo_cells: NDArray[np.float32]
     blocks: NDArray[np.float64]
@@ -26,26 +25,26 @@ class Media(NamedTuple):
 
 
 MAJORANT, MINORANT, CHROMATIC, PHASE_G = 0, 1, 2, 3
-"""Largest (0: clear) and least extinction in any channel, whether it differs between channels, mean cosine."""
+"""Largest (0: vacuum) and least extinction in any channel, whether it differs between channels, mean cosine."""
 SIGMA_T, ALBEDO = 4, 7
-"""By channel; what counts where there is no grid."""
+"""Three channels each; used without a grid."""
 LOW, PER_LENGTH = 10, 13
-"""Lowest corner of the grids' box, and 1 / side of it, along x, y and z."""
+"""Lower corner and 1 / side of the grids' box, along x, y and z."""
 EXTINCTION_GRID, ALBEDO_GRID = 16, 21
 """First cell, channels (0: no grid), cells along z, y, x."""
 CHANNELS = 1
 BLOCKS = 26
 """First block, blocks along x, y, z."""
 BLOCKS_LOW, BLOCKS_PER_LENGTH = 30, 33
-"""Where blocks begin, and how many come to a length, along x, y and z; the outermost ones go on without end."""
+"""Lower corner of the blocks, and blocks per unit length, along x, y and z; the outermost blocks are unbounded."""
 STEEP = 36
-"""Blocks of a larger extinction than this are followed cell by cell."""
+"""Blocks with a larger extinction are tracked cell by cell."""
 REGION_SIZE = 37
 
 
 @walk_function()
 def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
-    """The lower cell and the fraction beyond it on one axis of a grid with values at cell centres, clamped."""
+    """Lower cell and interpolation weight of the upper one, on one axis of a grid of cell-centred values, clamped."""
     g = (position - low) * per_length * count - 0.5
     g = min(max(g, 0.0), count - 1.0)
     first = min(int(g), max(count - 2, 0))
@@ -54,7 +53,7 @@ def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
 
 @walk_function()
 def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
-    """A channel of the grid that `row` of a region describes from column `grid` on."""
+    """Trilinear value of a channel; columns from `grid` on in a region's `row` describe the grid."""
     first, channels = int(row[grid]), int(row[grid + 1])
     nz, ny, nx = int(row[grid + 2]), int(row[grid + 3]), int(row[grid + 4])
     x, fx = _cell(p[0], row[LOW], row[PER_LENGTH], nx)
@@ -108,14 +107,14 @@ def _multiply_gridded_albedo(media: Any, row: Any, p: Any, throughput: Any) -> N
 
 
 @compiled()
-def is_uneven(media: Any) -> bool:
-    """Whether the extinction of any region is a grid, along which transmittances are drawn."""
+def is_heterogeneous(media: Any) -> bool:
+    """Whether the extinction of any region is a grid, which makes transmittances random."""
     return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())
 
 
 @walk_function()
 def phase(cosine: Any, g: Any) -> Any:
-    """Henyey–Greenstein per solid angle; `cosine` is between the directions of flight before and after."""
+    """Henyey–Greenstein phase function per solid angle; `cosine` is between the directions of flight."""
     g2 = g * g
     root = max(1.0 + g2 - 2.0 * g * cosine, 1e-300)
     return (1.0 - g2) / (4.0 * math.pi * root * math.sqrt(root))
@@ -123,10 +122,11 @@ def phase(cosine: Any, g: Any) -> Any:
 
 @walk_function()
 def phase_cosine(g: Any, u: Any) -> Any:
-    """The cosine of a Henyey–Greenstein deflection for u in [0, 1), accurate from g = 0 to |g| → 1.
+    """Sample the cosine of a Henyey–Greenstein deflection by inversion, for u in [0, 1), accurate from g = 0 to |g| →
+    1.
 
-    With v = 2u − 1 the inverse of the distribution is v + g(1 − v²)(3 + 2gv − g²) / 2(1 + gv)² exactly; it neither
-    divides by g nor subtracts numbers that are nearly equal.
+    With v = 2u − 1 the inverse of the distribution is exactly v + g(1 − v²)(3 + 2gv − g²) / 2(1 + gv)². This form has
+    neither a division by g nor cancellation.
     """
     v = 2.0 * u - 1.0
     root = 1.0 + g * v

@@ -1,10 +1,10 @@
-"""The media of a scene's parts as the kernels take them: scaled, laid out in flat arrays, with their blocks."""
+"""Builds `Media` from the parts of a scene: scaled extinctions, concatenated grids, local majorants."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Medium, Part
-from prt_bake.tracer.volume.majorants import blocks_of, steep
+from prt_bake.tracer.volume.majorants import extinction_blocks, steep_extinction
 from prt_bake.tracer.volume.media import (
     ALBEDO,
     ALBEDO_GRID,
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 def prepare_media(parts: tuple[Part, ...], center: Array, scale: float) -> Media:
-    """Media of the regions outside (clear) and inside each part, in lengths of the object's longest side."""
+    """Media of the outside (a vacuum) and of each part; `center` and `scale` define the kernels' coordinates."""
     regions = np.zeros((len(parts) + 1, REGION_SIZE))
     regions[:, PER_LENGTH : PER_LENGTH + 3] = 1.0
     extinctions, albedos, blocks = _Rows(), _Rows(), list[Array]()
@@ -44,14 +44,14 @@ def prepare_media(parts: tuple[Part, ...], center: Array, scale: float) -> Media
         row[PHASE_G], row[CHROMATIC] = medium.phase_g, _differs(medium)
         extinction = np.asarray(medium.sigma_t, np.float64) * scale
         if extinction.ndim >= 3:
-            # What the kernels look up is rounded to float32, so the blocks count that.
+            # Kernels look up values rounded to float32, so the majorants must bound those.
             extinction = extinctions.add(row[EXTINCTION_GRID : EXTINCTION_GRID + 5], extinction)
-            bounds, shape = blocks_of(extinction, side)
-            # Blocks reach from the centre of the first voxel to that of the last.
+            bounds, shape = extinction_blocks(extinction, side)
+            # Blocks extend from the centre of the first voxel to that of the last.
             voxels = np.array(extinction.shape[2::-1])
             row[BLOCKS_LOW : BLOCKS_LOW + 3] = corners[0] + 0.5 * side / voxels
             row[BLOCKS_PER_LENGTH : BLOCKS_PER_LENGTH + 3] = shape / (side * np.maximum(1.0 - 1.0 / voxels, 1e-9))
-            row[STEEP] = steep(extinction.shape, side)
+            row[STEEP] = steep_extinction(extinction.shape, side)
             row[BLOCKS : BLOCKS + 4] = sum(map(len, blocks)), *shape
             blocks.append(bounds)
         else:
@@ -76,13 +76,13 @@ def _differs(medium: Medium) -> bool:
 
 
 class _Rows:
-    """Grids laid one after the other."""
+    """Concatenated grids."""
 
     def __init__(self) -> None:
         self._rows: list[NDArray[np.float32]] = []
 
     def add(self, described: Array, grid: Array) -> Array:
-        """Lay a grid [Z,Y,X] or [Z,Y,X,3] behind the others, say where, and return it as it was rounded."""
+        """Append a grid [Z,Y,X] or [Z,Y,X,3], write its place and shape to `described`, and return it rounded."""
         rounded = np.ascontiguousarray(grid, np.float32)
         if rounded.ndim == 4 and (rounded[..., :1] == rounded).all():
             rounded = np.ascontiguousarray(rounded[..., 0])

@@ -1,11 +1,12 @@
-"""How light is followed through a medium: free flights and transmittances, unbiased for any grid.
+"""Unbiased free-flight sampling and transmittance estimation in homogeneous and gridded media.
 
-Distances to a scattering event are drawn by delta tracking (Woodcock 1965), transmittances by ratio tracking (Novák et
-al. 2014), both against the largest extinction of each block of the grid that the ray goes through; of a block's least
-extinction the transmittance is exact. Where that would take too many tentative events, cells are followed one by one
-(`prt_bake.tracer.volume.cells`). Where extinction differs between channels, events are drawn from the mean of the
-channels weighted by what each still carries, which is the balance heuristic over channels (Kutz et al. 2017, "Spectral
-and decomposition tracking"): the sum of the three is kept by every event but absorption, so that none of them explodes.
+Free flights use delta tracking (Woodcock 1965), transmittances residual ratio tracking (Novák et al. 2014). Both use
+the majorant of each block that the ray crosses; the block's least extinction is the control, whose transmittance is
+exact. Blocks that would need too many tentative collisions are tracked cell by cell (`prt_bake.tracer.volume.cells`).
+
+If extinction differs between channels, collisions are sampled from the mean of the channels weighted by their
+throughputs, which is the balance heuristic over channels (Kutz et al. 2017, "Spectral and decomposition tracking").
+Every event except absorption conserves the sum of the three throughputs, so that none of them explodes.
 """
 
 import math
@@ -29,13 +30,15 @@ from prt_bake.tracer.volume.media import (
     extinction,
 )
 
-_DARK = 0.05
-"""Transmittances below this share of what they began with go on by roulette."""
+_ROULETTE_BELOW = 0.05
+"""Transmittances that have fallen below this share of the initial value play Russian roulette."""
 
 
 @walk_function()
 def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any) -> Any:
-    """The block on one axis at p + probe d, and where the ray leaves it; the outermost blocks have no end."""
+    """Block index on one axis at p + probe d, and distance at which the ray leaves it; outermost blocks are
+    unbounded.
+    """
     if count == 1:
         return 0, np.inf
     i = int(min(max((p + probe * d - low) * per_length, 0.0), count - 1.0))
@@ -48,7 +51,7 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
 
 @walk_function()
 def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
-    """The block of the region's grid at p + t d, and where the ray leaves it (beyond t, whatever the rounding)."""
+    """Block of the region's grid at p + t d, and distance at which the ray leaves it; always greater than t."""
     row = media.regions[region]
     first, nx, ny, nz = int(row[BLOCKS]), int(row[BLOCKS + 1]), int(row[BLOCKS + 2]), int(row[BLOCKS + 3])
     probe = t + 1e-7
@@ -60,55 +63,57 @@ def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
 
 
 @walk_function()
-def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, at: Any, stream: Any) -> Any:
-    """Distance to the next scattering event along p + t d, infinite where none comes before `far`.
+def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, point: Any, stream: Any) -> Any:
+    """Distance to the next scattering event along p + t d, inf if there is none before `far`.
 
-    For regions whose extinction is the same in all channels. `at` is room for a position.
+    For grey extinction. `point` is scratch space [3].
     """
     majorant = media.regions[region, MAJORANT]
     depth = -math.log(1.0 - uniform(stream))
     flight = np.inf
     if media.regions[region, EXTINCTION_GRID + CHANNELS] != 0.0:
-        flight = _flight_in_grid(media, region, p, d, far, depth, at, stream)
+        flight = _flight_in_grid(media, region, p, d, far, depth, point, stream)
     elif depth < far * majorant:
         flight = depth / majorant
     return flight
 
 
 @called_function()
-def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: Any, at: Any, stream: Any) -> Any:
+def _flight_in_grid(media: Any, region: Any, p: Any, d: Any, far: Any, depth: Any, point: Any, stream: Any) -> Any:
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
-        highest = media.blocks[block, 1]
-        if highest > media.regions[region, STEEP]:
-            # What is left of `depth` is exponential again, whatever happens here.
-            found = flight_in_cells(media, region, p, d, t, min(end, far), at, stream)
+        majorant = media.blocks[block, 1]
+        if majorant > media.regions[region, STEEP]:
+            # By memorylessness the remaining `depth` stays exponential, whatever happens here.
+            found = flight_in_cells(media, region, p, d, t, min(end, far), point, stream)
             if found < np.inf:
                 return found
             t = end
             continue
-        step = depth / highest if highest > 0.0 else np.inf
+        step = depth / majorant if majorant > 0.0 else np.inf
         if t + step >= end:
-            depth -= (end - t) * highest
+            depth -= (end - t) * majorant
             t = end
             continue
         t += step
         if t >= far:
             break
         for k in range(3):
-            at[k] = p[k] + t * d[k]
-        if uniform(stream) * highest < extinction(media, region, at, 0):
+            point[k] = p[k] + t * d[k]
+        if uniform(stream) * majorant < extinction(media, region, point, 0):
             return t
         depth = -math.log(1.0 - uniform(stream))
     return np.inf
 
 
 @called_function()
-def flight_by_channel(media: Any, region: Any, p: Any, d: Any, far: Any, throughput: Any, at: Any, stream: Any) -> Any:
-    """Distance to the next scattering event before `far`, else infinite, with the throughput [3] weighted for either.
+def flight_by_channel(
+    media: Any, region: Any, p: Any, d: Any, far: Any, throughput: Any, point: Any, stream: Any
+) -> Any:
+    """Distance to the next scattering event before `far`, else inf; weights the throughput [3] in both cases.
 
-    For regions whose extinction differs between channels.
+    For extinction that differs between channels.
     """
     if media.regions[region, EXTINCTION_GRID + CHANNELS] == 0.0:
         return _homogeneous_by_channel(media.regions[region, SIGMA_T : SIGMA_T + 3], far, throughput, stream)
@@ -116,38 +121,38 @@ def flight_by_channel(media: Any, region: Any, p: Any, d: Any, far: Any, through
     t = 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
-        highest = media.blocks[block, 1]
-        step = depth / highest if highest > 0.0 else np.inf
+        majorant = media.blocks[block, 1]
+        step = depth / majorant if majorant > 0.0 else np.inf
         if t + step >= end:
-            depth -= (end - t) * highest
+            depth -= (end - t) * majorant
             t = end
             continue
         t += step
         if t >= far:
             break
         for k in range(3):
-            at[k] = p[k] + t * d[k]
+            point[k] = p[k] + t * d[k]
         depth = -math.log(1.0 - uniform(stream))
-        if _collides(media, region, at, highest, throughput, uniform(stream)):
+        if _collides(media, region, point, majorant, throughput, uniform(stream)):
             return t
     return np.inf
 
 
 @walk_function()
-def _collides(media: Any, region: Any, at: Any, highest: Any, throughput: Any, u: Any) -> bool:
-    """Whether a tentative event is a real one, with the throughput weighted accordingly."""
+def _collides(media: Any, region: Any, point: Any, majorant: Any, throughput: Any, u: Any) -> bool:
+    """Whether a tentative collision is real; weights the throughput accordingly."""
     real, total = 0.0, 0.0
     for c in range(3):
-        real += throughput[c] * extinction(media, region, at, c)
-        total += throughput[c] * highest
+        real += throughput[c] * extinction(media, region, point, c)
+        total += throughput[c] * majorant
     if total <= 0.0:
         return True
     if u * total < real:
         for c in range(3):
-            throughput[c] *= extinction(media, region, at, c) * total / (highest * real)
+            throughput[c] *= extinction(media, region, point, c) * total / (majorant * real)
         return True
     for c in range(3):
-        throughput[c] *= max(0.0, highest - extinction(media, region, at, c)) * total / (highest * (total - real))
+        throughput[c] *= max(0.0, majorant - extinction(media, region, point, c)) * total / (majorant * (total - real))
     return False
 
 
@@ -161,13 +166,13 @@ def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any
     t = np.inf
     if sigma_t[c] > 0.0:
         t = -math.log(1.0 - uniform(stream)) / sigma_t[c]
-    # Depths beyond the least one cancel between the channels, so that nothing underflows in thick media.
+    # The least extinction cancels between the channels; leaving it out avoids underflow in thick media.
     least = min(sigma_t[0], min(sigma_t[1], sigma_t[2]))
     reached = min(t, far)
     mean = 0.0
     for k in range(3):
-        kept = math.exp(-(sigma_t[k] - least) * reached)
-        throughput[k] *= kept * (sigma_t[k] if t < far else 1.0)
+        transmittance = math.exp(-(sigma_t[k] - least) * reached)
+        throughput[k] *= transmittance * (sigma_t[k] if t < far else 1.0)
         mean += throughput[k] / total
     for k in range(3):
         throughput[k] /= mean
@@ -175,74 +180,76 @@ def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any
 
 
 @walk_function()
-def attenuate(media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any) -> None:
-    """Multiply kept [3] by an unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`.
+def attenuate(
+    media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, point: Any, stream: Any, transmittance: Any
+) -> None:
+    """Multiply transmittance [3] by an unbiased estimate of exp(−∫ sigma_t) along p + t d from `near` to `far`.
 
-    It is exact where sigma_t is one number, and in blocks of a grid where it is.
+    The estimate is exact for homogeneous media and in blocks of constant extinction.
     """
     row = media.regions[region]
     if row[MAJORANT] > 0.0 and far > near:
         if row[EXTINCTION_GRID + CHANNELS] != 0.0:
-            _attenuate_in_grid(media, region, p, d, near, far, at, stream, kept)
+            _attenuate_in_grid(media, region, p, d, near, far, point, stream, transmittance)
         elif row[CHROMATIC] == 0.0:
             factor = math.exp(-row[MAJORANT] * (far - near))
             for c in range(3):
-                kept[c] *= factor
+                transmittance[c] *= factor
         else:
             for c in range(3):
-                kept[c] *= math.exp(-row[SIGMA_T + c] * (far - near))
+                transmittance[c] *= math.exp(-row[SIGMA_T + c] * (far - near))
 
 
 @called_function()
 def _attenuate_in_grid(
-    media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, at: Any, stream: Any, kept: Any
+    media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, point: Any, stream: Any, transmittance: Any
 ) -> None:
     channels = media.regions[region, EXTINCTION_GRID + CHANNELS]
-    watched = _DARK * max(kept[0], max(kept[1], kept[2]))
+    threshold = _ROULETTE_BELOW * max(transmittance[0], max(transmittance[1], transmittance[2]))
     depth = -math.log(1.0 - uniform(stream))
-    t, certain = near, 0.0
+    t, control_depth = near, 0.0
     while t < far:
         block, end = _block(media, region, p, d, t)
-        lowest, highest = media.blocks[block, 0], media.blocks[block, 1]
+        minorant, majorant = media.blocks[block, 0], media.blocks[block, 1]
         end = min(end, far)
-        rest = highest - lowest
-        if rest > media.regions[region, STEEP]:
-            attenuate_in_cells(media, region, channels, p, d, t, end, at, kept)
+        residual = majorant - minorant
+        if residual > media.regions[region, STEEP]:
+            attenuate_in_cells(media, region, channels, p, d, t, end, point, transmittance)
             t = end
-            if not _worth_following(kept, certain, watched, stream):
+            if not _roulette(transmittance, control_depth, threshold, stream):
                 return
             continue
-        step = depth / rest if rest > 0.0 else np.inf
-        met = t + step < end
-        reached = t + step if met else end
-        certain += (reached - t) * lowest
-        if not met:
-            depth -= (end - t) * rest
+        step = depth / residual if residual > 0.0 else np.inf
+        collides = t + step < end
+        reached = t + step if collides else end
+        control_depth += (reached - t) * minorant
+        if not collides:
+            depth -= (end - t) * residual
             t = end
             continue
         t = reached
         for k in range(3):
-            at[k] = p[k] + t * d[k]
+            point[k] = p[k] + t * d[k]
         if channels == 1.0:
-            factor = 1.0 - (extinction(media, region, at, 0) - lowest) / rest
+            factor = 1.0 - (extinction(media, region, point, 0) - minorant) / residual
             for c in range(3):
-                kept[c] *= factor
+                transmittance[c] *= factor
         else:
             for c in range(3):
-                kept[c] *= 1.0 - (extinction(media, region, at, c) - lowest) / rest
-        if not _worth_following(kept, certain, watched, stream):
+                transmittance[c] *= 1.0 - (extinction(media, region, point, c) - minorant) / residual
+        if not _roulette(transmittance, control_depth, threshold, stream):
             return
         depth = -math.log(1.0 - uniform(stream))
     for c in range(3):
-        kept[c] *= math.exp(-certain)
+        transmittance[c] *= math.exp(-control_depth)
 
 
 @walk_function()
-def _worth_following(kept: Any, certain: Any, watched: Any, stream: Any) -> bool:
-    """Roulette on what is nearly dark: False, with kept set to 0, or kept doubled."""
-    if max(kept[0], max(kept[1], kept[2])) * math.exp(-certain) >= watched:
+def _roulette(transmittance: Any, control_depth: Any, threshold: Any, stream: Any) -> bool:
+    """Russian roulette on a small transmittance: doubled, or set to 0 and False."""
+    if max(transmittance[0], max(transmittance[1], transmittance[2])) * math.exp(-control_depth) >= threshold:
         return True
     alive = bool(uniform(stream) < 0.5)
     for c in range(3):
-        kept[c] *= 2.0 if alive else 0.0
+        transmittance[c] *= 2.0 if alive else 0.0
     return alive

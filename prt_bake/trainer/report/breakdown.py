@@ -1,4 +1,4 @@
-"""Where a network errs: against angles, against the position, and at the queries that are answered worst."""
+"""Breakdown of a network's error by angle and by position, and its worst queries."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,17 +16,16 @@ _REGIONS = 8
 _WORST = 10
 
 
-def against(quantity: Array, edges: Array, parts: Sums, seed: int) -> dict[str, Any]:
-    """Relative RMSE of values [N,D] in bins of a quantity [N,D], with intervals, and each bin's share of the squared
-    error.
+def binned(quantity: Array, edges: Array, parts: Sums, seed: int) -> dict[str, Any]:
+    """Relative RMSE of values [N,D] in bins of a quantity [N,D], with intervals and shares of the squared error.
 
-    Rows are independent of one another, the D values of a row are not.
+    Rows are independent, the D values of a row are not.
     """
-    placed = np.clip(np.searchsorted(edges, quantity, side="right") - 1, 0, len(edges) - 2)
+    index = np.clip(np.searchsorted(edges, quantity, side="right") - 1, 0, len(edges) - 2)
     bins = []
     total = max(float(parts.error.sum()), 1e-300)
     for number in range(len(edges) - 1):
-        inside = placed == number
+        inside = index == number
         touched = inside.any(axis=1)
         rows = Sums(*((part * inside).sum(axis=1)[touched] for part in (parts.error, parts.value, parts.noise)))
         bins.append(
@@ -40,35 +39,35 @@ def against(quantity: Array, edges: Array, parts: Sums, seed: int) -> dict[str, 
 
 
 def angles(incident: Array, outgoing: Array, normals: Array, parts: Sums, seed: int) -> dict[str, Any]:
-    """Errors of Ŝ, values [N,D], against ωi·n, ωo·n and the angle between ωi [N,D,3] and ωo [N,3] in degrees."""
-    lit = np.einsum("ndc,nc->nd", incident, normals)
+    """Errors of Ŝ [N,D] by ωi·n, ωo·n and the angle between ωi [N,D,3] and ωo [N,3] in degrees."""
+    incident_cosine = np.einsum("ndc,nc->nd", incident, normals)
     between = np.degrees(np.arccos(np.clip(np.einsum("ndc,nc->nd", incident, outgoing), -1.0, 1.0)))
-    seen = np.broadcast_to(np.sum(outgoing * normals, axis=1)[:, None], lit.shape)
+    outgoing_cosine = np.broadcast_to(np.sum(outgoing * normals, axis=1)[:, None], incident_cosine.shape)
     return {
-        "incident": against(lit, np.linspace(-1.0, 1.0, _ANGLES + 1), parts, seed),
-        "outgoing": against(seen, np.linspace(0.0, 1.0, _ANGLES // 2 + 1), parts, seed + 100),
-        "between": against(between, np.linspace(0.0, 180.0, _ANGLES + 1), parts, seed + 200),
+        "incident": binned(incident_cosine, np.linspace(-1.0, 1.0, _ANGLES + 1), parts, seed),
+        "outgoing": binned(outgoing_cosine, np.linspace(0.0, 1.0, _ANGLES // 2 + 1), parts, seed + 100),
+        "between": binned(between, np.linspace(0.0, 180.0, _ANGLES + 1), parts, seed + 200),
     }
 
 
 def regions(positions: Array, vertices: Sums, seed: int) -> list[dict[str, Any]]:
-    """Relative RMSE of up to eight parts of the object, [P] vertices halved again and again across their longest side.
+    """Relative RMSE of up to eight parts of the object, the worst first, with their boxes.
 
-    Each is told by its box; the worst comes first.
+    The P vertices are repeatedly halved across the longest side.
     """
     parts = [np.arange(len(positions))]
     while len(parts) < _REGIONS and min(len(part) for part in parts) >= 16:
         parts = [half for part in parts for half in _halves(positions, part)]
-    told = [
+    rows = [
         {
             "box_low": positions[part].min(axis=0).tolist(),
             "box_high": positions[part].max(axis=0).tolist(),
             "vertices": len(part),
-            **relative_rmse(vertices.of(part), seed + number).as_json(),
+            **relative_rmse(vertices.select(part), seed + number).as_json(),
         }
         for number, part in enumerate(parts)
     ]
-    return sorted(told, key=lambda region: -region["value"])
+    return sorted(rows, key=lambda region: -region["value"])
 
 
 def _halves(positions: Array, part: NDArray[Any]) -> list[NDArray[Any]]:
@@ -77,24 +76,24 @@ def _halves(positions: Array, part: NDArray[Any]) -> list[NDArray[Any]]:
     return [order[: len(order) // 2], order[len(order) // 2 :]]
 
 
-def worst(answer: Array, reference: Replicates, again: Callable[[NDArray[Any], NDArray[Any], int], Array]) -> Any:
-    """The values [N,D,3] that are farthest off beyond their noise, measured afresh: places (n, d), predicted and
-    measured mean over RGB, its error and z.
+def worst(predicted: Array, reference: Replicates, again: Callable[[NDArray[Any], NDArray[Any], int], Array]) -> Any:
+    """The values [N,D,3] whose errors exceed their noise the most, measured again.
 
-    `again(n, d, batch)` estimates chosen values [M,3] independently. Those that were picked for their error have
-    noise in their favour in the estimates that picked them, but none in the new ones.
+    Rows have the indices (n, d), the predicted and the measured mean over RGB, its standard error and z.
+    `again(n, d, batch)` estimates chosen values [M,3] independently: the estimates that selected the values are biased
+    by the selection, the new ones are not.
     """
-    difference = answer - reference.mean
+    difference = predicted - reference.mean
     noise = np.sqrt(reference.variance.sum(axis=2))
     beyond = np.sqrt((difference**2).sum(axis=2)) - 2.0 * noise
     row = np.argmax(beyond, axis=1)
     order = np.argsort(-beyond[np.arange(len(row)), row])[:_WORST]
     n, d = order, row[order]
-    fresh = Replicates.of((len(n),))
+    fresh = Replicates.empty((len(n),))
     for batch in range(FIRST_BATCHES):
         fresh.add(again(n, d, batch).mean(axis=1))
-    predicted, measured, error = answer[n, d].mean(axis=1), fresh.mean, np.sqrt(fresh.variance)
-    z = np.divide(predicted - measured, error, out=np.zeros_like(error), where=error > 0.0)
+    ours, measured, error = predicted[n, d].mean(axis=1), fresh.mean, np.sqrt(fresh.variance)
+    z = np.divide(ours - measured, error, out=np.zeros_like(error), where=error > 0.0)
     return [
         {
             "query": int(n[i]),
@@ -104,5 +103,5 @@ def worst(answer: Array, reference: Replicates, again: Callable[[NDArray[Any], N
             "standard_error": e,
             "z": float(z[i]),
         }
-        for i, (p, m, e) in enumerate(zip(predicted.tolist(), measured.tolist(), error.tolist(), strict=True))
+        for i, (p, m, e) in enumerate(zip(ours.tolist(), measured.tolist(), error.tolist(), strict=True))
     ]

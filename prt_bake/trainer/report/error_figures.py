@@ -1,4 +1,4 @@
-"""The figures of an assessment: relative errors with their intervals, a white sky, and what the walks let expect."""
+"""Figures of an assessment: relative errors with intervals, a white sky, and the error expected from the walks."""
 
 from typing import Any
 
@@ -21,8 +21,9 @@ _WHITE = float(np.sqrt(4.0 * np.pi))
 
 
 def split(clusters: Sums, seed: int) -> dict[str, Any]:
-    """Relative RMSE of the network, of the reference's noise, and of both as they are seen together; and on how many
-    clusters the first one rests: (Σ e)² / Σ e², all of them where each carries as much.
+    """Relative RMSE of the network, of the reference's noise, and of both together.
+
+    "rests_on" is the effective number of clusters (Σ e)² / Σ e²: all of them if each contributes the same.
     """
     network, noise = relative_rmse(clusters, seed), relative_noise(clusters)
     error = np.maximum(clusters.error, 0.0)
@@ -35,28 +36,30 @@ def split(clusters: Sums, seed: int) -> dict[str, Any]:
     }
 
 
-def transport_error(asked: Evaluation, seed: int) -> dict[str, Any] | None:
-    """Of Ŝ, where it can be estimated."""
-    return None if asked.transport is None else split(asked.transport.against(asked.transport_answer), seed)
+def transport_error(evaluation: Evaluation, seed: int) -> dict[str, Any] | None:
+    """The error of Ŝ, None if Ŝ has no values."""
+    if evaluation.transport is None:
+        return None
+    return split(evaluation.transport.compare(evaluation.predicted_transport), seed)
 
 
-def coefficient_error(asked: Evaluation, seed: int) -> dict[str, Any]:
-    """Of a_lm: over the surface by area, over vertices and views as a bake asks, and the worst vertices."""
-    parts = per_view(asked)
-    shape = asked.view_answer.shape[:2]
+def coefficient_error(evaluation: Evaluation, seed: int) -> dict[str, Any]:
+    """The error of a_lm: over the surface by area, over vertices and views as in a bake, and at the worst vertices."""
+    parts = per_view(evaluation)
+    shape = evaluation.predicted_at_views.shape[:2]
     percentile, uncorrected = percentile_over(parts.error.reshape(shape), parts.value.reshape(shape), seed)
     return {
-        "surface": split(asked.coefficients.against(asked.coefficient_answer), seed),
-        "vertices": split(by_vertex(asked), seed),
+        "surface": split(evaluation.coefficients.compare(evaluation.predicted_coefficients), seed),
+        "vertices": split(by_vertex(evaluation), seed),
         "percentile_95": percentile.as_json(),
         "percentile_95_uncorrected": uncorrected,
     }
 
 
-def per_view(asked: Evaluation) -> Sums:
-    """Of every view [P·B]."""
-    flat = asked.view_answer.reshape(-1, *asked.view_answer.shape[2:])
-    return sums(flat, _flattened(asked.view_reference.estimates))
+def per_view(evaluation: Evaluation) -> Sums:
+    """Sums of squared errors of a_lm for every view [P·B]."""
+    flat = evaluation.predicted_at_views.reshape(-1, *evaluation.predicted_at_views.shape[2:])
+    return sums(flat, _flattened(evaluation.at_views.estimates))
 
 
 def _flattened(estimates: Replicates) -> Replicates:
@@ -65,19 +68,19 @@ def _flattened(estimates: Replicates) -> Replicates:
     return Replicates(estimates.count, estimates.mean.reshape(shape), estimates.squares.reshape(shape))
 
 
-def by_vertex(asked: Evaluation) -> Sums:
-    """Of every vertex [P], its views together."""
-    return asked.view_reference.against(asked.view_answer)
+def by_vertex(evaluation: Evaluation) -> Sums:
+    """Sums of squared errors of a_lm for every vertex [P], over its views."""
+    return evaluation.at_views.compare(evaluation.predicted_at_views)
 
 
-def white_sky(asked: Evaluation, seed: int) -> dict[str, Any]:
-    """√(4π) a_00, what a white sky of radiance 1 makes of the object: mean over vertices and views, and by vertex."""
-    found = _WHITE * asked.view_answer[:, :, 0]
-    reference = asked.view_reference.estimates
+def white_sky(evaluation: Evaluation, seed: int) -> dict[str, Any]:
+    """The error of √(4π) a_00, the radiance under a white sky of radiance 1: of the object's mean and by vertex."""
+    predicted = _WHITE * evaluation.predicted_at_views[:, :, 0]
+    reference = evaluation.at_views.estimates
     measured, variance = _WHITE * reference.mean[:, :, 0], 4.0 * np.pi * reference.variance[:, :, 0]
-    difference = found - measured
+    difference = predicted - measured
     mean, total = difference.mean(axis=1), measured.mean(axis=1)
-    # Views are drawn independently: what scatters between them holds the noise of the walks as well.
+    # Views are drawn independently: their scatter includes the noise of the walks.
     scatter = difference.var(axis=1, ddof=1) / VIEWS
     length = np.sqrt((total**2).sum(axis=1, keepdims=True))
     of_vertices, uncorrected = percentile_of_length(mean / length, scatter / length**2, seed)
@@ -95,25 +98,28 @@ def white_sky(asked: Evaluation, seed: int) -> dict[str, Any]:
     }
 
 
-def prediction(asked: Evaluation, network: Any, training: dict[str, Any], seed: int) -> dict[str, Any]:
-    """sqrt(weights · v / walks), v the relative variance of what one walk tells (of Ŝ; of a_lm where no Ŝ is)."""
-    measured, answer, quantity = asked.transport, asked.transport_answer, "transport"
+def prediction(evaluation: Evaluation, network: Any, training: dict[str, Any], seed: int) -> dict[str, Any]:
+    """The error sqrt(weights · v / walks) expected of a network, v the relative variance of a single walk.
+
+    v is that of Ŝ, or of a_lm if Ŝ has no values.
+    """
+    measured, predicted, quantity = evaluation.transport, evaluation.predicted_transport, "transport"
     if measured is None:
-        measured, answer, quantity = asked.coefficients, asked.coefficient_answer, "coefficients"
-    clusters = measured.against(answer)
+        measured, predicted, quantity = evaluation.coefficients, evaluation.predicted_coefficients, "coefficients"
+    clusters = measured.compare(predicted)
     v = ratio(measured.walk_variance, clusters.value, seed)
     weights, walked = weights_of(network), float(training.get("walks", 0))
-    predicted = [float(np.sqrt(weights * max(0.0, x) / walked)) if walked else np.nan for x in vars(v).values()]
+    expected = [float(np.sqrt(weights * max(0.0, x) / walked)) if walked else np.nan for x in vars(v).values()]
     return {
         "of": quantity,
         "v": v.as_json(),
         "weights": weights,
         "walks": walked,
-        "predicted": Interval(*predicted).as_json(),
+        "predicted": Interval(*expected).as_json(),
         "reached": relative_rmse(clusters, seed).as_json(),
     }
 
 
 def weights_of(network: Any) -> int:
-    """How many numbers were learnt."""
+    """The number of learnt parameters."""
     return sum(int(parameter.numel()) for parameter in getattr(network, "parameters", tuple)())

@@ -1,4 +1,4 @@
-"""The report of a training as two files: JSON for programs, and one page for people that needs nothing beside it."""
+"""The training report as two files: JSON for programs, and a self-contained HTML page for people."""
 
 from html import escape
 from pathlib import Path
@@ -6,6 +6,7 @@ from typing import Any
 
 from formats.atomic import replacing
 from formats.json_report import as_text
+from prt_bake.trainer.report.picture import sun_text
 from prt_bake.trainer.report.plots import draw
 
 _STYLE = """
@@ -30,46 +31,46 @@ b.verdict { white-space: nowrap }
 
 
 def report_paths(model: str | Path) -> tuple[Path, Path]:
-    """Where the report of MODEL.pt lies: MODEL.report.json and MODEL.report.html beside it."""
+    """Paths of the report of MODEL.pt: MODEL.report.json and MODEL.report.html beside it."""
     path = Path(model)
     return path.with_name(path.stem + ".report.json"), path.with_name(path.stem + ".report.html")
 
 
-def write_training_report(assessment_json: dict[str, Any], json_path: str | Path, page_path: str | Path) -> None:
-    """Write an assessment (`Assessment.as_json`) as JSON and as a page, each whole or not at all, the JSON first.
+def write_training_report(report: dict[str, Any], json_path: str | Path, page_path: str | Path) -> None:
+    """Write a report (`assess`) as JSON, then as a page, each atomically.
 
-    Raises StorageError if a place cannot be written, PrtbakeError (the JSON is written by then) where matplotlib is
-    not installed.
+    Raises StorageError if a file cannot be written, PrtbakeError if matplotlib is not installed (the JSON is written by
+    then).
     """
     with replacing(json_path) as part:
-        part.write_text(as_text(assessment_json) + "\n", encoding="utf-8")
-    page = training_page(assessment_json)
+        part.write_text(as_text(report) + "\n", encoding="utf-8")
+    page = training_page(report)
     with replacing(page_path) as part:
         part.write_text(page, encoding="utf-8")
 
 
 def training_page(report: dict[str, Any]) -> str:
-    """The page as HTML, plots and all."""
+    """The page as HTML, plots included."""
     plots = draw(report)
     model, reference = report["model"], report["reference"]
     sections = [
-        f"<h1>How well the model of {escape(model['scene'])} answers</h1>",
-        f'<p class="under">{_trained(model)} Intervals hold the truth 95 times in 100.</p>',
+        f"<h1>Accuracy of the model of {escape(model['scene'])}</h1>",
+        f'<p class="under">{_trained(model)} Intervals are 95 % confidence intervals.</p>',
         _criteria(report["criteria"]),
         f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in report['summary'])}</ul>",
         _section("The network's error and the reference's noise", plots["split"], _split_table(report)),
         *(_picture(part) for part in report.get("pictures", [])),
-        _section("Error against time", plots.get("history", "<p>The model keeps no history.</p>"), _prediction(report)),
+        _section("Error over time", plots.get("history", "<p>The model has no history.</p>"), _prediction(report)),
         _section(
-            f"Error against angle, of {'Ŝ' if report['angles']['of'] == 'transport' else 'the coefficients'}",
+            f"Error of {'Ŝ' if report['angles']['of'] == 'transport' else 'the coefficients'} by angle",
             plots["angles"],
             "<p class='under'>n is the normal of the face. Bins with few queries have wide intervals.</p>",
         ),
-        _section("Error against position", plots["positions"], _regions(report["regions"])),
-        _section("Predicted against measured", plots["predicted"], _white_sky(report["white_sky"])),
+        _section("Error by position", plots["positions"], _regions(report["regions"])),
+        _section("Predicted and measured values", plots["predicted"], _white_sky(report["white_sky"])),
         _section("Worst queries", _worst(report["worst"]), ""),
         _section("Seams and poles of spherical coordinates", plots["seams"], _seams(report["seams"])),
-        _section("What was traced", _reference(reference), ""),
+        _section("Path-traced reference", _reference(reference), ""),
     ]
     body = "\n".join(sections)
     return (
@@ -85,10 +86,10 @@ def _section(title: str, *parts: str) -> str:
 
 
 def _table(head: list[str], rows: list[list[str]], numbers_from: int = 1) -> str:
-    """Cells are HTML; columns from `numbers_from` on are numbers."""
+    """A table of HTML cells; columns from `numbers_from` on are numbers."""
 
     def line(tag: str, cells: list[str]) -> str:
-        marks = [' class="n"' if place >= numbers_from else "" for place in range(len(cells))]
+        marks = [' class="n"' if column >= numbers_from else "" for column in range(len(cells))]
         return "".join(f"<{tag}{mark}>{cell}</{tag}>" for mark, cell in zip(marks, cells, strict=True))
 
     body = "".join(f"<tr>{line('td', row)}</tr>" for row in rows)
@@ -107,20 +108,20 @@ def _trained(model: dict[str, Any]) -> str:
         return f"{model['weights']:,} weights."
     return (
         f"{model['weights']:,} weights, trained for {model['training_seconds'] / 60:.1f} minutes: "
-        f"{model['steps']:,} steps on {model['walks']:,} walks, {model['walks_per_second']:,.0f} a second."
+        f"{model['steps']:,} steps on {model['walks']:,} walks, {model['walks_per_second']:,.0f} walks per second."
     )
 
 
 def _criteria(rows: list[dict[str, Any]]) -> str:
-    told = []
+    cells = []
     for row in rows:
         verdict = f'<b class="verdict {row["verdict"].split()[0]}">{escape(row["verdict"])}</b>'
         if "unit" in row:
             bound, figure = f"{row['bound']:g}", f"{row['value']:.4f} ({row['low']:.4f} to {row['high']:.4f})"
         else:
             bound, figure = (f"{100 * row['bound']:g} %", _percent(row)) if "bound" in row else ("", "")
-        told.append([escape(row["name"]), bound, figure, verdict])
-    return _table(["asked", "at most", "found", ""], told)
+        cells.append([escape(row["name"]), bound, figure, verdict])
+    return _table(["criterion", "at most", "measured", ""], cells)
 
 
 def _split_table(report: dict[str, Any]) -> str:
@@ -136,29 +137,30 @@ def _split_table(report: dict[str, Any]) -> str:
         if p is not None
     ]
     return (
-        _table(["relative RMSE", "network", "noise", "as seen together", "rests on"], rows)
-        + "<p class='under'>Noise is subtracted in squares, without bias. “Rests on”: how many queries or positions of "
-        "equal weight would tell as much; where few, the figure is poorly known. 95th percentile over vertices of a "
-        f"vertex's own relative RMSE: {_percent(coefficients['percentile_95'])}; "
-        f"{coefficients['percentile_95_uncorrected']:.2%} before the scatter of views and walks is taken out.</p>"
+        _table(["relative RMSE", "network", "noise", "both together", "effective number"], rows)
+        + "<p class='under'>Noise is subtracted in squares, without bias. Effective number: how many queries or "
+        "positions of equal weight would give the same certainty; figures with a small number are uncertain. "
+        f"95th percentile over vertices of a vertex's relative RMSE: {_percent(coefficients['percentile_95'])}; "
+        f"{coefficients['percentile_95_uncorrected']:.2%} before the scatter of views and walks is subtracted.</p>"
     )
 
 
 def _picture(part: dict[str, Any]) -> str:
     strip = (
         f'<img src="data:image/png;base64,{part["png"]}" width="{3 * part["size"]}" height="{part["size"]}" '
-        "alt=\"The network's picture, the path tracer's, and FLIP between them\">"
+        "alt=\"The network's picture, the path tracer's picture and the FLIP map\">"
     )
     return _section(
-        f"A picture, the sun {part['sun']}",
+        f"A picture, sun {sun_text(part)}",
         strip,
-        f"<p class='under'>The network's, the path tracer's ({part['walks']} walks a pixel, {part['seconds']:.0f} s) "
-        f"and FLIP between them, white 1; under {escape(part['light'])}. Light from under the surface alone.</p>",
+        f"<p class='under'>The network's picture, the path tracer's ({part['walks']} walks per pixel, "
+        f"{part['seconds']:.0f} s) and the FLIP map (1 is white), under {escape(part['light'])}. "
+        "Subsurface light only.</p>",
         _table(
-            ["", "found", "without the reference's noise", "noise alone"],
+            ["", "measured", "without the reference's noise", "noise alone"],
             [
                 ["mean FLIP of the picture", *_flips(part)],
-                ["of the object's pixels alone", *_flips(part["on_object"])],
+                ["mean FLIP of the object's pixels", *_flips(part["on_object"])],
                 ["relative RMSE of the object's radiance", "", f"{part['error']:.2%}", f"{part['noise']:.2%}"],
             ],
         ),
@@ -180,9 +182,9 @@ def _prediction(report: dict[str, Any]) -> str:
         ["walks per second in training", f"{report['model']['walks_per_second']:,.0f}"],
     ]
     if part["walks"] and part["weights"]:
-        rows.append(["prediction sqrt(weights · v / walks)", _percent(part["predicted"])])
-    rows.append(["reached", _percent(part["reached"])])
-    return _table([f"of {'Ŝ' if part['of'] == 'transport' else 'the coefficients'}", ""], rows)
+        rows.append(["expected error sqrt(weights · v / walks)", _percent(part["predicted"])])
+    rows.append(["measured error", _percent(part["reached"])])
+    return _table([f"{'Ŝ' if part['of'] == 'transport' else 'coefficients'}", ""], rows)
 
 
 def _regions(regions: list[dict[str, Any]]) -> str:
@@ -199,7 +201,7 @@ def _white_sky(part: dict[str, Any]) -> str:
     rows = [
         ["object's mean, signed", _percent(part["object"])],
         *(
-            [f"of it {name}", _percent(figure)]
+            [f"its {name} channel", _percent(figure)]
             for name, figure in zip(("red", "green", "blue"), part["object_by_channel"], strict=True)
         ),
         ["95th percentile over vertices, mean of the views", _percent(part["percentile_95"])],
@@ -208,7 +210,7 @@ def _white_sky(part: dict[str, Any]) -> str:
     mean = ", ".join(f"{value:.3f}" for value in part["mean"])
     return _table(["√(4π) a₀₀: radiance under a white sky", "error"], rows) + (
         f"<p class='under'>Measured mean over vertices and views: {mean} (RGB). Noise and the scatter of views "
-        f"are taken out of the percentiles; before that they are {part['percentile_95_uncorrected']:.2%} and "
+        f"are subtracted from the percentiles; without that they are {part['percentile_95_uncorrected']:.2%} and "
         f"{part['percentile_95_of_views_uncorrected']:.2%}.</p>"
     )
 
@@ -231,8 +233,8 @@ def _worst(part: dict[str, Any]) -> str:
     quantity = "Ŝ [1/sr]" if transport else "√(4π) a₀₀"
     head = ["position", *(["ωi"] if transport else []), "ωo", f"predicted {quantity}", "measured ± 1 σ", "z"]
     return _table(head, rows, numbers_from=len(head) - 3) + (
-        "<p class='under'>Mean over RGB. Picked by the first walks, measured again by others: the noise that had a "
-        "part in picking them has none in these figures.</p>"
+        "<p class='under'>Mean over RGB. The queries are selected from the first walks and measured again with other "
+        "walks, so that the selection does not bias these figures.</p>"
     )
 
 
@@ -247,7 +249,7 @@ def _seams(part: dict[str, Any]) -> str:
             f"{row['there']:.4%}",
             f"{row['elsewhere']:.4%}",
             f"{row['z']:.1f}",
-            "visible" if row["visible"] else "no",
+            "yes" if row["visible"] else "no",
         ]
         for name, row in part["jumps"].items()
     ]
@@ -262,15 +264,17 @@ def _seams(part: dict[str, Any]) -> str:
         for name, row in part["errors_near"].items()
     ]
     return (
-        _table(["jump of the network, over the rms of Ŝ", "there", "elsewhere", "z", "stands out"], jumps)
-        + _table(["relative RMSE within 10° of the seam, 15° of a pole", "there", "elsewhere", "z", "stands out"], near)
-        + "<p class='under'>Ŝ is continuous: what a network jumps by is its own error, known without noise. z beyond 4 "
-        "stands out; jumps below 1 % no eye sees.</p>"
+        _table(["jump of the network, over the rms of Ŝ", "there", "elsewhere", "z", "visible"], jumps)
+        + _table(
+            ["relative RMSE within 10° of the seam, 15° of a pole", "there", "elsewhere", "z", "significant"], near
+        )
+        + "<p class='under'>Ŝ is continuous, so jumps of a network are its own error, measured without noise. z above "
+        "4 is significant; jumps below 1 % are invisible.</p>"
     )
 
 
 def _reference(part: dict[str, Any]) -> str:
-    reasons = {"noise": "noise a third of the error", "time": "time given was used up", "size": "most walks allowed"}
+    reasons = {"noise": "noise a third of the error", "time": "time used up", "size": "largest number of walks"}
     rows = [
         [
             escape(name),
@@ -282,7 +286,7 @@ def _reference(part: dict[str, Any]) -> str:
         for name, row in part.items()
         if isinstance(row, dict)
     ]
-    return _table(["path traced", "walks a query", "walks a second", "seconds", "ended by"], rows) + (
+    return _table(["path traced", "walks per query", "walks per second", "seconds", "ended by"], rows) + (
         f"<p class='under'>{part['queries']} queries of {part['directions']} directions, {part['vertices']} vertices "
-        f"of {part['views']} views, seed {part['seed']}; none of them was learnt from.</p>"
+        f"of {part['views']} views, seed {part['seed']}; the model did not learn from them.</p>"
     )

@@ -1,8 +1,8 @@
-"""Pictures of a trained network beside the path tracer's own, under suns and a sky that no training knows.
+"""Pictures of a trained network compared with path-traced ones, under suns and a sky.
 
-Coefficients of degree 2 say how good an asset can be. Under a sun all of Ŝ is seen: with the sun aside, shadows that
-the object casts on itself; with the sun behind the object, light that comes through. Two thirds of the light are the
-sun's.
+Coefficients of degree 2 measure how good an asset can be. A sun also shows the high frequencies of Ŝ: from the side,
+the shadows that the object casts on itself; from behind, the light that it transmits. The sun has two thirds of the
+light.
 """
 
 import base64
@@ -35,58 +35,59 @@ from prt_bake.rendering.state import relative_noise
 from prt_bake.tracer.prepared import smooth_part
 
 FLIP = 0.05
-"""Of the judged picture, at most."""
+"""Largest mean FLIP of the picture."""
 SIZE = 96
 _SPP = 128
-"""Directions a pixel of the network's picture; the sun has its own besides."""
+"""Directions per pixel of the network's picture, in addition to the sun's."""
 _SUN_SHARE = 2.0 / 3.0
 _SUN_COLOUR, _SKY_COLOUR, _GROUND_COLOUR = (1.10, 1.00, 0.85), (0.75, 0.95, 1.30), (0.22, 0.20, 0.18)
 _TOWARDS_SUN = {
     "aside": {"y": (0.75, 0.60, -0.30), "z": (0.75, 0.30, 0.60)},
     "behind": {"y": (0.43, 0.45, 0.87), "z": (0.43, -0.87, 0.45)},
 }
-"""Where each sun stands, by the axis that is up: both above. `camera.fit` looks from −z, or from y with z up."""
+"""Direction of each sun by the up axis, above the horizon. `camera.fit` looks from −z, or from y if z is up."""
 SUNS = tuple(_TOWARDS_SUN)
+_SUN_TEXT = {"aside": "from the side", "behind": "from behind"}
 _DIAMETER, _WIDE = 0.53, 30.0
-"""Degrees. Behind a smooth interface walks meet a sun by chance alone: it is wide there."""
+"""Angular diameters [degrees]. Walks hit a sun behind a smooth interface only by chance, so it is wide there."""
 
 
 def picture_error(network: Any, scene: Scene, sun: str, seconds: float, seed: int) -> dict[str, Any]:
-    """How far the network's picture is from one that is path traced for `seconds`, as the report keeps it.
+    """Compare the network's picture with one path traced for `seconds`, and return the report's entry.
 
-    sun: of SUNS. Of light from under the surface alone, lifted as in the tables (`object_figures`). FLIP of the whole
-    picture, and as `on_object` of the pixels that the object covers: `flip` with the reference's noise in it,
-    `flip_without_noise` estimated without, `flip_of_noise` what the noise alone makes. `error` and `noise` are
-    relative, of the object; the pictures with the map of FLIP are a PNG.
+    sun: one of SUNS. Only subsurface light is compared, at the exposure of the tables (`object_figures`). FLIP is
+    measured over the whole picture and, as `on_object`, over the object's pixels. `flip` includes the reference's
+    noise, `flip_without_noise` is corrected for it, `flip_of_noise` is that of the noise alone. `error` and `noise`
+    are relative to the object's radiance. `png` has both pictures and the FLIP map.
 
-    Raises QueryError where no light reaches what is seen, PrtbakeError where the extra `evaluate` is missing.
+    Raises QueryError if no light reaches the camera, PrtbakeError if the extra `evaluate` is not installed.
     """
-    lighting = sunny(scene, sun)
+    lighting = sun_and_sky(scene, sun)
     view = camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
     halves = _traced(scene, lighting, view, seconds, seed)
     reference = halves.traced()
-    seen = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
+    ours = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
     mask = object_mask(reference.coverage)
     stops = exposure(reference.image, mask)
-    flip_map, whole = _flips(seen.image, reference, np.ones_like(mask), stops)
+    flip_map, whole = _flips(ours.image, reference, np.ones_like(mask), stops)
     return {
         "sun": sun,
-        "light": f"a sun {sun} of {_diameter(scene):g}° with {_SUN_SHARE:.0%} of the light, and a sky",
+        "light": f"a sun of {_diameter(scene):g}° {_SUN_TEXT[sun]} with {_SUN_SHARE:.0%} of the light, and a sky",
         "size": SIZE,
         **whole,
-        "on_object": _flips(seen.image, reference, mask, stops)[1],
-        "error": error_without_noise(seen.image, seen.standard_error, reference, mask),
+        "on_object": _flips(ours.image, reference, mask, stops)[1],
+        "error": error_without_noise(ours.image, ours.standard_error, reference, mask),
         "noise": relative_noise(reference.image, reference.standard_error, reference.coverage),
         "walks": halves.spp,
         "seconds": halves.seconds,
-        "png": _side_by_side(seen.image, reference, flip_map, stops),
+        "png": _side_by_side(ours.image, reference, flip_map, stops),
     }
 
 
 def _flips(
     image: NDArray[np.float32], reference: Traced, mask: NDArray[np.bool_], stops: float
 ) -> tuple[NDArray[np.float32], dict[str, float]]:
-    """The map of FLIP, and its means over the mask."""
+    """The FLIP map, and its means over the mask."""
     found = measure(image, reference.image, mask, stops)
     return found.flip_map, {
         "flip": found.flip,
@@ -95,36 +96,40 @@ def _flips(
     }
 
 
-def verdict(found: dict[str, Any]) -> dict[str, Any]:
-    """The bar for the picture with its figure: FLIP from what it would be without noise to what it is with it."""
-    span = Interval(found["flip"], found["flip_without_noise"], found["flip"])
+def picture_criterion(entry: dict[str, Any]) -> dict[str, Any]:
+    """The criterion of a picture: mean FLIP, its interval from the FLIP without noise to the FLIP with noise."""
+    span = Interval(entry["flip"], entry["flip_without_noise"], entry["flip"])
     reached = span.within(FLIP)
-    # What is left without noise is an upper estimate where noise is most of what is seen.
-    if reached == "not met" and found["flip_of_noise"] > 0.5 * found["flip"]:
+    # The FLIP without noise is an overestimate if most of the difference is noise.
+    if reached == "not met" and entry["flip_of_noise"] > 0.5 * entry["flip"]:
         reached = "undecided"
-    name = f"mean FLIP of a picture, the sun {found['sun']}, {SIZE}x{SIZE}, without and with the reference's noise"
+    name = f"mean FLIP of a picture, sun {sun_text(entry)}, {SIZE}x{SIZE}, without and with the reference's noise"
     return {"name": name, "unit": "FLIP", "bound": FLIP, **span.as_json(), "verdict": reached}
 
 
-def sentence(found: dict[str, Any]) -> str:
-    """The picture's figures in words."""
+def picture_summary(entry: dict[str, Any]) -> str:
+    """The picture's figures as a sentence."""
     return (
-        f"A picture under {found['light']}: the network is {found['error']:.1%} off, the reference's own noise "
-        f"({found['noise']:.1%}) taken out; mean FLIP {found['flip']:.3f} ({found['on_object']['flip']:.3f} on the "
-        f"object alone), where noise alone would make {found['flip_of_noise']:.3f} "
-        f"({found['on_object']['flip_of_noise']:.3f})."
+        f"A picture under {entry['light']}: the network's relative RMSE is {entry['error']:.1%}, the reference's noise "
+        f"({entry['noise']:.1%}) subtracted; mean FLIP is {entry['flip']:.3f} ({entry['on_object']['flip']:.3f} on the "
+        f"object alone), and {entry['flip_of_noise']:.3f} ({entry['on_object']['flip_of_noise']:.3f}) for noise alone."
     )
 
 
-def sunny(scene: Scene, sun: str) -> Lighting:
-    """The light of the picture, whatever its unit: its exposure follows from what is seen. `sun` is of SUNS."""
+def sun_text(entry: dict[str, Any]) -> str:
+    """The position of a picture's sun in words."""
+    return _SUN_TEXT[entry["sun"]]
+
+
+def sun_and_sky(scene: Scene, sun: str) -> Lighting:
+    """The light of the picture in an arbitrary unit: the exposure follows from the picture. `sun` is one of SUNS."""
     rows = [_SKY_COLOUR] * 8 + [_GROUND_COLOUR] * 8
     sky = as_lighting(np.repeat(np.array(rows, np.float32)[:, None], 32, axis=1), scene.up, 0.0)
-    whole = 4.0 * math.pi * 0.5 * (np.array(_SKY_COLOUR) + _GROUND_COLOUR).mean()
+    sky_fluence = 4.0 * math.pi * 0.5 * (np.array(_SKY_COLOUR) + _GROUND_COLOUR).mean()
     towards = np.array(_TOWARDS_SUN[sun][scene.up])
     light = DirectionalLight(
         towards / np.linalg.norm(towards),
-        np.array(_SUN_COLOUR) * whole * _SUN_SHARE / (1.0 - _SUN_SHARE),
+        np.array(_SUN_COLOUR) * sky_fluence * _SUN_SHARE / (1.0 - _SUN_SHARE),
         _diameter(scene),
     )
     return Lighting(sky.skies, (light,))
@@ -153,9 +158,9 @@ def _traced(scene: Scene, lighting: Lighting, view: camera.Camera, seconds: floa
 
 
 def _side_by_side(image: NDArray[np.float32], reference: Traced, flip_map: NDArray[np.float32], stops: float) -> str:
-    """Network, path tracer and FLIP (white is 1) beside one another: PNG in base64."""
-    shown = [to_srgb(part.astype(np.float64) * 2.0**stops) for part in (image, reference.image)]
-    pixels = np.concatenate([*shown, np.repeat(flip_map[..., None], 3, axis=2)], axis=1)
+    """The network's picture, the path tracer's and the FLIP map (1 is white) as a PNG in base64."""
+    pictures = [to_srgb(part.astype(np.float64) * 2.0**stops) for part in (image, reference.image)]
+    pixels = np.concatenate([*pictures, np.repeat(flip_map[..., None], 3, axis=2)], axis=1)
     file = io.BytesIO()
     Image.fromarray(np.rint(255.0 * np.clip(pixels, 0.0, 1.0)).astype(np.uint8)).save(file, format="PNG", optimize=True)
     return base64.b64encode(file.getvalue()).decode("ascii")

@@ -1,4 +1,4 @@
-"""The plots of a training report, as SVG that takes the page's own colour: readable in light and in dark."""
+"""Plots of a training report as SVG in the page's text colour, for light and dark pages."""
 
 import io
 import re
@@ -10,7 +10,7 @@ import numpy as np
 from formats.errors import PrtbakeError
 
 _INK = "#010203"
-"""What the page replaces by its own colour of text."""
+"""Placeholder that the page replaces by its text colour."""
 _NETWORK, _REFERENCE, _SHARE = "#3b82c4", "#d97a1e", "#8a8f98"
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -34,9 +34,9 @@ _STYLE: dict[Any, Any] = {
 
 
 def draw(report: dict[str, Any]) -> dict[str, str]:
-    """Name → inline SVG of every plot that the report has the figures for.
+    """Inline SVG by name, of every plot for which the report has figures.
 
-    Raises PrtbakeError where the extra `evaluate` is not installed.
+    Raises PrtbakeError if the extra `evaluate` is not installed.
     """
     try:
         import matplotlib
@@ -65,7 +65,7 @@ def draw(report: dict[str, Any]) -> dict[str, str]:
 
 
 def _inline(text: str, name: str) -> str:
-    """The <svg> element alone, as wide as the page allows, in the page's colour; ids are those of this plot."""
+    """The <svg> element alone, as wide as the page allows, in the page's text colour, with ids unique to the plot."""
     text = text[text.index("<svg") :].replace(_INK, "currentColor")
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r' id="([^"]+)"', rf' id="{name}-\1"', text)
@@ -80,7 +80,7 @@ def _draw_history(figure: Any, report: dict[str, Any]) -> None:
     minutes = rows[:, 0] / 60.0
     of = report["history"]["of"]
     words = "Ŝ" if of == "transport" else "a_lm over the surface"
-    axes.plot(minutes, 100.0 * rows[:, 2], color=_NETWORK, label=f"validation error of {words} while training")
+    axes.plot(minutes, 100.0 * rows[:, 2], color=_NETWORK, label=f"validation error of {words} during training")
     part = report["prediction"]
     if part["of"] == of == "transport" and part["weights"] and (rows[:, 1] > 0).all():
         expected = 100.0 * np.sqrt(part["weights"] * part["v"]["value"] / rows[:, 1])
@@ -109,7 +109,7 @@ def _draw_split(figure: Any, report: dict[str, Any]) -> None:
         first = height == 0
         axes.barh(height + 0.18, 100 * network["value"], 0.34, color=_NETWORK, label="the network" if first else None)
         axes.plot([100 * network["low"], 100 * network["high"]], [height + 0.18] * 2, color=_INK, linewidth=1.4)
-        label = "the reference's noise, taken out" if first else None
+        label = "the reference's noise, subtracted" if first else None
         axes.barh(height - 0.18, 100 * part["noise"], 0.34, color=_REFERENCE, label=label)
     axes.set_yticks(range(len(parts)), [name for name, _ in parts])
     axes.set(xlabel="relative RMSE [%]; line: 95 % interval")
@@ -164,8 +164,8 @@ def _draw_positions(figure: Any, report: dict[str, Any]) -> None:
             linewidths=0.5,
         )
         axes.set(xlabel=f"{letters[across]} [scene units]", aspect="equal")
-        axes.set_title(f"seen from {'+' if side > 0 else '−'}{letters[depth]}")
-        # To the right of one who looks along −d lies −(d × up).
+        axes.set_title(f"from {'+' if side > 0 else '−'}{letters[depth]}")
+        # For a viewer looking along −d, right is −(d × up).
         if (side > 0.0) == (up == (depth + 1) % 3):
             axes.invert_xaxis()
     panels[0].set_ylabel(f"{letters[up]} [scene units]")
@@ -204,7 +204,7 @@ def _draw_predicted(figure: Any, report: dict[str, Any]) -> None:
         color=_REFERENCE,
         capsize=3,
         fmt="none",
-        label="noise of what was measured, ± 1 σ",
+        label="noise of the measurement, ± 1 σ",
     )
     axes.legend(loc="upper left")
     axes.set_title("√(4π) a₀₀ of vertices and views, mean over RGB")
@@ -218,7 +218,7 @@ def _draw_seams(figure: Any, report: dict[str, Any]) -> None:
         there, elsewhere = (max(100.0 * jumps[name][key], 1e-5) for key in ("there", "elsewhere"))
         axes.barh(height + 0.18, there, 0.34, color=_NETWORK, label="there" if height == 0 else None)
         axes.barh(height - 0.18, elsewhere, 0.34, color=_SHARE, label="elsewhere" if height == 0 else None)
-    axes.axvline(1.0, color=_REFERENCE, linestyle="--", label="about what an eye sees")
+    axes.axvline(1.0, color=_REFERENCE, linestyle="--", label="least visible contrast, about")
     axes.set_yticks(range(len(names)), names)
     axes.set(xscale="log", xlabel="rms jump over 2·10⁻⁴ radians [% of the rms of Ŝ]")
     axes.grid(visible=False, axis="y")
@@ -226,7 +226,7 @@ def _draw_seams(figure: Any, report: dict[str, Any]) -> None:
 
 
 def _with_interval(axes: Any, places: Any, figures: list[dict[str, Any]], style: str, label: str, color: str) -> None:
-    """Points in per cent with their intervals, where there are such."""
+    """Points in percent, with their intervals where there are any."""
     values = np.asarray([100.0 * figure["value"] for figure in figures])
     low, high = (np.asarray([100.0 * _number(figure[end]) for figure in figures]) for end in ("low", "high"))
     bars = np.nan_to_num(np.maximum(0.0, [values - low, high - values]))
@@ -245,7 +245,7 @@ def _with_interval(axes: Any, places: Any, figures: list[dict[str, Any]], style:
 
 
 def _number(value: float | None) -> float:
-    """What JSON does not know is null there."""
+    """A number of the report; JSON stores NaN as null."""
     return float("nan") if value is None else float(value)
 
 

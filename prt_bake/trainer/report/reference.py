@@ -1,4 +1,4 @@
-"""Path-traced references that grow until their noise is small beside what they are to measure, or the time is up."""
+"""Path-traced references, refined until their noise is small compared with the measured error or the time is up."""
 
 import time
 from collections.abc import Callable
@@ -23,7 +23,7 @@ _STREAM = 0xA55E
 
 
 class Tracer(Protocol):
-    """What answers as the truth, with noise: every call of another seed is an independent estimate."""
+    """Unbiased noisy estimates of the truth; calls with different seeds are independent."""
 
     def transport(self, positions: Array, outgoing: Array, incident: Array, paths: int, seed: int) -> Array:
         """Ŝ [N,D,3] towards incident [N,D,3]."""
@@ -34,27 +34,27 @@ class Tracer(Protocol):
 
 @dataclass(frozen=True)
 class PathTracer:
-    """The trainer's own estimates as a `Tracer`; `connections` is how many directions each event of a walk looks at."""
+    """The path tracer as a `Tracer`; `connections` is the number of directions that each event connects to."""
 
     scene: Scene
     connections: int
 
     def transport(self, positions: Array, outgoing: Array, incident: Array, paths: int, seed: int) -> Array:
-        """As `estimate_transport`."""
+        """Ŝ [N,D,3] by `estimate_transport`."""
         return estimate_transport(
             self.scene, positions, outgoing, incident, paths, seed, connections=self.connections
         ).mean
 
     def coefficients(self, positions: Array, outgoing: Array, paths: int, seed: int) -> Array:
-        """As `estimate_coefficients`."""
+        """Degree-2 a_lm [N,9,3] by `estimate_coefficients`."""
         return estimate_coefficients(self.scene, positions, outgoing, 2, paths, seed).mean
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What was traced: the estimates together, walks behind each query, the seconds, and why it ended there.
+    """A path-traced reference: its estimates, the walks per query, the seconds spent, and why tracing ended.
 
-    `ended` is "noise" where the noise is at most a third of the error that is measured, else "time" or "size".
+    `ended` is "noise" if the noise is at most a third of the measured error, else "time" or "size".
     """
 
     estimates: Replicates
@@ -62,27 +62,26 @@ class Reference:
     seconds: float
     ended: str
 
-    def against(self, answer: ArrayLike) -> Sums:
-        """Sums for each query of what `answer` misses."""
-        return sums(answer, self.estimates)
+    def compare(self, predicted: ArrayLike) -> Sums:
+        """Sums of squared errors of `predicted`, one per query."""
+        return sums(predicted, self.estimates)
 
     @property
     def walk_variance(self) -> Array:
-        """Variance [N] of one walk, summed over the values of a query."""
+        """Variance [N] of a single walk, summed over the values of a query."""
         return np.asarray(self.walks * self.estimates.variance.reshape(len(self.estimates.mean), -1).sum(axis=1))
 
 
-def grow(
-    estimate: Callable[[int, int], Array], answer: ArrayLike, paths: int, seconds: float, seed: int, stream: int
+def refine_reference(
+    estimate: Callable[[int, int], Array], predicted: ArrayLike, paths: int, seconds: float, seed: int, stream: int
 ) -> Reference:
-    """Estimates by `estimate(paths, seed)`, doubled until they are as exact as the error of `answer` asks for.
+    """Average `estimate(paths, seed)` over batches, doubled until the noise is a third of the error of `predicted`.
 
-    Begins with 8 batches of `paths` walks a query, four of them whatever the time; goes on for `seconds` in all at
-    most.
+    Begins with 8 batches of `paths` walks per query, at least four of them whatever the time, and ends after `seconds`.
     """
     begun = time.perf_counter()
-    values = np.asarray(answer, np.float64)
-    estimates = Replicates.of(values.shape)
+    values = np.asarray(predicted, np.float64)
+    estimates = Replicates.empty(values.shape)
     due, ended = FIRST_BATCHES, ""
     while not ended:
         for _ in range(due):
@@ -97,7 +96,7 @@ def grow(
 
 
 def _ending(clusters: Sums, due: int, batches: int) -> str:
-    """Why to stop here; empty where to go on."""
+    """Why tracing ends now; empty if it continues."""
     if clusters.noise.sum() <= _NOISE_TO_ERROR**2 * clusters.error.sum():
         return "noise"
     if batches >= _MOST_BATCHES:

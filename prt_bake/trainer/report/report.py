@@ -1,4 +1,4 @@
-"""`report_training`: measure a trained model and write the report beside it."""
+"""`report_training`: measures a trained model and writes the report beside it."""
 
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,11 @@ from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report.assessment import ASSESSMENT_SEED, assess
 from prt_bake.trainer.report.evaluation import VERTICES
 from prt_bake.trainer.report.page import report_paths, write_training_report
-from prt_bake.trainer.report.picture import SUNS, picture_error, sentence, verdict
+from prt_bake.trainer.report.picture import SUNS, picture_criterion, picture_error, picture_summary
 
 QUERIES, SECONDS = 1024, 40.0
-_FOR_A_PICTURE = 0.5
-"""Of the time for queries, as much again."""
+_PICTURE_SHARE = 0.5
+"""Time for each picture over the time for queries."""
 
 
 def report_training(
@@ -29,20 +29,20 @@ def report_training(
 ) -> tuple[dict[str, Any], Path]:
     """Assess `network` on its scene and write MODEL.report.json and MODEL.report.html beside `model`.
 
-    Path traces for `seconds`, and half as long again for each picture under a sun (`training_picture`).
+    Path traces queries for `seconds`, and half as long again for each picture under a sun (`picture.py`). The history
+    of the training is `network.metadata["training"]["validation_vs_time"]`, rows (seconds, walks, validation error).
 
-    Returns the figures and where the page lies. `network.metadata["training"]["validation_vs_time"]` gives the history,
-    rows of (seconds, walks, validation error). Raises ModelError where the model says that it was trained on another
-    scene, StorageError if a file cannot be written, PrtbakeError (the JSON is written by then) without matplotlib.
+    Returns the report and the path of the page. Raises ModelError if the model was trained on another scene,
+    StorageError if a file cannot be written, and PrtbakeError without matplotlib (the JSON is written by then).
     """
-    hashed = network.metadata.get("scene_hash")
-    if hashed not in (None, scene.content_hash):
+    scene_hash = network.metadata.get("scene_hash")
+    if scene_hash not in (None, scene.content_hash):
         raise ModelError(
-            f"{model}: was trained on another scene than {scene.path} (its mesh, medium or interface is not the same); "
+            f"{model}: was trained on another scene than {scene.path} (the mesh, medium or interface differs); "
             "give the scene that it was trained on"
         )
     bound = on_mesh(network, scene.mesh)
-    found = assess(
+    report = assess(
         bound,
         scene,
         prepare(scene),
@@ -51,19 +51,19 @@ def report_training(
         history=network.metadata.get("training", {}).get("validation_vs_time", []),
         seconds=seconds,
         vertices=vertices,
-    ).as_json()
-    _add_pictures(found, bound, scene, _FOR_A_PICTURE * seconds, seed)
+    )
+    _add_pictures(report, bound, scene, _PICTURE_SHARE * seconds, seed)
     json_path, page_path = report_paths(model)
-    write_training_report(found, json_path, page_path)
-    return found, page_path
+    write_training_report(report, json_path, page_path)
+    return report, page_path
 
 
-def _add_pictures(found: dict[str, Any], network: Any, scene: Scene, seconds: float, seed: int) -> None:
+def _add_pictures(report: dict[str, Any], network: Any, scene: Scene, seconds: float, seed: int) -> None:
     try:
         pictures = [picture_error(network, scene, sun, seconds, seed) for sun in SUNS]
     except PrtbakeError as fault:
-        found["summary"].append(f"There are no pictures: {fault}.")
+        report["summary"].append(f"There are no pictures: {fault}.")
         return
-    found["pictures"] = pictures
-    found["criteria"] += [verdict(picture) for picture in pictures]
-    found["summary"] += [sentence(picture) for picture in pictures]
+    report["pictures"] = pictures
+    report["criteria"] += [picture_criterion(picture) for picture in pictures]
+    report["summary"] += [picture_summary(picture) for picture in pictures]

@@ -1,8 +1,7 @@
-"""Whether a network shows a seam or a pole of spherical coordinates: at φ = 0 and at ±z, in ωi and in ωo.
+"""Tests for artefacts of spherical coordinates in a network: the seam at φ = 0 and the poles at ±z, in ωi and in ωo.
 
-Jumps need no reference: Ŝ is continuous, so that what a network changes by over a hair's breadth is its own error.
-The seam is held against eleven other meridians, the poles against ten other axes; values far from a pole or seam jump
-as well, by what the network's slope makes of the hair's breadth.
+Jumps need no reference: Ŝ is continuous, so a network's change over a tiny angle is its own error. The seam is compared
+with eleven other meridians and the poles with ten other axes, where the network also changes a little, by its slope.
 """
 
 from dataclasses import dataclass
@@ -18,21 +17,21 @@ from prt_bake.trainer.report.evaluation import above
 Array = NDArray[np.float64]
 
 VISIBLE = 0.01
-"""Of the rms of Ŝ: about the least contrast that an eye sees."""
+"""Jump over the rms of Ŝ that is about the least visible contrast."""
 STANDS_OUT = 4.0
-"""z beyond which a place is said to stand out; eight such tests raise a false alarm 3 times in 10,000."""
+"""z beyond which the difference is significant; eight such tests give a false alarm 3 times in 10,000."""
 _MERIDIANS = 12
-_HAIR = 1e-4
-"""Radians: half the width of the step over the seam, and the radius of the ring about a pole."""
+_STEP = 1e-4
+"""Half the width of the step across the seam, and the radius of the ring about a pole [radians]."""
 _RING = 8
-_FARTHEST = 0.9
-"""|cosθ| of the places where the seam is crossed: clear of the poles."""
+_MOST_HEIGHT = 0.9
+"""Largest |cosθ| at which the seam is crossed, clear of the poles."""
 _NEAR_SEAM, _NEAR_POLE = np.radians(10.0), np.cos(np.radians(15.0))
 
 
 @dataclass(frozen=True)
 class Jump:
-    """The rms jump at a place and at others like it, over the rms of Ŝ, and how far they differ in standard errors."""
+    """The rms jumps at the seam or pole and elsewhere, over the rms of Ŝ; z of their difference."""
 
     there: float
     elsewhere: float
@@ -40,7 +39,7 @@ class Jump:
 
     @property
     def visible(self) -> bool:
-        """Whether it stands out, and is as large as an eye can see."""
+        """Whether the jump is significant and large enough to be visible."""
         return self.z > STANDS_OUT and self.there > VISIBLE
 
     def as_json(self) -> dict[str, Any]:
@@ -49,19 +48,17 @@ class Jump:
 
 
 def jumps(network: Any, positions: Array, normals: Array, seed: int) -> dict[str, Jump]:
-    """The four jumps, asked at positions [N,3] with their normals [N,3]: "seam" and "pole" of "incident" and
-    "outgoing".
-    """
-    found = {}
-    for name, places in (("seam", _across_meridians), ("pole", _around_axes)):
-        sets = places(len(positions), seed)
+    """The jumps at positions [N,3] with normals [N,3]: "seam of incident", "pole of outgoing" and so on."""
+    results = {}
+    for name, directions_near in (("seam", _across_meridians), ("pole", _around_axes)):
+        sets = directions_near(len(positions), seed)
         for varied in ("incident", "outgoing"):
-            found[f"{name} of {varied}"] = _jump(network, positions, normals, sets, varied, seed)
-    return found
+            results[f"{name} of {varied}"] = _jump(network, positions, normals, sets, varied, seed)
+    return results
 
 
 def _jump(network: Any, positions: Array, normals: Array, sets: Array, varied: str, seed: int) -> Jump:
-    """sets [M,N,S,3]: S directions close together, N times at each of M places, the first of which is in question."""
+    """The jump of `varied` over sets [M,N,S,3] of S close directions, N at each of M places; place 0 is tested."""
     places, count, near = sets.shape[:3]
     rows = np.broadcast_to(positions, (places, count, 3)).reshape(-1, 3)
     facing = np.broadcast_to(normals, (places, count, 3)).reshape(-1, 3)
@@ -70,16 +67,16 @@ def _jump(network: Any, positions: Array, normals: Array, sets: Array, varied: s
     if varied == "incident":
         answer = network.evaluate(close, rows, above(other, facing))
     else:
-        # Where the object turns its back to a view nobody sees it: another position is taken for that one.
-        seen = np.sum(close[:, 0] * facing, axis=1) > 0.05
-        rows, close, other = rows[seen], close[seen], other[seen]
+        # Views from below the surface are left out.
+        visible = np.sum(close[:, 0] * facing, axis=1) > 0.05
+        rows, close, other = rows[visible], close[visible], other[visible]
         flat = np.repeat(rows, near, axis=0), close.reshape(-1, 3)
         answer = network.evaluate(np.repeat(other, near, axis=0)[:, None], *flat)
     values = np.asarray(answer, np.float64).reshape(len(rows), near, 3)
     spread = values.var(axis=1, ddof=1).sum(axis=1)
     first = np.zeros(places * count, bool)
     first[:count] = True
-    first = first if varied == "incident" else first[seen]
+    first = first if varied == "incident" else first[visible]
     return _compared(spread[first], spread[~first], float((values**2).sum(axis=2).mean()))
 
 
@@ -97,8 +94,8 @@ def _compared(there: Array, elsewhere: Array, square: float) -> Jump:
 
 def _across_meridians(count: int, seed: int) -> Array:
     """Pairs on both sides of φ = 0 and of 11 other meridians [12,N,2,3]."""
-    height = _FARTHEST * directions.uniform(_MERIDIANS * count, seed)[:, 2].reshape(_MERIDIANS, count, 1)
-    phi = 2.0 * np.pi * np.arange(_MERIDIANS)[:, None, None] / _MERIDIANS + _HAIR * np.array([-1.0, 1.0])
+    height = _MOST_HEIGHT * directions.uniform(_MERIDIANS * count, seed)[:, 2].reshape(_MERIDIANS, count, 1)
+    phi = 2.0 * np.pi * np.arange(_MERIDIANS)[:, None, None] / _MERIDIANS + _STEP * np.array([-1.0, 1.0])
     radius = np.sqrt(1.0 - height**2)
     parts = [radius * np.cos(phi), radius * np.sin(phi), np.broadcast_to(height, (_MERIDIANS, count, 2))]
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
@@ -107,7 +104,7 @@ def _across_meridians(count: int, seed: int) -> Array:
 def _around_axes(count: int, seed: int) -> Array:
     """Rings about +z or −z and about 10 axes that are far from them [11,N,8,3]."""
     phi = 2.0 * np.pi * np.arange(_RING) / _RING
-    ring = np.stack([_HAIR * np.cos(phi), _HAIR * np.sin(phi), np.full(_RING, np.sqrt(1.0 - _HAIR**2))], axis=-1)
+    ring = np.stack([_STEP * np.cos(phi), _STEP * np.sin(phi), np.full(_RING, np.sqrt(1.0 - _STEP**2))], axis=-1)
     pole = ring * np.where(np.arange(count) % 2, 1.0, -1.0)[:, None, None]
     turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     others = []
@@ -119,19 +116,19 @@ def _around_axes(count: int, seed: int) -> Array:
 
 
 def near_seam(rows: Array) -> NDArray[np.bool_]:
-    """Which directions [...,3] lie within 10° of the half plane φ = 0."""
+    """Whether directions [...,3] are within 10° of the half plane φ = 0."""
     return np.asarray(np.abs(np.arctan2(rows[..., 1], rows[..., 0])) < _NEAR_SEAM)
 
 
 def near_pole(rows: Array) -> NDArray[np.bool_]:
-    """Which directions [...,3] lie within 15° of ±z."""
+    """Whether directions [...,3] are within 15° of ±z."""
     return np.asarray(np.abs(rows[..., 2]) > _NEAR_POLE)
 
 
 def compared_with_elsewhere(parts: Sums, near: NDArray[np.bool_]) -> dict[str, Any]:
-    """Relative RMSE of values [N,D] near a place and elsewhere, and z of the difference of their squares.
+    """Relative RMSE of values [N,D] near a seam or pole and elsewhere, and z of the difference of their squares.
 
-    Rows of `parts`, [N,D], are independent of one another; the error of the difference is that of linearised ratios.
+    Rows of `parts` [N,D] are independent; the difference's standard error is that of linearised ratios.
     """
     chosen = near.astype(np.float64)
     squares, influence = [], np.zeros(len(chosen))

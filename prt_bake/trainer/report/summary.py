@@ -1,4 +1,4 @@
-"""What an assessment comes to: the bars that a model is held to, and a few sentences."""
+"""Summary of an assessment: the criteria that a model must meet, and a few sentences."""
 
 from typing import Any
 
@@ -10,22 +10,22 @@ from prt_bake.tracer.prepared import interface_kind
 from prt_bake.tracer.surface.interface import MATCHED
 
 COEFFICIENTS_PLAIN, COEFFICIENTS = 0.05, 0.10
-"""Relative RMSE of a_lm asked of a homogeneous, index-matched object, and of any other."""
+"""Largest relative RMSE of a_lm for a homogeneous, index-matched object, and for any other."""
 WHITE_SKY = 0.03
 _FEW = 30.0
 
 
 def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
-    """Each bar with the figure beside it, and "met", "not met" or "undecided" where the interval holds both."""
+    """The criteria with figures and verdicts: "met", "not met", or "undecided" if the interval contains the bound."""
     plain = interface_kind(scene) == MATCHED and is_homogeneous(scene)
-    bar = COEFFICIENTS_PLAIN if plain else COEFFICIENTS
-    kind = "homogeneous, index-matched" if plain else "grids or an interface that bends light"
+    bound = COEFFICIENTS_PLAIN if plain else COEFFICIENTS
+    kind = "homogeneous, index-matched" if plain else "heterogeneous or with an interface"
     white, coefficients = found["white_sky"], found["coefficients"]
     rows = [
-        (f"relative RMSE of the coefficients over the surface ({kind})", bar, coefficients["surface"]["network"]),
+        (f"relative RMSE of the coefficients over the surface ({kind})", bound, coefficients["surface"]["network"]),
         (
             f"relative RMSE of the coefficients over vertices and views ({kind})",
-            bar,
+            bound,
             coefficients["vertices"]["network"],
         ),
         ("√(4π) a₀₀, error of the object's mean", WHITE_SKY, white["object"]),
@@ -36,25 +36,24 @@ def criteria(found: dict[str, Any], scene: Scene) -> list[dict[str, Any]]:
             white["percentile_95_of_views"],
         ),
     ]
-    told = [
-        {"name": name, "bound": bound, **figure, "verdict": Interval(**figure).within(bound)}
-        for name, bound, figure in rows
+    verdicts = [
+        {"name": name, "bound": most, **figure, "verdict": Interval(**figure).within(most)}
+        for name, most, figure in rows
     ]
-    return [*told, _seam_verdict(found["seams"])]
+    return [*verdicts, _seam_criterion(found["seams"])]
 
 
-def _seam_verdict(found: dict[str, Any]) -> dict[str, Any]:
-    jumps, near = found["jumps"], found["errors_near"]
-    seen = [name for name, jump in jumps.items() if jump["visible"]]
-    seen += [f"{name} (errors near it)" for name, row in near.items() if row["stands_out"]]
+def _seam_criterion(seams: dict[str, Any]) -> dict[str, Any]:
+    visible = [name for name, jump in seams["jumps"].items() if jump["visible"]]
+    visible += [f"{name} (errors near it)" for name, row in seams["errors_near"].items() if row["stands_out"]]
     return {
-        "name": "no seam or pole of spherical coordinates stands out" + (f": {', '.join(seen)}" if seen else ""),
-        "verdict": "not met" if seen else "met",
+        "name": "no visible seam or pole of spherical coordinates" + (f": {', '.join(visible)}" if visible else ""),
+        "verdict": "not met" if visible else "met",
     }
 
 
 def is_homogeneous(scene: Scene) -> bool:
-    """Whether the object is of one part, and of one medium throughout."""
+    """Whether the object is a single part with a constant medium."""
     medium = scene.parts[0].medium
     if len(scene.parts) > 1 or medium is None:
         return False
@@ -62,7 +61,7 @@ def is_homogeneous(scene: Scene) -> bool:
 
 
 def percent(figure: dict[str, float]) -> str:
-    """A figure with its interval, as text."""
+    """A figure with its interval as text, in percent."""
     if not np.isfinite(figure["low"]):
         return f"{figure['value']:.2%} (too few positions for an interval)"
     if figure["value"] == 0.0 and figure["high"] > 0.0:
@@ -70,62 +69,62 @@ def percent(figure: dict[str, float]) -> str:
     return f"{figure['value']:.2%} ({figure['low']:.2%} to {figure['high']:.2%})"
 
 
-def criterion(row: dict[str, Any]) -> str:
-    """A bar's line: the verdict, what was asked, the bound and the figure, in percent but for those of another unit."""
+def criterion_line(row: dict[str, Any]) -> str:
+    """A criterion as a line of text: verdict, name, bound and figure, in percent unless the row has a unit."""
     if "bound" not in row:
         return f"{row['verdict']:10} {row['name']}"
-    told = ("{:g}", "{:.4f}") if row.get("unit") else ("{:.0%}", "{:.2%}")
-    bound, figure = (form.format(row[name]) for form, name in zip(told, ("bound", "value"), strict=True))
+    formats = ("{:g}", "{:.4f}") if row.get("unit") else ("{:.0%}", "{:.2%}")
+    bound, figure = (form.format(row[name]) for form, name in zip(formats, ("bound", "value"), strict=True))
     return f"{row['verdict']:10} {row['name']} (at most {bound}): {figure}"
 
 
 def sentences(found: dict[str, Any]) -> list[str]:
-    """What there is to say, in order of weight; intervals are 95 %."""
-    told = []
+    """The assessment in sentences, the most important first; intervals are 95 % confidence intervals."""
+    summary = []
     if found["transport"] is not None:
-        told.append(f"Relative RMSE of Ŝ on fresh queries: {_told(found['transport'])}")
+        summary.append(f"Relative RMSE of Ŝ on fresh queries: {_error_text(found['transport'])}")
     else:
-        told.append(
-            "Behind a smooth interface Ŝ has no values that could be estimated: coefficients alone are assessed."
-        )
+        summary.append("Ŝ has no values behind a smooth interface; only the coefficients are assessed.")
     coefficients = found["coefficients"]
-    told.append(f"Relative RMSE of the coefficients over the surface: {_told(coefficients['surface'])}")
-    told.append(
-        f"Over vertices and views, as a bake asks: {_told(coefficients['vertices'])} "
-        f"95 % of the vertices stay below {percent(coefficients['percentile_95'])}."
+    summary.append(f"Relative RMSE of the coefficients over the surface: {_error_text(coefficients['surface'])}")
+    summary.append(
+        f"Relative RMSE of the coefficients over vertices and views, as in a bake: "
+        f"{_error_text(coefficients['vertices'])} 95 % of the vertices are below "
+        f"{percent(coefficients['percentile_95'])}."
     )
     white = found["white_sky"]
-    told.append(
-        f"Under a white sky the object as a whole is {percent(white['object'])} off, 95 % of the vertices less than "
-        f"{percent(white['percentile_95'])} (mean of the views) and {percent(white['percentile_95_of_views'])} "
-        "(rms over the views)."
+    summary.append(
+        f"Under a white sky the error of the object's mean is {percent(white['object'])}. 95 % of the vertices are "
+        f"below {percent(white['percentile_95'])} (mean of the views) and below "
+        f"{percent(white['percentile_95_of_views'])} (rms over the views)."
     )
-    told.append(_told_prediction(found["prediction"]))
-    told += [
-        f"The path tracing of the {name} ended with the time given, before its noise was a third of the error: "
-        "intervals are wider than they need be; give more seconds."
+    summary.append(_prediction_text(found["prediction"]))
+    summary += [
+        f"Path tracing of the {name} used up its time before its noise was a third of the error; "
+        "more seconds make the intervals narrower."
         for name in ("transport", "coefficients", "coefficients at vertices")
         if found["reference"].get(name, {}).get("ended_by") == "time"
     ]
-    return told
+    return summary
 
 
-def _told(part: dict[str, Any]) -> str:
-    text = f"{percent(part['network'])}; the reference's own noise, {part['noise']:.2%}, is taken out."
+def _error_text(part: dict[str, Any]) -> str:
+    text = f"{percent(part['network'])}; the reference's noise, {part['noise']:.2%}, is subtracted."
     if part["rests_on"] < min(_FEW, 0.5 * part["of"]):
         text += (
-            f" It rests on few of the {part['of']} queries or positions, as if on {part['rests_on']:.0f} that weigh "
+            f" Few of the {part['of']} queries or positions dominate the error (effective number "
+            f"{part['rests_on']:.0f}): the interval may be too narrow."
         )
-        text += "alike: the interval may be too narrow."
     return text
 
 
-def _told_prediction(part: dict[str, Any]) -> str:
+def _prediction_text(part: dict[str, Any]) -> str:
     name = "Ŝ" if part["of"] == "transport" else "the coefficients"
-    v = f"One walk tells {name} with a relative variance of {part['v']['value']:.3g}"
+    v = f"A single walk estimates {name} with a relative variance of {part['v']['value']:.3g}"
     if not part["walks"] or not part["weights"]:
-        return f"{v}; the model does not say on how many walks it was trained."
+        return f"{v}; the model does not state on how many walks it was trained."
     return (
-        f"{v}: {part['weights']:,} weights learnt from {part['walks']:,.0f} walks let expect "
-        f"sqrt(weights · v / walks) = {part['predicted']['value']:.2%}; reached was {percent(part['reached'])}."
+        f"{v}. For {part['weights']:,} weights and {part['walks']:,.0f} walks the expected error is "
+        f"sqrt(weights · v / walks) = {part['predicted']['value']:.2%}; the measured error is "
+        f"{percent(part['reached'])}."
     )

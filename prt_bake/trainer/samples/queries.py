@@ -1,10 +1,10 @@
-"""What the trainer asks: points all over the surface, every direction of view, every direction of incidence.
+"""Training queries: random points on the surface, view directions and directions of incidence.
 
-Positions are uniform over the area, or, of a share of the queries, over the faces: meshes have small faces where there
-is detail, and a bake asks at every vertex alike. A share lies on vertices and edges, seen from the hemisphere about the
-vertex normal and taken to a face by the rule of `prt_bake.geometry.surface`, since a bake asks there. Views are uniform
-over the hemisphere, directions of incidence a small lattice turned at random for each query (uniform each, and spread
-over the sphere together).
+Positions are uniform over the area. A share of the queries is uniform over the faces instead: meshes have small faces
+where there is detail, and a bake evaluates every vertex. Another share lies on vertices and edges, as in a bake; its
+views are about the vertex normal, and its faces follow the rule of `prt_bake.geometry.surface`. Views are uniform over
+the hemisphere. Directions of incidence are a small lattice, rotated at random for each query: each is uniform over the
+sphere, and together they are evenly spread.
 """
 
 from dataclasses import dataclass
@@ -24,14 +24,14 @@ from prt_bake.tracer.prepared import PreparedScene
 Array = NDArray[np.float64]
 
 EDGE_SHARE = 0.1
-"""The usual share of queries on vertices (half of it) and edges (half)."""
+"""Default share of the queries on vertices (half of it) and on edges (the other half)."""
 _QUERY_STREAM = 0x51
 _NUMBERS = 9
 
 
 @dataclass(frozen=True)
 class Queries:
-    """N queries: positions [N,3] and outgoing [N,3] in object space, incident [N,D,3], and where they lie."""
+    """N queries: keys [N], positions and outgoing [N,3] in object space, incident [N,D,3], locations on the mesh."""
 
     keys: NDArray[np.uint64]
     positions: Array
@@ -41,7 +41,7 @@ class Queries:
 
 
 class QuerySource:
-    """Draws numbered queries from a scene: the n-th depends on the seed and n alone."""
+    """Draws numbered queries of a scene; query n depends on the seed and n alone."""
 
     def __init__(
         self,
@@ -51,8 +51,10 @@ class QuerySource:
         face_share: float = 0.0,
         edge_share: float = EDGE_SHARE,
     ) -> None:
-        """`directions` of incidence a query; `face_share` of the queries has every face alike, large or small;
-        `edge_share` lies on vertices and edges.
+        """Queries have `directions` directions of incidence.
+
+        `face_share` of them are uniform over the faces, the others over the area. `edge_share` of them are moved to
+        vertices and edges.
         """
         self.prepared = prepared
         self.lattice = fibonacci(directions)
@@ -64,12 +66,12 @@ class QuerySource:
         return self.prepared.surface.mesh
 
     @cached_property
-    def _area_to_here(self) -> Array:
+    def _cumulative_area(self) -> Array:
         areas = np.asarray(self._mesh.face_areas, np.float64)
         return np.asarray(np.cumsum(areas) / areas.sum())
 
     def draw(self, first: int, count: int) -> Queries:
-        """Queries number first … first + count − 1."""
+        """Queries first … first + count − 1."""
         keys = np.arange(first, first + count, dtype=np.uint64)
         u = uniforms((_QUERY_STREAM, self.seed, keys.astype(np.int64)), _NUMBERS)
         mesh = self._mesh
@@ -80,26 +82,29 @@ class QuerySource:
         on_edge = u[:, 3] < self._edge_share
         moved = _to_edge(barycentric[on_edge], u[on_edge, 3] < 0.5 * self._edge_share)
         positions[on_edge] = _interpolate(mesh.positions, mesh.faces, faces[on_edge], moved)
-        seen_about = _interpolate(mesh.normals, mesh.faces, faces[on_edge], moved)
-        normals[on_edge] = seen_about / np.maximum(np.linalg.norm(seen_about, axis=1, keepdims=True), 1e-9)
+        shading = _interpolate(mesh.normals, mesh.faces, faces[on_edge], moved)
+        normals[on_edge] = shading / np.maximum(np.linalg.norm(shading, axis=1, keepdims=True), 1e-9)
         outgoing = _hemisphere(normals, u[:, 4], u[:, 5])
         location = Location(faces.astype(np.int64), np.ascontiguousarray(barycentric[:, 1:]), positions)
         if on_edge.any():
-            outgoing[on_edge], found, _bent = self.prepared.surface.above_horizon(positions[on_edge], outgoing[on_edge])
+            surface = self.prepared.surface
+            outgoing[on_edge], found, _clamped = surface.locate_clamped(positions[on_edge], outgoing[on_edge])
             location.faces[on_edge], location.barycentric[on_edge] = found.faces, found.barycentric
         incident = np.einsum("nij,dj->ndi", rotations(u[:, 6:9]), self.lattice)
         return Queries(keys, positions, outgoing, np.ascontiguousarray(incident), location)
 
     def _faces(self, u: Array) -> NDArray[np.int64]:
-        """A face for each uniform number."""
+        """A face [N] for each uniform number [N]."""
         last, share = len(self._mesh.faces) - 1, self._face_share
-        by_area = np.searchsorted(self._area_to_here, (u - share) / (1.0 - share) if share < 1.0 else u, side="right")
+        by_area = np.searchsorted(
+            self._cumulative_area, (u - share) / (1.0 - share) if share < 1.0 else u, side="right"
+        )
         if share == 0.0:
             return np.minimum(by_area, last)
         return np.minimum(np.where(u < share, (u / share * (last + 1)).astype(np.int64), by_area), last)
 
     def for_kernel(self, queries: Queries) -> tuple[Any, ...]:
-        """The same queries as the kernels take them."""
+        """The queries as arguments of the kernels."""
         return self.prepared.queries(queries.location, queries.outgoing, queries.keys)
 
 
@@ -109,7 +114,7 @@ def _in_triangle(u: Array, v: Array) -> Array:
 
 
 def _to_edge(barycentric: Array, to_vertex: NDArray[np.bool_]) -> Array:
-    """Barycentric coordinates with the smallest made 0, or all but the largest."""
+    """Barycentric coordinates with the smallest set to 0 (on an edge), or all but the largest (`to_vertex`)."""
     order = np.argsort(barycentric, axis=1)
     moved = barycentric.copy()
     rows = np.arange(len(moved))
@@ -123,7 +128,7 @@ def _interpolate(values: Array, corners: NDArray[Any], faces: NDArray[Any], bary
 
 
 def _hemisphere(normals: Array, u: Array, v: Array) -> Array:
-    """Uniform directions above each normal: uniform over the sphere, and mirrored up."""
+    """Directions uniform over the hemisphere about each normal: uniform over the sphere, mirrored upwards."""
     z, phi = 1.0 - 2.0 * u, 2.0 * np.pi * v
     r = np.sqrt(np.maximum(0.0, 1.0 - z * z))
     d = np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)

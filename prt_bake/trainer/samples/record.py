@@ -1,4 +1,4 @@
-"""`record_samples`: path traces queries to a file, to be learnt from later or elsewhere."""
+"""`record_samples`: path traces training queries into a file, to learn from later or on another machine."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,16 +14,16 @@ from formats.scene import Scene
 from prt_bake.mathematics.random import hashed
 from prt_bake.tracer.prepared import prepare, smooth_part
 from prt_bake.trainer.samples.queries import QuerySource
-from prt_bake.trainer.samples.rows import StreamSettings, query_description, render
+from prt_bake.trainer.samples.rows import StreamSettings, query_description, trace_values
 
 _KEY_STREAM = 0x4B
 _VALUES_AT_ONCE = 1 << 17
 _WALKS_AT_ONCE = 8
-"""Of a query: where it has more, fewer queries are walked between two looks at the clock."""
+"""Walks per query above which fewer queries are traced between two calls of `stop`."""
 _CONNECTIONS = 4
 
 Progress = Callable[[int, int], None]
-"""progress(queries done, queries asked for)."""
+"""progress(queries done, queries requested)."""
 
 
 def record_samples(
@@ -37,24 +37,24 @@ def record_samples(
     progress: Progress | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> int:
-    """Path trace `count` queries of the trainer's kind with `walks` walks and `directions` each; returns how many.
+    """Path trace `count` training queries with `walks` walks and `directions` directions each, and return their number.
 
-    The n-th query and its walks depend on the seed and n alone: a longer file begins with the shorter one. When `stop`
-    answers true what is done so far is kept, marked as incomplete.
+    Query n and its walks depend on the seed and n alone, so a longer file begins with the content of a shorter one.
+    Once `stop` returns true the queries traced so far are kept, and the file is marked as incomplete.
 
-    Raises SceneError behind a smooth interface, where Ŝ has no values to keep, QueryError for numbers out of range (two
-    walks are needed for an error), StorageError where the file cannot be written, SamplesError where an estimate is not
-    finite, naming the query; what came before it is kept.
+    Raises SceneError behind a smooth interface, where Ŝ has no values; QueryError for numbers out of range (an error
+    estimate needs two walks); StorageError if the file cannot be written; SamplesError if an estimate is not finite,
+    naming the query (the queries before it are kept).
     """
     smooth = smooth_part(scene)
     if smooth is not None:
         raise SceneError(
-            f"{scene.path}: the boundary of '{smooth.name}' is smooth: Ŝ has no values there that a file could hold; "
-            "train on the scene itself, which learns from walks' exits, or give it a roughness such as 0.05"
+            f"{scene.path}: the boundary of '{smooth.name}' is smooth: Ŝ has no values there that a file could store; "
+            "train on the scene itself, which learns from exits of walks, or give it a roughness such as 0.05"
         )
     for name, value, least in (("count", count, 1), ("walks", walks, 2), ("directions", directions, 1)):
         if value < least:
-            raise QueryError(f"{name}: {value} where {least} or more is expected")
+            raise QueryError(f"{name}: found {value}, {least} or more is expected")
     prepared = prepare(scene)
     shares = {name: getattr(StreamSettings(), name) for name in ("face_share", "edge_share")}
     source = QuerySource(prepared, directions, seed, **shares)
@@ -64,14 +64,14 @@ def record_samples(
     with SamplesWriter(output, _head(scene, walks, directions, settings, seed)) as writer:
         for first in range(0, count, step):
             queries = source.draw(first, min(step, count - first))
-            mean, error = render(prepared, source, queries, walks, connections, seed)
+            mean, error = trace_values(prepared, source, queries, walks, connections, seed)
             broken = np.flatnonzero(~np.isfinite(mean + error).all(axis=(1, 2)))
             if broken.size:
-                kept = f"{output} holds the {writer.count:,} before it" if writer.count else "none before it was kept"
+                kept = f"{output} has the {writer.count:,} before it" if writer.count else "no query was kept"
                 if writer.count:
                     writer.finish(complete=False)
-                words = query_description(source, first + int(broken[0]))
-                raise SamplesError(f"{scene.path}: the estimate of {words} is not finite; {kept}; try another seed")
+                query = query_description(source, first + int(broken[0]))
+                raise SamplesError(f"{scene.path}: the estimate of {query} is not finite; {kept}; try another seed")
             keys = query_keys(seed, queries.keys)
             writer.append(keys, queries.positions, queries.outgoing, queries.incident, mean, error)
             if progress is not None:
@@ -83,7 +83,7 @@ def record_samples(
 
 
 def query_keys(seed: int, numbers: NDArray[Any]) -> NDArray[np.uint64]:
-    """Keys uint64 [N] that tell the queries of all seeds apart."""
+    """Keys uint64 [N] that are distinct for the queries of all seeds."""
     return hashed(_KEY_STREAM, seed, np.asarray(numbers).astype(np.int64))
 
 

@@ -1,13 +1,13 @@
-"""What the learner learns from: rows of numbers that walks have filled in.
+"""Training rows: path-traced queries as rows of numbers.
 
-A row is a query: its position relative to the box, its direction to the eye, and then its rays, each a direction and
-three channels. Either the directions are of incidence and the channels are Ŝ towards them. Or the rays are walks: the
-directions are those in which they left, and the channels are the throughput that they carried out (0 for a walk that
-was absorbed or that met nothing, since that light is not in Ŝ).
+A row is a query: its position relative to the box, its direction to the eye, and its rays, each a direction and three
+channels. Rays are of one of two kinds. Values: the directions are directions of incidence, the channels are Ŝ there.
+Exits: the directions are those in which walks left the object, the channels are the walks' throughput (0 for a walk
+that was absorbed or that crossed unscattered, since that light is not part of Ŝ).
 
-Behind a smooth interface there are only exits. Behind a rough one there are both, and exits say more: a connection
-through the interface costs as much as ten walks, and at equal time the coefficients that follow from exits have less
-than half of the variance (`tests/bench/noise_of_a_walk.py`). Where nothing is bent, connections say ten times as much.
+Behind a smooth interface there are only exits. Behind a rough interface both exist and exits are better: a connection
+through the interface costs as much as ten walks, and at equal time the coefficients from exits have less than half the
+variance (`tests/bench/noise_of_a_walk.py`). If the boundary does not bend light, connections are ten times better.
 """
 
 from dataclasses import dataclass, fields
@@ -21,7 +21,7 @@ from formats.scene import Scene
 from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
 from prt_bake.tracer.light_samples import Exits
-from prt_bake.tracer.prepared import PreparedScene, is_unbent, smooth_part
+from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, smooth_part
 from prt_bake.trainer.samples.queries import EDGE_SHARE, Queries, QuerySource
 
 Array = NDArray[np.float64]
@@ -29,55 +29,57 @@ Array = NDArray[np.float64]
 POSITION, OUTGOING = slice(0, 3), slice(3, 6)
 BEFORE_RAYS, RAY_SIZE = 6, 6
 INCIDENT, CHANNELS = slice(0, 3), slice(3, 6)
-"""Of a ray."""
+"""Columns of a ray."""
 
 
 class Batch(NamedTuple):
-    """Rows [Q, 6 + 6 R] float32 of Q queries with R rays each, and the numbers [Q] int64 of the queries."""
+    """Rows [Q, 6 + 6 R] float32 of Q queries with R rays each, and the queries' numbers [Q] int64."""
 
     rows: NDArray[np.float32]
     numbers: NDArray[np.int64]
 
     @property
     def rays(self) -> NDArray[np.float32]:
-        """[Q,R,6]: directions and channels."""
+        """Directions and channels [Q,R,6]."""
         return np.asarray(rays_of(self.rows))
 
 
 def rays_of(rows: Any) -> Any:
-    """The rays [Q,R,6] of rows, an array or a tensor: a view of them."""
+    """The rays [Q,R,6] of rows, an array or a tensor, as a view."""
     return rows[:, BEFORE_RAYS:].reshape(len(rows), -1, RAY_SIZE)
 
 
 @dataclass(frozen=True)
 class StreamSettings:
-    """How the renderer asks; chosen by measured error after equal time (`make bench`)."""
+    """Settings of the renderer of training rows; the defaults have the least measured error after equal time
+    (`make bench`).
+    """
 
     queries_a_batch: int = 4096
     rays: Literal["auto", "values", "exits"] = "auto"
-    """What rays are. auto: values where the object's boundary bends no light, else exits."""
+    """Kind of the rays. auto: values if the object's boundary does not bend light, else exits."""
     directions: int = 8
-    """Directions of incidence a query, where rays are values."""
+    """Directions of incidence per query, for values."""
     connections: int = 8
-    """How many of them each event of a walk looks at."""
+    """Directions that each event of a walk connects to, for values."""
     walks: int = 2
-    """Walks that each value is the mean of."""
+    """Walks per query, for values."""
     exits: int = 32
-    """Walks a query at most, where rays are exits."""
+    """Most walks per query, for exits."""
     least_exits: int = 6
-    """Walks a query at least, where `exits` is not less: between the two a renderer beside the learner walks as often
-    as it has time for. Where both take turns it is `exits`."""
+    """Fewest walks per query, for exits, unless `exits` is less. A renderer beside the learner traces as many walks in
+    between as it has time for; one that takes turns with the learner traces `exits`."""
     kept: int = 12
-    """Rays that their exits are told by (`prt_bake.trainer.samples.resampling`)."""
+    """Rays per query after resampling, for exits (`resampling.py`)."""
     face_share: float = 0.5
-    """Share of the queries that has every face alike, large or small; of the others an area has as many as another."""
+    """Share of the queries that are uniform over the faces; the others are uniform over the area."""
     edge_share: float = EDGE_SHARE
-    """Share of the queries that lies on vertices and edges, where a bake asks."""
+    """Share of the queries on vertices and edges, as in a bake."""
     capacity: int = 1 << 17
-    """Rows that the buffer holds."""
+    """Rows of the buffer."""
     reuse: int = 1
-    """How often each row is learnt from, at most: a learner that shares the renderer's cores waits for new ones, a
-    graphics card does not. Where both take turns, exactly so often."""
+    """How often each row is used at most: a learner that shares the renderer's cores waits for new rows, a learner on
+    a GPU does not. If renderer and learner take turns, each row is used exactly so often."""
 
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self) if field.type is int):
@@ -91,39 +93,39 @@ class StreamSettings:
 
 
 class Box(NamedTuple):
-    """The corner [3] and the longest side that positions are told relative to."""
+    """The corner [3] and the longest side of the box that positions are relative to."""
 
     corner: Array
     side: float
 
 
 class RowSource(Protocol):
-    """Whatever hands rows to the learner: a renderer beside it, one that takes turns with it, or a file."""
+    """A source of training rows: a renderer beside the learner, one that takes turns with it, or a file."""
 
     exits: bool
-    """Whether rays are exits of walks rather than values."""
+    """Whether rays are exits of walks instead of values."""
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """`count` rows; raises what broke the source."""
+        """The next `count` rows; raises the error of a source that failed."""
 
-    def where(self, number: int) -> str:
-        """Words that name a query by its number."""
+    def describe(self, number: int) -> str:
+        """A query by its number, for messages."""
 
-    def done(self) -> "SourceStatistics":
-        """What the source has done so far."""
+    def statistics(self) -> "SourceStatistics":
+        """Walks and rows so far."""
 
     def state(self) -> dict[str, int]:
-        """What it takes to go on from here."""
+        """State to continue from."""
 
     def start(self) -> None:
-        """Return when rows can be drawn."""
+        """Start the source and return once rows can be drawn."""
 
     def stop(self) -> None:
-        """End what goes on beside the learner."""
+        """End the source's threads."""
 
 
 class SourceStatistics(NamedTuple):
-    """Walks walked and rows rendered since the training began, and seconds spent walking since the source was made."""
+    """Walks and rows since the training began, and seconds of path tracing since the source was made."""
 
     walks: int
     rows: int
@@ -131,83 +133,83 @@ class SourceStatistics(NamedTuple):
 
 
 class RowTracer(Protocol):
-    """Path traces numbered queries to rows."""
+    """Path traces numbered queries as rows."""
 
     exits: bool
     walks_per_query: int
-    """May be set to less, down to `fewest`, and back."""
-    fewest: int
+    """May be changed, down to `fewest_walks`."""
+    fewest_walks: int
 
     def render(self, first: int, count: int) -> Batch:
-        """The rows of queries number first … first + count − 1."""
+        """The rows of queries first … first + count − 1."""
 
-    def where(self, number: int) -> str:
-        """Words that name a query by its number."""
+    def describe(self, number: int) -> str:
+        """A query's number, seed and face, for messages."""
 
 
 class ValueTracer:
-    """Rows whose rays are values: D directions of incidence that share the query's walks."""
+    """Traces rows of values: Ŝ in D directions of incidence that share the query's walks."""
 
     exits = False
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
-        self.walks_per_query = self.fewest = settings.walks
+        self.walks_per_query = self.fewest_walks = settings.walks
         self._prepared, self._box, self._settings, self._seed = prepared, box, settings, seed
         self._source = QuerySource(prepared, settings.directions, seed, settings.face_share, settings.edge_share)
 
     def render(self, first: int, count: int) -> Batch:
-        """Rows of D rays."""
+        """The rows of queries first … first + count − 1, with D rays."""
         queries = self._source.draw(first, count)
-        mean, _ = render(
+        mean, _ = trace_values(
             self._prepared, self._source, queries, self._settings.walks, self._settings.connections, self._seed
         )
         return build_batch(queries.keys, queries.positions, queries.outgoing, queries.incident, mean, self._box)
 
-    def where(self, number: int) -> str:
-        """Words that name a query by its number."""
+    def describe(self, number: int) -> str:
+        """A query's number, seed and face, for messages."""
         return query_description(self._source, number)
 
 
 class ExitTracer:
-    """Rows whose rays are exits: the ends of the query's walks, told by some of them that stand for all."""
+    """Traces rows of exits: those of the query's walks, resampled to `kept` rays."""
 
     exits = True
 
     def __init__(self, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int) -> None:
         """Queries and walks depend on the seed and the query's number alone."""
         self.walks_per_query, self._kept = settings.exits, settings.kept
-        self.fewest = min(settings.least_exits, settings.exits)
+        self.fewest_walks = min(settings.least_exits, settings.exits)
         self._prepared, self._box, self._seed = prepared, box, seed
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
 
     def render(self, first: int, count: int) -> Batch:
-        """Rows of `kept` rays."""
+        """The rows of queries first … first + count − 1, with `kept` rays."""
         from prt_bake.trainer.samples.resampling import resampled
 
         queries = self._source.draw(first, count)
         exits = trace_exits(self._prepared, self._source, queries, self.walks_per_query, self._seed)
-        directions, carried = exits.directions, np.where(exits.unscattered[..., None], 0.0, exits.throughput)
+        directions, throughput = exits.directions, np.where(exits.unscattered[..., None], 0.0, exits.throughput)
         if self._kept != self.walks_per_query:
-            directions, carried = resampled(directions, carried, self._kept, self._seed, queries.keys)
-        return build_batch(queries.keys, queries.positions, queries.outgoing, directions, carried, self._box)
+            directions, throughput = resampled(directions, throughput, self._kept, self._seed, queries.keys)
+        return build_batch(queries.keys, queries.positions, queries.outgoing, directions, throughput, self._box)
 
-    def where(self, number: int) -> str:
-        """Words that name a query by its number."""
+    def describe(self, number: int) -> str:
+        """A query's number, seed and face, for messages."""
         return query_description(self._source, number)
 
 
 def row_tracer(
     scene: Scene, prepared: PreparedScene, box: Box, settings: StreamSettings, seed: int
 ) -> ValueTracer | ExitTracer:
-    """The walks whose rays `settings` ask for; raises QueryError for values behind a smooth interface."""
+    """The tracer of the rays that `settings` choose; raises QueryError for values behind a smooth interface."""
     smooth = smooth_part(scene)
     if settings.rays == "values" and smooth is not None:
         raise QueryError(
-            f"{scene.path}: the boundary of '{smooth.name}' is smooth, and behind it Ŝ has no values at given "
-            "directions; let rays be exits"
+            f"{scene.path}: the boundary of '{smooth.name}' is smooth, and Ŝ has no values in given directions behind "
+            "it; use rays='exits'"
         )
-    values = settings.rays == "values" or (settings.rays == "auto" and is_unbent(scene))
+    values = settings.rays == "values" or (settings.rays == "auto" and is_unrefracted(scene))
     return (ValueTracer if values else ExitTracer)(prepared, box, settings, seed)
 
 
@@ -219,9 +221,7 @@ def build_batch(
     channels: NDArray[Any],
     box: Box,
 ) -> Batch:
-    """Rows of N queries, numbers [N], positions [N,3], outgoing [N,3], with rays along directions [N,R,3] that carry
-    channels [N,R,3].
-    """
+    """Rows of N queries: numbers [N], positions and outgoing [N,3], rays of directions and channels [N,R,3]."""
     count, rays = directions.shape[:2]
     rows = np.empty((count, BEFORE_RAYS + RAY_SIZE * rays), np.float32)
     rows[:, POSITION] = (positions - box.corner) / box.side
@@ -232,31 +232,31 @@ def build_batch(
 
 
 def query_description(source: QuerySource, number: int) -> str:
-    """Words that name a query by its number."""
+    """A query's number, seed and face, for messages."""
     location: Location = source.draw(number, 1).location
     return f"query {number} of seed {source.seed}, on face {int(location.faces[0])}"
 
 
-def render(
+def trace_values(
     prepared: PreparedScene, source: QuerySource, queries: Queries, walks: int, connections: int, seed: int
 ) -> tuple[Array, Array]:
-    """Ŝ [N,D,3] of queries and its standard error (NaN for a single walk)."""
+    """Ŝ [N,D,3] of queries and its standard error, NaN for a single walk."""
     from prt_bake.tracer.kernels import sum_transport
 
     count, directions = queries.incident.shape[:2]
     chunks = np.stack([np.arange(count), np.zeros(count, int), np.full(count, walks)], axis=1)
     sums = np.zeros((count, 4, directions * 3 + 4))
-    placed: tuple[Any, ...] = source.for_kernel(queries)
+    kernel_queries: tuple[Any, ...] = source.for_kernel(queries)
     in_threads(
         sum_transport,
         count,
         prepared.boundary,
         prepared.medium,
-        placed,
+        kernel_queries,
         chunks,
         queries.incident,
         connections,
-        prepared.aims,
+        prepared.next_event,
         seed,
         sums,
     )
@@ -269,7 +269,7 @@ def render(
 
 
 def trace_exits(prepared: PreparedScene, source: QuerySource, queries: Queries, walks: int, seed: int) -> Exits:
-    """Where `walks` walks from each query leave the object."""
+    """The exits of `walks` walks from each query."""
     from prt_bake.tracer.kernels import draw_exits
 
     count = len(queries.keys)

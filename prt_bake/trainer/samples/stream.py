@@ -1,12 +1,13 @@
-"""The renderer beside the learner: a thread that walks all the time and a bounded buffer that hands its rows over.
+"""Renders training rows in a background thread and hands them to the learner through a ring buffer.
 
-The buffer is a ring. The renderer overwrites the oldest rows, the learner goes round and round through what is there:
-queries are drawn at random already, and rows drawn at random once more would be learnt from unequally often, which
-doubles the noise of walks where each is drawn once on average. The renderer may use every core, beside the learner.
-It walks more often from each query while it is ahead of the learner and less often while the learner waits for it, and
-rests only while it is a buffer's half ahead: rows that are overwritten before they are drawn would be walked in vain,
-on cores that could learn. And where both share the cores, the learner waits rather than learn from rows more than
-`reuse` times: new walks say more.
+The renderer overwrites the oldest rows, and the learner reads the buffer in a circle. Queries are random already; rows
+drawn at random from the buffer would be used unequally often, which doubles the noise of the walks if each row is drawn
+once on average.
+
+The renderer may use every core beside the learner. It traces more walks per query while it is ahead of the learner and
+fewer while the learner waits, and it pauses only when it is half a buffer ahead: rows that are overwritten before they
+are drawn would waste cores that could learn. If both share the cores, the learner waits instead of using rows more than
+`reuse` times, since new walks carry more information.
 """
 
 import math
@@ -16,22 +17,19 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.trainer.samples.rows import Batch, RowTracer, SourceStatistics, StreamSettings, render
+from prt_bake.trainer.samples.rows import Batch, RowTracer, SourceStatistics, StreamSettings
 
-__all__ = ["BackgroundRenderer", "RingBuffer", "StreamSettings", "render"]
-
-
-_SHORT, _AMPLE = 1, 3
-"""Batches ahead of the learner up to which the renderer walks less often from each query, and from which more often."""
-_REST, _GLANCE = 0.002, 0.0005
-"""Seconds between two looks of the renderer at how far ahead it is, and of the learner at what is there."""
+_FEW, _MANY = 1, 3
+"""Batches ahead of the learner at which the renderer traces fewer walks per query, and at which it traces more."""
+_PAUSE, _POLL = 0.002, 0.0005
+"""Seconds between two checks by the renderer that is ahead, and by the learner that waits."""
 
 
 class RingBuffer:
-    """Rows with the numbers of their queries; see `prt_bake.trainer.samples.rows`."""
+    """A ring of training rows and their query numbers (`prt_bake.trainer.samples.rows`)."""
 
     def __init__(self, capacity: int) -> None:
-        """Room for `capacity` rows of any width, which the first ones decide."""
+        """A buffer of `capacity` rows; the first rows determine the width."""
         self._capacity = capacity
         self.rows = np.zeros((0, 0), np.float32)
         self.numbers: NDArray[np.int64] = np.zeros(capacity, np.int64)
@@ -40,7 +38,7 @@ class RingBuffer:
         self._lock = threading.Lock()
 
     def put(self, batch: Batch) -> None:
-        """Append rows, over the oldest ones where there is no room."""
+        """Append rows, overwriting the oldest ones if the buffer is full."""
         capacity = self._capacity
         with self._lock:
             if not len(self.rows):
@@ -51,7 +49,7 @@ class RingBuffer:
             self.filled = min(capacity, self.filled + len(batch.rows))
 
     def draw(self, count: int) -> Batch:
-        """The next `count` rows, from the first again after the last."""
+        """The next `count` rows, starting again after the last."""
         with self._lock:
             at = (self._read + np.arange(count)) % self.filled
             self._read = int((self._read + count) % self.filled)
@@ -59,70 +57,71 @@ class RingBuffer:
 
 
 class BackgroundRenderer:
-    """Walks in a thread of its own until told to stop."""
+    """Traces rows in a separate thread until it is stopped."""
 
     def __init__(
         self,
-        walks: RowTracer,
+        tracer: RowTracer,
         settings: StreamSettings,
         threads: int,
         least: int,
         state: dict[str, int] | None = None,
         reuse: float = math.inf,
     ) -> None:
-        """`threads` cores are taken for the walks; `start` waits for `least` rows, `draw` for new ones where rows have
-        been drawn `reuse` times on average; `state` is another's, to go on.
+        """Trace with `threads` threads; continue from `state` if given.
+
+        `start` waits for `least` rows. `draw` waits for new rows once rows have been drawn `reuse` times on average.
         """
         begun = state or {"next_query": 0, "walks": 0, "rows": 0}
-        self.exits = walks.exits
-        self._most = walks.walks_per_query
-        walks.walks_per_query = walks.fewest
+        self.exits = tracer.exits
+        self._most_walks = tracer.walks_per_query
+        tracer.walks_per_query = tracer.fewest_walks
         self.buffer = RingBuffer(settings.capacity)
-        self._walks, self._settings, self._threads = walks, settings, threads
+        self._tracer, self._settings, self._threads = tracer, settings, threads
         self._least, self.reuse = min(least, settings.capacity), reuse
-        self._next_query, self._walked, self._rows = begun["next_query"], begun["walks"], begun["rows"]
+        self._next_query, self._walks, self._rows = begun["next_query"], begun["walks"], begun["rows"]
         self._walking = 0.0
         self._drawn = self._rows
-        self._fault: BaseException | None = None
+        self._error: BaseException | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="prtbake-renderer", daemon=True)
 
     def start(self) -> None:
-        """Start walking and return when the buffer holds enough to draw from; raises what broke the thread."""
+        """Start tracing and return once rows can be drawn; raises the thread's error."""
         self._thread.start()
         while self.buffer.filled < self._least and self._thread.is_alive():
             time.sleep(0.005)
-        self._check()
+        self._raise_error()
 
     def stop(self) -> None:
-        """Finish the batch under way and end the thread."""
+        """Finish the current batch and end the thread."""
         self._stop.set()
         self._thread.join()
 
     def draw(self, count: int, generator: np.random.Generator) -> Batch:
-        """The next `count` rows, the generator left alone; raises what broke the thread."""
-        self._check()
+        """The next `count` rows; `generator` is not used. Raises the thread's error."""
+        self._raise_error()
         while self._drawn >= self.reuse * self._rows and self._thread.is_alive():
-            time.sleep(_GLANCE)
-        self._check()
+            time.sleep(_POLL)
+        self._raise_error()
         self._drawn += count
         return self.buffer.draw(count)
 
-    def where(self, number: int) -> str:
-        """Words that name a query by its number."""
-        return self._walks.where(number)
+    def describe(self, number: int) -> str:
+        """A query's number, seed and face, for messages."""
+        return self._tracer.describe(number)
 
-    def done(self) -> SourceStatistics:
-        """What the thread has done so far."""
-        return SourceStatistics(self._walked, self._rows, self._walking)
+    def statistics(self) -> SourceStatistics:
+        """Walks and rows so far."""
+        return SourceStatistics(self._walks, self._rows, self._walking)
 
     def state(self) -> dict[str, int]:
-        """What it takes to go on from here, with queries that were not asked yet."""
-        return {"next_query": self._next_query, "walks": self._walked, "rows": self._rows}
+        """State to continue from, with queries that were not traced yet."""
+        return {"next_query": self._next_query, "walks": self._walks, "rows": self._rows}
 
-    def _check(self) -> None:
-        if self._fault is not None:
-            raise self._fault
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise self._error
 
     def _run(self) -> None:
         import numba
@@ -132,28 +131,28 @@ class BackgroundRenderer:
             while not self._stop.is_set():
                 ahead = self._rows - self._drawn
                 if ahead > max(self._settings.capacity // 2, self._least):
-                    time.sleep(_REST)
+                    time.sleep(_PAUSE)
                     continue
-                self._pace(ahead)
-                self._one_batch()
-        except BaseException as fault:
-            self._fault = fault
+                self._adapt_walks(ahead)
+                self._trace_batch()
+        except BaseException as error:
+            self._error = error
 
-    def _pace(self, ahead: int) -> None:
-        """Walk a fifth more or less often from each query, by how many rows the learner has before it."""
-        now, batch = self._walks.walks_per_query, self._settings.queries_a_batch
-        if ahead <= _SHORT * batch:
-            now -= max(1, now // 6)
-        elif ahead >= _AMPLE * batch:
-            now += max(1, now // 5)
-        self._walks.walks_per_query = min(max(now, self._walks.fewest), self._most)
+    def _adapt_walks(self, ahead: int) -> None:
+        """Change the walks per query by about a fifth, from the number of rows that the renderer is ahead."""
+        walks, batch = self._tracer.walks_per_query, self._settings.queries_a_batch
+        if ahead <= _FEW * batch:
+            walks -= max(1, walks // 6)
+        elif ahead >= _MANY * batch:
+            walks += max(1, walks // 5)
+        self._tracer.walks_per_query = min(max(walks, self._tracer.fewest_walks), self._most_walks)
 
-    def _one_batch(self) -> None:
+    def _trace_batch(self) -> None:
         begun = time.perf_counter()
-        walks = self._settings.queries_a_batch * self._walks.walks_per_query
-        batch = self._walks.render(self._next_query, self._settings.queries_a_batch)
+        walks = self._settings.queries_a_batch * self._tracer.walks_per_query
+        batch = self._tracer.render(self._next_query, self._settings.queries_a_batch)
         self._walking += time.perf_counter() - begun
         self.buffer.put(batch)
         self._next_query += self._settings.queries_a_batch
-        self._walked += walks
+        self._walks += walks
         self._rows += len(batch.rows)

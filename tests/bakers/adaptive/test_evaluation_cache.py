@@ -1,4 +1,4 @@
-"""What was evaluated before is not asked for again, and nothing but the count of evaluations shows it."""
+"""Cached values are not evaluated again, and change nothing but the number of evaluations."""
 
 import pickle
 
@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from bakers.adaptive import evaluation_cache
-from bakers.adaptive.evaluation_cache import Answers
+from bakers.adaptive.evaluation_cache import EvaluationCache
 from prt_bake import bake
 from prt_bake.baking.adaptive import tolerances
 from tests.bakers.transports import Array, Counting, Lobed, icosphere
@@ -15,8 +15,8 @@ from tests.bakers.transports import Array, Counting, Lobed, icosphere
 BINS = 8
 
 
-class Asked:
-    """Answers with the place itself, and keeps a list of what it was asked for."""
+class Evaluator:
+    """Returns numbers that identify the place, and records the requested places."""
 
     def __init__(self, vertices: NDArray[np.int64], bins: NDArray[np.int64]) -> None:
         self.vertices, self.bins, self.places = vertices, bins, list[int]()
@@ -27,58 +27,58 @@ class Asked:
         return np.stack([key, np.sqrt(key)], axis=1)
 
 
-def given(known: Answers, name: str, vertices: list[int], bins: list[int]) -> tuple[Array, int, list[int]]:
-    ask = Asked(np.array(vertices), np.array(bins))
-    rows, recalled = known.given(name, ask.vertices, ask.bins, ask)
-    np.testing.assert_array_equal(rows, Asked(ask.vertices, ask.bins)(np.arange(len(vertices))))
-    return rows, recalled, ask.places
+def cached(cache: EvaluationCache, name: str, vertices: list[int], bins: list[int]) -> tuple[Array, int, list[int]]:
+    evaluator = Evaluator(np.array(vertices), np.array(bins))
+    rows, recalled = cache.get(name, evaluator.vertices, evaluator.bins, evaluator)
+    np.testing.assert_array_equal(rows, Evaluator(evaluator.vertices, evaluator.bins)(np.arange(len(vertices))))
+    return rows, recalled, evaluator.places
 
 
-def test_only_what_is_not_known_is_asked_for() -> None:
-    known = Answers(np.array([3, 5]), BINS)
-    assert given(known, "a", [3, 4, 5], [0, 0, 7])[1:] == (0, [0, 1, 2])
-    # Vertex 4 is not among those that are remembered.
-    assert given(known, "a", [5, 4, 3, 3], [7, 0, 1, 0])[1:] == (2, [1, 2])
-    assert given(known, "a", [3, 3, 5], [0, 1, 7])[1:] == (3, [])
-    assert given(known, "b", [3], [0])[1:] == (0, [0])
-    assert given(Answers(np.zeros(0, np.int64), 0), "a", [3, 4], [0, 1])[1:] == (0, [0, 1])
+def test_only_missing_values_are_evaluated() -> None:
+    cache = EvaluationCache(np.array([3, 5]), BINS)
+    assert cached(cache, "a", [3, 4, 5], [0, 0, 7])[1:] == (0, [0, 1, 2])
+    # Vertex 4 is not cached.
+    assert cached(cache, "a", [5, 4, 3, 3], [7, 0, 1, 0])[1:] == (2, [1, 2])
+    assert cached(cache, "a", [3, 3, 5], [0, 1, 7])[1:] == (3, [])
+    assert cached(cache, "b", [3], [0])[1:] == (0, [0])
+    assert cached(EvaluationCache(np.zeros(0, np.int64), 0), "a", [3, 4], [0, 1])[1:] == (0, [0, 1])
 
 
-def test_many_rows_come_back_as_they_were_given() -> None:
+def test_many_rows_are_returned_unchanged() -> None:
     numbers = np.random.default_rng(1)
-    known, asked = Answers(np.arange(40), BINS), set[tuple[int, int]]()
+    cache, evaluated = EvaluationCache(np.arange(40), BINS), set[tuple[int, int]]()
     for _round in range(30):
         keys = numbers.choice(50 * BINS, 60, replace=False)
         vertices, bins = (part.tolist() for part in np.divmod(keys, BINS))
-        _rows, recalled, places = given(known, "a", vertices, bins)
+        _rows, recalled, places = cached(cache, "a", vertices, bins)
         here = {(v, b) for v, b in zip(vertices, bins, strict=True) if v < 40}
-        assert recalled == len(here & asked)
+        assert recalled == len(here & evaluated)
         assert len(places) == 60 - recalled
-        asked |= here
+        evaluated |= here
 
 
-def test_no_more_is_kept_than_there_is_room_for() -> None:
-    known = Answers(np.arange(4), BINS, most_bytes=100)
-    given(known, "a", [0, 1], [0, 0])
-    given(known, "a", [0, 1, 2, 3], [1, 1, 1, 1])
-    assert given(known, "a", [0, 1], [0, 0])[1] == 2
-    assert given(known, "a", [0, 1], [1, 1])[1] == 0
+def test_no_more_than_the_limit_is_stored() -> None:
+    cache = EvaluationCache(np.arange(4), BINS, most_bytes=100)
+    cached(cache, "a", [0, 1], [0, 0])
+    cached(cache, "a", [0, 1, 2, 3], [1, 1, 1, 1])
+    assert cached(cache, "a", [0, 1], [0, 0])[1] == 2
+    assert cached(cache, "a", [0, 1], [1, 1])[1] == 0
 
 
-def test_copies_begin_empty() -> None:
-    known = Answers(np.array([3, 5]), BINS)
-    given(known, "a", [3], [0])
-    copy = pickle.loads(pickle.dumps(known))
-    assert given(copy, "a", [3], [0])[1] == 0
-    assert given(copy, "a", [3], [0])[1] == 1
+def test_copies_start_empty() -> None:
+    cache = EvaluationCache(np.array([3, 5]), BINS)
+    cached(cache, "a", [3], [0])
+    copy = pickle.loads(pickle.dumps(cache))
+    assert cached(copy, "a", [3], [0])[1] == 0
+    assert cached(copy, "a", [3], [0])[1] == 1
 
 
-def test_a_bake_is_the_same_bits_with_and_without(monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh, counted, forgetful = icosphere(1), Counting(Lobed()), Counting(Lobed())
+def test_a_bake_is_bitwise_equal_with_and_without_a_cache(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, counted, uncached = icosphere(1), Counting(Lobed()), Counting(Lobed())
     asset = bake(counted, mesh, rings=8, sectors=32, error=0.02)
-    monkeypatch.setattr(tolerances, "Answers", lambda _vertices, _bins: evaluation_cache.NOTHING)
-    other = bake(forgetful, mesh, rings=8, sectors=32, error=0.02)
+    monkeypatch.setattr(tolerances, "EvaluationCache", lambda _vertices, _bins: evaluation_cache.NO_CACHE)
+    other = bake(uncached, mesh, rings=8, sectors=32, error=0.02)
     np.testing.assert_array_equal(asset.coefficients, other.coefficients)
     np.testing.assert_array_equal(asset.standard_error, other.standard_error)
-    assert counted.evaluations == asset.provenance["evaluations"] < 0.9 * forgetful.evaluations
-    assert forgetful.evaluations == other.provenance["evaluations"]
+    assert counted.evaluations == asset.provenance["evaluations"] < 0.9 * uncached.evaluations
+    assert uncached.evaluations == other.provenance["evaluations"]

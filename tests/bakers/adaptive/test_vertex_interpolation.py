@@ -1,10 +1,16 @@
-"""Vertices that are foretold from others: exact for what is quadratic, whichever way tangent frames lie."""
+"""Interpolation of vertices: exact for quadratic functions, whatever the orientation of the tangent frames."""
 
 import numpy as np
 import pytest
 
-from bakers.adaptive.vertex_interpolation import Surroundings, carried_along, foretold, spread_out, turned
-from prt_bake.baking.adaptive.interpolation_kernel import foretold_from
+from bakers.adaptive.vertex_interpolation import (
+    VertexInterpolator,
+    interpolated,
+    one_per_cell,
+    rotated_sectors,
+    rotated_with_normal,
+)
+from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.random import hashed
 from tests.bakers.transports import icosphere
@@ -13,7 +19,7 @@ Array = np.ndarray
 
 
 def plane(count: int, seed: int = 0) -> tuple[Array, Array, Array]:
-    """Places on a plane, the normal, and tangents in any direction."""
+    """Positions on a plane, the normal, and tangents in any direction."""
     rng = np.random.default_rng(seed)
     flat = rng.random((count, 2))
     angle = rng.random(count) * 2.0 * np.pi
@@ -22,11 +28,11 @@ def plane(count: int, seed: int = 0) -> tuple[Array, Array, Array]:
     return np.column_stack([flat, zero]), np.tile([0.0, 0.0, 1.0], (count, 1)), tangents
 
 
-def test_quadratic_functions_of_a_plane_are_foretold_exactly() -> None:
+def test_quadratic_functions_on_a_plane_are_interpolated_exactly() -> None:
     known, wanted = plane(400), plane(50, seed=1)
-    parents = Surroundings(*known).parents(*wanted)
+    parents = VertexInterpolator(*known).parents(*wanted)
     inside = (np.abs(wanted[0][:, :2] - 0.5) < 0.35).all(axis=1)
-    assert parents.sound[inside].all()
+    assert parents.usable[inside].all()
     np.testing.assert_allclose(parents.weights.sum(axis=1), 1.0, atol=1e-9)
 
     def field(places: Array) -> Array:
@@ -34,30 +40,30 @@ def test_quadratic_functions_of_a_plane_are_foretold_exactly() -> None:
         return np.stack([2.0 + x - 3.0 * y, x * y - y * y, 5.0 * x * x], axis=1)
 
     values = field(known[0])
-    for row in np.flatnonzero(parents.sound):
-        found, variance = foretold(values[parents.of[row]][:, None], parents, row)
+    for row in np.flatnonzero(parents.usable):
+        found, variance = interpolated(values[parents.indices[row]][:, None], parents, row)
         np.testing.assert_allclose(found[0], field(wanted[0])[row], atol=1e-6)
         assert variance[0] < 1e-12
 
 
-def test_noise_is_told_by_what_the_fit_leaves_over() -> None:
+def test_noise_is_estimated_from_the_residuals() -> None:
     known, wanted = plane(600), plane(200, seed=1)
-    parents = Surroundings(*known).parents(*wanted)
+    parents = VertexInterpolator(*known).parents(*wanted)
     noisy = np.random.default_rng(2).normal(1.0, 0.1, (600, 8, 27))
-    rows = np.flatnonzero(parents.sound)
-    found = [foretold(noisy[parents.of[row]], parents, row) for row in rows]
+    rows = np.flatnonzero(parents.usable)
+    found = [interpolated(noisy[parents.indices[row]], parents, row) for row in rows]
     squared = np.mean([((values - 1.0) ** 2).mean() for values, _variance in found])
     stated = np.mean([variance.mean() for _values, variance in found])
     assert stated == pytest.approx(squared, rel=0.1)
     assert squared < 0.5 * 0.1**2
 
 
-def test_a_step_between_the_parents_is_told() -> None:
+def test_a_step_between_the_parents_has_a_large_variance() -> None:
     known, wanted = plane(600), plane(100, seed=1)
-    parents = Surroundings(*known).parents(*wanted)
+    parents = VertexInterpolator(*known).parents(*wanted)
     step = (known[0][:, 0] > 0.5).astype(float)[:, None, None]
-    rows = np.flatnonzero(parents.sound)
-    variance = np.array([foretold(step[parents.of[row]], parents, row)[1][0] for row in rows])
+    rows = np.flatnonzero(parents.usable)
+    variance = np.array([interpolated(step[parents.indices[row]], parents, row)[1][0] for row in rows])
     near = np.abs(wanted[0][rows, 0] - 0.5) < 0.03
     far = np.abs(wanted[0][rows, 0] - 0.5) > 0.3
     assert variance[near].min() > 1e-3
@@ -69,85 +75,90 @@ def test_parents_are_on_the_same_side_of_a_thin_sheet() -> None:
     other = plane(300, seed=3)
     both = [np.concatenate(pair) for pair in zip(one, other, strict=True)]
     both[0][300:, 2], both[1][300:] = -1e-3, [0.0, 0.0, -1.0]
-    parents = Surroundings(*both).parents(*plane(50, seed=1))
-    assert parents.sound.sum() > 30
-    assert (parents.of[parents.sound] < 300).all()
+    parents = VertexInterpolator(*both).parents(*plane(50, seed=1))
+    assert parents.usable.sum() > 30
+    assert (parents.indices[parents.usable] < 300).all()
 
 
 @pytest.mark.parametrize("count", [1, 5, 8])
-def test_too_few_to_foretell_from_are_not_sound(count: int) -> None:
-    assert not Surroundings(*plane(count)).parents(*plane(4, seed=1)).sound.any()
+def test_too_few_parents_are_not_usable(count: int) -> None:
+    assert not VertexInterpolator(*plane(count)).parents(*plane(4, seed=1)).usable.any()
 
 
-def test_parents_along_a_line_are_not_sound() -> None:
+def test_parents_along_a_line_are_not_usable() -> None:
     known = plane(200)
     known[0][:, 1] = 0.5
-    assert not Surroundings(*known).parents(*plane(20, seed=1)).sound.any()
+    assert not VertexInterpolator(*known).parents(*plane(20, seed=1)).usable.any()
 
 
-def test_nobody_is_foretold_from_afar() -> None:
+def test_vertices_are_not_extrapolated() -> None:
     wanted = plane(20, seed=1)
     wanted[0][:, 0] += 1.0
-    assert not Surroundings(*plane(400)).parents(*wanted).sound.any()
+    assert not VertexInterpolator(*plane(400)).parents(*wanted).usable.any()
 
 
-def test_one_vertex_of_each_cell_is_chosen_whatever_their_order() -> None:
+def test_one_vertex_per_cell_is_chosen_whatever_their_order() -> None:
     mesh = icosphere(4)
     order = hashed(7, 0, np.arange(len(mesh.positions)))
-    chosen = spread_out(mesh.positions, mesh.normals, 0.2, order)
+    chosen = one_per_cell(mesh.positions, mesh.normals, 0.2, order)
     assert 4 < len(chosen) / chosen.sum() < 8
     shuffled = np.random.default_rng(0).permutation(len(chosen))
-    again = spread_out(mesh.positions[shuffled], mesh.normals[shuffled], 0.2, order[shuffled])
+    again = one_per_cell(mesh.positions[shuffled], mesh.normals[shuffled], 0.2, order[shuffled])
     np.testing.assert_array_equal(again, chosen[shuffled])
 
 
-def test_turning_sectors_is_exact_for_whole_ones_and_good_between() -> None:
+def test_rotating_sectors_is_exact_for_whole_ones_and_accurate_between() -> None:
     phi = (np.arange(64) + 0.5) / 64 * 2.0 * np.pi
     values = np.stack([np.cos(3.0 * phi), np.exp(np.sin(phi))])[..., None]
     for steps in (-65, -1, 0, 5):
-        np.testing.assert_array_equal(turned(values, steps * 2.0 * np.pi / 64), np.roll(values, -steps, axis=1))
+        np.testing.assert_array_equal(
+            rotated_sectors(values, steps * 2.0 * np.pi / 64), np.roll(values, -steps, axis=1)
+        )
     other = np.stack([np.cos(3.0 * (phi + 0.3)), np.exp(np.sin(phi + 0.3))])[..., None]
-    np.testing.assert_allclose(turned(values, 0.3), other, atol=3e-4)
+    np.testing.assert_allclose(rotated_sectors(values, 0.3), other, atol=3e-4)
 
 
-def test_a_function_of_the_view_alone_is_foretold_where_frames_whirl() -> None:
-    """About the pole of the tangent frames: what changes with the direction to the eye in the world alone."""
+def test_functions_of_the_view_are_interpolated_across_the_pole_of_frames() -> None:
+    """Around the pole of the tangent frames: functions of the world direction to the eye alone."""
     mesh, rings, sectors = icosphere(4), 8, 64
     tangents = sphere.tangent_frame(mesh.normals)
     local = sphere.view_bins(rings, sectors)
     world = sphere.to_world(local, mesh.normals[:, None], tangents[:, None])
     values = np.stack([world[..., 0], world[..., 1] * world[..., 2]], axis=-1)
     known = np.arange(len(values)) % 3 > 0
-    parents = Surroundings(mesh.positions[known], mesh.normals[known], tangents[known]).parents(
+    parents = VertexInterpolator(mesh.positions[known], mesh.normals[known], tangents[known]).parents(
         mesh.positions[~known], mesh.normals[~known], tangents[~known]
     )
-    assert parents.sound.all()
+    assert parents.usable.all()
     by_bin = values[known].reshape(-1, rings, sectors, 2)
     for row in range(0, int((~known).sum()), 5):
-        own = [turned(by_bin[p], t) for p, t in zip(parents.of[row], parents.turn[row], strict=True)]
-        found, _variance = foretold(np.stack(own).reshape(len(own), -1, 2), parents, row)
+        own = [
+            rotated_sectors(by_bin[p], t)
+            for p, t in zip(parents.indices[row], parents.azimuth_shifts[row], strict=True)
+        ]
+        found, _variance = interpolated(np.stack(own).reshape(len(own), -1, 2), parents, row)
         np.testing.assert_allclose(found, values[~known][row], atol=5e-3)
 
 
-def test_vectors_are_carried_along_the_shortest_turn() -> None:
+def test_vectors_are_rotated_with_the_normal() -> None:
     rng = np.random.default_rng(0)
     start, end = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 20, 3)))
-    np.testing.assert_allclose(carried_along(start, start, end), end, atol=1e-12)
+    np.testing.assert_allclose(rotated_with_normal(start, start, end), end, atol=1e-12)
     axis = np.cross(start, end)
-    np.testing.assert_allclose(carried_along(axis, start, end), axis, atol=1e-12)
+    np.testing.assert_allclose(rotated_with_normal(axis, start, end), axis, atol=1e-12)
 
 
 @pytest.mark.parametrize("grid", [(4, 16), (2, 1), (1, 3)])
-def test_the_sweep_is_turning_and_foretelling(grid: tuple[int, int]) -> None:
+def test_the_kernel_equals_rotation_and_interpolation(grid: tuple[int, int]) -> None:
     known, wanted = plane(60), plane(6, seed=1)
-    parents = Surroundings(*known).parents(*wanted)
+    parents = VertexInterpolator(*known).parents(*wanted)
     values = np.random.default_rng(4).normal(size=(60, *grid, 6)).astype(np.float32)
-    rows = np.flatnonzero(parents.sound)
+    rows = np.flatnonzero(parents.usable)
     assert len(rows)
     for row in rows:
-        pairs = zip(parents.of[row], parents.turn[row], strict=True)
-        own = np.stack([turned(values[p].astype(float), t) for p, t in pairs])
-        expected, variance = foretold(own.reshape(len(own), -1, 6), parents, row)
-        found, told = foretold_from(values, parents.of[row], parents, row)
+        pairs = zip(parents.indices[row], parents.azimuth_shifts[row], strict=True)
+        own = np.stack([rotated_sectors(values[p].astype(float), t) for p, t in pairs])
+        expected, variance = interpolated(own.reshape(len(own), -1, 6), parents, row)
+        found, estimated = interpolated_from(values, parents.indices[row], parents, row)
         np.testing.assert_allclose(found, expected, atol=1e-12)
-        np.testing.assert_allclose(told, variance, rtol=1e-10)
+        np.testing.assert_allclose(estimated, variance, rtol=1e-10)

@@ -1,4 +1,4 @@
-"""Levels of view bins and the lattice that grows: laws of what refined bakes are made of."""
+"""Levels of view bins, nested lattices and lattice pools."""
 
 from itertools import pairwise
 
@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from bakers.adaptive.calibration import Correction, Tally
-from bakers.adaptive.fit_residual import LightNoise, fitted_noise
-from bakers.adaptive.records import noise_of_checks
+from bakers.adaptive.fit_residual import LatticeNoise, fit_lattice_noise
+from bakers.adaptive.records import validation_noise
 from bakers.adaptive.view_levels import view_levels
-from prt_bake.baking.job.lattices import checked_bins, drawn, lattice_for, pools_for, vertex_turns
+from prt_bake.baking.job.lattices import drawn, lattice_for, pools_for, validation_bins, vertex_turns
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import extensible_lattice
 from tests.bakers.transports import Lobed
 
 
 @pytest.mark.parametrize(("rings", "sectors"), [(1, 1), (1, 5), (2, 3), (4, 8), (16, 64), (40, 64)])
-def test_every_bin_is_in_one_level_and_foretold_from_those_below(rings: int, sectors: int) -> None:
+def test_every_bin_is_in_one_level_and_predicted_from_those_below(rings: int, sectors: int) -> None:
     directions = sphere.view_bins(rings, sectors)
     levels = view_levels(directions)
     below: set[int] = set()
@@ -29,21 +29,23 @@ def test_every_bin_is_in_one_level_and_foretold_from_those_below(rings: int, sec
     assert below == set(range(rings * sectors))
 
 
-def test_smooth_functions_of_the_view_are_foretold_the_better_the_finer() -> None:
+def test_predictions_of_smooth_functions_improve_with_the_level() -> None:
     directions = sphere.view_bins(16, 64)
     values = sh.evaluate(directions, 3)
-    off = [float(np.abs(level.combining @ values - values[level.bins]).max()) for level in view_levels(directions)[2:]]
+    off = [
+        float(np.abs(level.interpolation @ values - values[level.bins]).max()) for level in view_levels(directions)[2:]
+    ]
     assert all(after < 0.7 * before for before, after in pairwise(off))
     assert off[-1] < 0.01
 
 
-def test_the_lattice_keeps_its_points_and_each_size_is_even() -> None:
+def test_the_lattice_is_nested_and_each_size_is_equidistributed() -> None:
     whole = extensible_lattice(1 << 12)
     for size in (16, 64, 512, 4096):
         some = whole[:size]
         np.testing.assert_array_equal(extensible_lattice(size), some)
         heights = np.sort(some[:, 2])
-        # One point in each of `size` zones of equal area: the heights are equally far apart.
+        # One point in each of `size` zones of equal area: the heights are equally spaced.
         np.testing.assert_allclose(np.diff(heights), 2.0 / size, atol=1e-9)
         harmonics = sh.evaluate(some, 2)
         np.testing.assert_allclose(4.0 * np.pi / size * harmonics.T @ harmonics, np.eye(9), atol=12.0 / size)
@@ -52,21 +54,21 @@ def test_the_lattice_keeps_its_points_and_each_size_is_even() -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
-def test_fits_recover_what_is_in_the_band_and_tell_of_what_is_not(degree: int) -> None:
+def test_fits_reproduce_band_limited_functions_and_estimate_residuals(degree: int) -> None:
     lattice = lattice_for(degree)
     exact = np.random.default_rng(degree).normal(size=(4, sh.count(degree), 3))
     for step, size in enumerate(lattice.sizes[:4]):
         values = lattice.harmonics[:size] @ exact
-        found, rough = lattice.fitted(values, step)
+        found, residual = lattice.fitted(values, step)
         np.testing.assert_allclose(found.reshape(exact.shape), exact, atol=1e-12)
-        assert (rough < 1e-24).all()
+        assert (residual < 1e-24).all()
         noise = np.random.default_rng(step).normal(size=(400, size, 3))
-        found, rough = lattice.fitted(noise, step)
-        assert rough.mean() == pytest.approx(1.0, abs=0.05)
+        found, residual = lattice.fitted(noise, step)
+        assert residual.mean() == pytest.approx(1.0, abs=0.05)
         assert (found**2).mean() == pytest.approx(lattice.variance_shares[step], rel=0.1)
 
 
-def test_turns_are_rotations_of_their_own_vertex() -> None:
+def test_rotations_depend_on_the_vertex_alone() -> None:
     turns = vertex_turns(3)(np.arange(2000))
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
     # Uniform on SO(3): the image of any axis has mean 0 and a third of its length in each direction.
@@ -76,77 +78,79 @@ def test_turns_are_rotations_of_their_own_vertex() -> None:
 
 
 def test_bins_are_drawn_by_the_seed_with_their_share() -> None:
-    some = checked_bins(1, 1024, 0.02)(np.arange(50))
+    some = validation_bins(1, 1024, 0.02)(np.arange(50))
     assert some.mean() == pytest.approx(0.02, abs=0.003)
-    np.testing.assert_array_equal(checked_bins(1, 1024, 0.02)(np.array([7])), some[7:8])
-    assert checked_bins(1, 8, 1.0)(np.arange(9)).all()
-    assert not checked_bins(1, 8, 0.0)(np.arange(9)).any()
+    np.testing.assert_array_equal(validation_bins(1, 1024, 0.02)(np.array([7])), some[7:8])
+    assert validation_bins(1, 8, 1.0)(np.arange(9)).all()
+    assert not validation_bins(1, 8, 0.0)(np.arange(9)).any()
     assert len(set(drawn(1, 100, 30).tolist())) == 30
 
 
 @pytest.mark.parametrize("share", [0.3 / 1024, 0.003, 0.02])
 def test_checked_bins_are_spread_over_vertices_and_views(share: float) -> None:
-    drawn_there = np.array([checked_bins(seed, 1024, share)(np.arange(400)) for seed in range(40)])
+    drawn_there = np.array([validation_bins(seed, 1024, share)(np.arange(400)) for seed in range(40)])
     each, ring = drawn_there.sum(axis=2), drawn_there.reshape(40, 400, 16, 64).sum(axis=(1, 3))
     expected = 400 * 64 * share
     assert each.max() - each.min() <= 1
-    # A tenth of what bins that are drawn apart scatter by, in variance; without bias, to five sigma of those.
+    # A tenth of the variance of independently drawn bins; unbiased, to five of their sigmas.
     assert ring.var(axis=0).mean() < 0.1 * expected
     assert np.abs(drawn_there.mean(axis=(0, 1)) - share).max() < 5.0 * np.sqrt(share / (40 * 400))
 
 
-@pytest.mark.parametrize("kind", ["of many numbers", "of one number", "of lattices of which some are better"])
-def test_the_noise_of_checks_is_told_as_it_is(kind: str) -> None:
+@pytest.mark.parametrize("kind", ["many numbers", "one number", "lattices of different accuracy"])
+def test_the_noise_of_validation_samples_is_estimated(kind: str) -> None:
     numbers = np.random.default_rng(3)
     rows = np.repeat(np.arange(2000), 5)
-    shape = (len(rows), 9, 1 if kind != "of many numbers" else 3)
+    shape = (len(rows), 9, 1 if kind != "many numbers" else 3)
     off = 0.5 * numbers.normal(size=shape)
     errors = numbers.normal(size=(2, *shape))
-    if kind == "of one number":
+    if kind == "one number":
         errors = numbers.normal(size=(2, len(rows), 1, 1)) * np.ones((9, 1))
-    if kind == "of lattices of which some are better":
+    if kind == "lattices of different accuracy":
         errors *= np.exp(numbers.normal(size=(2, len(rows), 1, 1)))
     one, other = errors[0] - off, errors[1] - off
     truly = (one * other).mean(axis=(1, 2)) - (off**2).mean(axis=(1, 2))
-    told = noise_of_checks(rows, one, other)
-    assert abs(told.mean()) < 5.0 * told.std() / np.sqrt(len(told))
-    assert told.std() == pytest.approx(truly.std(), rel=0.1)
+    estimated = validation_noise(rows, one, other)
+    assert abs(estimated.mean()) < 5.0 * estimated.std() / np.sqrt(len(estimated))
+    assert estimated.std() == pytest.approx(truly.std(), rel=0.1)
     first = slice(0, 5)
-    np.testing.assert_array_equal(noise_of_checks(rows[first], one[first], other[first]), told[first])
+    np.testing.assert_array_equal(validation_noise(rows[first], one[first], other[first]), estimated[first])
 
 
-def test_noise_of_fits_is_found_from_pairs() -> None:
+def test_lattice_noise_is_fitted_to_pairs() -> None:
     sizes, shares, many = (20, 40, 80), (0.6, 0.3, 0.15), 4000
-    true = LightNoise(gain=5.0, slope=0.5)
+    true = LatticeNoise(gain=5.0, slope=0.5)
     draws = np.random.default_rng(1)
-    rough = draws.lognormal(size=(3, many))
-    usual = np.array([true.variance(share, size) for share, size in zip(shares, sizes, strict=True)])[:, None] * rough
+    residual = draws.lognormal(size=(3, many))
+    usual = (
+        np.array([true.variance(share, size) for share, size in zip(shares, sizes, strict=True)])[:, None] * residual
+    )
     squared = usual * draws.lognormal(-0.5 * 0.7**2, 0.7, size=usual.shape)
-    found = fitted_noise(shares, sizes, rough, squared)
+    found = fit_lattice_noise(shares, sizes, residual, squared)
     assert found.gain == pytest.approx(5.0, rel=0.03)
     assert found.slope == pytest.approx(0.5, abs=0.05)
-    nothing = fitted_noise(shares, sizes, np.zeros((3, 5)), np.zeros((3, 5)))
-    assert nothing.gain == pytest.approx(LightNoise().gain)
+    nothing = fit_lattice_noise(shares, sizes, np.zeros((3, 5)), np.zeros((3, 5)))
+    assert nothing.gain == pytest.approx(LatticeNoise().gain)
 
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
-def test_pools_recover_what_is_in_the_band_in_every_copy(degree: int) -> None:
+def test_pools_reproduce_band_limited_functions_in_every_copy(degree: int) -> None:
     pools = pools_for(degree, 4)
     exact = np.random.default_rng(degree).normal(size=(5, sh.count(degree), 3))
     for size in pools.sizes[:5]:
         pool = pools.of(size)
         copies = np.arange(5) % len(pool.incident)
         values = sh.evaluate(pool.incident[copies].reshape(-1, 3), degree).reshape(5, size, -1) @ exact
-        found, _left, rough = pool.fitted(values, copies)
+        found, _residuals, residual = pool.fitted(values, copies)
         np.testing.assert_allclose(found, exact, atol=1e-11)
-        assert (rough < 1e-22).all()
+        assert (residual < 1e-22).all()
         noise = np.random.default_rng(size).normal(size=(400, size, 3))
-        found, _left, rough = pool.fitted(noise, np.zeros(400, np.int64))
-        assert rough.mean() == pytest.approx(1.0, abs=0.05)
+        found, _residuals, residual = pool.fitted(noise, np.zeros(400, np.int64))
+        assert residual.mean() == pytest.approx(1.0, abs=0.05)
         assert (found**2).mean() == pytest.approx(pool.variance_share, rel=0.1)
 
 
-def test_bins_and_their_two_checks_take_copies_apart_and_evenly() -> None:
+def test_bins_and_their_validation_use_different_copies_evenly() -> None:
     pools = pools_for(2, 4)
     for size in (pools.sizes[0], pools.sizes[-1]):
         half = len(pools.of(size).incident) // 2
@@ -157,13 +161,13 @@ def test_bins_and_their_two_checks_take_copies_apart_and_evenly() -> None:
         for row in (taken[0], taken[1] - half, taken[2] - half):
             counts = np.bincount(row, minlength=half)
             expected = taken.shape[1] / half
-            # Chi-square with half − 1 degrees of freedom: once in 1e5 runs above ten sigma where there is but one.
+            # Chi-square with half − 1 degrees of freedom: above ten sigma once in 1e5 runs.
             off = ((counts - expected) ** 2 / expected).sum()
             assert abs(off - (half - 1)) < 10.0 * np.sqrt(2.0 * (half - 1))
         np.testing.assert_array_equal(pools.copies(size, vertices[7:9], bins[7:9], 2), taken[2, 7:9])
 
 
-def test_a_correction_without_checks_is_what_was_known() -> None:
+def test_a_correction_without_samples_is_the_prior() -> None:
     assert Tally(3).correction(Correction(2.0, 0.5)) == Correction(2.0, 0.5)
     assert Tally(3).relative(Correction()) == (0.0, 0.0)
 

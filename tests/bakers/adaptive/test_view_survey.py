@@ -1,10 +1,10 @@
-"""Highlights between the view bins that a bake looks at first."""
+"""Highlights between the view bins that a bake evaluates first."""
 
 import numpy as np
 import pytest
 
 from bakers.adaptive.view_levels import view_levels
-from bakers.adaptive.view_survey import ALWAYS, ViewSurvey
+from bakers.adaptive.view_survey import FULL_LEVELS, ViewSurvey
 from prt_bake import bake
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.random import uniforms
@@ -15,7 +15,9 @@ LEVELS = view_levels(BINS)
 
 
 class Glinting:
-    """A cosine, a hundred times as bright from a cone of so many bins, elsewhere at every vertex, at half of them."""
+    """A cosine, a hundred times as bright within a cone of so many bins; its direction varies by vertex, and half of
+    the vertices have none.
+    """
 
     def __init__(self, bins: float) -> None:
         self.least = np.cos(np.sqrt(2.0 * bins / len(BINS)))
@@ -33,35 +35,35 @@ class Glinting:
 
 def spot(bins: int) -> Array:
     """1 everywhere, 100 at the bins that are nearest to a direction."""
-    aside = BINS @ np.array([0.6, 0.0, 0.8])
-    return np.where(np.argsort(np.argsort(-aside)) < bins, 100.0, 1.0)[:, None, None]
+    cosine = BINS @ np.array([0.6, 0.0, 0.8])
+    return np.where(np.argsort(np.argsort(-cosine)) < bins, 100.0, 1.0)[:, None, None]
 
 
 @pytest.mark.parametrize("view", [np.zeros(1024), np.ones(1024), 2.0 + BINS[:, 0], np.exp(3.0 * BINS[:, 1])])
-def test_smooth_views_are_foretold_from_few(view: Array) -> None:
+def test_smooth_views_need_few_levels(view: Array) -> None:
     survey = ViewSurvey.of(LEVELS, BINS, view[:, None, None], 1e-3)
-    assert survey.always_for(0.01, 0.02) == ALWAYS
+    assert survey.full_levels_for(0.01, 0.02) == FULL_LEVELS
 
 
 @pytest.mark.parametrize("bins", [1, 2, 4])
-def test_a_highlight_of_a_few_bins_calls_for_all_of_them(bins: int) -> None:
+def test_a_highlight_of_a_few_bins_needs_all_levels(bins: int) -> None:
     survey = ViewSurvey.of(LEVELS, BINS, spot(bins), 1e-3)
-    assert survey.always_for(0.01, 0.02) == len(LEVELS) - 1
+    assert survey.full_levels_for(0.01, 0.02) == len(LEVELS) - 1
 
 
-def test_the_wider_a_highlight_the_fewer_bins_are_called_for() -> None:
-    called = [ViewSurvey.of(LEVELS, BINS, spot(bins), 1e-3).always_for(0.01, 0.02) for bins in (1, 12, 60, 300)]
-    assert called == sorted(called, reverse=True)
-    assert called[0] > called[-1]
+def test_wider_highlights_need_fewer_levels() -> None:
+    needed = [ViewSurvey.of(LEVELS, BINS, spot(bins), 1e-3).full_levels_for(0.01, 0.02) for bins in (1, 12, 60, 300)]
+    assert needed == sorted(needed, reverse=True)
+    assert needed[0] > needed[-1]
 
 
-def test_what_is_tolerated_is_not_chased() -> None:
+def test_tolerated_highlights_need_few_levels() -> None:
     survey = ViewSurvey.of(LEVELS, BINS, 1.0 + 1e-4 * spot(4), 1e-3)
-    assert survey.always_for(0.01, 0.02) == ALWAYS
+    assert survey.full_levels_for(0.01, 0.02) == FULL_LEVELS
 
 
 @pytest.mark.parametrize("bins", [6.0, 20.0])
-def test_highlights_from_nothing_are_found_and_told_of(bins: float) -> None:
+def test_isolated_highlights_are_found_and_reported(bins: float) -> None:
     mesh, transport = icosphere(1), Glinting(bins)
     asset = bake(transport, mesh, error=0.02)
     truth = exact(transport, mesh, 16, 64, directions=512)

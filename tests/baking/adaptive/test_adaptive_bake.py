@@ -12,7 +12,7 @@ from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake
 from prt_bake.baking.adaptive.passes import Pass, tighter
-from prt_bake.baking.adaptive.pilot import Site, first_refinement
+from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
 from prt_bake.baking.adaptive.tolerances import coarse
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
@@ -26,9 +26,9 @@ from tests.bakers.transports import (
     Lobed,
     exact,
     icosphere,
-    uniform_needs,
+    uniform_directions_needed,
 )
-from tests.baking.loose_pilot import loosely_aimed
+from tests.baking.loose_pilot import loose_settings
 
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 
@@ -66,7 +66,7 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     assert (0.90 if few else 0.93) < within < (0.99 if few else 0.97)
     bins = len(mesh.positions) * 1024
     assert counted.evaluations == asset.provenance["evaluations"]
-    assert uniform_needs(transport, mesh, truth, 16, 64, ERROR) > least * counted.evaluations / bins
+    assert uniform_directions_needed(transport, mesh, truth, 16, 64, ERROR) > least * counted.evaluations / bins
     assert asset.coefficients.shape == (42, 1024, 9, 3)
     assert asset.valid.all()
     assert asset.complete
@@ -242,7 +242,7 @@ def test_numbers_of_a_network_do_not_depend_on_them_either(precision: str, monke
 
 def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh, transport = icosphere(1), Incoherent()
-    monkeypatch.setattr("prt_bake.baking.adaptive.run.aimed", loosely_aimed)
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     counted = Counting(transport)
     asset = bake(counted, mesh, error=ERROR, seed=1)
     assert asset.provenance["refinement"]["passes"] == 2
@@ -255,17 +255,17 @@ def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.M
 
 def test_the_worst_vertices_alone_are_done_again() -> None:
     mesh = icosphere(1)
-    site = Site(Lobed(), mesh, np.arange(42), views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
-    aim = coarse(first_refinement(site)[0], ERROR)
+    job = AdaptiveJob(Lobed(), mesh, np.arange(42), views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
+    settings = coarse(first_refinement(job)[0], ERROR)
     tally = Tally(42)
     tally.signal[:], tally.done[:] = 1.0, True
     tally.variance[2] = (0.5 * ERROR) ** 2
     tally.variance[2, [3, 17, 30]] = (4.0 * ERROR) ** 2
     done = Pass(tally, Correction(), *tally.relative(Correction()), True)
     assert done.worst > ERROR
-    again = tighter(aim, done, ERROR)
-    assert again.again is not None
-    done_again = set(np.flatnonzero(again.again).tolist())
+    again = tighter(settings, done, ERROR)
+    assert again.rebake is not None
+    done_again = set(np.flatnonzero(again.rebake).tolist())
     assert done_again
     assert done_again <= {3, 17, 30}
     assert again.error <= ERROR

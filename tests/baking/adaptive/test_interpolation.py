@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from bakers.adaptive.vertex_validation import held_against
+from bakers.adaptive.vertex_validation import validation_errors
 from formats.asset import Asset
 from prt_bake import bake
-from prt_bake.baking.adaptive.parent_vertices import Nearby, cells
-from prt_bake.baking.adaptive.pilot import Site, first_refinement
-from prt_bake.baking.adaptive.tolerances import Pilot, aimed
+from prt_bake.baking.adaptive.parent_vertices import Interpolation, cell_interpolation
+from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.tolerances import Pilot, settings_for_error
 from prt_bake.baking.bake import plan
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
@@ -91,7 +91,7 @@ def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(wh
 
 def test_it_saves_evaluations_and_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
     foreseen = plan(Ringed(), MESH, **SMALL).evaluations
-    monkeypatch.setattr("prt_bake.baking.adaptive.tolerances.nearby_for", lambda *_all: (None, 0))
+    monkeypatch.setattr("prt_bake.baking.adaptive.tolerances.choose_interpolation", lambda *_all: (None, 0))
     without = plan(Ringed(), MESH, **SMALL).evaluations
     assert foreseen < 0.7 * without
     assert whole.provenance["evaluations"] < without / 1.5
@@ -160,10 +160,10 @@ def test_progress_never_goes_back_and_all_that_is_asked_is_counted(followed: Who
 
 def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() -> None:
     views = views_of(MESH, RINGS, SECTORS)[1]
-    site = Site(
+    job = AdaptiveJob(
         Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
     )
-    found: list[Nearby] = [cells(site, spacing, ERROR, 1, 64.0, 1e5) for spacing in (0.1, 0.2, 0.4)]
+    found: list[Interpolation] = [cell_interpolation(job, spacing, ERROR, 1, 64.0, 1e5) for spacing in (0.1, 0.2, 0.4)]
     shares = [len(each.numbers) / len(MESH.positions) for each in found]
     assert shares == sorted(shares, reverse=True)
     for each, share in zip(found, shares, strict=True):
@@ -175,12 +175,14 @@ def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() 
 def test_foretold_vertices_are_held_against_the_transport_less_the_noise_of_that(scale: float) -> None:
     mesh, transport = icosphere(1), Lobed()
     views = views_of(mesh, 4, 16)[1]
-    site = Site(transport, mesh, np.arange(42), views, sphere.view_bins(4, 16), 2, 0, (4, 16))
-    how = replace(aimed(Pilot(site), first_refinement(site)[0], ERROR).refinement, checked=2.0 * ERROR)
+    job = AdaptiveJob(transport, mesh, np.arange(42), views, sphere.view_bins(4, 16), 2, 0, (4, 16))
+    how = replace(
+        settings_for_error(Pilot(job), first_refinement(job)[0], ERROR).refinement, validation_noise=2.0 * ERROR
+    )
     outgoing = np.concatenate([views(vertex, vertex + 1)[0] for vertex in range(42)])
     foretold = scale * exact(transport, mesh, 4, 16, directions=1024)
     bins = np.tile(np.arange(64), (42, 1))
-    off, spent = held_against(transport, how, np.arange(42), mesh.positions, outgoing, foretold, bins)
+    off, spent = validation_errors(transport, how, np.arange(42), mesh.positions, outgoing, foretold, bins)
     # The noise of the directions is four times the squared error asked for: a sixteenth of it may be left.
     assert off.mean() == pytest.approx((1.0 - 1.0 / scale) ** 2, abs=0.25 * ERROR**2)
     assert off.shape == (42, 64)

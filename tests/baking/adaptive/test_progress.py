@@ -7,39 +7,39 @@ from typing import Any
 import pytest
 
 from prt_bake import bake
-from prt_bake.baking.job.forecast import Standing
+from prt_bake.baking.job.forecast import BakeStatus
 from prt_bake.cli.shared.progress import NEARLY, bake_progress, reporting
 from tests.bakers.transports import Incoherent, icosphere
-from tests.baking.loose_pilot import loosely_aimed
+from tests.baking.loose_pilot import loose_settings
 
 Shown = list[tuple[float | None, str, float | None]]
 
 
-def shown(monkeypatch: pytest.MonkeyPatch, **asked: Any) -> tuple[Shown, list[Standing]]:
+def shown(monkeypatch: pytest.MonkeyPatch, **asked: Any) -> tuple[Shown, list[BakeStatus]]:
     """What a bake in small blocks shows, and what it was told."""
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 4 * 64)
-    seen, standings = Shown(), list[Standing]()
+    seen, statuses = Shown(), list[BakeStatus]()
     told = bake_progress(lambda share, words, left=None: seen.append((share, words, left)))
 
-    def progress(done: int, total: int, standing: Standing) -> None:
-        standings.append(standing)
-        told(done, total, standing)
+    def progress(done: int, total: int, status: BakeStatus) -> None:
+        statuses.append(status)
+        told(done, total, status)
 
     bake(Incoherent(), icosphere(1), rings=4, sectors=16, progress=progress, **asked)
-    return seen, standings
+    return seen, statuses
 
 
 def test_the_share_never_goes_back_from_pass_to_pass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.run.MANY", 0)
-    monkeypatch.setattr("prt_bake.baking.adaptive.run.aimed", loosely_aimed)
-    seen, standings = shown(monkeypatch, error=0.02)
-    assert {standing.stage for standing in standings} >= {"pass 1", "pilot after pass 1", "pass 2", "pass 3"}
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
+    seen, statuses = shown(monkeypatch, error=0.02)
+    assert {status.stage for status in statuses} >= {"pass 1", "pilot after pass 1", "pass 2", "pass 3"}
     shares = [share for share, _words, _left in seen if share is not None]
     assert len(shares) == len(seen)
     assert all(before <= after for before, after in itertools.pairwise(shares))
     assert all(share <= NEARLY for share in shares)
     # It is no more than the time done over that and what is left, but where it would have to go back.
-    ratios = [min(row[0] / (row[0] + row.left), NEARLY) for row in standings if row.left is not None]
+    ratios = [min(row[0] / (row[0] + row.left), NEARLY) for row in statuses if row.left is not None]
     assert shares == pytest.approx(list(itertools.accumulate(ratios, max)))
     assert shares[0] < 0.9
 

@@ -1,4 +1,4 @@
-"""Assets: any legal one survives, the file is what the layout says, and nothing wrong gets by unnamed."""
+"""Assets: every valid one survives a round trip, the file has the documented layout, invalid data is refused."""
 
 import json
 
@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formats.asset import Asset, AssetWriter, check_asset, read_asset, write_asset
-from formats.asset.error_covariance import ErrorShape, triangle
+from formats.asset.error_covariance import ErrorCovariance, triangle
 from formats.errors import AssetError
 from formats.mesh import Mesh
 
@@ -47,32 +47,32 @@ def make_asset(
     )
 
 
-def make_shape(vertices: int, terms: int, channels: int, rows: int | None, seed: int = 0) -> ErrorShape:
-    """A row for each vertex, or so many that vertices name."""
+def make_covariance(vertices: int, terms: int, channels: int, rows: int | None, seed: int = 0) -> ErrorCovariance:
+    """An error covariance with a row for each vertex, or with `rows` shared rows."""
     rng = np.random.default_rng(seed)
-    many = vertices if rows is None else rows
-    factors = rng.normal(size=(many, terms, terms))
+    count = vertices if rows is None else rows
+    factors = rng.normal(size=(count, terms, terms))
     covariance = factors @ factors.transpose(0, 2, 1)
     covariance *= (terms / np.trace(covariance, axis1=1, axis2=2))[:, None, None]
-    shares = rng.uniform(0.5, 1.5, (many, channels))
-    return ErrorShape(
+    relative = rng.uniform(0.5, 1.5, (count, channels))
+    return ErrorCovariance(
         covariance[:, *triangle(terms)],
-        shares / shares.mean(axis=1, keepdims=True),
-        rng.random((many, 2)),
+        relative / relative.mean(axis=1, keepdims=True),
+        rng.random((count, 2)),
         None if rows is None else rng.integers(0, rows, vertices),
     )
 
 
-def assert_same_shape(again: ErrorShape | None, shape: ErrorShape | None) -> None:
-    assert (again is None) == (shape is None)
-    if again is None or shape is None:
+def assert_same_covariance(again: ErrorCovariance | None, errors: ErrorCovariance | None) -> None:
+    assert (again is None) == (errors is None)
+    if again is None or errors is None:
         return
     for name, size in (("covariance", 8.0), ("channels", 2.0), ("apart", 1.0)):
-        ours, theirs = getattr(again, name), getattr(shape, name)
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=size * 2.0**-10, err_msg=name)
-    assert (again.row is None) == (shape.row is None)
+        found, expected = getattr(again, name), getattr(errors, name)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=size * 2.0**-10, err_msg=name)
+    assert (again.row is None) == (errors.row is None)
     if again.row is not None:
-        np.testing.assert_array_equal(again.row, shape.row)
+        np.testing.assert_array_equal(again.row, errors.row)
 
 
 def assert_same(again: Asset, asset: Asset) -> None:
@@ -83,18 +83,18 @@ def assert_same(again: Asset, asset: Asset) -> None:
     for name in ("complete", "provenance", "storage", "eta"):
         assert getattr(again, name) == getattr(asset, name), name
     np.testing.assert_array_equal(again.error_vs_time, asset.error_vs_time)
-    assert_same_shape(again.error_shape, asset.error_shape)
+    assert_same_covariance(again.error_covariance, asset.error_covariance)
     assert set(again.selftest) == set(asset.selftest)
     for name in asset.selftest:
         np.testing.assert_array_equal(again.selftest[name], asset.selftest[name], err_msg=name)
     half_step = 2.0**-24
-    for ours, theirs, size in (
+    for found, expected, size in (
         (again.mesh.positions, asset.mesh.positions, asset.mesh.diagonal),
         (again.mesh.normals, asset.mesh.normals, 1),
         (again.tangents, asset.tangents, 1),
         (again.mesh.uv, asset.mesh.uv, 1),
     ):
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=half_step * size)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=half_step * size)
     np.testing.assert_array_equal(again.mesh.faces, asset.mesh.faces)
     if asset.mesh.source_vertex is None:
         assert again.mesh.source_vertex is None
@@ -107,7 +107,7 @@ TEXT = st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="
 
 
 @st.composite
-def legal_assets(draw) -> Asset:
+def valid_assets(draw) -> Asset:
     vertices, rings, sectors = draw(st.integers(3, 7)), draw(st.integers(1, 3)), draw(st.integers(1, 4))
     degree, radiance = draw(st.integers(0, 3)), draw(st.booleans())
     terms, rows = (degree + 1) ** 2, draw(st.integers(0, 3))
@@ -142,16 +142,16 @@ def legal_assets(draw) -> Asset:
     if radiance:
         object.__setattr__(asset, "coefficients", asset.coefficients[:, :, :1])
     if draw(st.booleans()):
-        shape = make_shape(vertices, 1 if radiance else terms, asset.coefficients.shape[3], draw(ROWS))
-        object.__setattr__(asset, "error_shape", shape)
+        errors = make_covariance(vertices, 1 if radiance else terms, asset.coefficients.shape[3], draw(ROWS))
+        object.__setattr__(asset, "error_covariance", errors)
     if draw(st.booleans()):
         object.__setattr__(asset.mesh, "source_vertex", np.arange(-1, vertices))
     return asset
 
 
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
-@given(asset=legal_assets())
-def test_any_legal_asset_survives_write_and_read(tmp_path_factory, asset):
+@given(asset=valid_assets())
+def test_every_valid_asset_survives_write_and_read(tmp_path_factory, asset):
     path = tmp_path_factory.mktemp("asset") / "a.h5"
     before = asset.coefficients.copy()
     write_asset(asset, path)
@@ -165,7 +165,7 @@ def test_any_legal_asset_survives_write_and_read(tmp_path_factory, asset):
     assert_same(read_asset(path), asset)
 
 
-def test_the_file_is_what_the_layout_says(tmp_path):
+def test_the_file_has_the_documented_layout(tmp_path):
     write_asset(make_asset(40, 4, 64, 2, up="z", storage="float16"), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
         assert (file.attrs["format"], file.attrs["format_version"]) == ("prtbake", "1.0")
@@ -209,7 +209,7 @@ def test_chunks_of_unbaked_vertices_are_not_written(tmp_path):
     assert not again.coefficients[3:].any()
 
 
-def test_blocks_may_come_in_any_order_and_size(tmp_path):
+def test_blocks_are_accepted_in_any_order_and_size(tmp_path):
     asset = make_asset(50, 8, 32, 2)
     with AssetWriter(tmp_path / "a.h5", asset, storage="float32") as writer:
         for start, end in ((31, 50), (0, 7), (7, 31)):
@@ -220,7 +220,7 @@ def test_blocks_may_come_in_any_order_and_size(tmp_path):
     assert again.eta == 1.5
 
 
-def test_float16_is_kept_where_its_rounding_is_small(tmp_path):
+def test_float16_is_kept_if_rounding_is_small(tmp_path):
     asset = make_asset()
     with AssetWriter(tmp_path / "a.h5", asset) as writer:
         writer.write_block(0, asset.coefficients, np.full((5, 6), 0.01))
@@ -229,7 +229,7 @@ def test_float16_is_kept_where_its_rounding_is_small(tmp_path):
     np.testing.assert_array_equal(again.coefficients, asset.coefficients.astype(np.float16))
 
 
-def test_float16_gives_way_to_float32_before_it_overflows(tmp_path):
+def test_float32_replaces_float16_before_overflow(tmp_path):
     asset = make_asset(60, 16, 64, 1)
     coefficients = asset.coefficients.copy()
     coefficients[50, 3, 2, 1] = 65520
@@ -242,26 +242,26 @@ def test_float16_gives_way_to_float32_before_it_overflows(tmp_path):
     again = read_asset(tmp_path / "a.h5")
     assert again.coefficients.dtype == np.float32
     np.testing.assert_array_equal(again.coefficients[50:], coefficients[50:])
-    # What was written before had been rounded, within a tenth of its stated error.
+    # Earlier blocks were already rounded, within a tenth of their standard error.
     np.testing.assert_array_equal(again.coefficients[:50], coefficients[:50].astype(np.float16).astype(np.float32))
     np.testing.assert_array_equal(again.standard_error, np.float32(0.5))
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.h5"]
 
 
-def test_float16_gives_way_where_rounding_would_matter(tmp_path):
+def test_float32_replaces_float16_if_rounding_is_large(tmp_path):
     asset = make_asset()
     rounding = asset.coefficients.astype(np.float16).astype(np.float64) - asset.coefficients
     rms = np.sqrt(np.square(rounding).mean())
-    for share, storage in ((9.9, "float32"), (10.1, "float16")):
+    for ratio, storage in ((9.9, "float32"), (10.1, "float16")):
         with AssetWriter(tmp_path / "a.h5", asset) as writer:
-            writer.write_block(0, asset.coefficients, np.full((5, 6), share * rms))
+            writer.write_block(0, asset.coefficients, np.full((5, 6), ratio * rms))
             note = writer.finish({})
         again = read_asset(tmp_path / "a.h5")
         assert (again.storage, bool(note)) == (storage, storage == "float32")
     np.testing.assert_array_equal(again.mesh.faces, asset.mesh.faces)
 
 
-def test_blocks_that_do_not_fit_are_refused(tmp_path):
+def test_blocks_of_wrong_shape_are_refused(tmp_path):
     asset = make_asset()
     nan = asset.coefficients.copy()
     nan[3, 2, 1, 0] = np.nan
@@ -279,7 +279,7 @@ def test_blocks_that_do_not_fit_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_heads_that_do_not_fit_are_refused(tmp_path):
+def test_heads_of_wrong_shape_are_refused(tmp_path):
     for change, sentence in (
         ({"tangents": np.zeros((4, 3))}, r"tangents has shape \[4, 3\]; expected \[5, 3\]"),
         ({"directions": np.zeros((7, 3))}, r"directions has shape \[7, 3\]; expected \[6, 3\]"),

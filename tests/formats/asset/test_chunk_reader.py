@@ -1,4 +1,4 @@
-"""Chunks that are unpacked on several threads are what HDF5 reads itself."""
+"""The chunk reader returns what HDF5 returns."""
 
 from pathlib import Path
 from typing import Any
@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from formats.asset.chunk_reader import read_chunks, unpacks
+from formats.asset.chunk_reader import can_read_chunks, read_chunks
 
 VERTICES, ROWS, SHAPE = 41, 3, (41, 4, 5)
-PACKED: dict[str, Any] = {"chunks": (ROWS, 4, 5), "compression": "gzip", "shuffle": True}
+OPTIONS: dict[str, Any] = {"chunks": (ROWS, 4, 5), "compression": "gzip", "shuffle": True}
 
 
 def numbers() -> np.ndarray:
@@ -18,19 +18,19 @@ def numbers() -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["<f2", "<f4"])
-def test_all_rows_come_back_and_chunks_never_written_stay_zero(tmp_path: Path, kind: str) -> None:
+def test_all_rows_are_read_and_unwritten_chunks_stay_zero(tmp_path: Path, kind: str) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        dataset = file.create_dataset("a", SHAPE, kind, **PACKED)
+        dataset = file.create_dataset("a", SHAPE, kind, **OPTIONS)
         dataset[:7], dataset[30:] = numbers()[:7], numbers()[30:]
         file.flush()
-        assert unpacks(dataset)
+        assert can_read_chunks(dataset)
         rows, seen = np.zeros(SHAPE, dataset.dtype), np.zeros(VERTICES)
 
-        def look(part: slice) -> None:
+        def check(part: slice) -> None:
             assert (rows[part] == dataset[part]).all()
             seen[part] += 1
 
-        read_chunks(dataset, rows, look)
+        read_chunks(dataset, rows, check)
         np.testing.assert_array_equal(rows, dataset[...])
     assert seen.max() == 1
     assert seen[:7].all()
@@ -39,20 +39,20 @@ def test_all_rows_come_back_and_chunks_never_written_stay_zero(tmp_path: Path, k
 
 
 @pytest.mark.parametrize(
-    "otherwise",
+    "other_options",
     [{"compression": None, "shuffle": None}, {"shuffle": False}, {"fletcher32": True}, {"chunks": (3, 2, 5)}],
 )
-def test_what_is_packed_in_another_way_is_left_to_hdf5(tmp_path: Path, otherwise: dict[str, Any]) -> None:
+def test_datasets_with_other_options_are_left_to_hdf5(tmp_path: Path, other_options: dict[str, Any]) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        assert not unpacks(file.create_dataset("a", SHAPE, "<f4", **PACKED | otherwise))
-        assert not unpacks(file.create_dataset("big", SHAPE, ">f4", **PACKED))
+        assert not can_read_chunks(file.create_dataset("a", SHAPE, "<f4", **OPTIONS | other_options))
+        assert not can_read_chunks(file.create_dataset("big", SHAPE, ">f4", **OPTIONS))
 
 
-@pytest.mark.parametrize("packed", [b"nonsense", b"x\x9c\x03\x00\x00\x00\x00\x01"], ids=["damaged", "short"])
-def test_a_damaged_chunk_is_an_error_of_reading(tmp_path: Path, packed: bytes) -> None:
+@pytest.mark.parametrize("content", [b"nonsense", b"x\x9c\x03\x00\x00\x00\x00\x01"], ids=["damaged", "short"])
+def test_a_damaged_chunk_raises_oserror(tmp_path: Path, content: bytes) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
-        dataset = file.create_dataset("a", SHAPE, "<f4", **PACKED)
+        dataset = file.create_dataset("a", SHAPE, "<f4", **OPTIONS)
         dataset[:] = numbers()
-        dataset.id.write_direct_chunk((ROWS, 0, 0), packed)
-        with pytest.raises(OSError, match=f"^/a: rows {ROWS} to {2 * ROWS - 1} cannot be unpacked"):
+        dataset.id.write_direct_chunk((ROWS, 0, 0), content)
+        with pytest.raises(OSError, match=f"^/a: rows {ROWS} to {2 * ROWS - 1} cannot be decompressed"):
             read_chunks(dataset, np.zeros(SHAPE, np.float32), lambda rows: None)

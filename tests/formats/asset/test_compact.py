@@ -1,4 +1,4 @@
-"""Compact coefficients in files: what is written comes back, plain h5py can decode it, and nothing wrong gets by."""
+"""Compact assets: every valid one survives a round trip, plain h5py can decode it, invalid data is refused."""
 
 import dataclasses
 import re
@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formats.asset import Asset, check_asset, read_asset, write_asset
-from formats.asset.compact_file import coarse, digit_planes, joined, sparse
+from formats.asset.compact_file import digit_planes, join_sparse, round_up, to_sparse
 from formats.asset.compact_record import AddedError, CompactCoefficients, FactorisedViews, LearnedViews
 from formats.errors import AssetError
-from tests.formats.asset.test_asset import assert_same, make_asset, make_shape
+from tests.formats.asset.test_asset import assert_same, make_asset, make_covariance
 from tests.formats.asset.test_faults import changed, put
 
 LARGEST = 2**30
@@ -22,9 +22,9 @@ LARGEST = 2**30
 def compact_asset(
     vertices=5, rings=2, sectors=3, degree=1, seed=0, learned=True, views=None, channels=3, largest=300, **others
 ) -> Asset:
-    """An asset whose codes are drawn, many of them 0."""
+    """An asset with random codes, about half of them 0."""
     rng = np.random.default_rng(seed)
-    rows = others.pop("error_shape", None)
+    rows = others.pop("error_covariance", None)
     plain = make_asset(vertices, rings, sectors, degree, seed, views=views, channels=channels, **others)
     terms = 1 if plain.quantity == "radiance" else (degree + 1) ** 2
     width = 4
@@ -39,7 +39,7 @@ def compact_asset(
     components = len(pairs)
     dense = rng.integers(-largest, largest + 1, (components, vertices)) * (rng.random((components, vertices)) < 0.5)
     dense = dense * plain.valid
-    starts, which, values = joined([sparse(dense[:, :2]), sparse(dense[:, 2:])], components)
+    starts, which, values = join_sparse([to_sparse(dense[:, :2]), to_sparse(dense[:, 2:])], components)
     compact = CompactCoefficients(
         step=0.01,
         views=basis,
@@ -49,14 +49,14 @@ def compact_asset(
         starts=starts,
         components=which,
         values=values,
-        added=AddedError(0.01, 0.005, 0.006, 0.02, coarse(rng.random(vertices))),
+        added=AddedError(0.01, 0.005, 0.006, 0.02, round_up(rng.random(vertices))),
     )
     return dataclasses.replace(
         plain,
         coefficients=compact,
-        standard_error=coarse(rng.random((vertices, 1))),
+        standard_error=round_up(rng.random((vertices, 1))),
         storage="float32",
-        error_shape=None if rows is None else make_shape(vertices, terms, channels, rows or None),
+        error_covariance=None if rows is None else make_covariance(vertices, terms, channels, rows or None),
     )
 
 
@@ -71,7 +71,7 @@ def assert_same_compact(again: CompactCoefficients, compact: CompactCoefficients
 
 
 @st.composite
-def legal_compact_assets(draw) -> Asset:
+def valid_compact_assets(draw) -> Asset:
     vertices, degree = draw(st.integers(3, 7)), draw(st.integers(0, 3))
     terms = (degree + 1) ** 2
     return compact_asset(
@@ -87,7 +87,7 @@ def legal_compact_assets(draw) -> Asset:
         valid=draw(st.lists(st.booleans(), min_size=vertices, max_size=vertices)),
         quantity=draw(st.sampled_from(["transfer", "radiance"])),
         complete=draw(st.booleans()),
-        error_shape=draw(st.sampled_from([None, 0, 2])),
+        error_covariance=draw(st.sampled_from([None, 0, 2])),
         selftest={
             "light": np.ones((terms, 3)),
             "vertex": np.arange(2),
@@ -100,8 +100,8 @@ def legal_compact_assets(draw) -> Asset:
 
 
 @settings(max_examples=25, deadline=None, derandomize=True, database=None)
-@given(asset=legal_compact_assets())
-def test_any_legal_compact_asset_survives_write_and_read(tmp_path_factory, asset) -> None:
+@given(asset=valid_compact_assets())
+def test_every_valid_compact_asset_survives_write_and_read(tmp_path_factory, asset) -> None:
     path = tmp_path_factory.mktemp("asset") / "a.h5"
     write_asset(asset, path)
     assert check_asset(path) == []
@@ -116,7 +116,7 @@ def test_any_legal_compact_asset_survives_write_and_read(tmp_path_factory, asset
 
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(codes=st.lists(st.integers(-LARGEST, LARGEST), min_size=1, max_size=9))
-def test_digits_add_up_to_what_they_were_made_of(codes) -> None:
+def test_digits_add_up_to_the_codes(codes) -> None:
     planes = digit_planes(np.array(codes))
     assert [plane.dtype for plane in planes] == [np.int8] * len(planes)
     assert len(planes) <= 4
@@ -125,17 +125,17 @@ def test_digits_add_up_to_what_they_were_made_of(codes) -> None:
         assert len(planes) == 1
 
 
-def test_error_figures_are_never_rounded_down() -> None:
+def test_standard_errors_are_never_rounded_down() -> None:
     errors = np.random.default_rng(0).lognormal(0.0, 20.0, 1000).astype(np.float32)
-    kept = coarse(errors)
-    assert (kept >= errors).all()
-    np.testing.assert_allclose(kept, errors, rtol=2.0**-8)
-    np.testing.assert_array_equal(coarse(np.zeros(3)), 0.0)
+    rounded = round_up(errors)
+    assert (rounded >= errors).all()
+    np.testing.assert_allclose(rounded, errors, rtol=2.0**-8)
+    np.testing.assert_array_equal(round_up(np.zeros(3)), 0.0)
 
 
 @pytest.mark.parametrize("learned", [True, False])
-def test_plain_h5py_decodes_it_as_the_documentation_says(tmp_path, learned) -> None:
-    """The reader of docs/compression.md, word for word."""
+def test_plain_h5py_decodes_it_as_documented(tmp_path, learned) -> None:
+    """The reader of docs/compression.md."""
     asset = compact_asset(learned=learned, largest=40_000)
     write_asset(asset, tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
@@ -143,17 +143,17 @@ def test_plain_h5py_decodes_it_as_the_documentation_says(tmp_path, learned) -> N
         assert "transfer" not in file
         group = file["transfer_compact"]
 
-        def whole(name):
+        def integers(name):
             return sum(256**d * group[f"{name}_{d}"][...].astype(int) for d in range(4) if f"{name}_{d}" in group)
 
-        codes = whole("digits")
+        codes = integers("digits")
         if "view_scale" in group:
-            view = group["view_scale"][...].astype(float)[:, None] * whole("view_digits")
+            view = group["view_scale"][...].astype(float)[:, None] * integers("view_digits")
         else:
             view = np.kron(group["ring_basis"][...].astype(float), group["sector_basis"][...].astype(float))
-        of_view = view[group["view_component"][...]]
-        of_channel = group["channel_basis"][...][group["channel_component"][...]]
-        decoded = group.attrs["step"] * np.einsum("pv,pb,pkc->vbkc", codes, of_view, of_channel)
+        views = view[group["view_component"][...]]
+        channels = group["channel_basis"][...][group["channel_component"][...]]
+        decoded = group.attrs["step"] * np.einsum("pv,pb,pkc->vbkc", codes, views, channels)
         for name in group:
             assert group[name].compression in ("gzip", None)
             assert group[name].dtype.str[0] in "<|"
@@ -161,14 +161,14 @@ def test_plain_h5py_decodes_it_as_the_documentation_says(tmp_path, learned) -> N
     np.testing.assert_allclose(asset.coefficients[:], decoded, rtol=0, atol=1e-6 * scale)
 
 
-def test_it_is_cut_like_an_array() -> None:
+def test_compact_coefficients_are_indexed_like_an_array() -> None:
     compact = compact_asset(vertices=150).coefficients
-    whole = compact[:]
-    assert (whole.shape, len(compact), whole.dtype) == (compact.shape, 150, np.float32)
+    decoded = compact[:]
+    assert (decoded.shape, len(compact), decoded.dtype) == (compact.shape, 150, np.float32)
     mask = np.arange(150) % 3 == 1
     for key in (7, -1, slice(60, 140), slice(None, None, -7), [3, 1, 3], mask, ..., np.array([], int)):
-        np.testing.assert_allclose(compact[key], whole[key], rtol=1e-6, atol=1e-7)
-    np.testing.assert_array_equal(np.asarray(compact), whole)
+        np.testing.assert_allclose(compact[key], decoded[key], rtol=1e-6, atol=1e-7)
+    np.testing.assert_array_equal(np.asarray(compact), decoded)
     with pytest.raises(IndexError):
         compact[150]
 
@@ -206,13 +206,13 @@ CHANGES = {
     ),
     "/transfer_compact/view_scale: 1 of 3 values are not finite": lambda group: changed(group, "view_scale", 1, np.nan),
     "/transfer_compact/added_error: 1 of 5": lambda group: changed(group, "added_error", 1, np.nan),
-    "/transfer_compact/view_component: 1 of 6 name functions": lambda group: changed(group, "view_component", 0, 3),
-    "/transfer_compact/channel_component: 1 of 6 name": lambda group: changed(group, "channel_component", 5, 4),
+    "/transfer_compact/view_component: 1 of 6 select": lambda group: changed(group, "view_component", 0, 3),
+    "/transfer_compact/channel_component: 1 of 6 select": lambda group: changed(group, "channel_component", 5, 4),
     "1 components are the product of the same": lambda group: (
         changed(group, "view_component", 1, group["view_component"][0]),
         changed(group, "channel_component", 1, group["channel_component"][0]),
     ),
-    "/transfer_compact/channel_component: 1 of 6 fall": lambda group: put(
+    "/transfer_compact/channel_component: 1 of 6 descend": lambda group: put(
         group, "channel_component", np.array([0, 0, 1, 2, 1, 3])
     ),
     "/transfer_compact/standard_error: 1 of 5 rows are negative": lambda group: changed(group, "standard_error", 2, -1),
@@ -236,9 +236,9 @@ def test_every_fault_is_named(tmp_path, sentence) -> None:
 def test_a_damaged_chunk_is_refused(tmp_path) -> None:
     write_asset(compact_asset(300, 4, 16), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        place = file["transfer_compact/digits_0"].id.get_chunk_info(0)
+        chunk = file["transfer_compact/digits_0"].id.get_chunk_info(0)
     content = bytearray((tmp_path / "a.h5").read_bytes())
-    middle = place.byte_offset + place.size // 2
+    middle = chunk.byte_offset + chunk.size // 2
     content[middle : middle + 40] = bytes(40)
     (tmp_path / "a.h5").write_bytes(content)
     assert any("is damaged" in fault for fault in check_asset(tmp_path / "a.h5"))

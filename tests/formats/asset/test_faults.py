@@ -1,4 +1,4 @@
-"""Damaged, foreign and half-written assets: each is refused in one sentence that names what is wrong."""
+"""Damaged, foreign and incomplete assets are refused with one sentence that names the fault."""
 
 import os
 import re
@@ -15,47 +15,47 @@ from formats.asset import AssetWriter, check_asset, read_asset, reader, write_as
 from formats.errors import AssetError, StorageError
 from formats.hdf5_sink import Sink
 from tests import ROOT
-from tests.formats.asset.test_asset import make_asset, make_shape
+from tests.formats.asset.test_asset import make_asset, make_covariance
 
 
 def assert_refused(path: Path, sentence: str = "") -> None:
     with pytest.raises(AssetError, match=sentence) as caught:
         read_asset(path)
-    told = str(caught.value)
-    assert told.startswith(f"{path}: ")
-    assert "\n" not in told
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
     faults = check_asset(path)
     assert faults
     assert all(fault.startswith(f"{path}: ") for fault in faults)
     assert any(re.search(sentence, fault) for fault in faults)
 
 
-def test_an_asset_cut_anywhere_is_refused(tmp_path):
+def test_a_truncated_asset_is_refused(tmp_path):
     write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
-    whole = (tmp_path / "a.h5").read_bytes()
+    content = (tmp_path / "a.h5").read_bytes()
     for tenth in range(10):
-        (tmp_path / "cut.h5").write_bytes(whole[: len(whole) * tenth // 10])
+        (tmp_path / "cut.h5").write_bytes(content[: len(content) * tenth // 10])
         assert_refused(tmp_path / "cut.h5", "truncated" if tenth else "empty")
-    (tmp_path / "cut.h5").write_bytes(whole[:-1])
-    size = len(whole)
+    (tmp_path / "cut.h5").write_bytes(content[:-1])
+    size = len(content)
     assert_refused(tmp_path / "cut.h5", f"cut.h5: is truncated: has {size - 1} bytes of {size}; copy or bake it again$")
 
 
 def test_a_damaged_chunk_is_refused(tmp_path):
     write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        place = file["transfer/coefficients"].id.get_chunk_info(0)
+        chunk = file["transfer/coefficients"].id.get_chunk_info(0)
     content = bytearray((tmp_path / "a.h5").read_bytes())
-    middle = place.byte_offset + place.size // 2
+    middle = chunk.byte_offset + chunk.size // 2
     content[middle : middle + 40] = bytes(40)
     (tmp_path / "a.h5").write_bytes(content)
-    where = "/transfer/coefficients: rows 0 to 29 cannot be unpacked"
+    where = "/transfer/coefficients: rows 0 to 29 cannot be decompressed"
     assert_refused(tmp_path / "a.h5", f"a.h5: is damaged: {where}; copy or bake it again$")
 
 
 @pytest.mark.parametrize("place", ["open", "faults"])
 @pytest.mark.parametrize(
-    ("cause", "told"),
+    ("cause", "message"),
     [
         (OSError("Can't synchronously read data (filter returned failure during read)"), "is damaged"),
         (RuntimeError("Unable to get group info (wrong B-tree signature)"), "is damaged"),
@@ -65,7 +65,7 @@ def test_a_damaged_chunk_is_refused(tmp_path):
         ),
     ],
 )
-def test_a_damaged_file_is_told_in_words_of_ours(tmp_path, monkeypatch, place, cause, told):
+def test_errors_of_h5py_are_described_in_plain_words(tmp_path, monkeypatch, place, cause, message):
     write_asset(make_asset(3, 1, 4, 2), tmp_path / "a.h5")
 
     def fail(*_: object) -> None:
@@ -75,7 +75,7 @@ def test_a_damaged_file_is_told_in_words_of_ours(tmp_path, monkeypatch, place, c
         monkeypatch.setattr(h5py, "File", fail)
     else:
         monkeypatch.setattr(reader, "_faults", fail)
-    assert_refused(tmp_path / "a.h5", f"{told}.*; copy or bake it again$")
+    assert_refused(tmp_path / "a.h5", f"{message}.*; copy or bake it again$")
     (fault,) = check_asset(tmp_path / "a.h5")
     assert "synchronously" not in fault
     assert "B-tree" not in fault
@@ -98,7 +98,7 @@ def test_other_files_are_refused(tmp_path):
     assert_refused(tmp_path / "a.h5", "expected an HDF5 file")
     with h5py.File(tmp_path / "b.h5", "w") as file:
         file["x"] = 1
-    assert_refused(tmp_path / "b.h5", "no prtbake asset")
+    assert_refused(tmp_path / "b.h5", "is not an asset of prtbake")
     with pytest.raises(StorageError, match="no such file"):
         read_asset(tmp_path / "missing.h5")
 
@@ -119,13 +119,13 @@ CHANGES = {
     "format_version missing": lambda file: file.attrs.__delitem__("format_version"),
     "attribute up is 'x'": lambda file: file.attrs.__setitem__("up", "x"),
     "attribute unit is missing": lambda file: file.attrs.__delitem__("unit"),
-    "left_out is no JSON": lambda file: file.attrs.__setitem__("left_out", "nothing"),
+    "left_out is not a JSON list": lambda file: file.attrs.__setitem__("left_out", "nothing"),
     "/transfer is missing": lambda file: file.__delitem__("transfer"),
     "/mesh/tangents is missing": lambda file: file.__delitem__("mesh/tangents"),
     "/transfer/coefficients is missing": lambda file: file.__delitem__("transfer/coefficients"),
     "/basis: the attribute degree is missing": lambda file: file["basis"].attrs.__delitem__("degree"),
     "/basis: the attribute kind is 'zonal'": lambda file: file["basis"].attrs.__setitem__("kind", "zonal"),
-    "/basis: the attribute sign is 'Condon-Shortley phase'; .* 'no Condon-Shortley phase'": lambda file: file[
+    "/basis: the attribute sign is 'Condon-Shortley phase'; expected 'no Condon-Shortley phase'": lambda file: file[
         "basis"
     ].attrs.__setitem__("sign", "Condon-Shortley phase"),
     "/basis: the attribute degree is -1": lambda file: file["basis"].attrs.__setitem__("degree", -1),
@@ -150,9 +150,9 @@ CHANGES = {
     "/mesh/positions: 1 of 5 rows are not finite": lambda file: changed(file, "mesh/positions", (1, 0), np.inf),
     "/mesh/normals: 1 of 5 rows are not of length 1": lambda file: changed(file, "mesh/normals", 3, 0),
     "/mesh/tangents: .* not perpendicular": lambda file: changed(file, "mesh/tangents", 3, file["mesh/normals"][3]),
-    "/mesh/faces: 1 of 5 rows are of vertices": lambda file: changed(file, "mesh/faces", (2, 1), 5),
-    "attribute origin is no point": lambda file: file["mesh/positions"].attrs.__setitem__("origin", [0.0, np.nan, 0]),
-    "/provenance/json is no JSON": lambda file: put(file, "provenance/json", "[1, 2"),
+    "/mesh/faces: 1 of 5 rows are out of the range of vertices": lambda file: changed(file, "mesh/faces", (2, 1), 5),
+    "origin is not a finite point": lambda file: file["mesh/positions"].attrs.__setitem__("origin", [0.0, np.nan, 0]),
+    "/provenance/json is not a JSON object": lambda file: put(file, "provenance/json", "[1, 2"),
     "/selftest/vertex is missing": lambda file: file.__delitem__("selftest/vertex"),
     "/selftest/vertex: 1 of 2 rows": lambda file: changed(file, "selftest/vertex", 1, 9),
     "quantity is 'colour'": lambda file: file["transfer"].attrs.__setitem__("quantity", "colour"),
@@ -164,16 +164,16 @@ CHANGES = {
     "/transfer/error_covariance has rows of 9; expected 10": lambda file: put(
         file, "transfer/error_covariance", np.ones((2, 9), "f2")
     ),
-    "/transfer/error_covariance: 1 of 2 rows mean nothing, the first is row 1": lambda file: changed(
+    "/transfer/error_covariance: 1 of 2 rows are invalid, the first is row 1": lambda file: changed(
         file, "transfer/error_covariance", (1, 0), 9.0
     ),
-    "/transfer/error_channels: 2 of 2 rows mean nothing": lambda file: changed(
+    "/transfer/error_channels: 2 of 2 rows are invalid": lambda file: changed(
         file, "transfer/error_channels", slice(None), [-1.0, 2.0, 2.0]
     ),
-    "/transfer/error_apart: 1 of 2 rows mean nothing, the first is row 0": lambda file: changed(
+    "/transfer/error_apart: 1 of 2 rows are invalid, the first is row 0": lambda file: changed(
         file, "transfer/error_apart", (0, 1), np.nan
     ),
-    "/transfer/error_row names rows from 2 on": lambda file: changed(file, "transfer/error_row", 3, 2),
+    "/transfer/error_row selects rows .* expected less than 2": lambda file: changed(file, "transfer/error_row", 3, 2),
     "/transfer/error_covariance has 2 rows; expected 1 or 5": lambda file: file.__delitem__("transfer/error_row"),
 }
 
@@ -186,13 +186,13 @@ def test_every_fault_is_named(tmp_path, sentence):
         "outgoing": np.eye(3)[:2],
         "radiance": np.ones((2, 3)),
     }
-    write_asset(make_asset(selftest=selftest, error_shape=make_shape(5, 4, 3, 2)), tmp_path / "a.h5")
+    write_asset(make_asset(selftest=selftest, error_covariance=make_covariance(5, 4, 3, 2)), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         CHANGES[sentence](file)
     assert_refused(tmp_path / "a.h5", sentence)
 
 
-def test_nan_in_vertices_that_were_not_baked_does_not_matter(tmp_path):
+def test_nan_in_unbaked_vertices_is_no_fault(tmp_path):
     write_asset(make_asset(valid=[1, 1, 0, 1, 1]), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         changed(file, "transfer/coefficients", 2, np.nan)
@@ -200,14 +200,14 @@ def test_nan_in_vertices_that_were_not_baked_does_not_matter(tmp_path):
     assert check_asset(tmp_path / "a.h5") == []
 
 
-def test_a_newer_minor_version_is_read(tmp_path):
+def test_a_newer_minor_version_is_accepted(tmp_path):
     write_asset(make_asset(), tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file.attrs["format_version"] = "1.7"
     assert check_asset(tmp_path / "a.h5") == []
 
 
-def test_an_abandoned_writer_leaves_the_old_asset(tmp_path):
+def test_a_writer_left_without_finish_keeps_the_old_asset(tmp_path):
     path = tmp_path / "a.h5"
     path.write_text("old")
     asset = make_asset()
@@ -238,28 +238,30 @@ except StorageError as fault:
 """
 
 
-def test_ctrl_c_while_a_block_is_written_loses_nothing(tmp_path, monkeypatch):
+def test_ctrl_c_during_a_write_keeps_the_file_consistent(tmp_path, monkeypatch):
     asset = make_asset()
-    write_to_disk = Sink.write
-    monkeypatch.setattr(Sink, "write", lambda *pair: (signal.raise_signal(signal.SIGINT), write_to_disk(*pair))[1])
+    write = Sink.write
+    monkeypatch.setattr(Sink, "write", lambda *arguments: (signal.raise_signal(signal.SIGINT), write(*arguments))[1])
     with pytest.raises(KeyboardInterrupt):
         AssetWriter(tmp_path / "unopened.h5", asset)
     monkeypatch.undo()
     with AssetWriter(tmp_path / "a.h5", asset, storage="float32") as writer:
         writer.write_block(0, asset.coefficients[:2], asset.standard_error[:2])
-        monkeypatch.setattr(Sink, "write", lambda *pair: (signal.raise_signal(signal.SIGINT), write_to_disk(*pair))[1])
+        monkeypatch.setattr(
+            Sink, "write", lambda *arguments: (signal.raise_signal(signal.SIGINT), write(*arguments))[1]
+        )
         with pytest.raises(KeyboardInterrupt):
             writer.finish({}, complete=False)
     assert read_asset(tmp_path / "a.h5").valid.tolist() == [True, True, False, False, False]
 
 
-def run(path: Path, how: str, storage: str) -> subprocess.CompletedProcess[str]:
-    arguments = [sys.executable, "-c", PROGRAM, str(path), str(ROOT), how, storage]
+def run(path: Path, end: str, storage: str) -> subprocess.CompletedProcess[str]:
+    arguments = [sys.executable, "-c", PROGRAM, str(path), str(ROOT), end, storage]
     return subprocess.run(arguments, check=False, capture_output=True, text=True)
 
 
 @pytest.mark.parametrize("storage", ["float16", "float32"])
-def test_a_disk_that_takes_no_more_leaves_the_old_asset(tmp_path, storage):
+def test_a_full_disk_keeps_the_old_asset(tmp_path, storage):
     path = tmp_path / "a.h5"
     path.write_text("old")
     ended = run(path, "full", storage)
@@ -270,7 +272,7 @@ def test_a_disk_that_takes_no_more_leaves_the_old_asset(tmp_path, storage):
     assert os.listdir(tmp_path) == ["a.h5"]
 
 
-def test_a_bake_killed_in_the_middle_leaves_the_old_asset(tmp_path):
+def test_a_killed_writer_keeps_the_old_asset(tmp_path):
     path = tmp_path / "a.h5"
     write_asset(make_asset(), path)
     before = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Animated files and numbered sequences: what is written is read again, frame by frame, by another decoder."""
+"""Animations and numbered images: another decoder reads every frame that was written."""
 
 import tracemalloc
 from collections.abc import Iterator
@@ -18,12 +18,12 @@ from formats.image.png import to_srgb
 
 
 def levels(frame: np.ndarray, exposure: float = 0.0) -> np.ndarray:
-    """8 bits of sRGB."""
+    """The frame as 8-bit sRGB."""
     return np.rint(255.0 * to_srgb(frame * 2.0**exposure)).astype(np.uint8)
 
 
 def read(path: Path) -> tuple[list[np.ndarray], list[float]]:
-    """The frames and how long each stays, in milliseconds."""
+    """The frames and their durations in milliseconds."""
     with Image.open(path) as picture:
         assert picture.info.get("loop") == 0
         frames, times = [], []
@@ -42,25 +42,25 @@ def read(path: Path) -> tuple[list[np.ndarray], list[float]]:
     st.integers(10, 2000),
     st.sampled_from([".png", ".webp"]),
 )
-def test_frames_come_back_as_they_were(
+def test_frames_survive_write_and_read(
     tmp_path_factory: pytest.TempPathFactory, frames: np.ndarray, exposure: float, milliseconds: int, suffix: str
 ) -> None:
     path = tmp_path_factory.mktemp("turn") / f"turn{suffix}"
-    # Equal frames in a row would be drawn as one.
+    # Equal consecutive frames would be merged.
     frames[:, 0, 0, 0] = np.arange(len(frames)) / 8.0 * 2.0**-exposure
     count = write_animation(path, iter(frames), exposure=exposure, seconds_a_frame=milliseconds / 1000.0)
     assert count == len(frames)
-    wanted = [levels(frame, exposure) for frame in frames]
+    expected = [levels(frame, exposure) for frame in frames]
     with Image.open(path) as picture:
         assert getattr(picture, "n_frames", 1) == count
-        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), wanted[0])
+        np.testing.assert_array_equal(np.asarray(picture.convert("RGB")), expected[0])
     if count > 1:
         found, times = read(path)
-        np.testing.assert_array_equal(found, wanted)
+        np.testing.assert_array_equal(found, expected)
         assert times == pytest.approx([milliseconds] * count)
 
 
-def test_a_gif_holds_every_frame_within_its_colours(tmp_path: Path) -> None:
+def test_a_gif_stores_every_frame_to_its_palette(tmp_path: Path) -> None:
     steps = np.linspace(0.0, 1.0, 12)
     frames = [np.full((6, 8, 3), step) * [1.0, 0.5, 0.25] for step in steps]
     assert write_animation(tmp_path / "turn.gif", frames, seconds_a_frame=0.05) == 12
@@ -69,14 +69,14 @@ def test_a_gif_holds_every_frame_within_its_colours(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, [levels(frame) for frame in frames], atol=4)
 
 
-def test_the_first_frame_of_an_apng_is_a_picture_of_its_own(tmp_path: Path) -> None:
+def test_the_first_frame_of_an_apng_is_a_png(tmp_path: Path) -> None:
     frames = np.random.default_rng(1).uniform(size=(3, 5, 7, 3))
     write_animation(tmp_path / "turn.png", frames)
     np.testing.assert_allclose(to_srgb(read_image(tmp_path / "turn.png")), levels(frames[0]) / 255.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".webp"])
-def test_long_animations_take_the_memory_of_a_few_frames(tmp_path: Path, suffix: str) -> None:
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path, suffix: str) -> None:
     def frames(count: int) -> Iterator[np.ndarray]:
         for n in range(count):
             yield np.random.default_rng(n).uniform(size=(64, 64, 3))
@@ -92,7 +92,7 @@ def test_long_animations_take_the_memory_of_a_few_frames(tmp_path: Path, suffix:
     assert peak(60) < peak(6) + 3 * 64 * 64 * 3 * 8 * (1 if suffix == ".png" else 3)
 
 
-def test_a_fault_leaves_the_older_file(tmp_path: Path) -> None:
+def test_an_error_keeps_the_older_file(tmp_path: Path) -> None:
     path = tmp_path / "turn.png"
     path.write_bytes(b"older")
 
@@ -111,28 +111,33 @@ NAN[2, 1, 0] = np.nan
 
 
 @pytest.mark.parametrize(
-    ("name", "frames", "seconds", "said"),
+    ("name", "frames", "seconds", "sentence"),
     [
-        ("turn.mp4", [np.zeros((4, 4, 3))], 0.1, "written as .png, .webp or .gif, not '.mp4'"),
-        ("turn.png", [], 0.1, "without frames"),
-        ("turn.webp", [], 0.1, "without frames"),
-        ("turn.png", [np.zeros((4, 4, 3)), np.zeros((4, 5, 3))], 0.1, "frame 1 is 5x4, the first 4x4"),
+        ("turn.mp4", [np.zeros((4, 4, 3))], 0.1, "expected an animation .png, .webp or .gif, found '.mp4'"),
+        ("turn.png", [], 0.1, "has no frames"),
+        ("turn.webp", [], 0.1, "has no frames"),
+        (
+            "turn.png",
+            [np.zeros((4, 4, 3)), np.zeros((4, 5, 3))],
+            0.1,
+            "frame 1: expected 4x4 pixels as in frame 0, found 5x4",
+        ),
         ("turn.gif", [np.zeros((4, 4, 3)), NAN], 0.1, "frame 1: pixels are NaN, the first in row 2"),
         ("turn.png", [np.zeros((4, 4))], 0.1, r"frame 0: expected shape \[H,W,3\], found \[4, 4\]"),
-        ("turn.png", [np.zeros((4, 4, 3))], 0.0, "0 seconds a frame where 0.01 to 60"),
-        ("turn.png", [np.zeros((4, 4, 3))], np.nan, "nan seconds a frame"),
+        ("turn.png", [np.zeros((4, 4, 3))], 0.0, "seconds a frame: expected 0.01 to 60, found 0"),
+        ("turn.png", [np.zeros((4, 4, 3))], np.nan, "seconds a frame: .* found nan"),
         ("turn.webp", [np.zeros((1, 16384, 3))], 0.1, "at most 16383 along a side"),
     ],
 )
-def test_what_cannot_be_shown_is_refused(
-    tmp_path: Path, name: str, frames: list[np.ndarray], seconds: float, said: str
+def test_invalid_frames_and_settings_are_refused(
+    tmp_path: Path, name: str, frames: list[np.ndarray], seconds: float, sentence: str
 ) -> None:
-    with pytest.raises(ImageError, match=said):
+    with pytest.raises(ImageError, match=sentence):
         write_animation(tmp_path / name, frames, seconds_a_frame=seconds)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="does not exist"):
         write_animation(tmp_path / "none" / "turn.png", [np.zeros((4, 4, 3))])
 
@@ -143,14 +148,14 @@ def test_a_sequence_is_numbered_from_0(tmp_path: Path, suffix: str) -> None:
     paths = write_sequence(tmp_path / f"turn_%03d{suffix}", iter(frames), exposure=-1.0)
     assert [path.name for path in paths] == [f"turn_{n:03d}{suffix}" for n in range(3)]
     for path, frame in zip(paths, frames, strict=True):
-        wanted = frame if suffix == ".exr" else levels(frame, -1.0) / 255.0
+        expected = frame if suffix == ".exr" else levels(frame, -1.0) / 255.0
         found = read_image(path)
-        np.testing.assert_allclose(found if suffix == ".exr" else to_srgb(found), wanted, atol=1e-6)
+        np.testing.assert_allclose(found if suffix == ".exr" else to_srgb(found), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("pattern", ["turn.png", "turn_%d_%d.png", "turn_%s.png", "100%_%03d.png"])
 def test_a_name_without_one_number_is_refused(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(ImageError, match="a name with one number in it"):
         write_sequence(tmp_path / pattern, [np.zeros((4, 4, 3))])
-    with pytest.raises(ImageError, match="without frames"):
+    with pytest.raises(ImageError, match="has no frames"):
         write_sequence(tmp_path / "turn_%d.png", [])

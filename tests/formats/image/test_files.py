@@ -1,4 +1,4 @@
-"""Images: Radiance files byte by byte and against a second decoder, OpenEXR in all its layouts, the sRGB curve."""
+"""Images: Radiance files against known bytes and a second decoder, OpenEXR layouts, the sRGB curve."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_run_length_rows_have_known_values(tmp_path):
     (tmp_path / "new.hdr").write_bytes(HEADER + b"-Y 1 +X 8\n" + runs)
     expected = np.stack([np.full(8, 128), np.arange(1, 9), np.repeat([0, 9], 4)], axis=1)[None]
     np.testing.assert_array_equal(read_image(tmp_path / "new.hdr"), expected.astype(np.float32))
-    # The old run: (1, 1, 1, n) repeats the pixel before it, the next such mark counts 256 times as much.
+    # The old run: (1, 1, 1, n) repeats the previous pixel; a second marker counts 256 times as much.
     old = bytes([128, 0, 0, 136, 1, 1, 1, 3, 1, 1, 1, 1, 7, 128, 0, 136])
     (tmp_path / "old.hdr").write_bytes(HEADER + b"-Y 1 +X 261\n" + old)
     row = np.zeros((1, 261, 3), np.float32)
@@ -47,7 +47,7 @@ def test_run_length_rows_have_known_values(tmp_path):
     np.testing.assert_array_equal(read_image(tmp_path / "old.hdr"), row)
 
 
-def test_rows_and_columns_may_run_the_other_way(tmp_path):
+def test_rows_and_columns_may_be_reversed(tmp_path):
     pixels = bytes([128, 0, 0, 136, 0, 128, 0, 136, 0, 0, 128, 136, 128, 128, 0, 136])
     (tmp_path / "a.hdr").write_bytes(HEADER + b"-Y 2 +X 2\n" + pixels)
     upright = read_image(tmp_path / "a.hdr")
@@ -57,7 +57,7 @@ def test_rows_and_columns_may_run_the_other_way(tmp_path):
 
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(image=PICTURES)
-def test_radiance_agrees_with_a_second_decoder_both_ways(tmp_path_factory, image):
+def test_radiance_agrees_with_a_second_codec(tmp_path_factory, image):
     import cv2
 
     folder = tmp_path_factory.mktemp("hdr")
@@ -65,14 +65,14 @@ def test_radiance_agrees_with_a_second_decoder_both_ways(tmp_path_factory, image
     ours = read_image(folder / "ours.hdr")
     np.testing.assert_array_equal(cv2.imread(str(folder / "ours.hdr"), cv2.IMREAD_UNCHANGED)[..., ::-1], ours)
     largest = image.max(axis=2, keepdims=True)
-    # Half a step of a mantissa that is at least 128; below 2^-128 nothing is left.
+    # Half a step of a mantissa of at least 128; pixels below 2^-128 are black.
     assert np.all(np.abs(ours.astype(np.float64) - image) <= largest.astype(np.float64) / 256 + 2.0**-127)
     cv2.imwrite(str(folder / "theirs.hdr"), np.ascontiguousarray(image[..., ::-1]))
     theirs = cv2.imread(str(folder / "theirs.hdr"), cv2.IMREAD_UNCHANGED)[..., ::-1]
     np.testing.assert_array_equal(read_image(folder / "theirs.hdr"), theirs)
 
 
-def test_radiance_of_a_large_coded_picture_agrees(tmp_path):
+def test_a_large_run_length_coded_picture_agrees_with_a_second_codec(tmp_path):
     import cv2
 
     image = noise(32, 700)
@@ -90,13 +90,13 @@ def test_radiance_of_a_large_coded_picture_agrees(tmp_path):
         np.float32, st.tuples(st.integers(1, 9), st.integers(1, 9), st.just(3)), elements=st.floats(width=32)
     )
 )
-def test_openexr_keeps_every_float32(tmp_path_factory, image):
+def test_openexr_stores_float32_exactly(tmp_path_factory, image):
     path = tmp_path_factory.mktemp("exr") / "a.exr"
     write_image(path, image)
     np.testing.assert_array_equal(read_image(path), image)
 
 
-def test_openexr_of_a_strided_view_is_right(tmp_path):
+def test_openexr_accepts_strided_views(tmp_path):
     image = noise(10, 12)
     write_image(tmp_path / "a.exr", image[::-1, ::2])
     np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), image[::-1, ::2])
@@ -124,7 +124,7 @@ def test_openexr_layers_grey_and_alpha(tmp_path):
         read_image(path)
 
 
-def test_layers_stand_beside_the_picture_and_plain_readers_see_none(tmp_path):
+def test_layers_are_read_separately_and_plain_readers_ignore_them(tmp_path):
     import cv2
 
     image, path = noise(6, 8), tmp_path / "a.exr"
@@ -145,7 +145,7 @@ def test_layers_stand_beside_the_picture_and_plain_readers_see_none(tmp_path):
     assert read_layers(tmp_path / "a.hdr").layers == {}
 
 
-def test_places_and_directions_are_written_in_x_y_and_z_and_come_back(tmp_path):
+def test_positions_and_normals_are_written_as_x_y_z_and_survive(tmp_path):
     import OpenEXR
 
     image, layers = noise(6, 8), {name: noise(6, 8) + k for k, name in enumerate(("position", "normal", "radiance"))}
@@ -162,7 +162,7 @@ def test_places_and_directions_are_written_in_x_y_and_z_and_come_back(tmp_path):
     np.testing.assert_array_equal(read.image, read_image(tmp_path / "a.exr"))
 
 
-def test_foreign_layers_are_read_under_their_own_names(tmp_path):
+def test_foreign_layers_keep_their_names(tmp_path):
     image, path = noise(4, 5), tmp_path / "a.exr"
     write_channels(path, {"diffuse": image, "depth.Z": image[..., 0], "A": image[..., 1]})
     read = read_layers(path)
@@ -172,7 +172,7 @@ def test_foreign_layers_are_read_under_their_own_names(tmp_path):
 
 
 def test_a_layer_of_another_size_is_refused(tmp_path):
-    with pytest.raises(ImageError, match=r"layer coverage: expected \[6, 8, 3\] or \[6, 8\]"):
+    with pytest.raises(ImageError, match=r"layer coverage: expected shape \[6, 8, 3\] or \[6, 8\]"):
         write_image(tmp_path / "a.exr", noise(6, 8), layers={"coverage": np.zeros((6, 7))})
     assert list(tmp_path.iterdir()) == []
 
@@ -196,10 +196,10 @@ def test_openexr_parts_and_windows(tmp_path):
         return np.array([left, top], np.int32), np.array([right, bottom], np.int32)
 
     write_channels(path, {"RGB": image}, dataWindow=window(2, 1, 9, 6), displayWindow=window(0, 0, 11, 9))
-    framed = read_image(path)
-    assert framed.shape == (10, 12, 3)
-    np.testing.assert_array_equal(framed[1:7, 2:10], image)
-    assert framed.sum(dtype=np.float64) == image.sum(dtype=np.float64)
+    display = read_image(path)
+    assert display.shape == (10, 12, 3)
+    np.testing.assert_array_equal(display[1:7, 2:10], image)
+    assert display.sum(dtype=np.float64) == image.sum(dtype=np.float64)
     write_channels(path, {"RGB": image}, dataWindow=window(-1, -2, 6, 3), displayWindow=window(0, 0, 3, 2))
     np.testing.assert_array_equal(read_image(path), image[2:5, 1:5])
 
@@ -210,8 +210,7 @@ def test_srgb_curve_and_its_inverse():
     np.testing.assert_allclose(to_srgb([0.0031308, 0.5, 2, -1]), [0.04044994, 0.73535698, 1, 0], atol=1e-7)
 
 
-def test_png_round_trip_exposure_and_note(tmp_path):
-
+def test_png_survives_with_exposure_and_its_text(tmp_path):
     codes = np.arange(256, dtype=np.uint8).repeat(3).reshape(16, 16, 3)
     Image.fromarray(codes).save(tmp_path / "codes.png")
     linear = read_image(tmp_path / "codes.png")
@@ -225,7 +224,6 @@ def test_png_round_trip_exposure_and_note(tmp_path):
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])
 def test_png_of_every_mode(tmp_path, mode):
-
     Image.fromarray(np.full((4, 5, 3), 255, np.uint8)).convert(mode).save(tmp_path / "a.png")
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), np.ones((4, 5, 3), np.float32))
 
@@ -240,10 +238,10 @@ def test_grey_of_16_bits_keeps_its_range(tmp_path):
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
 def test_truncated_images_are_refused_in_one_sentence(tmp_path, suffix, capfd):
     write_image(tmp_path / f"a{suffix}", noise(40, 60))
-    whole = (tmp_path / f"a{suffix}").read_bytes()
+    content = (tmp_path / f"a{suffix}").read_bytes()
     path = tmp_path / f"cut{suffix}"
     for tenth in range(10):
-        path.write_bytes(whole[: len(whole) * tenth // 10])
+        path.write_bytes(content[: len(content) * tenth // 10])
         with pytest.raises(ImageError) as caught:
             read_image(path)
         assert str(caught.value).startswith(f"{path}: ")
@@ -278,7 +276,7 @@ def test_damaged_radiance_is_refused(tmp_path):
             read_image(path)
 
 
-def test_what_cannot_be_written_is_refused(tmp_path):
+def test_invalid_pixels_and_shapes_are_refused(tmp_path):
     nan = np.full((2, 2, 3), np.nan)
     for suffix in (".png", ".hdr"):
         with pytest.raises(ImageError, match="row 0, column 0"):
@@ -297,7 +295,7 @@ def test_what_cannot_be_written_is_refused(tmp_path):
         ("I;16", [[0, 13107, 65535]], [0, 0.2, 1]),
     ],
 )
-def test_levels_of_a_png_are_its_first_channel_as_stored(tmp_path, mode, stored, expected):
+def test_levels_of_a_png_are_its_stored_first_channel(tmp_path, mode, stored, expected):
     array = np.array(stored, np.uint16 if mode == "I;16" else np.uint8)
     Image.fromarray(array).save(tmp_path / "a.png")
     levels = read_levels(tmp_path / "a.png")
@@ -305,7 +303,7 @@ def test_levels_of_a_png_are_its_first_channel_as_stored(tmp_path, mode, stored,
     np.testing.assert_allclose(levels[0], expected, atol=1e-15)
 
 
-def test_levels_of_linear_pictures_are_their_numbers(tmp_path):
+def test_levels_of_linear_images_are_their_first_channel(tmp_path):
     picture = np.array([[[0.25, 9, 9], [0.5, 0, 0]]], np.float32)
     for suffix in (".exr", ".hdr"):
         write_image(tmp_path / f"a{suffix}", picture)

@@ -1,4 +1,4 @@
-"""Meshes: there and back, merged vertices, exact numbers, and every way a file can be damaged."""
+"""Meshes: round trips, merged vertices, exact numbers, and damaged files."""
 
 import re
 import struct
@@ -15,10 +15,10 @@ from formats.mesh import (
     build_mesh,
     check_mesh,
     flipped,
+    inconsistent_edges,
     open_edges,
     read_mesh,
     signed_volume,
-    torn_edges,
     write_mesh,
 )
 
@@ -33,7 +33,7 @@ def tetrahedron() -> Mesh:
 
 
 def sphere_mesh(rows: int = 8, columns: int = 12) -> Mesh:
-    """A closed sphere of latitude rows, its poles single vertices."""
+    """A closed sphere of latitude rows with a vertex at each pole."""
     theta = np.repeat(np.arange(1, rows) * np.pi / rows, columns)
     phi = np.tile(np.arange(columns) * 2 * np.pi / columns, rows - 1)
     ring = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
@@ -69,15 +69,15 @@ TETRAHEDRON_ROWS = "3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3"
     scale=st.floats(1e-6, 1e6),
     shift=st.floats(-1e3, 1e3),
 )
-def test_any_mesh_survives_write_and_read(tmp_path_factory, suffix, jitter, scale, shift):
+def test_every_mesh_survives_write_and_read(tmp_path_factory, suffix, jitter, scale, shift):
     ball = sphere_mesh()
     mesh = build_mesh((ball.positions + jitter) * scale + shift, ball.faces)
-    kept = mesh.positions.copy()
+    before = mesh.positions.copy()
     path = tmp_path_factory.mktemp("mesh") / f"ball{suffix}"
     write_mesh(mesh, path)
     again = read_mesh(path)
-    np.testing.assert_array_equal(mesh.positions, kept)
-    np.testing.assert_array_equal(again.positions, kept)
+    np.testing.assert_array_equal(mesh.positions, before)
+    np.testing.assert_array_equal(again.positions, before)
     np.testing.assert_array_equal(again.faces, mesh.faces)
     np.testing.assert_allclose(again.normals, mesh.normals, rtol=0, atol=1e-15)
     assert again.content_hash == mesh.content_hash
@@ -92,7 +92,7 @@ def test_texture_coordinates_survive(tmp_path, suffix):
 
 
 def seamed_cube(folder) -> Mesh:
-    """A cube as an atlas: every face has its own square of the picture, so each vertex has three pairs."""
+    """A cube with a texture atlas: every face has its own square, so each vertex has three pairs."""
     rows = [f"v {x} {y} {z}" for x, y, z in CUBE_CORNERS]
     rows += [f"vt {(i % 3 + u) / 3} {(i // 3 + v) / 2}" for i in range(6) for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
     rows += ["f " + " ".join(f"{v}/{4 * i + c + 1}" for c, v in enumerate(quad)) for i, quad in enumerate(CUBE_QUADS)]
@@ -112,7 +112,7 @@ def test_seams_survive_merging_and_writing(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj"])
-def test_texture_coordinates_that_only_corners_have_are_written(tmp_path, suffix):
+def test_texture_coordinates_of_corners_survive_without_those_of_vertices(tmp_path, suffix):
     corner_uv = np.arange(24.0).reshape(4, 3, 2) / 7
     mesh = Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, corner_uv=corner_uv)
     assert mesh.uv is None
@@ -123,7 +123,7 @@ def test_texture_coordinates_that_only_corners_have_are_written(tmp_path, suffix
     np.testing.assert_array_equal(again.corner_uv, corner_uv)
 
 
-def test_polygons_of_a_ply_take_their_texture_coordinates_along(tmp_path):
+def test_triangulated_polygons_of_a_ply_keep_their_texture_coordinates(tmp_path):
     corners = "\n".join(f"{x} {y} {z}" for x, y, z in CUBE_CORNERS)
     pairs = [(0, 0), (1, 0), (1, 0.5), (0, 0.5)]
     rows = "\n".join(
@@ -140,17 +140,19 @@ def test_polygons_of_a_ply_take_their_texture_coordinates_along(tmp_path):
     np.testing.assert_array_equal(mesh.corner_uv, expected)
 
 
-def test_a_turned_face_keeps_each_corner_s_own_texture_coordinates(tmp_path):
+def test_flipped_faces_keep_the_texture_coordinates_of_each_corner(tmp_path):
     mesh = seamed_cube(tmp_path)
-    turned = flipped(mesh)
+    reversed_mesh = flipped(mesh)
     for face in range(12):
         before = {int(v): tuple(uv) for v, uv in zip(mesh.faces[face], mesh.corner_uv[face], strict=True)}
-        after = {int(v): tuple(uv) for v, uv in zip(turned.faces[face], turned.corner_uv[face], strict=True)}
+        after = {
+            int(v): tuple(uv) for v, uv in zip(reversed_mesh.faces[face], reversed_mesh.corner_uv[face], strict=True)
+        }
         assert before == after
-    np.testing.assert_array_equal(flipped(turned).corner_uv, mesh.corner_uv)
+    np.testing.assert_array_equal(flipped(reversed_mesh).corner_uv, mesh.corner_uv)
 
 
-def test_dropped_faces_take_their_texture_coordinates_with_them(tmp_path):
+def test_texture_coordinates_of_dropped_faces_are_dropped(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\nvt 0.5 0.5\n"
     (tmp_path / "t.obj").write_text(
         text + "f 1/1 2/2 2/2\nf 1/1 3/3 2/2\nf 1/4 2/4 4/4\nf 1/1 4/2 3/3\nf 2/1 3/2 4/3\n"
@@ -161,12 +163,12 @@ def test_dropped_faces_take_their_texture_coordinates_with_them(tmp_path):
     np.testing.assert_array_equal(mesh.corner_uv[1], np.full((3, 2), 0.5))
 
 
-def test_one_pair_a_vertex_is_the_same_at_every_corner():
+def test_texture_coordinates_of_vertices_are_copied_to_corners():
     mesh = Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, uv=np.arange(8).reshape(4, 2) / 7)
     np.testing.assert_array_equal(mesh.corner_uv, mesh.uv[TETRAHEDRON_FACES])
     assert mesh.seamless
     assert tetrahedron().corner_uv is None
-    with pytest.raises(MeshError, match="corner_uv has shape"):
+    with pytest.raises(MeshError, match="corner_uv: expected shape"):
         Mesh(TETRAHEDRON, TETRAHEDRON_FACES, tetrahedron().normals, corner_uv=np.zeros((4, 2)))
 
 
@@ -182,7 +184,7 @@ def test_gltf_texture_coordinates_point_upwards(tmp_path):
         assert tuple(uv) == expected[tuple(position)]
 
 
-def test_float64_stays_float64_in_ascii_and_both_byte_orders(tmp_path):
+def test_float64_is_exact_in_ascii_and_both_byte_orders(tmp_path):
     third = 1 / 3
     for order, word in (("<", "binary_little_endian"), (">", "binary_big_endian")):
         header = ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS, "double").split("end_header\n")[0]
@@ -196,7 +198,7 @@ def test_float64_stays_float64_in_ascii_and_both_byte_orders(tmp_path):
     assert read_mesh(tmp_path / "t.ply").positions[1, 0] == third
 
 
-def test_ply_passes_over_what_it_does_not_know_and_cuts_polygons(tmp_path):
+def test_ply_ignores_unknown_properties_and_triangulates_polygons(tmp_path):
     corners = "\n".join(f"{x} {y} {z} 255" for x, y, z in CUBE_CORNERS)
     quads = "\n".join(f"4 {' '.join(str(i - 1) for i in quad)} 7" for quad in CUBE_QUADS[1:])
     triangles = "3 0 3 2 7\n3 0 2 1 7"
@@ -207,12 +209,12 @@ def test_ply_passes_over_what_it_does_not_know_and_cuts_polygons(tmp_path):
         f"2 0.5 0.5\n{corners}\n{triangles}\n{quads}\n"
     )
     mesh = read_mesh(tmp_path / "cube.ply")
-    assert (len(mesh.positions), len(mesh.faces), open_edges(mesh), torn_edges(mesh)) == (8, 12, 0, 0)
+    assert (len(mesh.positions), len(mesh.faces), open_edges(mesh), inconsistent_edges(mesh)) == (8, 12, 0, 0)
     assert signed_volume(mesh) == pytest.approx(1, abs=1e-15)
     assert mesh.face_areas.sum() == pytest.approx(6, abs=1e-15)
 
 
-def test_corners_split_by_normals_are_one_vertex(tmp_path):
+def test_vertices_split_by_normals_are_merged(tmp_path):
     rows = [f"v {x} {y} {z}" for quad in CUBE_QUADS for x, y, z in (CUBE_CORNERS[i - 1] for i in quad)]
     rows += ["vn 0 0 -1", "vn 0 0 1", "vn 0 -1 0", "vn 1 0 0", "vn 0 1 0", "vn -1 0 0"]
     rows += ["f " + " ".join(f"{4 * i + c + 1}//{i + 1}" for c in range(4)) for i in range(6)]
@@ -223,11 +225,11 @@ def test_corners_split_by_normals_are_one_vertex(tmp_path):
     assert mesh.source_vertex.shape == (24,)
     sources = np.array([CUBE_CORNERS[i - 1] for quad in CUBE_QUADS for i in quad], np.float64)
     np.testing.assert_array_equal(mesh.positions[mesh.source_vertex], sources)
-    # The angle weights make a corner's normal the diagonal, whichever way the quads were cut.
+    # Angle weights make the corner normals diagonal for every triangulation of the quads.
     np.testing.assert_allclose(mesh.normals, (2 * mesh.positions - 1) / np.sqrt(3), atol=1e-15)
 
 
-def test_unused_vertices_are_left_out(tmp_path):
+def test_unused_vertices_are_removed(tmp_path):
     vertices = "9 9 9\n" + TETRAHEDRON_VERTICES + "\n-0.0 0 0"
     rows = "3 1 3 2\n3 5 2 4\n3 1 4 3\n3 2 3 4"
     (tmp_path / "t.ply").write_text(ascii_ply(vertices, rows))
@@ -238,7 +240,7 @@ def test_unused_vertices_are_left_out(tmp_path):
     assert open_edges(mesh) == 0
 
 
-def test_obj_indices_may_count_backwards_and_lines_continue(tmp_path):
+def test_obj_accepts_negative_indices_and_continued_lines(tmp_path):
     text = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf -4 -2 -3\nf 1 2 4 # base\nf 1 4 \\\n3\nusemtl wax\nf 2/ 3/ 4/\n"
     (tmp_path / "t.obj").write_text(text)
     mesh = read_mesh(tmp_path / "t.obj")
@@ -246,7 +248,7 @@ def test_obj_indices_may_count_backwards_and_lines_continue(tmp_path):
     np.testing.assert_array_equal(mesh.positions, TETRAHEDRON)
 
 
-def test_gltf_parts_are_placed_by_their_nodes(tmp_path):
+def test_gltf_parts_are_transformed_by_their_nodes(tmp_path):
     import trimesh
 
     solid = trimesh.Trimesh(TETRAHEDRON, TETRAHEDRON_FACES, process=False)
@@ -272,12 +274,12 @@ def test_volume_and_normals_of_a_sphere():
     np.testing.assert_allclose(moved.normals, ball.normals, atol=1e-8)
 
 
-def test_open_and_torn_edges_are_counted():
+def test_open_and_inconsistent_edges_are_counted():
     assert open_edges(build_mesh(TETRAHEDRON, TETRAHEDRON_FACES[1:])) == 3
-    one_turned = TETRAHEDRON_FACES.copy()
-    one_turned[0] = one_turned[0][::-1]
-    torn = build_mesh(TETRAHEDRON, one_turned)
-    assert (open_edges(torn), torn_edges(torn)) == (0, 3)
+    one_flipped = TETRAHEDRON_FACES.copy()
+    one_flipped[0] = one_flipped[0][::-1]
+    mesh = build_mesh(TETRAHEDRON, one_flipped)
+    assert (open_edges(mesh), inconsistent_edges(mesh)) == (0, 3)
 
 
 DAMAGED = {
@@ -291,7 +293,7 @@ DAMAGED = {
         "1 of 5 faces have no area",
     ),
     "cloud": (ascii_ply(TETRAHEDRON_VERTICES, ""), "no faces"),
-    "cut in a row": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS)[:-4], "row 3 of element face.*truncated"),
+    "cut in a row": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS)[:-4], "truncated.*row 3 of element face"),
     "cut in the header": ("ply\nformat ascii 1.0\nelement vertex 4\n", "end_header"),
     "words": (ascii_ply(TETRAHEDRON_VERTICES.replace("1 0 0", "1 x 0"), TETRAHEDRON_ROWS), "damaged"),
     "header": (ascii_ply("0 0 0", "").replace("float y", "quad y"), "line 6"),
@@ -312,16 +314,16 @@ def test_damaged_ply_is_refused_in_one_sentence(tmp_path, case):
     assert check_mesh(tmp_path / "bad.ply")[0] == str(caught.value)
 
 
-def test_binary_ply_cut_anywhere_is_refused(tmp_path):
+def test_a_truncated_binary_ply_is_refused(tmp_path):
     write_mesh(sphere_mesh(), tmp_path / "ball.ply")
-    whole = (tmp_path / "ball.ply").read_bytes()
+    content = (tmp_path / "ball.ply").read_bytes()
     for tenth in range(10):
-        (tmp_path / "cut.ply").write_bytes(whole[: len(whole) * tenth // 10])
+        (tmp_path / "cut.ply").write_bytes(content[: len(content) * tenth // 10])
         with pytest.raises(MeshError, match=re.escape(str(tmp_path / "cut.ply"))):
             read_mesh(tmp_path / "cut.ply")
 
 
-def test_obj_faults_name_the_line(tmp_path):
+def test_errors_in_obj_name_the_line(tmp_path):
     for text, sentence in (
         ("v 0 0 0\nv 1 0\n", "line 2"),
         ("v 0 0 0\nf 1 0 1\n", "line 2"),
@@ -334,7 +336,7 @@ def test_obj_faults_name_the_line(tmp_path):
             read_mesh(tmp_path / "bad.obj")
 
 
-def test_wrong_kinds_are_refused(tmp_path):
+def test_other_formats_are_refused(tmp_path):
     (tmp_path / "bad.glb").write_bytes(b"\x89HDF\r\n\x1a\nnothing")
     with pytest.raises(MeshError, match="glTF"):
         read_mesh(tmp_path / "bad.glb")
@@ -352,7 +354,7 @@ def test_flat_faces_can_be_dropped_and_are_counted(tmp_path):
     assert (mesh.dropped_faces, len(mesh.faces), open_edges(mesh)) == (1, 4, 0)
 
 
-def test_check_reports_holes_winding_and_lost_precision(tmp_path):
+def test_check_mesh_reports_holes_winding_and_lost_precision(tmp_path):
     ball = sphere_mesh()
     write_mesh(ball, tmp_path / "good.ply")
     assert check_mesh(tmp_path / "good.ply") == []
@@ -365,6 +367,6 @@ def test_check_reports_holes_winding_and_lost_precision(tmp_path):
     assert "rounded to float32" in check_mesh(tmp_path / "far.ply")[0]
 
 
-def test_shapes_that_do_not_fit_are_refused():
-    with pytest.raises(MeshError, match=r"normals has shape \(3, 3\), expected \(4, 3\)"):
+def test_wrong_shapes_are_refused():
+    with pytest.raises(MeshError, match=r"normals: expected shape \[4, 3\], found \[3, 3\]"):
         Mesh(TETRAHEDRON, TETRAHEDRON_FACES, np.zeros((3, 3)))

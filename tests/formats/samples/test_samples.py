@@ -1,4 +1,4 @@
-"""Files of samples: they come back as they were, and what is damaged or foreign is refused in one sentence."""
+"""Sample files: every valid one survives a round trip, damaged and foreign files are refused."""
 
 import os
 import re
@@ -56,16 +56,16 @@ def write(path, blocks, directions=3, complete=True):
     seed=st.integers(0, 1000),
     complete=st.booleans(),
 )
-def test_samples_come_back_as_they_were(tmp_path_factory, counts, directions, seed, complete):
+def test_samples_survive_write_and_read(tmp_path_factory, counts, directions, seed, complete):
     path = tmp_path_factory.mktemp("s") / "s.h5"
     blocks = [block(count, directions, seed + k) for k, count in enumerate(counts)]
     write(path, blocks, directions, complete)
     found = read_samples(path)
     assert (found.head, found.complete) == (head(directions), complete)
     for name in NAMES:
-        kept = getattr(found, name)
+        stored = getattr(found, name)
         expected = np.concatenate([each[name] for each in blocks])
-        np.testing.assert_array_equal(kept, expected.astype(kept.dtype))
+        np.testing.assert_array_equal(stored, expected.astype(stored.dtype))
     assert (found.keys.dtype, found.positions.dtype, found.mean.dtype) == (np.uint64, np.float64, np.float32)
     assert check_samples(path) == []
     assert is_samples(path)
@@ -74,38 +74,38 @@ def test_samples_come_back_as_they_were(tmp_path_factory, counts, directions, se
 def assert_refused(path, sentence):
     with pytest.raises(SamplesError, match=sentence) as caught:
         read_samples(path)
-    told = str(caught.value)
-    assert told.startswith(f"{path}: ")
-    assert "\n" not in told
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
     faults = check_samples(path)
     assert all(fault.startswith(f"{path}: ") for fault in faults)
     assert any(re.search(sentence, fault) for fault in faults)
 
 
-def test_a_file_cut_anywhere_is_refused(tmp_path):
+def test_a_truncated_file_is_refused(tmp_path):
     write(tmp_path / "a.h5", [block(300, 3)])
-    whole = (tmp_path / "a.h5").read_bytes()
+    content = (tmp_path / "a.h5").read_bytes()
     for tenth in range(10):
-        (tmp_path / "cut.h5").write_bytes(whole[: len(whole) * tenth // 10])
+        (tmp_path / "cut.h5").write_bytes(content[: len(content) * tenth // 10])
         assert_refused(tmp_path / "cut.h5", "truncated" if tenth else "empty")
 
 
 @settings(max_examples=30, deadline=None)
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
 def test_a_flipped_bit_is_refused_or_harmless(tmp_path_factory, place, bit):
-    """Values are never other than they were: everything has its checksum."""
+    """Values that are read are never wrong, because everything has a checksum."""
     folder = tmp_path_factory.mktemp("s")
     write(folder / "a.h5", [block(60, 2)], directions=2)
     content = bytearray((folder / "a.h5").read_bytes())
     content[int(place * len(content))] ^= 1 << bit
     (folder / "b.h5").write_bytes(content)
-    whole = read_samples(folder / "a.h5")
+    intact = read_samples(folder / "a.h5")
     if check_samples(folder / "b.h5"):
         assert_refused(folder / "b.h5", ": ")
         return
     found = read_samples(folder / "b.h5")
     for name in NAMES:
-        np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
+        np.testing.assert_array_equal(getattr(found, name), getattr(intact, name))
 
 
 def test_other_files_are_refused(tmp_path):
@@ -113,7 +113,7 @@ def test_other_files_are_refused(tmp_path):
     assert_refused(tmp_path / "a.h5", "expected an HDF5 file")
     assert not is_samples(tmp_path / "a.h5")
     write_asset(make_asset(), tmp_path / "b.h5")
-    assert_refused(tmp_path / "b.h5", "holds no samples: .* found 'prtbake'")
+    assert_refused(tmp_path / "b.h5", "is not a sample file: .* found 'prtbake'")
     assert not is_samples(tmp_path / "b.h5")
     with pytest.raises(StorageError, match="no such file"):
         read_samples(tmp_path / "missing.h5")
@@ -132,11 +132,11 @@ def changed(file, name, place, value):
 
 CHANGES = {
     "has format_version 2.0": lambda file: file.attrs.__setitem__("format_version", "2.0"),
-    "the attribute source says nothing of scene": lambda file: file.attrs.__delitem__("source"),
-    "the attribute source says nothing of scene_hash": lambda file: file.attrs.__setitem__("source", '{"scene": "a"}'),
-    "the attribute seed is missing, which is no count": lambda file: file.attrs.__delitem__("seed"),
-    "the attribute walks is many, which is no count": lambda file: file.attrs.__setitem__("walks", "many"),
-    "source says nothing of scene\\b": lambda file: file.attrs.__setitem__("source", "[1"),
+    "the attribute source has no valid scene": lambda file: file.attrs.__delitem__("source"),
+    "the attribute source has no valid scene_hash": lambda file: file.attrs.__setitem__("source", '{"scene": "a"}'),
+    "the attribute seed is missing; expected an integer": lambda file: file.attrs.__delitem__("seed"),
+    "the attribute walks is many; expected an integer": lambda file: file.attrs.__setitem__("walks", "many"),
+    "source has no valid scene\\b": lambda file: file.attrs.__setitem__("source", "[1"),
     "/estimates/mean is missing": lambda file: file.__delitem__("estimates/mean"),
     "/queries/positions has type float32": lambda file: put(file, "queries/positions", np.zeros((5, 3), "f4")),
     r"/estimates/mean has shape \[5, 2, 3\]; expected \[N = 5, D = 3, 3\]": lambda file: put(
@@ -164,10 +164,10 @@ def test_every_fault_is_named(tmp_path, sentence):
 
 def test_a_file_without_queries_is_refused(tmp_path):
     write(tmp_path / "a.h5", [])
-    assert_refused(tmp_path / "a.h5", "holds no query")
+    assert_refused(tmp_path / "a.h5", "has no queries")
 
 
-def test_blocks_that_do_not_fit_are_refused(tmp_path):
+def test_blocks_of_wrong_shape_are_refused(tmp_path):
     with SamplesWriter(tmp_path / "a.h5", head(3)) as writer:
         with pytest.raises(SamplesError, match=r"incident has shape \[4, 2, 3\]; expected \[4, 3, 3\]"):
             writer.append(**block(4, 2))
@@ -180,7 +180,7 @@ def test_blocks_that_do_not_fit_are_refused(tmp_path):
     assert len(read_samples(tmp_path / "a.h5").keys) == 4
 
 
-def test_an_abandoned_writer_leaves_the_old_file(tmp_path):
+def test_a_writer_left_without_finish_keeps_the_old_file(tmp_path):
     path = tmp_path / "a.h5"
     path.write_text("old")
     with SamplesWriter(path, head(3)) as writer:
@@ -189,15 +189,15 @@ def test_an_abandoned_writer_leaves_the_old_file(tmp_path):
     assert os.listdir(tmp_path) == ["a.h5"]
 
 
-def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
+def test_a_full_disk_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "a.h5"
     path.write_text("old")
-    real = Sink.write
+    write_to_disk = Sink.write
 
     def full(sink, content):
         if sink._end > 20_000:
-            sink.fault = sink.fault or OSError(28, "No space left on device")
-        return real(sink, content)
+            sink.error = sink.error or OSError(28, "No space left on device")
+        return write_to_disk(sink, content)
 
     monkeypatch.setattr(Sink, "write", full)
     with pytest.raises(StorageError, match="the disk is full"):
@@ -206,11 +206,11 @@ def test_a_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["a.h5"]
 
 
-def test_ctrl_c_while_a_block_is_written_loses_nothing(tmp_path, monkeypatch):
-    real = Sink.write
+def test_ctrl_c_during_a_write_keeps_the_file_consistent(tmp_path, monkeypatch):
+    write_to_disk = Sink.write
     with SamplesWriter(tmp_path / "a.h5", head(3)) as writer:
         writer.append(**block(4, 3))
-        monkeypatch.setattr(Sink, "write", lambda *pair: (signal.raise_signal(signal.SIGINT), real(*pair))[1])
+        monkeypatch.setattr(Sink, "write", lambda *args: (signal.raise_signal(signal.SIGINT), write_to_disk(*args))[1])
         with pytest.raises(KeyboardInterrupt):
             writer.finish(complete=False)
     found = read_samples(tmp_path / "a.h5")

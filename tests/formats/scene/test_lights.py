@@ -1,4 +1,4 @@
-"""Lights files and directional lights in one word: what they hold, and what is said of those that hold none."""
+"""Lights files and lights in one word: their values, and the messages for invalid ones."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from formats.errors import LightError, StorageError
 from formats.scene.lights import DirectionalLight, SkyLight, parse_sun, read_lights
 
 
-def test_a_file_of_every_kind_of_light(tmp_path):
+def test_a_file_with_every_kind_of_light_is_read(tmp_path):
     (tmp_path / "a.toml").write_text(
         "[[directional]]\ndirection = [0, 3, 4]\nirradiance = [3, 2.5, 2]\nangular_diameter = 0.53\n"
         "[[directional]]\ndirection = [-1e-200, 0, 0]\n"
@@ -32,7 +32,7 @@ def test_a_file_of_every_kind_of_light(tmp_path):
         ("sun:0,0,2:3,2,1:0.5", [3, 2, 1], 0.5),
     ],
 )
-def test_a_sun_in_one_word(text, irradiance, diameter):
+def test_a_sun_in_one_word_is_parsed(text, irradiance, diameter):
     sun = parse_sun(text)
     assert (sun.direction.tolist(), sun.irradiance.tolist(), sun.angular_diameter) == ([0, 0, 1], irradiance, diameter)
 
@@ -54,7 +54,7 @@ def test_a_sun_in_one_word(text, irradiance, diameter):
         ("sun:0,1,0:181", "angular diameter: expected degrees"),
     ],
 )
-def test_a_word_that_is_no_sun_is_one_sentence(text, sentence):
+def test_an_invalid_sun_is_refused_in_one_sentence(text, sentence):
     with pytest.raises(LightError, match=sentence) as caught:
         parse_sun(text)
     assert text in str(caught.value)
@@ -63,7 +63,7 @@ def test_a_word_that_is_no_sun_is_one_sentence(text, sentence):
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", "holds no light"),
+        ("", "has no light"),
         ("sun = 3", "sun: unknown key"),
         ("[directional]\ndirection = [0, 1, 0]", r"directional: expected tables \[\[directional\]\]"),
         ("[[directional]]\ndirection = [0, 1, 0]\nsize = 1", "directional.0.size: unknown key; expected direction"),
@@ -81,7 +81,7 @@ def test_a_word_that_is_no_sun_is_one_sentence(text, sentence):
         ("no toml", "is not TOML"),
     ],
 )
-def test_a_file_that_holds_no_lights_is_one_sentence(tmp_path, text, sentence):
+def test_an_invalid_lights_file_is_refused_in_one_sentence(tmp_path, text, sentence):
     path = tmp_path / "a.toml"
     path.write_text(text)
     with pytest.raises(LightError, match=sentence) as caught:
@@ -90,9 +90,9 @@ def test_a_file_that_holds_no_lights_is_one_sentence(tmp_path, text, sentence):
     assert "\n" not in str(caught.value)
 
 
-def test_files_that_are_not_text_or_not_there(tmp_path):
+def test_binary_and_missing_files_are_refused(tmp_path):
     (tmp_path / "a.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(LightError, match="not text"):
+    with pytest.raises(LightError, match="expected UTF-8 text"):
         read_lights(tmp_path / "a.toml")
     with pytest.raises(StorageError, match="no such file"):
         read_lights(tmp_path / "b.toml")

@@ -1,4 +1,4 @@
-"""Measured materials: the paper's own column of reflectances, units of length, and every fault named by its key."""
+"""Measured materials: the reflectances of the paper, units of length, and errors that name the key."""
 
 import numpy as np
 import pytest
@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from formats.errors import SceneError
 from formats.mesh import write_mesh
 from formats.scene import read_scene
-from formats.scene.materials import MATERIALS, MILLIMETRES, find_material, substance
+from formats.scene.materials import MATERIALS, MILLIMETRES, find_material, to_scene_units
 from prt_bake.inspection.files import describe
 from tests.tracer.scenes import sphere
 
-# The column "diffuse reflectance" of the same figure; blue of chicken1 is left out: there the figure's own coefficients
-# give 0.13, which is not the 0.10 printed beside them.
+# The column "diffuse reflectance" of the same figure. Blue of chicken1 is omitted: the figure's coefficients give 0.13,
+# but it prints 0.10.
 REFLECTANCE = {
     "apple": (0.85, 0.84, 0.53),
     "chicken1": (0.31, 0.15, np.nan),
@@ -40,12 +40,12 @@ def diffuse_reflectance(sigma_s, sigma_a, eta):
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_the_dipole_gives_the_reflectances_that_the_paper_prints(name):
+def test_the_dipole_reproduces_the_printed_reflectances(name):
     material = MATERIALS[name]
-    told = diffuse_reflectance(np.array(material.sigma_s_reduced), np.array(material.sigma_a), material.eta)
+    computed = diffuse_reflectance(np.array(material.sigma_s_reduced), np.array(material.sigma_a), material.eta)
     printed = np.array(REFLECTANCE[name])
-    there = np.isfinite(printed)
-    np.testing.assert_allclose(told[there], printed[there], atol=0.011)
+    known = np.isfinite(printed)
+    np.testing.assert_allclose(computed[known], printed[known], atol=0.011)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_the_dipole_gives_the_reflectances_that_the_paper_prints(name):
         *[("chicken", "chicken1"), ("chicken 2", "chicken2"), ("skin_2", "skin2")],
     ],
 )
-def test_names_are_found_however_they_are_spelt(written, name):
+def test_materials_are_found_in_any_spelling(written, name):
     assert find_material(written) is MATERIALS[name]
 
 
@@ -66,13 +66,15 @@ def test_names_are_found_however_they_are_spelt(written, name):
     unit=st.sampled_from(sorted(MILLIMETRES)),
     density=st.floats(0.01, 100),
 )
-def test_reduced_scattering_and_absorption_are_those_measured_for_any_g(name, phase_g, unit, density):
-    made = substance(MATERIALS[name], phase_g, MILLIMETRES[unit], density)
+def test_reduced_scattering_and_absorption_do_not_depend_on_g(name, phase_g, unit, density):
+    substance = to_scene_units(MATERIALS[name], phase_g, MILLIMETRES[unit], density)
     per_mm = density * MILLIMETRES[unit]
-    np.testing.assert_allclose(made.sigma_s * (1 - phase_g) / per_mm, MATERIALS[name].sigma_s_reduced, rtol=1e-12)
-    np.testing.assert_allclose((made.sigma_t - made.sigma_s) / per_mm, MATERIALS[name].sigma_a, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(made.albedo * made.sigma_t, made.sigma_s, rtol=1e-12)
-    assert (made.albedo <= 1).all()
+    np.testing.assert_allclose(substance.sigma_s * (1 - phase_g) / per_mm, MATERIALS[name].sigma_s_reduced, rtol=1e-12)
+    np.testing.assert_allclose(
+        (substance.sigma_t - substance.sigma_s) / per_mm, MATERIALS[name].sigma_a, rtol=1e-9, atol=1e-9
+    )
+    np.testing.assert_allclose(substance.albedo * substance.sigma_t, substance.sigma_s, rtol=1e-12)
+    assert (substance.albedo <= 1).all()
 
 
 SCENE = '[object]\nmesh = "ball.ply"\nunit = "cm"\n[interface]\nroughness = 0.1\n[medium]\nmaterial = "marble"\n'
@@ -90,7 +92,7 @@ def scene(folder, text):
     return read_scene(folder / "scene.toml")
 
 
-def test_a_material_comes_out_per_scene_unit_and_channel(folder):
+def test_a_material_is_converted_to_scene_units(folder):
     read = scene(folder, SCENE)
     np.testing.assert_allclose(read.sigma_t, [21.921, 26.241, 30.071], rtol=1e-12)
     np.testing.assert_allclose(read.albedo, [2.19 / 2.1921, 2.62 / 2.6241, 3.00 / 3.0071], rtol=1e-12)
@@ -99,39 +101,39 @@ def test_a_material_comes_out_per_scene_unit_and_channel(folder):
     np.testing.assert_allclose(forward.sigma_t, [4.3821, 5.2441, 6.0071], rtol=1e-12)
     inches = scene(folder, SCENE.replace('"cm"', '"inch"'))
     np.testing.assert_allclose(inches.sigma_t, 2.54 * read.sigma_t, rtol=1e-12)
-    own = scene(folder, SCENE.replace('"cm"', '"thumb"\nunit_in_mm = 20.0'))
-    np.testing.assert_allclose(own.sigma_t, 2 * read.sigma_t, rtol=1e-12)
+    thumbs = scene(folder, SCENE.replace('"cm"', '"thumb"\nunit_in_mm = 20.0'))
+    np.testing.assert_allclose(thumbs.sigma_t, 2 * read.sigma_t, rtol=1e-12)
 
 
-def test_an_inner_part_may_be_of_a_material(folder):
+def test_an_inner_part_may_have_a_material(folder):
     inner = '[[inside]]\nname = "core"\nmesh = "ball.ply"\n[inside.medium]\nmaterial = "ketchup"\n'
     read = scene(folder, SCENE + inner)
     np.testing.assert_allclose(read.parts[1].medium.sigma_t, [2.41, 10.4, 14.8], rtol=1e-12)
 
 
-def test_info_says_that_the_index_is_not_taken_from_the_material(folder):
+def test_info_reports_that_eta_is_not_that_of_the_material(folder):
     scene(folder, SCENE)
-    told = describe(folder / "scene.toml")
-    assert told["material"] == "marble, measured with eta 1.5; taken is that of the scene, 1"
+    description = describe(folder / "scene.toml")
+    assert description["material"] == "marble, measured with eta 1.5; taken is that of the scene, 1"
 
 
 FAULTS = [
     ("marble", "marbel", "medium.material: unknown material 'marbel'; did you mean 'marble'?"),
     ("marble", "plutonium", "medium.material: unknown material 'plutonium'; expected one of apple, chicken, "),
-    ('"cm"', '"unit"', "object.unit: 'marble' is measured per millimetre, and 'unit' is no known unit of length"),
+    ('"cm"', '"unit"', "object.unit: 'marble' is measured per millimetre, but 'unit' is not a known unit of length"),
     ('"cm"', '"cm"\nunit_in_mm = 1', "object.unit_in_mm: is 1, but the unit 'cm' has 10 millimetres"),
     ('"cm"', '"cm"\nunit_in_mm = 0', "object.unit_in_mm: expected a positive number of millimetres, found 0"),
-    ('"marble"', '"marble"\nsigma_t = 1', "medium.sigma_t: the material 'marble' says it already"),
-    ('"marble"', '"marble"\nalbedo = 1', "medium.albedo: the material 'marble' says it already"),
+    ('"marble"', '"marble"\nsigma_t = 1', "medium.sigma_t: the material 'marble' defines it already"),
+    ('"marble"', '"marble"\nalbedo = 1', "medium.albedo: the material 'marble' defines it already"),
     ('"marble"', '"marble"\ndensity = 0', "medium.density: expected a positive number, found 0"),
     ('material = "marble"', "", "medium.sigma_t: is missing; expected one number that is not negative, three of them"),
     ('material = "marble"', "sigma_t = 1", "medium.albedo: is missing; expected a number from 0 to 1"),
-    ('material = "marble"', "sigma_t = 1\nalbedo = 1\ndensity = 2", "medium.density: goes with a material"),
+    ('material = "marble"', "sigma_t = 1\nalbedo = 1\ndensity = 2", "medium.density: needs a material"),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), FAULTS)
-def test_every_fault_names_its_key(folder, old, new, sentence):
+def test_every_error_names_its_key(folder, old, new, sentence):
     with pytest.raises(SceneError) as caught:
         scene(folder, SCENE.replace(old, new))
     assert str(caught.value).startswith(f"{folder / 'scene.toml'}: {sentence}")

@@ -1,4 +1,4 @@
-"""Scenes of several parts: nesting, boundaries, textures, and every fault named by its key."""
+"""Scenes of several parts: nesting, boundaries, textures, and errors that name the key."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def scene(folder, text):
     return read_scene(folder / "scene.toml")
 
 
-def test_parts_come_out_in_the_order_of_the_file_with_what_they_say(folder):
+def test_parts_are_read_in_file_order(folder):
     read = scene(folder, OUTER + LIQUID + SEED)
     assert [part.name for part in read.parts] == ["object", "liquid", "seed"]
     assert [part.parent for part in read.parts] == [-1, 0, 1]
@@ -55,7 +55,7 @@ def test_parts_come_out_in_the_order_of_the_file_with_what_they_say(folder):
     assert seed.mesh_path == folder / "seed.ply"
 
 
-def test_what_an_inner_part_leaves_out_is_its_parent_s_index_and_nothing_in_it(folder):
+def test_an_inner_part_defaults_to_the_eta_of_its_parent_and_a_clear_medium(folder):
     bubble = scene(folder, OUTER + LIQUID + BUBBLE).parts[2]
     assert (bubble.eta, bubble.roughness, bubble.normals) == (1.33, 0, "face")
     assert bubble.medium.sigma_t.tolist() == 0
@@ -63,7 +63,7 @@ def test_what_an_inner_part_leaves_out_is_its_parent_s_index_and_nothing_in_it(f
     assert scene(folder, OUTER.replace("eta = 1.5", "") + PLAIN).parts[1].eta == 1
 
 
-def test_a_parent_may_be_named_before_it_stands_in_the_file(folder):
+def test_a_parent_may_follow_its_child_in_the_file(folder):
     read = scene(folder, OUTER + BUBBLE + LIQUID)
     assert [(part.name, part.parent) for part in read.parts] == [("object", -1), ("bubble", 2), ("liquid", 0)]
     assert read.parts[1].eta == 1.33
@@ -71,27 +71,27 @@ def test_a_parent_may_be_named_before_it_stands_in_the_file(folder):
 
 @settings(max_examples=20, deadline=None, derandomize=True, database=None)
 @given(parents=st.lists(st.integers(0, 11), min_size=1, max_size=11))
-def test_any_tree_is_read_and_any_circle_refused(folder, parents):
+def test_every_tree_is_read_and_every_cycle_is_refused(folder, parents):
     parents = [min(parent, len(parents)) for parent in parents]
     names = ["object"] + [f"part {i}" for i in range(len(parents))]
     tables = [
         f'[[inside]]\nname = "{name}"\nmesh = "seed.ply"\nin = "{names[parent]}"\n'
         for name, parent in zip(names[1:], parents, strict=True)
     ]
-    chains = []
+    reaches_root = []
     for i in range(1, len(names)):
         chain = [i]
         while chain[-1] and len(chain) <= len(names):
             chain.append(parents[chain[-1] - 1])
-        chains.append(chain[-1] == 0)
-    if all(chains):
+        reaches_root.append(chain[-1] == 0)
+    if all(reaches_root):
         assert [part.parent for part in scene(folder, OUTER + "".join(tables)).parts] == [-1, *parents]
     else:
-        with pytest.raises(SceneError, match="nested in a circle: 'part"):
+        with pytest.raises(SceneError, match="nested in a cycle: 'part"):
             scene(folder, OUTER + "".join(tables))
 
 
-def test_a_roughness_texture_is_taken_as_stored_and_a_reflectance_decoded(folder):
+def test_roughness_textures_are_linear_and_reflectances_are_decoded_from_srgb(folder):
     rough = LIQUID.replace("liquid.ply", "unwrapped.ply").replace("roughness = 0.1", 'roughness = "alpha.png"')
     alpha = scene(folder, OUTER + rough).parts[1].roughness
     np.testing.assert_allclose(alpha, [[0, 0.2], [0.4, 1]], atol=1e-15)
@@ -102,7 +102,7 @@ def test_a_roughness_texture_is_taken_as_stored_and_a_reflectance_decoded(folder
     np.testing.assert_array_equal(diffuse, [[[0.25, 0.5, 1]]])
 
 
-def test_the_hash_follows_every_part(folder):
+def test_the_hash_depends_on_every_part(folder):
     unwrapped = SEED.replace("seed.ply", "unwrapped.ply")
     texts = [
         OUTER,
@@ -124,14 +124,14 @@ def test_the_hash_follows_every_part(folder):
 
 
 FAULTS = [
-    (LIQUID + LIQUID, "inside.1.name: 'liquid' is taken already"),
-    (PLAIN.replace("plain", "object"), "inside.0.name: 'object' is taken already"),
+    (LIQUID + LIQUID, "inside.1.name: another part is named 'liquid'"),
+    (PLAIN.replace("plain", "object"), "inside.0.name: another part is named 'object'"),
     (
         LIQUID + SEED.replace('in = "liquid"', 'in = "liqid"'),
         "inside.1.in: there is no part 'liqid'; did you mean 'liq",
     ),
     (SEED.replace('"liquid"', '"x"'), "inside.0.in: there is no part 'x'; expected one of object, seed"),
-    (BUBBLE.replace('"liquid"', '"bubble"'), "inside.0.in: parts are nested in a circle: 'bubble' in 'bubble'"),
+    (BUBBLE.replace('"liquid"', '"bubble"'), "inside.0.in: parts are nested in a cycle: 'bubble' in 'bubble'"),
     (LIQUID + SEED + PLAIN + 'in = "seed"\n', "inside.2.in: 'plain' lies in 'seed', which is diffuse"),
     (
         SEED + "[inside.medium]\nsigma_t = 1\nalbedo = 1\n",
@@ -151,7 +151,7 @@ FAULTS = [
         "inside.0.interface.roughnes: unknown key; did you mean 'roughness'?",
     ),
     (PLAIN + "[inside.medium]\nsigma_t = -1\nalbedo = 1\n", "inside.0.medium.sigma_t: expected one number"),
-    (PLAIN.replace("seed.ply", "far.ply"), "inside.0.mesh: .*far.ply lies wholly outside 'object'"),
+    (PLAIN.replace("seed.ply", "far.ply"), "inside.0.mesh: .*far.ply lies completely outside 'object'"),
     (
         SEED.replace("0.5", '"colour.png"').replace('in = "liquid"', ""),
         "inside.0.reflectance: an image needs texture coord",
@@ -168,17 +168,17 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("inside", "sentence"), FAULTS)
-def test_every_fault_names_its_key(folder, inside, sentence):
+def test_every_error_names_its_key(folder, inside, sentence):
     with pytest.raises(SceneError) as caught:
         scene(folder, OUTER + inside)
-    told = str(caught.value)
-    assert told.startswith(f"{folder / 'scene.toml'}: ")
-    assert "\n" not in told
+    message = str(caught.value)
+    assert message.startswith(f"{folder / 'scene.toml'}: ")
+    assert "\n" not in message
     for part in sentence.split(".*"):
-        assert part in told
+        assert part in message
 
 
-def test_a_texture_that_is_no_picture_is_named(folder):
+def test_a_texture_that_is_no_image_is_named(folder):
     rough = PLAIN.replace("seed.ply", "unwrapped.ply") + '[inside.interface]\nroughness = "seed.ply"\n'
     with pytest.raises(ImageError, match=r"seed\.ply"):
         scene(folder, OUTER + rough)

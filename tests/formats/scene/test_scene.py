@@ -1,4 +1,4 @@
-"""Scene files: what they say is what comes out, and every fault names its key."""
+"""Scene files: their values, their files, and errors that name the key."""
 
 import numpy as np
 import pytest
@@ -33,9 +33,9 @@ def folder(tmp_path):
     write_mesh(flipped(mesh), tmp_path / "inside_out.ply")
     write_mesh(build_mesh(positions, mesh.faces[1:]), tmp_path / "open.ply")
     write_mesh(build_mesh(2 * positions, mesh.faces), tmp_path / "larger.ply")
-    torn = mesh.faces.copy()
-    torn[0] = torn[0][::-1]
-    write_mesh(build_mesh(positions, torn), tmp_path / "torn.ply")
+    one_flipped = mesh.faces.copy()
+    one_flipped[0] = one_flipped[0][::-1]
+    write_mesh(build_mesh(positions, one_flipped), tmp_path / "one_flipped.ply")
     grid = np.random.default_rng(2).random((2, 3, 4), np.float32)
     np.save(tmp_path / "grid.npy", grid)
     np.save(tmp_path / "colour.npy", np.stack([grid] * 3, axis=3))
@@ -49,7 +49,7 @@ def scene(folder, old="", new=""):
     return read_scene(path)
 
 
-def test_everything_that_is_said_comes_out(folder):
+def test_all_keys_are_read(folder):
     read = scene(folder)
     assert (read.up, read.unit, read.eta, read.roughness, read.normals) == ("z", "cm", 1.3, 0.25, "vertex")
     assert (read.sigma_t, read.albedo.tolist(), read.phase_g) == (12, [0.98, 0.9, 0.75], 0.3)
@@ -61,14 +61,14 @@ def test_everything_that_is_said_comes_out(folder):
     assert read.tables.medium.sigma_t == 12
 
 
-def test_what_may_be_left_out(folder):
+def test_optional_keys_have_defaults(folder):
     (folder / "scene.toml").write_text('[object]\nmesh = "ball.ply"\n[medium]\nsigma_t = 0\nalbedo = 1\n')
     read = read_scene(folder / "scene.toml")
     assert (read.up, read.eta, read.roughness, read.normals, read.phase_g) == ("y", 1, 0, "face", 0)
     assert read.albedo.tolist() == [1, 1, 1]
 
 
-def test_grids_are_loaded_and_keep_their_values(folder):
+def test_grids_are_loaded_exactly(folder):
     read = scene(folder, "12.0", '"grid.npy"')
     np.testing.assert_array_equal(read.sigma_t, np.load(folder / "grid.npy").astype(np.float64))
     np.testing.assert_array_equal(read.bounds, [[-1, -1, -1], [1, 1, 2]])
@@ -84,14 +84,14 @@ def test_extinction_may_differ_by_channel(folder):
     assert read.content_hash != scene(folder, "12.0", "[3, 2.5, 1]").content_hash
 
 
-def test_a_mesh_wound_inside_out_is_turned(folder):
+def test_a_mesh_wound_inside_out_is_flipped(folder):
     read = scene(folder, "ball.ply", "inside_out.ply")
     assert read.flipped
     assert signed_volume(read.mesh) > 0
     np.testing.assert_allclose(read.mesh.normals, scene(folder).mesh.normals, atol=1e-15)
 
 
-def test_the_hash_follows_what_decides_the_transport(folder):
+def test_the_hash_depends_on_what_affects_the_transport(folder):
     same = scene(folder).content_hash
     assert scene(folder, 'unit = "cm"', 'unit = "mm"').content_hash == same
     assert scene(folder, "0.98, 0.90", "0.98, 0.9").content_hash == same
@@ -144,30 +144,34 @@ FAULTS = [
     ("[1, 1, 2]", "[1, 1, 1e300]", "medium.bounds: expected two corners"),
     ("= 12.0", "= = 12", "is not TOML"),
     ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply is not closed: 3 edges"),
-    ('mesh = "ball.ply"', 'mesh = "torn.ply"', "object.mesh: .*torn.ply has 3 edges between faces wound against"),
-    ("0.25", '"alpha.png"', "interface.roughness: an image needs texture coordinates, and the mesh has none"),
+    (
+        'mesh = "ball.ply"',
+        'mesh = "one_flipped.ply"',
+        "object.mesh: .*flipped.ply has 3 edges between faces of opposite",
+    ),
+    ("0.25", '"alpha.png"', "interface.roughness: an image needs texture coordinates, but the mesh has none"),
     ("0.25", '0.25\nenergy_compensation = "yes"', "interface.energy_compensation: expected true or false"),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "sentence"), FAULTS)
-def test_every_fault_names_its_key(folder, old, new, sentence):
+def test_every_error_names_its_key(folder, old, new, sentence):
     with pytest.raises(SceneError) as caught:
         scene(folder, old, new)
-    told = str(caught.value)
-    assert told.startswith(f"{folder / 'scene.toml'}: ")
-    assert "\n" not in told
+    message = str(caught.value)
+    assert message.startswith(f"{folder / 'scene.toml'}: ")
+    assert "\n" not in message
     for part in sentence.split(".*"):
-        assert part in told
+        assert part in message
 
 
-def test_a_check_names_the_faults_of_all_keys(folder):
+def test_find_faults_reports_all_keys(folder):
     text = SCENE.replace("0.25", "7").replace("12.0", "[-1, 2]").replace("unit =", "unti =").replace("0.3", '"x"')
     (folder / "scene.toml").write_text(text)
-    told = [
+    keys = [
         fault.removeprefix(f"{folder / 'scene.toml'}: ").split(":")[0] for fault in find_faults(folder / "scene.toml")
     ]
-    assert told == ["object.unti", "interface.roughness", "medium.sigma_t", "medium.phase_g"]
+    assert keys == ["object.unti", "interface.roughness", "medium.sigma_t", "medium.phase_g"]
     (folder / "scene.toml").write_text(SCENE.replace("ball.ply", "none.ply"))
     (missing,) = find_faults(folder / "scene.toml")
     assert "none.ply: there is no such file" in missing
@@ -175,13 +179,13 @@ def test_a_check_names_the_faults_of_all_keys(folder):
     assert find_faults(folder / "scene.toml") == []
 
 
-def test_a_lights_file_is_told_from_a_scene(folder):
+def test_a_lights_file_is_refused(folder):
     (folder / "sun.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\n")
-    with pytest.raises(SceneError, match=r"sun\.toml: is a lights file, which render takes as --light"):
+    with pytest.raises(SceneError, match=r"sun\.toml: is a lights file; expected a scene"):
         read_scene(folder / "sun.toml")
 
 
-def test_grids_out_of_range_are_told_with_count_and_place(folder):
+def test_grids_out_of_range_are_refused_with_count_and_position(folder):
     grid = np.full((2, 3, 4), 0.5)
     grid[1, 2, 3], grid[1, 0, 0] = np.nan, -2
     np.save(folder / "bad.npy", grid)
@@ -198,7 +202,7 @@ def test_grids_out_of_range_are_told_with_count_and_place(folder):
             scene(folder, "12.0", '"bad.npy"')
 
 
-def test_a_pickled_grid_is_refused_and_never_run(folder):
+def test_a_pickled_grid_is_refused_and_never_executed(folder):
     np.save(folder / "bad.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(SceneError, match=r"bad\.npy"):
         scene(folder, "12.0", '"bad.npy"')
@@ -208,16 +212,16 @@ def test_a_pickled_grid_is_refused_and_never_run(folder):
     ("old", "new", "sentence"),
     [
         ("ball.ply", "none.ply", r"object\.mesh: .*none\.ply: there is no such file"),
-        ("ball.ply", "grid.npy", r"object\.mesh: .*grid\.npy: is not a mesh this can read"),
+        ("ball.ply", "grid.npy", r"object\.mesh: .*grid\.npy: is not a readable mesh"),
         ("12.0", '"none.npy"', r"medium\.sigma_t: .*none\.npy: there is no such file"),
     ],
 )
-def test_a_fault_of_a_file_is_told_by_the_key_that_names_it(folder, old, new, sentence):
+def test_errors_of_a_file_name_the_key_that_names_it(folder, old, new, sentence):
     with pytest.raises(PrtbakeError, match=rf"scene\.toml: {sentence}"):
         scene(folder, old, new)
 
 
-def test_a_grid_that_lies_beside_the_object_is_remarked_upon(folder):
+def test_a_grid_outside_the_object_gives_a_remark(folder):
     (folder / "scene.toml").write_text(
         SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", "[[1, 0, 0], [2, 1, 1]]")
     )
@@ -241,5 +245,5 @@ def test_missing_and_damaged_files_are_named(folder):
     with pytest.raises(MeshError, match=r"grid\.npy"):
         scene(folder, "ball.ply", "grid.npy")
     (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(SceneError, match="not text"):
+    with pytest.raises(SceneError, match="expected UTF-8 text"):
         read_scene(folder / "binary.toml")

@@ -1,4 +1,4 @@
-"""Kernels for graphics cards are interpreted where there is no card; Triton looks at this once, when it is imported."""
+"""Runs GPU kernels in Triton's interpreter if there is no GPU; Triton reads the variable once, when it is imported."""
 
 import os
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The kernels for graphics cards: on one where there is one, else in Triton's interpreter, in float32 alone."""
+"""Tests of the GPU kernels: on a GPU if there is one, else in Triton's interpreter, in float32 only."""
 
 import pickle
 from contextlib import nullcontext
@@ -21,14 +21,14 @@ from prt_bake.network.inference.cuda_views import RecordedGraph, ViewTerms
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.pairs import pair_transport
 from prt_bake.network.settings import NetworkSettings
-from tests.network import simulated_gpu as simulated_gpu
+from tests.network import simulated_gpu
 from tests.network.test_lobes import LOBED, glass_ball
-from tests.network.test_view_ray import TURNING, cube, looking, rays, trapped
+from tests.network.test_view_ray import REFLECTING, cube, rays, trapped, view_of
 
 REAL = torch.cuda.is_available()
 DEVICE = "cuda" if REAL else "cpu"
 MESH = read_mesh(Path(shipped.__file__).parent / "spot.obj")
-OFF = {"float32": 5e-6, "bfloat16": 2e-2}
+TOLERANCE = {"float32": 5e-6, "bfloat16": 2e-2}
 PAPER = replace(PRESETS["paper"], features=64, width=32)
 LATE = replace(LOBED, width=16, lobes=0)
 SETTINGS = {
@@ -36,16 +36,16 @@ SETTINGS = {
     "one layer": replace(PAPER, layers=1, skips=()),
     "other skips": replace(PAPER, activation="silu", skips=((1, 3), (3, 5))),
     "late": replace(PAPER, directions="cartesian", features=9, light_layers=2, skips=((1, 3),)),
-    "late alone": replace(PAPER, features=9, light_layers=1, angle_powers=3),
-    "three late": replace(PAPER, features=9, light_layers=3, skips=((1, 4), (2, 5)), angle_powers=1),
-    "looking": LATE,
+    "one late layer": replace(PAPER, features=9, light_layers=1, angle_powers=3),
+    "three late layers": replace(PAPER, features=9, light_layers=3, skips=((1, 4), (2, 5)), angle_powers=1),
+    "interior": LATE,
     "lobes": replace(LATE, lobes=3),
 }
 
 
 @pytest.fixture
 def hopper(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A card of the generation that has all kernels."""
+    """A GPU of the generation that runs all kernels."""
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _device: (9, 0))
 
 
@@ -68,7 +68,7 @@ def network_of(name: str) -> NeuralBSSRDF:
 
 
 def queries(network: NeuralBSSRDF) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """A block: directions [R,D,3], which of them [N,B], positions [N,3] on the object, outgoing directions [N,B,3]."""
+    """A block: directions [R,D,3], rotations [N,B], positions [N,3] on the object, outgoing directions [N,B,3]."""
     incident = uniform(3 * 21, 1).reshape(3, 21, 3)
     rotation = np.random.default_rng(2).integers(0, 3, (2, 13))
     positions = network.box_min.cpu().numpy() + network.box_side * (0.5 + 0.45 * uniform(2, 7))
@@ -77,66 +77,66 @@ def queries(network: NeuralBSSRDF) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     return incident, rotation, positions, uniform(26, 3).reshape(2, 13, 3)
 
 
-def apart(found: np.ndarray, expected: np.ndarray) -> float:
+def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
     return float(np.linalg.norm(found.astype(float) - expected) / np.linalg.norm(expected))
 
 
-@pytest.mark.parametrize("precision", [*OFF] if REAL else ["float32"])
+@pytest.mark.parametrize("precision", [*TOLERANCE] if REAL else ["float32"])
 @pytest.mark.parametrize("name", [*SETTINGS, "shipped", "bands"])
-def test_kernels_answer_as_the_processor(name: str, precision: str) -> None:
+def test_kernels_agree_with_the_cpu(name: str, precision: str) -> None:
     network = network_of(name)
-    assert cuda.takes(network.settings)
-    asked = queries(network)
-    found = cuda.CudaNetwork(network, precision, DEVICE).evaluate_block(*asked)
+    assert cuda.supports(network.settings)
+    block = queries(network)
+    found = cuda.CudaNetwork(network, precision, DEVICE).evaluate_block(*block)
     assert found.dtype == np.float32
-    assert apart(found, network.prepared().evaluate_block(*asked)) < OFF[precision]
+    assert relative_error(found, network.prepared().evaluate_block(*block)) < TOLERANCE[precision]
 
 
 @pytest.mark.parametrize("name", ["paper", "lobes"])
-def test_answers_depend_on_no_cut(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_how_blocks_are_cut(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     network = cuda.CudaNetwork(network_of(name), "float32", DEVICE)
     incident, rotation, positions, outgoing = queries(network.network)
-    whole = network.evaluate_block(incident, rotation, positions, outgoing)
+    complete = network.evaluate_block(incident, rotation, positions, outgoing)
     for n, b in ((0, slice(None)), (1, slice(5, 6))):
         part = network.evaluate_block(incident, rotation[n : n + 1, b], positions[n : n + 1], outgoing[n : n + 1, b])
-        np.testing.assert_array_equal(part, whole[n : n + 1, b])
+        np.testing.assert_array_equal(part, complete[n : n + 1, b])
     monkeypatch.setattr(cuda, "ROWS_PER_BATCH", 70)
-    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), whole)
+    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), complete)
     monkeypatch.setattr(cuda, "TABLE_ROWS", 24)
-    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), whole)
+    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), complete)
     again = pickle.loads(pickle.dumps(network))
     assert isinstance(again, cuda.CudaNetwork)
-    np.testing.assert_array_equal(again.evaluate_block(incident, rotation, positions, outgoing), whole)
+    np.testing.assert_array_equal(again.evaluate_block(incident, rotation, positions, outgoing), complete)
 
 
-def test_rays_turn_as_on_the_processor() -> None:
-    """More of them than are followed in step, some of which never turn."""
+def test_traced_rays_agree_with_the_cpu() -> None:
+    """More rays than one program traces; some are never reflected."""
     x, towards = trapped(24)
     x, towards = np.concatenate([x, x]), np.concatenate([towards, np.tile([0.0, 0.0, -1.0], (24, 1))])
-    view = looking(cube(), replace(TURNING, ray_turns=4)).to(DEVICE)
+    view = view_of(cube(), replace(REFLECTING, ray_turns=4)).to(DEVICE)
     x, towards = x.astype(np.float32), towards.astype(np.float32)
     view.use_kernels = True
     at = torch.from_numpy(x).to(DEVICE), torch.from_numpy(-towards).to(DEVICE)
     found = view._ray(*at)
-    expected = rays(looking(cube(), replace(TURNING, ray_turns=4)), x, towards)
+    expected = rays(view_of(cube(), replace(REFLECTING, ray_turns=4)), x, towards)
     assert torch.isfinite(expected.begins[:24, 1]).float().mean() > 0.8
     assert not torch.isfinite(expected.begins[24:, 1:]).any()
-    for kernel, processor in zip(
+    for on_gpu, on_cpu in zip(
         (found.starts, found.towards, found.begins), (expected.starts, expected.towards, expected.begins), strict=True
     ):
-        torch.testing.assert_close(kernel.cpu(), processor, atol=2e-4, rtol=1e-4)
+        torch.testing.assert_close(on_gpu.cpu(), on_cpu, atol=2e-4, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["late", "lobes", "shipped", "bands"])
-def test_what_is_recorded_waits_for_nothing(name: str) -> None:
-    """A real card refuses to record steps that need numbers from the processor, or a look at its own."""
-    there = simulated_gpu.install()
-    network = cuda.CudaNetwork(network_of(name), "float32", there)
+def test_recorded_operations_do_not_wait_for_the_cpu(name: str) -> None:
+    """CUDA refuses to record transfers from and to the CPU."""
+    device = simulated_gpu.install()
+    network = cuda.CudaNetwork(network_of(name), "float32", device)
     _incident, _rotation, positions, outgoing = queries(network.network)
     with torch.inference_mode():
-        asked = network._view_queries(positions, outgoing)
+        block = network._view_queries(positions, outgoing)
         simulated_gpu.waits.clear()
-        network._seen(asked)
+        network._view_terms(block)
     assert not simulated_gpu.waits
 
 
@@ -152,12 +152,12 @@ def test_what_is_recorded_waits_for_nothing(name: str) -> None:
     ],
     ids=["no power of two", "narrow", "features", "far skip", "same skip", "late skip"],
 )
-def test_what_the_kernels_cannot_do_is_left_to_others(settings: NetworkSettings, hopper: None) -> None:
-    assert not cuda.takes(settings)
+def test_unsupported_settings_use_fused_layers(settings: NetworkSettings, hopper: None) -> None:
+    assert not cuda.supports(settings)
     assert type(cuda.cuda_network(NeuralBSSRDF(settings), "float32", DEVICE)) is FusedNetwork
 
 
-def test_a_network_is_prepared_for_a_card_by_its_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_prepared_uses_the_kernels_on_cuda(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cuda, "cuda_network", lambda _network, precision, device: (precision, device))
     assert NeuralBSSRDF(PAPER).prepared("bfloat16", "cuda") == ("bfloat16", "cuda")
     assert type(NeuralBSSRDF(PAPER).prepared()) is FusedNetwork
@@ -165,36 +165,34 @@ def test_a_network_is_prepared_for_a_card_by_its_kernels(monkeypatch: pytest.Mon
         NeuralBSSRDF(PAPER).prepared("float16", "cuda")
 
 
-def test_kernels_are_taken_where_there_are_some(hopper: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernels_are_used_on_supported_gpus(hopper: None, monkeypatch: pytest.MonkeyPatch) -> None:
     network = network_of("paper")
     assert type(cuda.cuda_network(network, "float32", DEVICE)) is cuda.CudaNetwork
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda _device: (7, 5))
     assert type(cuda.cuda_network(network, "float32", DEVICE)) is FusedNetwork
 
 
-def test_kernels_that_cannot_be_made_are_done_without_and_it_is_said(
-    hopper: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failing_kernels_are_replaced_with_a_warning(hopper: None, monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(network: object) -> None:
         raise RuntimeError("Failed to find C compiler")
 
-    monkeypatch.setattr(cuda, "tried", failing)
-    with pytest.warns(RuntimeWarning, match=r"cannot be used on .*RuntimeError: Failed to find C compiler"):
+    monkeypatch.setattr(cuda, "warmed_up", failing)
+    with pytest.warns(RuntimeWarning, match=r"kernels failed on .*RuntimeError: Failed to find C compiler"):
         network = cuda.cuda_network(network_of("paper"), "float32", DEVICE)
     assert type(network) is FusedNetwork
 
 
 @pytest.mark.parametrize("name", ["paper", "lobes"])
-def test_pictures_ask_for_pairs(name: str) -> None:
+def test_pairs_agree_with_the_reference(name: str) -> None:
     network = network_of(name)
     incident, rotation, positions, outgoing = queries(network)
-    asked = incident[rotation[:, 0]], positions, outgoing[:, 0]
-    found = pair_transport(network, "float32", DEVICE).evaluate_pairs(*asked)
-    assert apart(found, network.evaluate(*asked)) < 1e-5
+    block = incident[rotation[:, 0]], positions, outgoing[:, 0]
+    found = pair_transport(network, "float32", DEVICE).evaluate_pairs(*block)
+    assert relative_error(found, network.evaluate(*block)) < 1e-5
 
 
 class Stream:
-    """What torch has for cards, as far as it is used."""
+    """The part of torch.cuda.Stream that is used."""
 
     def __init__(self, _device: object = None) -> None:
         self.waited = 0
@@ -207,55 +205,57 @@ class Stream:
 
 
 class Graph:
-    """Plays what was recorded over what it answered."""
+    """Replays the recorded function and overwrites its outputs."""
 
     def __init__(self, recorded: RecordedGraph) -> None:
         self.recorded = recorded
 
     def replay(self) -> None:
-        found, fresh = self.recorded._found, self.recorded._function(self.recorded._asked)
-        for kept, new in zip((*found[:2], *found.lobes), (*fresh[:2], *fresh.lobes), strict=True):
+        outputs, fresh = self.recorded._outputs, self.recorded._function(self.recorded._inputs)
+        for kept, new in zip((*outputs[:2], *outputs.lobes), (*fresh[:2], *fresh.lobes), strict=True):
             kept.copy_(new)
 
 
 @pytest.fixture
-def pretended(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Streams and graphs, without a card; what is recorded is not done."""
+def simulated_streams(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streams and graphs without a GPU."""
     monkeypatch.setattr(cuda, "stream", Stream)
     monkeypatch.setattr(cuda_views, "stream", Stream)
-    for name, there in (("current_stream", Stream), ("stream", nullcontext)):
-        monkeypatch.setattr(torch.cuda, name, there)
+    for name, replacement in (("current_stream", Stream), ("stream", nullcontext)):
+        monkeypatch.setattr(torch.cuda, name, replacement)
     monkeypatch.setattr(torch.cuda, "graph", lambda graph, capture_error_mode: nullcontext(graph))
 
 
-def test_lots_that_are_played_back_leave_earlier_ones_as_they_were(
-    pretended: None, monkeypatch: pytest.MonkeyPatch
+def test_replayed_batches_leave_earlier_results_unchanged(
+    simulated_streams: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked = torch.arange(33.0).view(11, 3)
-    called = []
+    block = torch.arange(33.0).view(11, 3)
+    calls = []
 
-    def seen(views: torch.Tensor) -> ViewTerms:
-        called.append(len(views))
+    def terms(views: torch.Tensor) -> ViewTerms:
+        calls.append(len(views))
         return ViewTerms((2.0 * views).repeat(2, 1, 1), views[:, None] + 1.0, (views**2,))
 
-    recorded = RecordedGraph(seen, 4, cast(torch.device, SimpleNamespace(type="cuda")))
+    recorded = RecordedGraph(terms, 4, cast(torch.device, SimpleNamespace(type="cuda")))
     monkeypatch.setattr(torch.cuda, "CUDAGraph", lambda: Graph(recorded), raising=False)
-    first, found = recorded(asked[:3]), recorded(asked)
-    assert called == [4] * 6  # once before it is recorded, once recorded, four times played
-    torch.testing.assert_close(found.added, (2.0 * asked).repeat(2, 1, 1))
-    torch.testing.assert_close(found.frame, asked[:, None] + 1.0)
-    torch.testing.assert_close(found.lobes, (asked**2,))
-    torch.testing.assert_close(first.frame, asked[:3, None] + 1.0)
+    first, found = recorded(block[:3]), recorded(block)
+    assert calls == [4] * 6  # warm-up, recording, four replays
+    torch.testing.assert_close(found.added, (2.0 * block).repeat(2, 1, 1))
+    torch.testing.assert_close(found.frame, block[:, None] + 1.0)
+    torch.testing.assert_close(found.lobes, (block**2,))
+    torch.testing.assert_close(first.frame, block[:3, None] + 1.0)
 
 
-def test_answers_are_fetched_as_they_come(pretended: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_copied_while_later_ones_are_computed(
+    simulated_streams: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     network = cuda.CudaNetwork(network_of("paper"), "float32", "cpu")
-    asked = queries(network.network)
-    whole = network.evaluate_block(*asked)
-    fetching = Stream()
+    block = queries(network.network)
+    complete = network.evaluate_block(*block)
+    copy_stream = Stream()
     empty = torch.empty
-    monkeypatch.setattr(network, "_copying", fetching)
+    monkeypatch.setattr(network, "_copy_stream", copy_stream)
     monkeypatch.setattr(cuda, "ROWS_PER_BATCH", 100)
-    monkeypatch.setattr(torch, "empty", lambda *size, pin_memory=False, **how: empty(*size, **how))
-    np.testing.assert_array_equal(network.evaluate_block(*asked), whole)
-    assert fetching.waited == 1
+    monkeypatch.setattr(torch, "empty", lambda *size, pin_memory=False, **options: empty(*size, **options))
+    np.testing.assert_array_equal(network.evaluate_block(*block), complete)
+    assert copy_stream.waited == 1

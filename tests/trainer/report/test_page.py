@@ -1,4 +1,4 @@
-"""The report's two files: what a program reads, and a page that needs nothing beside it."""
+"""The report's files: JSON for programs, and a self-contained page."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report.assessment import assess
 from prt_bake.trainer.report.page import report_paths, training_page, write_training_report
-from prt_bake.trainer.report.picture import SUNS, sentence
+from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network, NoisyTruth, truth
 
@@ -37,7 +37,7 @@ def report(tmp_path_factory):
         seconds=0.2,
         tracer=NoisyTruth(1.0),
         history=history,
-    ).as_json()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +45,11 @@ def page(report):
     return training_page(report)
 
 
-def test_the_files_lie_beside_the_model(tmp_path):
+def test_the_files_are_beside_the_model(tmp_path):
     assert report_paths(tmp_path / "cow.pt") == (tmp_path / "cow.report.json", tmp_path / "cow.report.html")
 
 
-def test_the_json_holds_finite_numbers_and_the_page_is_made_of_it_alone(report, tmp_path):
+def test_the_json_has_finite_numbers_and_determines_the_page(report, tmp_path):
     write_training_report(report, tmp_path / "a.json", tmp_path / "a.html")
     read = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
     assert training_page(read) == (tmp_path / "a.html").read_text()
@@ -57,10 +57,10 @@ def test_the_json_holds_finite_numbers_and_the_page_is_made_of_it_alone(report, 
     assert read["transport"]["network"]["value"] == pytest.approx(0.05, rel=0.2)
 
 
-def test_the_page_is_small_whole_and_needs_nothing_beside_it(page):
+def test_the_page_is_small_well_formed_and_self_contained(page):
     assert len(page.encode()) < MOST_BYTES
-    elsewhere = re.sub(r'xmlns(:\w+)?="[^"]*"|<!DOCTYPE[^>]*>', "", page)
-    assert not re.search(r"""(src|href)\s*=\s*["'](?!data:|#)|url\((?!#)|https?://""", elsewhere)
+    without_namespaces = re.sub(r'xmlns(:\w+)?="[^"]*"|<!DOCTYPE[^>]*>', "", page)
+    assert not re.search(r"""(src|href)\s*=\s*["'](?!data:|#)|url\((?!#)|https?://""", without_namespaces)
     open_tags = []
 
     class Balance(HTMLParser):
@@ -76,7 +76,7 @@ def test_the_page_is_small_whole_and_needs_nothing_beside_it(page):
     assert open_tags == []
 
 
-def test_every_plot_takes_the_page_s_colour_and_has_its_own_names(page):
+def test_every_plot_has_the_page_s_text_colour_and_unique_ids(page):
     plots = re.findall(r"<svg.*?</svg>", page, re.DOTALL)
     assert len(plots) == 6
     names = []
@@ -91,7 +91,7 @@ def test_every_plot_takes_the_page_s_colour_and_has_its_own_names(page):
     assert len(names) == len(set(names))
 
 
-def test_the_page_says_the_figures_with_their_intervals(report, page):
+def test_the_page_shows_figures_with_their_intervals(report, page):
     network = report["transport"]["network"]
     assert f"{100 * network['value']:.2f} % ({100 * network['low']:.2f} to {100 * network['high']:.2f})" in page
     for row in report["criteria"]:
@@ -99,7 +99,7 @@ def test_the_page_says_the_figures_with_their_intervals(report, page):
     assert "prefers-color-scheme: dark" in page
 
 
-def test_a_page_that_cannot_be_written_leaves_the_older_one(report, tmp_path):
+def test_a_page_that_cannot_be_written_leaves_no_files(report, tmp_path):
     with pytest.raises(StorageError):
         write_training_report(report, tmp_path / "none" / "a.json", tmp_path / "a.html")
     assert list(tmp_path.iterdir()) == []
@@ -119,8 +119,8 @@ def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capf
     assert [picture["sun"] for picture in read["pictures"]] == list(SUNS)
     page = (tmp_path / "m.report.html").read_text()
     for picture in read["pictures"]:
-        assert sentence(picture) in read["summary"]
-        assert sum(f"the sun {picture['sun']}" in row["name"] for row in read["criteria"]) == 1
+        assert picture_summary(picture) in read["summary"]
+        assert sum(f"sun {sun_text(picture)}" in row["name"] for row in read["criteria"]) == 1
         assert f"{picture['flip']:.4f}" in page
         assert picture["png"] in page
     network.metadata["scene_hash"] = "another"

@@ -1,4 +1,4 @@
-"""The picture of a training report: its light, its figures against independent pictures, and its verdict."""
+"""Pictures of a training report: their light, their figures compared with independent pictures, and the verdict."""
 
 import base64
 import io
@@ -13,7 +13,7 @@ from prt_bake.geometry import camera
 from prt_bake.lights.environment import project
 from prt_bake.rendering.scene import render_scene
 from prt_bake.trainer.report import picture as training_picture
-from prt_bake.trainer.report.picture import FLIP, SIZE, SUNS, picture_error, sunny, verdict
+from prt_bake.trainer.report.picture import FLIP, SIZE, SUNS, picture_criterion, picture_error, sun_and_sky
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network
 
@@ -23,17 +23,17 @@ def fluence(image):
     return np.sqrt(4.0 * np.pi) * project(image, 0)[0]
 
 
-@pytest.mark.parametrize(("sun", "towards_the_eye"), [("aside", (0.0, 0.5)), ("behind", (-0.95, -0.7))])
+@pytest.mark.parametrize(("sun", "eye_cosine"), [("aside", (0.0, 0.5)), ("behind", (-0.95, -0.7))])
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_two_thirds_of_the_light_are_the_suns_from_above(tmp_path, up, sun, towards_the_eye):
-    light = sunny(replace(make_scene(tmp_path, sphere(1)), up=up), sun)
+def test_two_thirds_of_the_light_come_from_a_sun_above_the_horizon(tmp_path, up, sun, eye_cosine):
+    light = sun_and_sky(replace(make_scene(tmp_path, sphere(1)), up=up), sun)
     (sky,), (disc,) = light.skies, light.suns
-    whole = fluence(sky.image).mean()
-    assert disc.irradiance.mean() / (disc.irradiance.mean() + whole) == pytest.approx(2.0 / 3.0, rel=0.02)
-    above = disc.direction[{"y": 1, "z": 2}[up]]
-    assert 0.4 < above < 0.7
+    sky_fluence = fluence(sky.image).mean()
+    assert disc.irradiance.mean() / (disc.irradiance.mean() + sky_fluence) == pytest.approx(2.0 / 3.0, rel=0.02)
+    height = disc.direction[{"y": 1, "z": 2}[up]]
+    assert 0.4 < height < 0.7
     eye = camera._VIEW[up] / np.linalg.norm(camera._VIEW[up])
-    assert towards_the_eye[0] < float(eye @ disc.direction) < towards_the_eye[1]
+    assert eye_cosine[0] < float(eye @ disc.direction) < eye_cosine[1]
     overhead, below = (light.radiance(side * np.eye(3)[[{"y": 1, "z": 2}[up]]])[0] for side in (1.0, -1.0))
     assert (overhead > 3.0 * below).all()
 
@@ -48,40 +48,40 @@ def constant(value):
 
 
 @pytest.mark.parametrize("sun", SUNS)
-def test_the_error_is_that_against_independent_pictures(scene, sun):
-    """A network that is the same everywhere: its picture is Ŝ times all of the light, known without rendering."""
-    light, view = sunny(scene, sun), camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
+def test_the_error_agrees_with_independent_pictures(scene, sun):
+    """The picture of a constant network is Ŝ times the fluence, known without rendering."""
+    light, view = sun_and_sky(scene, sun), camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
     first, second = (render_scene(scene, light, view, 16, seed, background=False).image for seed in (7, 8))
     coverage = render_scene(scene, light, view, 4, 9, background=False).coverage >= 1.0
     first, second = (part[coverage].astype(np.float64) for part in (first, second))
     (sky,), (disc,) = light.skies, light.suns
-    whole = fluence(sky.image) + disc.irradiance
-    value = float(np.median(first.mean(axis=1)) / whole.mean())
+    total = fluence(sky.image) + disc.irradiance
+    value = float(np.median(first.mean(axis=1)) / total.mean())
     found = picture_error(constant(value), scene, sun, 2.0, 3)
-    expected = np.sqrt(np.mean((value * whole - first) * (value * whole - second)) / np.mean(first * second))
+    expected = np.sqrt(np.mean((value * total - first) * (value * total - second)) / np.mean(first * second))
     assert found["error"] == pytest.approx(expected, rel=0.1)
     assert 0.0 < found["flip_of_noise"] < found["flip"] < 1.0
     assert found["flip_without_noise"] <= found["flip"]
     assert found["walks"] >= 8
-    # All of the difference is on the object, but for what FLIP's filters carry over its rim.
+    # All of the difference is on the object, apart from FLIP's filters across its silhouette.
     share = 0.5 * coverage.mean(), 1.5 * coverage.mean()
     assert share[0] < found["flip"] / found["on_object"]["flip"] < share[1]
     picture = np.asarray(Image.open(io.BytesIO(base64.b64decode(found["png"]))))
     assert picture.shape == (SIZE, 3 * SIZE, 3)
     ours, theirs, flip = np.split(picture.astype(np.float64), 3, axis=1)
-    # A few pixels at the rim are covered wholly by four rays, and by more only in part.
+    # A few pixels at the silhouette are fully covered by four rays but only partly by more.
     assert np.ptp(np.percentile(ours[coverage], [10, 90], axis=0), axis=0).max() <= 2.0
     assert np.ptp(theirs[coverage], axis=0).min() > 50.0
     np.testing.assert_array_equal(flip[..., 0], flip[..., 2])
 
 
-def test_pictures_depend_on_the_seed_alone_of_what_is_random(scene, monkeypatch):
-    """The two halves are traced apart: another seed shares none of them."""
+def test_pictures_depend_on_the_seed_alone(scene, monkeypatch):
+    """The half buffers have separate seeds, and another seed shares none of them."""
     seeds = []
 
-    def traced(*asked, **named):
-        seeds.append(asked[4])
-        return render_scene(*asked[:3], 4, asked[4], background=False)
+    def traced(*arguments, **_options):
+        seeds.append(arguments[4])
+        return render_scene(*arguments[:3], 4, arguments[4], background=False)
 
     monkeypatch.setattr(training_picture, "render_scene", traced)
     found = [picture_error(constant(0.05), scene, "aside", 1.0, seed)["flip"] for seed in (0, 1, 0)]
@@ -98,13 +98,13 @@ def test_pictures_depend_on_the_seed_alone_of_what_is_random(scene, monkeypatch)
         (1.4 * FLIP, 1.2 * FLIP, 1.1 * FLIP, "undecided"),
     ],
 )
-def test_the_verdict_is_no_harder_than_the_noise_allows(flip, without, noise, expected):
-    row = verdict({"sun": "behind", "flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
+def test_the_verdict_is_undecided_if_noise_dominates(flip, without, noise, expected):
+    row = picture_criterion({"sun": "behind", "flip": flip, "flip_without_noise": without, "flip_of_noise": noise})
     assert row["verdict"] == expected
     assert row["bound"] == FLIP == 0.05
 
 
-def test_where_no_light_comes_out_there_is_no_picture(tmp_path):
+def test_a_black_object_has_no_picture(tmp_path):
     black = make_scene(tmp_path, sphere(1), albedo=0.0)
     with pytest.raises(QueryError, match="no light reaches it"):
         picture_error(constant(0.05), black, "aside", 0.1, 0)

@@ -1,0 +1,278 @@
+"""The layers of the neural BSSRDF, as a torch module: Fourier features in, Ŝ [1/sr] out.
+
+`NetworkCore` is all that `inference` needs to know of a network. `bssrdf.NeuralBSSRDF` adds the frozen forms to it.
+"""
+
+from copy import copy
+from typing import Any, Literal, Self
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from formats.errors import ModelError
+from formats.mesh import Mesh
+from prt_bake.geometry.surface import Surface
+from prt_bake.network.features.fourier import encode_directions, fourier_features
+from prt_bake.network.features.interior import Interior
+from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
+from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
+from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
+
+ROWS_PER_BATCH = 8192
+_LOBE_WEIGHT_SPREAD = 0.02
+"""Standard deviation of the initial weights of lobes: small, so that all lobes start nearly alike, but not equal."""
+
+
+class NetworkCore(nn.Module):
+    """A network for Ŝ(ωi; x, ωo) of one object; see `prt_bake.network.bssrdf` for its inputs."""
+
+    frequencies: Tensor
+    light_frequencies: Tensor
+    box_min: Tensor
+
+    def __init__(
+        self,
+        settings: NetworkSettings | None = None,
+        box_min: ArrayLike = (0.0, 0.0, 0.0),
+        box_side: float = 1.0,
+        output_scale: float = 1.0,
+        metadata: dict[str, Any] | None = None,
+        interior: Interior | None = None,
+    ) -> None:
+        """A freshly initialised network.
+
+        box_min [3] and box_side (longest side) give the object's bounding box in scene units. output_scale [1/sr]
+        multiplies the output of the last layer. metadata is plain JSON and is stored in the checkpoint. interior is for
+        networks that average features along the view ray (settings.ray_samples > 0). The weights follow He et al. 2015;
+        they and G depend only on settings.seed.
+
+        Raises ModelError if the box is not finite, or if an interior is missing or not used.
+        """
+        super().__init__()
+        self.settings = settings or NetworkSettings()
+        self.box_side = float(box_side)
+        self.output_scale = float(output_scale)
+        self.metadata: dict[str, Any] = dict(metadata or {})
+        corner = torch.as_tensor(np.asarray(box_min, dtype=np.float64))
+        scales = (self.box_side, self.output_scale)
+        if (
+            corner.shape != (3,)
+            or not bool(corner.isfinite().all())
+            or not all(np.isfinite(scales))
+            or min(scales) <= 0
+        ):
+            raise ModelError(
+                f"network: box_min must be three finite numbers, box_side and output_scale finite and positive; "
+                f"found {corner.tolist()}, {self.box_side}, {self.output_scale}"
+            )
+        if (interior is None) != (self.settings.ray_samples == 0):
+            raise ModelError(
+                "network: a network has an interior exactly if its ray_samples is not 0; "
+                f"found {'no' if interior is None else 'an'} interior and ray_samples {self.settings.ray_samples}"
+            )
+        generator = torch.Generator().manual_seed(self.settings.seed)
+        self._draw_frequencies(generator)
+        self.register_buffer("box_min", corner, persistent=False)
+        self.hidden = nn.ModuleList(nn.Linear(n, m) for m, n in self.settings.layer_shapes[:-1])
+        self.output = nn.Linear(self.settings.width, 3)
+        lobes = self.settings.lobes
+        self.lobes = nn.Linear(self.settings.width, LOBE_PARAMETERS * lobes) if lobes else None
+        self._initialise(generator)
+        self.surface: Surface | None = None
+        """The object's mesh, which gives exact normals: see `on`."""
+        self.band: int | None = None
+        """The degree up to which lobes are evaluated; None for whole lobes: see `up_to`."""
+        self.view = None if interior is None else ViewFeatures(self.settings, self.frequencies, interior)
+
+    def _draw_frequencies(self, generator: torch.Generator) -> None:
+        settings = self.settings
+        spread = [settings.position_spread] * 3 + [settings.feature_spread] * settings.direction_inputs
+        if not settings.trunk:
+            spread = [settings.feature_spread] * settings.direction_inputs + spread
+        deviation = torch.randn(settings.features, len(spread), generator=generator) * torch.tensor(spread)
+        self.register_buffer("frequencies", settings.feature_mean + deviation)
+        if settings.trunk:
+            light = torch.randn(settings.light_features, settings.direction_inputs, generator=generator)
+            self.register_buffer("light_frequencies", settings.light_spread * light)
+
+    def _initialise(self, generator: torch.Generator) -> None:
+        for layer in (*self.hidden, self.output):
+            assert isinstance(layer, nn.Linear)
+            gain = 1.0 if layer is self.output else 2.0
+            with torch.no_grad():
+                layer.weight.normal_(0.0, (gain / layer.in_features) ** 0.5, generator=generator)
+                layer.bias.zero_()
+        if self.lobes is not None:
+            with torch.no_grad():
+                self.lobes.weight.normal_(0.0, _LOBE_WEIGHT_SPREAD, generator=generator)
+                self.lobes.bias.zero_()
+
+    def forward(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """Ŝ [N,3] in 1/sr of unit vectors incident [N,3] and outgoing [N,3] at positions [N,3] in object space.
+
+        Differentiable in the weights. Positions may be float64; they become relative to the box before they are
+        rounded to float32. The layers run in the dtype of the weights (autocast works).
+        """
+        return self.radiance(incident[:, None], positions, outgoing)[:, 0]
+
+    def radiance(self, incident: Tensor, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """Ŝ [N,D,3] in 1/sr, as `forward`, for D incident directions per query: incident [N,D,3]."""
+        smooth, lobes = self.components(incident, positions, outgoing)
+        total = smooth if lobes is None else smooth.float() + evaluate_lobes(lobes, incident, self.band)
+        return total * self.output_scale
+
+    def components(
+        self, incident: Tensor, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None
+    ) -> tuple[Tensor, Lobes | None]:
+        """The two terms of Ŝ over the output scale: the layers' output [N,D,3], and the lobes to add to it.
+
+        `encoding` is the result of `encode_views` for the same views, if it is already known.
+        """
+        lobes = None
+        dtype = self.output.weight.dtype
+        if self.settings.trunk:
+            if encoding is None:
+                encoding = self.encode_views(positions, outgoing)
+            features = self.view_features(positions, outgoing, encoding)
+            h = features[:, None]
+            pairs = self.pair_features(incident, outgoing, None if encoding is None else encoding.frame)
+            light = torch.cat((self.light_features(incident), pairs), dim=-1).to(dtype)
+        else:
+            shape = incident.shape
+            u = self.inputs(incident, positions[:, None].expand(shape), outgoing[:, None].expand(shape))
+            h = self._fourier_features(u)
+        h = h.to(dtype)
+        activations: list[Tensor] = []
+        for number, layer in enumerate(self.hidden, start=1):
+            parts = [h, *(activations[source - 1] for source in self.settings.sources(number))]
+            if 0 < self.settings.trunk < number:
+                parts.append(light)
+            h = _linear_of_parts(layer, parts)
+            h = torch.relu(h) if self.settings.activation == "relu" else torch.nn.functional.silu(h)
+            activations.append(h)
+            if self.lobes is not None and number == self.settings.trunk:
+                lobes = decode_lobes(self.lobes(h)[:, 0], features[:, -EXIT_INPUTS:])
+        return self.output(h), lobes
+
+    def view_features(self, positions: Tensor, outgoing: Tensor, encoding: ViewEncoding | None = None) -> Tensor:
+        """Inputs of the first layer [N, settings.view_inputs] in float32, for a network whose late layers see ωi."""
+        if self.view is None:
+            return self._fourier_features(self.inputs(None, positions, outgoing))
+        if encoding is None:
+            encoding = self.encode_views(positions, outgoing)
+        assert encoding is not None
+        return self.view.features(encoding)
+
+    def encode_views(self, positions: Tensor, outgoing: Tensor) -> ViewEncoding | None:
+        """The part of `view_features` that does not depend on the weights; None for networks without an interior."""
+        if self.view is None:
+            return None
+        return self.view.encode(self.relative_positions(positions), outgoing, self.mesh_normals(positions, outgoing))
+
+    def on(self, mesh: Mesh) -> Self:
+        """The same network, weights shared, that takes its normals from the object's mesh.
+
+        Without a mesh the normals come from a coarse grid, which rounds edges off. A position on an edge belongs to the
+        face that faces ωo most (`prt_bake.geometry.surface`). A network without normals is returned unchanged.
+        """
+        if not self.settings.tells_normal or (self.surface is not None and self.surface.mesh is mesh):
+            return self
+        bound = copy(self)
+        bound.surface = Surface(mesh)
+        return bound
+
+    def up_to(self, degree: int) -> Self:
+        """The same network, weights shared, with its lobes limited to the bands up to `degree`.
+
+        A few directions may all miss a narrow lobe. They integrate its bands exactly. A network without lobes is
+        returned unchanged.
+        """
+        if self.lobes is None:
+            return self
+        limited = copy(self)
+        limited.band = degree
+        return limited
+
+    def mesh_normals(self, positions: Tensor, outgoing: Tensor) -> Tensor | None:
+        """Unit normals [N,3] of the mesh that `on` was given; None without one."""
+        if self.surface is None:
+            return None
+        kind: Literal["face", "vertex"] = "vertex" if self.metadata.get("normals") == "vertex" else "face"
+        x, eye = (tensor.detach().double().cpu().numpy() for tensor in (positions, outgoing))
+        return torch.from_numpy(self.surface.normals(x, eye, kind)).to(positions.device)
+
+    def light_features(self, incident: Tensor) -> Tensor:
+        """Fourier features [..., 2·light_features] in float32 of directions that only the late layers see."""
+        return fourier_features(encode_directions(incident, self.settings.directions), self.light_frequencies)
+
+    def pair_features(self, incident: Tensor, outgoing: Tensor, frame: Tensor | None) -> Tensor:
+        """Features [N,D,settings.pair_inputs] in float32 of views and incident directions together.
+
+        They are (ωi·ωo)ⁿ from n = 1, occupancy along the light rays, and cosines of ωi to the view's axes. incident
+        [N,D,3], outgoing [N,3]; `frame` is `ViewEncoding.frame`.
+        """
+        with torch.autocast(incident.device.type, enabled=False):
+            cosine = incident.float() @ outgoing.float()[..., None]
+            parts = [cosine**power for power in range(1, self.settings.angle_powers + 1)]
+            if self.view is not None and frame is not None:
+                parts += self.view.light_features(incident.float(), frame)
+        return torch.cat((cosine[..., :0], *parts), dim=-1)
+
+    def inputs(self, incident: Tensor | None, positions: Tensor, outgoing: Tensor) -> Tensor:
+        """The inputs u [N,·] in float64: ωi (unless only late layers see it), x and ωo, encoded."""
+        form = self.settings.directions
+        parts = [] if incident is None else [encode_directions(incident, form)]
+        return torch.cat((*parts, self.relative_positions(positions), encode_directions(outgoing, form)), dim=-1)
+
+    def relative_positions(self, positions: Tensor) -> Tensor:
+        """Object-space positions [...,3] as (x − box_min) / box_side, in float64."""
+        return (positions.double() - self.box_min) / self.box_side
+
+    def _fourier_features(self, u: Tensor) -> Tensor:
+        return fourier_features(u, self.frequencies, self.settings.feature_mean)
+
+    def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
+        """Ŝ [N,D,3] in 1/sr, float32: incident [D,3] shared by all queries or [N,D,3], positions [N,3], outgoing [N,3].
+
+        Runs `radiance` in batches, and is the reference for `evaluate_block`.
+        """
+        device = self.frequencies.device
+        x, eye, light = (float64_tensor(vectors, device) for vectors in (positions, outgoing, incident))
+        count = x.shape[0]
+        light = light.expand(count, *light.shape[-2:]) if light.ndim == 2 else light
+        directions = light.shape[1]
+        result = np.empty((count, directions, 3), dtype=np.float32)
+        columns = min(directions, ROWS_PER_BATCH)
+        queries = max(1, ROWS_PER_BATCH // max(1, columns))
+        with torch.inference_mode():
+            for n in range(0, count, queries):
+                rows = slice(n, n + queries)
+                for d in range(0, directions, columns):
+                    radiance = self.radiance(light[rows, d : d + columns], x[rows], eye[rows])
+                    result[rows, d : d + columns] = radiance.float().cpu().numpy()
+        return result
+
+
+def float64_tensor(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:
+    """The numbers in float64 on `device`."""
+    if isinstance(vectors, Tensor):
+        return vectors.detach().to(device, torch.float64)
+    # A copy: torch does not support read-only arrays.
+    return torch.from_numpy(np.array(vectors, dtype=np.float64)).to(device)
+
+
+def _linear_of_parts(layer: Any, parts: list[Tensor]) -> Tensor:
+    """The linear layer of the concatenated parts, [N,1,·] or [N,D,·]; multiplies parts shared by the D once."""
+    if len({part.shape[1] for part in parts}) == 1:
+        return torch.as_tensor(layer(torch.cat(parts, dim=-1) if len(parts) > 1 else parts[0]))
+    columns = layer.weight.split([part.shape[-1] for part in parts], dim=1)
+    shared = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] == 1]
+    separate = [(part, weight) for part, weight in zip(parts, columns, strict=True) if part.shape[1] > 1]
+    once, each = (
+        torch.nn.functional.linear(*(torch.cat(group, dim=-1) for group in zip(*kind, strict=True)))
+        for kind in (shared, separate)
+    )
+    result: Tensor = once + (each + layer.bias)
+    return result
