@@ -20,6 +20,7 @@ from formats.lights import SPHERE, SUN, DirectionalLight, SkyLight, SphereLight,
 from formats.mesh import Mesh
 from formats.scene_file import named_by
 from prt_bake import environment
+from prt_bake.smaller_sky import shrink
 from prt_bake.sphere_lights import as_disc
 
 Array = NDArray[np.float64]
@@ -144,8 +145,6 @@ def _read_sky(
     if most_rows is None or opened.height <= most_rows or fits:
         image = opened.whole()
     else:
-        from prt_bake.smaller_sky import shrink  # with numba, which most skies need not wait for
-
         image, residual = shrink(opened, most_rows, degree, up)
         residual *= factor
     # A large sky is not copied for nothing.
