@@ -9,23 +9,21 @@ from typing import Any
 from formats.atomic import replacing
 
 _NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
-"""A list without lists, objects or texts in indented JSON, whose texts hold no line breaks."""
+"""A list of plain values in indented JSON; texts in JSON contain no line breaks."""
 
 
 def as_text(report: dict[str, Any]) -> str:
-    """The report as indented JSON, each list of numbers on a line; numbers that are not finite, which JSON does not
-    know, become null.
-    """
-    return _NUMBERS.sub(_on_a_line, json.dumps(_finite(report), indent=2, allow_nan=False))
+    """The report as indented JSON, each list of numbers on one line. Numbers that are not finite become null."""
+    return _NUMBERS.sub(_on_one_line, json.dumps(_finite(report), indent=2, allow_nan=False))
 
 
 def write_report(report: dict[str, Any], path: str | Path) -> None:
-    """Write a report as JSON, whole or not at all; raises StorageError if the place cannot be written."""
+    """Writes a report as JSON, atomically; raises StorageError if `path` cannot be written."""
     with replacing(path) as part:
         part.write_text(as_text(report) + "\n", encoding="utf-8")
 
 
-def _on_a_line(found: re.Match[str]) -> str:
+def _on_one_line(found: re.Match[str]) -> str:
     return "[" + " ".join(found.group()[1:-1].split()) + "]"
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from formats.errors import ImageError
 from formats.image.exr import colour_names, refuse_other_kinds, silenced
-from formats.image.exr_plain import find_plain_rows
 
 _ROWS = 32
 """As many rows as most compressions pack together (`_PACKED` has the others): none is unpacked twice."""
@@ -33,7 +32,6 @@ class ExrRows:
         stored: the same of the rectangle that the file holds pixels of.
         rows: of a block.
         cube: whether the file says that it is the six faces of a cube.
-        plain: whether the rows are not compressed and follow one another.
     """
 
     path: str | os.PathLike[str]
@@ -42,7 +40,6 @@ class ExrRows:
     stored: tuple[int, int, int, int]
     rows: int
     cube: bool
-    plain: bool
 
     @property
     def height(self) -> int:
@@ -91,15 +88,8 @@ class ExrRows:
                 types = {name: _TYPES[channel.type.v] for name, channel in picture.header()["channels"].items()}
         except _DAMAGE as cause:
             raise ImageError(f"{self.path}: cannot be read as OpenEXR, the file is damaged") from cause
-        plain = None
         with closing(picture):
-            if self.plain and self.stored[::2] == self.display[::2]:
-                plain = find_plain_rows(self.path, self.stored, types, self.names)
-            if plain is None:
-                yield partial(self._decoded, picture, types)
-            else:
-                with open(self.path, "rb", buffering=0) as file:
-                    yield partial(plain.read, file)
+            yield partial(self._decoded, picture, types)
 
     def _decoded(self, picture: Any, types: Mapping[str, np.dtype[Any]], row: int, end: int) -> NDArray[Any]:
         different = sorted(set(self.names))
@@ -155,9 +145,7 @@ def open_exr_rows(path: str | os.PathLike[str]) -> ExrRows | None:
         return None
     rows = int(header["tiles"].ySize) if "tiles" in header else _PACKED.get(header["compression"].name, _ROWS)
     cube = header.get("envmap") == OpenEXR.ENVMAP_CUBE
-    plain = header["compression"] == OpenEXR.NO_COMPRESSION and header["type"] == OpenEXR.scanlineimage
-    display, stored = _window(header["displayWindow"]), _window(header["dataWindow"])
-    return ExrRows(path, names, display, stored, rows, cube, plain and len(headers) == 1)
+    return ExrRows(path, names, _window(header["displayWindow"]), _window(header["dataWindow"]), rows, cube)
 
 
 def _window(corners: Any) -> tuple[int, int, int, int]:

@@ -52,7 +52,7 @@ class Packed:
 
 
 class Cluster:
-    """A pool of the workers of a scheduler."""
+    """The workers of a scheduler (`bakers.workers.Workers`)."""
 
     def __init__(self, client: Any, address: str, exclusive: bool) -> None:
         """`exclusive`: each process bakes one block at a time, on all of its threads."""
@@ -124,8 +124,9 @@ class Cluster:
 
 @contextmanager
 def open_cluster(address: str, exclusive: bool) -> Iterator[Cluster]:
-    """The workers of the scheduler at `address`. Raises ClusterError if no scheduler is there, if it has no worker for a
-    minute, or if `dask.distributed` is not installed.
+    """The workers of the scheduler at `address`.
+
+    Raises ClusterError if no scheduler is there, if it has no worker for a minute, or if `dask.distributed` is missing.
     """
     try:
         import dask
@@ -164,7 +165,7 @@ def _connected(client: Any, address: str) -> Any:
 
 @contextmanager
 def _cluster_faults(address: str, *lost: type[Exception]) -> Iterator[None]:
-    """Tells faults of the cluster from those of the work; `gone` are further ones that tell that it has gone."""
+    """Turns faults of the cluster into ClusterError; `lost` are further exceptions that mean a lost scheduler."""
     from concurrent.futures import CancelledError as Cancelled
 
     from distributed import CancelledError, KilledWorker

@@ -62,8 +62,8 @@ class Outcome(NamedTuple):
 
 
 class Encoded(NamedTuple):
-    """All vertices in one form: parts of the compact codes, squares of the error [V] and of the original [V], and sums of
-    products of the errors of two harmonics [V,P], and of each channel [V,C].
+    """All vertices in one form: parts of the compact codes, squares of the error [V] and of the original [V], and sums
+    of products of the errors of two harmonics [V,P], and of each channel [V,C].
     """
 
     parts: list[SparseCodes]
@@ -137,7 +137,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         coefficients=compact,
         standard_error=round_up(stated[:, None]),
         storage="float32",
-        error_covariance=_error_shape(asset, own, encoded),
+        error_covariance=_error_covariance(asset, own, encoded),
         selftest=_selftest(asset, compact),
         provenance={**asset.provenance, "compression": record},
     )
@@ -254,8 +254,8 @@ def _row(trial: Trial, share: float, squares: float, seconds: float) -> Tried:
     return Tried(trial.bases.name, round(share * trial.size) + trial.basis, error, round(seconds, 2))
 
 
-def _error_shape(asset: Asset, own: Array, encoded: Encoded) -> ErrorCovariance | None:
-    """How errors hang together that are of mean variance `own` [V] before compaction, and what compaction adds."""
+def _error_covariance(asset: Asset, own: Array, encoded: Encoded) -> ErrorCovariance | None:
+    """Error covariance after compression: that of the bake, with mean variance `own` [V], plus that of the codes."""
     if asset.error_covariance is None:
         return None
     _, bins, terms, channels = asset.coefficients.shape
@@ -316,15 +316,15 @@ def _encoded(asset: Asset, trial: Trial, step: float, error: float, report: Call
         flat = block.reshape(decoded.shape)
         errors = decoded - flat
         if asset.error_covariance is not None:
-            covariance[rows], of_channels[rows] = _shapes_of(asset, rows, errors.reshape(block.shape))
+            covariance[rows], of_channels[rows] = _covariance_sums(asset, rows, errors.reshape(block.shape))
         lost[rows] = np.square(errors, dtype=np.float64).sum(axis=(1, 2))
         original[rows] = np.square(flat, dtype=np.float64).sum(axis=(1, 2))
         report((first + len(rows)) / vertices)
     return Encoded(parts, lost, original, covariance, of_channels)
 
 
-def _shapes_of(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[np.floating]) -> tuple[Array, Array]:
-    """Sums [n,P], [n,C] that tell how errors [n,B,K,C] of these vertices hang together, in the frames of the views."""
+def _covariance_sums(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[np.floating]) -> tuple[Array, Array]:
+    """Sums [n,P], [n,C] for the covariance of errors [n,B,K,C] of these vertices, in the view frames."""
     n, bins, terms, channels = errors.shape
     normals, tangents = (np.asarray(each, np.float64) for each in (asset.mesh.normals, asset.tangents))
     frames = ViewFrames(normals, tangents)

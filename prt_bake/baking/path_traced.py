@@ -82,7 +82,7 @@ class PathTraced:
         return BlockEstimate(estimate.mean.reshape(shape), estimate.standard_error.reshape(shape), statistics)
 
     def refuse_foreign(self, mesh: Mesh) -> None:
-        """Raises QueryError unless the vertices of `mesh` are on the scene's surface, with normals that point outward."""
+        """Raises QueryError unless the vertices of `mesh` are on the scene's surface, their normals outward."""
         from prt_bake.tracer.prepared import prepare
 
         surface, scene = prepare(self.scene).surface, self.scene

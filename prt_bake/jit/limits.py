@@ -10,17 +10,17 @@ from bakers.transport import transport_kind
 
 @contextmanager
 def limited_threads(transport: Any, workers: int) -> Iterator[None]:
-    """Random walks take `workers` threads, as many as there are at most; torch one intra-op thread a worker, if it is
-    loaded at all: more of them get in one another's way.
+    """Limits numba to `workers` threads for path-traced transports, and torch, if it is loaded, to one intra-op thread,
+    because more of them would compete with the workers.
     """
-    with ExitStack() as before:
+    with ExitStack() as restore:
         if transport_kind(transport) == "coefficients":
             import numba
 
             settings: Any = numba.config
-            before.callback(numba.set_num_threads, numba.get_num_threads())
+            restore.callback(numba.set_num_threads, numba.get_num_threads())
             numba.set_num_threads(max(1, min(workers, settings.NUMBA_NUM_THREADS)))
         if (torch := sys.modules.get("torch")) is not None:
-            before.callback(torch.set_num_threads, torch.get_num_threads())
+            restore.callback(torch.set_num_threads, torch.get_num_threads())
             torch.set_num_threads(1)
         yield

@@ -80,43 +80,6 @@ def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
     return types.void(array, types.intp), generate
 
 
-@intrinsic
-def as_double(context: Any, stored: Any) -> Any:
-    """A number as float64: one of float64, float32, or the bits of a float16, of which what is not finite stays so."""
-
-    def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        (number,) = arguments
-        if stored == types.float64:
-            return number
-        return builder.fpext(_half(builder, number) if stored == types.uint16 else number, ir.DoubleType())
-
-    return types.float64(stored), generate
-
-
-def _half(builder: Any, bits: Any) -> Any:
-    """The bits of one half, as float32."""
-    if _processor_widens():
-        return builder.fpext(builder.bitcast(bits, _HALF), _FLOAT)
-    kept = builder.and_(builder.shl(builder.sext(bits, _INT), _INT(13)), _INT(0x8FFFE000))
-    number = builder.fmul(builder.bitcast(kept, _FLOAT), _FLOAT(2.0**112))
-    exponent = builder.and_(bits, _SHORT(0x7C00))
-    return builder.select(builder.icmp_unsigned("==", exponent, _SHORT(0x7C00)), _FLOAT(float("nan")), number)
-
-
-def halves(builder: Any, bits: Any, width: int) -> Any:
-    """The bits of `width` halves, as float32; what is not finite stays so."""
-    floats = ir.VectorType(_FLOAT, width)
-    if _processor_widens():
-        return builder.fpext(builder.bitcast(bits, ir.VectorType(_HALF, width)), floats)
-    infinite = _constant(_SHORT, width, 0x7C00)
-    number = _shifted(builder, bits, width)
-    return builder.select(
-        builder.icmp_unsigned("==", builder.and_(bits, infinite), infinite),
-        _constant(_FLOAT, width, float("nan")),
-        number,
-    )
-
-
 def _lit_rows(width: int) -> Any:
     def lit_rows(
         context: Any, rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any,

@@ -29,6 +29,7 @@ from formats.scene.lights import (
     read_lights,
 )
 from prt_bake.lights import environment
+from prt_bake.lights.downsampled import shrink
 from prt_bake.lights.sphere_lights import as_disc
 
 Array = NDArray[np.float64]
@@ -110,7 +111,7 @@ def read_lighting(
 
     `mend` and `say` are those of `environment.open_environment`. `mesh` is the object, which sphere lights are taken as
     discs from the middle of (`sphere_lights`); `say` is told what that leaves out. Skies of more than `most_rows` that
-    would take more than `WHOLE_BYTES` are held as smaller copies (`smaller_sky`), their harmonics to `degree` as exact
+    would take more than `WHOLE_BYTES` are held as smaller copies (`downsampled`), their harmonics to `degree` as exact
     as those of the whole. Raises LightError, ImageError and StorageError for what is none of these, QueryError where
     `lights` is empty or a sphere light comes without a mesh.
     """
@@ -153,8 +154,6 @@ def _read_sky(
     if most_rows is None or opened.height <= most_rows or fits:
         image = opened.whole()
     else:
-        from prt_bake.lights.downsampled import shrink  # with numba, which most skies need not wait for
-
         image, residual = shrink(opened, most_rows, degree, up)
         residual *= factor
     # A large sky is not copied for nothing.

@@ -5,7 +5,8 @@ over the sphere needs of its pixels: [H, 3, 2·degree + 1], m from −degree to 
 """
 
 import math
-from collections.abc import Generator
+import os
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from functools import cache
 from itertools import count
@@ -22,20 +23,43 @@ Array = NDArray[np.float64]
 Part = tuple[int, Array]
 """The number of a first row, and the coefficients of rows from there on."""
 
-LARGE = 1 << 27
-"""Pixels, 16384×8192: numba takes half a second to come, in which NumPy sums about as many."""
+THREADS = min(4, os.cpu_count() or 1)
+"""At most: each keeps a block of rows in memory, and one thread reads."""
+_COLUMNS = 4096
+"""Of a strip: it stays in the cache, and BLAS starts no threads for sums as short."""
 _PROFILES = 1 << 15
 """Values of Legendre profiles that are held at a time."""
 
 
-def of_picture(rows: ImageRows, degree: int, large: bool = False) -> Array:
-    """The coefficients of every row; `rows` are read once, block by block, and summed by NumPy or, where they are large
-    or said to be, by kernels.
+def of_picture(rows: ImageRows, degree: int) -> Array:
+    """The coefficients of every row; `rows` are read once, block by block.
 
     Raises ImageError if a pixel is not finite (their count and the first one's place).
     """
-    parts = _by_kernels if large or rows.height * rows.width >= LARGE else _by_matrices
-    return gathered(rows, parts(rows, azimuth_integrals(rows.width, degree)))
+    azimuth = azimuth_integrals(rows.width, degree)
+
+    def sum_up(numbered: tuple[int, Block]) -> Part:
+        first, block = numbered
+        waves = np.zeros((len(block), 3, len(azimuth)))
+        for channel, columns, strip in strips(block):
+            add_waves(waves[:, channel], strip, azimuth[:, columns])
+        return first, waves
+
+    return gathered(rows, in_order(sum_up, rows.blocks(), THREADS))
+
+
+def strips(block: Block) -> Iterator[tuple[int, slice, Array]]:
+    """A block [R,W,3] in parts: a channel, columns, and their pixels as float64 [R,w]."""
+    for begin in range(0, block.shape[1], _COLUMNS):
+        columns = slice(begin, begin + _COLUMNS)
+        for channel in range(3):
+            yield channel, columns, block[:, columns, channel].astype(np.float64, "C")
+
+
+def add_waves(waves: Array, strip: Array, azimuth: Array) -> None:
+    """Add the coefficients of a strip [R,w] of one channel, by its `azimuth_integrals` [M,w], to `waves` [R,M]."""
+    with np.errstate(invalid="ignore"):  # `gathered` refuses rows with infinities
+        waves += np.vecdot(strip[:, None], azimuth)
 
 
 def gathered(rows: ImageRows, parts: Generator[Part, None, None]) -> Array:
@@ -43,7 +67,7 @@ def gathered(rows: ImageRows, parts: Generator[Part, None, None]) -> Array:
     waves = np.empty((0, 0, 0))
     with closing(parts):
         for first, part in parts:
-            # That of m = 0 is a sum with positive weights, which what is not finite leaves not finite.
+            # That of m = 0 is a sum with positive weights: it is finite only where every pixel is.
             if not np.isfinite(part[..., part.shape[2] // 2]).all():
                 raise sky_pixels.refusal(rows, negative=True)
             if first == 0:
@@ -75,34 +99,6 @@ def azimuth_integrals(width: int, degree: int) -> Array:
         integrals[degree + m] = chord * np.cos(m * centres)
         integrals[degree - m] = chord * np.sin(m * centres)
     return integrals
-
-
-def _by_matrices(rows: ImageRows, azimuth: Array) -> Generator[Part, None, None]:
-    plane = np.empty((0, rows.width))
-    for first, block in rows.blocks():
-        if len(plane) != len(block):
-            plane = np.empty((len(block), rows.width))
-        waves = np.empty((len(block), 3, len(azimuth)))
-        for channel in range(3):
-            plane[:] = block[..., channel]
-            with np.errstate(invalid="ignore"):  # infinities of both signs, which `gathered` tells of
-                waves[:, channel] = plane @ azimuth.T
-        yield first, waves
-
-
-def _by_kernels(rows: ImageRows, azimuth: Array) -> Generator[Part, None, None]:
-    from prt_bake.lights import sky_strips, sky_sums
-
-    degree, whole = len(azimuth) // 2, sky_strips.fits(rows.width)
-    strips = sky_strips.strip_waves(rows.width, degree)
-
-    def sum_up(numbered: tuple[int, Block]) -> Part:
-        first, planes = numbered[0], sky_sums.as_planes(numbered[1])
-        if whole:
-            return first, sky_strips.row_waves(planes, strips, degree)
-        return first, sky_sums.row_waves(planes, azimuth)
-
-    return in_order(sum_up, rows.blocks(), sky_sums.THREADS)
 
 
 def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> Array:

@@ -22,7 +22,7 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.lights import environment
 from prt_bake.lights.bright_sources import Region, small_regions
 from prt_bake.lights.lighting import Lighting, Sky
-from prt_bake.mathematics.box_filter import BoxFilter, box_filter, zone
+from prt_bake.mathematics.box_filter import box_filter, zone
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,6 @@ SMALLEST_SHARE = 0.02
 WIDEST = 12.0
 """Diameter in degrees of the widest disc that is a sun."""
 _CELLS = (128, 256)
-_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,11 +92,7 @@ def _grid_of(image: NDArray[np.float32]) -> _Grid:
     height, width = image.shape[:2]
     rows, columns = min(height, _CELLS[0]), min(width, _CELLS[1])
     across = box_filter(width, columns, np.subtract)
-    # Beyond the end of a cell a column that is there is read, and counts 0.
-    places = np.minimum(across.begins[:, None] + np.arange(across.weights.shape[1]), width - 1)
-    grey = np.empty((rows, columns))
-    for row, line in enumerate(_lines(image, box_filter(height, rows, zone))):
-        grey[row] = (line[places] * across.weights).sum(axis=1)
+    grey = np.stack([across @ line for line in _lines(image, rows)])
     direction, solid_angle = _cell_directions(np.arange(rows), np.arange(columns), (rows, columns))
     return _Grid(
         grey,
@@ -108,19 +103,16 @@ def _grid_of(image: NDArray[np.float32]) -> _Grid:
     )
 
 
-def _lines(image: NDArray[np.float32], down: BoxFilter) -> Iterator[Array]:
-    """For each coarse row of `down`, the mean of an image [H,W,3] over it and over channels [W]."""
-    width = image.shape[1]
-    # Rows are widened while they stay in the processor's cache, and summed before channels are: along memory.
-    step = max(1, _BLOCK_BYTES // (8 * 3 * width))
-    wide = np.empty((step, width, 3))
-    for begin, end, shares in zip(*down, strict=True):
-        line = np.zeros(3 * width)
-        for start in range(begin, end, step):
-            count = min(step, end - start)
-            wide[:count] = image[start : start + count]
-            line += shares[start - begin : start - begin + count] @ wide[:count].reshape(count, 3 * width)
-        yield line.reshape(width, 3).sum(axis=1) / 3.0
+def _lines(image: NDArray[np.float32], rows: int) -> Iterator[Array]:
+    """The mean of an image [H,W,3] over each of `rows` zones and over channels [W]."""
+    height, width = image.shape[:2]
+    down = box_filter(height, rows, zone)
+    for row in range(rows):
+        there = slice(row * height // rows, -(-(row + 1) * height // rows))
+        shares = down[[row], there].toarray()
+        # Rows are summed before channels are: along memory.
+        line = shares @ image[there].reshape(-1, 3 * width).astype(np.float64)
+        yield line.reshape(width, 3).mean(axis=1)
 
 
 def _cell_directions(

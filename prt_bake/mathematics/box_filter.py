@@ -1,43 +1,34 @@
-"""Box filter along one axis: weights with which the rows or columns of an image average to those of a smaller one."""
+"""Box filters along a line that is cut finely and coarsely: the rows or columns of a picture and of a smaller one."""
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
 Array = NDArray[np.float64]
 
 
-class BoxFilter(NamedTuple):
-    """Source cells begins … ends [coarse] of each target cell, and their weights [coarse, n].
+def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> "csr_array":
+    """Shares [coarse, fine] of `fine` equal parts of a line in the mean over each of `coarse` equal parts, by the
+    measure of their overlap; each row sums to 1.
 
-    n is the largest number of source cells, rounded up to a multiple of 4; weights beyond the end are 0.
+    measure: of stretches between ends [S] and beginnings [S], as parts of the line.
     """
+    from scipy.sparse import csr_array
 
-    begins: NDArray[np.int64]
-    ends: NDArray[np.int64]
-    weights: Array
-
-
-def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> BoxFilter:
-    """Weights of `fine` equal cells of the unit interval in the means over `coarse` equal cells.
-
-    measure: of intervals with ends [S] and beginnings [S] in [0, 1]; weights are proportional to that of the overlap.
-    """
     cuts = np.union1d(np.arange(fine + 1) * coarse, np.arange(coarse + 1) * fine)  # in parts of fine · coarse, exact
     begins, ends = cuts[:-1], cuts[1:]
     within, part = begins // fine, begins // coarse
     size = measure(ends / (fine * coarse), begins / (fine * coarse))
     size /= np.bincount(within, size)[within]
-    count = np.bincount(within)
-    first = part[np.cumsum(count) - count]
-    weights = np.zeros((coarse, -(-int(count.max()) // 4) * 4))
-    weights[within, part - first[within]] = size
-    return BoxFilter(first, first + count, weights)
+    return csr_array((size, (within, part)), (coarse, fine))
 
 
 def zone(end: Array, begin: Array) -> Array:
-    """Solid angle, up to a factor, between two latitudes in [0, 1] from pole to pole."""
+    """Solid angle, up to a factor, between two parts of the way from pole to pole."""
     return np.asarray(np.sin(math.pi * 0.5 * (begin + end)) * np.sin(math.pi * 0.5 * (end - begin)))

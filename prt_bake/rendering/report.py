@@ -18,11 +18,10 @@ def rendering_report(
     coverage: NDArray[np.float32],
     history: NDArray[np.float64],
 ) -> dict[str, Any]:
-    """From where a path-traced picture [H,W,3] was seen and how noisy it is, as plain JSON values.
+    """Camera and noise of a path-traced picture [H,W,3], as plain JSON values.
 
-    The noise is over the pixels that the object covers wholly: `noise_mse` the mean squared standard error of radiance,
-    `relative_noise` its root over the mean of the radiance, `error_vs_time` how that fell: the rows of `history`
-    [rows,3].
+    Noise is measured over pixels that the object covers completely. `noise_mse`: mean squared standard error of the
+    radiance. `relative_noise`: its root over the mean radiance. `error_vs_time`: the rows of `history` [rows,3].
     """
     noise = np.asarray(standard_error[coverage >= 1.0], np.float64)
     return {

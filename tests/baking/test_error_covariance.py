@@ -126,7 +126,7 @@ def test_gathered_shapes_keep_what_all_vertices_have_together(vertices: int, kin
     size[1::7] = 0.0
     few = clustered(shape, size)
     assert len(few.covariance) <= max(1, vertices // 16)
-    each = few.of(np.arange(vertices))
+    each = few.at_vertices(np.arange(vertices))
     for name in ("covariance", "channels", "apart"):
         ours, theirs = (np.einsum("v,v...->...", size, getattr(part, name)) for part in (each, shape))
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4 * size.sum())

@@ -24,7 +24,7 @@ class PilotCost:
 
 
 def seconds_per_evaluation(trials: list[PilotCost]) -> float:
-    """Seconds of one evaluation and of the work on its result, fitted to trials with different shares of cached values."""
+    """Seconds of one evaluation and its further processing, fitted to trials with different shares of cached values."""
     from scipy.optimize import nnls
 
     counts = np.array([[trial.evaluations, trial.requested] for trial in trials], np.float64)
