@@ -3,7 +3,9 @@
 from dataclasses import replace
 
 from bakers.adaptive.records import RefinementSettings
-from prt_bake.baking.adaptive.tolerances import PassSettings, Pilot, settings_for_error
+from prt_bake.baking.adaptive.pass_settings import PassSettings
+from prt_bake.baking.adaptive.tolerances import settings_for_error
+from prt_bake.baking.adaptive.trials import Pilot
 
 
 def loose_settings(pilot: Pilot, refinement: RefinementSettings, error: float) -> PassSettings:

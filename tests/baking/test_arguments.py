@@ -36,7 +36,7 @@ class Unasked:
         ({"degree": 21}, "degree must be at most 20"),
         ({"rings": 0}, "rings must be at least 1"),
         ({"rings": 2.5}, "rings must be a whole number"),
-        ({"rings": 300, "sectors": 300}, "90000|300 × 300 view bins"),
+        ({"rings": 300, "sectors": 300}, "at most 65,536 view bins, found 300 × 300"),
         ({"samples": 0}, "samples must be at least 1"),
         ({"samples": "64"}, "samples must be a whole number, found '64'"),
         ({"error": 0.0}, "error must be a relative RMSE between 0 and 1, found 0.0"),
@@ -47,7 +47,7 @@ class Unasked:
         ({"storage": "int8"}, "storage must be one of float16, float32"),
         ({"device": "tpu"}, "float32 on the cpu"),
         ({"leave_out": "views"}, r"leave_out must be a collection of names, such as \['views'\]"),
-        ({"leave_out": ["vertices"]}, "vertices is nothing that could be"),
+        ({"leave_out": ["vertices"]}, "leave_out: expected items of unseen, .*, found vertices"),
         ({"for_eye": (1, 2)}, "three finite numbers"),
     ],
 )

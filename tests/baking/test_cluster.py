@@ -184,7 +184,7 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(
     with pytest.raises(QueryError, match="workers or a scheduler"):
         bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
     monkeypatch.setattr(prt_bake.baking.cluster, "PATIENCE", 0.2)
-    monkeypatch.setattr(prt_bake.baking.cluster, "ASKED_EVERY", 0.1)
+    monkeypatch.setattr(prt_bake.baking.cluster, "POLL_INTERVAL", 0.1)
     none = Processes(tmp_path)
     try:
         with pytest.raises(ClusterError, match="no worker"):
@@ -206,7 +206,7 @@ def test_other_versions_at_a_worker_are_refused() -> None:
     packed = prt_bake.baking.cluster._packed({"some": "thing"})
     other = prt_bake.baking.cluster.Packed(packed.name, packed.content, packed.versions | {"numpy": "1.0"})
     assert prt_bake.baking.cluster._unpacked(packed, "w") is prt_bake.baking.cluster._unpacked(packed, "w")
-    with pytest.raises(ClusterError, match=r"worker w: numpy 1.0 is needed, found"):
+    with pytest.raises(ClusterError, match=r"worker w: expected numpy 1.0, found"):
         prt_bake.baking.cluster._unpacked(other, "w")
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prt_bake import bake
-from prt_bake.baking.job.forecast import COARSE_EXPONENT, Forecast, BakeStatus, error_exponent
+from prt_bake.baking.job.forecast import COARSE_EXPONENT, BakeStatus, Forecast, error_exponent
 from prt_bake.cli.shared.progress import in_words
 from tests.bakers.transports import Incoherent, icosphere
 

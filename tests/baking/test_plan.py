@@ -10,8 +10,10 @@ from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Threads
 from prt_bake import bake
 from prt_bake.baking.adaptive import pilot_pass
+from prt_bake.baking.adaptive.pass_settings import PassSettings
 from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
-from prt_bake.baking.adaptive.tolerances import PassSettings, Pilot, pilot_vertices, settings_for_error
+from prt_bake.baking.adaptive.tolerances import settings_for_error
+from prt_bake.baking.adaptive.trials import Pilot, pilot_vertices
 from prt_bake.baking.bake import plan
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sphere

@@ -8,7 +8,7 @@ import pytest
 
 from formats.errors import QueryError
 from prt_bake.baking.report.bins import drawn_bins, fitted, relative
-from prt_bake.baking.report.budget import error_budget, visible_points, texels_of
+from prt_bake.baking.report.budget import error_budget, texels_of, visible_points
 from prt_bake.baking.report.methods import Row, by_samples, seconds_for, slope
 from prt_bake.baking.report.page import rows_by_method
 from prt_bake.baking.report.report import report_bake

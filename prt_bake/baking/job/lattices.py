@@ -35,7 +35,7 @@ def lattice_for(degree: int) -> NestedLattice:
     first = max(SMALLEST_LATTICE, 1 << (3 * count - 1).bit_length())
     if first > LARGEST_LATTICE:
         raise QueryError(
-            f"degree: {degree} has {count} coefficients, too many for a bake to an error; lower the degree or give samples"
+            f"degree: {degree} has {count} coefficients, too many for a bake to an error; lower the degree"
         )
     sizes = tuple(1 << power for power in range(first.bit_length() - 1, LARGEST_LATTICE.bit_length()))
     directions = extensible_lattice(LARGEST_LATTICE)

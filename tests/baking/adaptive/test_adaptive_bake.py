@@ -11,9 +11,9 @@ from bakers.adaptive.calibration import Correction, Tally
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake
+from prt_bake.baking.adaptive.pass_settings import uncalibrated
 from prt_bake.baking.adaptive.passes import Pass, tighter
 from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
-from prt_bake.baking.adaptive.tolerances import coarse
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import load_model
@@ -256,7 +256,7 @@ def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.M
 def test_the_worst_vertices_alone_are_done_again() -> None:
     mesh = icosphere(1)
     job = AdaptiveJob(Lobed(), mesh, np.arange(42), views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
-    settings = coarse(first_refinement(job)[0], ERROR)
+    settings = uncalibrated(first_refinement(job)[0], ERROR)
     tally = Tally(42)
     tally.signal[:], tally.done[:] = 1.0, True
     tally.variance[2] = (0.5 * ERROR) ** 2

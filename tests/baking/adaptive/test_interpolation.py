@@ -14,7 +14,8 @@ from formats.asset import Asset
 from prt_bake import bake
 from prt_bake.baking.adaptive.parent_vertices import Interpolation, cell_interpolation
 from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement
-from prt_bake.baking.adaptive.tolerances import Pilot, settings_for_error
+from prt_bake.baking.adaptive.tolerances import settings_for_error
+from prt_bake.baking.adaptive.trials import Pilot
 from prt_bake.baking.bake import plan
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere

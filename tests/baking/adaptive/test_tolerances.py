@@ -9,17 +9,10 @@ from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from formats.errors import QueryError
 from prt_bake.baking.adaptive import tolerances as pilots
+from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, PassSettings, refined_block, uncalibrated
 from prt_bake.baking.adaptive.pilot import MOST_VALIDATION_BINS, AdaptiveJob, fewest_validation_bins, first_refinement
-from prt_bake.baking.adaptive.tolerances import (
-    VALIDATION_BINS_PER_VERTEX,
-    VALIDATION_COST,
-    VALIDATION_NOISE,
-    PassSettings,
-    Pilot,
-    coarse,
-    refined_block,
-    settings_for_error,
-)
+from prt_bake.baking.adaptive.tolerances import VALIDATION_BINS_PER_VERTEX, VALIDATION_COST, settings_for_error
+from prt_bake.baking.adaptive.trials import Pilot
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sphere
 from tests.bakers.transports import Edged, Incoherent, Lobed, Shadowed, icosphere
@@ -45,7 +38,7 @@ def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch, first: float 
         tally = Tally(1)
         tally.variance[:], tally.done[:] = errors[len(tried) - 1], True
         per_vertex = first / len(tried)
-        settings = replace(coarse(how, ERROR), error=errors[len(tried) - 1])
+        settings = replace(uncalibrated(how, ERROR), error=errors[len(tried) - 1])
         return replace(settings, evaluations_per_vertex=per_vertex, evaluations_per_validation_bin=per_vertex), tally
 
     monkeypatch.setattr(pilots, "_trial", trial)
@@ -180,6 +173,6 @@ def test_a_pilot_of_few_bins_holds_as_many_against_others_as_is_cheap(monkeypatc
 )
 def test_what_bins_have_in_common_is_the_lattice_that_they_share(lattices: str, least: float, most: float) -> None:
     job = job_of(Edged(), 4, 16)
-    how = replace(coarse(first_refinement(job)[0], 0.05).refinement, lattices=lattices)
+    how = replace(uncalibrated(first_refinement(job)[0], 0.05).refinement, lattices=lattices)
     refined: RefinedBlock = refined_block(job, how, job.vertices[:4])[0]
     assert ((refined.correlated >= least) & (refined.correlated <= most)).all()
