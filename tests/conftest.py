@@ -5,9 +5,9 @@ import math
 import os
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
-import compiling
 import numpy as np
 import pytest
 import trimesh
@@ -18,19 +18,21 @@ from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli import progress
 from prt_bake.cli.main import main
 
+WARM = Path(__file__).with_name("warm.py")
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Where several processes share the tests, one more compiles the path tracer's kernels, and no other does."""
+    """Where several processes share the tests, one more compiles the path tracer's kernels, which takes minutes.
+
+    The others wait for it only where they need one of these.
+    """
     # Shells start what runs in the background with Ctrl-C ignored, and some tests send themselves one.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if hasattr(config, "workerinput"):
-        compiling.wait_where_needed()
-    elif getattr(config.option, "numprocesses", None):
+    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
         # Threads of one process that wait for work by spinning would take the cores from the other processes.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-        config.stash[COMPILING] = compiling.begin()
+        config.stash[COMPILING] = subprocess.Popen([sys.executable, WARM])
 
 
 def pytest_collection_finish() -> None:
@@ -41,14 +43,16 @@ def pytest_collection_finish() -> None:
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Raises RuntimeError where the kernels could not be compiled."""
-    if COMPILING in config.stash:
-        compiling.end(config.stash[COMPILING])
+    if COMPILING in config.stash and (code := config.stash[COMPILING].wait()) != 0:
+        raise RuntimeError(f"{WARM} failed with {code}: its message is above")
 
 
 @pytest.fixture(scope="session")
 def compiled_kernels() -> None:
-    """Wait for the path tracer's kernels, for processes of a test's own that need them."""
-    compiling.wait()
+    """The path tracer's kernels are kept, for processes that a test starts and gives a limited time."""
+    from warm import main
+
+    main()
 
 
 @pytest.fixture
