@@ -1,4 +1,7 @@
-"""Work on several threads, results in order."""
+"""Work on several threads, results in order.
+
+`Executor.map` would take all items, and hold all results, at once: its `buffersize` came with Python 3.14.
+"""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 import filelock
+import numba
 import pytest
 from numba.core.errors import TypingError
 
@@ -31,6 +32,8 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / "prt_bake" / f"{name}.py").write_text(text)
     monkeypatch.setattr(compilation, "ROOT", tmp_path)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "users"))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     return tmp_path
 
 
