@@ -138,10 +138,9 @@ class FusedNetwork:
         directions [rotations, D, 3] themselves, the outgoing ones [N·B, 3], and the views' frames.
         """
         layers, _rotations, directions, width = table.shape
-        tile, pad, count = max(1, self._rows // directions), torch.nn.functional.pad, len(chosen)
+        tile, count = max(1, self._rows // directions), len(chosen)
         added = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
-        chosen = pad(chosen, (0, tile))
-        along, frame = (pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in between[1:])
+        chosen, along, frame = (_with_zeros(part, tile) for part in (chosen, *between[1:]))
         bins_at_once = tile * max(1, self._rows // tile)
         for begin in range(0, count, bins_at_once):
             some = view[begin : begin + bins_at_once]
@@ -295,8 +294,12 @@ def prepared_for(network: "NeuralBSSRDF", precision: str, device: str) -> FusedN
 def _together(parts: Sequence[Iterable[Tensor]], more: int) -> Iterator[Tensor]:
     """Tuples of tensors [N,...], one after another and then zeros for `more`."""
     for alike in zip(*parts, strict=True):
-        whole = torch.cat(alike)
-        yield torch.nn.functional.pad(whole, (0, 0) * (whole.dim() - 1) + (0, more))
+        yield _with_zeros(torch.cat(alike), more)
+
+
+def _with_zeros(rows: Tensor, more: int) -> Tensor:
+    """[N,...], and zeros for `more` rows; torch 2.6 cannot `pad` rows of no columns."""
+    return torch.cat((rows, rows.new_zeros((more, *rows.shape[1:]))))
 
 
 def _rows(parts: Iterable[Tensor], first: int, many: int) -> Iterator[Tensor]:
