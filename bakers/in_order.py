@@ -1,4 +1,7 @@
-"""Runs work on several threads and yields results in order."""
+"""Runs work on several threads and yields results in order.
+
+`Executor.map` would take all items, and hold all results, at once: its `buffersize` came with Python 3.14.
+"""
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterable

@@ -5,6 +5,7 @@ import math
 import os
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,22 +16,20 @@ from formats.image import write_image
 from formats.mesh import build_mesh, write_mesh
 from prt_bake.cli.main import main
 from prt_bake.cli.shared import progress
+from tests import ROOT
 from tests.cli.command_line import SCENE, Outcome, Run
-from tests.jit import compiling
 
 COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """With several test processes, compile the path tracer's kernels in one process only."""
+    """With several test processes, one more compiles the path tracer's kernels; the others wait only where they need one."""
     # Shells start background processes with Ctrl-C ignored, but some tests send it to themselves.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    if hasattr(config, "workerinput"):
-        compiling.wait_where_needed()
-    elif getattr(config.option, "numprocesses", None):
+    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
         # Idle threads that spin would take the cores from the other processes.
         os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-        config.stash[COMPILING] = compiling.begin()
+        config.stash[COMPILING] = subprocess.Popen([sys.executable, "-m", "tests.jit.warm"], cwd=ROOT)
 
 
 def pytest_collection_finish() -> None:
@@ -41,14 +40,16 @@ def pytest_collection_finish() -> None:
 
 def pytest_unconfigure(config: pytest.Config) -> None:
     """Raise RuntimeError if the compilation of the kernels failed."""
-    if COMPILING in config.stash:
-        compiling.end(config.stash[COMPILING])
+    if COMPILING in config.stash and (code := config.stash[COMPILING].wait()) != 0:
+        raise RuntimeError(f"tests.jit.warm failed with {code}: its message is above")
 
 
 @pytest.fixture(scope="session")
 def compiled_kernels() -> None:
-    """Wait for the path tracer's kernels, for tests that start processes which need them."""
-    compiling.wait()
+    """Compile the path tracer's kernels, for tests that give a process of their own a limited time."""
+    from tests.jit.warm import main
+
+    main()
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ A kernel of numba's own parallel loops is compiled several times over: as the lo
 the function about both. Here it is an ordinary kernel that leaves Python's lock alone and does the rows of a slice.
 """
 
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -17,7 +16,7 @@ _PIECES_A_THREAD = 8
 def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any, least: int = 1) -> None:
     """Call kernel(first, last, *arguments), which leaves Python's lock alone, for slices that make up all of `rows`.
 
-    As many threads as numba may take in this one (`numba.set_num_threads`) draw slices of `least` rows or more; which
+    As many threads as numba may use in this one (`numba.set_num_threads`) take slices of `least` rows or more; which
     rows come together and in which order must not matter. Raises what a kernel raises, when all threads have ended.
     """
     threads = min(get_num_threads(), -(-rows // least))
@@ -25,22 +24,11 @@ def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any, least: i
         kernel(0, rows, *arguments)
         return
     size = max(least, -(-rows // (threads * _PIECES_A_THREAD)))
-    waiting = deque(range(0, rows, size))
 
-    def work() -> None:
-        while True:
-            try:
-                first = waiting.popleft()
-            except IndexError:
-                return
-            kernel(first, min(first + size, rows), *arguments)
+    def one_slice(first: int) -> None:
+        kernel(first, min(first + size, rows), *arguments)
 
-    with ThreadPoolExecutor(threads - 1, "prtbake-loop") as others:
-        working = [others.submit(work) for _ in range(threads - 1)]
-        try:
-            work()
-        finally:
-            # After an interrupt nobody begins another slice.
-            waiting.clear()
-        for one in working:
-            one.result()
+    with ThreadPoolExecutor(threads, "prtbake-loop") as pool:
+        # After an error or an interrupt, `map` cancels what has not begun.
+        for _ in pool.map(one_slice, range(0, rows, size)):
+            pass

@@ -1,9 +1,9 @@
-"""Runs a bake in processes of its own, kills them at moments drawn by a seed, and resumes.
+"""Runs a bake in child processes, kills them at random times, and resumes.
 
     python killing.py FOLDER KIND SEED
 
-Prints how many were killed. Every process has other workers and other blocks. Leaves whole.h5, of one run, and
-killed.h5 in the folder.
+Prints how many were killed. Each process has another number of workers and another block size. Writes whole.h5, baked
+in one run, and killed.h5 to the folder.
 """
 
 import os
@@ -29,7 +29,7 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 class Slow(Incoherent):
-    """Takes its time, so that a kill can come at any moment of a bake: so many seconds an evaluation."""
+    """A transport that takes `pause` seconds per evaluation, so that a kill can hit any moment of a bake."""
 
     def __init__(self, pause: float = 2e-7) -> None:
         self.pause = pause
@@ -40,7 +40,7 @@ class Slow(Incoherent):
 
 
 def process(out: Path, kind: str, workers: int, block: int, subdivisions: int = 1, pause: float = 2e-7) -> int:
-    """Bakes, resuming what there is, in a new process; its number."""
+    """Starts a process that bakes and resumes from what there is; returns its id."""
     child = os.fork()
     if child:
         return child
@@ -52,7 +52,7 @@ def process(out: Path, kind: str, workers: int, block: int, subdivisions: int = 
 
 
 def ended(child: int, wait: Callable[[], None] = lambda: None) -> bool:
-    """Waits, kills the process, and says whether that is what it died of."""
+    """Waits and kills the process; whether it was still running."""
     wait()
     if os.waitpid(child, os.WNOHANG)[0]:
         return False

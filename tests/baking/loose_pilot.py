@@ -1,4 +1,4 @@
-"""A pilot that is too sure of itself: what follows it takes a second pass."""
+"""A pilot with too large tolerances, after which a bake needs a second pass."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from prt_bake.baking.adaptive.trials import Pilot
 
 
 def loose_settings(pilot: Pilot, refinement: RefinementSettings, error: float) -> PassSettings:
-    """`settings_for_error`, its tolerances twice as wide."""
+    """`settings_for_error` with doubled tolerances."""
     settings = settings_for_error(pilot, refinement, error)
     wide = replace(
         settings.refinement,

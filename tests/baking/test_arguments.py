@@ -84,7 +84,9 @@ def test_what_others_keep_where_the_journal_would_lie_stays(tmp_path: Path, resu
         foreign = tmp_path / own
         foreign.parent.mkdir(exist_ok=True)
         foreign.write_text("mine")
-        with pytest.raises(StorageError, match=f"{output}.journal: expected a free path for the checkpoints of {output}"):
+        with pytest.raises(
+            StorageError, match=f"{output}.journal: expected a free path for the checkpoints of {output}"
+        ):
             bake.bake(Incoherent(), icosphere(0), **SMALL, out=tmp_path / output, resume=resume)
         assert foreign.read_text() == "mine"
 

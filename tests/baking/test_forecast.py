@@ -1,4 +1,4 @@
-"""How long a bake still takes: as its blocks have gone so far, and as errors have fallen from pass to pass."""
+"""Forecast of the time that a bake still takes."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
     return advance
 
 
-def test_what_is_left_goes_as_what_was_done(clock: Callable[[float], None]) -> None:
+def test_the_forecast_extrapolates_from_finished_work(clock: Callable[[float], None]) -> None:
     forecast = Forecast(np.ones(10), predicted=30.0, began=100.0)
     assert forecast.left(0) == 30.0
     clock(8.0)
@@ -32,7 +32,7 @@ def test_what_is_left_goes_as_what_was_done(clock: Callable[[float], None]) -> N
     assert forecast.left(10) == 0.0
 
 
-def test_what_an_earlier_run_has_done_takes_no_time(clock: Callable[[float], None]) -> None:
+def test_work_of_an_earlier_run_takes_no_time(clock: Callable[[float], None]) -> None:
     work = np.ones(10)
     work[:6] = 0.0
     forecast = Forecast(work, began=100.0)
@@ -42,7 +42,7 @@ def test_what_an_earlier_run_has_done_takes_no_time(clock: Callable[[float], Non
     assert Forecast(np.zeros(10), began=100.0).left(10) == 0.0
 
 
-def test_what_comes_after_a_pass_counts_and_the_deadline_ends_it(clock: Callable[[float], None]) -> None:
+def test_later_passes_count_and_the_deadline_limits_the_forecast(clock: Callable[[float], None]) -> None:
     clock(4.0)
     assert Forecast(np.ones(4), after=5.0, began=100.0).left(1) == pytest.approx(12.0 + 80.0)
     assert Forecast(np.ones(4), after=5.0, began=100.0, deadline=124.0).left(1) == pytest.approx(20.0)
@@ -53,39 +53,41 @@ def test_what_comes_after_a_pass_counts_and_the_deadline_ends_it(clock: Callable
 
 
 @pytest.mark.parametrize("power", [1.0, 2.0])
-def test_the_slope_is_that_of_the_passes(power: float) -> None:
+def test_the_error_exponent_is_fitted_to_the_passes(power: float) -> None:
     errors = [0.2, 0.1, 0.02]
     seconds = np.cumsum([error**-power for error in errors])
     rows = [(float(taken), 0.0, error) for taken, error in zip(seconds, errors, strict=True)]
     assert error_exponent(rows) == pytest.approx(power)
 
 
-def test_one_pass_has_no_slope() -> None:
+def test_one_pass_gives_the_default_exponent() -> None:
     assert error_exponent([]) == error_exponent([(1.0, 1.0, 0.1)]) == COARSE_EXPONENT
     assert error_exponent([(1.0, 1.0, 0.1), (2.0, 2.0, 0.1)]) == COARSE_EXPONENT
 
 
-@pytest.mark.parametrize("asked", [{"samples": 36}, {"error": 0.05}])
-def test_a_bake_tells_what_is_left_until_nothing_is(asked: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("arguments", [{"samples": 36}, {"error": 0.05}])
+def test_a_bake_reports_the_time_left_until_its_end(
+    arguments: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 64)
-    told: list[tuple[int, BakeStatus]] = []
+    reported: list[tuple[int, BakeStatus]] = []
     bake(
         Incoherent(),
         icosphere(1),
         rings=4,
         sectors=16,
-        **asked,
-        progress=lambda done, total, row: told.append((done, row)),
+        **arguments,
+        progress=lambda done, total, row: reported.append((done, row)),
     )
-    assert all(row.left is not None and row.left >= 0.0 for _done, row in told)
-    assert told[-1][1].left == 0.0
-    assert [done for done, _row in told][-1] == 42
-    seconds, _evaluations, error = told[-1][1]
+    assert all(row.left is not None and row.left >= 0.0 for _done, row in reported)
+    assert reported[-1][1].left == 0.0
+    assert [done for done, _row in reported][-1] == 42
+    seconds, _evaluations, error = reported[-1][1]
     assert seconds > 0.0
     assert error > 0.0
 
 
-def test_times_are_told_as_people_say_them() -> None:
+def test_times_are_printed_in_suitable_units() -> None:
     assert [in_words(seconds) for seconds in (0.2, 99.4, 200.0, 3599.6, 7500.0)] == [
         *("0 s", "99 s", "3:20 min"),
         *("1:00 h", "2:05 h"),

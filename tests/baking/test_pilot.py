@@ -1,4 +1,4 @@
-"""The error of bakes with fewer and with more directions, held against bakes of the whole mesh."""
+"""The error ladder of a pilot, compared with bakes of the whole mesh."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ GRID: dict[str, Any] = {"rings": 4, "sectors": 16}
 
 
 class Rough:
-    """A narrow bright lobe at one vertex in a hundred, hardly anything at the others."""
+    """A narrow bright lobe at one vertex in a hundred, smooth at the others."""
 
     def evaluate(self, incident: Any, positions: Any, outgoing: Any) -> Any:
         found = Kinked().evaluate(incident, positions, outgoing)
@@ -27,9 +27,9 @@ ROUGH = np.round(MESH.positions[5::107] @ [1.0, 7.0, 31.0], 6)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_bake_lies_on_the_ladder_though_few_vertices_have_most_of_its_error(seed: int) -> None:
+def test_the_ladder_predicts_bakes_with_most_of_the_error_at_few_vertices(seed: int) -> None:
     samples = (32, 64, 128)
     bakes = [bake(Rough(), MESH, **GRID, samples=count) for count in samples]
-    told = [baked.provenance["estimated_relative_rmse"]["total"] for baked in bakes]
+    reported = [baked.provenance["estimated_relative_rmse"]["total"] for baked in bakes]
     ladder = error_ladder(Rough(), MESH, **GRID, samples=samples, seed=seed, baked=bakes[0])
-    np.testing.assert_allclose(ladder[:, 2], told, rtol=0.2)
+    np.testing.assert_allclose(ladder[:, 2], reported, rtol=0.2)

@@ -1,4 +1,4 @@
-"""What a bake would cost, held against what it then costs."""
+"""Predicted costs of bakes, compared with their actual costs."""
 
 import time
 from typing import Any
@@ -24,19 +24,19 @@ GRID: dict[str, Any] = {"rings": 4, "sectors": 32}
 
 
 class Slow:
-    """Takes its time for every evaluation, and far more for the first ones, as what makes tables does."""
+    """A transport with slow evaluations; the first are much slower, as if it built tables."""
 
     EACH, FIRST = 1e-6, 0.4
 
     def __init__(self) -> None:
-        self.transport, self.asked = Lobed(), 0
+        self.transport, self.calls = Lobed(), 0
 
     def evaluate(self, incident: Any, positions: Any, outgoing: Any) -> Any:
-        until = time.monotonic() + self.EACH * incident.shape[0] * incident.shape[1] + (0 if self.asked else self.FIRST)
-        self.asked += 1
-        answer = self.transport.evaluate(incident, positions, outgoing)
+        until = time.monotonic() + self.EACH * incident.shape[0] * incident.shape[1] + (0 if self.calls else self.FIRST)
+        self.calls += 1
+        values = self.transport.evaluate(incident, positions, outgoing)
         time.sleep(max(until - time.monotonic(), 0.0))
-        return answer
+        return values
 
 
 def job_of(transport: object, vertices: int = len(MESH.positions)) -> AdaptiveJob:
@@ -46,42 +46,42 @@ def job_of(transport: object, vertices: int = len(MESH.positions)) -> AdaptiveJo
 
 @pytest.mark.parametrize("error", [0.03, 0.05])
 @pytest.mark.parametrize("transport", [Edged, Lobed, Incoherent])
-def test_evaluations_are_those_of_the_bake(transport: type, error: float) -> None:
-    asked: dict[str, Any] = GRID | {"error": error, "seed": 2}
-    baked = bake(transport(), MESH, **asked).provenance
+def test_predicted_evaluations_are_those_of_the_bake(transport: type, error: float) -> None:
+    arguments: dict[str, Any] = GRID | {"error": error, "seed": 2}
+    baked = bake(transport(), MESH, **arguments).provenance
     assert baked["refinement"]["passes"] == 1
-    assert plan(transport(), MESH, **asked).evaluations == pytest.approx(baked["evaluations"], rel=0.15)
+    assert plan(transport(), MESH, **arguments).evaluations == pytest.approx(baked["evaluations"], rel=0.15)
 
 
-def test_evaluations_of_a_second_pass_are_foreseen() -> None:
-    asked: dict[str, Any] = {"rings": 8, "sectors": 32, "error": 0.03, "seed": 1}
-    asset = bake(Incoherent(), MESH, **asked)
+def test_the_prediction_includes_a_second_pass() -> None:
+    arguments: dict[str, Any] = {"rings": 8, "sectors": 32, "error": 0.03, "seed": 1}
+    asset = bake(Incoherent(), MESH, **arguments)
     assert asset.provenance["refinement"]["passes"] == 2
-    assert plan(Incoherent(), MESH, **asked).evaluations == pytest.approx(asset.provenance["evaluations"], rel=0.2)
+    assert plan(Incoherent(), MESH, **arguments).evaluations == pytest.approx(asset.provenance["evaluations"], rel=0.2)
 
 
-def test_seconds_are_those_of_the_bake_though_much_is_done_for_the_first_time() -> None:
-    foreseen = plan(Slow(), MESH, **GRID, error=0.05)
+def test_predicted_seconds_are_those_of_the_bake_with_slow_first_evaluations() -> None:
+    predicted = plan(Slow(), MESH, **GRID, error=0.05)
     began = time.monotonic()
     bake(Slow(), MESH, **GRID, error=0.05)
-    taken = time.monotonic() - began
-    assert foreseen.seconds == pytest.approx(taken, rel=0.3)
-    assert foreseen.seconds_between is not None
-    low, high = foreseen.seconds_between
-    assert low < foreseen.seconds < high
+    seconds = time.monotonic() - began
+    assert predicted.seconds == pytest.approx(seconds, rel=0.3)
+    assert predicted.seconds_between is not None
+    low, high = predicted.seconds_between
+    assert low < predicted.seconds < high
 
 
-def test_vertices_are_tried_until_their_mean_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of vertices a tenth of which cost ten times as much the mean lies within what is told of it."""
+def test_a_pilot_pass_bakes_vertices_until_their_mean_cost_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stated standard error of the mean holds if a tenth of the vertices cost ten times as much."""
     job = job_of(Edged(), 600)
-    dear = np.arange(600) % 10 == 0
-    tried: list[np.ndarray] = []
+    expensive = np.arange(600) % 10 == 0
+    baked: list[np.ndarray] = []
 
     def block(job: AdaptiveJob, how: object, vertices: Any) -> tuple[RefinedBlock, int]:
-        tried.append(vertices)
-        found, bent = original(job, how, vertices)
-        found.directions[:] = np.where(dear[vertices], 500, 50)[:, None]
-        return found, bent
+        baked.append(vertices)
+        found, clamped = original(job, how, vertices)
+        found.directions[:] = np.where(expensive[vertices], 500, 50)[:, None]
+        return found, clamped
 
     original = pilot_pass.refined_block
     monkeypatch.setattr(pilot_pass, "refined_block", block)
@@ -89,15 +89,15 @@ def test_vertices_are_tried_until_their_mean_is_known(monkeypatch: pytest.Monkey
     monkeypatch.setattr(pilot_pass, "MOST", 0.5)
     how = first_refinement(job)[0].with_full_levels(0.1, 0.1)
     found = pilot_pass.run_pilot_pass(job, how, Threads(1))
-    vertices = np.concatenate(tried)
+    vertices = np.concatenate(baked)
     assert found.vertices == len(vertices) == len(np.unique(vertices)) == 304
-    mean = np.where(dear[vertices], 500, 50).mean()
+    mean = np.where(expensive[vertices], 500, 50).mean()
     assert abs(mean - 95.0) < 3.0 * found.deviation * mean
     monkeypatch.setattr(pilot_pass, "ENOUGH", 2.0 * found.deviation)
     assert pilot_pass.run_pilot_pass(job, how, Threads(1)).vertices < 200
 
 
-def test_nothing_of_the_pilot_is_recalled() -> None:
+def test_a_pilot_pass_does_not_use_the_cache_of_the_pilot() -> None:
     counted = Counting(Edged())
     job = job_of(counted)
     settings: PassSettings = settings_for_error(Pilot(job), first_refinement(job)[0], 0.05)
@@ -108,8 +108,8 @@ def test_nothing_of_the_pilot_is_recalled() -> None:
     assert counted.evaluations - before == found.tally.evaluations
 
 
-def test_a_plan_by_samples_does_not_bake_it_all() -> None:
+def test_a_plan_with_fixed_samples_bakes_only_some_blocks() -> None:
     counted = Counting(Incoherent())
-    foreseen = plan(counted, MESH, **GRID, samples=64)
-    assert foreseen.seconds is not None
-    assert counted.evaluations < 0.5 * foreseen.evaluations
+    predicted = plan(counted, MESH, **GRID, samples=64)
+    assert predicted.seconds is not None
+    assert counted.evaluations < 0.5 * predicted.evaluations

@@ -1,4 +1,4 @@
-"""What pictures lack of reflected light: nothing behind an index of 1, nothing twice on a convex body."""
+"""Reflected light that pictures lack: none for an index of 1, no second reflection on a convex body."""
 
 import numpy as np
 import pytest
@@ -13,12 +13,12 @@ WHITE = np.ones((4, 8, 3), np.float32)
 
 
 def seen(mesh, eye):
-    """Faces, (u, v) and directions to the eye of what one camera sees."""
+    """Faces, (u, v) and directions to the eye of the points that a camera sees."""
     view = Camera(np.array(eye), np.zeros(3), np.array([0.0, 1.0, 0.0]), 40.0, 24, 24)
     origins, towards = rays(view, slice(None), np.array([[0.5, 0.5]])).rows()
     hits = Visibility(mesh).first_hits(origins, towards)
-    met = hits.faces >= 0
-    return hits.faces[met], hits.barycentric[met], -towards[met]
+    visible = hits.faces >= 0
+    return hits.faces[visible], hits.barycentric[visible], -towards[visible]
 
 
 def test_an_index_of_1_reflects_nothing() -> None:
@@ -27,7 +27,7 @@ def test_an_index_of_1_reflects_nothing() -> None:
     assert not twice.any()
 
 
-def test_a_convex_body_reflects_once_and_a_polished_one_by_fresnels_law() -> None:
+def test_a_polished_convex_body_reflects_once_by_fresnels_law() -> None:
     mesh = sphere(2)
     faces, barycentric, outgoing = seen(mesh, [0.0, 1.0, 4.0])
     once, twice = reflected_at(mesh, WHITE, "y", 1.5, 0.0, faces, barycentric, outgoing, 0)
@@ -37,7 +37,7 @@ def test_a_convex_body_reflects_once_and_a_polished_one_by_fresnels_law() -> Non
     )
 
 
-def test_a_polished_ring_shows_itself_by_the_product_of_two_reflectances() -> None:
+def test_a_second_reflection_in_a_polished_ring_is_the_product_of_two_reflectances() -> None:
     mesh = ring()
     faces, barycentric, outgoing = seen(mesh, [0.0, 1.2, 4.0])
     once, twice = reflected_at(mesh, WHITE, "y", 1.5, 0.0, faces, barycentric, outgoing, 0)
@@ -55,8 +55,8 @@ def test_a_polished_ring_shows_itself_by_the_product_of_two_reflectances() -> No
     np.testing.assert_allclose(twice[0][meets, 0], first * second, rtol=1e-5)
 
 
-def test_noise_of_the_halves_is_not_told_as_light() -> None:
+def test_noise_of_half_buffers_does_not_count_as_light() -> None:
     draws = np.random.default_rng(1).normal(size=(2, 4000, 3))
-    whole = np.ones((4000, 3))
-    assert noise_free_rms(draws, whole) < 0.2
-    assert noise_free_rms(0.5 + 0.1 * draws, whole) == pytest.approx(0.5, rel=0.02)
+    reference = np.ones((4000, 3))
+    assert noise_free_rms(draws, reference) < 0.2
+    assert noise_free_rms(0.5 + 0.1 * draws, reference) == pytest.approx(0.5, rel=0.02)

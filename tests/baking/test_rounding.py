@@ -1,4 +1,4 @@
-"""What half precision adds to the error of a bake is measured and told, never hidden."""
+"""The error that half precision adds to a bake is measured and reported."""
 
 from pathlib import Path
 
@@ -19,28 +19,28 @@ from tests.bakers.transports import Lobed, icosphere
 SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 
 
-def test_half_precision_is_told_in_every_figure() -> None:
+def test_all_error_figures_include_half_precision() -> None:
     mesh, network = read_mesh(SHIPPED / "spot.obj"), load_model(SHIPPED / "spot.pt")
     bound = on_mesh(network, mesh)
-    whole = {p: bake(bound, mesh, 2, 1, 4, samples=32, precision=p, seed=3) for p in ("float32", "bfloat16")}
-    exact, rounded = (whole[p].coefficients.astype(np.float64) for p in ("float32", "bfloat16"))
+    assets = {p: bake(bound, mesh, 2, 1, 4, samples=32, precision=p, seed=3) for p in ("float32", "bfloat16")}
+    exact, rounded = (assets[p].coefficients.astype(np.float64) for p in ("float32", "bfloat16"))
     true = np.sqrt(((rounded - exact) ** 2).sum() / (exact**2).sum())
-    told = {p: asset.provenance["estimated_relative_rmse"] for p, asset in whole.items()}
-    assert "rounding" not in told["float32"]
-    assert 0.5 < told["bfloat16"]["rounding"] / true < 2.0
-    expected = np.hypot(told["float32"]["total"], told["bfloat16"]["rounding"])
-    assert told["bfloat16"]["total"] == pytest.approx(expected, rel=0.02)
-    assert (whole["bfloat16"].standard_error >= 0.99 * whole["float32"].standard_error).mean() > 0.9
+    reported = {p: asset.provenance["estimated_relative_rmse"] for p, asset in assets.items()}
+    assert "rounding" not in reported["float32"]
+    assert 0.5 < reported["bfloat16"]["rounding"] / true < 2.0
+    expected = np.hypot(reported["float32"]["total"], reported["bfloat16"]["rounding"])
+    assert reported["bfloat16"]["total"] == pytest.approx(expected, rel=0.02)
+    assert (assets["bfloat16"].standard_error >= 0.99 * assets["float32"].standard_error).mean() > 0.9
 
 
-def test_an_error_below_rounding_is_refused() -> None:
+def test_an_error_below_rounding_raises() -> None:
     mesh, network = read_mesh(SHIPPED / "spot.obj"), load_model(SHIPPED / "spot.pt")
     for directions in ("fibonacci", "sobol"):
         with pytest.raises(QueryError, match=r"rounding alone adds 0\.002.*float32"):
             bake(network, mesh, 2, 1, 4, directions, error=0.001, precision="bfloat16")
 
 
-def test_what_is_exact_is_not_measured() -> None:
+def test_transports_in_full_precision_are_not_measured() -> None:
     mesh = icosphere(0)
     assert measure_rounding(Lobed(), mesh, views_of(mesh, 4, 8)[1], 32, 2, 0) == (0.0, 0)
     shipped = read_mesh(SHIPPED / "spot.obj")
@@ -49,7 +49,7 @@ def test_what_is_exact_is_not_measured() -> None:
     assert network.exact() is network
 
 
-def test_the_budget_has_a_part_for_it() -> None:
+def test_the_error_budget_has_a_part_for_half_precision() -> None:
     mesh = read_mesh(SHIPPED / "spot.obj")
     sky = np.ones((8, 16, 3), np.float32)
     view = Camera(np.array([0.0, 0.0, 4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 40.0, 16, 16)

@@ -1,11 +1,10 @@
-"""Accidents amid bakes: whether what is resumed is the same bits, and the seconds that each accident costs.
+"""Interrupted bakes: whether resumed assets are bit-identical, and the time that each accident costs.
 
     python -m tests.bench.bake_accidents [--bakes 10] [--kills 3] [--seed 0]
 
-A small object whose transport takes its time. Bakes are killed (SIGKILL) at moments drawn over the whole of them, and
-resumed with one or two workers and blocks of another size; a worker of a cluster of processes is killed, or its
-scheduler; the disk fills up, as in the tests. `lost` is what an accident costs: all that was spent, less what the
-undisturbed bake of the same kind took. Starting Python anew is not in it.
+A small object with a slow transport. Bakes are killed (SIGKILL) at random moments and resumed with one or two workers
+and another block size; a worker of a cluster is killed, or its scheduler; the disk fills up, as in the tests. `lost` is
+the time of an accident: all seconds spent less those of the undisturbed bake, without the start of Python.
 """
 
 import argparse
@@ -30,20 +29,20 @@ from tests.baking.test_resume import GROUPS, contents
 
 SMALL = {"rings": 2, "sectors": 16}
 FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset.file.AssetFile.close"}
-"""What is called where the disk has no room left."""
+"""The function that fails on a full disk."""
 SUBDIVISIONS, PAUSE = 2, 5e-7
-"""Of the mesh of 162 vertices, and seconds that each evaluation takes at least."""
+"""Subdivisions of the mesh (162 vertices), and least seconds of an evaluation."""
 
 
-def alike(one: Path, other: Path) -> dict[str, bool]:
-    """By group, whether two assets are the same bits."""
+def identical(one: Path, other: Path) -> dict[str, bool]:
+    """Whether two assets are bit-identical, by group."""
     found, expected = contents(one), contents(other)
     same = {name: found[name].tobytes() == values.tobytes() for name, values in expected.items()}
     return {group: all(good for name, good in same.items() if name.startswith(group)) for group in GROUPS}
 
 
 class Row:
-    """The bakes of one kind of accident."""
+    """The table's row of one kind of accident."""
 
     def __init__(self, name: str) -> None:
         self.name, self.accidents, self.bakes, self.lost = name, 0, 0, list[float]()
@@ -51,14 +50,14 @@ class Row:
         self.left = set[str]()
 
     def add(self, accidents: int, lost: float, same: dict[str, bool], left: set[str]) -> None:
-        """One bake, what its accidents cost together, and what lay there in the end beside assets."""
+        """Add a bake: its accidents, the time they cost, and the files left beside assets."""
         self.bakes, self.accidents, self.left = self.bakes + 1, self.accidents + accidents, self.left | left
         self.lost.append(lost / max(1, accidents))
         for group, good in same.items():
             self.same[group] += good
 
     def print(self, seconds: float) -> None:
-        """A line of the table; the undisturbed bake took so many seconds."""
+        """Print the row; `seconds` is the time of the undisturbed bake."""
         same = "".join(f"{many:>7}/{self.bakes}" for many in self.same.values())
         middle = sorted(self.lost)[len(self.lost) // 2]
         print(
@@ -69,13 +68,13 @@ class Row:
 
 
 def left_in(folder: Path, assets: int) -> set[str]:
-    """Names of what there is beside that many assets."""
+    """Names of the files in a folder beside its assets."""
     there = {path.name for path in folder.iterdir()}
     return {name for name in there if not name.endswith(".h5")} | (set() if len(there) >= assets else {"too few"})
 
 
 def killed(kind: str, bakes: int, kills: int, draw: random.Random) -> None:
-    """Bakes of one kind killed and resumed."""
+    """Bakes that are killed and resumed."""
     row = Row(f"killed, {kind}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -91,7 +90,7 @@ def killed(kind: str, bakes: int, kills: int, draw: random.Random) -> None:
                 spent, many = spent + time.perf_counter() - began, many + died
             if died:
                 spent += _finished(out, kind, draw.randint(1, 9))
-            row.add(many, spent - seconds, alike(out, whole), left_in(folder, 2))
+            row.add(many, spent - seconds, identical(out, whole), left_in(folder, 2))
             out.unlink()
     row.print(seconds)
 
@@ -100,7 +99,7 @@ def _finished(out: Path, kind: str, block: int) -> float:
     began = time.perf_counter()
     _child, status = os.waitpid(process(out, kind, 1, block, SUBDIVISIONS, PAUSE), 0)
     if status:
-        raise SystemExit(f"{kind}: a bake that was resumed ended with status {status}")
+        raise SystemExit(f"{kind}: a resumed bake ended with status {status}")
     return time.perf_counter() - began
 
 
@@ -115,7 +114,7 @@ def small_blocks() -> Iterator[None]:
 
 
 def clustered(kind: str, bakes: int) -> None:
-    """Bakes by two workers in processes of their own, one of which is killed, or the scheduler."""
+    """Bakes by two worker processes, one of which is killed, or their scheduler."""
     import dask
 
     for name in ("a worker of a cluster killed", "the scheduler killed"):
@@ -130,7 +129,7 @@ def clustered(kind: str, bakes: int) -> None:
                 place.mkdir()
                 try:
                     processes.hire(2)
-                    # The workers import what they need with the first.
+                    # The workers import their modules in the first bake.
                     _timed(kind, place / "first.h5", scheduler=processes.address)
                     taken.append(_timed(kind, place / "whole.h5", scheduler=processes.address))
                     act = processes.workers[0].kill if "worker" in name else processes.end
@@ -140,12 +139,12 @@ def clustered(kind: str, bakes: int) -> None:
                         spent += _timed(kind, place / "a.h5", workers=2, resume=True)
                 finally:
                     processes.end()
-                row.add(1, spent - taken[-1], alike(place / "a.h5", place / "whole.h5"), left_in(place, 3))
+                row.add(1, spent - taken[-1], identical(place / "a.h5", place / "whole.h5"), left_in(place, 3))
         row.print(sorted(taken)[len(taken) // 2])
 
 
 def _timed(kind: str, out: Path, **how: object) -> float:
-    """Seconds of a bake, which may end for want of its cluster or of room on the disk."""
+    """Seconds of a bake, which may fail with its cluster or on a full disk."""
     began = time.perf_counter()
     try:
         bake(Slow(PAUSE), icosphere(SUBDIVISIONS), **SMALL, **KINDS[kind], out=out, **how).close()  # type: ignore[arg-type]
@@ -156,12 +155,12 @@ def _timed(kind: str, out: Path, **how: object) -> float:
 
 
 def filled_up(kind: str, bakes: int, draw: random.Random) -> None:
-    """Bakes on a disk that has no room after some blocks, or none for the asset."""
+    """Bakes on a disk that is full after some blocks, or before the asset is written."""
     import numpy as np
 
     save = np.savez
     for name, target in FULL.items():
-        row = Row(f"a full disk, none left {name}, {kind}")
+        row = Row(f"disk full {name}, {kind}")
         with tempfile.TemporaryDirectory() as folder, small_blocks():
             place = Path(folder)
             seconds = _timed(kind, place / "whole.h5")
@@ -177,7 +176,7 @@ def filled_up(kind: str, bakes: int, draw: random.Random) -> None:
                 with mock.patch(target, full):
                     spent = _timed(kind, place / "a.h5")
                 spent += _timed(kind, place / "a.h5", resume=True)
-                row.add(1, spent - seconds, alike(place / "a.h5", place / "whole.h5"), left_in(place, 2))
+                row.add(1, spent - seconds, identical(place / "a.h5", place / "whole.h5"), left_in(place, 2))
                 (place / "a.h5").unlink()
         row.print(seconds)
 
@@ -190,12 +189,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     draw = random.Random(args.seed)
-    # What a cluster logs of its own end is no news here.
+    # The cluster logs its own end.
     logging.disable(logging.CRITICAL)
-    import distributed  # noqa: F401  # whose settings are to be there before one of them is changed
+    import distributed  # noqa: F401  # its settings must exist before one of them is changed
 
     heads = "".join(f"/{group}".rjust(10) for group in GROUPS)
-    print(f"{'accident':44}{'accidents':>10}{'whole':>8}{'lost':>8}{'most':>8}{heads}  left in the end")
+    print(f"{'accident':44}{'accidents':>10}{'bake s':>8}{'lost s':>8}{'most':>8}{heads}  files left")
     for kind in KINDS:
         killed(kind, args.bakes, args.kills, draw)
     for kind in ("error", "samples"):

@@ -97,7 +97,8 @@ def baker_of(transport: Any, mesh: Mesh) -> Callable[[Method, int, int], Array]:
         taken = np.random.default_rng(seed).integers(0, len(incident), (len(vertices), bins))
         other = (taken + len(incident) // 2) % len(incident)
         estimator = "halves" if method.half_sets else "neighbours"
-        sampling = Sampling(pool, lambda a, b: taken[a:b], (lambda a, b: other[a:b]) if method.half_sets else None, estimator)
+        second = (lambda a, b: other[a:b]) if method.half_sets else None
+        sampling = Sampling(pool, lambda a, b: taken[a:b], second, estimator)
         task = Task(transport, mesh.positions[vertices], lambda a, b: (outgoing[a:b], 0), bins, SECTORS, sampling)
         return np.concatenate(
             [bake_block(task, v, v + 1).coefficients.astype(np.float64) for v in range(len(vertices))]

@@ -1,10 +1,10 @@
-"""How much detail Ŝ has in the direction of incidence: path-traced and as a network says, degree by degree.
+"""Detail of Ŝ in the direction of incidence, degree by degree: path-traced and of a network.
 
     python -m tests.bench.detail_in_light [SCENE.toml MODEL.pt] [--vertices 150] [--walks 4096]
 
-Over vertices and views, in percent of Σ|a|² of degrees 0 to 2: the squares of path-traced coefficients of each degree
-(their noise taken out), those of the network, and the network's squared error. Then what a bake at degree 2 misses of
-the network's own coefficients with few directions: detail beyond degree 2 folds back into it.
+Prints, over vertices and views and in percent of Σ|a|² of degrees 0 to 2: the squares of the path-traced coefficients
+of each degree (corrected for noise), those of the network, and the network's squared error. Then the error of a bake at
+degree 2 from few directions, relative to the network's exact coefficients: detail beyond degree 2 aliases into them.
 """
 
 import argparse
@@ -24,13 +24,13 @@ from prt_bake.tracer.estimate import estimate_coefficients
 
 DEGREE = 10
 FINE = 1024
-"""Directions that stand for the whole sphere."""
+"""Directions that resolve the whole sphere."""
 FEW = (32, 64, 128, 256)
 VIEWS = 2
 
 
 def views(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions and outgoing directions [count·VIEWS, 3] at vertices drawn at random, all above their horizon."""
+    """Positions and outgoing directions [count·VIEWS, 3] at random vertices, above their horizon."""
     generator = np.random.default_rng(seed)
     chosen = np.repeat(generator.choice(len(mesh.positions), min(count, len(mesh.positions)), replace=False), VIEWS)
     outgoing = generator.normal(size=(len(chosen), 3))
@@ -42,7 +42,7 @@ def views(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDArr
 
 
 def by_degree(squares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums of [K] over the coefficients of each degree [DEGREE + 1]."""
+    """Sums [DEGREE + 1] of squares [K] over the coefficients of each degree."""
     return np.add.reduceat(squares, [degree**2 for degree in range(DEGREE + 1)])
 
 

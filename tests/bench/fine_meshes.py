@@ -1,11 +1,11 @@
-"""Vertices foretold from those around them: what that saves on fine meshes, and what it leaves of the truth.
+"""Interpolation of vertices on fine meshes: the evaluations that it saves and its true error.
 
     python -m tests.bench.fine_meshes --subdivisions 5
     python -m tests.bench.fine_meshes --subdivisions 2 \
         --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj
 
-Spheres with analytic transports, or a network's mesh, subdivided (Loop) so many times. Each is baked twice, with every
-vertex evaluated and with most foretold; the truth is a fit over 4096 directions at bins drawn from all.
+Spheres with analytic transports, or a network's mesh, are subdivided (Loop) and baked twice: with every vertex
+evaluated and with most vertices interpolated. The truth is a fit over 4096 directions at random bins.
 """
 
 import argparse
@@ -40,36 +40,37 @@ def true_errors(transport: Any, mesh: Mesh, rings: int, sectors: int, asset: Any
     """Relative RMSE, its 95th percentile over vertices, and the share of bins within 1.96 standard errors."""
     random, lattice, views = np.random.default_rng(1), sphere.fibonacci(DIRECTIONS), views_of(mesh, rings, sectors)[1]
     fit = np.linalg.pinv(sh.evaluate(lattice, 2))
-    off, signal, stated = [], [], []
+    errors, signal, stated = [], [], []
     for vertex in random.choice(len(mesh.positions), VERTICES, replace=False):
         bins = np.sort(random.choice(rings * sectors, BINS, replace=False))
         outgoing = views(int(vertex), int(vertex) + 1)[0][0][bins]
         x = np.tile(mesh.positions[vertex], (BINS, 1))
-        answers = values_at(transport, lattice[None], np.zeros(BINS, np.int64), x, outgoing).astype(np.float64)
-        truth = (fit @ answers).reshape(BINS, -1, 3)
-        off.append(((asset.coefficients[vertex, bins] - truth) ** 2).mean(axis=(1, 2)))
+        values = values_at(transport, lattice[None], np.zeros(BINS, np.int64), x, outgoing).astype(np.float64)
+        truth = (fit @ values).reshape(BINS, -1, 3)
+        errors.append(((asset.coefficients[vertex, bins] - truth) ** 2).mean(axis=(1, 2)))
         signal.append((truth**2).mean(axis=(1, 2)))
         stated.append(asset.standard_error[vertex, bins])
-    squared, squares, told = np.array(off), np.array(signal), np.array(stated)
+    squared, squares, stated_error = np.array(errors), np.array(signal), np.array(stated)
     by_vertex = np.sqrt(squared.sum(axis=1) / squares.sum(axis=1))
-    within = (np.sqrt(squared) <= 1.96 * told).mean()
+    within = (np.sqrt(squared) <= 1.96 * stated_error).mean()
     return float(np.sqrt(squared.sum() / squares.sum())), float(np.percentile(by_vertex, 95)), float(within)
 
 
 def one(name: str, transport: Any, mesh: Mesh, error: float, rings: int, sectors: int) -> None:
     chosen = prt_bake.baking.adaptive.tolerances.choose_interpolation
-    for way in (NONE, "most foretold"):
-        prt_bake.baking.adaptive.tolerances.choose_interpolation = (lambda *_all: (None, 0)) if way == NONE else chosen
+    for mode in (NONE, "most interpolated"):
+        prt_bake.baking.adaptive.tolerances.choose_interpolation = (lambda *_all: (None, 0)) if mode == NONE else chosen
         began = time.perf_counter()
         with bake(transport, mesh, error=error, rings=rings, sectors=sectors) as asset:
-            seconds, told = time.perf_counter() - began, asset.provenance
+            seconds, provenance = time.perf_counter() - began, asset.provenance
             bins = len(mesh.positions) * rings * sectors
             exact = prepared(up_to(on_mesh(transport, mesh), 2), "float32", "cpu")
             true, worst, within = true_errors(exact, mesh, rings, sectors, asset)
         print(
-            f"{name}, {len(mesh.positions)} vertices, {error:.1%}, {way}: {told['evaluations'] / bins:.2f} evaluations "
-            f"a bin, {seconds:.0f} s, {told['refinement']['vertices_foretold'] / len(mesh.positions):.0%} foretold, "
-            f"told {told['estimated_relative_rmse']['total']:.2%}, true {true:.2%}, 95 % of the vertices {worst:.2%}, "
+            f"{name}, {len(mesh.positions)} vertices, {error:.1%}, {mode}: {provenance['evaluations'] / bins:.2f} "
+            f"evaluations per bin, {seconds:.0f} s, "
+            f"{provenance['refinement']['vertices_foretold'] / len(mesh.positions):.0%} interpolated, error: estimated "
+            f"{provenance['estimated_relative_rmse']['total']:.2%}, true {true:.2%}, 95 % of the vertices {worst:.2%}, "
             f"{within:.1%} within",
             flush=True,
         )

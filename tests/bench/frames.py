@@ -1,16 +1,17 @@
-"""What a frame costs, beside a plain gather of the same lines, a memory copy and a plain NumPy shader, all in one run.
+"""Cost of a frame, compared with gathering the same cache lines, a memory copy and a plain NumPy shader in one run.
 
     python -m tests.bench.frames [--only vertices|visible|bins|threads|storage|small|compact|light]
     python -m tests.bench.frames --asset baked.h5 [--compact baked.c.h5]
 
-A ring of V vertices, coefficients of degree 2 and three channels filled with random numbers, an eye that circles it.
-Of 16×64 view bins, 300,000 vertices would take 16.6 GB of float16: where it says so there are fewer bins, and more
-bytes all the same than any cache holds. `lines` is a loop compiled by numba, on as many threads, that reads one number
-of each line of the rows a frame reads, in its order (the list of lines lies in memory ready made); `rows` is the loop
-that sums all their numbers, `copy` moves as many bytes as those lines have from one place to another, in order. Turns
-are taken within each round; times are medians over rounds (`least`: the shortest frame), shares medians of the
-ratios within a round. With `--clock cpu` they are the processor's, of all threads together: of use where others keep
-the machine busy.
+The object is a ring of V vertices with random coefficients of degree 2 and three channels, and the eye circles it. At
+16×64 view bins 300,000 vertices would take 16.6 GB of float16, so large objects have fewer bins, still more bytes than
+any cache holds.
+
+`lines` is a numba loop on as many threads that reads one number of each cache line that a frame reads, in the frame's
+order, from a precomputed list of lines. `rows` sums all numbers of these rows, and `copy` copies as many bytes
+sequentially. The measurements alternate within each round. Times are medians over rounds (`least`: the shortest frame),
+shares are medians of the ratios within a round. `--clock cpu` measures the processor time of all threads, for busy
+machines.
 """
 
 import argparse
@@ -37,13 +38,13 @@ BINS = {"float16": (8, 32), "float32": (4, 32)}
 
 
 def random_asset(vertices: int, rings: int, sectors: int, storage: str = "float16", degree: int = 2) -> Asset:
-    """Random coefficients, the same again and again: a frame does not look at what they are."""
+    """An asset on a ring with repeated random coefficients; the time of a frame does not depend on them."""
     side = round(np.sqrt(vertices))
     mesh = ring(around=-(-vertices // side), across=side)
-    return holding(mesh, rings, sectors, storage, degree)
+    return filled_asset(mesh, rings, sectors, storage, degree)
 
 
-def holding(mesh: Mesh, rings: int, sectors: int, storage: str, degree: int) -> Asset:
+def filled_asset(mesh: Mesh, rings: int, sectors: int, storage: str, degree: int) -> Asset:
     shape = (len(mesh.positions), rings * sectors, sh.count(degree), 3)
     some = np.random.default_rng(0).normal(0.3, 0.2, SOME).astype(storage)
     coefficients = np.empty(np.prod(shape), storage)
@@ -86,7 +87,7 @@ def gather_rows(rows, which, sums):
 
 
 def rows_read(asset: Asset, eye: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Rows [n,4] that a frame reads, those of ring 0 that its mean stands for left out."""
+    """Rows [n,4] that a frame reads; the mean over ring 0 replaces the rows that a view near the pole would add."""
     towards = eye - asset.mesh.positions[vertices]
     towards /= np.linalg.norm(towards, axis=1)[:, None]
     local = sphere.to_local(towards, asset.mesh.normals[vertices], asset.tangents[vertices])
@@ -97,7 +98,7 @@ def rows_read(asset: Asset, eye: np.ndarray, vertices: np.ndarray) -> np.ndarray
 
 
 def lines_of(rows: np.ndarray, row_bytes: int) -> np.ndarray:
-    """Each line once, in the order of the rows."""
+    """Each cache line once, in the order of the rows."""
     first, last = rows * row_bytes // LINE, (rows * row_bytes + row_bytes - 1) // LINE
     spans = np.arange(int((last - first).max()) + 1)
     lines = np.where(first[..., None] + spans <= last[..., None], first[..., None] + spans, -1)
@@ -135,7 +136,7 @@ def measured(calls: Calls, rounds: int = ROUNDS) -> tuple[dict[str, float], dict
 
 
 def comparison(asset: Asset, visible: np.ndarray | None = None, *, folded: bool = False, slow: bool = True) -> Calls:
-    """A frame, and what it is held against: the eye goes round, the lists of lines are those of each eye."""
+    """A frame and the loops that it is compared with, for eyes that circle the object."""
     views = eyes(asset, 4)
     frames, light = Frames(asset), light_for(asset)
     frames.light(light)
@@ -182,23 +183,23 @@ def heading(title: str) -> None:
 
 
 def by_vertices() -> None:
-    heading("Vertices, all of them shown, float16, 8×32 bins, ms")
+    heading("Vertices, all visible, float16, 8×32 bins, ms")
     for vertices in (3_000, 30_000, 100_000, VERTICES):
         asset = random_asset(vertices, 8, 32)
         row_of(f"{vertices:,} vertices", asset, comparison(asset), vertices)
 
 
 def by_visible() -> None:
-    heading("Vertices shown of 300,000, float16, 8×32 bins, ms")
+    heading("Visible vertices of 300,000, float16, 8×32 bins, ms")
     asset = random_asset(VERTICES, 8, 32)
     count = len(asset.valid)
     for shown in (300, 3_000, 30_000, 150_000):
         visible = np.zeros(count, np.bool_)
         visible[np.random.default_rng(2).choice(count, shown, replace=False)] = True
-        row_of(f"{shown:,} here and there", asset, comparison(asset, visible), shown)
+        row_of(f"{shown:,} scattered", asset, comparison(asset, visible), shown)
         visible[:] = False
         visible[count // 3 : count // 3 + shown] = True
-        row_of(f"{shown:,} side by side", asset, comparison(asset, visible), shown)
+        row_of(f"{shown:,} contiguous", asset, comparison(asset, visible), shown)
 
 
 def by_bins() -> None:
@@ -218,7 +219,7 @@ def by_threads() -> None:
 
 
 def by_storage() -> None:
-    heading("Storage, 300,000 vertices, all of them shown, ms")
+    heading("Storage, 300,000 vertices, all visible, ms")
     for storage, (rings, sectors) in BINS.items():
         asset = random_asset(VERTICES, rings, sectors, storage)
         shown = len(asset.valid)
@@ -226,7 +227,7 @@ def by_storage() -> None:
         row_of(name, asset, comparison(asset, slow=False), shown)
     for storage in BINS:
         asset = random_asset(100_000, 4, 32, storage)
-        medians, times = measured(ways(asset))
+        medians, times = measured(modes(asset))
         print(
             f"100,000 vertices of 4×32 {storage}: {1e3 * medians['moving']:.2f} ms a frame"
             + "".join(
@@ -237,8 +238,8 @@ def by_storage() -> None:
         )
 
 
-def ways(asset: Asset) -> Calls:
-    """A frame where eye and light move, where the light stays and is folded in, and where the eye stays and is held."""
+def modes(asset: Asset) -> Calls:
+    """Frames with moving eye and light, with the light fixed (folded), and with the eye fixed (held)."""
     views, light = eyes(asset, 360), light_for(asset)
     moving, folded, held = Frames(asset), Frames(asset), Frames(asset)
     for frames in (moving, folded, held):
@@ -253,10 +254,10 @@ def ways(asset: Asset) -> Calls:
 
 
 def of_small() -> None:
-    """A frame after a frame, as a preview draws them, the eye a little further each time: what is measured beside a
-    frame above takes what it needs out of the caches.
+    """Consecutive frames of a slowly moving eye, as in a preview; the other measurements evict a frame's data from the
+    caches.
     """
-    print("\n3,000 vertices shown of 16×64 bins, frame after frame")
+    print("\n3,000 visible vertices at 16×64 bins, consecutive frames")
     for vertices in (3_000, 30_000):
         asset = random_asset(vertices, 16, 64)
         visible = np.zeros(len(asset.valid), np.bool_)
@@ -272,9 +273,9 @@ def in_a_row(asset: Asset, visible: np.ndarray) -> np.ndarray:
 
 
 def of_compact() -> None:
-    """The same object in all ways of keeping it: smooth transfer on a ring, compact to 0.5 %."""
+    """The same object in all storage formats: smooth transfer on a ring, compressed to 0.5 %."""
     mesh = ring(around=60, across=50)
-    raw = holding(mesh, 16, 64, "float32", 2)
+    raw = filled_asset(mesh, 16, 64, "float32", 2)
     rng = np.random.default_rng(4)
     x, y, z = raw.directions.T
     smooth = np.stack([x**i * y**j * z**k for i in range(4) for j in range(4 - i) for k in range(4 - i - j)])
@@ -291,22 +292,22 @@ def of_assets(assets: dict[str, Asset]) -> None:
         assets[other] = Asset(**{**vars(raw), "coefficients": raw.coefficients.astype(other)})
     calls: Calls = {}
     for name, asset in assets.items():
-        folding, holding = (1e3 * preparing(asset, what) for what in ("fold", "hold"))
+        folding, holding = (1e3 * preparing(asset, method) for method in ("fold", "hold"))
         print(f"{name}: folding takes {folding:.1f} ms, holding {holding:.1f} ms")
-        calls |= {f"{name}, {way}": call for way, call in ways(asset).items()}
+        calls |= {f"{name}, {mode}": call for mode, call in modes(asset).items()}
     medians, _ = measured(calls, 51)
-    print(f"{len(raw.valid):,} vertices, {raw.rings}×{raw.sectors} bins, all shown")
+    print(f"{len(raw.valid):,} vertices, {raw.rings}×{raw.sectors} bins, all visible")
     for name, seconds in medians.items():
-        print(f"{name:20}{1e3 * seconds:9.3f} ms{1e9 * seconds / len(raw.valid):9.1f} ns a vertex")
+        print(f"{name:20}{1e3 * seconds:9.3f} ms{1e9 * seconds / len(raw.valid):9.1f} ns per vertex")
 
 
-def preparing(asset: Asset, what: str) -> float:
-    """Seconds of the second time, compiled and with its memory at hand."""
+def preparing(asset: Asset, method: str) -> float:
+    """Seconds of folding or holding the second time, when it is compiled and its memory is allocated."""
     frames = Frames(asset)
     for _ in range(2):
         frames.light(light_for(asset))
         began = CLOCK()
-        if what == "fold":
+        if method == "fold":
             frames.fold()
         else:
             frames.hold(eyes(asset, 1)[0])
@@ -314,7 +315,7 @@ def preparing(asset: Asset, what: str) -> float:
 
 
 def of_light() -> None:
-    """What setting and turning a light take; what leaving out the back of the object saves."""
+    """The times to set and to rotate a light, and of frames with and without back-face culling."""
     asset = random_asset(100_000, 8, 32)
     frames, light = Frames(asset), light_for(asset)
     frames.light(light)
@@ -346,7 +347,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=list(PARTS), nargs="+", default=list(PARTS))
     parser.add_argument("--asset", help="a baked asset instead of random ones")
-    parser.add_argument("--compact", help="the same asset, compact")
+    parser.add_argument("--compact", help="the same asset, compressed")
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
     args = parser.parse_args()
     global CLOCK

@@ -1,11 +1,11 @@
-"""What a lobe buys: KL divergence and variance of the one-sample estimator, by its shape, its axis and their number.
+"""Importance sampling by lobes: KL divergence and one-sample variance by the lobes' shape, axis and number.
 
     python -m tests.bench.importance [MODEL.pt MESH] [--steps N] [--blocks N]
 
-One uniform sky; `variance` is that of one sample relative to the square of its mean, averaged over queries that were
-not learnt from. `CPU s` is the fit alone, `ns` the draw and the density of one direction. All lobes have a uniform
-share of 10 %. The last lines draw from the fitted default and the paper's and evaluate the network there, which must
-find the variance that the bins gave.
+Under a uniform sky, `variance` is that of one sample over the square of its mean, averaged over held-out queries.
+`CPU s` is the time of the fit, `ns` the time to draw one direction and its density. All lobes have a uniform share of
+10 %. The last lines draw from the fitted default and from the paper's module and evaluate the network there; the
+variances must agree with those from the bins.
 """
 
 import argparse
@@ -36,10 +36,10 @@ def cases() -> dict[str, ImportanceSettings]:
     for lobes in (2, 3):
         found[f"{lobes} about the normal, β 2"] = replace(MEASURED, tilted=False, shape=2.0, lobes=lobes)
     for shape in SHAPES:
-        found[f"axis of its own, β {shape:g}"] = replace(MEASURED, shape=shape)
+        found[f"free axis, β {shape:g}"] = replace(MEASURED, shape=shape)
     for lobes in (2, 3):
         for shape in (2.0, 3.0):
-            found[f"{lobes} with axes of their own, β {shape:g}"] = replace(MEASURED, shape=shape, lobes=lobes)
+            found[f"{lobes} with free axes, β {shape:g}"] = replace(MEASURED, shape=shape, lobes=lobes)
     return found
 
 
@@ -55,7 +55,7 @@ def nanoseconds(module: ImportanceModule, held: TargetTensors) -> float:
 
 
 def drawn_variance(module: ImportanceModule, network: NeuralBSSRDF, held: TargetTensors) -> float:
-    """Relative variance of f over density, from draws, the square of the mean from the bins' sums of the network."""
+    """Relative variance of f over the density from draws, with the mean from the network's values in the bins."""
     x, eye, normals = held.positions.numpy(), held.outgoing.numpy(), held.normals.double().numpy()
     lobe = module.lobe(x, eye, normals)
     directions = lobe.draw(np.random.default_rng(2).random((len(x), DRAWS, 3)))
@@ -68,7 +68,7 @@ def drawn_variance(module: ImportanceModule, network: NeuralBSSRDF, held: Target
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("model", nargs="?", default="prt_bake/shipped/spot.pt")
     parser.add_argument("mesh", nargs="?", default="prt_bake/shipped/spot.obj")
     parser.add_argument("--steps", type=int, default=400)
@@ -77,13 +77,13 @@ def main() -> None:
     torch.set_num_threads(1)
     network, mesh = load_model(args.model), read_mesh(args.mesh)
     began = time.process_time()
-    held, taught = gather(network.prepared(), mesh, args.blocks, seed=0)
-    print(f"{len(held) + len(taught)} queries of 2048 directions: {time.process_time() - began:.1f} CPU s")
+    held_out, training = gather(network.prepared(), mesh, args.blocks, seed=0)
+    print(f"{len(held_out) + len(training)} queries of 2048 directions: {time.process_time() - began:.1f} CPU s")
     print(ROW.format("", "KL", "variance", "CPU s", "ns"))
-    uniform = uniform_fitness(held)
+    uniform = uniform_fitness(held_out)
     print(ROW.format("uniform", f"{uniform.divergence:.4f}", f"{uniform.variance:.4f}", "", ""))
     for shape in SHAPES:
-        fits = {sigma: assess_constant(sigma, shape, 0.1, held) for sigma in np.geomspace(0.4, 2.0, 17).round(3)}
+        fits = {sigma: assess_constant(sigma, shape, 0.1, held_out) for sigma in np.geomspace(0.4, 2.0, 17).round(3)}
         best = min(fits, key=lambda sigma: fits[sigma].divergence)
         name = f"constant σ = {best:g}, β {shape:g}"
         print(ROW.format(name, f"{fits[best].divergence:.4f}", f"{fits[best].variance:.4f}", "", ""), flush=True)
@@ -92,15 +92,15 @@ def main() -> None:
         low, high = np.asarray(mesh.bounds)
         module = ImportanceModule(settings, low, float((high - low).max()))
         began = time.process_time()
-        descend(module, taught, args.steps, seed=0)
-        spent, fit = time.process_time() - began, assess(module, held)
+        descend(module, training, args.steps, seed=0)
+        spent, fit = time.process_time() - began, assess(module, held_out)
         fitted[name] = module, fit
-        cost = nanoseconds(module, held)
+        cost = nanoseconds(module, held_out)
         figures = (f"{fit.divergence:.4f}", f"{fit.variance:.4f}", f"{spent:.1f}", f"{cost:.0f}")
         print(ROW.format(name, *figures), flush=True)
-    for name in ("paper: about the normal, β 2", f"axis of its own, β {MEASURED.shape:g}"):
+    for name in ("paper: about the normal, β 2", f"free axis, β {MEASURED.shape:g}"):
         module, fit = fitted[name]
-        print(f"{name}: variance {fit.variance:.4f} by bins, {drawn_variance(module, network, held):.4f} by draws")
+        print(f"{name}: variance {fit.variance:.4f} by bins, {drawn_variance(module, network, held_out):.4f} by draws")
 
 
 if __name__ == "__main__":

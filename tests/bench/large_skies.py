@@ -1,11 +1,11 @@
-"""What large skies take: seconds against those of plain decoding, and the most memory that a command held.
+"""Time and memory of large skies: seconds compared with plain decoding, and the peak memory of commands.
 
     python -m tests.bench.large_skies [--height 8192] [--asset ASSET.h5] [--kinds zip,piz,none]
 
-For each compression and type a sky twice as wide as high is written, with a sun of 10⁵. `decode` is OpenEXR's own
-reading of all of it, `project` the spherical harmonics from the file, `smaller` these with the copy that `shade` shows
-behind the object: in turns in one process, medians of 3, and the ratios of their speeds to decode's. Memory is the peak
-of a fresh process of the command line; `start` is what it takes with a sky of two pixels.
+A sky twice as wide as high, with a sun, is written for each compression and type. `decode` reads it with OpenEXR,
+`project` computes spherical harmonics from the file, and `smaller` also computes the downsampled copy that `shade`
+shows behind the object. They alternate in one process; times are medians of 3, with speeds relative to decode. Memory
+is the peak of a fresh command-line process; `start` is that for a sky of two pixels.
 """
 
 import argparse
@@ -40,7 +40,7 @@ sys.exit(code)
 
 
 def write_sky(path: Path, height: int, kind: str, compression: str) -> None:
-    """A gradient with waves and 2 % of noise, written in one go."""
+    """Write a gradient with waves, 2 % noise and a sun."""
     draw = np.random.default_rng(0)
     v, u = np.linspace(0, 1, height, dtype=np.float32)[:, None], np.linspace(0, 1, 2 * height, dtype=np.float32)
     channels = {}
@@ -53,23 +53,23 @@ def write_sky(path: Path, height: int, kind: str, compression: str) -> None:
 
 
 def seconds(path: Path) -> list[float]:
-    """Decoding, projecting, and projecting with a smaller copy, each the median of REPEATS, in turns."""
-    ways: list[Callable[[], object]] = [
+    """Seconds to decode, to project, and to project with a downsampled copy, each the median of REPEATS."""
+    methods: list[Callable[[], object]] = [
         lambda: OpenEXR.File(str(path), separate_channels=True),
         lambda: environment.project(environment.open_environment(path)),
         lambda: downsampled.shrink(environment.open_environment(path), downsampled.rows_shown(480, 30.0), 2, "y"),
     ]
-    taken = np.zeros((REPEATS, len(ways)))
+    taken = np.zeros((REPEATS, len(methods)))
     for i in range(REPEATS):
-        for j, way in enumerate(ways):
+        for j, method in enumerate(methods):
             began = time.perf_counter()
-            way()
+            method()
             taken[i, j] = time.perf_counter() - began
     return [float(median) for median in np.median(taken, axis=0)]
 
 
 def peak(*words: object) -> float:
-    """Peak resident memory of a command, MB."""
+    """Peak resident memory of a command [MB]."""
     run = subprocess.run(
         [sys.executable, "-c", IN_MEMORY, *map(str, words)], capture_output=True, text=True, check=True
     )
@@ -77,10 +77,10 @@ def peak(*words: object) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--height", type=int, default=8192, help="rows of the sky")
     parser.add_argument("--asset", type=Path, help="asset to shade under it")
-    parser.add_argument("--kinds", default="zip,piz,none", help=f"of {', '.join(COMPRESSIONS)}")
+    parser.add_argument("--kinds", default="zip,piz,none", help=f"compressions: {', '.join(COMPRESSIONS)}")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path, picture = Path(folder) / "sky.exr", Path(folder) / "picture.png"
@@ -88,7 +88,7 @@ def main() -> None:
         shading = ["shade", args.asset, "--light", path, "-o", picture]
         start = peak("light", path), peak(*shading) if args.asset else float("nan")
         print(f"start: light {start[0]:.0f} MB, shade {start[1]:.0f} MB")
-        print("sky         decode s  project s (of its speed)  smaller s (of its speed)  light MB  shade MB")
+        print("sky         decode s  project s (rel. speed)    smaller s (rel. speed)    light MB  shade MB")
         for compression in args.kinds.split(","):
             for kind in ("float16", "float32"):
                 write_sky(path, args.height, kind, compression)

@@ -1,4 +1,4 @@
-"""Mitsuba's paths for one query of Ŝ, many at a time where the variant can, in batches whose spread tells the noise."""
+"""Mitsuba's paths for one query of Ŝ, in batches whose spread gives the variance."""
 
 import tempfile
 import time
@@ -17,7 +17,7 @@ _START = 1e-6 * _LONGEST_SIDE
 
 
 class MitsubaPaths:
-    """A scene under one distant light, asked from points on its surface by one of Mitsuba's variants."""
+    """A scene under a distant light, evaluated at points on its surface by one of Mitsuba's variants."""
 
     def __init__(self, scene: Scene, variant: str) -> None:
         self.variant = variant
@@ -34,23 +34,24 @@ class MitsubaPaths:
     def batch_means(
         self, position: np.ndarray, outgoing: np.ndarray, incident: np.ndarray, paths: int, seed: int
     ) -> tuple[np.ndarray, float]:
-        """Means [BATCHES,3] of `paths` paths each, and the seconds of CPU that all of them took."""
+        """Means [BATCHES,3] of `paths` paths each, and the CPU seconds of all of them."""
         mi.set_variant(self.variant)
         self._point_light(incident)
-        there = (position - self._center) * self._scale
+        start = (position - self._center) * self._scale
         width = BATCHES * paths if self._vectorised else 1
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed, width)
         began = time.process_time()
         if self._vectorised:
-            seen = self._sample(there, outgoing, sampler)
-            sums = [dr.block_reduce(dr.ReduceOp.Add, channel, paths) for channel in (seen.x, seen.y, seen.z)]
+            radiance = self._sample(start, outgoing, sampler)
+            channels = (radiance.x, radiance.y, radiance.z)
+            sums = [dr.block_reduce(dr.ReduceOp.Add, channel, paths) for channel in channels]
             dr.eval(*sums)
             means = np.stack([np.array(channel) for channel in sums], axis=1) / paths
         else:
             means = np.array(
                 [
-                    np.mean([self._sample(there, outgoing, sampler) for _ in range(paths)], axis=0)
+                    np.mean([self._sample(start, outgoing, sampler) for _ in range(paths)], axis=0)
                     for _ in range(BATCHES)
                 ]
             )
@@ -61,13 +62,13 @@ class MitsubaPaths:
         self._parameters["light.to_world"] = frame
         self._parameters.update()
 
-    def _sample(self, there: np.ndarray, outgoing: np.ndarray, sampler: Any) -> Any:
-        """What passes the point from inside: begun just under it, behind an interface with its transmission alone."""
-        origin, towards = _opaque(mi.Point3f, there + 1e-3 * _LONGEST_SIDE * outgoing), _opaque(mi.Vector3f, -outgoing)
+    def _sample(self, start: np.ndarray, outgoing: np.ndarray, sampler: Any) -> Any:
+        """Radiance that leaves the point; the path starts just below it, transmitted if there is an interface."""
+        origin, towards = _opaque(mi.Point3f, start + 1e-3 * _LONGEST_SIDE * outgoing), _opaque(mi.Vector3f, -outgoing)
         medium = self._world.shapes()[0].interior_medium()
         integrator = self._world.integrator()
         hit = self._world.ray_intersect(mi.Ray3f(origin, towards))
-        begin = _opaque(mi.Point3f, there) - _START * hit.n
+        begin = _opaque(mi.Point3f, start) - _START * hit.n
         if self._matched:
             return integrator.sample(
                 self._world, sampler, mi.RayDifferential3f(mi.Ray3f(begin, towards)), medium, True
@@ -80,7 +81,7 @@ class MitsubaPaths:
 
 
 def _opaque(kind: Any, value: np.ndarray) -> Any:
-    """A vector that is no part of the compiled kernel, so that one kernel serves all queries."""
+    """A vector that is not a constant of the compiled kernel, so that all queries share one kernel."""
     if mi.variant().startswith("scalar"):
         return kind(value.tolist())
     return kind(*[dr.opaque(mi.Float, float(number)) for number in value])

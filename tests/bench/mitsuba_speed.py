@@ -1,12 +1,12 @@
-"""What a second of path tracing on one thread buys, beside Mitsuba 3 on the same queries and machine.
+"""Efficiency of path tracing on one thread, compared with Mitsuba 3 on the same queries and machine.
 
     python -m tests.bench.mitsuba_speed [--queries 20] [--seed 1]
 
-Efficiency is 1 / (relative variance · seconds), its geometric mean over queries; those darker than 2 % of the brightest
-are left out for both. Variances are those of the means of 64 independent batches. Every second line is for 64 lights a
-query: one call here, one light after another there. Each scene is given to that variant of Mitsuba which is faster
-there. Its paths are begun by hand just under the surface, which spares it the way there and its offset of some 1e-4, a
-bias in thick matter.
+Efficiency is 1 / (relative variance · seconds), as a geometric mean over queries; queries darker than 2 % of the
+brightest are ignored. Variances are those of the means of 64 independent batches. Every second line has 64 lights per
+query, in one call here and one after another in Mitsuba. Mitsuba runs in its faster variant for each scene. Its paths
+start just below the surface, which saves it the path from the camera and its ray offset of about 1e-4, a bias in dense
+media.
 """
 
 import argparse
@@ -37,9 +37,9 @@ THICK_ALBEDO = 0.999
 
 @dataclass(frozen=True)
 class Case:
-    """A scene whose longest side is 1, how much more efficient than Mitsuba the aim is, and how long Mitsuba runs.
+    """A scene with longest side 1, the required ratio of efficiencies, and the seconds of a run of Mitsuba.
 
-    Its launches are short of lanes at the end of the longest paths, so that thick scenes need long ones.
+    Mitsuba's kernels run with few active lanes at the end of the longest paths, so dense scenes need longer runs.
     """
 
     name: str
@@ -82,7 +82,7 @@ CASES = (
 
 
 def theirs(world: Any, position: np.ndarray, outgoing: np.ndarray, incident: np.ndarray) -> Batches:
-    """Mitsuba for one light [3]."""
+    """Mitsuba with one light [3]."""
 
     def batches(paths: int, seed: int) -> tuple[np.ndarray, float]:
         means, seconds = world.batch_means(position, outgoing, incident, paths, seed)
@@ -93,7 +93,7 @@ def theirs(world: Any, position: np.ndarray, outgoing: np.ndarray, incident: np.
 
 @dataclass(frozen=True)
 class Pair:
-    """One value of Ŝ by both programs, and the cosines of its directions with the face's normal."""
+    """A value of Ŝ by both programs, and the cosines of its directions with the face normal."""
 
     own: Run
     other: Run
@@ -102,28 +102,28 @@ class Pair:
 
 
 def pairs(case: Case, world: Any, scene: Scene, count: int, seed: int, lights: np.ndarray | None) -> list[Pair]:
-    """A light of its own for each query, or `lights` [D,3] of which SAMPLED_DIRECTIONS are looked at."""
+    """Values with a separate light for each query, or with `lights` [D,3], SAMPLED_DIRECTIONS of which are compared."""
     positions, outgoing, normals = queries(scene.mesh, count, seed)
     chosen = [0] if lights is None else np.random.default_rng(seed).permutation(DIRECTIONS)[:SAMPLED_DIRECTIONS]
     found: list[Pair] = []
     own_paths = other_paths = 0
     for n, incident in enumerate(unit_directions(count, seed + 9)):
-        looked_at = incident[None] if lights is None else lights
-        batches = ours(scene, positions[n], outgoing[n], looked_at)
+        directions = incident[None] if lights is None else lights
+        batches = ours(scene, positions[n], outgoing[n], directions)
         own_paths = own_paths or paths_for(batches, OWN_SECONDS)
         own = timed(batches, own_paths, n)
         for d in chosen:
-            batches = theirs(world, positions[n], outgoing[n], looked_at[d])
+            batches = theirs(world, positions[n], outgoing[n], directions[d])
             other_paths = other_paths or paths_for(batches, case.mitsuba_seconds)
             other = timed(batches, other_paths, n)
-            other = Run(other.mean, other.variance, other.seconds * len(looked_at))
+            other = Run(other.mean, other.variance, other.seconds * len(directions))
             one = Run(own.mean[d : d + 1], own.variance[d : d + 1], own.seconds)
-            found.append(Pair(one, other, float(outgoing[n] @ normals[n]), float(looked_at[d] @ normals[n])))
+            found.append(Pair(one, other, float(outgoing[n] @ normals[n]), float(directions[d] @ normals[n])))
     return found
 
 
 def fastest(case: Case, scene: Scene, variants: list[str]) -> Any:
-    """Mitsuba's scene in the variant with the most paths a second, for one query."""
+    """Mitsuba's scene in the variant with the most paths per second for one query."""
     from tests.bench.mitsuba_paths import MitsubaPaths
 
     (position,), (outgoing,), _ = queries(scene.mesh, 1, 0)
@@ -135,7 +135,7 @@ def fastest(case: Case, scene: Scene, variants: list[str]) -> Any:
 
 
 def line(case: Case, several: bool, found: list[Pair]) -> str:
-    """Efficiencies, their ratio and the aim, paths/s and relative variances, all geometric means."""
+    """A line with both efficiencies, their ratio and its bound, paths/s and relative variances, as geometric means."""
     mean = np.array([pair.own.mean[0] for pair in found])
     variance = np.array([[run.variance[0] for run in (pair.own, pair.other)] for pair in found])
     seconds = np.array([[run.seconds for run in (pair.own, pair.other)] for pair in found])
@@ -152,7 +152,7 @@ def line(case: Case, several: bool, found: list[Pair]) -> str:
 
 
 def against_theory(found: list[Pair]) -> str:
-    """Both programs' values over those of a half space, lit and seen from above; the sphere's roundness is in both."""
+    """Both programs' values over those of a half space, lit and viewed from above; both see the sphere's curvature."""
     above = [pair for pair in found if min(pair.outgoing_cosine, pair.incident_cosine) > 0.3]
     cosines = np.array([[pair.outgoing_cosine, pair.incident_cosine] for pair in above])
     theory = reflected(THICK_ALBEDO, *cosines.T)
@@ -181,7 +181,7 @@ def main() -> None:
     drjit.set_thread_count(1)
     print(f"Mitsuba {mitsuba.__version__}; {libraries}; one thread each")
     print(
-        f"{'scene':37}{'lights':>7}{'efficiency':>12}{'Mitsuba':>12}{'ratio':>8}{'bar':>6}{'paths/s':>12}{'Mitsuba':>12}"
+        f"{'scene':37}{'lights':>7}{'efficiency':>12}{'Mitsuba':>12}{'ratio':>8}{'aim':>6}{'paths/s':>12}{'Mitsuba':>12}"
         f"{'variance':>9}{'Mitsuba':>9}  values"
     )
     for case in CASES:

@@ -1,7 +1,7 @@
-"""Which of Mitsuba's CPU variants work here.
+"""Finds Mitsuba's CPU variants that work on this machine.
 
-`llvm_ad_rgb` needs a libLLVM of the system. Some load and then abort the process on a real kernel, so each is tried in
-a process of its own.
+`llvm_ad_rgb` needs a libLLVM of the system. Some versions load and then abort the process on a real kernel, so each is
+tried in a separate process.
 """
 
 import os
@@ -28,7 +28,7 @@ raise SystemExit(0 if 0 < max(seen.x) < 1e4 else 3)
 
 
 def working_variants() -> tuple[list[str], str]:
-    """Set DRJIT_LIBLLVM_PATH as needed; return the variants and a sentence about them."""
+    """Set DRJIT_LIBLLVM_PATH if necessary, and return the variants and a description of the library."""
     tried = []
     for library in _libraries():
         environment = os.environ | ({"DRJIT_LIBLLVM_PATH": library} if library else {})
@@ -37,16 +37,16 @@ def working_variants() -> tuple[list[str], str]:
         )
         if trial.returncode == 0:
             os.environ.update({"DRJIT_LIBLLVM_PATH": library} if library else {})
-            return ["llvm_ad_rgb", "scalar_rgb"], f"libLLVM: {library or 'the one that it finds itself'}"
-        tried.append(library or "the one found by itself")
+            return ["llvm_ad_rgb", "scalar_rgb"], f"libLLVM: {library or 'the one that Mitsuba finds'}"
+        tried.append(library or "the one that Mitsuba finds")
     return ["scalar_rgb"], (
-        f"no libLLVM works (tried {', '.join(tried)}), so that its vectorised variant is missing: install Debian's "
-        "libllvm19, or name one in DRJIT_LIBLLVM_PATH"
+        f"no libLLVM works (tried {', '.join(tried)}), so the vectorised variant is missing: install Debian's "
+        "libllvm19, or set DRJIT_LIBLLVM_PATH"
     )
 
 
 def _libraries() -> list[str]:
-    """What the environment names, then the system's, newest first, then whatever Mitsuba finds by itself."""
+    """The library in the environment, then the system's, newest first, then the one that Mitsuba finds."""
     found = {path.resolve() for folder in _FOLDERS for path in Path(folder).glob("**/libLLVM*.so*")}
     newest = sorted(found, key=lambda path: [-int(n) for n in re.findall(r"\d+", path.name)[:1]] or [0])
     named = os.environ.get("DRJIT_LIBLLVM_PATH")

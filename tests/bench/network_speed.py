@@ -1,13 +1,12 @@
-"""Speed of the network in a bake: evaluations of Ŝ per second and core, and the share of what a matrix product reaches.
+"""Speed of the network in a bake: evaluations of Ŝ per second and core, and its share of a matrix product's speed.
 
     python -m tests.bench.network_speed
     python -m tests.bench.network_speed --device cuda
 
-The product is one of 2048 × 2048 matrices of the same type on the same core (512 × 512 where that would take half a
-minute), by whichever of two operators is faster; on a card one of 8192 × 8192. Off is the relative RMS difference to
-the processor's plain float32 path, of some of the answers.
-Useful are the FLOP of the layers as the settings have them, sines, cosines and padding not counted; done are those that
-are left where layers that do not see ωi are run once for all 64 directions of a bin.
+`product` is the speed of a product of 2048 × 2048 matrices of the same type on the same core (512 × 512 if that would
+take half a minute), by the faster of two operators; on a GPU of 8192 × 8192 matrices. `useful` counts the FLOP of the
+layers as in the settings, without sines, cosines and padding. `done` counts them with layers that do not depend on ωi
+evaluated once for all 64 directions of a bin. `error` is the relative RMS difference from the plain float32 CPU path.
 """
 
 import argparse
@@ -30,13 +29,13 @@ BINS, DIRECTIONS, COPIES = 1024, 64, 256
 VERTICES = {"cpu": 4, "cuda": 64}
 REPEATS = 5
 LONGEST = 30.0
-SMALL, LARGE, ON_A_CARD = 512, 2048, 8192
+SMALL, LARGE, ON_GPU = 512, 2048, 8192
 COMPARED = 32
-"""Bins whose answers are compared."""
+"""Bins whose values are compared."""
 
 
 def best_time(work: Callable[[], object]) -> float:
-    """Seconds of the fastest of some repetitions, of fewer where they take long: processors may emulate bfloat16."""
+    """Seconds of the fastest repetition; slow work is repeated less, since processors may emulate bfloat16."""
     times: list[float] = []
     while len(times) <= REPEATS and sum(times) < LONGEST:
         began = time.perf_counter()
@@ -46,9 +45,9 @@ def best_time(work: Callable[[], object]) -> float:
 
 
 def peak(precision: str, device: str) -> float:
-    """FLOP/s of one large matrix product, which is smaller where a small one takes its time already."""
+    """FLOP/s of a large matrix product, or of a small one if a large one would take too long."""
     if device != "cpu":
-        return product_rate(precision, ON_A_CARD, device)
+        return product_rate(precision, ON_GPU, device)
     rate = product_rate(precision, SMALL)
     return product_rate(precision, LARGE) if 2 * LARGE**3 / rate < LONGEST else rate
 
@@ -56,14 +55,15 @@ def peak(precision: str, device: str) -> float:
 def product_rate(precision: str, side: int, device: str = "cpu") -> float:
     one, other = torch.rand(2, side, side, device=device).to(PRECISIONS[precision])
     none = torch.zeros(side, dtype=one.dtype, device=device)
-    # Cards work on after they were asked: one number of the result is waited for.
-    ways = [lambda: torch.mm(one, other)[0, 0].cpu(), lambda: onednn_linear(one, other, none, "none")]
+    # GPUs work asynchronously: reading one number of the result waits for it.
+    operators = [lambda: torch.mm(one, other)[0, 0].cpu(), lambda: onednn_linear(one, other, none, "none")]
     with torch.inference_mode():
-        return 2 * side**3 / min(best_time(way) for way in (ways if onednn_works(one) else ways[:1]))
+        usable = operators if onednn_works(one) else operators[:1]
+        return 2 * side**3 / min(best_time(operator) for operator in usable)
 
 
-def off(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...]) -> float:
-    """Relative RMS difference of some of a block's answers to the plain float32 path."""
+def difference(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...]) -> float:
+    """Relative RMS difference of some of a block's values from the plain float32 path."""
     incident, rotation, positions, outgoing = block
     some = np.linspace(0, rotation.size - 1, COMPARED).astype(np.int64)
     rotation, eye, x = rotation.reshape(-1)[some], outgoing.reshape(-1, 3)[some], positions[some // BINS]
@@ -74,7 +74,7 @@ def off(network: NeuralBSSRDF, fused: FusedNetwork, block: tuple[Any, ...]) -> f
 
 
 def flop(settings: NetworkSettings) -> tuple[int, float]:
-    """FLOP of one evaluation: all layers; and those done where a bin has so many directions."""
+    """FLOP of one evaluation: of all layers, and of those evaluated for each of DIRECTIONS directions of a bin."""
     shapes = settings.layer_shapes
     useful = 2 * sum(outputs * inputs for outputs, inputs in shapes)
     if not settings.trunk:
@@ -86,7 +86,7 @@ def flop(settings: NetworkSettings) -> tuple[int, float]:
 
 
 def ball(places: int) -> Interior:
-    """The inside of a ball that fills the box, with an interface."""
+    """The interior of a ball that fills the box, with an interface."""
     spacing = 1.1 / (places - 1)
     x, y, z = np.meshgrid(*[np.linspace(-0.55, 0.55, places)] * 3, indexing="ij")
     levels = np.clip((0.5 - np.sqrt(x * x + y * y + z * z)) / (REACH * spacing), -1.0, 1.0)
@@ -106,7 +106,7 @@ def main() -> None:
     rotation = np.random.default_rng(4).integers(0, COPIES, (vertices, BINS))
     evaluations = vertices * BINS * DIRECTIONS
     print(
-        f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}{'off':>9}"
+        f"{'preset':10}{'precision':11}{'evaluations/s':>15}{'product':>9}{'useful':>8}{'share':>7}{'done':>8}{'share':>7}{'error':>9}"
     )
     measured = PRESETS["measured"]
     less = {"no lobes": replace(measured, lobes=0), "no shape": replace(measured, lobes=0, shape_places=0)}
@@ -117,10 +117,8 @@ def main() -> None:
             block = (incident, rotation, positions, outgoing)
             rate = evaluations / best_time(lambda f=fused, b=block: f.evaluate_block(*b))  # type: ignore[misc]
             shares = "".join(f"{rate * work / 1e9:8.0f}{rate * work / top:7.0%}" for work in flop(settings))
-            print(
-                f"{preset:10}{precision:11}{rate:15,.0f}{top / 1e9:9.0f}{shares}{off(network, fused, block):9.1e}",
-                flush=True,
-            )
+            error = difference(network, fused, block)
+            print(f"{preset:10}{precision:11}{rate:15,.0f}{top / 1e9:9.0f}{shares}{error:9.1e}", flush=True)
 
 
 if __name__ == "__main__":

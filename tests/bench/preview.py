@@ -95,9 +95,6 @@ def orbit(preview: Preview, size: tuple[int, int], frames: int, display: bool) -
     return {**figures, "per second": 1e3 / float(middle[3]), "best tenth per second": 1e3 / float(best[3])}
 
 
-
-
-
 def settle(asset: Asset) -> None:
     """Print the time until a sun is shaded separately at all visible vertices."""
     preview = Preview(asset, [LightSource("sun:1,2,3", asset.up, asset.degree)])

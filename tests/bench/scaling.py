@@ -1,9 +1,9 @@
-"""Where the serial part of a bake lies: seconds of each stage on one core, and what many workers would make of it.
+"""The serial part of a bake: seconds of each stage on one core, and the predicted time with many workers.
 
     python -m tests.bench.scaling --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --error 0.01
 
-Blocks, pilot and survey are what workers do; chunks of the asset are packed, and blocks kept in the journal, in threads
-of the process that asked; the rest is serial. Everything is done on one core, which should have nothing else to do.
+Workers do the blocks, the pilot and the survey. Threads of the main process pack the asset's chunks and write blocks to
+the journal. The rest is serial. Everything runs on one core, which should be idle otherwise.
 """
 
 import argparse
@@ -31,7 +31,7 @@ SECONDS: Counter[str] = Counter()
 
 
 class Timed(Threads):
-    """One worker, whose time is kept."""
+    """A single worker whose time is measured."""
 
     def do(self, work: Callable[..., Any], shared: tuple[Any, ...], *own: Any) -> Any:
         with timed(NAMES.get(work.__name__, work.__name__)):
@@ -47,19 +47,19 @@ def timed(stage: str) -> Iterator[None]:
         SECONDS[stage] += time.perf_counter() - began
 
 
-def watched(stage: str, owner: Any, name: str) -> None:
-    """Keeps the time of a function by its stage."""
+def measure(stage: str, owner: Any, name: str) -> None:
+    """Measure the time of a function under the name of its stage."""
     work = getattr(owner, name)
 
-    def watching(*args: Any, **named: Any) -> Any:
+    def measured(*args: Any, **options: Any) -> Any:
         with timed(stage):
-            return work(*args, **named)
+            return work(*args, **options)
 
-    setattr(owner, name, watching)
+    setattr(owner, name, measured)
 
 
 @contextmanager
-def one_worker(*_asked: Any) -> Iterator[Timed]:
+def one_worker(*_settings: Any) -> Iterator[Timed]:
     yield Timed(1)
 
 
@@ -71,31 +71,31 @@ def main() -> None:
     args = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:1])
     prt_bake.baking.bake.open_workers = one_worker
-    watched("what is needed", prt_bake.baking.bake, "choose_pruning")
-    watched("first look", prt_bake.baking.adaptive.run, "first_refinement")
-    watched("aim", prt_bake.baking.adaptive.run, "settings_for_error")
-    watched("packing", formats.asset.chunk_writer, "_packed")
-    watched("journal", Journal, "write")
-    watched("asset written", prt_bake.baking.adaptive.run, "_write")
+    measure("pruning", prt_bake.baking.bake, "choose_pruning")
+    measure("preparing the pilot", prt_bake.baking.adaptive.run, "first_refinement")
+    measure("tolerances", prt_bake.baking.adaptive.run, "settings_for_error")
+    measure("packing", formats.asset.chunk_writer, "_packed")
+    measure("journal", Journal, "write")
+    measure("asset written", prt_bake.baking.adaptive.run, "_write")
     mesh = read_mesh(args.mesh)
     transport = open_source(args.model, mesh, "cpu", None)
-    with tempfile.TemporaryDirectory() as folder, timed("in all"):
-        prt_bake.baking.bake(
+    with tempfile.TemporaryDirectory() as folder, timed("total"):
+        prt_bake.baking.bake.bake(
             transport, mesh, error=args.error, out=Path(folder) / "a.h5", leave_out=prt_bake.baking.bake.ITEMS
         )
-    whole = SECONDS.pop("in all")
-    for stage, part in (("first look", "survey"), ("aim", "pilot"), ("asset written", "packing")):
+    total = SECONDS.pop("total")
+    for stage, part in (("preparing the pilot", "survey"), ("tolerances", "pilot"), ("asset written", "packing")):
         SECONDS[stage] -= SECONDS[part]
-    SECONDS["the rest"] = whole - SECONDS.total()
+    SECONDS["other"] = total - SECONDS.total()
     shared = sum(SECONDS[stage] for stage in (*NAMES.values(), *IN_THREADS))
     print("| stage | seconds on one core | done by |\n|---|---|---|")
     for stage, seconds in SECONDS.most_common():
         by = "workers" if stage in NAMES.values() else "threads" if stage in IN_THREADS else "serial"
         print(f"| {stage} | {seconds:.2f} | {by} |")
-    print(f"| in all | {whole:.2f} | |\n\n| workers | seconds | of that, serial |\n|---|---|---|")
+    print(f"| total | {total:.2f} | |\n\n| workers | seconds | serial share |\n|---|---|---|")
     for workers in WORKERS:
-        together = whole - shared + shared / workers
-        print(f"| {workers} | {together:.1f} | {(whole - shared) / together:.0%} |")
+        predicted = total - shared + shared / workers
+        print(f"| {workers} | {predicted:.1f} | {(total - shared) / predicted:.0%} |")
 
 
 if __name__ == "__main__":

@@ -1,9 +1,9 @@
-"""Training behind a smooth interface (from walks' exits) against slightly rough ones (from exits, and from values).
+"""Training behind a smooth interface (from exits) compared with slightly rough ones (from exits and from values).
 
     python -m tests.bench.smooth_training [--steps 1000] [--scene SCENE.toml] [--eta 1.4] [--seeds 2]
 
-The shipped scene with its interface exchanged, equal steps in turns. Prints the relative RMSE of a_lm on fresh queries
-(the reference's noise taken out), mean and half the range over the seeds; the walks; and CPU seconds.
+The shipped scene with other interfaces, in synchronous runs of equal steps. Prints the relative RMSE of a_lm on fresh
+queries, corrected for the reference's noise, as mean and half the range over the seeds; the walks; and CPU seconds.
 """
 
 import argparse
@@ -39,10 +39,10 @@ def with_interface(source: Path, folder: Path, eta: float, alpha: float) -> Scen
 
 
 def learn(scene: Scene, stream: StreamSettings, steps: int, seed: int) -> tuple[float, int, float]:
-    """Error of a_lm, walks, and CPU seconds of walking and learning."""
+    """Error of a_lm, walks, and CPU seconds of path tracing and learning."""
     begun, ended = time.process_time(), 0.0
 
-    def follow(row: TrainingProgress) -> None:
+    def follow(_report: TrainingProgress) -> None:
         nonlocal ended
         ended = time.process_time()
 

@@ -3,12 +3,12 @@
     python -m tests.bench.suns REFERENCES SCENE.toml MODEL.pt ASSET.h5 [--lights behind front ...] [--spp 512]
 
 The reference of each light is a path-traced picture of the scene, 96x96, read from `REFERENCES/scene.light.exr` or
-rendered if missing; the sum of `sky` and of a sun of 1e5 over 0.53 degrees is `sky+sun`. Figures are over the object, at
-an exposure that maps the 95th percentile of the reference to white: FLIP, MSE, relative MSE, and the share of clamped
-light. Methods: `plain` (all light in spherical harmonics), `clamp` (sun and sky each clamped at 0), `window` (the sun's
-coefficients damped until they are nowhere negative), `window all` (the same for all light), `vertex window` (the same for
-each vertex's transport), `entropy` (maximum-entropy reconstruction), and `network`, evaluated in the sun's direction at
-the vertices, whose error no method can remove.
+rendered if missing; the sum of `sky` and of a sun of 1e5 over 0.53 degrees is `sky+sun`. Figures are over the object,
+at an exposure that maps the 95th percentile of the reference to white: FLIP, MSE, relative MSE, and the share of
+clamped light. Methods: `plain` (all light in spherical harmonics), `clamp` (sun and sky each clamped at 0), `window`
+(the sun's coefficients damped until they are nowhere negative), `window all` (the same for all light), `vertex window`
+(the same for each vertex's transport), `entropy` (maximum-entropy reconstruction), and `network`, evaluated in the
+sun's direction at the vertices, whose error no method can remove.
 """
 
 import argparse

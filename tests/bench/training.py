@@ -2,9 +2,9 @@
 
     python -m tests.bench.training [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
 
-Prints the relative RMSE of Ŝ and of a_lm on fresh queries, and of a_lm over vertices as in a bake, all corrected for the
-reference's noise; the walks, the steps, and the size of the model file. `--only` selects variants whose names contain
-one of the words. The paper's network is one of the variants.
+Prints the relative RMSE of Ŝ and of a_lm on fresh queries, and of a_lm over vertices as in a bake, all corrected for
+the reference's noise; the walks, the steps, and the size of the model file. `--only` selects variants whose names
+contain one of the words. The paper's network is one of the variants.
 
 `train` removes inputs that are useless for a scene: variants of lobes and of the refracted ray differ from the default
 only on clear objects.

@@ -2,8 +2,8 @@
 
     python -m tests.bench.walk_cost [--queries 5]
 
-Measures Ŝ of a sphere of diameter 1 with an index-matched boundary, lit from the visible side. `seconds` is the CPU time
-to an error of 1 % and `paths/s` the rate of a query, both geometric means over queries. `events` is the number of
+Measures Ŝ of a sphere of diameter 1 with an index-matched boundary, lit from the visible side. `seconds` is the CPU
+time to an error of 1 % and `paths/s` the rate of a query, both geometric means over queries. `events` is the number of
 scatterings per path: if dense voxels scatter it grows with the contrast, whatever the tracking method; if they absorb
 (albedo 0) the remaining time is that of tracking through them.
 """

@@ -14,8 +14,6 @@ from tests.tracer.scenes import make_scene, queries, sphere, unit_directions
 
 def main() -> None:
     """Run every kernel on one small scene."""
-    # A compiler's many objects live as long as it does: going through them finds no garbage, and takes its time.
-    gc.disable()
     with tempfile.TemporaryDirectory() as folder:
         scene = make_scene(Path(folder), sphere(1), eta=1.3, roughness=0.4)
     positions, outgoing, _ = queries(scene.mesh, 2, 1)
@@ -26,4 +24,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    # A compiler's many objects live as long as it does: going through them finds no garbage, and takes its time.
+    gc.disable()
     main()

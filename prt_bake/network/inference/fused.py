@@ -130,10 +130,9 @@ class FusedNetwork:
     ) -> None:
         """As `_fill`, for late networks; pair_inputs are outgoing directions [N·B,3] and frames [N·B,·,3]."""
         layers, _rotations, directions, width = light.table.shape
-        tile, pad, count = max(1, self._rows // directions), torch.nn.functional.pad, len(chosen)
+        tile, count = max(1, self._rows // directions), len(chosen)
         terms = torch.zeros((layers, tile, directions, width), dtype=self._dtype, device=self._device)
-        chosen = pad(chosen, (0, tile))
-        eye, frame = (pad(part, (0, 0) * (part.dim() - 1) + (0, tile)) for part in pair_inputs)
+        chosen, eye, frame = (_padded(part, tile) for part in (chosen, *pair_inputs))
         bins_per_batch = tile * max(1, self._rows // tile)
         for begin in range(0, count, bins_per_batch):
             batch = view[begin : begin + bins_per_batch]
@@ -303,8 +302,12 @@ def table_bounds(light: NDArray[Any], max_rows: int) -> Iterator[tuple[int, int]
 def _concatenated(parts: Sequence[Iterable[Tensor]], padding: int) -> Iterator[Tensor]:
     """The tensors [N,...] of tuples, concatenated, and `padding` rows of zeros at the end."""
     for tensors in zip(*parts, strict=True):
-        joined = torch.cat(tensors)
-        yield torch.nn.functional.pad(joined, (0, 0) * (joined.dim() - 1) + (0, padding))
+        yield _padded(torch.cat(tensors), padding)
+
+
+def _padded(rows: Tensor, padding: int) -> Tensor:
+    """[N,...] and `padding` rows of zeros; torch 2.6 cannot `pad` rows without columns."""
+    return torch.cat((rows, rows.new_zeros((padding, *rows.shape[1:]))))
 
 
 def _rows(parts: Iterable[Tensor], first: int, count: int) -> Iterator[Tensor]:

@@ -1,4 +1,4 @@
-"""What a pilot makes of its trials, and how much a bake spends on checks."""
+"""Choice of tolerances from the trials of a pilot, and the cost of validation."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from formats.errors import QueryError
-from prt_bake.baking.adaptive import tolerances as pilots
+from prt_bake.baking.adaptive import trials
 from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, PassSettings, refined_block, uncalibrated
 from prt_bake.baking.adaptive.pilot import MOST_VALIDATION_BINS, AdaptiveJob, fewest_validation_bins, first_refinement
 from prt_bake.baking.adaptive.tolerances import VALIDATION_BINS_PER_VERTEX, VALIDATION_COST, settings_for_error
@@ -28,12 +28,12 @@ def job_of(transport: object, rings: int = 16, sectors: int = 64) -> AdaptiveJob
 
 
 def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch, first: float = 1000.0) -> list[RefinementSettings]:
-    """Trials come to these errors, each cheaper than the one before, the first so many evaluations; what was tried is
-    in the list.
+    """Replaces trials by ones with these errors and decreasing costs, `first` evaluations at first. Returns the list to
+    which their settings are appended.
     """
     tried: list[RefinementSettings] = []
 
-    def trial(_pilot: Pilot, how: RefinementSettings, _error: float, _checks: float) -> tuple[PassSettings, Tally]:
+    def trial(_pilot: Pilot, how: RefinementSettings, _error: float, _bins: float) -> tuple[PassSettings, Tally]:
         tried.append(how)
         tally = Tally(1)
         tally.variance[:], tally.done[:] = errors[len(tried) - 1], True
@@ -41,7 +41,7 @@ def scripted(errors: list[float], monkeypatch: pytest.MonkeyPatch, first: float 
         settings = replace(uncalibrated(how, ERROR), error=errors[len(tried) - 1])
         return replace(settings, evaluations_per_vertex=per_vertex, evaluations_per_validation_bin=per_vertex), tally
 
-    monkeypatch.setattr(pilots, "_trial", trial)
+    monkeypatch.setattr(trials, "trial", trial)
     return tried
 
 
@@ -51,27 +51,27 @@ def refinement() -> RefinementSettings:
 
 
 @pytest.mark.parametrize(
-    ("errors", "best", "trials"),
+    ("errors", "best", "count"),
     [
         ([0.0085], 0, 1),
         ([0.004, 0.0085], 1, 2),
-        # The same twice: nothing is cheaper.
+        # Two equal trials: nothing is cheaper.
         ([0.004, 0.004], 1, 2),
-        # The last is far off, and an earlier one was good enough.
+        # The last trial is far off, and an earlier one was good enough.
         ([0.0115, 0.012, 0.013, 0.011, 0.012, 0.014, 0.013, 0.03], 3, 8),
         ([0.02, 0.0099], 1, 2),
     ],
 )
-def test_the_best_of_the_trials_is_kept(
-    errors: list[float], best: int, trials: int, refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
+def test_the_best_trial_is_used(
+    errors: list[float], best: int, count: int, refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted(errors, monkeypatch)
-    settings = pilots._calibrated(Pilot(job_of(Lobed())), refinement, ERROR, [])
-    assert len(tried) == trials
+    settings = trials.calibrated(Pilot(job_of(Lobed())), refinement, ERROR, [])
+    assert len(tried) == count
     assert settings.error == errors[best]
 
 
-def test_trials_that_are_all_far_off_are_out_of_reach(
+def test_an_error_is_out_of_reach_if_all_trials_are_far_off(
     refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted([0.05, 0.04, 0.03, 0.025, 0.022, 0.02, 0.02, 0.02] * 6, monkeypatch)
@@ -80,39 +80,39 @@ def test_trials_that_are_all_far_off_are_out_of_reach(
     assert tried[-1].initial_sizes == len(refinement.lattice.sizes)
 
 
-def test_trials_that_are_all_far_off_make_way_for_more_directions(
+def test_trials_start_with_more_directions_if_all_are_far_off(
     refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing of what they told is kept: it led nowhere."""
-    tried = scripted([0.05] * pilots.MOST_PILOTS + [0.0085] * 2, monkeypatch)
-    settings = pilots._calibrated(Pilot(job_of(Lobed())), refinement, ERROR, [])
+    """The new trials ignore what the earlier ones measured."""
+    tried = scripted([0.05] * trials.MOST_TRIALS + [0.0085] * 2, monkeypatch)
+    settings = trials.calibrated(Pilot(job_of(Lobed())), refinement, ERROR, [])
     assert settings.error == 0.0085
-    assert [how.initial_sizes - tried[0].initial_sizes for how in tried] == [0] * pilots.MOST_PILOTS + [2]
+    assert [how.initial_sizes - tried[0].initial_sizes for how in tried] == [0] * trials.MOST_TRIALS + [2]
     assert tried[-1].pool_noise == tried[0].pool_noise
     assert tried[-1].light_tolerance == tried[0].light_tolerance
 
 
-def test_errors_that_are_too_small_loosen_what_is_tolerated(
+def test_tolerances_increase_if_errors_are_too_small(
     refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried = scripted([0.002, 0.003, 0.0085], monkeypatch)
-    pilots._calibrated(Pilot(job_of(Lobed())), refinement, ERROR, [])
+    trials.calibrated(Pilot(job_of(Lobed())), refinement, ERROR, [])
     assert tried[0].light_tolerance < tried[1].light_tolerance < tried[2].light_tolerance
 
 
-@pytest.mark.parametrize(("bin_takes", "trials"), [(11.0, 1), (30.0, 2)])
-def test_learned_light_that_is_dear_for_being_too_exact_is_loosened(
-    bin_takes: float, trials: int, refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("per_bin", "count"), [(11.0, 1), (30.0, 2)])
+def test_expensive_and_too_exact_learned_light_gets_larger_tolerances(
+    per_bin: float, count: int, refinement: RefinementSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it is cheap as it is, no more is tried."""
+    """Cheap learned light is accepted at once."""
     job, learned = job_of(Lobed()), replace(refinement, lattices="learned")
-    tried = scripted([0.002, 0.0085, 0.0085], monkeypatch, first=bin_takes * job.bins)
-    assert pilots._calibrated(Pilot(job), learned, ERROR, []).error == [0.002, 0.0085][trials - 1]
-    assert [how.light_tolerance > tried[0].light_tolerance for how in tried] == [False, True][:trials]
+    tried = scripted([0.002, 0.0085, 0.0085], monkeypatch, first=per_bin * job.bins)
+    assert trials.calibrated(Pilot(job), learned, ERROR, []).error == [0.002, 0.0085][count - 1]
+    assert [how.light_tolerance > tried[0].light_tolerance for how in tried] == [False, True][:count]
 
 
 @pytest.mark.parametrize("transport", [Lobed(), Incoherent()])
-def test_checks_are_as_many_as_cost_little(transport: object) -> None:
+def test_validation_costs_a_small_share(transport: object) -> None:
     job = job_of(transport)
     settings = settings_for_error(Pilot(job), first_refinement(job)[0], ERROR)
     share = settings.refinement.validation_bins(job.vertices).mean()
@@ -122,7 +122,7 @@ def test_checks_are_as_many_as_cost_little(transport: object) -> None:
     assert settings.refinement.validation_noise <= 1.0001 * VALIDATION_NOISE * ERROR
 
 
-def test_checks_that_are_dearer_than_all_the_rest_are_a_few_of_each_vertex() -> None:
+def test_expensive_validation_uses_a_few_bins_of_each_vertex() -> None:
     job = job_of(Shadowed())
     settings = settings_for_error(Pilot(job), first_refinement(job)[0], ERROR)
     many = settings.refinement.validation_bins(job.vertices).sum()
@@ -133,45 +133,45 @@ def test_checks_that_are_dearer_than_all_the_rest_are_a_few_of_each_vertex() -> 
 @pytest.mark.parametrize(
     ("transport", "rings", "sectors", "lattices"),
     [
-        # Alike from all views: what is foretold of a bin is right, and only that is held against it.
+        # Equal from all views: interpolation between views is exact.
         (Edged(), 4, 32, "shared"),
-        # A lobe that moves with the view: hardly anything is gained, and what is missed is missed at all bins.
+        # A lobe that moves with the view: a shared lattice saves little, and misses detail at all bins together.
         (Lobed(), 4, 32, "own"),
-        # Of many bins few are evaluated.
+        # Few of many bins are evaluated.
         (Lobed(), 16, 64, "own"),
     ],
 )
-def test_bins_share_a_lattice_where_that_pays(transport: object, rings: int, sectors: int, lattices: str) -> None:
+def test_bins_share_a_lattice_if_that_is_cheaper(transport: object, rings: int, sectors: int, lattices: str) -> None:
     job = job_of(transport, rings, sectors)
     assert settings_for_error(Pilot(job), first_refinement(job)[0], ERROR).refinement.lattices == lattices
 
 
-def test_a_pilot_of_few_bins_holds_as_many_against_others_as_is_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a larger object, of which the same pilot is a smaller part, it holds more."""
+def test_a_pilot_of_few_bins_validates_as_many_as_are_cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pilot of a larger object validates more bins, because they are a smaller share of the cost."""
     tried: list[tuple[RefinementSettings, int]] = []
-    trial = pilots._trial
+    original = trials.trial
 
-    def counting(pilot: Pilot, how: RefinementSettings, error: float, checks: float) -> tuple[PassSettings, Tally]:
-        settings, tally = trial(pilot, how, error, checks)
+    def counting(pilot: Pilot, how: RefinementSettings, error: float, bins: float) -> tuple[PassSettings, Tally]:
+        settings, tally = original(pilot, how, error, bins)
         tried.append((how, tally.validated_bins))
         return settings, tally
 
-    monkeypatch.setattr(pilots, "_trial", counting)
+    monkeypatch.setattr(trials, "trial", counting)
     for mesh, many in ((MESH, 128), (icosphere(4), 640)):
         tried.clear()
         vertices = np.arange(len(mesh.positions))
         job = AdaptiveJob(Lobed(), mesh, vertices, views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
         first, _spent = first_refinement(job)
-        pilots._calibrated(Pilot(job), replace(first.with_full_levels(0.1, 0.2), lattices="own"), 0.1, [])
-        assert tried[-1][1] == pytest.approx(min(many, len(pilots.pilot_vertices(job)) * 32), rel=0.2)
-        # What was said by fewer is not believed: the same is tried again.
+        trials.calibrated(Pilot(job), replace(first.with_full_levels(0.1, 0.2), lattices="own"), 0.1, [])
+        assert tried[-1][1] == pytest.approx(min(many, len(trials.pilot_vertices(job)) * 32), rel=0.2)
+        # The first trial had too few validation bins, and is repeated.
         assert (len(tried) > 1 and tried[0][0].light_tolerance == tried[1][0].light_tolerance) == (many > 128)
 
 
 @pytest.mark.parametrize(
     ("lattices", "least", "most"), [("own", 0.0, 0.01), ("shared", 0.3, 1.0), ("learned", 0.6, 1.0)]
 )
-def test_what_bins_have_in_common_is_the_lattice_that_they_share(lattices: str, least: float, most: float) -> None:
+def test_bins_that_share_a_lattice_have_correlated_errors(lattices: str, least: float, most: float) -> None:
     job = job_of(Edged(), 4, 16)
     how = replace(uncalibrated(first_refinement(job)[0], 0.05).refinement, lattices=lattices)
     refined: RefinedBlock = refined_block(job, how, job.vertices[:4])[0]
