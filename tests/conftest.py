@@ -23,7 +23,7 @@ COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """With several test processes, one more compiles the path tracer's kernels; the others wait only where they need one."""
+    """With several test processes, one more compiles the path tracer's kernels; others wait only for those."""
     # Shells start background processes with Ctrl-C ignored, but some tests send it to themselves.
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):

@@ -67,7 +67,7 @@ def layout_faults(file: Any) -> Iterator[str]:
         return
     version = str(file.attrs.get("format_version", "missing"))
     if version.split(".")[0] != "1":
-        yield f"has format_version {version}; this program reads 1.x, use a newer one"
+        yield f"has format_version {version}; this program reads 1.x; use a newer version of prtbake"
         return
     missing = list(_missing_attributes(file))
     yield from missing

@@ -100,8 +100,8 @@ def write_image(
     >>> image = np.full((2, 2, 3), 0.5)
     >>> prt.write_image("picture.exr", image, layers={"error": 0.1 * image}, attributes={"camera": "front"})
     >>> prt.write_image("picture.png", image, exposure=1.0)
-    >>> prt.read_image("picture.png").max()
-    np.float32(1.0)
+    >>> float(prt.read_image("picture.png").max())
+    1.0
     """
     suffix = _suffix(path, "written", _WRITABLE)
     shape = np.shape(image)
@@ -111,10 +111,10 @@ def write_image(
         if np.shape(pixels) not in (shape, shape[:2]):
             expected = f"{list(shape)} or {list(shape[:2])}"
             raise ImageError(f"{path}: layer {name}: expected shape {expected}, found {list(np.shape(pixels))}")
-    if alpha is not None and (suffix == ".hdr" or np.shape(alpha) != shape[:2]):
-        raise ImageError(
-            f"{path}: alpha: expected shape {list(shape[:2])} and an .exr or .png, found {list(np.shape(alpha))}"
-        )
+    if alpha is not None and suffix == ".hdr":
+        raise ImageError(f"{path}: alpha: an .hdr cannot store it; write .exr or .png, or leave it out")
+    if alpha is not None and np.shape(alpha) != shape[:2]:
+        raise ImageError(f"{path}: alpha: expected shape {list(shape[:2])}, found {list(np.shape(alpha))}")
     if suffix == ".png" and np.isnan(image).any():
         row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
         raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to keep them")

@@ -137,7 +137,7 @@ def _layout_faults(file: Any) -> Iterator[str]:
         return
     version = _text(file, "format_version")
     if version.split(".")[0] != "1":
-        yield f"has format_version {version}; this program reads 1.x, use a newer one"
+        yield f"has format_version {version}; this program reads 1.x; use a newer version of prtbake"
         return
     for name in _COUNTS:
         value = np.asarray(file.attrs.get(name, "missing"))

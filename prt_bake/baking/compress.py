@@ -174,9 +174,15 @@ def unpacked(asset: Asset) -> Asset:
     """The asset with its coefficients as a float32 array; itself if it is not compact.
 
     Example:
-        >>> import prt_bake as prt
-        >>> prt.unpacked(prt.compress(asset, error=0.01)).coefficients.dtype  # doctest: +SKIP
-        dtype('float32')
+        >>> import numpy as np, prt_bake as prt, trimesh
+        >>> class White:
+        ...     def evaluate(self, incident, positions, outgoing):
+        ...         return np.ones((*incident.shape[:-1], 3))
+        >>> sphere = trimesh.creation.icosphere(subdivisions=0)
+        >>> mesh = prt.Mesh(sphere.vertices, sphere.faces.astype(np.int32), sphere.vertex_normals)
+        >>> asset = prt.bake(White(), mesh, degree=1, rings=1, sectors=4)
+        >>> prt.unpacked(prt.compress(asset, error=0.01)).coefficients.shape
+        (12, 4, 4, 3)
     """
     if not isinstance(asset.coefficients, CompactCoefficients):
         return asset
@@ -228,10 +234,10 @@ def _trials(
     share = int(np.count_nonzero(asset.valid)) / len(sample)
     trials: list[Trial] = []
     table: list[Tried] = []
-    for form in candidate_bases(sample, asset.rings, asset.sectors, allowed):
-        report(0.1 + 0.1 * len(table), f"trying {form.name}")
+    for bases in candidate_bases(sample, asset.rings, asset.sectors, allowed):
+        report(0.1 + 0.1 * len(table), f"trying {bases.name}")
         began = time.monotonic()
-        trial = tried_bases(form, sample, allowed, kind_for(error))
+        trial = tried_bases(bases, sample, allowed, kind_for(error))
         if trial is None:
             continue
         trials.append(trial)
@@ -287,17 +293,17 @@ def _untransformed(asset: Asset, error: float) -> Trial:
         rows = np.arange(first, min(first + AT_ONCE, len(asset.valid)))
         squares += float(np.square(_read(asset, rows), dtype=np.float64).sum())
         count += float(asset.valid[rows].sum()) * bins * terms * channels
-    form = identity_bases(rings, sectors, terms, channels)
+    bases = identity_bases(rings, sectors, terms, channels)
     channel, view = (part.ravel() for part in np.mgrid[: terms * channels, :bins])
-    return Trial(form, view, channel, error * math.sqrt(2.0 * squares / count) or 1.0, 0.0, 0, 0)
+    return Trial(bases, view, channel, error * math.sqrt(2.0 * squares / count) or 1.0, 0.0, 0, 0)
 
 
 def _encoded(asset: Asset, trial: Trial, step: float, error: float, report: Callable[[float], None]) -> Encoded:
     kind = kind_for(error)
-    form = trial.bases
-    analysis = form.analysis(kind)
+    bases = trial.bases
+    analysis = bases.analysis(kind)
     at = trial.view_component, trial.channel_component
-    views, channels = form.views.matrix.T.astype(kind), form.channels.reshape(len(form.channels), -1).astype(kind)
+    views, channels = bases.views.matrix.T.astype(kind), bases.channels.reshape(len(bases.channels), -1).astype(kind)
     vertices, (terms, colours) = len(asset.valid), asset.coefficients.shape[2:]
     parts, lost, original = [], np.zeros(vertices), np.zeros(vertices)
     covariance, of_channels = np.zeros((vertices, pairs(terms))), np.zeros((vertices, colours))
@@ -307,7 +313,7 @@ def _encoded(asset: Asset, trial: Trial, step: float, error: float, report: Call
             parts.append(to_sparse(np.zeros((1, len(rows)), np.int32)))
             continue
         block = _read(asset, rows)
-        numbers = form.components(block, analysis)
+        numbers = bases.components(block, analysis)
         codes = quantised(numbers[:, at[0], at[1]].T.astype(np.float64), step)
         parts.append(to_sparse(codes))
         numbers[:] = 0.0

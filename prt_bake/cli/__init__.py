@@ -1,4 +1,4 @@
-"""The command line: one module a command. `shared` holds what commands have in common, `reports` the reports.
+"""The command line, one module per command. `shared` holds common options, `reports` the commands that report.
 
-May import: everything. Heavy imports happen inside the commands. Begin with `main.py`.
+May import: every room. Heavy libraries are imported inside the commands, so that `--help` is fast. Start at `main.py`.
 """

@@ -1,4 +1,4 @@
-"""`python -m prt_bake.cli`: the same as `prtbake`."""
+"""`python -m prt_bake.cli` is the same as `prtbake`."""
 
 from prt_bake.cli.main import run
 

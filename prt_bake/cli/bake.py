@@ -1,4 +1,4 @@
-"""`prtbake bake`: from a model or a scene, and a mesh, to an asset."""
+"""`prtbake bake`: bakes a model or a scene into an asset."""
 
 import json
 import math
@@ -19,20 +19,20 @@ from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 def bake(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Its vertices are baked.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh whose vertices are baked.")],
     output: Annotated[Path | None, output_option("ASSET.h5", ".h5", ".hdf5")] = None,
-    rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins over the cosine to the normal.")] = 16,
+    rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins along the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
-    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree of the harmonics.")] = 2,
+    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest SH degree l.")] = 2,
     directions: Annotated[
-        Literal["fibonacci", "sobol", "uniform"], typer.Option(help="How incident directions are placed.")
+        Literal["fibonacci", "sobol", "uniform"], typer.Option(help="Point set of the light directions.")
     ] = "fibonacci",
-    samples: Annotated[int, typer.Option(min=1, help="Directions a view bin; walks, for a scene.")] = 64,
+    samples: Annotated[int, typer.Option(min=1, help="Light directions per view bin; for a scene, paths.")] = 64,
     error: Annotated[
         float | None,
         typer.Option(
             callback=within(0.0, 1.0),
-            help="Relative RMSE to reach, of the object and of most vertices.",
+            help="Adaptive bake: relative RMSE to reach, of the object and of 95 % of its vertices.",
             show_default=False,
         ),
     ] = None,
@@ -40,72 +40,70 @@ def bake(
         float | None,
         typer.Option(
             callback=within(0.0, math.inf),
-            help="Make it finer for that long, coarse to fine, if --error is not reached before; inf: until Ctrl-C.",
+            help="Time budget: refines from coarse to fine until then or until --error is reached; inf: until Ctrl-C.",
             show_default=False,
         ),
     ] = None,
     seed: Seed = 0,
     device: Device = "cpu",
     precision: Annotated[
-        Literal["float32", "bfloat16"], typer.Option(help="Of the network's matrix work.")
+        Literal["float32", "bfloat16"], typer.Option(help="Number type of the network's matrix products.")
     ] = "float32",
     storage: Annotated[
-        Literal["float16", "float32"], typer.Option(help="Of the coefficients in the file.")
+        Literal["float16", "float32"], typer.Option(help="Number type of the coefficients in the file.")
     ] = "float16",
     workers: Annotated[
         int | None,
-        typer.Option(min=1, max=1024, help="Threads; 1, or every core for the walks of a scene.", show_default=False),
+        typer.Option(min=1, max=1024, help="Threads; by default 1, or every core for a scene.", show_default=False),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             metavar="ADDRESS",
-            help="Of a dask.distributed scheduler, such as tcp://host:8786, whose workers bake.",
+            help="dask.distributed scheduler whose workers bake, such as tcp://host:8786.",
             show_default=False,
         ),
     ] = None,
     convention: Annotated[
         str | None,
-        typer.Option(help="How the 7 inputs of a TorchScript SOURCE are meant.", show_default=False),
+        typer.Option(
+            help="The 7 inputs of a TorchScript SOURCE, such as 'incident, position, outgoing; angles=unit'.",
+            show_default=False,
+        ),
     ] = None,
     dry_run: Annotated[
         bool,
         typer.Option(
             "--dry-run",
-            help="Print size, time and what would be left out and why, and stop; JSON where it is piped.",
+            help="Print size, time and pruning of the bake without baking; JSON when piped.",
         ),
     ] = False,
     keep: Annotated[
         list[str] | None,
         typer.Option(
             metavar="ITEM",
-            help="unseen, duplicates, views, bands, channels or all: not left out even where the scene does not need "
-            "it; can be given again.",
+            help="Do not prune: unseen, duplicates, views, bands, channels or all. Can be repeated.",
             show_default=False,
         ),
     ] = None,
     for_light: Annotated[
         Path | None,
-        typer.Option(
-            metavar="SKY", help="The only light that the asset is for; it holds radiance then.", show_default=False
-        ),
+        typer.Option(metavar="SKY", help="Bake radiance under this sky alone; cannot be relit.", show_default=False),
     ] = None,
     for_eye: OnlyEye = None,
     resume: Annotated[
         bool,
-        typer.Option(
-            "--resume", help="Go on with the same bake, stopped or killed, from the blocks kept beside the asset."
-        ),
+        typer.Option("--resume", help="Resume the same bake, stopped or killed, from the checkpoint beside the asset."),
     ] = False,
     report: ReportFile = None,
 ) -> None:
     """Bake a model or a scene on a mesh into an asset.
 
-    At every vertex and view bin the transport is projected on spherical harmonics. Ctrl-C stops the bake and keeps what
-    is done as a valid asset that says so.
+    Projects the transport at every vertex and view bin on spherical harmonics. Ctrl-C stops the bake; the vertices
+    finished so far are written as a valid partial asset.
     """
     if output is None and not dry_run:
-        raise typer.BadParameter("Missing option '--output' / '-o'; --dry-run alone does without.")
+        raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
     from bakers.transport import transport_property
     from formats.journal import journal_folder
     from formats.json_report import write_report
@@ -117,11 +115,11 @@ def bake(
     surface = read_mesh(mesh)
     transport = open_source(source, surface, device, convention)
     if workers is None:
-        walks = source.suffix.lower() == ".toml" and scheduler is None
-        workers = (os.cpu_count() or 1) if walks else 1
+        path_traced = source.suffix.lower() == ".toml" and scheduler is None
+        workers = (os.cpu_count() or 1) if path_traced else 1
     sampling = (degree, rings, sectors, directions, samples)
-    needed: Any = {
-        "leave_out": _but(keep or [], baking.ITEMS),
+    pruning: Any = {
+        "leave_out": _prunable_except(keep or [], baking.ITEMS),
         "for_light": None if for_light is None else _light(for_light, degree, transport_property(transport, "up", "y")),
         "for_eye": for_eye,
     }
@@ -136,14 +134,14 @@ def bake(
             storage=storage,
             workers=workers,
             device=device,
-            **needed,
+            **pruning,
         )
         print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else json.dumps(plan.as_json(), indent=2))
         return
     assert output is not None
     if resume and not (journal := journal_folder(output)).is_dir():
-        say(f"{journal}: there is nothing to go on from; the bake begins at its beginning")
-    with reporting("bake", "looking at a few vertices first") as show, stopping() as stop:
+        say(f"{journal}: there is no checkpoint to resume from; the bake starts from the beginning")
+    with reporting("bake", "pilot on a few vertices") as show, stopping() as stop:
         asset = baking.bake(
             transport,
             surface,
@@ -160,7 +158,7 @@ def bake(
             progress=bake_progress(show),
             stop=stop,
             resume=resume,
-            **needed,
+            **pruning,
             provenance={"command": context.obj, "mesh": mesh.name, **origin(source)},
         )
         if asset.complete and not stop():
@@ -172,29 +170,28 @@ def bake(
     rmse = summary["estimated_relative_rmse"]
     print(
         f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
-        f"estimated relative RMSE of the {'walks' if 'walks' in summary else 'projection'} {rmse['total']:.2%}, "
+        f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {rmse['total']:.2%}, "
         f"95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
     )
     if "model_error" in summary:
-        print(f"the model's own error is not in these figures: {summary['model_error']:.2%} of the coefficients")
+        print(f"the model's own error is not included: {summary['model_error']:.2%} relative RMSE of the coefficients")
     for remark in _remarks(summary):
         print(remark)
     if not asset.complete:
         raise PrtbakeError(
-            f"{written}: the bake was stopped; what is baked is a valid asset that says so; "
-            f"the same command with --resume goes on from {journal_folder(output).name} beside it"
+            f"{written}: the bake was stopped; the file is a valid partial asset; "
+            f"the same command with --resume continues from {journal_folder(output).name} beside it"
         )
     if stop() and journal_folder(output).is_dir():
         raise PrtbakeError(
-            f"{written}: the bake was stopped before it came to the error asked for; this asset is whole, but coarser; "
-            f"the same command with --resume goes on from {journal_folder(output).name} beside it"
+            f"{written}: the bake was stopped before it reached the requested error; the asset is complete, but "
+            f"coarser; the same command with --resume continues from {journal_folder(output).name} beside it"
         )
 
 
-def _but(kept: list[str], items: tuple[str, ...]) -> list[str]:
-    """What may be left out where `kept` may not be."""
+def _prunable_except(kept: list[str], items: tuple[str, ...]) -> list[str]:
     if unknown := sorted(set(kept) - {*items, "all"}):
-        raise typer.BadParameter(f"--keep: {', '.join(unknown)} is none of {', '.join(items)}, all")
+        raise typer.BadParameter(f"--keep: expected {', '.join(items)} or all, found {', '.join(unknown)}")
     return [] if "all" in kept else [item for item in items if item not in kept]
 
 
@@ -207,21 +204,23 @@ def _light(sky: Path, degree: int, up: str) -> Any:
 
 
 def _remarks(summary: dict[str, Any]) -> Iterator[str]:
-    """An error that was not reached; what is in no coefficient, and where the error figure cannot be trusted."""
+    """Yield sentences on the requested error, on pruning, and on the limits of a path-traced bake."""
     if summary.get("error_reached") is False:
-        yield f"the error asked for, {summary['settings']['error']:.2%}, was not reached"
+        yield f"the requested error of {summary['settings']['error']:.2%} was not reached"
     rmse = summary["estimated_relative_rmse"]
-    for name, words in (("rounding", f"rounding to {summary['settings']['precision']}"), ("left_out", "leaving out")):
+    for name, source in (("rounding", f"rounding to {summary['settings']['precision']}"), ("left_out", "pruning")):
         if name in rmse:
-            yield f"{words} makes up {rmse[name]:.2%} of that error"
+            yield f"{source} contributes {rmse[name]:.2%} to this error"
     for item in summary["left_out"]:
-        yield f"left out: {item['item']} ({item['reason']}); {item['saving']}"
-    walks = summary.get("walks", {"unscattered": 0.0, "lost": 0.0, "unreliable_bins": 0})
-    if walks["unscattered"] >= 0.001:
-        yield f"{walks['unscattered']:.1%} of the view goes straight through the object, and is in no coefficient"
-    if walks["lost"] > 0:
-        yield f"{walks['lost']:.2g} of the light was lost in walks that were cut"
-    if walks["unreliable_bins"]:
+        yield f"pruned: {item['item']} ({item['reason']}); {item['saving']}"
+    if "walks" not in summary:
+        return
+    paths = summary["walks"]
+    if paths["unscattered"] >= 0.001:
+        yield f"unscattered transmission, {paths['unscattered']:.1%} of the view on average, is not in the coefficients"
+    if paths["lost"] > 0:
+        yield f"{paths['lost']:.2g} of the light was lost in truncated paths"
+    if paths["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
-        share = walks["unreliable_bins"] / bins
-        yield f"{share:.1%} of the bins have too few walks for their error figure to be trusted; give more --samples"
+        share = paths["unreliable_bins"] / bins
+        yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"

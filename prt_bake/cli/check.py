@@ -1,4 +1,4 @@
-"""`prtbake check`: whether a file is sound."""
+"""`prtbake check`: lists the faults of a file."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,11 +9,12 @@ from formats.errors import FormatError
 
 
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Any file of ours, or a mesh or sky.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
 ) -> None:
     """Print every fault of a file.
 
-    One line each; the exit code is 1 if there is any. Remarks (what is allowed, but seldom meant) leave it 0.
+    Prints one line per fault; the exit code is 1 if there is any. Remarks name what is allowed but probably unintended,
+    and leave the exit code 0.
     """
     from prt_bake.inspection.files import find_faults, find_remarks
 

@@ -1,5 +1,6 @@
-"""`prtbake compare`: how far an image is from a reference."""
+"""`prtbake compare`: measures the difference between an image and a reference."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -30,12 +31,12 @@ def _read_range(text: str | tuple[float, float]) -> tuple[float, float]:
 
 def compare(
     image: Annotated[Path, typer.Argument(metavar="IMAGE", help=".exr, .hdr, .png or .jpg.")],
-    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="What it should be, of the same size.")],
+    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="Reference image of the same size.")],
     mask: Annotated[
         Path | None,
         typer.Option(
             metavar="M",
-            help="Picture that is white, or opaque where it has an alpha, where pixels count.",
+            help="Image that is white, or opaque if it has an alpha channel, at the pixels to compare.",
             show_default=False,
         ),
     ] = None,
@@ -45,32 +46,32 @@ def compare(
         typer.Option(
             parser=_read_range,
             metavar="START,STOP",
-            help="Stops that HDR-FLIP looks at, after --exposure; by default those of its paper for the reference.",
+            help="Exposure range of HDR-FLIP in stops, on top of --exposure; by default computed from the reference.",
             show_default=False,
         ),
     ] = None,
     keep_noise: Annotated[
-        bool, typer.Option("--keep-noise", help="Do not estimate the figures without the noise of error layers.")
+        bool, typer.Option("--keep-noise", help="Do not estimate the figures without noise.")
     ] = False,
     picture: Annotated[
         Path | None,
         optional_output(
             "--picture --sheet",
             "P.png",
-            "Also write image, reference, signed difference, FLIP and HDR-FLIP side by side, with scales and figures.",
+            "Also write a sheet: image, reference, signed difference, FLIP and HDR-FLIP, with scales and figures.",
             ".png",
         ),
     ] = None,
     difference_map: Annotated[
         Path | None,
-        optional_output("--difference-map", "D.png", "Also write image − reference (.exr: numbers).", *_MAPS),
+        optional_output("--difference-map", "D.png", "Also write image − reference (.exr: values).", *_MAPS),
     ] = None,
     flip_map: Annotated[
-        Path | None, optional_output("--flip-map", "F.png", "Also write the map of FLIP (.exr: numbers).", *_MAPS)
+        Path | None, optional_output("--flip-map", "F.png", "Also write the FLIP map (.exr: values).", *_MAPS)
     ] = None,
     hdr_flip_map: Annotated[
         Path | None,
-        optional_output("--hdr-flip-map", "F.png", "Also write the map of HDR-FLIP (.exr: numbers).", *_MAPS),
+        optional_output("--hdr-flip-map", "F.png", "Also write the HDR-FLIP map (.exr: values).", *_MAPS),
     ] = None,
     fail_above: FailAbove = None,
     fail_below: FailBelow = None,
@@ -78,10 +79,9 @@ def compare(
 ) -> None:
     """Print MSE, relative MSE and RMSE, SSIM (full and quarter size), FLIP and HDR-FLIP.
 
-    Where pictures have an error layer, as those of `prtbake render` and `prtbake shade` (.exr), the figures are also
-    estimated as they would be without that noise, each with the interval that holds it 95 times in 100. Says so where
-    only one of two pictures by `prtbake render` holds unscattered or reflected light. Pixels that are transparent in
-    both pictures do not count.
+    If the images have an error layer, as .exr files of `prtbake render` and `prtbake shade` do, the figures are also
+    estimated without that noise, each with a 95 % confidence interval. Warns if only one of two images by
+    `prtbake render` holds unscattered or reflected light. Ignores pixels that are transparent in both images.
     """
     from formats.image import read_layers
     from formats.json_report import as_text
@@ -91,160 +91,166 @@ def compare(
     from prt_bake.comparison.metrics import compare as measure
 
     bounds = Bounds.of(fail_above or [], fail_below or [])
-    layered, layered_reference = (weighted(path, read_layers(path)) for path in (image, reference))
-    ours, theirs = layered.image, layered_reference.image
-    chosen = None if mask is None else _read_mask(mask)
-    _refuse_other_sizes(image, ours, (reference, theirs), *([] if chosen is None else [(mask, chosen)]))
-    for words in _remarks(image, reference, layered, layered_reference):
-        say(words)
-    if chosen is None:
-        chosen = _mask_by_alpha(image, reference, layered, layered_reference)
+    layers, reference_layers = (weighted(path, read_layers(path)) for path in (image, reference))
+    pixels, target = layers.image, reference_layers.image
+    selected = None if mask is None else _read_mask(mask)
+    _refuse_other_sizes(image, pixels, (reference, target), *([] if selected is None else [(mask, selected)]))
+    for remark in _remarks(image, reference, layers, reference_layers):
+        say(remark)
+    if selected is None:
+        selected = _mask_by_alpha(image, reference, layers, reference_layers)
     names = (str(image), str(reference), str(mask))
-    found = measure(ours, theirs, chosen, exposure, hdr=True if hdr_exposures is None else hdr_exposures, names=names)
-    errors = None if keep_noise else _errors(image, reference, layered, layered_reference)
-    without = None if errors is None else _without_noise(ours, theirs, errors, chosen, exposure, found.hdr_exposures)
-    lifted, target, counts = checked(ours, theirs, chosen, exposure)
+    hdr = True if hdr_exposures is None else hdr_exposures
+    comparison = measure(pixels, target, selected, exposure, hdr=hdr, names=names)
+    errors = None if keep_noise else _errors(image, reference, layers, reference_layers)
+    noise_free = None
+    if errors is not None:
+        noise_free = _without_noise(pixels, target, errors, selected, exposure, comparison.hdr_exposures)
+    exposed, exposed_target, compared = checked(pixels, target, selected, exposure)
     if picture is not None:
-        intervals = None if without is None else without.figures
-        dimmed = None if chosen is None else counts
-        sheet.write_sheet(picture, ours, theirs, found, (image.name, reference.name), exposure, dimmed, intervals)
+        intervals = None if noise_free is None else noise_free.figures
+        undimmed = None if selected is None else compared
+        titles = (image.name, reference.name)
+        sheet.write_sheet(picture, pixels, target, comparison, titles, exposure, undimmed, intervals)
     if difference_map is not None:
-        sheet.write_difference_map(difference_map, lifted - target)
-    for path, values in ((flip_map, found.flip_map), (hdr_flip_map, found.hdr_flip_map)):
+        sheet.write_difference_map(difference_map, exposed - exposed_target)
+    for path, values in ((flip_map, comparison.flip_map), (hdr_flip_map, comparison.hdr_flip_map)):
         if path is not None and values is not None:
             sheet.write_flip_map(path, values)
-    told = {**found.as_json(), "pixels": int(counts.sum()), "exposure": exposure}
-    if without is not None:
-        told["noise_free"] = without.as_json()
+    figures = {**comparison.as_json(), "pixels": int(compared.sum()), "exposure": exposure}
+    if noise_free is not None:
+        figures["noise_free"] = noise_free.as_json()
     if as_json:
-        print(as_text(told))
+        print(as_text(figures))
     else:
-        for line in _lines(told):
+        for line in _lines(figures):
             print(line)
-    bounds.hold(image, told)
+    bounds.refuse_broken(image, figures)
 
 
 def _refuse_other_sizes(image: Path, pixels: Any, *others: Any) -> None:
     from formats.errors import QueryError
 
     h, w = pixels.shape[:2]
-    for path, found in others:
-        if found.shape[:2] != (h, w):
-            height, width = found.shape[:2]
+    for path, other in others:
+        if other.shape[:2] != (h, w):
+            height, width = other.shape[:2]
             raise QueryError(
-                f"{image}: {w}x{h} where {path} is {width}x{height}; pictures are compared pixel by pixel, so bring "
+                f"{image}: is {w}x{h}, but {path} is {width}x{height}; images are compared pixel by pixel, so bring "
                 "both to one size"
             )
 
 
 def _read_mask(path: Path) -> Any:
-    """The mask of a picture: its alpha where it has one, else its colour."""
+    """Return the image's alpha as the mask, or its colour if it has no alpha."""
     from formats.image import read_layers
     from prt_bake.comparison.alpha import alpha_of
 
-    picture = read_layers(path)
-    alpha = alpha_of(picture)
+    layers = read_layers(path)
+    alpha = alpha_of(layers)
     if alpha is None:
-        return picture.image
-    say(f"{path}: its alpha channel is the mask; what is opaque counts")
+        return layers.image
+    say(f"{path}: the alpha channel is used as the mask")
     return alpha
 
 
-def _mask_by_alpha(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> Any:
-    """The pixels that show something, where both pictures are transparent in some; says what is done with an alpha."""
+def _mask_by_alpha(image: Path, reference: Path, layers: "Layers", reference_layers: "Layers") -> Any:
+    """Return the pixels that are visible in either image, if some are transparent in both; else None."""
     from prt_bake.comparison.alpha import alpha_of, seen_in_either
 
-    seen = seen_in_either(layered, layered_reference)
+    seen = seen_in_either(layers, reference_layers)
     if seen is not None:
-        say(f"{(~seen).sum()} of {seen.size} pixels are transparent in both pictures, and do not count")
+        say(f"{(~seen).sum()} of {seen.size} pixels are transparent in both images and are ignored")
         return seen
-    for path, picture in ((image, layered), (reference, layered_reference)):
-        if alpha_of(picture) is not None:
+    for path, read in ((image, layers), (reference, reference_layers)):
+        if alpha_of(read) is not None:
             say(
-                f"{path}: its alpha channel is left out: what is transparent is black, and counts; --mask {path} "
-                "counts what is opaque alone"
+                f"{path}: the alpha channel is ignored: transparent pixels are compared as black; --mask {path} "
+                "compares the opaque pixels alone"
             )
     return None
 
 
-def _remarks(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> Iterator[str]:
-    contents = [str(each.attributes.get("prtbake.shows", "")) for each in (layered, layered_reference)]
-    yield from _unlike(image, reference, *contents)
-    for path, pixels in ((image, layered.image), (reference, layered_reference.image)):
+def _remarks(image: Path, reference: Path, layers: "Layers", reference_layers: "Layers") -> Iterator[str]:
+    contents = [str(read.attributes.get("prtbake.shows", "")) for read in (layers, reference_layers)]
+    yield from _unshared_light(image, reference, *contents)
+    for path, pixels in ((image, layers.image), (reference, reference_layers.image)):
         negative = int((pixels < 0.0).any(axis=2).sum())
         if negative:
-            yield f"{path}: {negative} of {pixels[..., 0].size} pixels hold negative radiance, seen as black"
+            yield f"{path}: {negative} of {pixels[..., 0].size} pixels hold negative radiance, shown as black"
 
 
-def _unlike(image: Path, reference: Path, shows: str, reference_shows: str) -> Iterator[str]:
-    """What light only one of two pictures holds, by their words on it; nothing where one of them has none."""
+def _unshared_light(image: Path, reference: Path, shows: str, reference_shows: str) -> Iterator[str]:
+    """Yield a remark per kind of light that only one of two images holds, by their attribute `prtbake.shows`."""
     if not (shows and reference_shows):
         return
     for light, option in (
         ("unscattered light", "--no-unscattered"),
         ("light reflected at the surface", "--no-reflection"),
     ):
-        holding = [light in text and f"{light} left out" not in text for text in (shows, reference_shows)]
-        if holding[0] != holding[1]:
-            held, lacking = (image, reference) if holding[0] else (reference, image)
-            yield f"{held} holds {light}, {lacking} does not: it is in the figures ({option} leaves it out)"
+        holds = [light in text and f"{light} left out" not in text for text in (shows, reference_shows)]
+        if holds[0] != holds[1]:
+            holding, lacking = (image, reference) if holds[0] else (reference, image)
+            yield f"{holding} holds {light}, {lacking} does not: the figures include it ({option} excludes it)"
 
 
-def _errors(image: Path, reference: Path, layered: "Layers", layered_reference: "Layers") -> "PixelErrors | None":
-    """What the pictures say of their errors; None, with a word, where that cannot be used."""
+def _errors(image: Path, reference: Path, layers: "Layers", reference_layers: "Layers") -> "PixelErrors | None":
+    """Return the images' standard errors; None, after a message, if they cannot be used."""
     import numpy as np
 
     from prt_bake.comparison.noise import errors_of, same_numbers, unusable
 
-    reasons = [unusable(path, each) for path, each in ((image, layered), (reference, layered_reference))]
+    reasons = [unusable(path, read) for path, read in ((image, layers), (reference, reference_layers))]
     for reason in filter(None, reasons):
         say(reason)
-    errors = None if any(reasons) else errors_of(layered, layered_reference)
-    if errors is not None and np.array_equal(layered.image, layered_reference.image):
-        say(f"{image} and {reference} are the same picture: there is no noise to take out")
+    errors = None if any(reasons) else errors_of(layers, reference_layers)
+    if errors is None:
         return None
-    if errors is not None and same_numbers(layered, layered_reference):
+    if np.array_equal(layers.image, reference_layers.image):
+        say(f"{image} and {reference} are the same picture: there is no noise to remove")
+        return None
+    if same_numbers(layers, reference_layers):
         say(
-            f"{image} and {reference} were drawn from the same random numbers, so that their noise is alike and cannot "
-            "be taken out; render one of them with another --seed"
+            f"{image} and {reference} were rendered with the same random numbers; their noise is correlated and cannot "
+            "be removed; render one of them with another --seed"
         )
         return None
-    if errors is not None and errors.shared.any():
+    if errors.shared.any():
         say(
-            "the error that a bake has left is alike in neighbouring pixels: it is taken out of squared differences "
-            "alone, their intervals are wider for it, and FLIP and SSIM keep it"
+            "the error of a bake is correlated between neighbouring pixels: it is removed from squared differences "
+            "only, which widens their intervals; FLIP and SSIM still include it"
         )
     return errors
 
 
 def _without_noise(
-    ours: Any, theirs: Any, errors: "PixelErrors", mask: Any, exposure: float, exposures: Any
+    pixels: Any, target: Any, errors: "PixelErrors", mask: Any, exposure: float, exposures: Any
 ) -> "NoiseFree":
     from prt_bake.comparison.noise_free import compare_without_noise
 
-    found = compare_without_noise(ours, theirs, errors, mask, exposure, hdr=exposures)
-    if found.figures["mse"].high < 0.0:
+    noise_free = compare_without_noise(pixels, target, errors, mask, exposure, hdr=exposures)
+    if noise_free.figures["mse"].high < 0.0:
         say(
-            "the pictures differ by less than their noise: it is not independent, or the error layers are of other "
-            "pictures; the figures without noise mean nothing"
+            "the images differ by less than their noise: the noise is not independent, or the error layers belong to "
+            "other images; ignore the figures without noise"
         )
-    return found
+    return noise_free
 
 
-def _lines(told: dict[str, Any]) -> Iterator[str]:
-    free = told.get("noise_free", {})
-    for name, value in told.items():
+def _lines(figures: dict[str, Any]) -> Iterator[str]:
+    noise_free = figures.get("noise_free", {})
+    for name, value in figures.items():
         if name == "hdr_exposures":
-            yield f"{name:<13} {value['start']:.3g} to {value['stop']:.3g} EV, {value['steps']} of them"
+            yield f"{name:<13} {value['start']:.3g} to {value['stop']:.3g} EV, {value['steps']} exposures"
         elif isinstance(value, float) and name != "exposure":
-            yield f"{name:<13} {value:<12.6g}{_interval(free.get(name))}".rstrip()
+            yield f"{name:<13} {value:<12.6g}{_interval(noise_free.get(name))}".rstrip()
 
 
-def _interval(free: dict[str, float] | None) -> str:
-    if free is None:
+def _interval(estimate: dict[str, float] | None) -> str:
+    if estimate is None:
         return ""
-    if free["value"] < 0.0 <= free["high"]:
-        return f" without noise {free['value']:.4g} ({free['low']:.4g} to {free['high']:.4g}), no more than noise"
-    if free["low"] != free["low"]:
-        return f" without noise {free['value']:.4g} (how far that is off cannot be told)"
-    return f" without noise {free['value']:.4g} ({free['low']:.4g} to {free['high']:.4g})"
+    value, low, high = estimate["value"], estimate["low"], estimate["high"]
+    if math.isnan(low):
+        return f" without noise {value:.4g} (interval unknown)"
+    noise_alone = ", no more than noise" if value < 0.0 <= high else ""
+    return f" without noise {value:.4g} ({low:.4g} to {high:.4g}){noise_alone}"

@@ -1,4 +1,4 @@
-"""`prtbake compress`: an asset in few bytes."""
+"""`prtbake compress`: makes an asset's file smaller within an error."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,19 +13,19 @@ def compress(
     context: typer.Context,
     asset: Annotated[Path, typer.Argument(metavar="ASSET", help="Asset that `prtbake bake` wrote.")],
     error: Annotated[
-        float, typer.Option(help="Relative RMSE of the coefficients that may be added, from 1e-6 to below 1.")
+        float, typer.Option(help="Relative RMSE that compression may add to the coefficients, from 1e-6 to below 1.")
     ] = 0.005,
     out: Annotated[
         Path | None,
         optional_output(
-            "--output --out -o", "FILE", "Asset to write; NAME.compact.h5 beside the asset by default.", ".h5", ".hdf5"
+            "--output --out -o", "FILE", "Asset to write; by default NAME.compact.h5 beside ASSET.", ".h5", ".hdf5"
         ),
     ] = None,
 ) -> None:
-    """Write an asset in few bytes, within an error.
+    """Compress an asset within an error.
 
-    Several forms are tried, and the smallest that meets the error is written. The compact asset is used like any other,
-    and shaded as it is.
+    Tries several forms and writes the smallest that meets the error. Every command reads the compact asset, without
+    unpacking it first.
     """
     from prt_bake.baking.compress import compress_file
 
@@ -33,7 +33,7 @@ def compress(
     with reporting("compress") as show:
         outcome = compress_file(asset, target, error, show, context.obj)
     if outcome.compact is None:
-        say(f"{asset}: a compact form is not smaller; {target} is a copy of it")
+        say(f"{asset}: no compact form is smaller; {target} is a copy")
         print(f"{target}: {outcome.after:,} bytes of coefficients in {outcome.seconds:.1f} s")
         return
     for row in outcome.asset.provenance["compression"]["tried"]:
@@ -44,6 +44,6 @@ def compress(
         f"float32 ({outcome.before:,} in {asset.name}), in {outcome.seconds:.1f} s"
     )
     print(
-        f"added relative RMSE {added.total:.3%} of {added.requested:.3%} asked for, 95th percentile over vertices "
-        f"{added.percentile_95:.3%}, worst {added.worst:.3%}"
+        f"added relative RMSE {added.total:.3%} (at most {added.requested:.3%} requested), 95th percentile over "
+        f"vertices {added.percentile_95:.3%}, worst {added.worst:.3%}"
     )

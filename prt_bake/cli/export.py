@@ -1,4 +1,4 @@
-"""`prtbake export`: a scene for another renderer."""
+"""`prtbake export`: writes a scene for Mitsuba 3."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,12 +9,12 @@ import typer
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.")],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write; made if it is not there.")
+        Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write; created if missing.")
     ],
 ) -> None:
-    """Write a scene for Mitsuba 3: scene.xml, and the meshes, grids and images it names.
+    """Write a scene for Mitsuba 3: scene.xml and its meshes, grids and images.
 
-    The middle of the object's bounding box is at the origin, and a white sky shines. Mitsuba renders it by itself:
+    The scene is centred at the origin and lit by a constant white environment. Render it with
     `mitsuba FOLDER/scene.xml`.
     """
     from formats.atomic import storage_error
@@ -24,7 +24,7 @@ def export(
 
     read = read_scene(scene)
     if output.exists() and not output.is_dir():
-        raise StorageError(f"{output}: cannot be written: it is a file; give the name of a folder")
+        raise StorageError(f"{output}: expected a folder, found a file; choose another --output")
     try:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as cause:

@@ -1,4 +1,4 @@
-"""`prtbake importance`: the module that the network renderer draws its directions from."""
+"""`prtbake importance`: fits the importance module of a model."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,24 +11,26 @@ from prt_bake.cli.shared.progress import reporting, stopping
 
 
 def importance(
-    model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="A trained network.")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="The object that it was trained on.")],
-    seconds: Annotated[float, typer.Option(min=0, max=1e6, help="Time to gather values and to fit, at most.")] = 60.0,
+    model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="Trained model.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Object that the model was trained on.")],
+    seconds: Annotated[
+        float, typer.Option(min=0, max=1e6, help="Time limit of evaluating the model and fitting.")
+    ] = 60.0,
     steps: Annotated[
         int | None,
-        typer.Option(min=1, help="Optimiser steps, in place of seconds; 1500 at most without.", show_default=False),
+        typer.Option(min=1, help="Optimiser steps instead of --seconds; by default at most 1500.", show_default=False),
     ] = None,
     preset: Annotated[
         Literal["measured", "paper"],
-        typer.Option(help="The lobe: an axis of its own, or a Gaussian about the normal as the paper has it."),
+        typer.Option(help="Lobe: measured learns its axis; paper is the paper's Gaussian about the normal."),
     ] = "measured",
     seed: Seed = 0,
     device: Device = "cpu",
 ) -> None:
-    """Fit the importance module of a network: MODEL.importance.pt.
+    """Fit the importance module of a model: MODEL.importance.pt.
 
-    It learns from the network alone which directions of light matter at each point and for each view. Ctrl-C ends the
-    fit early and keeps what was learnt.
+    The module predicts which light directions matter at each point and view; `prtbake render` draws its samples from
+    it. It learns from the model alone. Ctrl-C ends the fit early and keeps the module as fitted so far.
     """
     from dataclasses import replace
 
@@ -43,7 +45,7 @@ def importance(
 
     with reporting("importance") as show, stopping() as stop:
 
-        def follow(share: float, words: str) -> None:
+        def report(share: float, words: str) -> None:
             show(share, words)
             if stop():
                 raise KeyboardInterrupt
@@ -56,7 +58,7 @@ def importance(
             seed=seed,
             settings=replace(IMPORTANCE_PRESETS[preset], seed=seed),
             device=device,
-            progress=follow,
+            progress=report,
         )
         stopped = stop()
     save_importance(module, model)
@@ -64,9 +66,9 @@ def importance(
     print(
         f"{path}: {fit['steps']} steps on {fit['queries']:,} queries in {fit['seconds']:.0f} s; KL divergence "
         f"{fit['module']['divergence']:.3f} (uniform {fit['uniform']['divergence']:.3f}, one lobe for the object "
-        f"{fit['constant']['divergence']:.3f}), variance of a sample under a uniform sky "
-        f"{fit['module']['variance']:.3f} (uniform {fit['uniform']['variance']:.3f}, one lobe "
+        f"{fit['constant']['divergence']:.3f}), sample variance under a uniform sky "
+        f"{fit['module']['variance']:.3f} (uniform {fit['uniform']['variance']:.3f}, one lobe for the object "
         f"{fit['constant']['variance']:.3f})"
     )
     if stopped:
-        raise PrtbakeError(f"{path}: the fit was stopped; the module holds what was learnt")
+        raise PrtbakeError(f"{path}: the fit was stopped; the module is written as fitted so far")

@@ -1,4 +1,4 @@
-"""`prtbake info`: what a file holds."""
+"""`prtbake info`: prints the contents of a file."""
 
 import json
 from collections.abc import Iterator
@@ -9,18 +9,18 @@ import typer
 
 from prt_bake.cli.shared.options import AsJson
 
-_LONGEST = 100
-"""Characters of a list that is printed."""
+_LONGEST_LIST = 100
+"""Characters; longer lists are printed as their length."""
 
 
-def describe(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Any file of ours, or a mesh or sky.")],
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
     as_json: AsJson = False,
 ) -> None:
-    """Print what a mesh, sky, scene, model, asset or file of samples holds."""
-    from prt_bake.inspection.files import describe as read_description
+    """Print the contents of a mesh, sky, scene, model, asset or file of samples."""
+    from prt_bake.inspection.files import describe
 
-    description = read_description(file)
+    description = describe(file)
     if as_json:
         print(json.dumps(description, indent=2))
         return
@@ -30,12 +30,12 @@ def describe(
         print(f"{name:<{width}}  {value}")
 
 
-def _lines(values: dict[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
-    """What stands in a line of its own: tables within tables by their names, of long lists how long they are."""
+def _lines(values: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield (name, text) per line; nested tables are flattened to "outer: inner"."""
     for name, value in values.items():
         if isinstance(value, dict) and value:
-            yield from _lines(value, f"{before}{name}: ")
-        elif isinstance(value, list | tuple) and len(str(value)) > _LONGEST:
-            yield f"{before}{name}", f"{len(value)} entries, see --json"
+            yield from _lines(value, f"{prefix}{name}: ")
+        elif isinstance(value, list | tuple) and len(str(value)) > _LONGEST_LIST:
+            yield f"{prefix}{name}", f"{len(value)} entries, see --json"
         else:
-            yield f"{before}{name}", str(value)
+            yield f"{prefix}{name}", str(value)

@@ -1,4 +1,4 @@
-"""`prtbake light`: the spherical harmonics of an environment."""
+"""`prtbake light`: projects an environment on spherical harmonics."""
 
 import json
 from pathlib import Path
@@ -20,24 +20,24 @@ def light(
             help="Lat-long sky (.exr, .hdr, .png), lights file (.toml) or sun:x,y,z[:r,g,b][:degrees].",
         ),
     ],
-    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree l.")] = 2,
+    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest SH degree l.")] = 2,
     up: Up = None,
     rotate: Rotate = 0.0,
     mend: Mend = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the spherical harmonics b_lm of an environment, and its suns.
+    """Print the SH coefficients b_lm of an environment, and its suns.
 
-    They are those of its radiance (linear Rec.709), in real orthonormal harmonics without Condon–Shortley phase, index
-    l(l+1)+m; nothing is pre-convolved. Suns are small strong sources in skies, part of those harmonics, which
-    `prtbake shade` splits from them.
+    The coefficients project radiance (linear Rec.709) on real orthonormal harmonics without Condon–Shortley phase,
+    index l(l+1)+m; nothing is pre-convolved. Suns are small strong sources in a sky. They are included in the
+    coefficients; `prtbake shade` splits them off.
     """
     from prt_bake.lights.harmonics import project_lighting
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.suns import split_suns
 
     axis = up or "y"
-    # Of a larger sky the suns are found in a smaller copy, made while its harmonics are summed.
+    # Suns of a larger sky are found in a downsampled copy, made while its coefficients are summed.
     lighting = read_lighting([environment], axis, rotate, mend=mend, say=say, most_rows=_ROWS_FOR_SUNS, degree=degree)
     coefficients, skies = project_lighting(lighting, degree), [split_suns(sky) for sky in lighting.skies]
     found = [pair for sky in skies for pair in zip(sky.suns, sky.shares, strict=True)]
@@ -51,14 +51,14 @@ def light(
             }
             for sun, share in found
         ]
-        told = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
-        print(json.dumps(told, indent=2))
+        result = {"up": axis, "degree": degree, "rotate": rotate, "coefficients": coefficients.tolist(), "suns": suns}
+        print(json.dumps(result, indent=2))
         return
     print(f"{'l':>2} {'m':>3} {'R':>14} {'G':>14} {'B':>14}")
     bands = [(l, m) for l in range(degree + 1) for m in range(-l, l + 1)]
     for (l, m), (red, green, blue) in zip(bands, coefficients, strict=True):
         print(f"{l:>2} {m:>3} {red:>14.8g} {green:>14.8g} {blue:>14.8g}")
-    whole = "the energy" if len(skies) == 1 else "the energy of its sky"
+    total = "the energy" if len(skies) == 1 else "the energy of its sky"
     for sun, share in found:
-        towards, power = (",".join(f"{number:.6g}" for number in part) for part in (sun.direction, sun.irradiance))
-        print(f"sun:{towards}:{power}:{sun.angular_diameter:.4g}  {share:.1%} of {whole}")
+        direction, irradiance = (",".join(f"{x:.6g}" for x in vector) for vector in (sun.direction, sun.irradiance))
+        print(f"sun:{direction}:{irradiance}:{sun.angular_diameter:.4g}  {share:.1%} of {total}")

@@ -1,4 +1,4 @@
-"""`prtbake`: the commands under one name, and what a user sees when one of them fails."""
+"""`prtbake`: the list of commands, and the errors that they print."""
 
 import os
 import shlex
@@ -15,7 +15,7 @@ from prt_bake.cli.compress import compress
 from prt_bake.cli.demo import demo
 from prt_bake.cli.export import export
 from prt_bake.cli.importance import importance
-from prt_bake.cli.info import describe
+from prt_bake.cli.info import info
 from prt_bake.cli.light import light
 from prt_bake.cli.render import render
 from prt_bake.cli.report import report
@@ -24,7 +24,7 @@ from prt_bake.cli.shade import shade
 from prt_bake.cli.train import train
 from prt_bake.cli.view import view
 
-# Help in plain text: the styled one loads rich, which takes longer than everything else.
+# The help is plain text: styled help would import rich, which takes longer than everything else.
 app = typer.Typer(
     name="prtbake",
     help="Bake translucent objects into assets that any engine can relight.",
@@ -45,7 +45,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "view": view,
     "render": render,
     "compare": compare,
-    "info": describe,
+    "info": info,
     "check": check,
     "export": export,
 }
@@ -54,41 +54,36 @@ for name, command in COMMANDS.items():
 
 app.add_typer(report, name="report")
 
-INTERRUPTED = 130  # what typer makes of a KeyboardInterrupt that no command has caught
+INTERRUPTED = 130  # typer's exit code for a KeyboardInterrupt that no command has caught
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit code: 0 done, 1 failed (one line on stderr), 2 wrong usage.
+    """Run one command line and return its exit code: 0 success, 1 failure (one line on stderr), 2 wrong usage.
 
-    Everything a user can cause ends in one line; any other exception is a defect and keeps its traceback.
+    Every error that a user can cause is printed as one line. Any other exception is a defect and keeps its traceback.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
+    command_line = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        app(args=words, prog_name="prtbake", obj=shlex.join(["prtbake", *words]))
+        app(args=command_line, prog_name="prtbake", obj=shlex.join(["prtbake", *command_line]))
     except SystemExit as ending:
         if ending.code != INTERRUPTED:
             return int(ending.code or 0)
-        return _fail("stopped by Ctrl-C before it was done")
-    except PrtbakeError as fault:
-        return _fail(str(fault))
-    except OSError as fault:
-        return _fail(_sentence(fault))
+        return _fail("stopped by Ctrl-C before it was finished")
+    except PrtbakeError as error:
+        return _fail(str(error))
+    except OSError as error:
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        return _fail(reason if error.filename is None else f"{error.filename}: {reason}")
     except MemoryError:
         return _fail("out of memory: try a smaller mesh, fewer --workers or a smaller --size")
     return 0
 
 
 def run() -> None:
-    """Entry point of the console script."""
+    """Run the console script."""
     sys.exit(main())
 
 
-def _fail(sentence: str) -> int:
-    print("prtbake:", " ".join(sentence.split()), file=sys.stderr)
+def _fail(message: str) -> int:
+    print("prtbake:", " ".join(message.split()), file=sys.stderr)
     return 1
-
-
-def _sentence(fault: OSError) -> str:
-    """The operating system's words, after the file they are about."""
-    reason = os.strerror(fault.errno) if fault.errno else str(fault)
-    return f"{fault.filename}: {reason}" if fault.filename is not None else reason

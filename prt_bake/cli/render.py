@@ -1,4 +1,4 @@
-"""`prtbake render`: a picture by Monte Carlo, without any bake."""
+"""`prtbake render`: renders a network or a scene by Monte Carlo, without a bake."""
 
 import os
 from pathlib import Path
@@ -43,7 +43,7 @@ def render(
     mesh: Annotated[
         Path,
         typer.Argument(
-            metavar="MESH", help="The model's own object; for a scene, what the camera is set up for, as in shade."
+            metavar="MESH", help="The model's object; for a scene, the mesh that the camera frames, as in shade."
         ),
     ],
     light: Lights,
@@ -52,17 +52,16 @@ def render(
         int | None,
         typer.Option(
             min=2,
-            help=f"Walks a pixel ({_USUAL_SPP['scene']}), or directions of a network ({_USUAL_SPP['network']}), where "
-            "neither --minutes nor --error is given.",
+            help="Samples per pixel: paths of a scene, light directions of a network. Without --spp, --minutes and "
+            f"--error: {_USUAL_SPP['scene']} for a scene, {_USUAL_SPP['network']} for a network.",
             show_default=False,
         ),
     ] = None,
     sampling: Annotated[
         Literal["light", "lobe", "mis"] | None,
         typer.Option(
-            help="How directions of light are drawn for a network: where the light is bright, where the model's "
-            "importance module says that much comes through, or both (the default where there is such a module, else "
-            "light), mixed as a short pilot finds best.",
+            help="Sampling of a network's light directions: light, by the light's radiance; lobe, by the model's "
+            "importance module; mis, both, weighted by a short pilot. By default mis if the module exists, else light.",
             show_default=False,
         ),
     ] = None,
@@ -70,23 +69,23 @@ def render(
         bool,
         typer.Option(
             "--reflection/--no-reflection",
-            help="Add the light that the surface itself reflects, which assets do not hold.",
+            help="Add the light reflected at the surface.",
         ),
     ] = False,
     unscattered: Annotated[
         bool,
         typer.Option(
             "--unscattered/--no-unscattered",
-            help="Of a scene: show what crosses it without scattering, which networks and assets do not hold.",
+            help="Of a scene: include unscattered transmission, which networks and assets lack.",
         ),
     ] = True,
-    minutes: Annotated[float | None, typer.Option(min=0, max=1e6, help="Stop on time.", show_default=False)] = None,
+    minutes: Annotated[float | None, typer.Option(min=0, max=1e6, help="Time limit.", show_default=False)] = None,
     error: Annotated[
         float | None,
         typer.Option(
             min=1e-6,
             max=1,
-            help="Stop when the noise on the object, over its mean radiance, is this.",
+            help="Stop when the standard error on the object, relative to its mean radiance, is this.",
             show_default=False,
         ),
     ] = None,
@@ -94,14 +93,14 @@ def render(
         bool,
         typer.Option(
             "--resume",
-            help="Go on from IMAGE.render.npz beside the output, as far as was asked for unless a limit is given.",
+            help="Resume from IMAGE.render.npz beside the output; by default up to the limits of the earlier run.",
         ),
     ] = False,
     preview: Annotated[
         Path | None,
-        optional_output("--preview", "IMAGE", "Write the picture so far here now and then.", *IMAGE_SUFFIXES),
+        optional_output("--preview", "IMAGE", "Write the unfinished picture here regularly.", *IMAGE_SUFFIXES),
     ] = None,
-    every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between two previews.")] = 10.0,
+    every: Annotated[float, typer.Option(min=0, max=1e6, help="Seconds between previews.")] = 10.0,
     size: PictureSize = Size(640, 480),
     eye: Eye = None,
     look_at: LookAt = None,
@@ -114,20 +113,23 @@ def render(
     mend: Mend = False,
     seed: Seed = 0,
     device: Device = "cpu",
-    precision: Annotated[Literal["float32", "bfloat16"], typer.Option(help="Of a network's matrix work.")] = "float32",
+    precision: Annotated[
+        Literal["float32", "bfloat16"], typer.Option(help="Number type of a network's matrix products.")
+    ] = "float32",
     workers: Annotated[
-        int | None, typer.Option(min=1, max=1024, help="Threads for a network; every core.", show_default=False)
+        int | None,
+        typer.Option(min=1, max=1024, help="Threads of a network; by default one per core.", show_default=False),
     ] = None,
     report: ReportFile = None,
 ) -> None:
-    """Render a network or a scene directly; a scene's picture is the reference for all others.
+    """Render a network, or path trace a scene as the reference.
 
-    Like baked pictures it shows the light from under the surface, with the sky behind the object. What crosses an
-    index-matched or smooth object without scattering is in pictures of scenes alone: no network knows it, so leave it
-    out (--no-unscattered) of what a network is held against. What the surface reflects is added by --reflection. An
-    .exr says what it holds (prtbake.shows), and has the standard error of every pixel (error.R, error.G, error.B) and
-    the object's coverage (coverage.Y). Radiance of a network may be negative here and there; it is kept, so that errors
-    are honest. Ctrl-C ends the work early: the picture so far is written, and --resume goes on from it.
+    The picture shows subsurface light with the sky behind the object; --reflection adds light reflected at the surface.
+    Pictures of scenes also show unscattered transmission through index-matched or smooth objects. Networks lack it, so
+    render their references with --no-unscattered. An .exr states what it shows (prtbake.shows) and has the standard
+    error of every pixel (error.R, error.G, error.B) and the object's coverage (coverage.Y). A network's radiance may be
+    slightly negative; it is not clamped, so that errors are not hidden. Ctrl-C writes the picture as rendered so far,
+    and --resume continues it.
     """
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
@@ -140,9 +142,9 @@ def render(
         _refuse_network_options(sampling, device, precision, workers)
     surface = read_mesh(mesh)
     opened = _open(source, surface, device)
-    sky_up = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
-    lighting = read_lighting(light, sky_up, rotate, mend=mend, say=say, mesh=surface)
-    view = camera_for(surface, size, sky_up, eye, look_at, fov, orthographic, extent)
+    axis = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
+    lighting = read_lighting(light, axis, rotate, mend=mend, say=say, mesh=surface)
+    view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
     checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:
         asked = asked_of(checkpoint)
@@ -159,7 +161,7 @@ def render(
             "checkpoint": checkpoint,
             "resume": resume,
             "stop": stop,
-            "progress": lambda share: show(share, _aim(spp, minutes, error, is_scene)),
+            "progress": lambda share: show(share, _limits(spp, minutes, error, is_scene)),
             "every": every,
         }
         if preview is not None:
@@ -181,23 +183,23 @@ def render(
     if picture.complete:
         checkpoint.unlink(missing_ok=True)
     if picture.negative > 0.001:
-        say(f"{output}: {picture.negative:.1%} of the object's radiance is below 0, as the network answers there")
+        say(f"{output}: {picture.negative:.1%} of the object's radiance is negative, as predicted by the network")
     if picture.black:
-        say(f"{output}: no light was met on the object; if there is any, it takes more {_unit(is_scene)}")
+        say(f"{output}: the object is black; if it should receive light, render more {_unit(is_scene)}")
     if report is not None:
         _report(report, context.obj, seed, picture, view)
-    print(_closing(output, picture, is_scene))
+    print(_summary(output, picture, is_scene))
     if stopped:
         raise PrtbakeError(
-            f"{output}: the rendering was stopped after {picture.spp} {_unit(is_scene)} a pixel; the picture is valid "
-            "and says how noisy it is, --resume goes on"
+            f"{output}: the rendering was stopped after {picture.spp} {_unit(is_scene)} per pixel; the picture is "
+            "valid and states its noise; --resume continues it"
         )
     if not picture.complete:
-        say(f"{output}: the time was up after {picture.spp} {_unit(is_scene)} a pixel; --resume goes on")
+        say(f"{output}: the time limit ended after {picture.spp} {_unit(is_scene)} per pixel; --resume continues")
 
 
 def _refuse_network_options(sampling: str | None, device: str, precision: str, workers: int | None) -> None:
-    """Wrong usage: a scene is path traced in one way."""
+    """Raise typer.BadParameter for options of networks; scenes are always path traced on the CPU."""
     for name, given in (
         ("--sampling", sampling is not None),
         ("--device", device != "cpu"),
@@ -205,7 +207,7 @@ def _refuse_network_options(sampling: str | None, device: str, precision: str, w
         ("--workers", workers is not None),
     ):
         if given:
-            raise typer.BadParameter(f"{name} is for networks; a scene (.toml) is path traced, leave it out")
+            raise typer.BadParameter(f"{name} is for networks; omit it, since a scene (.toml) is path traced")
 
 
 def _open(source: Path, surface: Any, device: str) -> Any:
@@ -216,7 +218,7 @@ def _open(source: Path, surface: Any, device: str) -> Any:
 
 
 def _importance(source: Path, sampling: str | None, device: str) -> Any:
-    """The model's importance module; None where it is not wanted, or not asked for and not there."""
+    """Return the model's importance module; None for `light`, and by default if the module does not exist."""
     from prt_bake.importance.module import importance_path, load_importance
 
     if sampling == "light" or (sampling is None and not importance_path(source).is_file()):
@@ -225,27 +227,27 @@ def _importance(source: Path, sampling: str | None, device: str) -> Any:
 
 
 def _unit(is_scene: bool) -> str:
-    return "walks" if is_scene else "samples"
+    return "paths" if is_scene else "samples"
 
 
-def _aim(spp: int | None, minutes: float | None, error: float | None, is_scene: bool) -> str:
-    aims = [
-        f"{spp} {_unit(is_scene)} a pixel" if spp is not None else "",
+def _limits(spp: int | None, minutes: float | None, error: float | None, is_scene: bool) -> str:
+    limits = [
+        f"{spp} {_unit(is_scene)} per pixel" if spp is not None else "",
         f"{minutes:g} minutes" if minutes is not None else "",
         f"noise {error:.2%}" if error is not None else "",
     ]
-    return " or ".join(aim for aim in aims if aim)
+    return " or ".join(limit for limit in limits if limit)
 
 
-def _closing(output: Path, picture: "Rendering", is_scene: bool) -> str:
-    how = ""
+def _summary(output: Path, picture: "Rendering", is_scene: bool) -> str:
+    method = ""
     if not is_scene:
-        drawn = picture.sampling
-        lobe = sum(drawn["lobe"]) / (sum(drawn["light"]) + sum(drawn["lobe"]))
-        how = f", sampled by {drawn['by']}" + (f" ({lobe:.0%} from lobes)" if drawn["by"] == "mis" else "")
+        counts = picture.sampling
+        lobe = sum(counts["lobe"]) / (sum(counts["light"]) + sum(counts["lobe"]))
+        method = f", sampled by {counts['by']}" + (f" ({lobe:.0%} from lobes)" if counts["by"] == "mis" else "")
     return (
-        f"{output}: {picture.walks:,} {'walks' if is_scene else 'evaluations'} in {picture.seconds:.1f} s, "
-        f"{picture.speed:.3g} {_unit(is_scene)} a pixel a second{how}, "
+        f"{output}: {picture.walks:,} {'paths' if is_scene else 'evaluations'} in {picture.seconds:.1f} s, "
+        f"{picture.speed:.3g} {_unit(is_scene)} per pixel and second{method}, "
         f"standard error {picture.relative_noise:.2%} of the object's radiance"
     )
 
@@ -274,7 +276,7 @@ def _write(output: Path, picture: "Rendering", texts: dict[str, str], exposure: 
 
     from formats.image import write_image
 
-    # The format of .hdr knows no negative radiance, which a network may have.
+    # A .hdr cannot store negative radiance, which a network may predict.
     image = np.maximum(picture.image, 0.0) if output.suffix.lower() == ".hdr" else picture.image
     write_image(
         output,

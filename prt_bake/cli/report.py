@@ -1,4 +1,4 @@
-"""`prtbake report`: what was measured, as a report of its own."""
+"""`prtbake report`: the commands that measure a model, a bake or the paper's scenes."""
 
 import typer
 
@@ -7,7 +7,7 @@ from prt_bake.cli.reports.paper import paper
 from prt_bake.cli.reports.training import training
 
 report = typer.Typer(
-    help="Measure a model, a bake, or all that the paper measures, and write down how good it is.",
+    help="Measure the error of a model, of a bake, or of the paper's scenes, and write a report.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

@@ -1,4 +1,4 @@
-"""`prtbake sample`: path-traced queries in a file, to learn from later or elsewhere."""
+"""`prtbake sample`: writes path-traced training samples."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,17 +11,17 @@ from prt_bake.cli.shared.progress import reporting, stopping
 
 
 def sample(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to ask.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene to path trace.")],
     output: Annotated[Path, output_option("SAMPLES.h5", ".h5", ".hdf5")],
-    count: Annotated[int, typer.Option(min=1, help="Queries.")],
-    walks: Annotated[int, typer.Option(min=2, help="Walks a query; its directions share them.")] = 8,
-    directions: Annotated[int, typer.Option(min=1, help="Directions of incidence a query.")] = 8,
+    count: Annotated[int, typer.Option(min=1, help="Number of queries.")],
+    walks: Annotated[int, typer.Option(min=2, help="Paths per query, shared by its light directions.")] = 8,
+    directions: Annotated[int, typer.Option(min=1, help="Light directions per query.")] = 8,
     seed: Seed = 0,
 ) -> None:
-    """Path trace queries of the trainer's kind and keep them with their noise.
+    """Path trace training queries and write them with their noise.
 
-    `prtbake train SCENE.toml --samples SAMPLES.h5` learns from them. Ctrl-C keeps what is done so far; another --seed
-    asks other queries.
+    `prtbake train SCENE.toml --samples SAMPLES.h5` learns from them. Ctrl-C keeps the queries finished so far. Each
+    --seed draws different queries.
     """
     from formats.scene import read_scene
     from prt_bake.trainer.samples.record import record_samples
@@ -37,6 +37,6 @@ def sample(
             progress=lambda done, total: show(done / total, f"{done:,} of {total:,} queries"),
             stop=stop,
         )
-    print(f"{output}: {done:,} queries of {directions} directions, {done * walks:,} walks")
+    print(f"{output}: {done:,} queries of {directions} directions, {done * walks:,} paths")
     if done < count:
         raise PrtbakeError(f"{output}: the sampling was stopped; the file holds {done:,} of {count:,} queries")

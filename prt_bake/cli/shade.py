@@ -1,4 +1,4 @@
-"""`prtbake shade`: a baked asset under a sky."""
+"""`prtbake shade`: relights a baked asset and writes the picture."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -51,60 +51,61 @@ def shade(
         bool,
         typer.Option(
             "--reflection/--no-reflection",
-            help="Add the light that the surface itself reflects: GGX of the asset's index and roughness.",
+            help="Add light reflected at the surface: GGX with the asset's index of refraction and roughness.",
         ),
     ] = False,
     roughness: Annotated[
         str | None,
         typer.Option(
             metavar="ALPHA",
-            help="GGX alpha of the reflection, from 0 to 1, or an image of it by the mesh's texture coordinates; by "
-            "default the asset's own, a mean.",
+            help="GGX alpha of the reflection, from 0 to 1, or a texture of it; by default the asset's mean.",
             show_default=False,
         ),
     ] = None,
     transparent: Annotated[
-        bool, typer.Option("--transparent", help="Nothing behind the object: an alpha channel (.exr, .png).")
+        bool, typer.Option("--transparent", help="Write an alpha channel instead of the background (.exr, .png).")
     ] = False,
     layers: Annotated[
         str,
         typer.Option(
-            metavar="NAMES", help=f"Also into an .exr, with commas between: {_LAYERS}; or all.", show_default=False
+            metavar="NAMES",
+            help=f"Further layers of an .exr, separated by commas: {_LAYERS}; or all.",
+            show_default=False,
         ),
     ] = "",
     error_picture: Annotated[
         Path | None,
-        optional_output("--error-picture", "E.png", "Also show the error of each pixel, in colours.", ".png"),
+        optional_output("--error-picture", "E.png", "Also write the error of each pixel in false colours.", ".png"),
     ] = None,
     turntable: Annotated[
         Literal["eye", "light"] | None,
         typer.Option(
-            help="All the way round the object, by the eye or by the light: an animation (.png, .webp, .gif), or "
-            "numbered pictures where the name has a number in it (turn_%03d.png).",
+            help="Move the eye or the light once around the object: an animation (.png, .webp, .gif), or numbered "
+            "pictures if the name has a number in it (turn_%03d.png).",
             show_default=False,
         ),
     ] = None,
-    frames: Annotated[int, typer.Option(min=1, max=3600, help="Of a turntable.")] = _FRAMES,
-    seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="That one turn of it takes.")] = _SECONDS,
-    samples: Annotated[int, typer.Option(min=1, max=64, help="Rays along each side of a pixel.")] = 3,
+    frames: Annotated[int, typer.Option(min=1, max=3600, help="Frames of a turntable.")] = _FRAMES,
+    seconds: Annotated[float, typer.Option(callback=within(0.0, 3600.0), help="Duration of a turntable.")] = _SECONDS,
+    samples: Annotated[int, typer.Option(min=1, max=64, help="Camera rays along each side of a pixel.")] = 3,
     mend: Mend = False,
     suns: Suns = "split",
 ) -> None:
     """Relight a baked asset and write the picture.
 
-    It shows the light from under the surface, with the sky, and lights that have a size, behind the object; on request
-    what the surface reflects. An .exr has the error that the bake has left (error.R, error.G, error.B, one sigma) and
-    the object's coverage (coverage.Y).
+    The picture shows subsurface light, with the sky and lights of finite size behind the object; --reflection adds
+    light reflected at the surface. An .exr has the standard error of the bake (error.R, error.G, error.B) and the
+    object's coverage (coverage.Y).
     """
     from formats.asset import read_asset
     from prt_bake.cli.shared.viewing import camera_for
-    from prt_bake.lights.downsampled import rows_shown
     from prt_bake.lights.lighting import read_lighting
+    from prt_bake.lights.skies.downsampled import rows_shown
 
-    _refuse_useless(output, transparent, layers, turntable, error_picture, reflection, roughness)
+    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness)
     refuse_unseen_exposure(exposure, output)
     if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
-        raise typer.BadParameter("--frames and --seconds: are those of a turntable; add --turntable eye")
+        raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
     baked = read_asset(asset)
     axis = up or baked.up
     turns = frames if turntable == "eye" else 1
@@ -123,9 +124,9 @@ def shade(
         "suns": suns,
     }
     if turntable is None:
-        picture = _write(output, baked, lighting, view, options, exposure)
+        picture = _write_picture(output, baked, lighting, view, options, exposure)
     else:
-        picture = _turn(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
+        picture = _write_turntable(output, baked, lighting, view, options, exposure, turntable, frames, seconds)
     if error_picture is not None:
         from prt_bake.shading.error_picture import write_error_picture
 
@@ -133,20 +134,20 @@ def shade(
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
     print(
-        f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, negative radiance clamped "
-        f"{abs(picture.clamped):.3%} of the energy, error of the projection {picture.relative_error:.2%} of "
-        f"the object's radiance" + _suns_met(picture.suns, suns)
+        f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
+        f"{abs(picture.clamped):.3%} of the energy, projection error {picture.relative_error:.2%} of "
+        f"the object's radiance" + _sun_figures(picture.suns, suns)
     )
 
 
-def _suns_met(count: int, treatment: str) -> str:
+def _sun_figures(count: int, treatment: str) -> str:
     if not count:
         return ""
-    deed = "split from the other light" if treatment == "split" else "damped by a window"
-    return f", {count} {'sun' if count == 1 else 'suns'} {deed}"
+    action = "split off" if treatment == "split" else "damped by a window"
+    return f", {count} {'sun' if count == 1 else 'suns'} {action}"
 
 
-def _write(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:
+def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:
     from formats.image import write_image
     from prt_bake.shading.picture import render_picture
 
@@ -162,7 +163,7 @@ def _write(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str
     return picture
 
 
-def _turn(
+def _write_turntable(
     output: Path,
     baked: Any,
     lighting: Any,
@@ -173,13 +174,13 @@ def _turn(
     frames: int,
     seconds: float,
 ) -> Any:
-    """Write a turntable; its last picture."""
+    """Write a turntable and return its last picture."""
     from formats.image.animation import write_animation, write_sequence
     from prt_bake.shading.turntable import turntable
 
     last: list[Any] = []
 
-    def shown(show: Report) -> Iterator[Any]:
+    def images(show: Report) -> Iterator[Any]:
         for number, picture in enumerate(turntable(baked, lighting, view, frames, turning, **options), start=1):
             last[:] = [picture]
             show(number / frames, f"{number} of {frames} pictures")
@@ -187,13 +188,13 @@ def _turn(
 
     with reporting("turn") as show:
         if "%" in output.name:
-            write_sequence(output, shown(show), exposure=exposure)
+            write_sequence(output, images(show), exposure=exposure)
         else:
-            write_animation(output, shown(show), exposure=exposure, seconds_a_frame=seconds / frames)
+            write_animation(output, images(show), exposure=exposure, seconds_a_frame=seconds / frames)
     return last[0]
 
 
-def _refuse_useless(
+def _refuse_ineffective(
     output: Path,
     transparent: bool,
     layers: str,
@@ -202,50 +203,51 @@ def _refuse_useless(
     reflection: bool,
     roughness: str | None,
 ) -> None:
-    """Wrong usage: options that need others, and what the kind of file that was asked for cannot hold."""
+    """Raise typer.BadParameter for options that need others, or that the output's format cannot store."""
     suffix = output.suffix.lower()
     if turntable is None and suffix not in IMAGE_SUFFIXES:
         raise typer.BadParameter(f"--output: {suffix} is for turntables; add --turntable eye, or write .png or .exr")
     if turntable is not None and "%" not in output.name and suffix not in ANIMATION_SUFFIXES:
         raise typer.BadParameter(
-            f"--output: one {suffix} holds no turntable; write .webp, .gif, .png, or numbered pictures (turn_%03d.exr)"
+            f"--output: a single {suffix} cannot store a turntable; write .webp, .gif, .png, or numbered pictures "
+            "(turn_%03d.exr)"
         )
     if turntable is None and "%" in output.name:
-        raise typer.BadParameter(f"--output: {output.name} is for numbered pictures; add --turntable eye")
+        raise typer.BadParameter(f"--output: {output.name} names numbered pictures; add --turntable eye")
     if error_picture is not None and error_picture.resolve() == output.resolve():
-        raise typer.BadParameter(f"--error-picture: {error_picture} is the picture itself; name another file")
+        raise typer.BadParameter(f"--error-picture: {error_picture} is also --output; choose another file")
     if roughness is not None and not reflection:
-        raise typer.BadParameter("--roughness: is that of the reflection; add --reflection")
+        raise typer.BadParameter("--roughness: applies to the reflection; add --reflection")
     if turntable is not None and (transparent or layers or error_picture is not None):
-        raise typer.BadParameter("--turntable: its pictures have a background, no layers and no error picture")
+        raise typer.BadParameter("--turntable: cannot be combined with --transparent, --layers or --error-picture")
     if transparent and suffix not in (".exr", ".png"):
         raise typer.BadParameter(f"--transparent: {suffix} has no alpha channel; write .exr or .png")
     if layers and suffix != ".exr":
-        raise typer.BadParameter(f"--layers: {suffix} holds a picture alone; write .exr")
+        raise typer.BadParameter(f"--layers: {suffix} has no layers; write .exr")
 
 
-def _read_roughness(said: str) -> Any:
-    """The number that `said` is, or the picture that it names."""
+def _read_roughness(text: str) -> Any:
+    """Return the number, or the levels of the image that `text` names."""
     from formats.image import read_levels
 
     try:
-        alpha = float(said)
+        alpha = float(text)
     except ValueError:
-        return read_levels(said)
+        return read_levels(text)
     if not 0.0 <= alpha <= 1.0:
-        raise typer.BadParameter(f"--roughness: {alpha:g} where a GGX alpha from 0 to 1, or an image, is expected")
+        raise typer.BadParameter(f"--roughness: expected a GGX alpha from 0 to 1 or an image, found {alpha:g}")
     return alpha
 
 
 def _names(layers: str, with_error_picture: bool) -> tuple[str, ...]:
     from prt_bake.shading.layers import LAYERS
 
-    asked = tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
-    return asked if not with_error_picture or "radiance" in asked else (*asked, "radiance")
+    names = tuple(LAYERS) if layers == "all" else tuple(name.strip() for name in layers.split(",") if name.strip())
+    return names if not with_error_picture or "radiance" in names else (*names, "radiance")
 
 
 def _shows(picture: Any) -> str:
-    """In the words of `prtbake render`, for `prtbake compare` to find what one of two pictures lacks."""
+    """Describe the light as `prtbake render` does; `prtbake compare` reads it."""
     reflected = ", light reflected at the surface" if picture.reflects else ""
     return f"subsurface light, unscattered light left out{reflected}"
 
@@ -253,25 +255,25 @@ def _shows(picture: Any) -> str:
 def _remarks(baked: Any, lights: list[str], rotate: float, eye: Any, picture: Any, reflection: bool) -> Iterator[str]:
     from prt_bake.shading.surface_reflection import reflects
 
-    yield from _shown_otherwise(baked, lights, rotate, eye)
+    yield from _fixed_light_and_view(baked, lights, rotate, eye)
     if not baked.complete:
-        yield f"is a partial bake; {picture.unlit:.1%} of what is seen of the object was not baked and is black"
+        yield f"is a partial bake; {picture.unlit:.1%} of the visible object was not baked and is black"
     if reflection and not picture.reflects:
-        yield "its index of refraction is 1, its surface reflects nothing"
+        yield "its index of refraction is 1, so its surface reflects nothing"
     if not reflection and reflects(baked):
-        yield f"what its surface reflects (index {baked.eta:g}) is left out; --reflection adds it"
+        yield f"light reflected at its surface (index {baked.eta:g}) is not shown; --reflection adds it"
 
 
-def _shown_otherwise(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:
-    """What an asset made for one light or one eye alone cannot show of what was asked for."""
+def _fixed_light_and_view(baked: Any, lights: list[str], rotate: float, eye: Any) -> Iterator[str]:
+    """Yield remarks if an asset made for one light or one eye is shown under another one."""
     reasons = {item["item"]: item["reason"] for item in baked.left_out}
     if "other lights" in reasons and (rotate % 360.0 or not _same_light(baked, lights)):
-        turned = f" turned by {rotate:g} degrees" if rotate % 360.0 else ""
+        rotated = f" rotated by {rotate:g} degrees" if rotate % 360.0 else ""
         names = " and ".join(Path(light).name for light in lights)
-        yield f"{reasons['other lights']}: the object is shown under that, not under {names}{turned}"
+        yield f"{reasons['other lights']}: the picture shows that light, not {names}{rotated}"
     made_for = baked.provenance.get("settings", {}).get("for_eye")
     if made_for is not None and any(abs(a - b) > 1e-6 * (1.0 + abs(b)) for a, b in zip(eye, made_for, strict=True)):
-        yield f"{reasons.get('other views', 'made for one eye')}: from elsewhere its colours are wrong"
+        yield f"{reasons.get('other views', 'made for one eye')}: from other positions its colours are wrong"
 
 
 def _same_light(baked: Any, lights: list[str]) -> bool:

@@ -1,4 +1,4 @@
-"""`prtbake view`: a baked asset in a window that one turns, relights and looks into."""
+"""`prtbake view`: shows a baked asset in a window with free camera and light."""
 
 import os
 import sys
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from prt_bake.shading.suns import SunTreatment
 
 DEFAULT_SIZE = Size(960, 720)
-_WITHOUT_DISPLAY = "there is no display to open a window on; --screenshot F.png writes the picture without one"
+_WITHOUT_DISPLAY = "there is no display for the window; --screenshot F.png writes the picture without one"
 
 
 def view(
@@ -43,14 +43,14 @@ def view(
         typer.Option(
             "--light",
             metavar="LIGHT",
-            help="Lat-long sky, lights file (.toml) or sun:x,y,z, as for `prtbake shade`; given several times, each is "
-            "one to go through. Files are read again when they change. By default the sky that comes with prtbake.",
+            help="Lat-long sky, lights file (.toml) or sun:x,y,z, as for `prtbake shade`; by default the shipped sky. "
+            "Can be repeated; the window switches between the lights. Files are reloaded when they change.",
             show_default=False,
         ),
     ] = None,
     compare: Annotated[
         Path | None,
-        typer.Option(metavar="REFERENCE", help="Picture to flip to and back, such as a path-traced .exr."),
+        typer.Option(metavar="REFERENCE", help="Reference to flip to, such as a path-traced .exr."),
     ] = None,
     screenshot: Annotated[
         Path | None,
@@ -61,7 +61,7 @@ def view(
         typer.Option(
             parser=read_size,
             metavar="WxH",
-            help="Pixels of the window; by default those of --compare, else 960x720.",
+            help="Window size in pixels; by default that of --compare, else 960x720.",
             show_default=False,
         ),
     ] = None,
@@ -74,35 +74,35 @@ def view(
     mend: Mend = False,
     suns: Suns = "split",
 ) -> None:
-    """Look at a baked asset in a window: orbit, turn the light, flip to a reference, see errors and coefficients.
+    """Show a baked asset in a window: orbit, rotate the light, flip to a reference, inspect errors and coefficients.
 
     Press h in the window for its keys.
     """
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
-    asked = _Asked(light, up, rotate, exposure, mend, suns, compare, size, eye, look_at, fov)
+    options = _Options(light, up, rotate, exposure, mend, suns, compare, size, eye, look_at, fov)
     from formats.asset import read_asset
 
-    with ThreadPoolExecutor(1) as reading:
-        # Meanwhile everything else is loaded: most of reading is unpacking, which needs nothing of Python. All imports
-        # are this thread's: where two load a library whose modules import one another, either may find it half loaded.
-        coming = reading.submit(read_asset, asset)
+    with ThreadPoolExecutor(1) as executor:
+        # Reading is mostly decompression, which releases the GIL, so that this thread opens the window meanwhile. Only
+        # this thread imports: two threads that import modules of a cycle may find them half loaded.
+        reading = executor.submit(read_asset, asset)
         window = _load_window()
-        if coming.done():
-            coming.result()  # what could not be opened is told without a window
-        first = size or DEFAULT_SIZE
-        canvas = window.Canvas(first.width, first.height, screenshot is not None, f"{asset.name} - prtbake")
+        if reading.done():
+            reading.result()  # an unreadable file is reported before a window opens
+        initial = size or DEFAULT_SIZE
+        canvas = window.Canvas(initial.width, initial.height, screenshot is not None, f"{asset.name} - prtbake")
         if screenshot is None and not canvas.on_display:
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         canvas.open()
-        opened = _open(coming.result(), asked, screenshot is not None)
+        opened = _open(reading.result(), options, screenshot is not None)
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
     _show(window, canvas, opened, asset.name, screenshot, compare)
 
 
-class _Asked(NamedTuple):
-    """What the command line says of what is to be seen."""
+class _Options(NamedTuple):
+    """The command's options."""
 
     light: list[str] | None
     up: str | None
@@ -118,34 +118,35 @@ class _Asked(NamedTuple):
 
 
 class _Opened(NamedTuple):
-    """What is shown, from where, and beside which picture [H,W,3]."""
+    """The lit asset, the initial camera and the reference picture [H,W,3], if any."""
 
     preview: "Preview"
     start: "Camera"
     reference: Any
 
 
-def _open(baked: "Asset", asked: _Asked, settled: bool) -> _Opened:
-    """The asset under its lights, with the colours of its first picture worked out; `settled` as after a while."""
+def _open(baked: "Asset", options: _Options, refined: bool) -> _Opened:
+    """Light the asset and shade its first picture; `refined` waits for the progressive refinement."""
+    from formats.image import read_image
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.geometry import camera
     from prt_bake.preview.lights import LightSource
     from prt_bake.preview.state import Preview
 
-    light = asked.light
+    light = options.light
     if light is None:
         from importlib import resources
 
         light = [str(resources.files("prt_bake.shipped") / "sky.hdr")] if baked.quantity == "transfer" else []
-    axis = asked.up or baked.up
-    sources = [LightSource(text, axis, baked.degree, asked.mend, say, baked.mesh) for text in light]
-    preview = Preview(baked, sources, up=axis, rotation=asked.rotate, exposure=asked.exposure, suns=asked.suns)
-    reference = None if asked.compare is None else _read(asked.compare)
-    shape = asked.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
-    start = camera_for(baked.mesh, shape, axis, asked.eye, asked.look_at, asked.fov, False, None)
+    axis = options.up or baked.up
+    sources = [LightSource(text, axis, baked.degree, options.mend, say, baked.mesh) for text in light]
+    preview = Preview(baked, sources, up=axis, rotation=options.rotate, exposure=options.exposure, suns=options.suns)
+    reference = None if options.compare is None else read_image(options.compare)
+    shape = options.size or (DEFAULT_SIZE if reference is None else Size(reference.shape[1], reference.shape[0]))
+    start = camera_for(baked.mesh, shape, axis, options.eye, options.look_at, options.fov, False, None)
     camera.refuse_eye_in_object(baked.mesh, start.eye)
-    if settled:
-        preview.settle(start.eye)
+    if refined:
+        preview.refine(start.eye)
     preview.colours(start.eye)
     return _Opened(preview, start, reference)
 
@@ -162,29 +163,23 @@ def _load_window() -> Any:
     return window
 
 
-def _read(path: Path) -> Any:
-    from formats.image import read_image
-
-    return read_image(path)
-
-
 def _show(window: Any, canvas: Any, opened: _Opened, name: str, screenshot: Path | None, compare: Path | None) -> None:
     preview, start, reference = opened
     canvas.resize(start.width, start.height)
-    drawn = window.View(preview, canvas, start, reference)
+    scene_view = window.View(preview, canvas, start, reference)
     if screenshot is not None:
-        drawn.settle()
-        window.write_picture(screenshot, drawn.picture())
+        scene_view.refine()
+        window.write_picture(screenshot, scene_view.picture())
         print(f"{screenshot}: {start.width}x{start.height} pixels")
     else:
-        window.Window(drawn, name, None if compare is None else compare.name).run()
+        window.Window(scene_view, name, None if compare is None else compare.name).run()
     canvas.close()
 
 
 def _remarks(preview: "Preview") -> list[str]:
-    """What the asset cannot show."""
+    """Return what the asset cannot show."""
     asset = preview.asset
     remarks = [item["reason"] for item in asset.left_out if item["item"] in ("other lights", "other views")]
     if not asset.complete:
-        remarks.append("is a partial bake; what was not baked is black")
+        remarks.append("is a partial bake; vertices not yet baked are black")
     return remarks

@@ -1,8 +1,7 @@
-"""Lights that directions are drawn from: the discs of directional lights, and skies or their bright parts.
+"""Importance sampling of lights: the discs of directional lights, and skies or their bright parts.
 
-For walks a sky is split in two pictures that sum to it, looked up in the same way: `rest`, clipped at a level, which
-walks find by leaving, and what is above it, which is drawn from in proportion to its energy. The split is therefore
-exact.
+The path tracer splits a sky into two pictures that sum to it exactly. The rest, clipped at a level, is met by walks
+that leave the object. The bright part above the level is sampled in proportion to its energy.
 """
 
 import math
@@ -13,20 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene.lights import DirectionalLight
-from prt_bake.lights import environment
 from prt_bake.lights.lighting import Lighting, Sky, in_disc, solid_angle
-from prt_bake.lights.sky_sampling import draw_directions, look_up, sky_table
+from prt_bake.lights.skies.sampling import draw_directions, look_up, sky_table
 from prt_bake.tracer.light_samples import Connections
 
 Array = NDArray[np.float64]
 
 _LEVELS = 96
-_DARKEST = 1e-6
-"""Of the mean: no level is lower, where most of a sky is black."""
+_MIN_LEVEL = 1e-6
+"""The lowest level over the mean radiance, for skies that are mostly black."""
 
 
 class Emitter(Protocol):
-    """Something that directions of incidence are drawn from."""
+    """A light that directions of incidence are drawn from."""
 
     def draw(self, numbers: Array) -> tuple[Array, Array]:
         """Directions [N,3] from uniform numbers [N,3], and radiance over their density per solid angle [N,3]."""
@@ -34,17 +32,17 @@ class Emitter(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Disc:
-    """A directional light: drawn uniformly over its disc."""
+    """A directional light, sampled uniformly over its disc."""
 
     sun: DirectionalLight
 
     def draw(self, numbers: Array) -> tuple[Array, Array]:
-        """As `Emitter.draw`; the irradiance is the weight of every direction."""
+        """As `Emitter.draw`; every direction has the irradiance as its weight."""
         return self.directions(numbers), np.broadcast_to(self.sun.irradiance, (len(numbers), 3))
 
     def directions(self, numbers: Array) -> Array:
         """Directions [N,3] from uniform numbers [N,2 or more]."""
-        # 1 − cosine, which keeps its digits on the smallest disc.
+        # 1 − cosine keeps its digits on the smallest disc.
         fall = numbers[:, 0] * solid_angle(self.sun) / (2.0 * math.pi)
         angle = 2.0 * math.pi * numbers[:, 1]
         sine = np.sqrt(fall * (2.0 - fall))
@@ -66,14 +64,14 @@ class Disc:
 
 
 class BrightSky:
-    """A sky, or the bright part of one, drawn from in proportion to its energy (`sky_sampling`).
+    """A sky, or its bright part, sampled in proportion to its energy (`prt_bake.lights.skies.sampling`).
 
-    Radiance over density is smooth, whatever the picture.
+    Radiance over density is smooth for every picture.
     """
 
     def __init__(self, sky: Sky) -> None:
-        """Draw from all of `sky`, which must not be black."""
-        self._table = sky_table(sky.image, sky.turn @ environment.FROM_POLAR[sky.up])
+        """Build the tables of a sky that is not black."""
+        self._table = sky_table(sky.image, sky.to_object)
 
     @property
     def power(self) -> float:
@@ -81,10 +79,10 @@ class BrightSky:
         return float(self._table.down[-1]) * 2.0 * math.pi**2 / self._table.weights.size
 
     def draw(self, numbers: Array) -> tuple[Array, Array]:
-        """As `Emitter.draw`; the first two numbers are used."""
+        """As `Emitter.draw`; only the first two numbers count."""
         directions = self.directions(numbers)
         light, density = self.look_up(directions)
-        # At the very rim of a tent both may have been rounded to 0.
+        # Rounding at the rim of a bilinear tent can make both 0.
         return directions, np.divide(light, density[:, None], out=np.zeros_like(light), where=density[:, None] > 0.0)
 
     def directions(self, numbers: Array) -> Array:
@@ -101,14 +99,14 @@ class BrightSky:
 
 
 class LightSampler:
-    """All of a lighting that has a size, drawn from in proportion to its energy, with the density of every direction.
+    """Samples all lights of a lighting that have a size, in proportion to their energy, and knows every density.
 
-    Each sky and each disc gets the share of its irradiance (mean over channels) among all. Directional lights without
-    size are not in it. Where nothing has a size or shines, directions are uniform over the sphere.
+    A sky or disc is chosen with the probability of its irradiance (mean over channels) among all. Directional lights
+    without size are left out. If no light has a size or all are black, directions are uniform over the sphere.
     """
 
     def __init__(self, lighting: Lighting) -> None:
-        """Make the tables of its skies."""
+        """Build the tables of the skies."""
         discs = [Disc(sun) for sun in lighting.suns if sun.angular_diameter > 0.0]
         emitters: list[BrightSky | Disc] = [*(BrightSky(sky) for sky in lighting.skies if sky.image.any()), *discs]
         powers = np.array([emitter.power for emitter in emitters])
@@ -116,7 +114,7 @@ class LightSampler:
         self._shares = powers[powers > 0.0] / max(powers.sum(), np.finfo(float).tiny)
 
     def draw(self, numbers: Array) -> Array:
-        """Directions [...,3] from uniform numbers [...,3]: the third chooses the light, the others the place in it."""
+        """Directions [...,3] from uniform numbers [...,3]; the third one chooses the light."""
         rows = np.ascontiguousarray(numbers, np.float64).reshape(-1, 3)
         if not self._emitters:
             return _on_sphere(rows).reshape(numbers.shape)
@@ -133,7 +131,7 @@ class LightSampler:
         return self.look_up(directions)[1]
 
     def look_up(self, directions: Array) -> tuple[Array, Array]:
-        """Radiance [...,3] that comes from `directions` [...,3], and the density [...] with which they are drawn."""
+        """Radiance [...,3] from `directions` [...,3], and the density [...] with which they are drawn."""
         rows = np.ascontiguousarray(directions, np.float64).reshape(-1, 3)
         radiance, density = np.zeros(rows.shape), np.zeros(len(rows))
         for emitter, share in zip(self._emitters, self._shares, strict=True):
@@ -147,7 +145,7 @@ class LightSampler:
 
 @dataclass(frozen=True, eq=False)
 class LightPlan:
-    """How a lighting is gathered: by connections to `emitters`, and by walks that leave towards `skies` and `suns`."""
+    """The lights that walks connect to (`emitters`), and those that they meet when they leave (`skies`, `suns`)."""
 
     emitters: tuple[Emitter, ...]
     skies: tuple[Sky, ...]
@@ -155,8 +153,9 @@ class LightPlan:
 
 
 def plan_light(lighting: Lighting, connections: Connections | None) -> LightPlan:
-    """Connect to all directional lights and to the bright part of skies, where there are connections and they are worth
-    it.
+    """Connect to all directional lights, and to the bright parts of skies that are worth it.
+
+    Without connections all lights are met by walks that leave.
     """
     if connections is None:
         return LightPlan((), lighting.skies, lighting.suns)
@@ -170,11 +169,11 @@ def plan_light(lighting: Lighting, connections: Connections | None) -> LightPlan
 
 
 def split_sky(sky: Sky, connections: Connections) -> tuple[Sky | None, Sky]:
-    """The part of a sky that is worth connections, None where nothing is, and the rest; they sum to the sky.
+    """The bright part of a sky that is worth connections (None if nothing is), and the rest; they sum to the sky.
 
-    The level between them is where the expected variance is least: that of the rest over the sphere, for walks that
-    leave anywhere, and that of the connections, a multiple of the bright part's squared mean. Connections are worth it
-    where they lower the variance more than they cost.
+    The level between them has the least expected variance: the variance of the rest over the sphere, for walks that
+    leave in any direction, plus the variance of the connections, a multiple of the bright part's squared mean.
+    Connections are worth it if they lower the variance more than they cost.
     """
     grey = sky.image.mean(axis=2, dtype=np.float64)
     level = _level(grey, connections)
@@ -183,7 +182,7 @@ def split_sky(sky: Sky, connections: Connections) -> tuple[Sky | None, Sky]:
     share = np.minimum(1.0, level / np.maximum(grey, level))
     rest = (sky.image * share[..., None]).astype(np.float32)
     bright = sky.image - rest
-    # A sky of one radiance exceeds its own mean by a rounding, and nothing of it is bright.
+    # A constant sky can exceed its own mean by a rounding error; it has no bright part.
     return (replace(sky, image=bright), replace(sky, image=rest)) if bright.any() else (None, sky)
 
 
@@ -195,19 +194,19 @@ def _level(grey: Array, connections: Connections) -> float | None:
     mean, largest = float(area @ value), float(value.max())
     if not largest > mean > 0.0:
         return None
-    whole = float(area @ value**2) - mean**2
-    lowest = min(mean, max(float(np.median(value)), _DARKEST * mean))
+    variance = float(area @ value**2) - mean**2
+    lowest = min(mean, max(float(np.median(value)), _MIN_LEVEL * mean))
     levels = np.geomspace(lowest, largest, _LEVELS, endpoint=False)
-    below = np.searchsorted(levels, value, side="right")  # how many of the levels lie below each pixel
+    below = np.searchsorted(levels, value, side="right")  # the number of levels below each pixel
     share, first, second = (
         np.cumsum(np.bincount(below, weights, _LEVELS + 1))[:_LEVELS]
         for weights in (area, area * value, area * value**2)
     )
     clipped = first + levels * (1.0 - share)
-    left = second + levels**2 * (1.0 - share) - clipped**2
-    variances = left + connections.variance * (mean - clipped) ** 2
+    rest_variance = second + levels**2 * (1.0 - share) - clipped**2
+    variances = rest_variance + connections.variance * (mean - clipped) ** 2
     best = int(np.argmin(variances))
-    return float(levels[best]) if (1.0 + connections.cost) * variances[best] < whole else None
+    return float(levels[best]) if (1.0 + connections.cost) * variances[best] < variance else None
 
 
 def _on_sphere(numbers: Array) -> Array:
@@ -217,7 +216,7 @@ def _on_sphere(numbers: Array) -> Array:
 
 
 def frame_across(direction: Array) -> tuple[Array, Array]:
-    """Two unit vectors across a unit vector [3]."""
+    """Two unit vectors orthogonal to a unit vector [3] and to each other."""
     across = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     across /= np.linalg.norm(across)
     return across, np.cross(direction, across)

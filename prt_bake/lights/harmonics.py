@@ -1,4 +1,4 @@
-"""Harmonics of skies and directional lights together, for assets to be lit by."""
+"""Spherical harmonics of a lighting: of its skies and directional lights together."""
 
 import math
 
@@ -15,9 +15,10 @@ Array = NDArray[np.float64]
 
 
 def project_lighting(lighting: Lighting, degree: int) -> Array:
-    """Coefficients b_lm = ∫ L Y_lm dω [K,3], object space, of all its lights: pictures as `environment.project` takes
-    them, with what smaller copies lack; discs exactly; a light without size as ∫ L dω, its irradiance, from its one
-    direction. Raises QueryError where a smaller copy was made for a lower degree.
+    """Coefficients b_lm = ∫ L Y_lm dω [K,3], in object space, of all lights.
+
+    Skies are projected by `environment.project`; the residual of a downsampled sky is added. Discs are exact. A light
+    without size is a delta function with its irradiance. Raises QueryError if a sky was downsampled for a lower degree.
     """
     total = np.zeros((sh.count(degree), 3))
     for sky in lighting.skies:
@@ -28,15 +29,15 @@ def project_lighting(lighting: Lighting, degree: int) -> Array:
             own += sky.residual[: len(own)]
         total += sh.rotation(sky.turn, degree) @ own
     for sun in lighting.suns:
-        shape = np.repeat(_of_disc(sun, degree), 2 * np.arange(degree + 1) + 1)
+        shape = np.repeat(_disc_means(sun, degree), 2 * np.arange(degree + 1) + 1)
         total += (shape * sh.evaluate(sun.direction, degree))[:, None] * sun.irradiance
     return total
 
 
-def _of_disc(sun: DirectionalLight, degree: int) -> Array:
+def _disc_means(sun: DirectionalLight, degree: int) -> Array:
     """The mean of each Legendre polynomial P_l [degree+1] over the light's disc, about its axis: 1 without size."""
     nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + 1)
-    # The cosine runs evenly from 1 down to that of the rim; small discs keep their digits.
+    # The cosine is uniform between 1 and that of the rim; 1 − cosine keeps its digits for small discs.
     fall = 2.0 * math.sin(math.radians(sun.angular_diameter) / 4.0) ** 2
     cosine = 1.0 - fall * (0.5 + 0.5 * nodes)
     return np.asarray(0.5 * weights @ np.polynomial.legendre.legvander(cosine, degree))

@@ -1,7 +1,7 @@
-"""What lights a picture: skies and directional lights, their radiance in a direction, and all of it in one hash.
+"""Lightings: skies and directional lights together, their radiance in a direction, and their content hash.
 
 A directional light of irradiance E (across its direction) and angular diameter a has the radiance E / Ω over its disc,
-Ω = 2π (1 − cos a/2), edges exact. One without size has no radiance anywhere: it can only be connected to.
+Ω = 2π (1 − cos a/2), with exact edges. A light without size has no radiance in any direction; walks connect to it.
 """
 
 import hashlib
@@ -29,28 +29,34 @@ from formats.scene.lights import (
     read_lights,
 )
 from prt_bake.lights import environment
-from prt_bake.lights.downsampled import shrink
+from prt_bake.lights.skies.downsampled import shrink
 from prt_bake.lights.sphere_lights import as_disc
+from prt_bake.mathematics import sh
 
 Array = NDArray[np.float64]
 
-_TO_MEND = "repair the picture, or have it mended (--mend; mend=True in Python)"
-WHOLE_BYTES = 512 << 20
-"""A sky up to this is read whole: a copy would take longer to make than it saves."""
+_REMEDY = "repair the picture, or have it repaired as it is read (--mend; mend=True in Python)"
+MAX_BYTES = 512 << 20
+"""Larger skies are downsampled. For smaller ones a copy would take longer to make than it saves."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A lat-long picture [H,W,3] of radiance with its up axis; `turn` [3,3] takes its directions to object space.
+    """A lat-long picture [H,W,3] of radiance with its up axis, rotated to object space by `turn` [3,3].
 
-    residual: harmonics [K,3] of the picture's own directions, those of a larger picture less those of `image`, where
-    `image` is a smaller copy of one; None where it is the whole.
+    residual: harmonics [K,3], before the rotation, of the original picture minus those of `image`, if `image` is a
+    downsampled copy; else None.
     """
 
     image: NDArray[np.float32]
     up: str
     turn: Array
     residual: Array | None = None
+
+    @property
+    def to_object(self) -> Array:
+        """The rotation [3,3] from the polar frame of the picture to object space."""
+        return self.turn @ environment.FROM_POLAR[self.up]
 
     def radiance(self, directions: Array) -> Array:
         """Radiance [N,3] from `directions` [N,3]."""
@@ -59,7 +65,16 @@ class Sky:
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """Skies and directional lights together; raises QueryError where there is none of either."""
+    """Skies and directional lights together. Raises QueryError if there is no light.
+
+    >>> import numpy as np
+    >>> import prt_bake as prt
+    >>> lighting = prt.read_lighting("sun:0,1,0:3,3,3:0.5")
+    >>> lighting.suns[0].irradiance.tolist()
+    [3.0, 3.0, 3.0]
+    >>> bool(lighting.radiance(np.array([[1.0, 0.0, 0.0]])).any())  # no light from the side
+    False
+    """
 
     skies: tuple[Sky, ...] = ()
     suns: tuple[DirectionalLight, ...] = ()
@@ -69,11 +84,11 @@ class Lighting:
             raise QueryError("light: there is none; give at least one sky or directional light")
 
     def radiance(self, directions: Array) -> Array:
-        """Radiance [N,3] from `directions` [N,3], of all that has a size."""
+        """Radiance [N,3] from `directions` [N,3], of all lights that have a size."""
         return radiance(self.skies, self.suns, directions)
 
     def turned(self, degrees: float, up: str) -> "Lighting":
-        """All of it turned by `degrees` about `up`, counter-clockwise seen from above."""
+        """The lighting rotated by `degrees` about `up`, counter-clockwise seen from above."""
         turn = environment.rotation(degrees, up)
         if degrees == 0.0:
             return self
@@ -83,7 +98,7 @@ class Lighting:
         )
 
     def content_hash(self) -> str:
-        """SHA-256 of all that decides the light."""
+        """SHA-256 of all lights."""
         digest = hashlib.sha256()
         for sky in self.skies:
             digest.update(json.dumps([sky.image.shape, sky.up, sky.turn.tolist()]).encode())
@@ -106,14 +121,23 @@ def read_lighting(
     most_rows: int | None = None,
     degree: int = 2,
 ) -> Lighting:
-    """Read one light or several: lat-long pictures, lights files (.toml), `sun:x,y,z[:r,g,b][:degrees]` and
-    `sphere:x,y,z:radius[:r,g,b]`, all turned by `rotate`.
+    """Read one or several lights, all rotated by `rotate` degrees about `up`.
 
-    `mend` and `say` are those of `environment.open_environment`. `mesh` is the object, which sphere lights are taken as
-    discs from the middle of (`sphere_lights`); `say` is told what that leaves out. Skies of more than `most_rows` that
-    would take more than `WHOLE_BYTES` are held as smaller copies (`downsampled`), their harmonics to `degree` as exact
-    as those of the whole. Raises LightError, ImageError and StorageError for what is none of these, QueryError where
-    `lights` is empty or a sphere light comes without a mesh.
+    A light is a lat-long picture, a lights file (.toml), `sun:x,y,z[:r,g,b][:degrees]` or
+    `sphere:x,y,z:radius[:r,g,b]`. `mend` repairs bad pixels of skies, and `say` is called with warnings (see
+    `environment.open_environment`). Sphere lights become discs seen from the middle of `mesh`, the object. A sky with
+    more than `most_rows` rows and more than 512 MiB is downsampled; its harmonics to `degree` stay exact.
+
+    Raises LightError, ImageError or StorageError for a light that cannot be read, QueryError if `lights` is empty or a
+    sphere light has no mesh.
+
+    >>> from pathlib import Path
+    >>> import prt_bake as prt
+    >>> from prt_bake import shipped
+    >>> sky = Path(shipped.__file__).parent / "sky.hdr"
+    >>> lighting = prt.read_lighting([sky, "sun:0,1,0:3,2.8,2.5:0.53"], rotate=90.0)
+    >>> len(lighting.skies), len(lighting.suns)
+    (1, 1)
     """
     skies, suns = list[Sky](), list[DirectionalLight]()
 
@@ -136,7 +160,7 @@ def read_lighting(
                     add(one, str(light))
         elif Path(light).suffix.lower() not in READABLE:
             raise LightError(
-                f"{light}: is no light; expected a lat-long sky (.exr, .hdr or .png), a lights file (.toml), "
+                f"{light}: is not a light; expected a lat-long sky (.exr, .hdr or .png), a lights file (.toml), "
                 f"{SUN_SYNTAX} or {SPHERE_SYNTAX}"
             )
         else:
@@ -147,27 +171,28 @@ def read_lighting(
 def _read_sky(
     light: SkyLight, up: str, mend: bool, say: Callable[[str], None], most_rows: int | None, degree: int
 ) -> Sky:
-    opened = environment.open_environment(light.path, mend, say, _TO_MEND)
+    opened = environment.open_environment(light.path, mend, say, _REMEDY)
     factor = 2.0**light.exposure * np.asarray(light.tint)
     residual = None
-    fits = 12 * opened.height * opened.width <= WHOLE_BYTES
+    fits = 12 * opened.height * opened.width <= MAX_BYTES
     if most_rows is None or opened.height <= most_rows or fits:
         image = opened.whole()
     else:
-        image, residual = shrink(opened, most_rows, degree, up)
-        residual *= factor
-    # A large sky is not copied for nothing.
+        to_object = sh.rotation(environment.from_polar(up), degree)
+        image, residual = shrink(opened, most_rows, degree)
+        residual = (to_object @ residual) * factor
+    # A factor of 1 is skipped, to save time on large skies.
     if not np.all(factor == 1.0):
-        with np.errstate(over="ignore"):  # what no longer fits is told by the check
+        with np.errstate(over="ignore"):  # `check` reports the overflow
             image *= np.asarray(factor, np.float32)
         environment.check(image, light.path)
         if not np.any(factor):
-            say(f"{light.path}: with its exposure and tint it is black: it gives no light")
+            say(f"{light.path}: its exposure and tint make it black: it gives no light")
     return Sky(image, up, environment.rotation(light.rotate, up), residual)
 
 
 def as_lighting(light: ArrayLike | Lighting, up: str, rotate: float) -> Lighting:
-    """A lat-long picture [H,W,3] as a lighting, or a lighting as it is, turned by `rotate` degrees about `up`."""
+    """The lighting of a lat-long picture [H,W,3], or a given lighting, rotated by `rotate` degrees about `up`."""
     if isinstance(light, Lighting):
         return light.turned(rotate, up)
     refuse_path("light", light, "prt.read_lighting")
@@ -188,13 +213,13 @@ def radiance(skies: Iterable[Sky], suns: Iterable[DirectionalLight], directions:
 
 
 def in_disc(sun: DirectionalLight, directions: Array) -> NDArray[np.bool_]:
-    """Whether `directions` [N,3], unit, fall on the light's disc [N]."""
-    # By the chord: near the axis the cosine has no digits left to tell small angles apart.
-    apart = directions - sun.direction
+    """Whether unit `directions` [N,3] are on the light's disc [N]."""
+    # By the chord: near the axis the cosine has too few digits for small angles.
+    difference = directions - sun.direction
     chord = 2.0 * math.sin(math.radians(sun.angular_diameter) / 4.0)
-    return np.asarray(np.einsum("ni,ni->n", apart, apart) <= chord * chord) & (sun.angular_diameter > 0.0)
+    return np.asarray(np.einsum("ni,ni->n", difference, difference) <= chord * chord) & (sun.angular_diameter > 0.0)
 
 
 def solid_angle(sun: DirectionalLight) -> float:
-    """Of the light's disc, steradians."""
+    """The solid angle of the light's disc, steradians."""
     return 4.0 * math.pi * math.sin(math.radians(sun.angular_diameter) / 4.0) ** 2

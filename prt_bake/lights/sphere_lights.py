@@ -1,8 +1,8 @@
-"""Sphere lights, as the object's middle sees them.
+"""Sphere lights as distant discs, seen from the middle of the object.
 
-What an asset and a distant light know is light that is the same from every point of the object. From a distance d a
-sphere of radius r and radiance L is a disc of angular diameter 2 asin(r/d) and radiance L: exact at the middle of the
-object, and elsewhere off by parallax and falloff, which `as_disc` tells.
+Assets are lit by distant light, which is the same at every point of the object. A sphere of radius r and radiance L at
+distance d becomes a disc of angular diameter 2 asin(r/d) and radiance L. This is exact at the middle of the object;
+elsewhere parallax and falloff are neglected, and `as_disc` reports by how much.
 """
 
 import math
@@ -16,16 +16,16 @@ from formats.scene.lights import DirectionalLight, SphereLight
 
 
 def as_disc(light: SphereLight, mesh: Mesh | None, name: str, say: Callable[[str], None]) -> DirectionalLight:
-    """The directional light that a sphere is, seen from the middle of `mesh`; `say` is told what that leaves out.
+    """The directional light that replaces a sphere light, seen from the middle of `mesh`.
 
-    The irradiance of a directional light is its radiance times its solid angle, here 2π (1 − √(1 − (r/d)²)) L. Raises
-    LightError (by the light's `name`) where the sphere reaches into the ball around the object, QueryError without a
-    mesh.
+    Its irradiance is its radiance times its solid angle, 2π (1 − √(1 − (r/d)²)) L. `say` is called with the neglected
+    parallax and falloff. Raises LightError (naming the light `name`) if the sphere reaches into the bounding ball of
+    the object, QueryError without a mesh.
     """
     if mesh is None:
         raise QueryError(
-            f"{name}: a sphere light is seen from the middle of an object, and there is none; hand in its mesh, or "
-            "shade an asset under it"
+            f"{name}: a sphere light is seen from the middle of an object, but there is no object; pass its mesh, or "
+            "shade an asset under the light"
         )
     extent = float(np.linalg.norm(mesh.positions - mesh.center, axis=1).max())
     towards = light.position - mesh.center
@@ -36,7 +36,7 @@ def as_disc(light: SphereLight, mesh: Mesh | None, name: str, say: Callable[[str
             f"radius {extent:g} around the object's middle {mesh.center.tolist()}; move it away"
         )
     sine = light.radius / distance
-    # 1 − cosine, which keeps its digits where the sphere is far.
+    # 1 − cosine keeps its digits for distant spheres.
     fall = sine * sine / (1.0 + math.sqrt((1.0 - sine) * (1.0 + sine)))
     say(f"{name}: {_neglected(extent / distance)}")
     return DirectionalLight(
@@ -45,10 +45,10 @@ def as_disc(light: SphereLight, mesh: Mesh | None, name: str, say: Callable[[str
 
 
 def _neglected(nearness: float) -> str:
-    """What lies between the light at the middle and at the rim of a ball of `nearness` times the distance."""
+    """The parallax and falloff over a ball whose radius is `nearness` times the distance of the light."""
     turn = math.degrees(math.asin(nearness))
     return (
-        f"is taken as distant, as the object's middle sees it; over the object its direction really turns by up to "
+        f"is taken as distant, as seen from the object's middle; over the object its direction turns by up to "
         f"{turn:.2g} degrees and its irradiance varies from {(1.0 + nearness) ** -2 - 1.0:+.1%} to "
         f"{(1.0 - nearness) ** -2 - 1.0:+.1%}"
     )

@@ -1,14 +1,13 @@
-"""Suns of a sky: its strongest small sources taken out as directional lights, and the sky that is left.
+"""Suns of a sky: the strongest small sources become directional lights, and the rest of the sky remains.
 
-What is a sun is a matter of connected bright regions over solid angle, never of a level of radiance, so that it does
-not depend on the picture's resolution or exposure. On a grid of cells, means of the picture over solid angle, cells
-join the regions of their neighbours in order of falling radiance. A region is small as long as it spreads no further
-than a disc of `WIDEST` degrees would. The level at which it first would is what surrounds it; what is above that level
-is its excess, and it is a sun where that is `SMALLEST_SHARE` of the sky's energy or more. Skies that rise slowly to
-their brightest place, and wide windows, have little above the level at which a region of theirs grows wide.
+A sun is a connected bright region on a grid of cells, each the mean of the picture over its solid angle. The criterion
+is independent of the picture's resolution and exposure. A region grows in order of falling radiance while its spread
+stays within that of a disc of `WIDEST` degrees. The radiance at which it would grow wider is its surroundings, and the
+radiance above is its excess. A region is a sun if its excess is at least `SMALLEST_SHARE` of the sky's energy. Smooth
+skies and wide windows have little excess.
 
-A sun takes the excess of each of its cells, in the colour of that cell; what is left of the cell is spread evenly over
-its pixels. The sums are therefore exact: residual and suns have the energy of the sky, channel by channel.
+A sun takes the excess of each of its cells in the colour of the cell, and the remaining energy is spread evenly over
+the pixels of the cell. The suns and the rest therefore have the energy of the sky exactly, channel by channel.
 """
 
 import math
@@ -19,26 +18,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene.lights import DirectionalLight
-from prt_bake.lights import environment
-from prt_bake.lights.bright_sources import Region, small_regions
 from prt_bake.lights.lighting import Lighting, Sky
+from prt_bake.lights.skies.bright_sources import BrightSource, find_bright_sources
 from prt_bake.mathematics.box_filter import box_filter, zone
 
 Array = NDArray[np.float64]
 
 MOST_SUNS = 8
 SMALLEST_SHARE = 0.02
-"""Of the sky's energy. A light of a share s moves what nine coefficients say by s of the whole at most."""
+"""Of the sky's energy. A light with the share s changes radiance by nine coefficients by at most s of the whole."""
 WIDEST = 12.0
-"""Diameter in degrees of the widest disc that is a sun."""
+"""Diameter of the widest sun, degrees."""
 _CELLS = (128, 256)
 
 
 @dataclass(frozen=True, eq=False)
 class SplitSky:
-    """The suns of a sky, strongest first, in object space, and the sky without them (the same one where it has none).
+    """The suns of a sky, strongest first, in object space, and the rest of the sky (the same object without suns).
 
-    shares: of the sky's energy (radiance over the sphere, mean over channels) that each of the suns took.
+    shares: each sun's share of the sky's energy (radiance over the sphere, mean over channels).
     """
 
     suns: tuple[DirectionalLight, ...]
@@ -47,7 +45,7 @@ class SplitSky:
 
 
 def split_lighting(lighting: Lighting) -> Lighting:
-    """The lighting with the suns of its skies as directional lights, after those that it has."""
+    """The lighting with the suns of its skies as additional directional lights."""
     parts = [split_suns(sky) for sky in lighting.skies]
     suns = tuple(sun for part in parts for sun in part.suns)
     return replace(lighting, skies=tuple(part.rest for part in parts), suns=lighting.suns + suns) if suns else lighting
@@ -56,29 +54,29 @@ def split_lighting(lighting: Lighting) -> Lighting:
 def split_suns(sky: Sky) -> SplitSky:
     """Take at most `MOST_SUNS` suns out of a sky.
 
-    A sun's direction is the mean of what it took, its angular diameter that of the even disc with the same spread. A
-    sky is read in blocks; a copy is made only where there is a sun. Pictures of texels wider than a sun have none.
+    The direction of a sun is the mean direction of its energy. Its angular diameter is that of the uniform disc with
+    the same spread. The picture is copied only if there is a sun. A picture with texels wider than a sun has none.
     """
     grid = _grid_of(sky.image)
     energy = float((grid.grey * grid.solid_angle).sum())
     if not energy > 0.0:
         return SplitSky((), sky, ())
     spread = math.sin(0.25 * math.radians(WIDEST)) ** 2
-    bright = small_regions(grid.grey, grid.solid_angle, grid.direction, spread, SMALLEST_SHARE * energy)
+    bright = find_bright_sources(grid.grey, grid.solid_angle, grid.direction, spread, SMALLEST_SHARE * energy)
     if not bright:
         return SplitSky((), sky, ())
-    bright.sort(key=lambda region: (-region.excess, int(region.cells[0])))
+    bright.sort(key=lambda source: (-source.excess, int(source.cells[0])))
     rest = np.array(sky.image, np.float32)
-    to_object = sky.turn @ environment.FROM_POLAR[sky.up]
-    suns = tuple(_take(rest, sky.image, grid, region, to_object) for region in bright[:MOST_SUNS])
+    suns = tuple(_take(rest, sky.image, grid, source, sky.to_object) for source in bright[:MOST_SUNS])
     shares = tuple(float(sun.irradiance.mean()) / energy for sun in suns)
     return SplitSky(suns, replace(sky, image=rest), shares)
 
 
 @dataclass(frozen=True)
 class _Grid:
-    """Means of a picture over cells: grey, solid_angle [R,C] and the mean direction [R,C,3] (shorter than 1), polar
-    frame. rows [H], columns [W]: the cell of each pixel's centre.
+    """Means of a picture over cells: grey, solid_angle [R,C] and the mean direction [R,C,3] (shorter than 1).
+
+    Directions are in the polar frame. rows [H], columns [W]: the cell of each pixel's centre.
     """
 
     grey: Array
@@ -92,7 +90,7 @@ def _grid_of(image: NDArray[np.float32]) -> _Grid:
     height, width = image.shape[:2]
     rows, columns = min(height, _CELLS[0]), min(width, _CELLS[1])
     across = box_filter(width, columns, np.subtract)
-    grey = np.stack([across @ line for line in _lines(image, rows)])
+    grey = np.stack([across @ line for line in _zone_means(image, rows)])
     direction, solid_angle = _cell_directions(np.arange(rows), np.arange(columns), (rows, columns))
     return _Grid(
         grey,
@@ -103,22 +101,22 @@ def _grid_of(image: NDArray[np.float32]) -> _Grid:
     )
 
 
-def _lines(image: NDArray[np.float32], rows: int) -> Iterator[Array]:
+def _zone_means(image: NDArray[np.float32], rows: int) -> Iterator[Array]:
     """The mean of an image [H,W,3] over each of `rows` zones and over channels [W]."""
     height, width = image.shape[:2]
     down = box_filter(height, rows, zone)
     for row in range(rows):
-        there = slice(row * height // rows, -(-(row + 1) * height // rows))
-        shares = down[[row], there].toarray()
-        # Rows are summed before channels are: along memory.
-        line = shares @ image[there].reshape(-1, 3 * width).astype(np.float64)
+        overlapping = slice(row * height // rows, -(-(row + 1) * height // rows))
+        shares = down[[row], overlapping].toarray()
+        # Rows are summed before channels: along memory.
+        line = shares @ image[overlapping].reshape(-1, 3 * width).astype(np.float64)
         yield line.reshape(width, 3).mean(axis=1)
 
 
 def _cell_directions(
     rows: NDArray[np.int64], columns: NDArray[np.int64], shape: tuple[int, int]
 ) -> tuple[Array, Array]:
-    """Mean direction [r,c,3] (∫ ω dω over solid angle, polar frame) and solid angle [r,c] of cells of a grid."""
+    """Mean direction [r,c,3] (∫ ω dω over solid angle, polar frame) and solid angle [r,c] of the cells of a grid."""
     top, bottom = math.pi * rows / shape[0], math.pi * (rows + 1) / shape[0]
     half = math.pi / shape[1]
     phi = 2.0 * math.pi * ((columns + 0.5) / shape[1] - 0.5)
@@ -134,24 +132,24 @@ def _cell_directions(
 
 
 def _take(
-    rest: NDArray[np.float32], image: NDArray[np.float32], grid: _Grid, region: Region, to_object: Array
+    rest: NDArray[np.float32], image: NDArray[np.float32], grid: _Grid, source: BrightSource, to_object: Array
 ) -> DirectionalLight:
-    """Level the cells of a region in `rest` [H,W,3], and return what that took from it as a light."""
+    """Take the excess of a bright source out of `rest` [H,W,3], and return it as a light."""
     irradiance, moment = np.zeros(3), np.zeros(3)
-    for row in np.unique(region.cells // grid.grey.shape[1]):
+    for row in np.unique(source.cells // grid.grey.shape[1]):
         pixel_rows = np.flatnonzero(grid.rows == row)
-        for column in region.cells[region.cells // grid.grey.shape[1] == row] % grid.grey.shape[1]:
+        for column in source.cells[source.cells // grid.grey.shape[1] == row] % grid.grey.shape[1]:
             pixel_columns = np.flatnonzero(grid.columns == column)
             direction, solid_angle = _cell_directions(pixel_rows, pixel_columns, image.shape[:2])
-            place = np.ix_(pixel_rows, pixel_columns)
-            radiance = image[place].astype(np.float64)
-            share = min(1.0, region.level / grid.grey[row, column])
-            rest[place] = share * np.einsum("rc,rck->k", solid_angle, radiance) / solid_angle.sum()
-            taken = solid_angle[..., None] * (radiance - rest[place])
+            pixels = np.ix_(pixel_rows, pixel_columns)
+            radiance = image[pixels].astype(np.float64)
+            share = min(1.0, source.level / grid.grey[row, column])
+            rest[pixels] = share * np.einsum("rc,rck->k", solid_angle, radiance) / solid_angle.sum()
+            taken = solid_angle[..., None] * (radiance - rest[pixels])
             irradiance += taken.sum(axis=(0, 1))
             moment += np.einsum("rc,rck->k", taken.mean(axis=2), direction)
     length = float(np.linalg.norm(moment))
     mean = length / float(irradiance.mean())
-    # An even disc whose rim is at the cosine c has the mean direction (1 + c) / 2.
+    # The mean direction of a uniform disc with the cosine c at its rim has the length (1 + c) / 2.
     diameter = 2.0 * math.degrees(math.acos(min(1.0, max(-1.0, 2.0 * mean - 1.0))))
     return DirectionalLight(to_object @ moment / length, np.maximum(irradiance, 0.0), diameter)

@@ -1,4 +1,4 @@
-"""Box filters along a line that is cut finely and coarsely: the rows or columns of a picture and of a smaller one."""
+"""Box filter along one axis: weights with which the rows or columns of an image average to those of a smaller one."""
 
 import math
 from collections.abc import Callable
@@ -14,10 +14,11 @@ Array = NDArray[np.float64]
 
 
 def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> "csr_array":
-    """Shares [coarse, fine] of `fine` equal parts of a line in the mean over each of `coarse` equal parts, by the
-    measure of their overlap; each row sums to 1.
+    """Weights [coarse, fine] of `fine` equal cells of the unit interval in the means over `coarse` equal cells.
 
-    measure: of stretches between ends [S] and beginnings [S], as parts of the line.
+    Weights are proportional to the measure of the overlap; each row sums to 1.
+
+    measure: of intervals with ends [S] and beginnings [S] in [0, 1].
     """
     from scipy.sparse import csr_array
 
@@ -30,5 +31,5 @@ def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array])
 
 
 def zone(end: Array, begin: Array) -> Array:
-    """Solid angle, up to a factor, between two parts of the way from pole to pole."""
+    """Solid angle, up to a factor, between two latitudes in [0, 1] from pole to pole."""
     return np.asarray(np.sin(math.pi * 0.5 * (begin + end)) * np.sin(math.pi * 0.5 * (end - begin)))

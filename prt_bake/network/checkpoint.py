@@ -30,7 +30,7 @@ def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) ->
 
             temporary.write_bytes(save(tensors, metadata={HEAD: head}))
         else:
-            # Through memory: on a full disk torch's own writer does not raise OSError.
+            # Through memory: on a full disk torch's own writer fails with other errors than OSError.
             content = io.BytesIO()
             torch.save({HEAD: head, "tensors": tensors}, content)
             temporary.write_bytes(content.getvalue())

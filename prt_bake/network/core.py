@@ -83,7 +83,7 @@ class NetworkCore(nn.Module):
         self.surface: Surface | None = None
         """The object's mesh, which gives exact normals: see `on`."""
         self.band: int | None = None
-        """The degree up to which lobes are evaluated; None for whole lobes: see `up_to`."""
+        """The degree up to which lobes are evaluated; None for all bands: see `up_to`."""
         self.view = None if interior is None else ViewFeatures(self.settings, self.frequencies, interior)
 
     def _draw_frequencies(self, generator: torch.Generator) -> None:

@@ -16,7 +16,7 @@ from vtkmodules.vtkRenderingCore import vtkActor, vtkPolyDataMapper, vtkTexture
 
 from formats.mesh import Mesh
 from prt_bake.preview import shaders
-from prt_bake.preview.state import Gloss
+from prt_bake.preview.state import Interface
 
 numpy_to_vtk: Any = numpy_support.numpy_to_vtk
 _LEAST_GAIN = -126.0
@@ -34,13 +34,13 @@ class Actor:
         self._shader: Any = self.actor.GetShaderProperty()
         self._uniforms: Any = self._shader.GetFragmentCustomUniforms()
         self._pixels: NDArray[np.float32] | None = None
-        self.expose(0.0)
+        self.set_exposure(0.0)
 
-    def expose(self, exposure: float) -> None:
+    def set_exposure(self, exposure: float) -> None:
         """Show it with an exposure in EV."""
         self._uniforms.SetUniformf("gain", 2.0 ** max(exposure, _LEAST_GAIN))
 
-    def look_up(self, picture: NDArray[np.float32]) -> None:
+    def set_picture(self, picture: NDArray[np.float32]) -> None:
         """Read this picture [H,W,3], linear, row 0 on top, from now on."""
         self._pixels = np.ascontiguousarray(picture, np.float32)  # VTK keeps no reference of its own
         height, width = picture.shape[:2]
@@ -83,9 +83,9 @@ class Sky(Actor):
         self.actor.UseBoundsOff()
         self._shader.AddVertexShaderReplacement("//VTK::PositionVC::Impl", True, shaders.FULL_SCREEN, False)
         self._replace_fragment(shaders.ENCODE + shaders.LOOK_UP, shaders.SKY)
-        self.look_up(np.zeros((1, 1, 3), np.float32))
+        self.set_picture(np.zeros((1, 1, 3), np.float32))
 
-    def look_from(self, view: NDArray[np.float64], fov: float, aspect: float, to_sky: NDArray[np.float64]) -> None:
+    def set_camera(self, view: NDArray[np.float64], fov: float, aspect: float, to_sky: NDArray[np.float64]) -> None:
         """Draw what is seen along the rows right, above and backward of `view` [3,3], unit, with a vertical field of
         view `fov` in degrees, turned by `to_sky` [3,3] to the frame of the picture.
         """
@@ -107,7 +107,7 @@ class Reference(Actor):
         self._size = picture.shape[1], picture.shape[0]
         self._shader.AddVertexShaderReplacement("//VTK::PositionVC::Impl", True, shaders.FULL_SCREEN, False)
         self._replace_fragment(shaders.ENCODE, shaders.PICTURE)
-        self.look_up(picture)
+        self.set_picture(picture)
 
     def fit(self, width: int, height: int) -> None:
         """Draw it in a window of this size."""
@@ -118,7 +118,7 @@ class Reference(Actor):
 class Object(Actor):
     """The mesh, about its middle and in units of its size: VTK keeps positions as float32."""
 
-    def __init__(self, mesh: Mesh, gloss: Gloss | None) -> None:
+    def __init__(self, mesh: Mesh, interface: Interface | None) -> None:
         self.center = mesh.center
         self.radius = float(np.linalg.norm(mesh.positions - self.center, axis=1).max()) or 1.0
         geometry = _triangles((mesh.positions - self.center) / self.radius, mesh.faces)
@@ -131,29 +131,29 @@ class Object(Actor):
         self.mapper.MapDataArrayToVertexAttribute("shownMC", "shown", points, -1)
         self.mapper.MapDataArrayToVertexAttribute("bentMC", "bent", points, -1)
         self._replace_vertex(shaders.OBJECT_VERTEX_NAMES, shaders.OBJECT_VERTEX)
-        self._uniforms.SetUniformf("eta", 1.0 if gloss is None else gloss.eta)
+        self._uniforms.SetUniformf("eta", 1.0 if interface is None else interface.eta)
         self._mirrors = False
         self._write()
 
-    def colour(self, shown: NDArray[np.float32]) -> None:
+    def set_colours(self, shown: NDArray[np.float32]) -> None:
         """Give the vertices colours times shares, and shares [V,4]."""
         self.shown[:] = shown
         self._shown.Modified()
 
-    def mirror(self, picture: NDArray[np.float32] | None) -> None:
+    def set_reflection(self, picture: NDArray[np.float32] | None) -> None:
         """Reflect this sky at the surface, or none."""
         if picture is not None:
-            self.look_up(picture)
+            self.set_picture(picture)
         if self._mirrors is not (picture is not None):
             self._mirrors = picture is not None
             self._write()
 
-    def look_from(self, eye: NDArray[np.float64], to_sky: NDArray[np.float64]) -> None:
+    def set_camera(self, eye: NDArray[np.float64], to_sky: NDArray[np.float64]) -> None:
         """Reflect the sky, turned by `to_sky` [3,3], to this eye, in units of the object."""
         self._set_vector("eyeMC", eye)
         self._turn_sky(to_sky)
 
-    def hide_backs(self, hidden: bool) -> None:
+    def cull_backfaces(self, hidden: bool) -> None:
         """Leave out faces that turn away: in front of them lie others, which would be worked out as well."""
         self.actor.GetProperty().SetBackfaceCulling(hidden)
 

@@ -18,7 +18,7 @@ from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSlide
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkRenderWindowInteractor
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
-_told: Any = calldata_type
+_calldata: Any = calldata_type
 _WHEEL = 1.05
 """How much nearer or farther one step of the wheel takes the eye."""
 _PLAIN = (0.13, 0.13, 0.14)
@@ -76,7 +76,7 @@ class Canvas:
         self.window.Finalize()
         self.interactor.SetRenderWindow(None)
 
-    def move_by_mouse(self, moves: Callable[[], None]) -> None:
+    def connect_mouse(self, moves: Callable[[], None]) -> None:
         """Let the mouse orbit about the vertical, the wheel go nearer, shift and the mouse go sideways; `moves` is
         called before each of these is drawn. No key of VTK's own does anything.
         """
@@ -116,7 +116,7 @@ class Canvas:
         style.AddObserver("InteractionEvent", lambda *_: moves())
         self.interactor.SetInteractorStyle(style)
 
-    def listen(self, actions: dict[str, Callable[[], None]]) -> None:
+    def connect_keys(self, actions: dict[str, Callable[[], None]]) -> None:
         """Call what belongs to the name of a key (X11's) when it is pressed."""
 
         def pressed(*_: Any) -> None:
@@ -126,13 +126,13 @@ class Canvas:
 
         self.interactor.AddObserver("KeyPressEvent", pressed)
 
-    def take_files(self, take: Callable[[list[str]], None]) -> None:
+    def connect_drops(self, take: Callable[[list[str]], None]) -> None:
         """Call it with the paths of files that are dropped on the window."""
 
         def dropped(_caller: Any, _event: str, paths: Any) -> None:
             take([paths.GetValue(number) for number in range(paths.GetNumberOfValues())])
 
-        self.interactor.AddObserver("DropFilesEvent", _told(VTK_OBJECT)(dropped))
+        self.interactor.AddObserver("DropFilesEvent", _calldata(VTK_OBJECT)(dropped))
 
     def slider(
         self, span: tuple[float, float], value: float, ends: tuple[float, float], slide: Callable[[float], None]

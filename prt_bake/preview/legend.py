@@ -25,7 +25,7 @@ def keys(preview: Preview, reference: str | None) -> list[Key]:
         rows.append(("n", f"next light, of {len(preview.lights)}"))
     if preview.relightable:
         rows.append(("drop", "a sky on the window: one light more"))
-    if preview.gloss is not None and preview.lights:
+    if preview.interface is not None and preview.lights:
         rows.append(("r", "reflection of the surface"))
     if preview.lights:
         rows.append(("b", "sky behind the object"))
@@ -57,7 +57,7 @@ def status(preview: Preview, name: str, eye: ArrayLike, reference: str | None = 
     if preview.mode is Mode.VALID:
         missing = int((~preview.asset.valid).sum())
         return _joined(name, f"{missing} of {len(preview.asset.valid)} vertices not valid" if missing else "all valid")
-    light = preview.lights[preview.which].name if preview.lights else "the light it was made for"
+    light = preview.lights[preview.current].name if preview.lights else "the light it was made for"
     turned = f"turned {preview.rotation:+.0f}°" if preview.rotation else ""
     if preview.mode is Mode.COEFFICIENT:
         l, m = preview.degree_and_order
@@ -71,7 +71,7 @@ def status(preview: Preview, name: str, eye: ArrayLike, reference: str | None = 
         turned,
         exposure,
         "" if suns is None else _SUNS[suns],
-        "with reflection" if preview.mirrored is not None else "",
+        "with reflection" if preview.reflected_sky is not None else "",
         "loading kernels" if preview.loading else "",
     )
 

@@ -15,7 +15,7 @@ from prt_bake.lights import environment
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
 from prt_bake.mathematics import sh
-from prt_bake.preview.mirrored import shrunk
+from prt_bake.preview.mirrored import resampled_sky
 from prt_bake.shading.suns import SunsApart, SunTreatment, suns_apart
 
 _MOST_ROWS = 2048
@@ -64,16 +64,16 @@ class LightSource:
         self.text, self._up, self._degree = text, up, degree
         self._mend, self._say, self._mesh = mend, say, mesh
         self.name = text if text.startswith(_NOT_FILES) else Path(text).name
-        self._stamp = self._stamped()
+        self._stamp = self._stamps()
         self.shown = self._read()
 
-    def beside(self, text: str) -> "LightSource":
+    def sibling(self, text: str) -> "LightSource":
         """Another light, read as this one is."""
         return LightSource(text, self._up, self._degree, self._mend, self._say, self._mesh)
 
-    def reread(self) -> str | None:
+    def reload(self) -> str | None:
         """Read it again if a file of it has changed; what to say about it, or None where nothing has changed."""
-        stamp = self._stamped()
+        stamp = self._stamps()
         if stamp == self._stamp:
             return None
         # Noted before reading: a file that is written meanwhile is read once more.
@@ -88,7 +88,7 @@ class LightSource:
         lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say, mesh=self._mesh)
         return ShownLight(lighting, project_lighting(lighting, self._degree), _picture(lighting, self._up))
 
-    def _stamped(self) -> Stamp:
+    def _stamps(self) -> Stamp:
         return tuple(_stamp(path) for path in self._files())
 
     def _files(self) -> Iterator[Path]:
@@ -118,7 +118,7 @@ def _picture(lighting: Lighting, up: str) -> NDArray[np.float32] | None:
         return None
     if len(skies) == 1 and not discs and np.array_equal(skies[0].turn, np.eye(3)):
         image = skies[0].image
-        return image if len(image) <= _MOST_ROWS else shrunk(image, _MOST_ROWS).astype(np.float32)
+        return image if len(image) <= _MOST_ROWS else resampled_sky(image, _MOST_ROWS).astype(np.float32)
     rows = min(max([_ROWS_OF_DISCS, *(len(sky.image) for sky in skies)]), _MOST_ROWS)
     u, v = (np.arange(2 * rows) + 0.5) / (2 * rows), (np.arange(rows) + 0.5) / rows
     picture = np.empty((rows, 2 * rows, 3), np.float32)

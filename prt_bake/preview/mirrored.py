@@ -11,7 +11,7 @@ _LEAST_ROWS, _MOST_ROWS = 48, 128
 _ROWS_TIMES_ALPHA = 12.0
 
 
-def mirrored_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float32]:
+def prefiltered_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float32]:
     """A lat-long picture of ∫ L D(h) cosθ / (4 h·n) dω over its weight, about each direction as normal and view.
 
     D is the GGX distribution of roughness `alpha`, h half way between the normal and the light: what a prefiltered sky
@@ -21,7 +21,7 @@ def mirrored_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float
     if alpha < _SHARPEST:
         return np.asarray(picture)
     rows = min(max(math.ceil(_ROWS_TIMES_ALPHA / alpha), _LEAST_ROWS), _MOST_ROWS)
-    coarse = shrunk(picture, rows)
+    coarse = resampled_sky(picture, rows)
     # A lobe about a direction is the same for all azimuths: a convolution along rows, for each two of them.
     theta = math.pi * (np.arange(rows) + 0.5) / rows
     phi = 2.0 * math.pi * np.arange(2 * rows) / (2 * rows)
@@ -34,7 +34,7 @@ def mirrored_sky(picture: NDArray[np.float32], alpha: float) -> NDArray[np.float
     return np.asarray(np.maximum(spread / weight[:, None, None], 0.0), np.float32)
 
 
-def shrunk(picture: NDArray[np.float32], rows: int) -> NDArray[np.float64]:
+def resampled_sky(picture: NDArray[np.float32], rows: int) -> NDArray[np.float64]:
     """A lat-long picture [rows,2·rows,3] of the means of a finer one (by solid angle), or of the nearest pixels of a
     coarser one.
     """

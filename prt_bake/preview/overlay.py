@@ -57,13 +57,13 @@ class Overlay:
             self._bar.paint(colours.about_zero(steps) if scale.low < 0.0 else colours.from_zero(steps))
 
     def hide(self) -> list[Any]:
-        """Take all of it off the picture; what `bring_back` is handed."""
+        """Take all of it off the picture; what `restore` is handed."""
         shown = [part for part in self._parts if part.GetVisibility()]
         for part in shown:
             part.VisibilityOff()
         return shown
 
-    def bring_back(self, shown: list[Any]) -> None:
+    def restore(self, shown: list[Any]) -> None:
         """Draw again what `hide` took off."""
         for part in shown:
             part.VisibilityOn()

@@ -23,12 +23,12 @@ Draw = Callable[[ArrayLike], NDArray[np.float32]]
 _VERTICES_AT_ONCE = 128
 
 
-class Settler:
+class Refiner:
     """What one asset sends to one eye under one light, once it is settled."""
 
     def __init__(self, asset: Asset) -> None:
         self._asset = asset
-        self._settling: Settling | None = None
+        self._refinement: Refinement | None = None
 
     @cached_property
     def closed(self) -> bool:
@@ -37,29 +37,29 @@ class Settler:
 
     def forget(self) -> None:
         """Another light shines."""
-        self._settling = None
+        self._refinement = None
 
     def radiance(self, eye: ArrayLike) -> NDArray[np.float32] | None:
         """Radiance [V,3] to this eye, None where it is not settled."""
-        settling = self._settling
+        settling = self._refinement
         return settling.radiance if settling is not None and settling.ready and settling.sees(eye) else None
 
-    def go_on(
+    def refine(
         self, light: SunsApart, rotation: float, eye: ArrayLike, draw: Draw, seconds: float = math.inf
     ) -> NDArray[np.float32] | None:
         """`radiance` after about so many seconds more of work. light: before it is turned by `rotation` degrees. draw:
         gives the radiance to begin with. Raises QueryError for an eye on the object or inside it.
         """
-        settling = self._settling
+        settling = self._refinement
         if settling is None or not settling.sees(eye):
             turned = _turned(light, rotation, self._asset.up)
-            settling = Settling(self._asset, turned, np.array(eye, np.float64), draw(eye), self.closed)
-            self._settling = settling
-        settling.go_on(seconds)
+            settling = Refinement(self._asset, turned, np.array(eye, np.float64), draw(eye), self.closed)
+            self._refinement = settling
+        settling.refine(seconds)
         return self.radiance(eye)
 
 
-class Settling:
+class Refinement:
     """Radiance [V,3] that `shade` gives for an eye, on its way; vertices that cannot be seen keep what they had.
 
     Attributes:
@@ -89,7 +89,7 @@ class Settling:
         """Whether it is for this eye."""
         return np.array_equal(self.eye, np.asarray(eye, np.float64))
 
-    def go_on(self, seconds: float = math.inf) -> None:
+    def refine(self, seconds: float = math.inf) -> None:
         """Work for about so long, or to the end."""
         end = time.monotonic() + seconds
         while not self.ready:

@@ -18,9 +18,9 @@ from prt_bake.lights import environment
 from prt_bake.mathematics import sh
 from prt_bake.preview import colours
 from prt_bake.preview.lights import LightSource, ShownLight
-from prt_bake.preview.mirrored import mirrored_sky
+from prt_bake.preview.mirrored import prefiltered_sky
 from prt_bake.preview.radiance import VertexRadiance
-from prt_bake.preview.refinement import Settler
+from prt_bake.preview.refinement import Refiner
 from prt_bake.shading.suns import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
@@ -47,7 +47,7 @@ class Scale(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Gloss:
+class Interface:
     """The surface's reflection: relative index `eta`, roughness `alpha`."""
 
     eta: float
@@ -64,7 +64,7 @@ class Preview:
         rotation: of the light, degrees, counter-clockwise seen from above, within ±180.
         exposure: EV.
         mode: what is shown of the object.
-        gloss: what the surface reflects by, None where the index is 1: there is nothing to reflect.
+        interface: what the surface reflects by, None where the index is 1: there is nothing to reflect.
         reflecting: whether that is shown.
         background: whether the sky is shown behind the object.
         suns: how they are met: the treatment asked for, or "plain" while that is switched off.
@@ -90,27 +90,27 @@ class Preview:
         self.lights = list(lights)
         if not self.lights and self.relightable:
             raise QueryError("light: there is none; give at least one")
-        self.which = 0
+        self.current = 0
         self.rotation = self.exposure = 0.0
         self.mode = Mode.RADIANCE
-        self.gloss = _gloss(asset)
+        self.interface = _interface(asset)
         self.reflecting, self.background, self.harmonic = False, True, 0
         self.message = ""
         self.changes = 0
         self.suns = suns
         self._treatment: SunTreatment = "split" if suns == "plain" else suns
         self._radiance = VertexRadiance(self.asset)
-        self._settler = Settler(self.asset)
+        self._refiner = Refiner(self.asset)
         self._loader: Thread | None = None
         low, high = self.asset.mesh.bounds
         reach = 1e-3 * self.asset.mesh.diagonal
         self._box = low - reach, high + reach
         self._shown = np.zeros((len(asset.valid), 4), np.float32)
         self._top: float | None = None
-        self._mirrored: tuple[ShownLight, NDArray[np.float32]] | None = None
+        self._reflected_sky: tuple[ShownLight, NDArray[np.float32]] | None = None
         self._relight()
-        self.turn_to(rotation)
-        self.expose(exposure)
+        self.rotate_to(rotation)
+        self.set_exposure(exposure)
 
     @property
     def loading(self) -> bool:
@@ -125,7 +125,7 @@ class Preview:
     @property
     def light(self) -> ShownLight | None:
         """The light that shines."""
-        return self.lights[self.which].shown if self.lights else None
+        return self.lights[self.current].shown if self.lights else None
 
     @property
     def has_suns(self) -> bool:
@@ -136,7 +136,7 @@ class Preview:
         """How suns are met in the colours for this eye, None where there are none; "plain" until they are settled."""
         if self.mode is not Mode.RADIANCE or not self.has_suns:
             return None
-        return "plain" if self.unsettled(eye) else self.suns
+        return "plain" if self.unrefined(eye) else self.suns
 
     @property
     def _lit(self) -> SunsApart:
@@ -154,16 +154,16 @@ class Preview:
         return self.light.picture
 
     @property
-    def mirrored(self) -> NDArray[np.float32] | None:
+    def reflected_sky(self) -> NDArray[np.float32] | None:
         """The lat-long picture that the surface mirrors, None where it mirrors nothing now."""
         light = self.light
-        if self.gloss is None or not self.reflecting or self.mode is not Mode.RADIANCE:
+        if self.interface is None or not self.reflecting or self.mode is not Mode.RADIANCE:
             return None
         if light is None or light.picture is None:
             return None
-        if self._mirrored is None or self._mirrored[0] is not light:
-            self._mirrored = light, mirrored_sky(light.picture, self.gloss.alpha)
-        return self._mirrored[1]
+        if self._reflected_sky is None or self._reflected_sky[0] is not light:
+            self._reflected_sky = light, prefiltered_sky(light.picture, self.interface.alpha)
+        return self._reflected_sky[1]
 
     @property
     def to_sky(self) -> NDArray[np.float64]:
@@ -194,7 +194,7 @@ class Preview:
 
     def step_light(self, step: int = 1) -> None:
         """The next light, or the one before."""
-        self.which = (self.which + step) % len(self.lights)
+        self.current = (self.current + step) % len(self.lights)
         self._relight()
 
     def add_light(self, text: str) -> None:
@@ -205,18 +205,18 @@ class Preview:
             self.message = "made for one light: no other can be shown"
             self.changes += 1
             return
-        added = self.lights[self.which].beside(text)
+        added = self.lights[self.current].sibling(text)
         texts = [source.text for source in self.lights]
-        self.which = texts.index(text) if text in texts else len(texts)
-        self.lights[self.which : self.which + 1] = [added]
+        self.current = texts.index(text) if text in texts else len(texts)
+        self.lights[self.current : self.current + 1] = [added]
         self._relight()
 
-    def turn_to(self, degrees: float) -> None:
+    def rotate_to(self, degrees: float) -> None:
         """Turn the light to a rotation; whole turns are taken off."""
         self.rotation = math.remainder(degrees, 360.0)
         self._relight()
 
-    def expose(self, exposure: float) -> None:
+    def set_exposure(self, exposure: float) -> None:
         """Set the exposure, as far as it goes."""
         self.exposure = min(max(exposure, -MOST_EXPOSURE), MOST_EXPOSURE)
         self.changes += 1
@@ -232,29 +232,29 @@ class Preview:
         self.mode = Mode.COEFFICIENT
         self._relight()
 
-    def flip_reflection(self) -> None:
+    def toggle_reflection(self) -> None:
         """With the surface's reflection, or without; says why where there is none."""
-        if self.gloss is None:
+        if self.interface is None:
             self.message = "no reflection: the object's index of refraction is 1"
         else:
             self.reflecting = not self.reflecting
         self.changes += 1
 
-    def flip_background(self) -> None:
+    def toggle_background(self) -> None:
         """With the sky behind the object, or without."""
         self.background = not self.background
         self.changes += 1
 
-    def flip_suns(self) -> None:
+    def toggle_suns(self) -> None:
         """Suns as harmonics like all other light, or met as was asked for; says why where there is none."""
         if not self.has_suns:
             self.message = "no suns: nothing in this light is small and strong"
         self.suns = self._treatment if self.suns == "plain" else "plain"
         self._relight()
 
-    def reread_lights(self) -> bool:
+    def reload_lights(self) -> bool:
         """Read again what has changed on disk; whether anything had, which `message` then tells."""
-        said = [words for source in self.lights if (words := source.reread()) is not None]
+        said = [words for source in self.lights if (words := source.reload()) is not None]
         if said:
             self.message = said[-1]
             self._relight()
@@ -275,7 +275,7 @@ class Preview:
         self._refuse_inside(np.asarray(eye, np.float64))
         shown[:, 3] = valid
         if self.mode is Mode.RADIANCE:
-            settled = self._settler.radiance(eye)
+            settled = self._refiner.radiance(eye)
             shown[:, :3] = self._radiance.draw(eye) if settled is None else settled
             return shown
         values = self._error(eye) if self.mode is Mode.ERROR else self._coefficient(eye)
@@ -285,15 +285,15 @@ class Preview:
         shown[:, :3] = colours.as_light(ramp(values / self._top)) * valid[:, None]
         return shown
 
-    def settle(self, eye: ArrayLike, seconds: float = math.inf) -> bool:
+    def refine(self, eye: ArrayLike, seconds: float = math.inf) -> bool:
         """Meet suns apart as this eye sees them, for about so long; whether `colours` gives them from now on.
 
         Nothing is done where there are none, while kernels are loaded meanwhile, and for an eye that sees nothing.
         """
-        if not self.unsettled(eye) or self.loading:
+        if not self.unrefined(eye) or self.loading:
             return False
         try:
-            ready = self._settler.go_on(self._lit, self.rotation, eye, self._radiance.draw, seconds) is not None
+            ready = self._refiner.refine(self._lit, self.rotation, eye, self._radiance.draw, seconds) is not None
         except QueryError:  # told when it is drawn
             return False
         self.changes += ready
@@ -302,11 +302,11 @@ class Preview:
     @property
     def closed(self) -> bool:
         """Whether no face of the object is seen from behind but from inside."""
-        return self._settler.closed
+        return self._refiner.closed
 
-    def unsettled(self, eye: ArrayLike) -> bool:
+    def unrefined(self, eye: ArrayLike) -> bool:
         """Whether there are suns to be met apart that `colours` does not give yet."""
-        return self.mode is Mode.RADIANCE and bool(self._lit.suns) and self._settler.radiance(eye) is None
+        return self.mode is Mode.RADIANCE and bool(self._lit.suns) and self._refiner.radiance(eye) is None
 
     def load(self) -> None:
         """Load the compiled kernels: from then on a frame takes a tenth of the time."""
@@ -319,7 +319,7 @@ class Preview:
         # Last: who finds them loaded may call any of them.
         self._radiance.load()
 
-    def load_meanwhile(self) -> None:
+    def load_in_background(self) -> None:
         """`load` on a thread of its own."""
         self._loader = Thread(target=self.load, daemon=True)
         self._loader.start()
@@ -349,9 +349,9 @@ class Preview:
         one[self.harmonic] = 1.0
         if not self.relightable:
             return np.asarray(self._radiance.draw(eye).mean(axis=1), np.float64)
-        self._radiance.light(one, 0.0)
+        self._radiance.set_light(one, 0.0)
         above = self._radiance.draw(eye).mean(axis=1)  # another array than the one that is drawn on
-        self._radiance.light(-one, 0.0)
+        self._radiance.set_light(-one, 0.0)
         return np.asarray(above - self._radiance.draw(eye).mean(axis=1), np.float64)
 
     @property
@@ -361,16 +361,16 @@ class Preview:
     def _relight(self) -> None:
         if self.relightable and self.light is not None:
             damped = self.suns == "window"
-            self._radiance.light(self._lit.harmonics if damped else self.light.harmonics, self.rotation)
+            self._radiance.set_light(self._lit.harmonics if damped else self.light.harmonics, self.rotation)
         self._changed()
 
     def _changed(self) -> None:
         self._top = None
-        self._settler.forget()
+        self._refiner.forget()
         self.changes += 1
 
 
-def _gloss(asset: Asset) -> Gloss | None:
+def _interface(asset: Asset) -> Interface | None:
     if abs(asset.eta - 1.0) < _SAME_INDEX:
         return None
-    return Gloss(asset.eta, asset.roughness or 0.0)
+    return Interface(asset.eta, asset.roughness or 0.0)

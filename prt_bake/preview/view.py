@@ -44,7 +44,7 @@ class View:
         self.preview, self.canvas = preview, canvas
         self.window = canvas.window
         self._start = start
-        self._object, self._sky = Object(preview.asset.mesh, preview.gloss), Sky()
+        self._object, self._sky = Object(preview.asset.mesh, preview.interface), Sky()
         self._reference = None if reference is None else Reference(reference)
         self.showing_reference = False
         self.changed = -math.inf
@@ -101,14 +101,14 @@ class View:
         """Whether edges are drawn smooth."""
         return bool(self.window.GetMultiSamples())
 
-    def settle(self, seconds: float = math.inf) -> bool:
+    def refine(self, seconds: float = math.inf) -> bool:
         """Go on meeting suns apart for about so long; whether that is done now, and to be drawn."""
-        return not self.showing_reference and self.preview.settle(self.eye, seconds)
+        return not self.showing_reference and self.preview.refine(self.eye, seconds)
 
     @property
-    def unsettled(self) -> bool:
+    def unrefined(self) -> bool:
         """Whether there is more of that to do."""
-        return not self.showing_reference and self.preview.unsettled(self.eye)
+        return not self.showing_reference and self.preview.unrefined(self.eye)
 
     def picture(self) -> NDArray[np.uint8]:
         """What the window shows, sRGB [H,W,3], row 0 on top."""
@@ -158,7 +158,7 @@ class View:
 
     def upload(self, colours: NDArray[np.float32]) -> None:
         """Hand them to VTK."""
-        self._object.colour(colours)
+        self._object.set_colours(colours)
 
     def _colour(self) -> None:
         colours = self.shade()
@@ -171,28 +171,28 @@ class View:
         sky = preview.sky
         self._object.actor.SetVisibility(not self.showing_reference)
         self._sky.actor.SetVisibility(sky is not None and not self.showing_reference)
-        self._object.expose(preview.shown_exposure)
-        self._sky.expose(preview.exposure)
+        self._object.set_exposure(preview.shown_exposure)
+        self._sky.set_exposure(preview.exposure)
         if sky is not None and self._new("sky", sky):
-            self._sky.look_up(sky)
-        mirrored = preview.mirrored
+            self._sky.set_picture(sky)
+        mirrored = preview.reflected_sky
         if self._new("mirrored", mirrored):
-            self._object.mirror(mirrored)
+            self._object.set_reflection(mirrored)
         if reference is not None:
             reference.actor.SetVisibility(self.showing_reference)
-            reference.expose(preview.exposure)
+            reference.set_exposure(preview.exposure)
             reference.fit(size[0], size[1])
 
     def _look(self, size: tuple[int, ...]) -> None:
         camera, to_sky = self._camera, self.preview.to_sky
         matrix = camera.GetViewTransformMatrix()
         view = np.array([[matrix.GetElement(row, column) for column in range(3)] for row in range(3)])
-        self._sky.look_from(view, camera.GetViewAngle(), size[0] / size[1], to_sky)
+        self._sky.set_camera(view, camera.GetViewAngle(), size[0] / size[1], to_sky)
         eye = np.array(camera.GetPosition())
         # Whether the object is closed is not asked for the first picture, which can wait for its backs.
-        self._object.hide_backs(not self.smooth_edges and float(np.linalg.norm(eye)) > 1.0 and self.preview.closed)
-        if self.preview.mirrored is not None:
-            self._object.look_from(eye, to_sky)
+        self._object.cull_backfaces(not self.smooth_edges and float(np.linalg.norm(eye)) > 1.0 and self.preview.closed)
+        if self.preview.reflected_sky is not None:
+            self._object.set_camera(eye, to_sky)
 
     def _new(self, name: str, picture: NDArray[np.float32] | None) -> bool:
         """Whether this is another picture than the one handed over before."""

@@ -19,7 +19,7 @@ __all__ = ["Canvas", "View", "Window", "write_picture"]
 TICK = 100
 """Milliseconds between two looks at the files."""
 _TURN, _EXPOSE = 5.0, 0.5
-_SAID_FOR = 6.0
+_MESSAGE_SECONDS = 6.0
 """Seconds that a message stays."""
 _STILL = 0.2
 """Seconds after the last movement until edges are drawn smooth again, and suns are met apart."""
@@ -46,7 +46,7 @@ class Window:
         self._interrupted: Callable[[], bool] = lambda: False
         self._interactor: Any = view.canvas.interactor
         self._drive()
-        self.rotation = self._slider((-180.0, 180.0), 0, self._preview.turn_to)
+        self.rotation = self._slider((-180.0, 180.0), 0, self._preview.rotate_to)
         self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.expose)
         if not self._preview.relightable:
             self.rotation.Off()
@@ -59,7 +59,7 @@ class Window:
         with interrupt_flag() as self._interrupted:
             self._interactor.Initialize()
             self.render()
-            self._preview.load_meanwhile()
+            self._preview.load_in_background()
             self._interactor.CreateRepeatingTimer(TICK)
             self._interactor.Start()
 
@@ -76,8 +76,8 @@ class Window:
             self._quit()
             return
         now = time.monotonic()
-        changed = self._preview.reread_lights()
-        if not changed and self._preview.message and now - self._said > _SAID_FOR:
+        changed = self._preview.reload_lights()
+        if not changed and self._preview.message and now - self._said > _MESSAGE_SECONDS:
             self._preview.message = ""
             changed = True
         if self._loading is not self._preview.loading:
@@ -87,8 +87,8 @@ class Window:
         if not self.view.smooth_edges and still:
             self.view.smooth(True)
             changed = True
-        if still and self.view.unsettled:
-            changed |= self.view.settle(_SLICE)
+        if still and self.view.unrefined:
+            changed |= self.view.refine(_SLICE)
             self._interactor.CreateOneShotTimer(_PAUSE)
         if changed:
             self.render()
@@ -99,21 +99,21 @@ class Window:
         for slider in sliders:
             slider.Off()
         self.view.smooth(True)
-        self.view.settle()
+        self.view.refine()
         self._bare = True
         try:
             write_picture(path, self.view.picture())
         finally:
             self._bare = False
-            self.overlay.bring_back(shown)
+            self.overlay.restore(shown)
             for slider in sliders:
                 slider.On()
 
     def _drive(self) -> None:
         canvas = self.view.canvas
-        canvas.move_by_mouse(self._move)
-        canvas.listen({name: self._doing(action) for names, action in self._actions() for name in names.split()})
-        canvas.take_files(self._take)
+        canvas.connect_mouse(self._move)
+        canvas.connect_keys({name: self._doing(action) for names, action in self._actions() for name in names.split()})
+        canvas.connect_drops(self._take)
         self._interactor.AddObserver("TimerEvent", lambda *_: self.tick())
         self.view.window.AddObserver("StartEvent", lambda *_: self._tell())
 
@@ -122,11 +122,11 @@ class Window:
         actions: list[tuple[str, Callable[[], None]]] = [
             ("h question", self._flip_legend),
             ("0 Home", self.view.reset_camera),
-            ("Up", lambda: preview.expose(preview.exposure + _EXPOSE)),
-            ("Down", lambda: preview.expose(preview.exposure - _EXPOSE)),
-            ("r", preview.flip_reflection),
-            ("b", preview.flip_background),
-            ("u", preview.flip_suns),
+            ("Up", lambda: preview.set_exposure(preview.exposure + _EXPOSE)),
+            ("Down", lambda: preview.set_exposure(preview.exposure - _EXPOSE)),
+            ("r", preview.toggle_reflection),
+            ("b", preview.toggle_background),
+            ("u", preview.toggle_suns),
             ("e", lambda: preview.show(Mode.ERROR)),
             ("v", lambda: preview.show(Mode.VALID)),
             ("c", lambda: preview.show(Mode.COEFFICIENT)),
@@ -137,8 +137,8 @@ class Window:
             ("q Escape", self._quit),
         ]
         if preview.relightable:
-            actions.append(("Left", lambda: preview.turn_to(preview.rotation - _TURN)))
-            actions.append(("Right", lambda: preview.turn_to(preview.rotation + _TURN)))
+            actions.append(("Left", lambda: preview.rotate_to(preview.rotation - _TURN)))
+            actions.append(("Right", lambda: preview.rotate_to(preview.rotation + _TURN)))
         if preview.lights:
             actions.append(("n", preview.step_light))
             actions.append(("N", lambda: preview.step_light(-1)))

@@ -80,8 +80,10 @@ def train(
     finite, naming the query; SamplesError for a file that is damaged or belongs to another scene; ModelError for a
     checkpoint that cannot be resumed.
 
+    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> scene = prt.load_scene("prt_bake/shipped/spot.toml")
+    >>> from prt_bake import shipped
+    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
     >>> network = prt.train(scene, minutes=10, output="spot.pt")  # doctest: +SKIP
     >>> network.metadata["training"]["relative_rmse"]["coefficients"] < 0.1  # doctest: +SKIP
     True

@@ -1,4 +1,4 @@
-"""Meshes and transports of which a bake does not need everything, or only just does."""
+"""Meshes and transports with parts that are redundant, or nearly so."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from tests.bakers.transports import Array
 
 @dataclass(frozen=True)
 class Grey:
-    """A clamped cosine, alike in all channels but at one vertex, and from all views but at another."""
+    """A clamped cosine with equal channels except at one vertex, and equal views except at another."""
 
     coloured: Array | None = None
     changing: Array | None = None
@@ -38,28 +38,28 @@ class Flat:
 
 @dataclass(frozen=True)
 class Nearly:
-    """Alike in all channels, from all views and without band 2, but for so much of the coefficients each."""
+    """Equal in all channels and views and without band 2, except for these shares of the coefficients."""
 
     coloured: float = 0.0
     changing: float = 0.0
     banded: float = 0.0
     at: Array | None = None
-    """The only vertex where it is so."""
+    """The only vertex with these differences; None: all vertices."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         here = np.ones(len(positions)) if self.at is None else np.isclose(positions, self.at).all(axis=1)
         cosine = np.einsum("ndi,ni->nd", incident, positions)
-        # 3 c² − 1 has the norm √(16π/5) and the constant √(4π): the share that is asked for.
+        # The norm of 3 c² − 1 is √(16π/5), that of the constant √(4π).
         value = 1.0 + here[:, None] * self.banded * np.sqrt(5.0 / 4.0) * (3.0 * cosine**2 - 1.0)
-        # Along the normal the bins' cosines are uniform: these have a mean of 0 and a variance of 1.
-        seen = np.sqrt(12.0) * ((outgoing * positions).sum(axis=1) - 0.5)
-        value *= 1.0 + (here * self.changing * seen)[:, None]
+        # The bins' cosines to the normal are uniform: scaled to mean 0 and variance 1.
+        by_view = np.sqrt(12.0) * ((outgoing * positions).sum(axis=1) - 0.5)
+        value *= 1.0 + (here * self.changing * by_view)[:, None]
         spread = np.sqrt(1.5) * self.coloured * np.array([1.0, -1.0, 0.0])
         return np.asarray(value[..., None] * (1.0 + here[:, None, None] * spread))
 
 
 def nested(*radii: float) -> tuple[Mesh, NDArray[np.bool_]]:
-    """Balls in one another, the largest first, and which vertices lie inside another."""
+    """Concentric balls, the largest first, and a mask of the vertices inside another ball."""
     balls = [trimesh.creation.icosphere(subdivisions=1, radius=radius) for radius in radii]
     each = len(balls[0].vertices)
     faces = np.concatenate([ball.faces + number * each for number, ball in enumerate(balls)])
@@ -68,8 +68,8 @@ def nested(*radii: float) -> tuple[Mesh, NDArray[np.bool_]]:
 
 
 def pierced(width: float) -> tuple[Mesh, NDArray[np.bool_]]:
-    """A ball in a ball of which one face is drawn in, by that share, within its plane: of the inner one no other faces
-    are seen than those that some corner of the gap lies in front of.
+    """A ball in a ball, one face of which is shrunk by that share within its plane. Only inner faces with a corner of
+    the gap in front of them are visible; also a mask of the hidden vertices.
     """
     mesh, inside = nested(1.0, 0.5)
     corners = mesh.positions[mesh.faces[0]]
@@ -93,7 +93,7 @@ def finned() -> tuple[Mesh, NDArray[np.bool_]]:
 
 
 def two_skinned() -> tuple[Mesh, NDArray[np.bool_]]:
-    """A ball of which every face is there twice, back to back: no vertex is hidden."""
+    """A ball with every face twice, back to back: no vertex is hidden."""
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, np.int32)
     both = np.concatenate([faces, faces[:, ::-1] + len(vertices)])
@@ -102,7 +102,7 @@ def two_skinned() -> tuple[Mesh, NDArray[np.bool_]]:
 
 
 def doubled() -> Mesh:
-    """A ball whose every vertex is there twice: half of its faces have the one, half the other."""
+    """A ball with every vertex twice; half of its faces use one copy, half the other."""
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces, np.int32).copy()
     faces[::2] += len(vertices)
@@ -110,7 +110,7 @@ def doubled() -> Mesh:
 
 
 def soup() -> Mesh:
-    """A ball each of whose faces has vertices of its own, with the ball's normals."""
+    """A ball whose faces share no vertices, with the normals of the ball."""
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices = np.asarray(ball.vertices)[np.asarray(ball.faces).reshape(-1)]
     return Mesh(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), vertices.copy())

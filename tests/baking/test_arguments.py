@@ -1,4 +1,4 @@
-"""What a bake is asked for that makes no sense is refused at once, and nothing that lies in the way is touched."""
+"""Invalid arguments of a bake raise before any work, and existing files stay unchanged."""
 
 import math
 from pathlib import Path
@@ -17,15 +17,15 @@ from tests.bakers.transports import Incoherent, icosphere
 SMALL = {"rings": 2, "sectors": 4, "samples": 18}
 
 
-class Unasked:
-    """A transport that no bake may ask anything."""
+class NeverEvaluated:
+    """A transport that must not be evaluated."""
 
     def evaluate(self, incident: Any, positions: Any, outgoing: Any) -> Any:
-        raise AssertionError("asked")
+        raise AssertionError("evaluated")
 
 
 @pytest.mark.parametrize(
-    ("asked", "sentence"),
+    ("arguments", "sentence"),
     [
         ({"seed": -1}, "seed must be at least 0, found -1"),
         ({"seed": 2**63}, "seed must be at most"),
@@ -54,32 +54,32 @@ class Unasked:
 @pytest.mark.parametrize("command", [bake.bake, bake.plan])
 def test_what_makes_no_sense_is_refused_before_any_work(command: Any, asked: dict[str, Any], sentence: str) -> None:
     with pytest.raises(QueryError, match=sentence):
-        command(Unasked(), icosphere(0), **{**SMALL, **asked})
+        command(NeverEvaluated(), icosphere(0), **{**SMALL, **asked})
 
 
 @pytest.mark.parametrize("minutes", [0.0, -1.0, math.nan])
-def test_no_time_is_no_bake(minutes: float) -> None:
+def test_minutes_must_be_positive(minutes: float) -> None:
     with pytest.raises(QueryError, match="minutes must be positive"):
-        bake.bake(Unasked(), icosphere(0), **SMALL, minutes=minutes)
+        bake.bake(NeverEvaluated(), icosphere(0), **SMALL, minutes=minutes)
 
 
-def test_a_mesh_without_vertices_is_told() -> None:
+def test_a_mesh_without_vertices_raises() -> None:
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 3)))
     for command in (bake.bake, bake.plan):
-        with pytest.raises(QueryError, match="no vertices"):
-            command(Unasked(), empty)  # type: ignore[operator]
+        with pytest.raises(QueryError, match="mesh: expected at least one vertex"):
+            command(NeverEvaluated(), empty)  # type: ignore[operator]
 
 
 @pytest.mark.parametrize("output", ["missing/a.h5", "folder.h5"])
-def test_an_output_that_cannot_be_written_is_refused_before_any_work(tmp_path: Path, output: str) -> None:
+def test_an_output_that_cannot_be_written_raises_before_any_work(tmp_path: Path, output: str) -> None:
     (tmp_path / "folder.h5").mkdir()
     with pytest.raises(StorageError, match="cannot be written"):
-        bake.bake(Unasked(), icosphere(0), **SMALL, out=tmp_path / output)
+        bake.bake(NeverEvaluated(), icosphere(0), **SMALL, out=tmp_path / output)
     assert [path.name for path in tmp_path.iterdir()] == ["folder.h5"]
 
 
 @pytest.mark.parametrize("resume", [False, True])
-def test_what_others_keep_where_the_journal_would_lie_stays(tmp_path: Path, resume: bool) -> None:
+def test_foreign_files_at_the_place_of_the_journal_stay(tmp_path: Path, resume: bool) -> None:
     for output, own in (("a.h5", "a.h5.journal"), ("b.h5", "b.h5.journal/notes.txt")):
         foreign = tmp_path / own
         foreign.parent.mkdir(exist_ok=True)
@@ -91,7 +91,7 @@ def test_what_others_keep_where_the_journal_would_lie_stays(tmp_path: Path, resu
         assert foreign.read_text() == "mine"
 
 
-def test_two_bakes_of_one_output_are_not_mixed(tmp_path: Path) -> None:
+def test_two_bakes_of_one_output_do_not_mix(tmp_path: Path) -> None:
     out = tmp_path / "a.h5"
     with Journal(out, {"seed": 1}, resume=False) as journal:
         journal.write("block-0", {"one": np.ones(1)})
@@ -105,32 +105,32 @@ def test_two_bakes_of_one_output_are_not_mixed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("directions", ["uniform", "sobol", "fibonacci"])
-def test_an_error_out_of_reach_leaves_nothing_behind(tmp_path: Path, directions: str) -> None:
-    with pytest.raises(PrtbakeError, match=r"out of reach; .* ask for a larger one"):
+def test_an_error_out_of_reach_leaves_no_files(tmp_path: Path, directions: str) -> None:
+    with pytest.raises(PrtbakeError, match=r"out of reach; .* request a larger error"):
         bake.bake(Incoherent(), icosphere(0), 2, 2, 4, directions, 64, 1e-9, out=tmp_path / "a.h5")
     assert not list(tmp_path.iterdir())
 
 
-def test_what_plain_monte_carlo_cannot_reach_is_told_by_its_first_pilot() -> None:
-    asked = []
+def test_the_first_pilot_detects_errors_out_of_reach_of_monte_carlo() -> None:
+    evaluated = []
 
     class Counted(Incoherent):
         def evaluate(self, incident: Any, positions: Any, outgoing: Any) -> Any:
-            asked.append(incident.shape[0] * incident.shape[1])
+            evaluated.append(incident.shape[0] * incident.shape[1])
             return super().evaluate(incident, positions, outgoing)
 
     with pytest.raises(QueryError, match="64 directions a bin leave"):
         bake.bake(Counted(), icosphere(0), 2, 2, 4, "uniform", 64, 1e-4)
-    assert sum(asked) == 12 * 8 * 64
+    assert sum(evaluated) == 12 * 8 * 64
 
 
-def test_a_plan_to_an_error_tells_the_directions_that_the_bake_takes() -> None:
-    asked = Incoherent(), icosphere(0), 2, 2, 4, "sobol", 64
-    plan = bake.plan(*asked, error=0.02)
-    assert plan.samples == bake.bake(*asked, 0.02).provenance["settings"]["samples"] > 64
+def test_a_plan_to_an_error_predicts_the_directions_of_the_bake() -> None:
+    arguments = Incoherent(), icosphere(0), 2, 2, 4, "sobol", 64
+    plan = bake.plan(*arguments, error=0.02)
+    assert plan.samples == bake.bake(*arguments, 0.02).provenance["settings"]["samples"] > 64
 
 
-def test_what_killed_processes_left_is_removed_of_that_output_alone(tmp_path: Path) -> None:
+def test_temporary_files_of_killed_processes_are_removed_for_that_output_only(tmp_path: Path) -> None:
     for name in (".a.h5.0123abcd.part", ".my-a.h5.0123abcd.part", ".a.h5.part"):
         (tmp_path / name).touch()
     remove_parts(tmp_path, "a.h5")

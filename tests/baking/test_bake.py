@@ -1,4 +1,4 @@
-"""Laws of the bake: identity on the band, honest errors, independence of how the work is cut, partial results."""
+"""Bakes with fixed samples: exactness in the band, calibrated errors, independence of blocks, partial results."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def ball(vertices: int = 14) -> Mesh:
-    """A convex mesh about the origin: the hull of a few lattice points, faces turned outward."""
+    """A convex mesh about the origin: the hull of a few lattice points, with outward faces."""
     from scipy.spatial import ConvexHull
 
     points = sphere.fibonacci(vertices)
@@ -52,24 +52,24 @@ class Kinked:
         light = np.broadcast_to(incident, (len(positions), *incident.shape[-2:]))
         facing = np.einsum("ndi,ni->nd", light, positions)
         lobe = np.exp(6.0 * (np.einsum("ndi,ni->nd", light, outgoing) - 1.0))
-        lit = np.where(light[..., 0] + 0.3 * light[..., 1] > -0.4, 1.0, 0.4)
-        return np.stack([np.maximum(facing, 0.0) * lit, 0.3 * np.exp(facing) + lobe, lobe * lit + 0.1], axis=-1)
+        shadow = np.where(light[..., 0] + 0.3 * light[..., 1] > -0.4, 1.0, 0.4)
+        return np.stack([np.maximum(facing, 0.0) * shadow, 0.3 * np.exp(facing) + lobe, lobe * shadow + 0.1], axis=-1)
 
 
-class Noted(Kinked):
-    """Counts what it is asked."""
+class Counted(Kinked):
+    """Counts evaluations."""
 
     def __init__(self) -> None:
         self.evaluations = 0
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        answer = super().evaluate(incident, positions, outgoing)
-        self.evaluations += answer.shape[0] * answer.shape[1]
-        return answer
+        values = super().evaluate(incident, positions, outgoing)
+        self.evaluations += values.shape[0] * values.shape[1]
+        return values
 
 
 def views(mesh: Mesh, rings: int, sectors: int) -> Array:
-    """Directions to the eye [V,B,3] that the bins stand for."""
+    """Directions to the eye [V,B,3] of the view bins."""
     tangents = sphere.tangent_frame(mesh.normals)
     return sphere.to_world(sphere.view_bins(rings, sectors), mesh.normals[:, None], tangents[:, None])
 
@@ -78,15 +78,14 @@ def views(mesh: Mesh, rings: int, sectors: int) -> Array:
     ("degree", "rings", "sectors"),
     [(0, 1, 1), (1, 2, 3), (2, 1, 1), (2, 4, 32), (3, 1, 40), (5, 2, 2), (8, 1, 1), (8, 1, 32)],
 )
-def test_what_is_in_the_band_is_recovered_everywhere(degree: int, rings: int, sectors: int) -> None:
+def test_band_limited_transports_are_recovered_exactly(degree: int, rings: int, sectors: int) -> None:
     mesh, transport = ball(14 if degree < 8 else 6), Banded(degree)
     asset = bake(transport, mesh, degree, rings, sectors, seed=3)
     outgoing = views(mesh, rings, sectors)
     bins = rings * sectors
     expected = transport.coefficients(np.repeat(mesh.positions, bins, axis=0), outgoing.reshape(-1, 3))
     found = asset.coefficients.reshape(-1, sh.count(degree), 3)
-    bent = asset.provenance["bins_bent_to_the_horizon"]
-    assert bent == 0
+    assert asset.provenance["bins_bent_to_the_horizon"] == 0
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
     assert asset.coefficients.dtype == np.float32
     assert asset.complete
@@ -105,16 +104,16 @@ def test_what_is_in_the_band_is_recovered_everywhere(degree: int, rings: int, se
     ],
 )
 def test_standard_errors_are_calibrated(directions: str, rings: int, sectors: int, samples: int, method: str) -> None:
-    """True errors against 2¹³ directions: their size, and the share of bins within 1.96 of the estimate."""
+    """Errors compared with 2¹³ directions: their rms, and the share of bins within 1.96 standard errors."""
     mesh = ball(8)
     asset = bake(Kinked(), mesh, 2, rings, sectors, directions, samples, seed=5)
-    truth = reference(mesh, rings, sectors)
-    squared = ((asset.coefficients - truth) ** 2).mean(axis=(2, 3))
+    expected = reference(mesh, rings, sectors)
+    squared = ((asset.coefficients - expected) ** 2).mean(axis=(2, 3))
     stated = asset.standard_error.astype(np.float64)
     assert asset.provenance["error_estimate"] == method
     assert np.sqrt((stated**2).mean() / squared.mean()) == pytest.approx(1.0, abs=0.12)
     assert 0.92 <= (np.sqrt(squared) <= 1.96 * stated).mean() <= 1.0
-    relative = np.sqrt(squared.sum() * 27 / (truth**2).sum())
+    relative = np.sqrt(squared.sum() * 27 / (expected**2).sum())
     assert asset.error_vs_time[-1, 2] == pytest.approx(relative, rel=0.12)
 
 
@@ -123,30 +122,31 @@ def reference(mesh: Mesh, rings: int, sectors: int) -> Array:
     directions = sphere.fibonacci(1 << 13) @ sphere.random_rotations(1, 99)[0].T
     weights = 4 * np.pi / len(directions) * sh.evaluate(directions, 2).T
     outgoing = views(mesh, rings, sectors)
-    truth = np.empty((*outgoing.shape[:2], 9, 3))
+    expected = np.empty((*outgoing.shape[:2], 9, 3))
     for vertex, x in enumerate(mesh.positions):
         for first in range(0, outgoing.shape[1], 16):
             eye = outgoing[vertex, first : first + 16]
             values = Kinked().evaluate(directions, np.repeat(x[None], len(eye), axis=0), eye)
-            truth[vertex, first : first + 16] = weights @ values
-    return truth
+            expected[vertex, first : first + 16] = weights @ values
+    return expected
 
 
-def test_residual_estimate_errs_on_the_safe_side() -> None:
+def test_the_residual_estimate_is_conservative() -> None:
     mesh = ball(40)
     asset = bake(Kinked(), mesh, 2, 2, 2, samples=20, seed=1)
-    truth = reference(mesh, 2, 2)
-    squared = ((asset.coefficients - truth) ** 2).mean(axis=(2, 3))
+    expected = reference(mesh, 2, 2)
+    squared = ((asset.coefficients - expected) ** 2).mean(axis=(2, 3))
     assert asset.provenance["error_estimate"] == "residual"
     assert 1.0 < np.sqrt((asset.standard_error**2).mean() / squared.mean()) < 3.0
 
 
-def test_lattice_is_unbiased_and_far_better_than_uniform() -> None:
-    """The mean over many seeds closes in on the truth as fast as the scatter allows."""
+def test_the_lattice_is_unbiased_and_far_better_than_uniform_directions() -> None:
+    """The mean over many seeds agrees with the reference within its standard error."""
     mesh = ball(8)
-    truth = reference(mesh, 1, 1)
+    expected = reference(mesh, 1, 1)
     errors = {
-        kind: np.stack([bake(Kinked(), mesh, 2, 1, 1, kind, 32, seed=seed).coefficients for seed in range(200)]) - truth
+        kind: np.stack([bake(Kinked(), mesh, 2, 1, 1, kind, 32, seed=seed).coefficients for seed in range(200)])
+        - expected
         for kind in ("fibonacci", "uniform")
     }
     scatter = {kind: np.sqrt((error**2).mean()) for kind, error in errors.items()}
@@ -157,7 +157,7 @@ def test_lattice_is_unbiased_and_far_better_than_uniform() -> None:
         assert z.std() < 1.3
 
 
-def test_equal_seeds_give_equal_assets_and_workers_do_not_matter() -> None:
+def test_equal_seeds_give_equal_assets_for_any_number_of_workers() -> None:
     mesh = ball()
     network = NeuralBSSRDF(NetworkSettings(features=16, width=16), mesh.bounds[0], 2.0)
     first, second = (bake(network, mesh, 1, 4, 32, seed=4, workers=workers) for workers in (1, 2))
@@ -167,7 +167,7 @@ def test_equal_seeds_give_equal_assets_and_workers_do_not_matter() -> None:
     assert (other.coefficients != first.coefficients).any()
 
 
-def test_a_vertex_does_not_depend_on_how_the_mesh_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_vertex_does_not_depend_on_the_block_size(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = ball()
     network = NeuralBSSRDF(NetworkSettings(features=16, width=16), mesh.bounds[0], 2.0)
     whole = bake(network, mesh, 2, 4, 32)
@@ -175,27 +175,27 @@ def test_a_vertex_does_not_depend_on_how_the_mesh_is_cut(monkeypatch: pytest.Mon
     np.testing.assert_array_equal(bake(network, mesh, 2, 4, 32).coefficients, whole.coefficients)
 
 
-def test_networks_fast_way_bakes_what_evaluate_alone_gives() -> None:
+def test_the_fast_evaluation_of_networks_agrees_with_evaluate() -> None:
     mesh = ball(6)
     network = NeuralBSSRDF(NetworkSettings(features=16, width=16), mesh.bounds[0], 2.0)
 
-    class EvaluateAlone:
+    class EvaluateOnly:
         evaluate = staticmethod(network.evaluate)
 
-    fast, plain = bake(network, mesh, 2, 2, 32), bake(EvaluateAlone(), mesh, 2, 2, 32)
+    fast, plain = bake(network, mesh, 2, 2, 32), bake(EvaluateOnly(), mesh, 2, 2, 32)
     np.testing.assert_allclose(fast.coefficients, plain.coefficients, atol=1e-5 * np.abs(plain.coefficients).max())
 
 
 @pytest.mark.parametrize(("sectors", "samples"), [(32, 40), (4, 40), (4, 41)])
-def test_evaluations_are_counted_as_evaluate_sees_them(sectors: int, samples: int) -> None:
-    transport = Noted()
+def test_evaluations_are_counted(sectors: int, samples: int) -> None:
+    transport = Counted()
     asset = bake(transport, ball(6), 2, 2, sectors, samples=samples)
     assert asset.provenance["evaluations"] == transport.evaluations
     assert asset.error_vs_time[-1, 1] == transport.evaluations
     assert asset.provenance["settings"]["samples"] == samples + (sectors == 4) * samples % 2
 
 
-def test_progress_and_rows_grow_to_the_end() -> None:
+def test_progress_and_error_rows_increase_to_the_end() -> None:
     seen: list[tuple[int, int, tuple[float, float, float]]] = []
     asset = bake(Kinked(), ball(300), 1, 16, 64, samples=16, progress=lambda *step: seen.append(step))
     assert [done for done, _, _ in seen][-1] == 300
@@ -205,12 +205,12 @@ def test_progress_and_rows_grow_to_the_end() -> None:
     assert len(asset.error_vs_time) > 2
 
 
-def test_error_asked_for_is_reached() -> None:
+def test_a_requested_error_is_reached() -> None:
     mesh = ball(12)
     asset = bake(Kinked(), mesh, 2, 2, 32, "sobol", error=0.008, samples=16, seed=2)
-    truth = reference(mesh, 2, 32)
+    expected = reference(mesh, 2, 32)
     assert asset.provenance["settings"]["samples"] > 64
-    assert np.sqrt(((asset.coefficients - truth) ** 2).sum() / (truth**2).sum()) < 0.01
+    assert np.sqrt(((asset.coefficients - expected) ** 2).sum() / (expected**2).sum()) < 0.01
     with pytest.raises(QueryError, match="out of reach"):
         bake(Kinked(), mesh, 2, 1, 32, "uniform", error=1e-4, samples=2048)
     with pytest.raises(QueryError, match="between 0 and 1"):
@@ -218,40 +218,42 @@ def test_error_asked_for_is_reached() -> None:
 
 
 class Cracked(Kinked):
-    """Not finite above a height."""
+    """Returns NaN above a height."""
 
     def __init__(self, height: float) -> None:
         self.height = height
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-        answer = super().evaluate(incident, positions, outgoing)
-        answer[positions[:, 2] > self.height] = np.nan
-        return answer
+        values = super().evaluate(incident, positions, outgoing)
+        values[positions[:, 2] > self.height] = np.nan
+        return values
 
 
-def test_vertices_that_are_not_finite_are_named_and_the_rest_is_baked() -> None:
+def test_vertices_that_are_not_finite_are_reported_and_the_others_baked() -> None:
     mesh = ball(20)
     asset = bake(Cracked(0.8), mesh, 1, 2, 4)
-    sound = bake(Kinked(), mesh, 1, 2, 4)
+    finite = bake(Kinked(), mesh, 1, 2, 4)
     bad = np.flatnonzero(mesh.positions[:, 2] > 0.8)
     assert asset.provenance["vertices_not_finite"] == {"count": len(bad), "first": bad.tolist()}
     np.testing.assert_array_equal(np.flatnonzero(~asset.valid), bad)
-    np.testing.assert_array_equal(asset.coefficients[asset.valid], sound.coefficients[asset.valid])
-    with pytest.raises(QueryError, match="not finite at every one of 20 vertices"):
+    np.testing.assert_array_equal(asset.coefficients[asset.valid], finite.coefficients[asset.valid])
+    with pytest.raises(QueryError, match=r"Cracked: expected finite values, found .* at all 20 vertices"):
         bake(Cracked(-2.0), mesh, 1, 2, 4)
 
 
-@pytest.mark.parametrize("way", ["stop", "interrupt"])
-def test_stopped_bake_leaves_a_valid_part(way: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("method", ["stop", "interrupt"])
+def test_a_stopped_bake_leaves_a_valid_partial_asset(
+    method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
     done: list[int] = []
 
     def progress(count: int, total: int, row: tuple[float, float, float]) -> None:
         done.append(count)
-        if way == "interrupt" and count == 6:
+        if method == "interrupt" and count == 6:
             raise KeyboardInterrupt
 
-    stop = (lambda: len(done) == 3) if way == "stop" else None
+    stop = (lambda: len(done) == 3) if method == "stop" else None
     asset = bake(Kinked(), ball(), 1, 2, 4, out=tmp_path / "a.h5", progress=progress, stop=stop)
     whole = bake(Kinked(), ball(), 1, 2, 4)
     assert not asset.complete
@@ -261,7 +263,7 @@ def test_stopped_bake_leaves_a_valid_part(way: str, monkeypatch: pytest.MonkeyPa
     asset.close()
 
 
-def test_file_holds_what_the_array_holds(tmp_path: Path) -> None:
+def test_file_and_array_are_equal(tmp_path: Path) -> None:
     mesh = ball()
     out = tmp_path / "asset.h5"
     asset = bake(Kinked(), mesh, 2, 2, 32, out=out, storage="float32", provenance={"command": "prtbake bake"})
@@ -273,7 +275,7 @@ def test_file_holds_what_the_array_holds(tmp_path: Path) -> None:
     asset.close()
 
 
-def test_selftest_is_reproduced_by_plain_interpolation() -> None:
+def test_the_selftest_is_bilinear_interpolation() -> None:
     asset = bake(Kinked(), ball(), 2, 4, 8)
     vertex = int(asset.selftest["vertex"][0])
     local = sphere.to_local(asset.selftest["outgoing"], asset.mesh.normals[vertex], asset.tangents[vertex])
@@ -281,7 +283,7 @@ def test_selftest_is_reproduced_by_plain_interpolation() -> None:
     np.testing.assert_allclose(asset.selftest["radiance"], sphere.bin_matrix(local, 4, 8) @ by_bin, rtol=1e-5)
 
 
-def test_transport_that_fails_leaves_an_older_file_untouched(tmp_path: Path) -> None:
+def test_a_failing_transport_leaves_an_existing_file_unchanged(tmp_path: Path) -> None:
     class Failing(Kinked):
         def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
             raise RuntimeError("lamp is out")
@@ -307,12 +309,12 @@ def test_transport_that_fails_leaves_an_older_file_untouched(tmp_path: Path) -> 
         ({"degree": -1}, "degree"),
     ],
 )
-def test_arguments_out_of_their_domain_are_refused(change: dict[str, Any], sentence: str) -> None:
+def test_arguments_out_of_their_domain_raise(change: dict[str, Any], sentence: str) -> None:
     with pytest.raises(QueryError, match=sentence):
         bake(Kinked(), ball(6), **({"rings": 2, "sectors": 4} | change))
 
 
-def test_plan_is_what_the_bake_then_does() -> None:
+def test_the_plan_agrees_with_the_bake() -> None:
     mesh = ball()
     expected = plan(Kinked(), mesh, 2, 2, 4)
     asset = bake(Kinked(), mesh, 2, 2, 4)
@@ -322,23 +324,23 @@ def test_plan_is_what_the_bake_then_does() -> None:
     assert expected.seconds > 0
 
 
-def test_thread_count_of_torch_is_put_back() -> None:
+def test_the_thread_count_of_torch_is_restored() -> None:
     import torch
 
     before = torch.get_num_threads()
     inside: list[int] = []
 
-    class Asking(Kinked):
+    class Recording(Kinked):
         def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
             inside.append(torch.get_num_threads())
             return super().evaluate(incident, positions, outgoing)
 
-    prt_bake.baking.bake(Asking(), ball(6), 1, 1, 4)
+    prt_bake.baking.bake(Recording(), ball(6), 1, 1, 4)
     assert set(inside) == {1}
     assert torch.get_num_threads() == before
 
 
-def test_ladder_says_what_each_number_of_directions_costs_and_leaves() -> None:
+def test_the_error_ladder_has_cost_and_error_of_each_number_of_directions() -> None:
     mesh = ball()
     rows = error_ladder(Kinked(), mesh, rings=4, sectors=32, samples=(18, 64, 256))
     assert rows[:, 1].tolist() == [len(mesh.positions) * 4 * 32 * samples for samples in (18, 64, 256)]
@@ -348,7 +350,7 @@ def test_ladder_says_what_each_number_of_directions_costs_and_leaves() -> None:
     assert rows[1, 2] == pytest.approx(whole.provenance["estimated_relative_rmse"]["total"], rel=0.5)
 
 
-def test_a_part_never_takes_the_place_of_a_whole_asset(tmp_path: Path) -> None:
+def test_a_partial_asset_never_replaces_a_complete_one(tmp_path: Path) -> None:
     out = tmp_path / "ball.h5"
     mesh = ball(200)
     bake(Kinked(), mesh, rings=2, sectors=4, samples=18, out=out).close()
@@ -374,7 +376,7 @@ def test_a_part_never_takes_the_place_of_a_whole_asset(tmp_path: Path) -> None:
     assert out.read_bytes() != before
 
 
-def test_a_mesh_outside_the_models_box_is_refused() -> None:
+def test_a_mesh_outside_the_box_of_the_model_raises() -> None:
     mesh = ball()
     network = NeuralBSSRDF(NetworkSettings(features=4, width=4, layers=2, skips=()), mesh.positions.min(axis=0), 2.0)
     far = build_mesh(mesh.positions + np.array([0.0, 3.0, 0.0]), mesh.faces)
@@ -386,6 +388,6 @@ def test_a_mesh_outside_the_models_box_is_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"), [({"rings": 1024, "sectors": 1024}, "view bins"), ({"samples": 10**9}, "a bin")]
 )
-def test_sizes_past_all_reason_are_refused_at_once(change: dict[str, int], sentence: str) -> None:
+def test_excessive_sizes_raise_before_any_work(change: dict[str, int], sentence: str) -> None:
     with pytest.raises(QueryError, match=sentence):
         plan(Kinked(), ball(), **change)

@@ -1,4 +1,4 @@
-"""Bakes by the workers of a dask.distributed scheduler, in processes of their own, some of which are killed."""
+"""Bakes by the workers of a dask.distributed scheduler in separate processes, some of which are killed."""
 
 import gc
 import os
@@ -25,19 +25,19 @@ SMALL = {"rings": 2, "sectors": 16}
 
 
 class Processes:
-    """A scheduler and its workers, each in its own process."""
+    """A scheduler and its workers, each in a separate process."""
 
     def __init__(self, folder: Path) -> None:
         self._folder, self._number = folder, 0
         self._readers: list[threading.Thread] = []
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        self.address = self._said(self.scheduler, "Scheduler at:").split()[-1]
+        self.address = self._wait_for(self.scheduler, "Scheduler at:").split()[-1]
         self.workers: list[subprocess.Popen[str]] = []
 
-    def hire(self, count: int) -> None:
+    def start_workers(self, count: int) -> None:
         new = [self._start("worker", self.address, "--no-nanny", "--nthreads", "1") for _ in range(count)]
         for worker in new:
-            self._said(worker, "Registered to:")
+            self._wait_for(worker, "Registered to:")
         self.workers += new
 
     def end(self) -> None:
@@ -57,15 +57,15 @@ class Processes:
         environment = os.environ | {"PYTHONPATH": paths, "OMP_NUM_THREADS": "1"}
         return subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
 
-    def _said(self, process: subprocess.Popen[str], words: str) -> str:
+    def _wait_for(self, process: subprocess.Popen[str], words: str) -> str:
         assert process.stderr is not None
         for line in process.stderr:
             if words in line:
-                # What else it says is let go, so that it never waits for a reader.
+                # Further output is read and dropped, so that the process never blocks.
                 self._readers.append(threading.Thread(target=read_to_end, args=[process]))
                 self._readers[-1].start()
                 return line
-        raise AssertionError(f"a process ended without saying {words!r}")
+        raise AssertionError(f"a process ended without printing {words!r}")
 
 
 def read_to_end(process: subprocess.Popen[str]) -> None:
@@ -78,14 +78,14 @@ def read_to_end(process: subprocess.Popen[str]) -> None:
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
     processes = Processes(tmp_path_factory.mktemp("cluster"))
     try:
-        processes.hire(2)
+        processes.start_workers(2)
         yield processes
     finally:
         processes.end()
 
 
 def after_first_block(act: Callable[[], None]) -> Callable[..., None]:
-    """Progress that acts once, when a first block is there and others are under way."""
+    """A progress callback that acts once, after the first block, while others are in flight."""
     done: list[int] = []
 
     def progress(*_row: object) -> None:
@@ -96,12 +96,12 @@ def after_first_block(act: Callable[[], None]) -> Callable[..., None]:
     return progress
 
 
-def alike(one: Asset, other: Asset) -> None:
+def assert_equal(one: Asset, other: Asset) -> None:
     for name in ("coefficients", "standard_error", "valid"):
         assert np.asarray(getattr(one, name)).tobytes() == np.asarray(getattr(other, name)).tobytes(), name
 
 
-def test_a_cluster_bakes_the_same_bits_though_a_worker_is_killed(
+def test_a_cluster_with_a_killed_worker_bakes_the_same_bits(
     cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 32)
@@ -113,22 +113,22 @@ def test_a_cluster_bakes_the_same_bits_though_a_worker_is_killed(
         bake(Slow(), mesh, **SMALL, **kind, out=tmp_path / "there.h5", scheduler=cluster.address, progress=progress)
         assert cluster.workers.pop(0).wait() != 0
         same(tmp_path / "there.h5", tmp_path / "here.h5")
-        cluster.hire(1)
-    # Networks are laid out anew at the workers; walks have a process to themselves.
+        cluster.start_workers(1)
+    # Networks are prepared again on the workers; walks use a process exclusively.
     network = NeuralBSSRDF(NetworkSettings(width=16, layers=3, features=8, skips=()), box_min=(-1.1,) * 3, box_side=2.2)
-    asked = {"rings": 2, "sectors": 16, "samples": 16}
-    alike(bake(network, mesh, **asked, scheduler=cluster.address), bake(network, mesh, **asked))
-    there = bake(Walker(), mesh, **asked, scheduler=cluster.address)
-    alike(there, bake(Walker(), mesh, **asked))
+    arguments = {"rings": 2, "sectors": 16, "samples": 16}
+    assert_equal(bake(network, mesh, **arguments, scheduler=cluster.address), bake(network, mesh, **arguments))
+    there = bake(Walker(), mesh, **arguments, scheduler=cluster.address)
+    assert_equal(there, bake(Walker(), mesh, **arguments))
     assert there.provenance["walks"]["unscattered"] == pytest.approx(0.25 / 32)
 
 
-def test_a_scheduler_that_goes_leaves_what_can_be_gone_on_with(
+def test_a_bake_resumes_after_its_scheduler_is_lost(
     cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 5)
     mesh, out = icosphere(1), tmp_path / "a.h5"
-    # What the work raises is raised here, and no fault of the cluster.
+    # Errors of the work are raised as they are, not as faults of the cluster.
     with pytest.raises(QueryError, match="returned"):
         bake(Misshapen(), mesh, **SMALL, scheduler=cluster.address)
     with pytest.raises(ZeroDivisionError):
@@ -147,7 +147,7 @@ def test_a_scheduler_that_goes_leaves_what_can_be_gone_on_with(
 
 
 class Slow(Incoherent):
-    """Takes its time at the workers, so that they are killed amid a block."""
+    """Slow on the workers, so that they are killed during a block."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         if threading.current_thread() is not threading.main_thread():
@@ -156,30 +156,28 @@ class Slow(Incoherent):
 
 
 class Misshapen(Incoherent):
-    """Answers in another shape."""
+    """Returns values of another shape."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         return super().evaluate(incident, positions, outgoing)[:, :-1]
 
 
 class Faulty(Incoherent):
-    """Has a fault."""
+    """Raises an error."""
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         return np.asarray(len(positions) / 0)
 
 
-def test_schedulers_that_are_none_and_workers_that_are_not_there(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_missing_schedulers_and_missing_workers_raise(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import dask
-    from distributed import Client  # whose settings are to be there before one of them is changed
+    from distributed import Client  # loads the settings before one of them is changed
 
     with dask.config.set({"distributed.comm.timeouts.connect": "1s"}):
         for address in ("tcp://127.0.0.1:9", "nonsense://nowhere", ""):
             with pytest.raises(ClusterError, match="8786"):
                 bake(Incoherent(), icosphere(0), **SMALL, scheduler=address)
-            # One that is not closed closes itself when it is collected, and may stop another for ever as it begins.
+            # An open client closes itself when it is collected, which may block the start of another one forever.
             assert {each.status for each in gc.get_objects() if type(each) is Client} <= {"closed"}
     with pytest.raises(QueryError, match="workers or a scheduler"):
         bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9", workers=2)
@@ -193,7 +191,7 @@ def test_schedulers_that_are_none_and_workers_that_are_not_there(
         none.end()
 
 
-def test_a_client_that_has_given_its_scheduler_up_is_a_cluster_that_has_gone() -> None:
+def test_a_closed_client_is_a_lost_scheduler() -> None:
     class Closed:
         def nthreads(self) -> dict[str, int]:
             raise RuntimeError("ConnectionPool is closed")
@@ -202,7 +200,7 @@ def test_a_client_that_has_given_its_scheduler_up_is_a_cluster_that_has_gone() -
         _workers = prt_bake.baking.cluster.Cluster(Closed(), "tcp://host:8786", False).count
 
 
-def test_other_versions_at_a_worker_are_refused() -> None:
+def test_other_versions_on_a_worker_raise() -> None:
     packed = prt_bake.baking.cluster._packed({"some": "thing"})
     other = prt_bake.baking.cluster.Packed(packed.name, packed.content, packed.versions | {"numpy": "1.0"})
     assert prt_bake.baking.cluster._unpacked(packed, "w") is prt_bake.baking.cluster._unpacked(packed, "w")
@@ -210,7 +208,7 @@ def test_other_versions_at_a_worker_are_refused() -> None:
         prt_bake.baking.cluster._unpacked(other, "w")
 
 
-def test_without_the_extra_it_is_said_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_extra_is_named_in_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ClusterError, match=r"prt-bake\[cluster\]"):
         bake(Incoherent(), icosphere(0), **SMALL, scheduler="tcp://127.0.0.1:9")

@@ -1,4 +1,4 @@
-"""Compaction: the error is met and told, nothing is clipped, and a compact asset is shaded as what it decodes to."""
+"""Compression: the error is met and reported, and compact assets are shaded as their decoded form."""
 
 import dataclasses
 import subprocess
@@ -22,15 +22,15 @@ from tests.shapes import ball
 
 
 def of_rank(rank: int, noise: float, seed=0, vertices=66, bins=64, terms=9, channels=3) -> np.ndarray:
-    """Coefficients [V,B,K,C] of so many products of random factors, and noise."""
+    """Random coefficients [V,B,K,C] of that rank, plus noise."""
     rng = np.random.default_rng(seed)
     parts = (rng.normal(size=(rank, length)) for length in (vertices, bins, terms * channels))
     mixed = np.einsum("rv,rb,rk->vbk", *parts) + noise * rng.normal(size=(vertices, bins, terms * channels))
     return mixed.reshape(vertices, bins, terms, channels)
 
 
-def holding(coefficients: np.ndarray, rings=4, sectors=16, degree=2, storage="float32", **others) -> Asset:
-    """An asset with these coefficients, about a ball."""
+def asset_with(coefficients: np.ndarray, rings=4, sectors=16, degree=2, storage="float32", **others) -> Asset:
+    """An asset of a ball with these coefficients."""
     asset = make_asset(ball(2), rings, sectors, degree, 0, storage, coefficients.shape[1], coefficients.shape[3])
     return dataclasses.replace(asset, coefficients=coefficients.astype(storage), **others)
 
@@ -42,20 +42,22 @@ def added_error(asset: Asset, decoded: np.ndarray) -> np.ndarray:
 
 
 def assert_within(asset: Asset, error: float, compact: Asset) -> None:
-    """The error is met by what is decoded, and every figure about it is true."""
+    """The decoded coefficients meet the error, and all figures about it are correct."""
     decoded = compact.coefficients[:]
     off, own = added_error(asset, decoded), np.square(asset.coefficients, dtype=np.float64).sum(axis=(1, 2, 3))
     own = own * asset.valid
-    told = compact.coefficients.added
-    assert told.requested == error
-    assert told.total <= error
+    added = compact.coefficients.added
+    assert added.requested == error
+    assert added.total <= error
     total = np.sqrt(off.sum() / own.sum()) if own.any() else 0.0
-    assert told.total == pytest.approx(total, rel=1e-3, abs=1e-7)
+    assert added.total == pytest.approx(total, rel=1e-3, abs=1e-7)
     ratios = np.sqrt(off[asset.valid] / np.where(own[asset.valid] > 0, own[asset.valid], 1.0))
-    assert told.percentile_95 == pytest.approx(np.percentile(ratios, 95), rel=1e-3, abs=1e-7)
-    assert told.worst == pytest.approx(ratios.max(), rel=1e-3, abs=1e-7)
+    assert added.percentile_95 == pytest.approx(np.percentile(ratios, 95), rel=1e-3, abs=1e-7)
+    assert added.worst == pytest.approx(ratios.max(), rel=1e-3, abs=1e-7)
     count = np.prod(asset.coefficients.shape[1:])
-    np.testing.assert_allclose(told.per_vertex, np.sqrt(off / count), rtol=1e-2, atol=1e-6 * np.sqrt(own / count).max())
+    np.testing.assert_allclose(
+        added.per_vertex, np.sqrt(off / count), rtol=1e-2, atol=1e-6 * np.sqrt(own / count).max()
+    )
     expected = np.sqrt(np.square(asset.standard_error.astype(np.float64)).mean(axis=1) + off / count) * asset.valid
     np.testing.assert_allclose(compact.standard_error[:, 0], expected, rtol=1e-2)
     assert (compact.standard_error[:, 0] >= expected * (1 - 1e-5)).all()
@@ -64,8 +66,8 @@ def assert_within(asset: Asset, error: float, compact: Asset) -> None:
 
 @pytest.mark.parametrize(("rank", "noise"), [(1, 0.0), (3, 0.01), (40, 0.3), (1, 1.0)])
 @pytest.mark.parametrize("error", [0.2, 0.005, 2e-5])
-def test_the_error_is_met_and_told(tmp_path, rank, noise, error) -> None:
-    asset = holding(of_rank(rank, noise, seed=rank))
+def test_the_error_is_met_and_reported(tmp_path, rank, noise, error) -> None:
+    asset = asset_with(of_rank(rank, noise, seed=rank))
     compact = compress(asset, error)
     assert_within(asset, error, compact)
     write_asset(compact, tmp_path / "a.h5")
@@ -86,7 +88,7 @@ def one_coefficient() -> np.ndarray:
 
 
 def one_vertex() -> Asset:
-    asset = holding(of_rank(3, 0.01))
+    asset = asset_with(of_rank(3, 0.01))
     mesh = Mesh(asset.mesh.positions[:1], asset.mesh.faces[:0], asset.mesh.normals[:1])
     return dataclasses.replace(
         asset,
@@ -99,26 +101,26 @@ def one_vertex() -> Asset:
 
 
 VARIANTS = {
-    "zero": lambda: holding(np.zeros((66, 64, 9, 3))),
-    "constant": lambda: holding(np.full((66, 64, 9, 3), 0.7)),
-    "bright and dark vertices": lambda: holding(bright_and_dark()),
-    "one coefficient": lambda: holding(one_coefficient()),
-    "views left out": lambda: holding(of_rank(3, 0.01, bins=1)),
-    "channels left out": lambda: holding(of_rank(3, 0.01, channels=1)),
-    "views and channels left out": lambda: holding(of_rank(3, 0.01, bins=1, channels=1)),
-    "one bin": lambda: holding(of_rank(3, 0.01, bins=1), 1, 1),
-    "one ring": lambda: holding(of_rank(3, 0.01, bins=5), 1, 5),
-    "degree 0": lambda: holding(of_rank(3, 0.01, terms=1), degree=0),
-    "degree 8": lambda: holding(of_rank(3, 0.01, terms=81), degree=8),
-    "float16": lambda: holding(of_rank(3, 0.01), storage="float16"),
-    "radiance": lambda: holding(of_rank(3, 0.01, terms=1), quantity="radiance"),
-    "not all valid": lambda: holding(of_rank(3, 0.01), valid=np.arange(66) % 5 > 1, complete=False),
+    "zero": lambda: asset_with(np.zeros((66, 64, 9, 3))),
+    "constant": lambda: asset_with(np.full((66, 64, 9, 3), 0.7)),
+    "bright and dark vertices": lambda: asset_with(bright_and_dark()),
+    "one coefficient": lambda: asset_with(one_coefficient()),
+    "one view": lambda: asset_with(of_rank(3, 0.01, bins=1)),
+    "one channel": lambda: asset_with(of_rank(3, 0.01, channels=1)),
+    "one view and one channel": lambda: asset_with(of_rank(3, 0.01, bins=1, channels=1)),
+    "one bin": lambda: asset_with(of_rank(3, 0.01, bins=1), 1, 1),
+    "one ring": lambda: asset_with(of_rank(3, 0.01, bins=5), 1, 5),
+    "degree 0": lambda: asset_with(of_rank(3, 0.01, terms=1), degree=0),
+    "degree 8": lambda: asset_with(of_rank(3, 0.01, terms=81), degree=8),
+    "float16": lambda: asset_with(of_rank(3, 0.01), storage="float16"),
+    "radiance": lambda: asset_with(of_rank(3, 0.01, terms=1), quantity="radiance"),
+    "not all valid": lambda: asset_with(of_rank(3, 0.01), valid=np.arange(66) % 5 > 1, complete=False),
     "one vertex": one_vertex,
 }
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_any_asset_can_be_compact_and_is_shaded_as_what_it_decodes_to(tmp_path, variant) -> None:
+def test_any_asset_can_be_compressed_and_is_shaded_as_its_decoded_form(tmp_path, variant) -> None:
     asset = VARIANTS[variant]()
     asset = dataclasses.replace(
         asset,
@@ -138,9 +140,9 @@ def test_any_asset_can_be_compact_and_is_shaded_as_what_it_decodes_to(tmp_path, 
     assert expected.any() or variant in ("zero", "one coefficient")
 
 
-def test_shading_it_is_the_slow_reference() -> None:
-    """At all views, the pole, the seam and below the horizon among them."""
-    compact = compress(holding(of_rank(6, 0.01) + 20.0), 0.01)
+def test_shading_a_compact_asset_agrees_with_the_reference() -> None:
+    """At all views, including the pole, the seam and below the horizon."""
+    compact = compress(asset_with(of_rank(6, 0.01) + 20.0), 0.01)
     light = make_light()
     expected = np.maximum(reference.reconstruct(unpacked(compact), light, VIEWS), 0.0)
     np.testing.assert_allclose(shade(compact, light, VIEWS), expected, rtol=0, atol=1e-5 * expected.max())
@@ -152,26 +154,26 @@ def test_shading_it_is_the_slow_reference() -> None:
     assert not part[~some].any()
 
 
-def test_a_picture_of_it_is_near_that_of_the_asset() -> None:
+def test_a_picture_of_a_compact_asset_is_close_to_that_of_the_original() -> None:
     asset = make_asset(ball(2), 4, 16)
-    ours, theirs = (render_picture(each, constant(), front()).image for each in (compress(asset, 0.005), asset))
-    assert np.sqrt(np.square(ours - theirs).mean()) < 0.02 * np.sqrt(np.square(theirs).mean())
+    compact, original = (render_picture(each, constant(), front()).image for each in (compress(asset, 0.005), asset))
+    assert np.sqrt(np.square(compact - original).mean()) < 0.02 * np.sqrt(np.square(original).mean())
 
 
 @pytest.mark.parametrize("quantity", ["transfer", "radiance"])
-def test_its_selftest_is_its_own(quantity) -> None:
-    made_for = make_light() if quantity == "radiance" else None
-    asset = holding(of_rank(3, 0.05, terms=9 if made_for is None else 1), quantity=quantity)
-    asset = dataclasses.replace(asset, selftest=selftest(asset, 4, asset.coefficients[4], made_for))
+def test_the_selftest_matches_the_compact_coefficients(quantity) -> None:
+    light = make_light() if quantity == "radiance" else None
+    asset = asset_with(of_rank(3, 0.05, terms=9 if light is None else 1), quantity=quantity)
+    asset = dataclasses.replace(asset, selftest=selftest(asset, 4, asset.coefficients[4], light))
     compact = compress(asset, 0.1)
-    expected = selftest(asset, 4, compact.coefficients[4], made_for)
+    expected = selftest(asset, 4, compact.coefficients[4], light)
     for name, values in expected.items():
         np.testing.assert_allclose(compact.selftest[name], values, rtol=1e-5, atol=1e-4)
     assert not np.allclose(compact.selftest["radiance"], asset.selftest["radiance"], rtol=1e-3)
 
 
-def test_a_larger_error_takes_fewer_bytes(tmp_path) -> None:
-    asset = holding(of_rank(20, 0.1))
+def test_a_larger_error_needs_fewer_bytes(tmp_path) -> None:
+    asset = asset_with(of_rank(20, 0.1))
     sizes = []
     for error in (1e-4, 1e-3, 1e-2, 1e-1):
         write_asset(asset, tmp_path / "raw.h5")
@@ -180,27 +182,27 @@ def test_a_larger_error_takes_fewer_bytes(tmp_path) -> None:
     assert sizes[-1] < 0.5 * sizes[0]
 
 
-def test_smooth_views_take_a_fiftieth(tmp_path) -> None:
+def test_smooth_views_need_a_fiftieth_of_the_bytes(tmp_path) -> None:
     """Views that vary like harmonics of the third degree, at 16×64 bins."""
     rng = np.random.default_rng(0)
     x, y, z = sphere.view_bins(16, 64).T
     smooth = np.stack([x**i * y**j * z**k for i in range(4) for j in range(4 - i) for k in range(4 - i - j)])
     mixed = np.einsum("vpk,pb->vbk", rng.normal(size=(66, len(smooth), 27)), smooth)
-    write_asset(holding(mixed.reshape(66, 1024, 9, 3), 16, 64, storage="float16"), tmp_path / "raw.h5")
+    write_asset(asset_with(mixed.reshape(66, 1024, 9, 3), 16, 64, storage="float16"), tmp_path / "raw.h5")
     outcome = compress_file(tmp_path / "raw.h5", tmp_path / "a.h5", 0.005)
     assert outcome.after * 50 < outcome.raw == 66 * 110_592
     assert outcome.after < outcome.before
 
 
-def test_it_is_the_same_every_time() -> None:
-    one, two = (compress(holding(of_rank(20, 0.1)), 0.003).coefficients for _ in range(2))
+def test_compression_is_deterministic() -> None:
+    one, two = (compress(asset_with(of_rank(20, 0.1)), 0.003).coefficients for _ in range(2))
     for name in ("starts", "components", "values", "view_matrix", "channels"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
 
 
-def test_of_an_open_file_it_is_that_of_the_array_in_it(tmp_path, monkeypatch) -> None:
-    """And of a sample of the vertices it still meets the error."""
-    asset = holding(of_rank(20, 0.1), valid=np.arange(66) % 4 > 0)
+def test_compressing_an_open_file_equals_compressing_its_array(tmp_path, monkeypatch) -> None:
+    """With a sample of the vertices the error is still met."""
+    asset = asset_with(of_rank(20, 0.1), valid=np.arange(66) % 4 > 0)
     asset = dataclasses.replace(asset, coefficients=asset.coefficients * asset.valid[:, None, None, None])
     write_asset(asset, tmp_path / "a.h5")
     opened = read_asset(tmp_path / "a.h5", load=False)
@@ -208,10 +210,10 @@ def test_of_an_open_file_it_is_that_of_the_array_in_it(tmp_path, monkeypatch) ->
     opened.close()
     monkeypatch.setattr("prt_bake.baking.compress.SAMPLE_BYTES", 256)
     monkeypatch.setattr("prt_bake.baking.compress.LEAST_SAMPLE", 7)
-    assert_within(holding(of_rank(20, 0.1)), 0.01, compress(holding(of_rank(20, 0.1)), 0.01))
+    assert_within(asset_with(of_rank(20, 0.1)), 0.01, compress(asset_with(of_rank(20, 0.1)), 0.01))
 
 
-def test_what_does_not_get_smaller_is_copied_as_it_is(tmp_path) -> None:
+def test_an_asset_that_does_not_get_smaller_is_copied(tmp_path) -> None:
     asset = make_asset(ball(0), 1, 1, 0)
     write_asset(asset, tmp_path / "raw.h5")
     outcome = compress_file(tmp_path / "raw.h5", tmp_path / "a.h5", 1e-6)
@@ -221,16 +223,16 @@ def test_what_does_not_get_smaller_is_copied_as_it_is(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("error", [0.0, -0.1, 1.0, 9e-7, float("nan"), float("inf")])
-def test_errors_out_of_range_are_refused(error: float) -> None:
+def test_errors_out_of_range_raise(error: float) -> None:
     with pytest.raises(QueryError, match="error: must be a relative RMSE"):
-        compress(holding(of_rank(1, 0.1)), error)
+        compress(asset_with(of_rank(1, 0.1)), error)
 
 
-def test_what_cannot_be_compressed_is_refused(tmp_path) -> None:
-    asset = holding(of_rank(1, 0.1))
+def test_assets_that_cannot_be_compressed_raise(tmp_path) -> None:
+    asset = asset_with(of_rank(1, 0.1))
     with pytest.raises(QueryError, match="is compact already"):
         compress(compress(asset, 0.1), 0.1)
-    with pytest.raises(QueryError, match="no vertex was baked"):
+    with pytest.raises(QueryError, match="expected at least one valid vertex"):
         compress(dataclasses.replace(asset, valid=np.zeros(66, np.bool_)), 0.1)
     broken = asset.coefficients.copy()
     broken[17, 3, 2, 1] = np.nan
@@ -244,22 +246,22 @@ def test_what_cannot_be_compressed_is_refused(tmp_path) -> None:
     assert check_asset(tmp_path / "a.h5") == []
 
 
-def test_the_command_says_what_it_came_to(tmp_path, prtbake: Run) -> None:
-    asset = holding(of_rank(3, 0.01, bins=256), 8, 32)
+def test_the_command_prints_its_result(tmp_path, prtbake: Run) -> None:
+    asset = asset_with(of_rank(3, 0.01, bins=256), 8, 32)
     write_asset(dataclasses.replace(asset, error_covariance=unknown_covariance(len(asset.valid), 9)), tmp_path / "a.h5")
     ended = prtbake("compress", tmp_path / "a.h5", "--error", "0.01")
     assert (ended.code, ended.err) == (0, "")
     compact = read_asset(tmp_path / "a.compact.h5")
     assert compact.error_covariance is not None
     table = compact.provenance["compression"]
-    for told in (
+    for text in (
         "1/",
         f"{raw_bytes(compact):,}",
         f"{table['bytes_before']:,}",
         f"{table['bytes_after']:,}",
         "of 1.000%",
     ):
-        assert told in ended.out
+        assert text in ended.out
     assert all(row["form"] in ended.out for row in table["tried"])
     assert prtbake("check", tmp_path / "a.compact.h5").code == 0
     assert "compact: added relative RMSE" in prtbake("info", tmp_path / "a.compact.h5").out
@@ -275,8 +277,8 @@ def test_the_command_says_what_it_came_to(tmp_path, prtbake: Run) -> None:
         assert sentence in failed.err
 
 
-def test_shading_it_loads_no_torch(tmp_path) -> None:
-    write_asset(compress(holding(of_rank(3, 0.01)), 0.01), tmp_path / "a.h5")
+def test_shading_a_compact_asset_does_not_load_torch(tmp_path) -> None:
+    write_asset(compress(asset_with(of_rank(3, 0.01)), 0.01), tmp_path / "a.h5")
     program = (
         "import sys, numpy, prt_bake as prt\n"
         f"asset = prt.read_asset({str(tmp_path / 'a.h5')!r})\n"

@@ -1,4 +1,4 @@
-"""How errors hang together: what a bake tells of it is what bakes with other seeds differ by, whatever the light."""
+"""Error covariances: the reported errors of radiance agree with the scatter over seeds, under any light."""
 
 import dataclasses
 from typing import Any
@@ -28,8 +28,8 @@ from tests.shading.assets import asset_of
 
 MESH = icosphere(1)
 MIRROR = Lobed(sharpness=40.0, floor=0.2)
-LIGHTS = {"towards": [0.0, 0.0, -1.0], "aside": [0.0, -1.0, 0.0], "behind": [0.0, 0.0, 1.0]}
-WAYS: dict[str, dict[str, Any]] = {
+LIGHTS = {"towards": [0.0, 0.0, -1.0], "from the side": [0.0, -1.0, 0.0], "behind": [0.0, 0.0, 1.0]}
+METHODS: dict[str, dict[str, Any]] = {
     "halves": {"rings": 2, "sectors": 8, "samples": 64},
     "neighbours": {"rings": 2, "sectors": 32, "samples": 32},
     "residual": {"rings": 2, "sectors": 8, "samples": 20},
@@ -40,57 +40,57 @@ BAKES = 12
 EYES = np.tile([0.3, 0.2, 3.0], (42, 1)) - MESH.positions
 
 
-def baked(way: dict[str, Any], **more: Any) -> list[Asset]:
-    return [bake(MIRROR, MESH, seed=seed, leave_out=[], **way, **more) for seed in range(BAKES)]
+def baked(arguments: dict[str, Any], **more: Any) -> list[Asset]:
+    return [bake(MIRROR, MESH, seed=seed, leave_out=[], **arguments, **more) for seed in range(BAKES)]
 
 
-@pytest.fixture(scope="module", params=WAYS)
-def way(request: pytest.FixtureRequest) -> str:
+@pytest.fixture(scope="module", params=METHODS)
+def method(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
 @pytest.fixture(scope="module")
-def bakes(way: str) -> list[Asset]:
-    return baked(WAYS[way])
+def bakes(method: str) -> list[Asset]:
+    return baked(METHODS[method])
 
 
 def light_from(direction: list[float]) -> Array:
-    """Harmonics [9,3] of a sun."""
+    """Harmonics [9,3] of a directional light."""
     return sh.evaluate(np.array([direction]), 2)[0][:, None] * np.ones((1, 3))
 
 
 def radiance(asset: Asset, light: Array | None) -> Array:
-    """Without the clamp at 0."""
+    """Radiance without the clamp at 0."""
     return shade(asset, light, EYES) if light is None else shade(asset, light, EYES) - shade(asset, -light, EYES)
 
 
-def told_over_true(bakes: list[Asset], light: Array | None) -> float:
-    """Of radiance, by how much bakes differ, root mean squares over vertices and channels."""
-    told = [radiance_error(each, light, EYES) for each in bakes]
-    seen = np.var([radiance(each, light) for each in bakes], axis=0, ddof=1)
-    return float(np.sqrt(np.mean(np.square(told)) / seen.mean()))
+def reported_over_measured(bakes: list[Asset], light: Array | None) -> float:
+    """Reported error of the radiance over its scatter between bakes, rms over vertices and channels."""
+    reported = [radiance_error(each, light, EYES) for each in bakes]
+    variance = np.var([radiance(each, light) for each in bakes], axis=0, ddof=1)
+    return float(np.sqrt(np.mean(np.square(reported)) / variance.mean()))
 
 
 @pytest.mark.parametrize("where", LIGHTS)
-def test_the_error_under_a_light_is_what_bakes_differ_by(way: str, bakes: list[Asset], where: str) -> None:
-    """A lobe that narrow is missed in all harmonics at once: under a sun that shines into it their errors add up, and
-    elsewhere they cancel. The estimate by what fits leave over is on the safe side, in size.
+def test_the_reported_error_under_a_light_is_the_scatter_of_bakes(method: str, bakes: list[Asset], where: str) -> None:
+    """Directions that miss a narrow lobe cause errors in all harmonics at once. These add up under a light from the
+    lobe's direction, and cancel under others. The estimate from residuals is conservative.
     """
     light = light_from(LIGHTS[where])
-    assert 0.75 < told_over_true(bakes, light) < (1.75 if way == "residual" else 1.3)
-    plain = told_over_true([dataclasses.replace(each, error_covariance=None) for each in bakes], light)
+    assert 0.75 < reported_over_measured(bakes, light) < (1.75 if method == "residual" else 1.3)
+    plain = reported_over_measured([dataclasses.replace(each, error_covariance=None) for each in bakes], light)
     assert plain < 0.75 if where == "towards" else plain > 1.35
 
 
 @pytest.mark.parametrize("where", LIGHTS)
-def test_of_an_asset_for_one_light_it_is_told_alike(where: str) -> None:
-    bakes = baked(WAYS["halves"], for_light=light_from(LIGHTS[where]) + np.eye(9)[:, :1])
-    assert 0.75 < told_over_true(bakes, None) < 1.3
+def test_an_asset_for_one_light_reports_the_same_error(where: str) -> None:
+    bakes = baked(METHODS["halves"], for_light=light_from(LIGHTS[where]) + np.eye(9)[:, :1])
+    assert 0.75 < reported_over_measured(bakes, None) < 1.3
 
 
 @pytest.mark.parametrize("where", LIGHTS)
-def test_what_compaction_adds_is_told_alike(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of one view and equal channels, of bakes that do not err themselves, and a row for each vertex: exactly that."""
+def test_the_error_of_compression_is_reported_exactly(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For one view, equal channels, exact bakes and one covariance per vertex."""
     monkeypatch.setattr("bakers.error_covariance.VERTICES_PER_CLUSTER", 1)
     coefficients = np.random.default_rng(0).normal(size=(42, 1, 9, 1)) * np.ones((1, 1, 1, 3)) + 20.0 * np.eye(9)[:, :1]
     asset = asset_of(MESH, coefficients, 1, 1, 2, error_covariance=unknown_covariance(42, 9))
@@ -102,8 +102,8 @@ def test_what_compaction_adds_is_told_alike(where: str, monkeypatch: pytest.Monk
     )
 
 
-def test_walks_tell_it_by_harmonic() -> None:
-    """Of walks the errors of harmonics are known one by one, in the world's frame, and so in that of any view."""
+def test_walks_have_a_variance_for_each_harmonic() -> None:
+    """The variances of harmonics in the world frame hold in the frame of any view."""
     rng = np.random.default_rng(0)
     squares = rng.uniform(size=(5, 7, 9, 3))
     errors = _walk_errors(squares)
@@ -113,7 +113,7 @@ def test_walks_tell_it_by_harmonic() -> None:
 
 
 def shapes(count: int, vertices: int, kinds: int, seed: int = 0) -> ErrorCovariance:
-    """Of a few kinds, each a little different at every vertex."""
+    """Covariances of a few kinds, each slightly different at every vertex."""
     rng = np.random.default_rng(seed)
     errors = rng.normal(size=(kinds, 2, count, 3))[rng.integers(0, kinds, vertices)]
     errors = errors * (1.0 + 0.01 * rng.normal(size=errors.shape))
@@ -121,26 +121,26 @@ def shapes(count: int, vertices: int, kinds: int, seed: int = 0) -> ErrorCovaria
 
 
 @pytest.mark.parametrize(("vertices", "kinds"), [(1, 1), (5, 2), (100, 3), (3000, 40)])
-def test_gathered_shapes_keep_what_all_vertices_have_together(vertices: int, kinds: int) -> None:
+def test_clustered_covariances_keep_the_sums_over_vertices(vertices: int, kinds: int) -> None:
     shape, size = shapes(4, vertices, kinds), np.random.default_rng(1).random(vertices)
     size[1::7] = 0.0
     few = clustered(shape, size)
     assert len(few.covariance) <= max(1, vertices // 16)
     each = few.at_vertices(np.arange(vertices))
     for name in ("covariance", "channels", "apart"):
-        ours, theirs = (np.einsum("v,v...->...", size, getattr(part, name)) for part in (each, shape))
-        np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4 * size.sum())
+        clusters, vertex_sums = (np.einsum("v,v...->...", size, getattr(part, name)) for part in (each, shape))
+        np.testing.assert_allclose(clusters, vertex_sums, rtol=1e-4, atol=1e-4 * size.sum())
     np.testing.assert_allclose(trace(few.covariance, 4), 4.0, rtol=1e-5)
     np.testing.assert_allclose(few.channels.mean(axis=1), 1.0, rtol=1e-5)
 
 
-def test_vertices_that_are_alike_share_a_row() -> None:
+def test_similar_vertices_share_a_covariance() -> None:
     shape = dataclasses.replace(shapes(9, 640, 4), apart=np.ones((640, 2), np.float32))
-    each = clustered(shape, np.ones(640)).of(np.arange(640))
+    each = clustered(shape, np.ones(640)).at_vertices(np.arange(640))
     np.testing.assert_allclose(each.covariance, shape.covariance, atol=0.2)
 
 
-def test_errors_that_are_none_or_not_finite_have_a_shape() -> None:
+def test_errors_of_zero_or_not_finite_have_a_covariance() -> None:
     sums = np.zeros((3, pairs(4))), np.zeros((3, 3))
     sums[0][1], sums[1][2] = np.nan, np.inf
     with np.errstate(all="raise"):
@@ -150,7 +150,7 @@ def test_errors_that_are_none_or_not_finite_have_a_shape() -> None:
     np.testing.assert_array_equal(shape.apart, [[0.5, 1.0], [0.0, 1.0], [1.0, 1.0]])
 
 
-def test_two_kinds_of_errors_are_told_by_their_sizes() -> None:
+def test_two_covariances_are_combined_by_their_sizes() -> None:
     first, second = (shapes(4, 6, 6, seed) for seed in (0, 1))
     size, more = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 0.5]), np.array([1.0, 0.0, 2.0, 1.0, 4.0, 1.5])
     whole = added_covariance(first, size, second.covariance * more[:, None], second.channels * more[:, None])
@@ -159,7 +159,7 @@ def test_two_kinds_of_errors_are_told_by_their_sizes() -> None:
     np.testing.assert_allclose(whole.apart, share * first.apart, rtol=1e-5)
 
 
-def test_bands_and_lights_of_a_shape() -> None:
+def test_truncated_covariances_and_variances_under_lights() -> None:
     shape, light = shapes(9, 20, 20), np.random.default_rng(2).normal(size=(20, 9, 3))
     full = unpacked(shape.covariance, 9)
     expected = np.einsum("vkc,vkl,vlc->vc", light, full, light) * shape.channels

@@ -1,4 +1,4 @@
-"""Laws of path-traced bakes: they hold what the estimates of the same scene hold, with honest errors, in any cut."""
+"""Path-traced bakes agree with estimates of the same scene, with calibrated errors, for any block size."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from tests.tracer.nested_scenes import CLEAR, nested_scene
 from tests.tracer.scenes import make_scene, moved, slab, sphere
 
 FINE, COARSE = sphere(2), sphere(0)
-"""The object, and twelve of its vertices as a mesh: at a sharp corner a grazing ray would see next to nothing."""
+"""The object, and twelve of its vertices as a mesh; at a sharp corner a grazing ray would carry almost nothing."""
 MILK: dict[str, Any] = {"sigma_t": [1.0, 2.0, 4.0], "albedo": [0.95, 0.9, 0.6], "phase_g": 0.4}
 RINGS, SECTORS, WALKS, MORE = 2, 3, 512, 8
 
@@ -37,7 +37,7 @@ def smooth(folder: Path) -> Scene:
 
 
 def nested(folder: Path) -> Scene:
-    """Milk and a stone in smooth glass; every ray that enters meets the milk."""
+    """Milk and a stone in smooth glass; every ray that enters hits the milk."""
     milk = {"name": "milk", "mesh": moved(sphere(1), 0.8), "medium": MILK, "interface": {"eta": 1.3}}
     stone = {"name": "stone", "mesh": moved(sphere(0), 0.2), "in": "milk", "surface": "diffuse", "reflectance": 0.7}
     return nested_scene(folder, FINE, CLEAR, (milk, stone), eta=1.5)
@@ -58,9 +58,9 @@ def estimated(scene: Scene, asset: Asset, degree: int) -> Estimate:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("make", [matched, rough, smooth, nested])
-def test_a_bake_holds_what_the_estimates_hold(make: Any, degree: int, tmp_path: Path) -> None:
-    """Every coefficient by a z-test, at 1e-4 for all of a bake together; and the stated errors by their size, within
-    four standard deviations of an rms over 72 bins, each of one independent number or, beyond degree 0, of four.
+def test_a_bake_agrees_with_independent_estimates(make: Any, degree: int, tmp_path: Path) -> None:
+    """A z-test of every coefficient, at 1e-4 for all of a bake together. The stated errors agree within four standard
+    deviations of an rms over 72 bins, each with one independent number or, beyond degree 0, four.
     """
     scene = make(tmp_path)
     asset, truth = baked(scene, degree=degree, seed=3), estimated(scene, baked(scene, degree=0, samples=2), degree)
@@ -76,8 +76,8 @@ def test_a_bake_holds_what_the_estimates_hold(make: Any, degree: int, tmp_path: 
 
 @pytest.mark.parametrize("interface", [{}, {"eta": 1.4}], ids=["matched", "smooth"])
 def test_white_furnace(interface: dict[str, float], tmp_path: Path) -> None:
-    """Under white light what an object without absorption sends to the eye, and what it lets through, is all that
-    enters: index-matched every walk brings 1, and behind a smooth boundary what is not reflected at x.
+    """Without absorption and under white light, scattered and unscattered radiance add up to what enters the object: 1
+    if it is index-matched, and 1 less the reflectance behind a smooth boundary.
     """
     scene = make_scene(tmp_path, FINE, sigma_t=2.0, albedo=1.0, **interface)
     asset = baked(scene, degree=0)
@@ -91,23 +91,23 @@ def test_white_furnace(interface: dict[str, float], tmp_path: Path) -> None:
     assert asset.provenance["walks"]["lost"] == 0.0
 
 
-def test_workers_cuts_and_company_do_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_workers_or_block_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = rough(tmp_path)
     whole = baked(scene, samples=64, seed=5)
-    alike = [baked(scene, samples=64, seed=5, workers=3)]
+    others = [baked(scene, samples=64, seed=5, workers=3)]
     monkeypatch.setattr("bakers.path_traced.WALKS_AT_ONCE", 5 * RINGS * SECTORS * 64)
-    alike.append(baked(scene, samples=64, seed=5))
-    for other in alike:
+    others.append(baked(scene, samples=64, seed=5))
+    for other in others:
         np.testing.assert_array_equal(other.coefficients, whole.coefficients)
         np.testing.assert_array_equal(other.standard_error, whole.standard_error)
         assert other.provenance["walks"] == pytest.approx(whole.provenance["walks"])
     assert (baked(scene, samples=64, seed=6).coefficients != whole.coefficients).mean() > 0.9
-    # Vertices and bins have walks of their own: no two rows of errors are alike.
+    # Vertices and bins have independent walks: no two rows of errors are equal.
     errors = (whole.coefficients - whole.coefficients.mean(axis=(0, 1))).reshape(-1, 27)
     assert len(np.unique(errors, axis=0)) == len(errors)
 
 
-def test_a_mesh_slightly_off_is_taken_to_the_surface_and_one_farther_off_is_refused(tmp_path: Path) -> None:
+def test_a_mesh_slightly_off_the_surface_is_accepted_and_one_farther_off_raises(tmp_path: Path) -> None:
     scene = matched(tmp_path)
     reach = 1e-4 * scene.mesh.diagonal
     near = build_mesh(COARSE.positions + 0.5 * reach * COARSE.normals, COARSE.faces)
@@ -116,15 +116,15 @@ def test_a_mesh_slightly_off_is_taken_to_the_surface_and_one_farther_off_is_refu
     assert_agree(found, truth.standard_error * np.sqrt(MORE), truth.mean, truth.standard_error)
     far = build_mesh(COARSE.positions + 10.0 * reach * COARSE.normals, COARSE.faces)
     sentence = rf"12 of 12 vertices do not lie on the surface of .*scene\.toml; .* {10 * reach:.3g} away"
-    for refuse in (baked, lambda scene, mesh: plan(PathTraced(scene), mesh, 2, RINGS, SECTORS)):
+    for command in (baked, lambda scene, mesh: plan(PathTraced(scene), mesh, 2, RINGS, SECTORS)):
         with pytest.raises(QueryError, match=sentence):
-            refuse(scene, far)
+            command(scene, far)
         with pytest.raises(QueryError, match="12 of 12 vertices point into the object"):
-            refuse(scene, flipped(COARSE))
+            command(scene, flipped(COARSE))
 
 
-def test_other_faces_on_the_same_surface_are_baked_above_the_scenes_own_horizon(tmp_path: Path) -> None:
-    """A tetrahedron with a corner on each of four sides of a box, whose normals are not the box's."""
+def test_views_of_other_faces_are_clamped_to_the_horizon_of_the_scene(tmp_path: Path) -> None:
+    """A tetrahedron with a corner on each of four sides of a box; its normals differ from those of the box."""
     scene = make_scene(tmp_path, slab(1.0), sigma_t=2.0, albedo=0.9)
     corners = np.array([[0.5, 0.1, 0.0], [-0.3, 0.5, 0.1], [0.0, -0.5, 0.2], [0.2, 0.1, -0.5]])
     asset = baked(scene, build_mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])), samples=8)
@@ -132,7 +132,7 @@ def test_other_faces_on_the_same_surface_are_baked_above_the_scenes_own_horizon(
     assert 0 < asset.provenance["bins_bent_to_the_horizon"] < 4 * RINGS * SECTORS
 
 
-def test_the_error_asked_for_is_foretold_from_one_pilot(tmp_path: Path) -> None:
+def test_the_number_of_walks_for_an_error_is_predicted_from_one_pilot(tmp_path: Path) -> None:
     scene = matched(tmp_path)
     asset = baked(scene, degree=1, samples=64, error=0.05, seed=2)
     truth = estimated(scene, asset, 1)

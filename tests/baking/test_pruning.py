@@ -1,4 +1,4 @@
-"""What a scene does not need is left out, said, and held against every vertex; everything else stays bit for bit."""
+"""Pruning removes redundant parts of a bake, reports them, and checks them at every vertex."""
 
 import json
 from pathlib import Path
@@ -24,58 +24,58 @@ SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 SMALL = {"rings": 8, "sectors": 32}
 
 
-def relative(off: Array, truth: Array) -> float:
-    return float(np.sqrt((off**2).sum() / (truth**2).sum()))
+def relative(difference: Array, reference: Array) -> float:
+    return float(np.sqrt((difference**2).sum() / (reference**2).sum()))
 
 
-@pytest.mark.parametrize("asked", [{"error": 0.03}, {"samples": 32}])
-def test_what_no_eye_outside_sees_is_not_baked_and_the_rest_is_the_same(asked: dict[str, float]) -> None:
+@pytest.mark.parametrize("arguments", [{"error": 0.03}, {"samples": 32}])
+def test_hidden_vertices_are_not_baked_and_the_others_are_equal(arguments: dict[str, float]) -> None:
     mesh, inside = nested(1.0, 0.5)
     outside = int((~inside).sum())
     seen = seen_from_outside(mesh)
     assert seen[:outside].all()
     assert not seen[outside:].any()
     counted, whole_counted = Counting(Lobed()), Counting(Lobed())
-    asset = bake(counted, mesh, **SMALL, **asked, leave_out=["unseen"])
-    whole = bake(whole_counted, mesh, **SMALL, **asked)
+    asset = bake(counted, mesh, **SMALL, **arguments, leave_out=["unseen"])
+    whole = bake(whole_counted, mesh, **SMALL, **arguments)
     assert np.flatnonzero(asset.valid).tolist() == list(range(outside))
     assert asset.complete
     assert whole.valid.all()
     assert counted.evaluations == asset.provenance["evaluations"] < 0.8 * whole_counted.evaluations
     assert [item["item"] for item in asset.left_out] == ["unseen"]
     assert "42 of 84" in asset.left_out[0]["reason"]
-    if "samples" in asked:
+    if "samples" in arguments:
         np.testing.assert_array_equal(asset.coefficients[:outside], whole.coefficients[:outside])
 
 
-def test_vertices_twice_in_a_mesh_are_baked_once() -> None:
+def test_duplicate_vertices_are_baked_once() -> None:
     ball = trimesh.creation.icosphere(subdivisions=1)
     vertices, faces = np.asarray(ball.vertices), np.asarray(ball.faces).copy()
-    # A seam: the first vertex stands there twice, and half of its faces have the copy.
+    # A seam: the first vertex has a copy, which half of its faces use.
     around = np.flatnonzero((faces == 0).any(axis=1))[::2]
     faces[around] = np.where(faces[around] == 0, len(vertices), faces[around])
     normals = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     mesh = Mesh(
         np.concatenate([vertices, vertices[:1]]), faces.astype(np.int32), np.concatenate([normals, normals[:1]])
     )
-    for asked in ({"error": 0.05}, {"samples": 32}):
-        asked_at: list[Array] = []
+    for arguments in ({"error": 0.05}, {"samples": 32}):
+        evaluated: list[Array] = []
 
-        class Asked(Lobed):
+        class Recording(Lobed):
             def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-                asked_at.append(positions)  # noqa: B023
+                evaluated.append(positions)  # noqa: B023
                 return super().evaluate(incident, positions, outgoing)
 
-        asset = bake(Asked(), mesh, rings=4, sectors=8, **asked, leave_out=["duplicates"])
+        asset = bake(Recording(), mesh, rings=4, sectors=8, **arguments, leave_out=["duplicates"])
         np.testing.assert_array_equal(asset.coefficients[0], asset.coefficients[-1])
         assert asset.valid.all()
         assert asset.left_out[0]["item"] == "duplicates"
-        assert len(np.unique(np.concatenate(asked_at), axis=0)) == 42
+        assert len(np.unique(np.concatenate(evaluated), axis=0)) == 42
         assert asset.provenance["vertices_baked"] == 42
 
 
-def test_what_is_copied_is_seen_as_all_of_its_copies_are() -> None:
-    # Every corner has a face of its own, and below that face's horizon views are bent.
+def test_copies_share_the_horizon_of_all_their_faces() -> None:
+    # Every corner belongs to one face, and views below the horizon of that face are clamped.
     mesh = soup()
     asset = bake(Lobed(), mesh, **SMALL, error=0.03, leave_out=["duplicates"])
     truth = exact(Lobed(), mesh, 8, 32, directions=512)
@@ -87,10 +87,8 @@ def test_what_is_copied_is_seen_as_all_of_its_copies_are() -> None:
 
 
 @pytest.mark.parametrize("pays", [1.3, np.inf])
-def test_errors_of_views_that_err_apart_are_not_those_of_their_mean(
-    pays: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Over a lattice that they share, and over lattices of their own, where what they differ by is noise alone."""
+def test_averaging_views_reduces_their_independent_errors(pays: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a shared lattice, and with separate lattices, whose views differ by noise alone."""
     monkeypatch.setattr("prt_bake.baking.adaptive.tolerances.SHARED_PAYS", pays)
     mesh = icosphere(2)
     asset = bake(Grey(), mesh, **SMALL, error=0.01, leave_out=baking.ITEMS)
@@ -100,11 +98,11 @@ def test_errors_of_views_that_err_apart_are_not_those_of_their_mean(
     assert 0.75 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.35
 
 
-@pytest.mark.parametrize("asked", [{"error": 0.02}, {"samples": 512}])
-def test_where_the_view_does_not_matter_one_is_kept(asked: dict[str, float], tmp_path: Path) -> None:
+@pytest.mark.parametrize("arguments", [{"error": 0.02}, {"samples": 512}])
+def test_where_the_view_does_not_matter_one_is_kept(arguments: dict[str, float], tmp_path: Path) -> None:
     mesh, out = icosphere(1), tmp_path / "asset.h5"
     counted = Counting(Edged())
-    asset = bake(counted, mesh, **asked, leave_out=baking.ITEMS, out=out)
+    asset = bake(counted, mesh, **arguments, leave_out=baking.ITEMS, out=out)
     truth = exact(Edged(), mesh, 16, 64)
     assert asset.coefficients.shape == (42, 1, 9, 3)
     assert relative(asset.coefficients[...] - truth, truth) < 0.022
@@ -122,23 +120,25 @@ def test_where_the_view_does_not_matter_one_is_kept(asked: dict[str, float], tmp
     np.testing.assert_allclose(found, shade(full, light, [3.0, 2.0, 1.0]), atol=0.05 * found.max())
 
 
-@pytest.mark.parametrize("asked", [{"error": 0.05}, {"samples": 64}])
-def test_channels_that_are_one_are_kept_once(asked: dict[str, float]) -> None:
+@pytest.mark.parametrize("arguments", [{"error": 0.05}, {"samples": 64}])
+def test_equal_channels_are_stored_once(arguments: dict[str, float]) -> None:
     mesh = icosphere(1)
-    asset = bake(Grey(), mesh, **SMALL, **asked, leave_out=["channels"])
+    asset = bake(Grey(), mesh, **SMALL, **arguments, leave_out=["channels"])
     assert asset.coefficients.shape == (42, 256, 9, 1)
     truth = exact(Grey(), mesh, 8, 32)
     assert relative(asset.coefficients - truth, truth) < 0.055
 
 
-@pytest.mark.parametrize("asked", [{"error": 0.05}, {"samples": 64}])
+@pytest.mark.parametrize("arguments", [{"error": 0.05}, {"samples": 64}])
 @pytest.mark.parametrize("item", ["views", "channels"])
-def test_a_single_vertex_that_needs_more_gets_it(asked: dict[str, float], item: str, tmp_path: Path) -> None:
+def test_an_item_that_one_vertex_needs_is_not_pruned(arguments: dict[str, float], item: str, tmp_path: Path) -> None:
     mesh = icosphere(2)
     here = mesh.positions[101]
     other = Grey(coloured=here) if item == "channels" else Grey(changing=here)
     counted = Counting(other)
-    asset = bake(counted, mesh, rings=4, sectors=16, **asked, leave_out=["views", "channels"], out=tmp_path / "a.h5")
+    asset = bake(
+        counted, mesh, rings=4, sectors=16, **arguments, leave_out=["views", "channels"], out=tmp_path / "a.h5"
+    )
     assert asset.coefficients.shape == {"views": (162, 64, 9, 1), "channels": (162, 1, 9, 3)}[item]
     assert item not in [left["item"] for left in asset.left_out]
     assert asset.provenance["needed_after_all"] == [f"{item} matter at vertex 101"]
@@ -147,19 +147,19 @@ def test_a_single_vertex_that_needs_more_gets_it(asked: dict[str, float], item: 
     assert relative((asset.coefficients[...] - truth)[101], truth[101]) < 0.1
 
 
-def test_bands_that_hold_nothing_are_left_out() -> None:
+def test_empty_bands_are_pruned() -> None:
     mesh = icosphere(1)
-    for asked in ({"error": 0.05}, {"samples": 64}):
-        asset = bake(Flat(), mesh, **SMALL, **asked, leave_out=["bands"])
+    for arguments in ({"error": 0.05}, {"samples": 64}):
+        asset = bake(Flat(), mesh, **SMALL, **arguments, leave_out=["bands"])
         assert asset.degree == 1
         assert asset.coefficients.shape == (42, 256, 4, 3)
         assert asset.check_values.shape == (2, 4)
         truth = exact(Flat(), mesh, 8, 32, degree=1)
         assert relative(asset.coefficients - truth, truth) < 0.055
-        assert bake(Flat(), mesh, **SMALL, **asked).degree == 2
+        assert bake(Flat(), mesh, **SMALL, **arguments).degree == 2
 
 
-def test_an_asset_for_one_light_holds_its_radiance(tmp_path: Path) -> None:
+def test_an_asset_for_one_light_holds_radiance(tmp_path: Path) -> None:
     mesh, out = icosphere(1), tmp_path / "lit.h5"
     light = np.random.default_rng(2).uniform(-0.2, 1.0, size=(9, 3))
     asset = bake(Lobed(), mesh, **SMALL, error=0.01, for_light=light, out=out)
@@ -173,7 +173,7 @@ def test_an_asset_for_one_light_holds_its_radiance(tmp_path: Path) -> None:
     np.testing.assert_allclose(shade(read_asset(out), None, eye), shade(full, light, eye), atol=0.05)
 
 
-def test_a_light_without_higher_bands_needs_none() -> None:
+def test_a_light_without_higher_bands_prunes_them() -> None:
     light = np.zeros((9, 3))
     light[0], light[3] = 1.0, [0.5, 0.2, 0.1]
     asset = bake(Lobed(), icosphere(1), **SMALL, samples=64, for_light=light)
@@ -181,7 +181,7 @@ def test_a_light_without_higher_bands_needs_none() -> None:
     assert "degree 1 of 2" in asset.left_out[0]["saving"]
 
 
-def test_an_asset_for_one_eye_has_one_view_of_what_it_sees() -> None:
+def test_an_asset_for_one_eye_has_one_view_of_visible_vertices() -> None:
     mesh, eye = icosphere(2), np.array([0.5, 3.0, 1.0])
     counted = Counting(Lobed())
     asset = bake(counted, mesh, error=0.02, for_eye=eye)
@@ -202,7 +202,7 @@ def test_an_asset_for_one_eye_has_one_view_of_what_it_sees() -> None:
     assert counted.evaluations < 162 * 1024
 
 
-def test_what_could_not_be_is_refused() -> None:
+def test_invalid_pruning_arguments_raise() -> None:
     mesh = icosphere(1)
     with pytest.raises(QueryError, match="found colour"):
         bake(Lobed(), mesh, leave_out=["colour"])
@@ -214,7 +214,7 @@ def test_what_could_not_be_is_refused() -> None:
         bake(Lobed(), mesh, for_eye=[0.0, 0.1, 0.0])
 
 
-def test_the_plan_says_what_is_left_out_and_what_it_saves() -> None:
+def test_the_plan_lists_pruned_items_and_their_saving() -> None:
     mesh, _inside = nested(1.0, 0.5)
     plan = baking.plan(Edged(), mesh, error=0.02, leave_out=baking.ITEMS)
     assert {item.item for item in plan.left_out} == {"unseen", "views"}
@@ -227,7 +227,7 @@ def test_the_plan_says_what_is_left_out_and_what_it_saves() -> None:
     assert kept.evaluations == 42 * 1024 * 64
 
 
-def test_a_plan_counts_what_the_bake_will() -> None:
+def test_the_plan_predicts_evaluations_with_pruning() -> None:
     mesh = icosphere(1)
     for more in ({}, {"leave_out": ["bands"]}, {"for_eye": [0.5, 3.0, 1.0]}):
         plan = baking.plan(Lobed(), mesh, **SMALL, error=0.01, **more)
@@ -235,8 +235,8 @@ def test_a_plan_counts_what_the_bake_will() -> None:
         assert plan.evaluations == pytest.approx(asset.provenance["evaluations"], rel=0.25)
 
 
-def test_of_an_asset_for_one_light_the_error_of_its_radiance_is_told() -> None:
-    # Hardly any of it is in the constant: errors of coefficients say little of the radiance.
+def test_an_asset_for_one_light_reports_the_error_of_its_radiance() -> None:
+    # A light without a constant term: errors of coefficients differ from those of the radiance.
     light = np.zeros((9, 3))
     light[6] = 1.0
     asset = bake(Lobed(), icosphere(1), rings=4, sectors=16, error=0.05, for_light=light)
@@ -245,7 +245,7 @@ def test_of_an_asset_for_one_light_the_error_of_its_radiance_is_told() -> None:
     assert 0.6 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.7
 
 
-def test_a_picture_that_an_asset_for_one_light_cannot_show_is_told(prtbake: Run, tmp_path: Path) -> None:
+def test_shading_an_asset_for_one_light_under_another_warns(prtbake: Run, tmp_path: Path) -> None:
     skies = [tmp_path / "one.exr", tmp_path / "other.exr"]
     for sky, value in zip(skies, (1.0, 2.0), strict=True):
         write_image(sky, np.full((8, 16, 3), value, np.float32))

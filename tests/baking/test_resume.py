@@ -1,4 +1,4 @@
-"""Bakes that are killed at any moment, several times, go on where they were, to the same bits."""
+"""Bakes that are killed at any moment resume to the same bits."""
 
 import errno
 import os
@@ -42,18 +42,18 @@ def same(one: Path, other: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "seed"), [("error", 1), ("samples", 2), ("error by samples", 3)])
-def test_killed_at_any_moment_and_resumed_is_the_asset_of_one_run(tmp_path: Path, kind: str, seed: int) -> None:
+def test_a_bake_killed_at_any_moment_and_resumed_equals_one_run(tmp_path: Path, kind: str, seed: int) -> None:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *(path for path in sys.path if path)])}
     command = [sys.executable, "-m", "tests.baking.killing", str(tmp_path), kind, str(seed)]
-    told = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert told.returncode == 0, told.stderr
-    assert int(told.stdout.split()[0]) >= 2
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert int(ended.stdout.split()[0]) >= 2
     same(tmp_path / "killed.h5", tmp_path / "whole.h5")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["killed.h5", "whole.h5"]
 
 
 class Walker:
-    """Coefficients straight from something random; its account is kept as well."""
+    """Random coefficients, with walk statistics."""
 
     def estimate_coefficients(
         self, positions: np.ndarray, outgoing: np.ndarray, degree: int, paths: int, seed: int
@@ -74,7 +74,7 @@ class Walker:
 
 
 @pytest.mark.parametrize("transport", [Incoherent(), Walker()])
-def test_a_stopped_bake_is_resumed_with_other_blocks(
+def test_a_stopped_bake_resumes_with_other_blocks(
     tmp_path: Path, transport: object, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, whole = tmp_path / "stopped.h5", tmp_path / "whole.h5"
@@ -86,10 +86,10 @@ def test_a_stopped_bake_is_resumed_with_other_blocks(
         part.close()
         assert not part.complete
         assert (tmp_path / "stopped.h5.journal").is_dir()
-    asked: list[int] = []
-    monkeypatch.setattr("prt_bake.baking.fixed_samples.bake_block", _counting(asked))
+    baked: list[int] = []
+    monkeypatch.setattr("prt_bake.baking.fixed_samples.bake_block", _counting(baked))
     resumed = bake(transport, icosphere(0), **SMALL, out=out, workers=2, resume=True)
-    assert sum(asked) == 12 - 2 * 2 - 3
+    assert sum(baked) == 12 - 2 * 2 - 3
     one = read_asset(whole).provenance
     assert resumed.provenance["evaluations"] == one["evaluations"]
     assert resumed.provenance.get("walks") == one.get("walks")
@@ -97,35 +97,35 @@ def test_a_stopped_bake_is_resumed_with_other_blocks(
     same(out, whole)
 
 
-def _counting(asked: list[int]) -> object:
+def _counting(baked: list[int]) -> object:
     from bakers.baker import bake_block
 
     def counted(task: object, first: int, last: int) -> object:
-        asked.append(last - first)
+        baked.append(last - first)
         return bake_block(task, first, last)  # type: ignore[arg-type]
 
     return counted
 
 
 class Killed(BaseException):
-    """Ends everything."""
+    """Ends the process."""
 
 
 @pytest.mark.parametrize("removed", [1, 4, 7])
 def test_a_kill_while_finished_blocks_are_removed(
     tmp_path: Path, removed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # Two passes, of which the second needs the blocks of the first: what is left of both is no way to go on.
+    # Two passes, the second of which needs the blocks of the first: a mixture of both cannot be resumed.
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 32)
     out, whole, left = tmp_path / "a.h5", tmp_path / "whole.h5", [removed]
     unlink, glob = Path.unlink, Path.glob
-    asked = {**SMALL, "error": 0.03}
-    with bake(Incoherent(), icosphere(1), **asked, out=whole) as asset:
+    arguments = {**SMALL, "error": 0.03}
+    with bake(Incoherent(), icosphere(1), **arguments, out=whole) as asset:
         assert asset.provenance["refinement"]["passes"] == 2
 
     def of_last(path: Path) -> bool:
-        # The last pass may be forgotten first, as the file system has it.
+        # The file system may list the last pass first.
         return "02" not in path.name
 
     def some(path: Path, missing_ok: bool = False) -> None:
@@ -143,25 +143,25 @@ def test_a_kill_while_finished_blocks_are_removed(
     with monkeypatch.context() as during:
         during.setattr(Journal, "remove", killed)
         with pytest.raises(Killed):
-            bake(Incoherent(), icosphere(1), **asked, out=out)
-    bake(Incoherent(), icosphere(1), **asked, out=out, resume=True).close()
+            bake(Incoherent(), icosphere(1), **arguments, out=out)
+    bake(Incoherent(), icosphere(1), **arguments, out=out, resume=True).close()
     same(out, whole)
 
 
-def test_a_changed_bake_by_samples_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bake_with_changed_arguments_does_not_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
     calls = iter([False] + [True] * 100)
     bake(Incoherent(), icosphere(0), **SMALL, out=tmp_path / "a.h5", stop=lambda: next(calls)).close()
-    for changed, said in (
+    for changed, sentence in (
         ({"samples": 32}, "samples was 64 and is 32"),
         ({"directions": "sobol"}, "directions was 'fibonacci' and is 'sobol'"),
         ({"error": 0.5, "directions": "uniform"}, "error was None and is 0.5"),
     ):
-        with pytest.raises(StorageError, match=said):
+        with pytest.raises(StorageError, match=sentence):
             bake(Incoherent(), icosphere(0), **SMALL, **changed, out=tmp_path / "a.h5", resume=True)
 
 
-def test_a_disk_that_fills_up_loses_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_loses_no_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, whole = tmp_path / "a.h5", tmp_path / "whole.h5"
     bake(Incoherent(), icosphere(0), **SMALL, out=whole).close()
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 2)
@@ -193,31 +193,31 @@ def test_a_disk_too_full_for_the_asset_loses_no_block(tmp_path: Path, monkeypatc
         during.setattr("formats.asset.file.AssetFile.close", full)
         with pytest.raises(StorageError, match="disk is full"):
             bake(Incoherent(), icosphere(0), **SMALL, out=out)
-    asked: list[int] = []
-    monkeypatch.setattr("prt_bake.baking.fixed_samples.bake_block", _counting(asked))
+    baked: list[int] = []
+    monkeypatch.setattr("prt_bake.baking.fixed_samples.bake_block", _counting(baked))
     assert bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True).complete
-    assert asked == []
+    assert baked == []
 
 
-@pytest.mark.parametrize("asked", [{"error": 0.2}, {"samples": 32}])
-def test_another_transport_of_the_same_class_is_refused(
-    tmp_path: Path, asked: dict[str, float], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("arguments", [{"error": 0.2}, {"samples": 32}])
+def test_resuming_with_another_transport_of_the_same_class_raises(
+    tmp_path: Path, arguments: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bakers.baker.block_size", lambda task: 8)
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 8 * 32)
     out, calls = tmp_path / "mixed.h5", iter([False] * 2 + [True] * 100)
-    stopped = bake(Lobed(8.0), icosphere(1), **SMALL, **asked, out=out, stop=lambda: next(calls))  # type: ignore[arg-type]
+    stopped = bake(Lobed(8.0), icosphere(1), **SMALL, **arguments, out=out, stop=lambda: next(calls))  # type: ignore[arg-type]
     assert not stopped.complete
     stopped.close()
     with pytest.raises(StorageError, match="transport was"):
-        bake(Lobed(30.0), icosphere(1), **SMALL, **asked, out=out, resume=True)  # type: ignore[arg-type]
-    assert bake(Lobed(8.0), icosphere(1), **SMALL, **asked, out=out, resume=True).complete  # type: ignore[arg-type]
+        bake(Lobed(30.0), icosphere(1), **SMALL, **arguments, out=out, resume=True)  # type: ignore[arg-type]
+    assert bake(Lobed(8.0), icosphere(1), **SMALL, **arguments, out=out, resume=True).complete  # type: ignore[arg-type]
 
 
-def test_a_finer_pass_that_is_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There is a coarse asset by then: it is whole, but not what was asked for."""
-    out, whole, asked = tmp_path / "a.h5", tmp_path / "whole.h5", {"rings": 4, "sectors": 16, "error": 0.05}
-    bake(Incoherent(), icosphere(1), **asked, out=whole).close()
+def test_a_stopped_finer_pass_keeps_its_blocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A complete coarse asset exists by then, but its error is larger than requested."""
+    out, whole, arguments = tmp_path / "a.h5", tmp_path / "whole.h5", {"rings": 4, "sectors": 16, "error": 0.05}
+    bake(Incoherent(), icosphere(1), **arguments, out=whole).close()
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 5 * 64)
     monkeypatch.setattr("prt_bake.baking.adaptive.run.MANY", 1)
 
@@ -225,7 +225,7 @@ def test_a_finer_pass_that_is_stopped_keeps_what_is_done(tmp_path: Path, monkeyp
         return len(list((tmp_path / "a.h5.journal").glob(f"{stage}*.npz")))
 
     def stopped(stop: Callable[[], bool]) -> float:
-        with bake(Incoherent(), icosphere(1), **asked, out=out, stop=stop, resume=True) as coarse:
+        with bake(Incoherent(), icosphere(1), **arguments, out=out, stop=stop, resume=True) as coarse:
             assert coarse.complete
             assert coarse.valid.all()
             return float(coarse.provenance["estimated_relative_rmse"]["total"])
@@ -235,7 +235,7 @@ def test_a_finer_pass_that_is_stopped_keeps_what_is_done(tmp_path: Path, monkeyp
     assert kept("01-") == 0
     assert stopped(lambda: kept("01-") >= 4) > 0.05
     assert 4 <= kept("01-") < 9
-    with bake(Incoherent(), icosphere(1), **asked, out=out, resume=True) as resumed:
+    with bake(Incoherent(), icosphere(1), **arguments, out=out, resume=True) as resumed:
         assert resumed.provenance["estimated_relative_rmse"]["total"] <= 0.05
     same(out, whole)
     assert not (tmp_path / "a.h5.journal").exists()

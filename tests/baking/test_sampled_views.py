@@ -17,10 +17,9 @@ class Faceted:
 
     def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
         bright = 1.0 + 0.5 * np.sign(np.sin(90.0 * outgoing[:, 0]) * np.sin(90.0 * outgoing[:, 1]))
-        cosine_lobe = np.exp(
-            np.einsum("ndi,ni->nd", incident, positions / np.linalg.norm(positions, axis=1, keepdims=True))
-        )
-        return (cosine_lobe * bright[:, None])[..., None] * np.array([1.0, 0.8, 0.5])
+        normals = positions / np.linalg.norm(positions, axis=1, keepdims=True)
+        lobe = np.exp(np.einsum("ndi,ni->nd", incident, normals))
+        return (lobe * bright[:, None])[..., None] * np.array([1.0, 0.8, 0.5])
 
 
 @pytest.mark.parametrize("samples", [32, 64])

@@ -78,8 +78,8 @@ def killed(kind: str, bakes: int, kills: int, draw: random.Random) -> None:
     row = Row(f"killed, {kind}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        whole = folder / "whole.h5"
-        seconds = _finished(whole, kind, 5)
+        undisturbed = folder / "undisturbed.h5"
+        seconds = _finished(undisturbed, kind, 5)
         for number in range(bakes):
             out, spent, many = folder / f"{number}.h5", 0.0, 0
             died = True
@@ -90,7 +90,7 @@ def killed(kind: str, bakes: int, kills: int, draw: random.Random) -> None:
                 spent, many = spent + time.perf_counter() - began, many + died
             if died:
                 spent += _finished(out, kind, draw.randint(1, 9))
-            row.add(many, spent - seconds, identical(out, whole), left_in(folder, 2))
+            row.add(many, spent - seconds, identical(out, undisturbed), left_in(folder, 2))
             out.unlink()
     row.print(seconds)
 
@@ -131,7 +131,7 @@ def clustered(kind: str, bakes: int) -> None:
                     processes.hire(2)
                     # The workers import their modules in the first bake.
                     _timed(kind, place / "first.h5", scheduler=processes.address)
-                    taken.append(_timed(kind, place / "whole.h5", scheduler=processes.address))
+                    taken.append(_timed(kind, place / "undisturbed.h5", scheduler=processes.address))
                     act = processes.workers[0].kill if "worker" in name else processes.end
                     how = {"scheduler": processes.address, "progress": after_first_block(act)}
                     spent = _timed(kind, place / "a.h5", **how)
@@ -139,7 +139,7 @@ def clustered(kind: str, bakes: int) -> None:
                         spent += _timed(kind, place / "a.h5", workers=2, resume=True)
                 finally:
                     processes.end()
-                row.add(1, spent - taken[-1], identical(place / "a.h5", place / "whole.h5"), left_in(place, 3))
+                row.add(1, spent - taken[-1], identical(place / "a.h5", place / "undisturbed.h5"), left_in(place, 3))
         row.print(sorted(taken)[len(taken) // 2])
 
 
@@ -163,7 +163,7 @@ def filled_up(kind: str, bakes: int, draw: random.Random) -> None:
         row = Row(f"disk full {name}, {kind}")
         with tempfile.TemporaryDirectory() as folder, small_blocks():
             place = Path(folder)
-            seconds = _timed(kind, place / "whole.h5")
+            seconds = _timed(kind, place / "undisturbed.h5")
             for _bake in range(bakes):
                 left = [draw.randint(1, 8) if "block" in name else 0]
 
@@ -176,7 +176,7 @@ def filled_up(kind: str, bakes: int, draw: random.Random) -> None:
                 with mock.patch(target, full):
                     spent = _timed(kind, place / "a.h5")
                 spent += _timed(kind, place / "a.h5", resume=True)
-                row.add(1, spent - seconds, identical(place / "a.h5", place / "whole.h5"), left_in(place, 2))
+                row.add(1, spent - seconds, identical(place / "a.h5", place / "undisturbed.h5"), left_in(place, 2))
                 (place / "a.h5").unlink()
         row.print(seconds)
 

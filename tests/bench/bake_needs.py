@@ -67,9 +67,9 @@ def scenes(error: float) -> dict[str, Scene]:
         for share in (0.5, 2.0):
             near = Nearly(**{name: share * TOLERATED * error})
             found[f"{item}: {share:g} times the tolerance"] = Scene(near, mesh, (item,))
-        for off in (0.3, 1.5 * error):
-            apart = Nearly(**{name: off}, at=mesh.positions[101])
-            found[f"{item}: error {off:g} at a single vertex"] = Scene(apart, mesh, (item,))
+        for size in (0.3, 1.5 * error):
+            near = Nearly(**{name: size}, at=mesh.positions[101])
+            found[f"{item}: error {size:g} at a single vertex"] = Scene(near, mesh, (item,))
     light = np.random.default_rng(2).uniform(-0.2, 1.0, size=(9, 3))
     found["for a light"] = Scene(Lobed(), mesh, more={"for_light": light})
     linear = light * (np.arange(9) < 4)[:, None]
@@ -107,9 +107,9 @@ def pruned(truth: Array, kept: tuple[int, ...]) -> Array:
     """The best approximation of the truth by an asset of shape `kept`, in the truth's shape."""
     found = truth.mean(axis=1, keepdims=True) if kept[1] == 1 else truth
     found = found.mean(axis=3, keepdims=True) if kept[3] == 1 else found
-    whole = np.zeros(truth.shape)
-    whole[:, :, : kept[2]] = found[:, :, : kept[2]]
-    return whole
+    padded = np.zeros(truth.shape)
+    padded[:, :, : kept[2]] = found[:, :, : kept[2]]
+    return padded
 
 
 def relative_rmse(error: Array, truth: Array) -> float:
@@ -131,17 +131,17 @@ def measure(name: str, scene: Scene, error: float, folder: Path) -> None:
     """Print the row of a scene."""
     more = {"leave_out": scene.items, **scene.more}
     plan = baking.plan(scene.transport, scene.mesh, rings=RINGS, sectors=SECTORS, error=error, **more)
-    _whole, *before = baked(scene, error, folder / "whole.h5")
+    _unpruned, *before = baked(scene, error, folder / "unpruned.h5")
     asset, *after = baked(scene, error, folder / "pruned.h5", **more)
     good, truth = asset.valid.astype(bool), truth_for(scene)
     if "for_eye" in scene.more:
         good &= scene.mesh.positions @ EYE > 1.0
     values = np.asarray(asset.coefficients, np.float64)
-    whole = np.zeros(truth.shape)
-    whole[:, :, : values.shape[2]] = values
+    padded = np.zeros(truth.shape)
+    padded[:, :, : values.shape[2]] = values
     adds = relative_rmse((truth - pruned(truth, values.shape))[good], truth[good])
     estimated = asset.provenance["estimated_relative_rmse"]
-    true = relative_rmse((whole - truth)[good], truth[good])
+    true = relative_rmse((padded - truth)[good], truth[good])
     sizes = "".join(f"{one:>8,.0f}{two:>7,.0f}" for one, two in zip(before[:2], after[:2], strict=True))
     print(
         f"{name:44}{sizes}{plan.evaluations / 1e3:>8,.0f}{before[2]:7.1f}{after[2]:6.1f}{adds:8.2%}"

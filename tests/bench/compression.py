@@ -57,15 +57,15 @@ def detail(asset: Asset) -> float:
 
     It is 1 for white noise.
     """
-    fine = whole = 0.0
+    fine = total = 0.0
     for first in range(0, len(asset.valid), 64):
         block = np.asarray(asset.coefficients[first : first + 64], np.float64)
         spectrum = dct(block.reshape(len(block), asset.rings, asset.sectors, -1), axis=1, norm="ortho")
         squares = np.abs(np.fft.fft(spectrum, axis=2, norm="ortho")) ** 2
         quick = np.abs(np.fft.fftfreq(asset.sectors)) >= 0.25
         fine += float(squares[:, asset.rings // 2 :, quick].sum())
-        whole += float(squares.sum())
-    return float(np.sqrt(fine / whole / (0.5 * quick.mean())))
+        total += float(squares.sum())
+    return float(np.sqrt(fine / total / (0.5 * quick.mean())))
 
 
 def measure(path: Path, errors: list[float], folder: Path) -> None:

@@ -71,7 +71,7 @@ def main() -> None:
     values = network.evaluate(lattice, x, wo).astype(np.float64)
     own = 4.0 * np.pi / FINE * np.einsum("dk,ndc->nkc", sh.evaluate(lattice, DEGREE), values)
     of_traced = by_degree((traced.mean**2 - noise).sum(axis=(0, 2)))
-    whole = of_traced[:3].sum()
+    total = of_traced[:3].sum()
     rows = (
         of_traced,
         by_degree((own**2).sum(axis=(0, 2))),
@@ -81,7 +81,7 @@ def main() -> None:
     for degree in range(DEGREE + 1):
         print(
             f"{degree:8}"
-            + "".join(f"{100.0 * row[degree] / whole:{width}.2f}" for row, width in zip(rows, (13, 9, 9), strict=True))
+            + "".join(f"{100.0 * row[degree] / total:{width}.2f}" for row, width in zip(rows, (13, 9, 9), strict=True))
         )
     turns = random_rotations(8, 3)
     for count in FEW:

@@ -118,7 +118,7 @@ def large(folder: Path) -> dict[str, Scene]:
     for name in ("cells", "faces"):
         (folder / name).mkdir()
     return {
-        "a grid of 256 cells each way": make_scene(folder / "cells", lumpy(2), sigma_t=grid, albedo=1.0),
+        "a grid of 256³ cells": make_scene(folder / "cells", lumpy(2), sigma_t=grid, albedo=1.0),
         f"{len(many.faces):,} faces": make_scene(folder / "faces", many, sigma_t=8.0, albedo=0.9, **ROUGH),
     }
 

@@ -19,7 +19,8 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from prt_bake.lights import downsampled, environment
+from prt_bake.lights import environment
+from prt_bake.lights.skies import downsampled
 
 REPEATS = 3
 COMPRESSIONS = {
@@ -57,7 +58,7 @@ def seconds(path: Path) -> list[float]:
     methods: list[Callable[[], object]] = [
         lambda: OpenEXR.File(str(path), separate_channels=True),
         lambda: environment.project(environment.open_environment(path)),
-        lambda: downsampled.shrink(environment.open_environment(path), downsampled.rows_shown(480, 30.0), 2, "y"),
+        lambda: downsampled.shrink(environment.open_environment(path), downsampled.rows_shown(480, 30.0), 2),
     ]
     taken = np.zeros((REPEATS, len(methods)))
     for i in range(REPEATS):

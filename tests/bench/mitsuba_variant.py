@@ -17,7 +17,7 @@ mi.set_variant("llvm_ad_rgb")
 medium = {"type": "homogeneous", "sigma_t": 2.0, "albedo": 0.9, "phase": {"type": "hg", "g": 0.3}}
 boundary = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.2}
 ball = {"type": "sphere", "boundary": boundary, "interior": medium}
-world = mi.load_dict({"type": "scene", "way": {"type": "volpath", "max_depth": -1}, "ball": ball,
+world = mi.load_dict({"type": "scene", "integrator": {"type": "volpath", "max_depth": -1}, "ball": ball,
                       "light": {"type": "directional", "direction": [0, 0, -1]}})
 sampler = mi.load_dict({"type": "independent"})
 sampler.seed(1, 1024)

@@ -95,13 +95,13 @@ def orbit(preview: Preview, size: tuple[int, int], frames: int, display: bool) -
     return {**figures, "per second": 1e3 / float(middle[3]), "best tenth per second": 1e3 / float(best[3])}
 
 
-def settle(asset: Asset) -> None:
+def refine(asset: Asset) -> None:
     """Print the time until a sun is shaded separately at all visible vertices."""
     preview = Preview(asset, [LightSource("sun:1,2,3", asset.up, asset.degree)])
     preview.load()
     eye = camera.fit(asset.mesh, up=asset.up).eye
     began, slices = time.perf_counter(), [time.perf_counter()]
-    while not preview.settle(eye, SLICE):
+    while not preview.refine(eye, SLICE):
         slices.append(time.perf_counter())
     ended = time.perf_counter()
     print(
@@ -146,7 +146,7 @@ def main() -> None:
     print(f"{len(asset.valid)} vertices, {len(asset.mesh.faces)} faces, milliseconds per frame:")
     for mode, choose in (
         ("light and sky", lambda: None),
-        ("with reflection", preview.flip_reflection),
+        ("with reflection", preview.toggle_reflection),
         ("coefficients", lambda: preview.show(Mode.COEFFICIENT)),
         ("errors", lambda: preview.show(Mode.ERROR)),
     ):

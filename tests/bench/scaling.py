@@ -25,7 +25,7 @@ from formats.mesh import read_mesh
 from prt_bake.baking.sources import open_source
 
 WORKERS = 1, 2, 8, 16, 64
-NAMES = {"refined_block": "blocks", "_timed_block": "pilot", "_surveyed": "survey"}
+NAMES = {"refined_block": "blocks", "_timed_block": "pilot", "_survey_vertex": "survey"}
 IN_THREADS = "packing", "journal"
 SECONDS: Counter[str] = Counter()
 
@@ -74,7 +74,7 @@ def main() -> None:
     measure("pruning", prt_bake.baking.bake, "choose_pruning")
     measure("preparing the pilot", prt_bake.baking.adaptive.run, "first_refinement")
     measure("tolerances", prt_bake.baking.adaptive.run, "settings_for_error")
-    measure("packing", formats.asset.chunk_writer, "_packed")
+    measure("packing", formats.asset.chunk_writer, "_compress")
     measure("journal", Journal, "write")
     measure("asset written", prt_bake.baking.adaptive.run, "_write")
     mesh = read_mesh(args.mesh)

@@ -96,9 +96,9 @@ class Viewed:
 
     def picture(self, radiance: Array) -> Array:
         """The picture [H,W,3] of radiance [n,3] at the visible vertices."""
-        seen = np.einsum("sk,skc->sc", self._weights, radiance[self._corners])
+        samples = np.einsum("sk,skc->sc", self._weights, radiance[self._corners])
         return (
-            np.stack([np.bincount(self._pixels, channel, SIZE * SIZE) for channel in seen.T], axis=1).reshape(
+            np.stack([np.bincount(self._pixels, channel, SIZE * SIZE) for channel in samples.T], axis=1).reshape(
                 SIZE, SIZE, 3
             )
             / SAMPLES**2
@@ -112,23 +112,25 @@ def radiance_by_method(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Ligh
     def shade(harmonics: Array) -> Array:
         return np.asarray(np.einsum("nkc,kc->nc", np.broadcast_to(a, (*a.shape[:2], 3)), harmonics))
 
-    whole = project_lighting(lighting, degree)
-    sky = project_lighting(Lighting(split.skies, ()), degree) if split.skies else np.zeros_like(whole)
+    harmonics = project_lighting(lighting, degree)
+    sky = project_lighting(Lighting(split.skies, ()), degree) if split.skies else np.zeros_like(harmonics)
     suns = [project_lighting(Lighting((), (sun,)), degree) for sun in split.suns]
-    answers = {"plain": shade(whole), "window all": shade(windowed(whole))}
+    radiance = {"plain": shade(harmonics), "window all": shade(windowed(harmonics))}
     if suns:
-        answers["clamp"] = np.maximum(shade(sky), 0.0) + sum(np.maximum(shade(sun), 0.0) for sun in suns)
-        answers["window"] = shade(sky + sum(windowed(sun) for sun in suns))
+        radiance["clamp"] = np.maximum(shade(sky), 0.0) + sum(np.maximum(shade(sun), 0.0) for sun in suns)
+        radiance["window"] = shade(sky + sum(windowed(sun) for sun in suns))
         damped = vertex_windowed(a)
-        answers["vertex window"] = shade(sky) + sum(np.einsum("nkc,kc->nc", damped, sun) for sun in suns)
+        radiance["vertex window"] = shade(sky) + sum(np.einsum("nkc,kc->nc", damped, sun) for sun in suns)
         directions = np.array([sun.direction for sun in split.suns])
         irradiance = np.array([sun.irradiance for sun in split.suns])
         begun = time.perf_counter()
-        answers["entropy"] = shade(sky) + np.einsum("ncd,dc->nc", positive_transport(a).towards(directions), irradiance)
+        radiance["entropy"] = shade(sky) + np.einsum(
+            "ncd,dc->nc", positive_transport(a).towards(directions), irradiance
+        )
         print(f"    entropy: {1e3 * (time.perf_counter() - begun):.0f} ms for {len(a)} vertices")
         exact = network.evaluate(directions, viewed.asset.mesh.positions[viewed.vertices], viewed.outgoing)
-        answers["network"] = shade(sky) + np.einsum("ndc,dc->nc", exact.astype(np.float64), irradiance)
-    return answers
+        radiance["network"] = shade(sky) + np.einsum("ndc,dc->nc", exact.astype(np.float64), irradiance)
+    return radiance
 
 
 def vertex_windowed(a: Array) -> Array:

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 BENCH = Path(__file__).parent
-SCRIPTS = [path for path in sorted(BENCH.glob("*.py")) if "__main__" in path.read_text(encoding="utf-8")]
+MODULES = [path for path in sorted(BENCH.glob("*.py")) if not path.name.startswith("test_")]
+SCRIPTS = [path for path in MODULES if "__main__" in path.read_text(encoding="utf-8")]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=[path.stem for path in SCRIPTS])

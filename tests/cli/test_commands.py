@@ -342,4 +342,4 @@ def test_check_remarks_upon_a_part_that_sticks_out(prtbake: Run, folder: Path) -
     assert checked.out.endswith("twins.toml: sound\n")
     told = json.loads(prtbake("info", "twins.toml", "--json").out)
     assert (told["parts"], told["twin: in"]) == (2, "object")
-    assert told["twin: material"] == "wholemilk, measured with eta 1.3; taken is that of the scene, 1"
+    assert told["twin: material"] == "wholemilk, measured with eta 1.3; the scene uses eta 1"

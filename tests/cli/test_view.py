@@ -121,7 +121,7 @@ def test_a_sky_is_mended_when_asked_and_that_is_said(prtbake: Run, tmp_path: Pat
     assert "nan.exr" in prtbake(*command).err
     mended = prtbake(*command, "--mend")
     assert mended.code == 0
-    assert "mended 1 values" in mended.err
+    assert "repaired 1 values" in mended.err
 
 
 def test_a_screenshot_of_another_kind_is_refused_at_once(prtbake: Run) -> None:

@@ -1,4 +1,4 @@
-"""Skies that are none, or hardly one, through the command line: one clear sentence, no silent black picture."""
+"""Unusable and doubtful skies on the command line: one clear sentence each, and no silent black picture."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ SHADE = ("shade", "asset.h5", "--size", "16x12")
 
 
 def cross(tall: bool = False, empty: float = 0.0) -> np.ndarray:
-    """Six faces of 8 pixels, unfolded, `empty` around them."""
+    """Six faces of 8 pixels, unfolded, on a background of `empty`."""
     image = np.full((24, 32, 3), empty, np.float32)
     for down, across in ((0, 1), (1, 0), (1, 1), (1, 2), (1, 3), (2, 1)):
         image[8 * down : 8 * down + 8, 8 * across : 8 * across + 8] = DRAW.random((8, 8, 3))
@@ -25,7 +25,7 @@ def cross(tall: bool = False, empty: float = 0.0) -> np.ndarray:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 4)])
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
-def test_the_smallest_skies_are_skies(prtbake: Run, tmp_path: Path, shape: tuple[int, int], suffix: str) -> None:
+def test_the_smallest_skies_work(prtbake: Run, tmp_path: Path, shape: tuple[int, int], suffix: str) -> None:
     path, output = tmp_path / f"sky{suffix}", tmp_path / "a.exr"
     write_image(path, np.full((*shape, 3), 0.25, np.float32))
     outcome = prtbake(*SHADE, "--light", path, "-o", output)
@@ -37,7 +37,9 @@ def test_the_smallest_skies_are_skies(prtbake: Run, tmp_path: Path, shape: tuple
 
 
 @pytest.mark.parametrize("light", ["moon:0,1,0", "sun;0,1,0.5", "sky.tif", "sky"])
-def test_what_is_no_light_is_told_what_lights_are(prtbake: Run, tmp_path: Path, light: str) -> None:
+def test_an_argument_that_is_not_a_light_is_refused_with_the_accepted_forms(
+    prtbake: Run, tmp_path: Path, light: str
+) -> None:
     for command in (
         (*SHADE, "-o", tmp_path / "a.png"),
         ("view", "asset.h5", "--screenshot", tmp_path / "a.png"),
@@ -45,11 +47,11 @@ def test_what_is_no_light_is_told_what_lights_are(prtbake: Run, tmp_path: Path, 
     ):
         outcome = prtbake(*command, "--light", light)
         assert outcome.code == 1
-        assert f"{light}: is no light; expected a lat-long sky (.exr, .hdr or .png), a lights file" in outcome.err
+        assert f"{light}: is not a light; expected a lat-long sky (.exr, .hdr or .png), a lights file" in outcome.err
         assert "sun:x,y,z[:r,g,b][:degrees] or sphere:x,y,z:radius[:r,g,b]" in outcome.err
 
 
-def test_a_sky_with_nan_is_told_the_option_that_mends_it(prtbake: Run, tmp_path: Path) -> None:
+def test_a_sky_with_nan_is_refused_with_the_option_that_repairs_it(prtbake: Run, tmp_path: Path) -> None:
     sky = np.ones((8, 16, 3), np.float32)
     sky[2, 3, 1] = np.nan
     path, output = tmp_path / "nan.exr", tmp_path / "a.png"
@@ -62,28 +64,28 @@ def test_a_sky_with_nan_is_told_the_option_that_mends_it(prtbake: Run, tmp_path:
     ):
         outcome = prtbake(*command)
         assert outcome.code == 1
-        assert "repair the picture, or have it mended (--mend; mend=True in Python)" in outcome.err
+        assert "repair the picture, or have it repaired as it is read (--mend; mend=True in Python)" in outcome.err
     checked = prtbake("check", path).out
     assert "repair the picture, or give --mend to `prtbake shade`, `view`, `render` or `light`" in checked
-    # A bake has no such option.
+    # `bake` has no such option.
     bake = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", "--for-light", path)
     assert bake.code == 1
     assert "--mend" not in bake.err
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (64, 64), (9, 1), (30, 300), (48, 49)])
-def test_another_shape_is_told_and_shown(prtbake: Run, tmp_path: Path, shape: tuple[int, int]) -> None:
-    """A photograph of 4:3 is no cross: its corners hold a picture."""
+def test_another_shape_is_reported_and_used(prtbake: Run, tmp_path: Path, shape: tuple[int, int]) -> None:
+    """A photograph of 4:3 is not a cross, since its corners are not empty."""
     path = tmp_path / "sky.exr"
     write_image(path, DRAW.random((*shape, 3)))
     for command in (("light", path), (*SHADE, "--light", path, "-o", tmp_path / "a.png")):
         outcome = prtbake(*command)
         assert outcome.code == 0
         assert outcome.err.count("\n") == 1
-        assert f"sky.exr: is {shape[1]}x{shape[0]} pixels, where a lat-long picture is twice as wide" in outcome.err
+        assert f"sky.exr: is {shape[1]}x{shape[0]} pixels, but a lat-long picture is twice as wide" in outcome.err
 
 
-def test_a_shape_off_by_a_pixel_is_not_told(prtbake: Run, tmp_path: Path) -> None:
+def test_a_shape_off_by_a_pixel_is_not_reported(prtbake: Run, tmp_path: Path) -> None:
     write_image(tmp_path / "sky.exr", DRAW.random((200, 401, 3)))
     assert prtbake("light", tmp_path / "sky.exr").err == ""
 
@@ -99,7 +101,7 @@ def test_a_shape_off_by_a_pixel_is_not_told(prtbake: Run, tmp_path: Path) -> Non
         DRAW.random((8, 48, 3)),
     ],
 )
-def test_cube_maps_are_refused_with_what_to_do(prtbake: Run, tmp_path: Path, image: np.ndarray) -> None:
+def test_cube_maps_are_refused_with_advice(prtbake: Run, tmp_path: Path, image: np.ndarray) -> None:
     path = tmp_path / "sky.exr"
     write_image(path, image)
     render = ("render", "scene.toml", "sphere.ply", "--size", "8x8")
@@ -112,7 +114,7 @@ def test_cube_maps_are_refused_with_what_to_do(prtbake: Run, tmp_path: Path, ima
     assert not (tmp_path / "a.png").exists()
 
 
-def test_a_file_that_says_it_is_a_cube_is_one(prtbake: Run, tmp_path: Path) -> None:
+def test_a_file_whose_header_says_cube_map_is_refused(prtbake: Run, tmp_path: Path) -> None:
     pixels = np.ones((8, 16), np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     for envmap, code in ((OpenEXR.ENVMAP_CUBE, 1), (OpenEXR.ENVMAP_LATLONG, 0)):
@@ -122,7 +124,7 @@ def test_a_file_that_says_it_is_a_cube_is_one(prtbake: Run, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("light", ["sky.exr", "lights.toml", "sun:0,1,0:0,0,0", "sphere:0,9,0:1:0,0,0"])
-def test_a_black_light_is_told(prtbake: Run, tmp_path: Path, light: str) -> None:
+def test_a_black_light_is_reported(prtbake: Run, tmp_path: Path, light: str) -> None:
     write_image(tmp_path / "sky.exr", np.zeros((8, 16, 3)))
     write_image(tmp_path / "lit.exr", np.ones((8, 16, 3)))
     (tmp_path / "lights.toml").write_text('[[sky]]\nfile = "lit.exr"\ntint = [0, 0, 0]\n')
@@ -147,7 +149,7 @@ def spoil_negative(image: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("spoil", [spoil_nan, spoil_infinite, spoil_negative])
-def test_bad_pixels_are_refused_and_mended(prtbake: Run, tmp_path: Path, spoil: Callable[[np.ndarray], None]) -> None:
+def test_bad_pixels_are_refused_or_repaired(prtbake: Run, tmp_path: Path, spoil: Callable[[np.ndarray], None]) -> None:
     image, path, output = DRAW.random((16, 32, 3)), tmp_path / "sky.exr", tmp_path / "a.exr"
     spoil(image)
     write_image(path, image)
@@ -156,21 +158,21 @@ def test_bad_pixels_are_refused_and_mended(prtbake: Run, tmp_path: Path, spoil: 
         assert refused.code == 1
         assert "found 1 of 512 pixels" in refused.err
         assert "row 5, column 6" in refused.err
-        mended = prtbake(*command, "--mend")
-        assert mended.code == 0
-        assert "sky.exr: mended" in mended.err
+        repaired = prtbake(*command, "--mend")
+        assert repaired.code == 0
+        assert "sky.exr: repaired" in repaired.err
     assert np.isfinite(read_image(output)).all()
 
 
-def test_alpha_and_luminance(prtbake: Run, tmp_path: Path) -> None:
-    """Alpha is left out, luminance is grey, of whatever kind the file is."""
+def test_alpha_is_ignored_and_luminance_is_grey(prtbake: Run, tmp_path: Path) -> None:
+    """In EXR and in PNG."""
     grey = DRAW.random((8, 16)).astype(np.float32)
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     OpenEXR.File(header, {"Y": grey, "A": np.zeros_like(grey)}).write(str(tmp_path / "y.exr"))
     OpenEXR.File(header, dict.fromkeys("RGBA", grey)).write(str(tmp_path / "rgba.exr"))
-    told = [prtbake("light", tmp_path / name) for name in ("y.exr", "rgba.exr")]
-    assert [outcome.err for outcome in told] == ["", ""]
-    assert told[0].out == told[1].out
+    outcomes = [prtbake("light", tmp_path / name) for name in ("y.exr", "rgba.exr")]
+    assert [outcome.err for outcome in outcomes] == ["", ""]
+    assert outcomes[0].out == outcomes[1].out
     codes = (255 * grey).astype(np.uint8)
     Image.fromarray(codes).convert("LA").save(tmp_path / "la.png")
     Image.fromarray(codes).save(tmp_path / "l.png")
@@ -181,7 +183,7 @@ def test_alpha_and_luminance(prtbake: Run, tmp_path: Path) -> None:
     assert "has no colour" in refused.err
 
 
-def test_a_truncated_sky_is_one_sentence(prtbake: Run, tmp_path: Path) -> None:
+def test_a_truncated_sky_is_refused_in_one_sentence(prtbake: Run, tmp_path: Path) -> None:
     write_image(tmp_path / "whole.exr", DRAW.random((200, 400, 3)))
     (tmp_path / "cut.exr").write_bytes((tmp_path / "whole.exr").read_bytes()[:600_000])
     for command in (("light",), (*SHADE, "-o", tmp_path / "a.png", "--light")):
@@ -191,7 +193,7 @@ def test_a_truncated_sky_is_one_sentence(prtbake: Run, tmp_path: Path) -> None:
         assert outcome.err.count("\n") == 1
 
 
-def test_a_sphere_light_lights_the_object_in_every_way_of_showing_it(prtbake: Run, tmp_path: Path) -> None:
+def test_a_sphere_light_works_in_shade_and_render(prtbake: Run, tmp_path: Path) -> None:
     lamp = "sphere:0,0,9:1:50,50,50"
     shown = prtbake(*SHADE, "--light", lamp, "-o", tmp_path / "a.exr")
     traced = prtbake(

@@ -1,4 +1,4 @@
-"""Harmonics of several lights together: laws, and pictures of assets under them."""
+"""Harmonics of lightings, and pictures of assets under them."""
 
 import math
 
@@ -30,7 +30,7 @@ def sky(up: str = "y", turn: np.ndarray = TURN) -> Sky:
 @pytest.mark.parametrize("diameter", [0.5, 40.0, 179.0])
 def test_a_disc_has_the_harmonics_of_its_radiance(degree: int, diameter: float) -> None:
     light = sun(diameter=diameter)
-    # Even over the disc's cap: the height above its plane and the azimuth are.
+    # Uniform over the cap: height and azimuth are uniform.
     u, v = np.random.default_rng(1).random((2, 200_000))
     cosine = 1.0 - u * (1.0 - math.cos(math.radians(diameter / 2.0)))
     local = np.stack(
@@ -47,18 +47,18 @@ def test_a_disc_has_the_harmonics_of_its_radiance(degree: int, diameter: float) 
 
 
 @pytest.mark.parametrize("diameter", [0.0, 1e-7, 1e-3])
-def test_a_light_that_is_next_to_a_point_is_one(diameter: float) -> None:
+def test_a_tiny_disc_equals_a_light_without_size(diameter: float) -> None:
     expected = sh.evaluate(sun().direction, 5)[:, None] * sun().irradiance
     np.testing.assert_allclose(project_lighting(Lighting((), (sun(diameter=diameter),)), 5), expected, rtol=1e-9)
 
 
-def test_a_disc_over_the_whole_hemisphere_keeps_its_energy() -> None:
+def test_a_disc_of_a_hemisphere_keeps_its_energy() -> None:
     found = project_lighting(Lighting((), (sun(diameter=180.0),)), 2)
     np.testing.assert_allclose(found[0], sun().irradiance / math.sqrt(4.0 * math.pi), rtol=1e-12)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_lights_add_up_and_turn(up: str) -> None:
+def test_projection_is_additive_and_commutes_with_rotation(up: str) -> None:
     one, other = Lighting((sky(up),)), Lighting((sky(up, np.eye(3)),), (sun(), sun((-1.0, 0.0, 0.0), diameter=20.0)))
     both = Lighting(one.skies + other.skies, other.suns)
     apart = project_lighting(one, 4) + project_lighting(other, 4)
@@ -67,7 +67,7 @@ def test_lights_add_up_and_turn(up: str) -> None:
     np.testing.assert_allclose(project_lighting(both.turned(75.0, up), 4), turned, atol=1e-12)
 
 
-def test_a_picture_under_two_lights_is_the_sum_of_those_under_each() -> None:
+def test_a_picture_under_two_lights_is_the_sum_of_the_pictures_under_each() -> None:
     asset, view = make_asset(ball(3)), front()
     first, second = Lighting((sky(),)), Lighting((sky(turn=np.eye(3)),), (sun(diameter=30.0),))
     both = Lighting(first.skies + second.skies, second.suns)
@@ -76,7 +76,7 @@ def test_a_picture_under_two_lights_is_the_sum_of_those_under_each() -> None:
     np.testing.assert_allclose(pictures[2].image, pictures[0].image + pictures[1].image, rtol=2e-5)
 
 
-def test_one_sky_is_seen_like_the_picture_that_it_is_of() -> None:
+def test_a_lighting_of_one_sky_renders_like_its_picture() -> None:
     asset, view = make_asset(ball(2)), front()
     image = sky().image
     as_lights = Lighting((Sky(image, "y", environment.rotation(30.0, "y")),))
@@ -84,7 +84,7 @@ def test_one_sky_is_seen_like_the_picture_that_it_is_of() -> None:
     np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_light_with_a_size_is_seen_behind_the_object() -> None:
+def test_a_disc_is_visible_behind_the_object() -> None:
     behind = sun((0.0, -0.6, -0.8), (1.0, 1.0, 1.0), 12.0)
     shown = render_picture(make_asset(ball(2)), Lighting((), (behind,)), front(160, 120, (0.0, 3.0, 4.0)), samples=4)
     bare = render_picture(

@@ -1,4 +1,4 @@
-"""Lights apart from any object: what is drawn from them is what is looked up in them."""
+"""Lightings without an object: reading, look-up, importance sampling and its densities."""
 
 import math
 from pathlib import Path
@@ -29,7 +29,7 @@ def sky(height: int, width: int, up: str = "y", degrees: float = 30.0, seed: int
     return Sky(image, up, environment.rotation(degrees, up))
 
 
-def places(light: Sky) -> tuple[np.ndarray, np.ndarray]:
+def fine_grid(light: Sky) -> tuple[np.ndarray, np.ndarray]:
     """The midpoints of a fine grid over the sphere: directions [N,3], and radiance times solid angle [N,3]."""
     v, u = np.meshgrid((np.arange(300) + 0.5) / 300, (np.arange(600) + 0.5) / 600, indexing="ij")
     directions = environment.direction_of(u.ravel(), v.ravel(), light.up) @ light.turn.T
@@ -39,12 +39,12 @@ def places(light: Sky) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (2, 3), (7, 6)])
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_draws_from_a_sky_weigh_what_the_sky_looks_like(shape: tuple[int, int], up: str) -> None:
+def test_sky_samples_estimate_integrals_of_its_radiance(shape: tuple[int, int], up: str) -> None:
     light = sky(*shape, up)
     light.image[0, 0] = [1.0, 3.0, 0.5]
     directions, weights = BrightSky(light).draw(uniforms((7, np.arange(100_000)), 3))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
-    grid, energy = places(light)
+    grid, energy = fine_grid(light)
     bump = np.array([0.48, -0.6, 0.64])
     for value in (lambda d: 1.0 + d[:, 0], lambda d: d[:, 1] * d[:, 2], lambda d: np.exp(6 * (d @ bump - 1))):
         for channel in range(3):
@@ -52,8 +52,8 @@ def test_draws_from_a_sky_weigh_what_the_sky_looks_like(shape: tuple[int, int], 
 
 
 @pytest.mark.parametrize(("shape", "up"), [((1, 1), "y"), ((4, 1), "y"), ((7, 6), "z")])
-def test_draws_from_a_sky_follow_their_density(shape: tuple[int, int], up: str) -> None:
-    """Over the picture: the bilinear look-up of mean radiance times the sine of the row's zenith angle."""
+def test_sky_samples_follow_the_bilinear_density(shape: tuple[int, int], up: str) -> None:
+    """Over (u, v): the look-up of mean radiance times the sine of the row's zenith angle."""
     light = sky(*shape, up)
     light.image[0, 0] = [1.0, 3.0, 0.5]
     directions, _weights = BrightSky(light).draw(uniforms((10, np.arange(100_000)), 3))
@@ -67,16 +67,16 @@ def test_draws_from_a_sky_follow_their_density(shape: tuple[int, int], up: str) 
         indexing="ij",
     )
     density = environment.radiance_at(pixels[..., None], fine_u.ravel(), fine_v.ravel())
-    due = density.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
+    expected = density.reshape(rows, fine, columns, fine).sum(axis=(1, 3))
     counts = np.histogram2d(v, u, bins=(rows, columns), range=[[0, 1], [0, 1]])[0]
-    assert_counts_follow(counts.ravel(), due.ravel() / due.sum())
+    assert_counts_follow(counts.ravel(), expected.ravel() / expected.sum())
 
 
 @pytest.mark.parametrize(("shape", "up"), [((1, 1), "y"), ((4, 1), "y"), ((5, 9), "z")])
-def test_the_density_of_a_sky_is_that_of_its_draws(shape: tuple[int, int], up: str) -> None:
-    """It integrates to 1, draws fall as it says, and the light over it is the weight of a draw."""
+def test_the_density_of_a_sky_is_that_of_its_samples(shape: tuple[int, int], up: str) -> None:
+    """It integrates to 1, samples follow it, and their weight is radiance over density."""
     light = BrightSky(sky(*shape, up))
-    grid, energy = places(sky(*shape, up))
+    grid, energy = fine_grid(sky(*shape, up))
     radiance, density = light.look_up(grid)
     measure = np.repeat(2 * math.pi**2 * np.sin(math.pi * (np.arange(300) + 0.5) / 300), 600) / len(grid)
     np.testing.assert_allclose(radiance * measure[:, None], energy, rtol=1e-6, atol=1e-12)
@@ -90,7 +90,7 @@ def test_the_density_of_a_sky_is_that_of_its_draws(shape: tuple[int, int], up: s
     np.testing.assert_allclose(weights * drawn[1][:, None], drawn[0], rtol=1e-9, atol=1e-12)
 
 
-def test_a_sampler_draws_from_all_that_has_a_size() -> None:
+def test_a_light_sampler_covers_all_lights_with_a_size() -> None:
     """Two skies and two discs, one wide, one narrow; a light without size is left out."""
     lights = Lighting(
         (sky(8, 16), sky(5, 4, "z", seed=2)), (sun(diameter=60.0), sun((0.0, -0.6, 0.8)), sun(diameter=9.0))
@@ -102,19 +102,19 @@ def test_a_sampler_draws_from_all_that_has_a_size() -> None:
     np.testing.assert_allclose(radiance[0], lights.radiance(directions[0]), rtol=1e-6)
     np.testing.assert_array_equal(sampler.density(directions), density)
     for value in (lambda d: 1.0 + d[:, 0], lambda d: d[:, 1] * d[:, 2]):
-        whole = sum((energy * value(grid)[:, None]).sum(axis=0) for grid, energy in map(places, lights.skies))
+        whole = sum((energy * value(grid)[:, None]).sum(axis=0) for grid, energy in map(fine_grid, lights.skies))
         for one in (lights.suns[0], lights.suns[2]):
             on_disc, weight = Disc(one).draw(uniforms((13, np.arange(400_000)), 3))
             whole = whole + (weight * value(on_disc)[:, None]).mean(axis=0)
         seen = radiance[0] / density[0][:, None] * value(directions[0])[:, None]
         for channel in range(3):
             assert_mean_is(seen[:, channel], whole[channel])
-    grid, _energy = places(lights.skies[0])
+    grid, _energy = fine_grid(lights.skies[0])
     measure = np.repeat(2 * math.pi**2 * np.sin(math.pi * (np.arange(300) + 0.5) / 300), 600) / len(grid)
     assert (sampler.density(grid) * measure).sum() == pytest.approx(1.0, abs=5e-3)  # edges of discs cross the grid
 
 
-def test_where_nothing_shines_draws_are_uniform() -> None:
+def test_samples_of_black_lights_are_uniform() -> None:
     dark = Sky(np.zeros((2, 3, 3), np.float32), "y", np.eye(3))
     sampler = LightSampler(Lighting((dark,), (sun(),)))
     directions = sampler.draw(uniforms((14, np.arange(50_000)), 3))
@@ -123,7 +123,7 @@ def test_where_nothing_shines_draws_are_uniform() -> None:
     assert_counts_follow(cells.count(directions), np.full(128, 1 / 128))
 
 
-def test_a_sun_of_a_hundred_thousand_in_a_sky_weighs_evenly() -> None:
+def test_a_sun_in_a_sky_makes_no_large_weights() -> None:
     light = sky(64, 128)
     light.image[20, 40] = 1e5
     sampler = LightSampler(Lighting((light,)))
@@ -134,7 +134,7 @@ def test_a_sun_of_a_hundred_thousand_in_a_sky_weighs_evenly() -> None:
     assert weights.max() < 3 * weights.mean()
 
 
-def test_weights_of_a_lone_pixel_hardly_vary() -> None:
+def test_weights_of_a_single_bright_pixel_hardly_vary() -> None:
     light = Sky(np.zeros((64, 128, 3), np.float32), "y", np.eye(3))
     light.image[20, 0] = 1e5
     directions, weights = BrightSky(light).draw(uniforms((8, np.arange(20_000)), 3))
@@ -145,8 +145,8 @@ def test_weights_of_a_lone_pixel_hardly_vary() -> None:
 
 
 @pytest.mark.parametrize("radiance", [1.0, 0.1, 7e-5])
-def test_nothing_of_a_sky_of_one_radiance_is_bright(radiance: float) -> None:
-    """Its mean is off its radiance by a rounding, which must not pass for a bright part."""
+def test_a_constant_sky_has_no_bright_part(radiance: float) -> None:
+    """Its mean differs from its radiance by a rounding error, which must not count as a bright part."""
     for height in (1, 4, 5, 8, 33):
         light = Sky(np.full((height, 2 * height, 3), radiance, np.float32), "y", np.eye(3))
         bright, rest = split_sky(light, Connections(variance=0.8, cost=0.0))
@@ -154,7 +154,7 @@ def test_nothing_of_a_sky_of_one_radiance_is_bright(radiance: float) -> None:
         np.testing.assert_array_equal(rest.image, light.image)
 
 
-def test_a_split_sky_is_the_sky() -> None:
+def test_the_parts_of_a_split_sky_sum_to_it() -> None:
     light = sky(16, 32)
     light.image[5, 7] = 1e5
     bright, rest = split_sky(light, WORTH)
@@ -168,7 +168,7 @@ def test_a_split_sky_is_the_sky() -> None:
     np.testing.assert_allclose(rest.image[5, 7], rest.image[5, 7, 0], rtol=1e-6)
 
 
-def test_skies_without_bright_places_are_left_whole() -> None:
+def test_skies_without_bright_parts_are_not_split() -> None:
     for image in (np.ones((8, 16, 3)), np.zeros((8, 16, 3)), 1.0 + sky(8, 16).image):
         light = Sky(image.astype(np.float32), "y", np.eye(3))
         bright, rest = split_sky(light, Connections(variance=2.0, cost=4.0))
@@ -176,7 +176,7 @@ def test_skies_without_bright_places_are_left_whole() -> None:
         assert rest is light
 
 
-def test_what_cannot_be_connected_to_is_left_to_the_walks() -> None:
+def test_without_connections_walks_meet_all_lights() -> None:
     light = sky(16, 32)
     light.image[5, 7] = 1e5
     lighting = Lighting((light,), (sun(diameter=1.0),))
@@ -188,27 +188,27 @@ def test_what_cannot_be_connected_to_is_left_to_the_walks() -> None:
 
 
 @pytest.mark.parametrize("diameter", [0.0, 1e-5, 0.53, 40.0, 180.0])
-def test_a_disc_is_drawn_uniformly_to_its_edge(diameter: float) -> None:
+def test_a_disc_is_sampled_uniformly_to_its_edge(diameter: float) -> None:
     light = sun(diameter=diameter)
     directions, weights = Disc(light).draw(uniforms((9, np.arange(50_000)), 3))
     np.testing.assert_array_equal(weights, np.broadcast_to([3.0, 2.0, 1.0], weights.shape))
-    apart = np.linalg.norm(directions - light.direction, axis=1)  # the chord, 2 sin(angle / 2)
+    distance = np.linalg.norm(directions - light.direction, axis=1)  # the chord, 2 sin(angle / 2)
     chord = 2 * math.sin(math.radians(diameter) / 4)
-    assert apart.max() <= chord * (1 + 1e-9) + 1e-15
+    assert distance.max() <= chord * (1 + 1e-9) + 1e-15
     if diameter > 0:
-        # The solid angle within a chord c is π c²: uniform where c² is.
-        assert_mean_is((apart / chord) ** 2, 0.5)
+        # The solid angle within a chord c is π c²: uniform if c² is.
+        assert_mean_is((distance / chord) ** 2, 0.5)
         across = np.cross(light.direction, [1.0, 0.0, 0.0])
         turn = np.arctan2(directions @ np.cross(light.direction, across), directions @ across) / (2 * math.pi) % 1.0
-        counts = np.histogram2d((apart / chord) ** 2, turn, bins=16, range=[[0, 1], [0, 1]])[0]
+        counts = np.histogram2d((distance / chord) ** 2, turn, bins=16, range=[[0, 1], [0, 1]])[0]
         assert_counts_follow(counts.ravel(), np.full(256, 1 / 256))
-        assert in_disc(light, directions[apart < chord * (1 - 1e-9)]).all()
+        assert in_disc(light, directions[distance < chord * (1 - 1e-9)]).all()
         assert_mean_is(directions @ across / chord, 0.0)
     else:
         assert not in_disc(light, directions).any()
 
 
-def test_a_disc_has_the_radiance_of_its_irradiance_over_its_solid_angle() -> None:
+def test_the_radiance_of_a_disc_is_irradiance_over_solid_angle() -> None:
     light = sun(diameter=60.0)
     d = np.random.default_rng(3).normal(size=(200_000, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
@@ -218,7 +218,7 @@ def test_a_disc_has_the_radiance_of_its_irradiance_over_its_solid_angle() -> Non
     np.testing.assert_array_equal(radiance((), (light,), d).any(axis=1), inside)
 
 
-def test_all_kinds_of_light_are_read_and_turned_together(tmp_path: Path) -> None:
+def test_all_kinds_of_lights_are_read_and_rotated_together(tmp_path: Path) -> None:
     image = sky(8, 16).image
     write_image(tmp_path / "sky.exr", image)
     (tmp_path / "lights.toml").write_text(
@@ -235,7 +235,7 @@ def test_all_kinds_of_light_are_read_and_turned_together(tmp_path: Path) -> None
     np.testing.assert_allclose(lighting.radiance(d), first + second, rtol=1e-6)
 
 
-def test_a_hash_tells_lightings_apart(tmp_path: Path) -> None:
+def test_content_hashes_of_lightings_differ(tmp_path: Path) -> None:
     light = sky(8, 16)
     base = Lighting((light,), (sun(),))
     others = [
@@ -251,7 +251,7 @@ def test_a_hash_tells_lightings_apart(tmp_path: Path) -> None:
     assert Lighting((sky(8, 16),), (sun(),)).content_hash() == base.content_hash()
 
 
-def test_what_is_no_light_is_refused(tmp_path: Path) -> None:
+def test_invalid_lights_are_refused(tmp_path: Path) -> None:
     with pytest.raises(QueryError, match="light: there is none"):
         read_lighting([])
     with pytest.raises(LightError, match="sun:0,0,0"):

@@ -1,4 +1,4 @@
-"""Sphere lights: what the middle of the object sees of them, and what is said of the rest."""
+"""Sphere lights: exact as seen from the object's middle, with a report of what is neglected."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ def quiet(sentence: str) -> None:
     pass
 
 
-def away(size: float = 0.5) -> Mesh:
+def shifted_ball(size: float = 0.5) -> Mesh:
     """A ball off the origin."""
     mesh = ball(2)
     return build_mesh(size * mesh.positions + MIDDLE, mesh.faces)
@@ -34,9 +34,9 @@ def light(distance: float, radius: float, radiance: float = 2.0, towards: tuple 
 
 
 def test_rays_from_the_middle_see_the_sphere() -> None:
-    """A ray that meets the sphere sees its radiance, any other nothing."""
+    """A ray that meets the sphere sees its radiance; other rays see black."""
     lamp = light(3.0, 1.4)
-    disc = as_disc(lamp, away(), "lamp", quiet)
+    disc = as_disc(lamp, shifted_ball(), "lamp", quiet)
     d = sphere.uniform(20_000, 3)
     to_lamp = lamp.position - MIDDLE
     along = d @ to_lamp
@@ -48,10 +48,10 @@ def test_rays_from_the_middle_see_the_sphere() -> None:
 
 
 @pytest.mark.parametrize(("distance", "radius"), [(1.5, 0.7), (10.0, 3.0), (1e6, 1.0), (1e12, 1e-3)])
-def test_power_over_the_sphere_of_the_distance_is_the_irradiance(distance: float, radius: float) -> None:
-    """∫ L cos dω across the disc is power / 4π d², whatever the size: the law of energy."""
+def test_irradiance_is_power_over_the_area_at_that_distance(distance: float, radius: float) -> None:
+    """∫ L cos dω over the disc is power / 4π d² for every size."""
     lamp = light(distance, radius)
-    disc = as_disc(lamp, away(), "lamp", quiet)
+    disc = as_disc(lamp, shifted_ball(), "lamp", quiet)
     power = 4 * math.pi**2 * radius**2 * lamp.radiance
     # The mean cosine over the disc's cap is (1 + cos of its rim) / 2.
     mean = 0.5 * (1.0 + math.cos(math.radians(disc.angular_diameter) / 2.0))
@@ -61,16 +61,16 @@ def test_power_over_the_sphere_of_the_distance_is_the_irradiance(distance: float
     np.testing.assert_allclose(first, axis * disc.irradiance[0] * mean, rtol=1e-9, atol=1e-30)
 
 
-def test_far_away_it_is_a_directional_light() -> None:
-    far = as_disc(light(1e9, 1e-2), away(), "lamp", quiet)
+def test_a_distant_sphere_is_a_directional_light_without_size() -> None:
+    far = as_disc(light(1e9, 1e-2), shifted_ball(), "lamp", quiet)
     point = DirectionalLight(np.array([0.48, 0.6, 0.64]), math.pi * 1e-22 * np.array([6.0, 4.0, 2.0]), 0.0)
     found, expected = (project_lighting(Lighting((), (one,)), 3) for one in (far, point))
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_turning_the_light_is_moving_the_sphere_around_the_middle(up: str) -> None:
-    mesh, lamp = away(), light(3.0, 1.0)
+def test_rotating_the_light_moves_the_sphere_around_the_middle(up: str) -> None:
+    mesh, lamp = shifted_ball(), light(3.0, 1.0)
     word = "sphere:" + ",".join(map(str, lamp.position)) + ":1.0:6,4,2"
     turned = read_lighting([word], up, 75.0, say=quiet, mesh=mesh)
     moved = SphereLight(MIDDLE + environment.rotation(75.0, up) @ (lamp.position - MIDDLE), 1.0, lamp.radiance)
@@ -80,26 +80,26 @@ def test_turning_the_light_is_moving_the_sphere_around_the_middle(up: str) -> No
     np.testing.assert_allclose(environment.rotate_light(still, 75.0, up), expected, rtol=0, atol=1e-12)
 
 
-def test_what_it_leaves_out_is_told_in_figures() -> None:
-    said: list[str] = []
-    as_disc(light(5.0, 0.1), away(0.5), "lamp", said.append)
-    (sentence,) = said
+def test_neglected_parallax_and_falloff_are_reported() -> None:
+    messages: list[str] = []
+    as_disc(light(5.0, 0.1), shifted_ball(0.5), "lamp", messages.append)
+    (sentence,) = messages
     # A ball of radius 0.5 at distance 5: asin 0.1, and 1/1.1² and 1/0.9².
     for words in ("lamp: ", "up to 5.7 degrees", "from -17.4% to +23.5%"):
         assert words in sentence
 
 
-def test_a_sphere_at_the_object_is_refused() -> None:
-    mesh = away(0.5)
+def test_a_sphere_that_reaches_the_object_is_refused() -> None:
+    mesh = shifted_ball(0.5)
     as_disc(light(1.5, 0.99), mesh, "lamp", quiet)
     for distance, radius in ((1.5, 1.01), (0.0, 0.1), (0.3, 1e-3), (2.0, 1e300)):
         with pytest.raises(LightError, match=r"lamp: the sphere at .* reaches into the ball of radius 0\.5"):
             as_disc(light(distance, radius), mesh, "lamp", quiet)
-    with pytest.raises(QueryError, match="hand in its mesh"):
+    with pytest.raises(QueryError, match="pass its mesh"):
         read_lighting(["sphere:0,9,0:1"])
 
 
-def test_a_lights_file_and_a_word_say_the_same(tmp_path: Path) -> None:
+def test_a_lights_file_and_an_argument_are_equivalent(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(
         "[[sphere]]\nposition = [0, 3, 1]\nradius = 0.25\nradiance = [4, 3, 2]\n"
         "[[sphere]]\nposition = [1, 2, 3]\nradius = 1\n"
@@ -130,7 +130,7 @@ def test_a_lights_file_and_a_word_say_the_same(tmp_path: Path) -> None:
         ("sphere:1,2,3:1:1,-1,1", "radiance: expected three"),
     ],
 )
-def test_a_word_that_is_no_sphere_is_one_sentence(text: str, sentence: str) -> None:
+def test_an_invalid_sphere_argument_is_refused_in_one_sentence(text: str, sentence: str) -> None:
     with pytest.raises(LightError, match=sentence) as caught:
         parse_sphere(text)
     assert text in str(caught.value)
@@ -147,7 +147,7 @@ def test_a_word_that_is_no_sphere_is_one_sentence(text: str, sentence: str) -> N
         ("position = [0, 1, 0]\nradius = 1\nradiance = [1, -1, 1]", "radiance: expected three finite numbers"),
     ],
 )
-def test_a_table_that_is_no_sphere_is_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+def test_an_invalid_sphere_table_is_refused_in_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
     (tmp_path / "a.toml").write_text(f"[[sphere]]\n{text}\n")
     with pytest.raises(LightError, match=sentence):
         read_lights(tmp_path / "a.toml")

@@ -1,4 +1,4 @@
-"""Suns split from skies: energy, resolution, places where pictures are awkward, and what is no sun."""
+"""Suns split from skies: energy, resolution, seams and poles, and skies without suns."""
 
 import math
 
@@ -7,8 +7,8 @@ import pytest
 
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights import environment, suns
-from prt_bake.lights.bright_sources import small_regions
 from prt_bake.lights.lighting import Lighting, Sky
+from prt_bake.lights.skies.bright_sources import find_bright_sources
 from prt_bake.lights.suns import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
 from prt_bake.mathematics import sphere
 
@@ -22,7 +22,7 @@ def directions(width: int) -> np.ndarray:
 
 
 def clouds(width: int) -> np.ndarray:
-    """A smooth coloured sky about 1 bright."""
+    """A smooth coloured sky of a radiance around 1."""
     d = directions(width)
     return (1.0 + 0.5 * d @ np.array([[0.2, 0.5, 0.1], [0.6, 0.7, 0.9], [0.3, -0.1, 0.4]])).astype(np.float32)
 
@@ -42,7 +42,7 @@ def split(image: np.ndarray, turn=None, up: str = "y") -> SplitSky:
 
 
 def reduced(image: np.ndarray, factor: int) -> np.ndarray:
-    """The mean over blocks of pixels by solid angle, as a picture of fewer pixels would have been taken."""
+    """Means over blocks of pixels, weighted by solid angle."""
     h, w = image.shape[0] // factor, image.shape[1] // factor
     rows = np.diff(-np.cos(np.pi * np.arange(len(image) + 1) / len(image)))
     weighted = (image * rows[:, None, None]).reshape(h, factor, w, factor, 3).sum(axis=(1, 3))
@@ -74,7 +74,7 @@ def test_cells_are_means_over_solid_angle(shape: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("shape", [(512, 1024), (256, 512), (200, 300), (90, 777)])
-def test_suns_and_the_rest_have_the_energy_of_the_sky_in_every_channel(shape: tuple[int, int]) -> None:
+def test_suns_and_rest_sum_to_the_energy_of_the_sky_in_every_channel(shape: tuple[int, int]) -> None:
     image = np.random.default_rng(1).random((*shape, 3)).astype(np.float32)
     for place in ((0.4, 0.3), (0.1, 0.8)):
         image[int(place[0] * shape[0]), int(place[1] * shape[1])] = (1e5, 5e4, 2e4)
@@ -87,7 +87,7 @@ def test_suns_and_the_rest_have_the_energy_of_the_sky_in_every_channel(shape: tu
     assert sum(found.shares) == pytest.approx(1.0 - energy(found.rest.image).mean() / energy(image).mean(), rel=1e-5)
 
 
-def test_the_sky_that_was_given_stays_as_it_was() -> None:
+def test_the_input_sky_is_unchanged() -> None:
     before = SUNNY.copy()
     split(SUNNY)
     np.testing.assert_array_equal(SUNNY, before)
@@ -96,7 +96,7 @@ def test_the_sky_that_was_given_stays_as_it_was() -> None:
 
 
 def test_a_reduced_picture_has_the_same_suns() -> None:
-    """2048 columns to 256: within a hundredth of their light, and a small part of the coarse pixel in place."""
+    """From 2048 columns to 256: irradiance within 1 %, direction within half a coarse pixel."""
     fine = (
         clouds(2048) + disc(2048, (0.3, 0.6, -0.5), 0.6, (1e5, 9e4, 7e4)) + disc(2048, (-1, 0.2, 0.1), 5, (250, 99, 9))
     )
@@ -110,22 +110,21 @@ def test_a_reduced_picture_has_the_same_suns() -> None:
             assert angle(ours.direction, theirs.direction) < 0.5 * 360.0 * factor / 2048
 
 
-def test_a_sun_is_where_it_is_as_strong_and_as_wide() -> None:
+def test_direction_irradiance_and_diameter_of_a_sun_are_recovered() -> None:
     for degrees in (1.0, 5.0):
         towards = np.array([0.48, 0.6, 0.64])
         bright = disc(2048, towards, degrees, np.array([1000.0, 500.0, 250.0]) * (5.0 / degrees) ** 2)
         found = split(clouds(2048) + bright)
         (sun,) = found.suns
-        assert (
-            np.abs((found.rest.image - clouds(2048)).mean(axis=2)).max() < 0.2
-        )  # what surrounds it goes on where it was
+        # The surroundings continue where the sun was.
+        assert np.abs((found.rest.image - clouds(2048)).mean(axis=2)).max() < 0.2
         assert angle(sun.direction, towards) < 0.02
         assert sun.angular_diameter == pytest.approx(degrees, rel=0.03)
         np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=1e-2)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_a_turned_sky_has_turned_suns(up: str) -> None:
+def test_a_rotated_sky_has_rotated_suns(up: str) -> None:
     still, turned = split(SUNNY, None, up), split(SUNNY, TURN, up)
     assert len(still.suns) == 2
     for ours, theirs in zip(turned.suns, still.suns, strict=True):
@@ -134,17 +133,17 @@ def test_a_turned_sky_has_turned_suns(up: str) -> None:
 
 
 @pytest.mark.parametrize("columns", [64, 213])
-def test_rolled_columns_turn_the_suns(columns: int) -> None:
+def test_rolling_columns_rotates_the_suns(columns: int) -> None:
     still, rolled = split(SUNNY), split(np.roll(SUNNY, columns, axis=1))
     turn = environment.rotation(-360.0 * columns / 512, "y")
     for ours, theirs in zip(rolled.suns, still.suns, strict=True):
-        # A roll by less than a cell moves what is spread over its cells.
+        # A roll by less than a cell changes the means over cells.
         assert angle(ours.direction, turn @ theirs.direction) < (1e-6 if columns % 2 == 0 else 0.05)
         np.testing.assert_allclose(ours.irradiance, theirs.irradiance, rtol=1e-6 if columns % 2 == 0 else 1e-2)
 
 
 @pytest.mark.parametrize("factor", [1e-6, 0.25, 1024.0])
-def test_a_brighter_sky_has_suns_as_much_brighter(factor: float) -> None:
+def test_suns_scale_with_the_sky(factor: float) -> None:
     still, scaled = split(SUNNY), split(SUNNY * np.float32(factor))
     for ours, theirs in zip(scaled.suns, still.suns, strict=True):
         np.testing.assert_allclose(ours.irradiance, factor * theirs.irradiance, rtol=1e-5)
@@ -154,24 +153,24 @@ def test_a_brighter_sky_has_suns_as_much_brighter(factor: float) -> None:
 
 @pytest.mark.parametrize("towards", [(-1, 0.02, 0.0), (0, 1, 0), (0, -1, 0), (0.02, 1, 0.01), (1, 0, 0)])
 @pytest.mark.parametrize("degrees", [1.0, 5.0])
-def test_seams_and_poles_are_no_obstacles(towards, degrees: float) -> None:
-    """The first lies across the seam, the others on and near the poles."""
+def test_suns_at_the_seam_and_the_poles_are_found(towards, degrees: float) -> None:
+    """The first is on the seam, the others at and near the poles."""
     bright = disc(1024, towards, degrees, np.array([2e3, 1e3, 1e3]) * (5.0 / degrees) ** 2)
     (sun,) = split(clouds(1024) + bright).suns
     assert angle(sun.direction, towards / np.linalg.norm(towards)) < 0.1
     np.testing.assert_allclose(sun.irradiance, energy(bright), rtol=2e-2)
 
 
-def test_cells_across_a_pole_touch() -> None:
+def test_cells_across_a_pole_are_neighbours() -> None:
     values, solid_angle, direction = np.zeros((64, 128)), np.full((64, 128), 1e-3), np.zeros((64, 128, 3))
     values[-1, [0, 64]] = 5.0
     direction[-1] = [0.0, 0.0, -1.0]
-    (region,) = small_regions(values, solid_angle, direction, 0.1, 1e-3)
-    assert region.cells.tolist() == [63 * 128, 63 * 128 + 64]
-    assert region.excess == pytest.approx(1e-2)
+    (source,) = find_bright_sources(values, solid_angle, direction, 0.1, 1e-3)
+    assert source.cells.tolist() == [63 * 128, 63 * 128 + 64]
+    assert source.excess == pytest.approx(1e-2)
 
 
-def test_opposite_suns_are_two_and_near_ones_stay_apart() -> None:
+def test_opposite_suns_and_close_suns_are_separated() -> None:
     towards = np.array([0.48, 0.6, 0.64])
     found = split(clouds(512) + disc(512, towards, 2, [3e3] * 3) + disc(512, -towards, 2, [2e3] * 3)).suns
     assert [angle(sun.direction, sign * towards) < 0.3 for sun, sign in zip(found, (1, -1), strict=True)] == [
@@ -182,7 +181,7 @@ def test_opposite_suns_are_two_and_near_ones_stay_apart() -> None:
     assert len(near) == 2
 
 
-def test_one_texel_is_a_sun_and_one_on_black_is_all_of_it() -> None:
+def test_one_bright_texel_on_black_is_a_sun_with_all_energy() -> None:
     image = np.zeros((64, 128, 3), np.float32)
     image[20, 127] = (3e4, 2e4, 1e4)
     found = split(image)
@@ -193,7 +192,7 @@ def test_one_texel_is_a_sun_and_one_on_black_is_all_of_it() -> None:
     assert 1.0 < sun.angular_diameter < 360.0 / 128 * 1.5
 
 
-def test_there_are_a_few_at_most_the_strongest_first() -> None:
+def test_only_the_strongest_suns_are_taken_strongest_first() -> None:
     image = clouds(512)
     for i in range(12):
         image = image + disc(512, (math.cos(i / 2), 0.4, math.sin(i / 2)), 2.0, [3e3 + 100 * i] * 3)
@@ -222,11 +221,11 @@ NO_SUNS = {
 
 
 @pytest.mark.parametrize("name", NO_SUNS)
-def test_what_is_wide_or_even_has_no_sun(name: str) -> None:
+def test_wide_and_uniform_sources_are_not_suns(name: str) -> None:
     assert split(NO_SUNS[name]).suns == ()
 
 
-def test_a_lighting_keeps_its_own_suns_and_all_of_its_energy() -> None:
+def test_a_split_lighting_keeps_its_own_suns() -> None:
     own = DirectionalLight(np.array([0.0, 1.0, 0.0]), np.ones(3), 0.5)
     found = split_lighting(Lighting((Sky(SUNNY, "y", TURN), Sky(clouds(64), "z", TURN)), (own,)))
     assert found.suns[0] is own

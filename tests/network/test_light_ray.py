@@ -180,10 +180,10 @@ def test_late_layers_see_cosines_to_the_normal_and_to_the_slopes_around_x(
     pairs = model.pair_features(incident, outgoing, encoding.frame)
     assert pairs.shape[-1] == model.settings.pair_inputs == int(tells_normal) + shape_places
     np.testing.assert_allclose(pairs, expected, atol=2e-3)
-    without = model.radiance(incident, positions, outgoing).detach().numpy()
+    outputs = model.radiance(incident, positions, outgoing).detach().numpy()
     with torch.no_grad():
         model.hidden[-1].weight[:, -model.settings.pair_inputs :] = 0.0
-    assert np.abs(model.radiance(incident, positions, outgoing).detach().numpy() - without).max() > 0.01
+    assert np.abs(model.radiance(incident, positions, outgoing).detach().numpy() - outputs).max() > 0.01
 
 
 def test_light_cosines_need_a_normal_or_a_shape() -> None:

@@ -11,7 +11,7 @@ from formats.errors import PrtbakeError
 from formats.image import write_image
 from prt_bake.lights import environment
 from prt_bake.preview.lights import LightSource
-from prt_bake.preview.mirrored import mirrored_sky, shrunk
+from prt_bake.preview.mirrored import prefiltered_sky, resampled_sky
 from tests.shading.test_picture import constant, painted_sky
 
 
@@ -29,20 +29,20 @@ def test_a_sky_is_read_again_when_it_changes(tmp_path) -> None:
     write_image(other, constant())
     source = LightSource(str(path), "y", 2)
     first = source.shown
-    assert source.reread() is None
+    assert source.reload() is None
     assert source.shown is first
     write(path, other.read_bytes()[:200])
-    said = source.reread()
+    said = source.reload()
     assert said is not None
     assert "sky.exr" in said
     assert "still showing" in said
     assert source.shown is first
-    assert source.reread() is None  # it is not said again and again
+    assert source.reload() is None  # it is not said again and again
     write(path, other.read_bytes())
-    assert "was read again" in str(source.reread())
+    assert "was read again" in str(source.reload())
     np.testing.assert_allclose(source.shown.harmonics[0], math.sqrt(4 * math.pi))
     path.unlink()
-    said = source.reread()
+    said = source.reload()
     assert said is not None
     assert "still showing" in said
     np.testing.assert_allclose(source.shown.harmonics[0], math.sqrt(4 * math.pi))
@@ -55,10 +55,10 @@ def test_skies_in_a_lights_file_are_watched_too(tmp_path) -> None:
     source = LightSource(str(tmp_path / "lights.toml"), "y", 2)
     first = source.shown.harmonics
     write(tmp_path / "sky.exr", (tmp_path / "other.exr").read_bytes())
-    assert source.reread() is not None
+    assert source.reload() is not None
     np.testing.assert_allclose(source.shown.harmonics[0] - first[0], math.sqrt(4 * math.pi))
     write(tmp_path / "lights.toml", b"[[directional]]\ndirection = 3\n")
-    assert "still showing" in str(source.reread())
+    assert "still showing" in str(source.reload())
 
 
 def test_a_light_that_is_none_is_refused_at_the_start(tmp_path) -> None:
@@ -86,12 +86,12 @@ def test_the_picture_behind_is_the_light_that_has_a_size(tmp_path, up) -> None:
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
 def test_a_constant_sky_is_mirrored_as_it_is(alpha) -> None:
-    np.testing.assert_allclose(mirrored_sky(constant((1.0, 2.0, 3.0)), alpha)[..., :] / [1, 2, 3], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(prefiltered_sky(constant((1.0, 2.0, 3.0)), alpha)[..., :] / [1, 2, 3], 1.0, rtol=1e-5)
 
 
 def test_a_smooth_surface_mirrors_the_sky_itself() -> None:
     sky = painted_sky()
-    assert mirrored_sky(sky, 0.0) is sky
+    assert prefiltered_sky(sky, 0.0) is sky
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5])
@@ -108,13 +108,13 @@ def test_a_rough_surface_mirrors_the_mean_over_its_lobe(alpha, direction) -> Non
     weight = alpha**2 / (half**2 * (alpha**2 - 1.0) + 1.0) ** 2 * np.maximum(cosine, 0.0) / np.maximum(half, 1e-9)
     weight *= np.sin(math.pi * v)[:, None]
     expected = np.einsum("hw,hwc->c", weight, sky) / weight.sum()
-    found = environment.lookup(mirrored_sky(sky, alpha), normal)
+    found = environment.lookup(prefiltered_sky(sky, alpha), normal)
     np.testing.assert_allclose(found, expected, atol=0.02)
 
 
 @pytest.mark.parametrize("shape", [(64, 128), (50, 75), (3, 5), (1, 1)])
 def test_a_shrunk_sky_keeps_its_energy(shape) -> None:
     sky = np.random.default_rng(0).random((*shape, 3)).astype(np.float32)
-    small = shrunk(sky, 16)
+    small = resampled_sky(sky, 16)
     assert small.shape == (16, 32, 3)
     np.testing.assert_allclose(environment.project(small, 0), environment.project(sky, 0), rtol=0.02)

@@ -27,7 +27,7 @@ def test_numpy_draws_what_the_slow_reference_does(storage, rings, sectors, degre
     asset = make_asset(ball(2), rings, sectors, degree, 0, storage, views, channels, VALID)
     drawn = VertexRadiance(asset)
     light = make_light(degree)
-    drawn.light(light, 70.0)
+    drawn.set_light(light, 70.0)
     assert not drawn.loaded
     turned = environment.rotate_light(light, 70.0, asset.up)
     for eye in (EYE, 5.0 * asset.mesh.normals[0], -EYE):
@@ -38,12 +38,12 @@ def test_numpy_draws_what_the_slow_reference_does(storage, rings, sectors, degre
 def test_kernels_draw_the_same_under_the_light_of_now() -> None:
     asset = make_asset(ball(2), valid=VALID)
     drawn, loaded = VertexRadiance(asset), VertexRadiance(asset)
-    loaded.light(make_light(seed=1), 0.0)
+    loaded.set_light(make_light(seed=1), 0.0)
     loaded.load()
     assert loaded.loaded
     for seed, degrees in ((1, 0.0), (2, 30.0), (2, -60.0)):
         for each in (drawn, loaded):
-            each.light(make_light(seed=seed), degrees)
+            each.set_light(make_light(seed=seed), degrees)
         np.testing.assert_allclose(loaded.draw(EYE), drawn.draw(EYE), rtol=1e-5, atol=1e-6)
 
 
@@ -55,7 +55,7 @@ def test_a_light_that_turns_before_an_eye_that_stays_is_drawn_from_what_is_held(
     monkeypatch.setattr(Frames, "hold", lambda self, eye: (held.append(tuple(eye)), hold(self, eye)))
     for eye in (EYE, EYE, EYE, EYE, -EYE, EYE, -EYE, -EYE):
         for each in (drawn, plain):
-            each.light(make_light(), 10.0 * len(held) + eye[0])
+            each.set_light(make_light(), 10.0 * len(held) + eye[0])
         np.testing.assert_allclose(drawn.draw(eye), plain.draw(eye), rtol=1e-5, atol=1e-6)
     assert held == [tuple(EYE), tuple(-EYE)]
     drawn.draw(EYE)
@@ -70,9 +70,9 @@ def test_an_asset_made_for_one_light_and_a_compact_one_are_drawn_too() -> None:
     )
     asset = make_asset(ball(2))
     compact = VertexRadiance(compress(asset, 1e-3))
-    compact.light(make_light(), 10.0)
+    compact.set_light(make_light(), 10.0)
     plain = VertexRadiance(asset)
-    plain.light(make_light(), 10.0)
+    plain.set_light(make_light(), 10.0)
     np.testing.assert_allclose(compact.draw(EYE), plain.draw(EYE), atol=0.02)
 
 

@@ -129,17 +129,17 @@ def test_ramps_run_through_their_colours_and_stop_at_the_ends() -> None:
 
 def test_an_index_of_1_reflects_nothing_and_says_so(sky) -> None:
     matched, glass = made(sky), made(sky, provenance={"eta": 1.5, "roughness": 0.3})
-    matched.flip_reflection()
-    assert matched.mirrored is None
+    matched.toggle_reflection()
+    assert matched.reflected_sky is None
     assert "index of refraction is 1" in matched.message
     assert "r" not in dict(legend.keys(matched, None))
-    assert glass.mirrored is None
-    glass.flip_reflection()
-    assert glass.mirrored is glass.mirrored
+    assert glass.reflected_sky is None
+    glass.toggle_reflection()
+    assert glass.reflected_sky is glass.reflected_sky
     assert "r" in dict(legend.keys(glass, None))
-    assert (glass.gloss.eta, glass.gloss.alpha) == (1.5, 0.3)
+    assert (glass.interface.eta, glass.interface.alpha) == (1.5, 0.3)
     glass.show(Mode.ERROR)
-    assert glass.mirrored is None
+    assert glass.reflected_sky is None
 
 
 def one_light() -> Asset:
@@ -152,7 +152,7 @@ def test_an_asset_made_for_one_light_needs_none() -> None:
     preview = Preview(asset, [])
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], shade(asset, None, EYE), atol=1e-5)
     assert preview.sky is None
-    preview.turn_to(90.0)
+    preview.rotate_to(90.0)
     preview.show(Mode.COEFFICIENT)
     preview.step_harmonic(1)
     assert preview.degree_and_order == (0, 0)
@@ -186,7 +186,7 @@ def test_lights_take_turns(sky, tmp_path) -> None:
     np.testing.assert_array_equal(seen[0], seen[3])
     assert np.abs(seen[1] - seen[0]).max() > 1e-2
     assert np.abs(seen[2] - seen[1]).max() > 1e-2
-    preview.which = 0
+    preview.current = 0
     preview.step_light(-1)
-    assert preview.lights[preview.which].name == "sun:0,1,0:2,2,2:10"
+    assert preview.lights[preview.current].name == "sun:0,1,0:2,2,2:10"
     assert sh.count(2) == len(preview.light.harmonics)

@@ -61,7 +61,7 @@ def test_settled_colours_are_those_of_shade(sky, up, rotation) -> None:
     assert 0.2 < seen.mean() < 0.8
     assert np.abs(split - plain)[seen].max() > 0.05
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], plain, atol=1e-5)
-    assert preview.settle(EYE)
+    assert preview.refine(EYE)
     shown = preview.colours(EYE)[:, :3]
     np.testing.assert_allclose(shown[seen], split[seen], rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(shown[~seen], plain[~seen], atol=1e-5)
@@ -71,7 +71,7 @@ def test_of_an_object_that_is_not_closed_all_vertices_are_settled(sky) -> None:
     whole = lobed()
     open_mesh = build_mesh(whole.mesh.positions, whole.mesh.faces[3:])
     preview = made(sky, dataclasses.replace(whole, mesh=open_mesh))
-    preview.settle(EYE)
+    preview.refine(EYE)
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], of_shade(preview), rtol=1e-6, atol=1e-7)
 
 
@@ -80,19 +80,19 @@ def test_other_treatments_are_shown_at_once_and_stay(sky, treatment) -> None:
     preview = made(sky, suns=treatment)
     expected = of_shade(preview, treatment)
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], expected, atol=1e-5)
-    assert not preview.unsettled(EYE)
-    assert not preview.settle(EYE)
+    assert not preview.unrefined(EYE)
+    assert not preview.refine(EYE)
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], expected, atol=1e-5)
     assert preview.suns_shown(EYE) == treatment
 
 
 def test_what_settles_in_slices_is_what_settles_at_once(sky, monkeypatch) -> None:
     at_once, sliced = made(sky), made(sky)
-    at_once.settle(EYE)
+    at_once.refine(EYE)
     monkeypatch.setattr(refinement, "_VERTICES_AT_ONCE", 8)
     before = sliced.colours(EYE).copy()
     slices = 0
-    while not sliced.settle(EYE, 0.0):
+    while not sliced.refine(EYE, 0.0):
         slices += 1
         np.testing.assert_array_equal(sliced.colours(EYE), before)  # nothing half done is shown
     assert slices > 1
@@ -101,36 +101,36 @@ def test_what_settles_in_slices_is_what_settles_at_once(sky, monkeypatch) -> Non
 
 def test_it_unsettles_with_the_eye_and_the_light_alone(sky) -> None:
     preview = made(sky)
-    preview.settle(EYE)
+    preview.refine(EYE)
     settled = preview.colours(EYE).copy()
-    preview.expose(2.0)
-    preview.flip_background()
+    preview.set_exposure(2.0)
+    preview.toggle_background()
     assert preview.suns_shown(EYE) == "split"
     np.testing.assert_array_equal(preview.colours(EYE), settled)
     assert preview.suns_shown(-EYE) == "plain"
     np.testing.assert_allclose(preview.colours(-EYE)[:, :3], of_shade(preview, "plain", -EYE), atol=1e-5)
-    preview.turn_to(20.0)
+    preview.rotate_to(20.0)
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], of_shade(preview, "plain"), atol=1e-5)
-    preview.turn_to(0.0)
-    preview.settle(EYE)
+    preview.rotate_to(0.0)
+    preview.refine(EYE)
     np.testing.assert_array_equal(preview.colours(EYE), settled)
 
 
 def test_a_sky_without_a_sun_has_nothing_to_settle(tmp_path) -> None:
     preview = made(write_sky(tmp_path / "sky.exr", painted_sky()))
-    assert not preview.unsettled(EYE)
+    assert not preview.unrefined(EYE)
     assert preview.suns_shown(EYE) is None
     assert "u" not in dict(legend.keys(preview, None))
-    preview.flip_suns()
+    preview.toggle_suns()
     assert "no suns" in preview.message
 
 
 def test_nothing_is_settled_of_errors_and_coefficients_or_from_inside(sky) -> None:
     preview = made(sky)
     preview.show(Mode.ERROR)
-    assert not preview.settle(EYE)
+    assert not preview.refine(EYE)
     preview.show(Mode.ERROR)
-    assert not preview.settle(np.zeros(3))
+    assert not preview.refine(np.zeros(3))
     with pytest.raises(QueryError, match="inside"):
         preview.colours(np.zeros(3))
 
@@ -138,7 +138,7 @@ def test_nothing_is_settled_of_errors_and_coefficients_or_from_inside(sky) -> No
 def test_one_light_has_no_suns() -> None:
     asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
     preview = Preview(asset, [])
-    assert not preview.settle(EYE)
+    assert not preview.refine(EYE)
     assert preview.suns_shown(EYE) is None
 
 
@@ -175,7 +175,7 @@ def tick_when_still(window) -> None:
     interactor = window.view.canvas.interactor
     for _ in range(100):
         interactor.InvokeEvent("TimerEvent")
-        if not window.view.unsettled:
+        if not window.view.unrefined:
             return
     pytest.fail("it never settles")
 
@@ -240,9 +240,9 @@ def test_a_sun_of_the_command_line_is_met_apart_too(tmp_path) -> None:
     asset = lobed()
     preview = Preview(asset, [LightSource("sun:1,2,3:4,4,4", asset.up, asset.degree)], rotation=25.0)
     turned = environment.rotation(25.0, "y") @ np.array([1.0, 2.0, 3.0]) / math.sqrt(14.0)
-    preview.settle(EYE)
+    preview.refine(EYE)
     seen = facing(asset.mesh, EYE) & asset.valid
     other = Preview(asset, [LightSource(f"sun:{','.join(map(repr, turned.tolist()))}:4,4,4", "y", asset.degree)])
-    other.settle(EYE)
+    other.refine(EYE)
     np.testing.assert_allclose(preview.colours(EYE)[seen], other.colours(EYE)[seen], rtol=1e-5)
     assert np.abs(preview.colours(EYE)[:, :3] - shade(asset, other.light.harmonics, EYE))[seen].max() > 0.01

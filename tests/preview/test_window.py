@@ -80,10 +80,10 @@ def test_edges_are_smooth_but_while_it_moves(opened, monkeypatch) -> None:
 def test_keys_show_what_they_say(opened) -> None:
     preview = opened.view.preview
     press(opened, "n")
-    assert preview.which == 1
+    assert preview.current == 1
     assert "white.exr" in said(opened)
     press(opened, "N")
-    assert preview.which == 0
+    assert preview.current == 0
     press(opened, "Up", "Up", "Down", "Left")
     assert (preview.exposure, preview.rotation) == (0.5, -5.0)
     assert opened.exposure.GetRepresentation().GetValue() == pytest.approx(0.5)
@@ -160,7 +160,7 @@ def test_a_sky_that_changes_on_disk_is_seen_at_once(opened, tmp_path, monkeypatc
     tick_after(opened, path, whole)
     np.testing.assert_array_equal(bare_picture(opened), first)
     assert "was read again" in said(opened)
-    monkeypatch.setattr(windows, "_SAID_FOR", 0.0)
+    monkeypatch.setattr(windows, "_MESSAGE_SECONDS", 0.0)
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
     assert not opened.overlay.message.GetVisibility()
 
@@ -265,7 +265,7 @@ def test_an_asset_made_for_one_light_takes_no_sky_that_is_dropped(tmp_path) -> N
 def test_that_kernels_are_being_loaded_is_said_as_long_as_they_are(opened, monkeypatch) -> None:
     until = threading.Event()
     monkeypatch.setattr(opened.view.preview, "load", until.wait)
-    opened.view.preview.load_meanwhile()
+    opened.view.preview.load_in_background()
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
     assert "loading kernels" in said(opened)
     until.set()

@@ -69,8 +69,8 @@ def test_a_transparent_picture_over_a_colour_is_the_picture_with_that_colour_beh
 
 def test_alpha_of_another_size_or_for_a_file_without_is_refused(tmp_path) -> None:
     image = np.zeros((4, 5, 3))
-    with pytest.raises(ImageError, match=r"alpha: expected shape \[4, 5\] .*found \[5, 4\]"):
+    with pytest.raises(ImageError, match=r"alpha: expected shape \[4, 5\], found \[5, 4\]"):
         write_image(tmp_path / "a.exr", image, alpha=np.zeros((5, 4)))
-    with pytest.raises(ImageError, match=r"in an \.exr or \.png"):
+    with pytest.raises(ImageError, match=r"write \.exr or \.png"):
         write_image(tmp_path / "a.hdr", image, alpha=np.zeros((4, 5)))
     assert not list(tmp_path.iterdir())

@@ -197,7 +197,7 @@ def test_files_that_do_not_fit_are_refused(scene, file, tmp_path):
             samples.standard_error,
         )
         writer.finish()
-    with pytest.raises(QueryError, match="do not lie on the surface"):
+    with pytest.raises(QueryError, match="expected points within"):
         train_small(scene, 1, samples=tmp_path / "moved.h5")
 
 
@@ -214,9 +214,9 @@ def short_runs(monkeypatch):
 @pytest.mark.usefixtures("short_runs")
 def test_sample_and_train_commands_work_together(prtbake: Run, tmp_path):
     sampled = prtbake("sample", "scene.toml", "--count", 600, "-o", tmp_path / "s.h5", "--walks", 2, "--directions", 3)
-    assert (sampled.code, sampled.out) == (0, f"{tmp_path}/s.h5: 600 queries of 3 directions, 1,200 walks\n")
+    assert (sampled.code, sampled.out) == (0, f"{tmp_path}/s.h5: 600 queries of 3 directions, 1,200 paths\n")
     info = prtbake("info", tmp_path / "s.h5")
-    assert "\nwalks a query          2\n" in info.out
+    assert "\npaths per query        2\n" in info.out
     assert prtbake("check", tmp_path / "s.h5").code == 0
     alone = ("--no-report", "--no-importance")
     trained = prtbake(

@@ -98,7 +98,7 @@ def test_prefetched_encodings_are_not_computed_again(monkeypatch: pytest.MonkeyP
     view = learner.network.view
     assert view is not None
     batch, encoding = Prefetcher(source, learner, np.random.default_rng(0), 0).draw()
-    monkeypatch.setattr(view, "_told", lambda *views: pytest.fail("encoded again"))
+    monkeypatch.setattr(view, "_encode", lambda *views: pytest.fail("encoded again"))
     assert np.isfinite(learner.learn(source, batch, 0.5, np.random.default_rng(2), encoding))
 
 

@@ -1,4 +1,4 @@
 """The commands `prtbake report bake|training|paper`.
 
-May import: everything but the other commands.
+May import: every room but the other commands. Start at `training.py`.
 """

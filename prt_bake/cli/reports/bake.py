@@ -1,4 +1,4 @@
-"""`prtbake report bake`: what a bake costs and how exact it is."""
+"""`prtbake report bake`: measures the error of bakes against their run time."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,36 +11,36 @@ from prt_bake.cli.shared.progress import say
 
 def bake(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
-    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="That would be baked.")],
+    mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh to bake.")],
     scene: Annotated[
         Path | None,
         typer.Option(
             metavar="SCENE.toml",
-            help="Of the model: for the path-traced bake and the model's error.",
+            help="Scene of the model: adds path-traced bakes and the model's error.",
             show_default=False,
         ),
     ] = None,
     light: Annotated[
         Path | None,
-        typer.Option(metavar="SKY", help="For the error budget of the picture.", show_default=False),
+        typer.Option(metavar="SKY", help="Sky of a picture, whose error budget is added.", show_default=False),
     ] = None,
     eye: Eye = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the report.")] = Path("bake-report"),
-    rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins over the cosine to the normal.")] = 16,
+    rings: Annotated[int, typer.Option(min=1, max=1024, help="View bins along the cosine to the normal.")] = 16,
     sectors: Annotated[int, typer.Option(min=1, max=1024, help="View bins around the normal.")] = 64,
-    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest degree of the harmonics.")] = 2,
-    vertices: Annotated[int, typer.Option(min=1, max=4096, help="At which all is measured, drawn by the seed.")] = 12,
-    points: Annotated[int, typer.Option(min=8, max=1 << 16, help="Of the picture, for the error budget.")] = 192,
-    seconds: Annotated[float, typer.Option(min=1, max=1e6, help="For all ways together, about.")] = 120.0,
+    degree: Annotated[int, typer.Option(min=0, max=20, help="Highest SH degree l.")] = 2,
+    vertices: Annotated[int, typer.Option(min=1, max=4096, help="Random vertices to measure.")] = 12,
+    points: Annotated[int, typer.Option(min=8, max=1 << 16, help="Pixels of the error budget.")] = 192,
+    seconds: Annotated[float, typer.Option(min=1, max=1e6, help="Approximate time of all methods together.")] = 120.0,
     precision: Annotated[
-        Literal["float32", "bfloat16"], typer.Option(help="Of the network's matrix work.")
+        Literal["float32", "bfloat16"], typer.Option(help="Number type of the network's matrix products.")
     ] = "float32",
     seed: Seed = 0,
 ) -> None:
-    """Measure the error against the run time of every way to bake, and what errs in the picture.
+    """Measure the error of every baking method against its run time.
 
-    Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice, adaptive bakes and, with a scene,
-    path-traced ones, with fitted slopes and efficiencies; and with a light the error budget of the picture.
+    Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice and adaptive bakes, with fitted slopes
+    and efficiencies. With --scene adds path-traced bakes; with --light adds the error budget of a picture.
     """
     from formats.mesh import read_mesh
     from formats.scene import read_scene

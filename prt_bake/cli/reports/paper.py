@@ -1,4 +1,4 @@
-"""`prtbake report paper`: the paper's tables anew."""
+"""`prtbake report paper`: reproduces the paper's tables."""
 
 import time
 from collections.abc import Callable
@@ -23,48 +23,50 @@ def paper(
         list[str] | None,
         typer.Option(metavar="SKY", help="outdoor, indoor, or a file; both by default.", show_default=False),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for what is made, kept between runs.")] = Path(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of all results, reused by later runs.")] = Path(
         "paper"
     ),
     size: Annotated[int, typer.Option(min=16, max=4096, help="Width and height of the pictures.")] = 512,
-    spp: Annotated[int, typer.Option(min=2, help="Samples a pixel of the network's pictures.")] = 256,
+    spp: Annotated[int, typer.Option(min=2, help="Samples per pixel of the network's pictures.")] = 256,
     reference_spp: Annotated[
         int | None,
-        typer.Option(min=8, help="Walks a pixel of the references; 1024 where no time is given.", show_default=False),
+        typer.Option(min=8, help="Paths per pixel of the references; by default 1024.", show_default=False),
     ] = None,
     reference_minutes: Annotated[
-        float | None, typer.Option(min=0, max=1e6, help="Time for each reference.", show_default=False)
+        float | None,
+        typer.Option(min=0, max=1e6, help="Time of each reference, instead of --reference-spp.", show_default=False),
     ] = None,
     train_minutes: Annotated[
-        float, typer.Option(min=0.01, max=1e6, help="Time to train a scene whose model is not in scenes/models.")
+        float, typer.Option(min=0.01, max=1e6, help="Training time of a scene without a model in scenes/models.")
     ] = 10.0,
     scenes: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="The repository's folder of scenes, where it is elsewhere.", show_default=False
-        ),
+        typer.Option(metavar="DIR", help="Folder of the scenes; by default the repository's.", show_default=False),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Small and coarse: the form of the tables, not their figures.")
+        bool, typer.Option("--quick", help="Small and coarse: tests the report; its figures mean nothing.")
     ] = False,
     layers: Annotated[
-        bool, typer.Option("--layers", help="Train 3 to 7 layers with and without skips instead (dragon by default).")
+        bool,
+        typer.Option(
+            "--layers", help="Depth ablation instead: 3 to 7 layers with and without skips (dragon by default)."
+        ),
     ] = False,
     times: Annotated[
         bool,
         typer.Option(
             "--times",
-            help="Train for 1/8, 1/4, 1/2 and all of --train-minutes instead, to see where longer leads "
-            "(dragon by default, outdoor).",
+            help="Training-time ablation instead: 1/8, 1/4, 1/2 and all of --train-minutes, with an extrapolation "
+            "(dragon, outdoor by default).",
         ),
     ] = False,
     device: Device = "cpu",
     seed: Seed = 0,
 ) -> None:
-    """Make the paper's tables anew: path tracing, the network with each sampling, and harmonics, on the five scenes.
+    """Reproduce the paper's tables: path tracing, the network with each sampling, and SH, on the five scenes.
 
-    Every step is kept in the folder and never repeated while its inputs stay; Ctrl-C stops after what is under way, and
-    the same command goes on. Prints the tables, and after each scene what is known so far.
+    Results are kept in the folder and reused while their inputs are unchanged. Ctrl-C stops after the current step, and
+    the same command resumes. Prints the figures of each scene, and the tables at the end.
     """
     from prt_bake.baking.sources import require_device
     from prt_bake.paper.artefacts import Stopped
@@ -72,11 +74,11 @@ def paper(
     from prt_bake.paper.results import TITLES, Result
     from prt_bake.paper.scenes import chosen
     from prt_bake.paper.settings import ReportSettings
-    from prt_bake.paper.times import told
+    from prt_bake.paper.times import summary
 
     require_device(device)
     folder = scenes or Path(__file__).parents[2] / "scenes"
-    asked = chosen(scene or (["dragon"] if layers or times else []))
+    selected = chosen(scene or (["dragon"] if layers or times else []))
     settings = ReportSettings(
         size=size,
         spp=spp,
@@ -87,35 +89,36 @@ def paper(
         seed=seed,
     )
 
-    def tell(result: Result) -> None:
+    def print_result(result: Result) -> None:
         flips = ", ".join(f"{TITLES[line.method]} {line.alone['flip']:.4f}" for line in result.lines)
         print(
-            f"{result.scene}, {result.sky}: FLIP {flips} (the reference's noise {result.noise['flip']:.4f})", flush=True
+            f"{result.scene}, {result.sky}: FLIP {flips} (noise of the reference {result.noise['flip']:.4f})",
+            flush=True,
         )
 
     with stopping() as stop:
-        work = PaperReport(out, folder, settings, quick=quick, say=say, progress=_lines(), stop=stop)
+        report = PaperReport(out, folder, settings, quick=quick, say=say, progress=_progress_lines(), stop=stop)
         try:
             if layers:
-                for name, errors in work.run_layers(asked).items():
+                for name, errors in report.run_layers(selected).items():
                     print(f"{name}: " + ", ".join(f"{network} {error:.3f}" for network, error in errors.items()))
             if times:
                 skies = sky_files(sky or ["outdoor"], folder)
-                for name, rows in work.run_times(asked, skies).items():
-                    print(told(name, rows))
+                for name, rows in report.run_times(selected, skies).items():
+                    print(summary(name, rows))
             if not (layers or times):
-                work.run(asked, sky_files(sky or [], folder), tell)
-        except Stopped as ending:
-            raise PrtbakeError(str(ending)) from None
+                report.run(selected, sky_files(sky or [], folder), print_result)
+        except Stopped as stopped:
+            raise PrtbakeError(str(stopped)) from None
         finally:
-            if work.results:
+            if report.results:
                 print((out / "tables.md").read_text(encoding="utf-8"))
-            for file in work.files:
+            for file in report.files:
                 print(file)
 
 
-def _lines() -> Callable[[str, float, str], None]:
-    """Progress of a long list of steps as a line now and then."""
+def _progress_lines() -> Callable[[str, float, str], None]:
+    """Return a callback that prints progress as a line every few seconds."""
     last = time.monotonic()
 
     def show(what: str, share: float, words: str) -> None:

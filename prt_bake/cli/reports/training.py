@@ -1,4 +1,4 @@
-"""`prtbake report training`: how good a trained model is."""
+"""`prtbake report training`: measures a model against the path tracer."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,23 +11,23 @@ from prt_bake.cli.shared.progress import say
 
 def training(
     model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="Model that `prtbake train` wrote.")],
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene that it was trained on.")],
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene that the model was trained on.")],
     seconds: Annotated[
         float,
         typer.Option(
             min=0,
             max=1e6,
-            help="Time for path tracing queries, and half as long again for a picture; more makes intervals narrower.",
+            help="Path tracing time for the queries; a picture takes half as much again. More time narrows intervals.",
         ),
     ] = 40.0,
-    queries: Annotated[int, typer.Option(min=16, max=1 << 20, help="Fresh queries.")] = 1024,
-    vertices: Annotated[int, typer.Option(min=16, max=1 << 20, help="Vertices that are asked from 8 sides.")] = 192,
+    queries: Annotated[int, typer.Option(min=16, max=1 << 20, help="Number of fresh queries.")] = 1024,
+    vertices: Annotated[int, typer.Option(min=16, max=1 << 20, help="Vertices queried from 8 views.")] = 192,
     seed: Seed = 0,
 ) -> None:
-    """Path trace fresh queries and hold a model against them.
+    """Validate a model against path-traced queries.
 
-    Writes MODEL.report.json and MODEL.report.html beside the model: its error against time, angle and position, the
-    reference's own noise taken out, and how well each figure is known.
+    Writes MODEL.report.json and MODEL.report.html beside the model: its error over time, angle and position, without
+    the reference's noise, with a confidence interval of each figure.
     """
     from formats.scene import read_scene
     from prt_bake.network.bssrdf import load_model
@@ -36,9 +36,9 @@ def training(
 
     network, given = load_model(model), read_scene(scene)
     say("path tracing fresh queries")
-    found, page_path = report_training(
+    measured, page = report_training(
         network, given, model, seconds=seconds, queries=queries, vertices=vertices, seed=seed
     )
-    for row in found["criteria"]:
+    for row in measured["criteria"]:
         print(criterion_line(row))
-    print(f"{page_path}: {found['summary'][0]}")
+    print(f"{page}: {measured['summary'][0]}")

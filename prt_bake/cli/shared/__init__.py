@@ -1,4 +1,4 @@
-"""What several commands share: options, progress, messages after a run.
+"""What several commands share: options, progress bars, cameras, bounds on figures, the steps after a training.
 
-May import: everything but the commands. Begin with `options.py`.
+May import: every room but the commands. Start at `options.py`.
 """

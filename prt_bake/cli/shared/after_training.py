@@ -1,4 +1,4 @@
-"""What follows a training by itself: the report and the importance module. The model is whole without either."""
+"""Steps after a training: the report and the importance module. A failure of either is printed; the model is kept."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,26 +16,26 @@ _MOST_SECONDS = {"report": 40.0, "importance": 60.0}
 
 
 def report(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
-    """Write MODEL.report.json and MODEL.report.html, and print the verdicts; what goes wrong is only told."""
+    """Write MODEL.report.json and MODEL.report.html and print the criteria; prints errors instead of raising."""
     from prt_bake.trainer.report.report import report_training
     from prt_bake.trainer.report.summary import criterion_line
 
     say("path tracing fresh queries for the report")
     try:
-        found, page = report_training(network, scene, model, seconds=_seconds(network, "report"), seed=seed)
-    except PrtbakeError as fault:
-        say(f"no report: {fault}; 'prtbake report training {model} {scene.path}' tries again")
+        measured, page = report_training(network, scene, model, seconds=_seconds(network, "report"), seed=seed)
+    except PrtbakeError as error:
+        say(f"no report: {error}; to try again, run 'prtbake report training {model} {scene.path}'")
         return
     except KeyboardInterrupt:
-        say(f"no report; 'prtbake report training {model} {scene.path}' makes it up")
+        say(f"no report: stopped; to write it later, run 'prtbake report training {model} {scene.path}'")
         return
-    for row in found["criteria"]:
+    for row in measured["criteria"]:
         print(criterion_line(row))
-    print(f"{page}: {found['summary'][0]}")
+    print(f"{page}: {measured['summary'][0]}")
 
 
 def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) -> None:
-    """Fit and write MODEL.importance.pt; what goes wrong is only told. Ctrl-C keeps what is fitted by then."""
+    """Fit and write MODEL.importance.pt; prints errors instead of raising. Ctrl-C keeps the module fitted so far."""
     from dataclasses import replace
 
     from prt_bake.importance.fit import fit_importance
@@ -43,7 +43,7 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) 
 
     with reporting("importance") as show, stopping() as stop:
 
-        def follow(share: float, words: str) -> None:
+        def report_fit(share: float, words: str) -> None:
             show(share, words)
             if stop():
                 raise KeyboardInterrupt
@@ -55,19 +55,19 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) 
                 seconds=_seconds(network, "importance"),
                 seed=seed,
                 settings=replace(IMPORTANCE_PRESETS["measured"], seed=seed),
-                progress=follow,
+                progress=report_fit,
             )
             save_importance(module, model)
-        except PrtbakeError as fault:
-            say(f"no importance module: {fault}")
+        except PrtbakeError as error:
+            say(f"no importance module: {error}")
             return
         except KeyboardInterrupt:
-            say(f"no importance module; 'prtbake importance {model} {scene.mesh_path}' makes it up")
+            say(f"no importance module: stopped; to fit it later, run 'prtbake importance {model} {scene.mesh_path}'")
             return
     fit = module.metadata["fit"]
     print(
         f"{importance_path(model)}: KL divergence {fit['module']['divergence']:.3f} "
-        f"(uniform {fit['uniform']['divergence']:.3f}), variance of a sample under a uniform sky "
+        f"(uniform {fit['uniform']['divergence']:.3f}), sample variance under a uniform sky "
         f"{fit['module']['variance']:.3f} (uniform {fit['uniform']['variance']:.3f})"
     )
 

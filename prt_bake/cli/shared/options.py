@@ -1,4 +1,4 @@
-"""Options that several commands share, and how their text is read."""
+"""Options that several commands share, and their parsers."""
 
 import math
 from collections.abc import Callable
@@ -18,7 +18,7 @@ USUAL_FOV = 30.0
 
 @dataclass(frozen=True)
 class Size:
-    """Width and height of a picture in pixels, told as they are given: 640x480."""
+    """Width and height of a picture in pixels, printed as 640x480."""
 
     width: int
     height: int
@@ -36,15 +36,15 @@ class Point(NamedTuple):
 
 
 def read_size(text: str | Size) -> Size:
-    """The size that a text such as 640x480 stands for."""
-    if isinstance(text, Size):  # the default passes through here too
+    """Parse a size such as 640x480."""
+    if isinstance(text, Size):  # typer parses the default too
         return text
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
         raise typer.BadParameter(f"{text!r} is not WIDTHxHEIGHT in pixels, such as 640x480") from None
     if not (1 <= width <= 16384 and 1 <= height <= 16384):
-        raise typer.BadParameter(f"{text!r}: width and height are 1 to 16384 pixels")
+        raise typer.BadParameter(f"{text!r}: width and height must be 1 to 16384 pixels")
     return Size(width, height)
 
 
@@ -59,7 +59,7 @@ def _read_point(text: str | Point) -> Point:
 
 
 def within(low: float, high: float) -> Callable[[float | None], float | None]:
-    """A callback that refuses a number at `low` or below it, above `high`, and at `high` if that is finite."""
+    """Return a callback that refuses numbers outside the open interval (low, high); an infinite `high` is allowed."""
 
     def refuse_outside(value: float | None) -> float | None:
         if value is not None and not (low < value < high or value == high == math.inf):
@@ -71,7 +71,7 @@ def within(low: float, high: float) -> Callable[[float | None], float | None]:
 
 
 def output_option(metavar: str, *suffixes: str) -> Any:
-    """Declare `--output`, refused at once, not after an hour's work, where no file of this kind can be written."""
+    """Declare `--output`. Refuses a wrong suffix or an unwritable path at once, not after an hour's work."""
 
     def refuse_unusable(path: Path | None) -> Path | None:
         if path is None:
@@ -83,32 +83,32 @@ def output_option(metavar: str, *suffixes: str) -> Any:
     return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
 
 
-def optional_output(names: str, metavar: str, words: str, *suffixes: str) -> Any:
-    """Declare an option, by its `names` between blanks, of a further file to write: refused at once like `--output`."""
+def optional_output(names: str, metavar: str, text: str, *suffixes: str) -> Any:
+    """Declare an optional further output with help `text`; `names` are separated by blanks. Refuses as `--output`."""
 
     def refuse_unusable(path: Path | None) -> Path | None:
         if path is not None:
             _refuse_other_suffixes(path, suffixes)
-        return _read_report(path)
+        return _checked_writable(path)
 
-    return typer.Option(*names.split(), metavar=metavar, callback=refuse_unusable, help=words, show_default=False)
+    return typer.Option(*names.split(), metavar=metavar, callback=refuse_unusable, help=text, show_default=False)
 
 
 def _refuse_other_suffixes(path: Path, suffixes: tuple[str, ...]) -> None:
     if path.suffix.lower() not in suffixes:
-        known = " or ".join(dict.fromkeys(suffixes))  # a suffix may be that of pictures and of animations
+        known = " or ".join(dict.fromkeys(suffixes))  # .png is both a picture and an animation
         raise FormatError(f"{path}: expected a name that ends in {known}, found {path.suffix!r}")
 
 
 def refuse_unseen_exposure(exposure: float, *outputs: Path | None) -> None:
-    """Wrong usage: an exposure where no output is shown by it, since .exr and .hdr keep radiance as it is."""
+    """Raise typer.BadParameter if an exposure has no effect: .exr and .hdr store unscaled radiance."""
     suffixes = [output.suffix.lower() for output in outputs if output is not None]
     if exposure != 0.0 and all(suffix in (".exr", ".hdr") for suffix in suffixes):
         kinds = " and ".join(dict.fromkeys(suffixes))
-        raise typer.BadParameter(f"--exposure: radiance is kept as it is in {kinds}; write .png, or leave it out")
+        raise typer.BadParameter(f"--exposure: has no effect on {kinds}, which store radiance; write .png or omit it")
 
 
-def _read_report(path: Path | None) -> Path | None:
+def _checked_writable(path: Path | None) -> Path | None:
     if path is not None:
         refuse_unwritable(path)
     return path
@@ -116,26 +116,28 @@ def _read_report(path: Path | None) -> Path | None:
 
 Up = Annotated[
     Literal["y", "z"] | None,
-    typer.Option(help="Up axis of the sky; by default what the asset or the scene says, else y.", show_default=False),
+    typer.Option(help="Up axis of the sky; by default that of the asset or scene.", show_default=False),
 ]
 Rotate = Annotated[
     float,
-    typer.Option(min=-36000, max=36000, metavar="DEG", help="Turn the light counter-clockwise, seen from above."),
+    typer.Option(
+        min=-36000, max=36000, metavar="DEG", help="Rotate the light about the up axis, counter-clockwise from above."
+    ),
 ]
 PictureSize = Annotated[
     Size,
-    typer.Option("--size", parser=read_size, metavar="WxH", help="Pixels of the picture."),
+    typer.Option("--size", parser=read_size, metavar="WxH", help="Picture size in pixels."),
 ]
 Eye = Annotated[
     Point | None,
-    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default the whole object is framed."),
+    typer.Option(parser=_read_point, metavar="x,y,z", help="Camera position; by default frames the object."),
 ]
 LookAt = Annotated[
     Point | None,
     typer.Option(
         parser=_read_point,
         metavar="x,y,z",
-        help="Where the camera looks; by default the middle of the object.",
+        help="Point that the camera looks at; by default the object's centre.",
         show_default=False,
     ),
 ]
@@ -144,14 +146,14 @@ Fov = Annotated[
     typer.Option(callback=within(0.0, 180.0), metavar="DEG", help="Vertical field of view of a perspective camera."),
 ]
 Orthographic = Annotated[
-    bool, typer.Option("--orthographic", help="Parallel rays; the object is framed, or what --extent says.")
+    bool, typer.Option("--orthographic", help="Orthographic camera, framing the object or of --extent.")
 ]
 Extent = Annotated[
     float | None,
     typer.Option(
         callback=within(0.0, math.inf),
         metavar="H",
-        help="Scene units from the lower to the upper edge of an orthographic picture.",
+        help="Height of an orthographic picture in scene units.",
         show_default=False,
     ),
 ]
@@ -161,44 +163,44 @@ OnlyEye = Annotated[
         "--for-eye",
         parser=_read_point,
         metavar="x,y,z",
-        help="The only point that the asset will be seen from.",
+        help="Bake for this camera position alone.",
         show_default=False,
     ),
 ]
 Exposure = Annotated[
     float,
-    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG alone)."),
+    typer.Option(min=-64, max=64, metavar="EV", help="Multiply by 2^EV before the sRGB curve (PNG only)."),
 ]
 Mend = Annotated[
     bool,
-    typer.Option("--mend", help="Replace NaN, infinite and negative pixels of the environment, and say how many."),
+    typer.Option("--mend", help="Repair NaN, infinite and negative pixels of the environment, and print how many."),
 ]
 Suns = Annotated[
     Literal["split", "window", "plain"],
     typer.Option(
-        help="How small strong lights are met: split from the sky, by a positive transport; window, with "
-        "harmonics damped; plain, like all light, which rings."
+        help="Small strong lights: split removes them from the sky and uses a maximum-entropy reconstruction of the "
+        "transfer; window damps their harmonics; plain leaves them in the harmonics, which ring."
     ),
 ]
-Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of every random number.")]
+Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the random numbers.")]
 Lights = Annotated[
     list[str],
     typer.Option(
         "--light",
         metavar="LIGHT",
-        help="Lat-long sky (.exr, .hdr, .png), lights file (.toml), sun:x,y,z[:r,g,b][:degrees], a directional light "
-        "(direction to it, irradiance, angular diameter), or sphere:x,y,z:radius[:r,g,b] (place, size, radiance); may "
-        "be given several times.",
+        help="Lat-long sky (.exr, .hdr, .png), lights file (.toml), directional light sun:x,y,z[:r,g,b][:degrees] "
+        "(direction to it, irradiance, angular diameter) or sphere light sphere:x,y,z:radius[:r,g,b] (centre, radius, "
+        "radiance). Can be repeated.",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Where the network runs.")]
+Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Device that runs the network.")]
 ReportFile = Annotated[
     Path | None,
     typer.Option(
         metavar="R.json",
-        callback=_read_report,
-        help="Also write settings, errors and times.",
+        callback=_checked_writable,
+        help="Also write settings, errors and times as JSON.",
         show_default=False,
     ),
 ]

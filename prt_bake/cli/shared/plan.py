@@ -1,4 +1,4 @@
-"""A plan of a bake, as it is read on a terminal."""
+"""The plan of a bake as text for a terminal."""
 
 from collections.abc import Iterator
 
@@ -7,15 +7,15 @@ from prt_bake.cli.shared.progress import in_words
 
 
 def plan_lines(plan: BakePlan) -> Iterator[str]:
-    """What it comes to, and each item that the scene may not need: why, what it saves, what it cost to find out."""
+    """Yield the size and time of the bake, then each pruning: its reason, saving and the cost of testing for it."""
     bins = plan.vertices * plan.bins
-    yield f"{plan.vertices:,} vertices × {plan.bins:,} view bins, {plan.coefficients} harmonics"
-    yield f"{plan.evaluations:,} evaluations, {plan.evaluations / max(1, bins):.1f} a bin"
+    yield f"{plan.vertices:,} vertices × {plan.bins:,} view bins, {plan.coefficients} SH coefficients"
+    yield f"{plan.evaluations:,} evaluations, {plan.evaluations / max(1, bins):.1f} per bin"
     yield f"{plan.raw_bytes / 1e6:,.1f} MB of coefficients before compression"
     if plan.seconds is not None:
         between = "" if plan.seconds_between is None else f", {' to '.join(map(in_words, plan.seconds_between))}"
         yield f"about {in_words(plan.seconds)}{between}"
-    for title, items in (("left out", plan.left_out), ("kept", plan.kept)):
+    for title, items in (("pruned", plan.left_out), ("kept", plan.kept)):
         for item in items:
             saving = f"; {item.saving}" if item.saving else ""
             yield f"{title}: {item.item}: {item.reason}{saving}; cost: {item.cost}"

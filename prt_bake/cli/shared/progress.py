@@ -1,4 +1,4 @@
-"""What a long command says while it works, and how Ctrl-C stops it without losing what is done."""
+"""Progress of long commands, messages beside their output, and Ctrl-C that stops them without losing work."""
 
 import math
 import signal
@@ -13,36 +13,34 @@ if TYPE_CHECKING:
     from prt_bake.baking.job.forecast import BakeStatus
 
 PLAIN_INTERVAL = 5.0
-"""Seconds between two lines where there is no terminal."""
+"""Seconds between two lines if stderr is not a terminal."""
 
 NEARLY = 0.99
-"""Share of a bake that it does not exceed before its end: a further pass may follow, and the asset is to be written."""
+"""Largest share that a bake shows before its end: another pass may follow, and the asset is not yet written."""
 
 
 class Report(Protocol):
-    """Shows how far the work is."""
+    """Shows the progress of the work."""
 
     def __call__(self, share: float | None, words: str, left: float | None = None) -> None:
-        """share: done, in [0, 1]; None where there is no telling. left: seconds that it still takes; as the share has
-        grown so far, by default.
-        """
+        """share: done, in [0, 1], or None if unknown. left: remaining seconds; by default extrapolated."""
 
 
 def say(sentence: str) -> None:
-    """Tell the user something beside the command's own output."""
+    """Print a message on stderr, beside the command's own output."""
     print(f"prtbake: {sentence}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def reporting(label: str, first: str = "") -> Iterator[Report]:
-    """Yield a function that shows how far the work is: as a bar on a terminal, in a line now and then elsewhere.
+    """Yield a function that shows the progress: as a bar on a terminal, else as a line every few seconds.
 
-    The time left is extrapolated from how the share has grown since it was first reported: loading, compiling and the
-    share of an earlier run do not count.
+    The time left is extrapolated from the growth of the share since its first report, so that loading, compiling and
+    the share of an earlier run do not count.
 
     Args:
         label: name of the work.
-        first: words of the bar before the first report.
+        first: text of the bar before the first report.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
@@ -74,7 +72,7 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
             seconds = task.time_remaining if left is None else left
             remaining = "" if seconds is None else f"{in_words(seconds)} left"
             progress.update(number, words=words, left=remaining)
-            # A report without words is the last one: what the command prints then says the same.
+            # A report without words is the last one; the command's output follows it.
             if plain and words and time.monotonic() - last_line >= PLAIN_INTERVAL:
                 last_line = time.monotonic()
                 percent = "" if share is None else f" {share:.0%}"
@@ -85,12 +83,10 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
 
 
 def bake_progress(show: Report) -> Callable[[int, int, "BakeStatus"], None]:
-    """What a bake tells, shown as its share of the time to its target; where what is left turns out longer than was
-    foretold the share stays until the bake has caught up.
-    """
+    """Return a bake's progress callback. It shows the share of the predicted time, which never decreases."""
     furthest = 0.0
 
-    def told(done: int, total: int, status: "BakeStatus") -> None:
+    def report(done: int, total: int, status: "BakeStatus") -> None:
         nonlocal furthest
         seconds, _evaluations, error = status
         left = status.left
@@ -99,11 +95,11 @@ def bake_progress(show: Report) -> Callable[[int, int, "BakeStatus"], None]:
         stage = f"{status.stage}: " if status.stage else ""
         show(None if left is None else furthest, f"{stage}{done} of {total} vertices, error {error:.2%}", left)
 
-    return told
+    return report
 
 
 def in_words(seconds: float) -> str:
-    """A time as people say it: 42 s, 3:20 min, 2:05 h."""
+    """Format a time: 42 s, 3:20 min, 2:05 h."""
     whole = round(seconds)
     if whole < 100:
         return f"{whole} s"
@@ -114,18 +110,18 @@ def in_words(seconds: float) -> str:
 
 @contextmanager
 def stopping() -> Iterator[Callable[[], bool]]:
-    """Yield a question that is answered with true after the first Ctrl-C (or SIGTERM); the second one stops at once."""
-    asked = False
+    """Yield a function that returns True after the first Ctrl-C (or SIGTERM); the second one interrupts at once."""
+    requested = False
 
-    def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked = True
+    def request(number: int, frame: FrameType | None) -> None:
+        nonlocal requested
+        requested = True
         signal.signal(number, signal.default_int_handler)
-        say("stopping after what is under way; press Ctrl-C again to stop at once")
+        say("stopping after the current step; press Ctrl-C again to stop at once")
 
-    previous = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    previous = {number: signal.signal(number, request) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: asked
+        yield lambda: requested
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)

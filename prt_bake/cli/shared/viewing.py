@@ -1,4 +1,4 @@
-"""Cameras from the options of commands that make pictures."""
+"""Cameras from the options of the commands that make pictures."""
 
 from typing import Any
 
@@ -18,14 +18,14 @@ def camera_for(
     extent: float | None,
     turns: int = 1,
 ) -> Any:
-    """The camera that these options ask for; an `extent` makes it orthographic. `turns` as in `camera.fit`.
+    """Return the camera of these options; an `extent` makes it orthographic. `turns` is as in `camera.fit`.
 
-    Raises typer.BadParameter where an orthographic one is given a field of view.
+    Raises typer.BadParameter for an orthographic camera with a field of view.
     """
     parallel = orthographic or extent is not None
     if parallel and fov != USUAL_FOV:
         raise typer.BadParameter(
-            f"--fov: rays of an orthographic camera are parallel, they have no field of view; leave it out, or "
+            f"--fov: an orthographic camera has no field of view; omit --fov or "
             f"{'--orthographic' if extent is None else '--extent'}"
         )
     from prt_bake.geometry import camera

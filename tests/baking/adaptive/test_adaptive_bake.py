@@ -1,4 +1,4 @@
-"""Bakes to an error: it is reached, what is said of it is true, and it takes a small part of the evaluations."""
+"""Adaptive bakes reach the requested error, report it correctly, and need few evaluations."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -34,9 +34,9 @@ SHIPPED = Path(prt_bake.__file__).parent / "shipped"
 
 ERROR = 0.01
 EVERY = 3
-"""Of so many bins one is held against the truth: of 14,364 errors the root of the mean square is known to 0.3 %."""
+"""Every third bin is compared with the reference: 14,364 errors determine their rms to 0.3 %."""
 CASES = {
-    # Least ratio of evaluations to plain Monte Carlo's, all included: pilot, checks and passes.
+    # Least ratio of the evaluations of plain Monte Carlo to all those of the bake: pilot, validation and passes.
     "edged": (Edged(), 6000.0),
     "lobed": (Lobed(), 5000.0),
     "incoherent": (Incoherent(), 1800.0),
@@ -44,12 +44,12 @@ CASES = {
 }
 
 
-def relative(off: Array, truth: Array) -> float:
-    return float(np.sqrt((off**2).sum() / (truth**2).sum()))
+def relative(difference: Array, reference: Array) -> float:
+    return float(np.sqrt((difference**2).sum() / (reference**2).sum()))
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
+def test_the_requested_error_is_reached_and_reported(name: str) -> None:
     transport, least = CASES[name]
     mesh = icosphere(1)
     counted = Counting(transport)
@@ -57,11 +57,11 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
     truth = exact(transport, mesh, 16, 64, directions=2048, every=EVERY)
     off = asset.coefficients[:, ::EVERY] - truth
     true = relative(off, truth)
-    told = asset.provenance["estimated_relative_rmse"]["total"]
+    reported = asset.provenance["estimated_relative_rmse"]["total"]
     assert true <= 1.1 * ERROR
-    assert 0.8 < told / true < 1.2
+    assert 0.8 < reported / true < 1.2
     within = (np.sqrt((off**2).mean(axis=(2, 3))) <= 1.96 * asset.standard_error[:, ::EVERY]).mean()
-    # Where bins share lattices, four of each vertex here, errors are 168 numbers: the share of few is known less well.
+    # With shared lattices, four per vertex here, there are 168 independent errors, whose quantile is less certain.
     few = name in ("edged", "chequered")
     assert (0.90 if few else 0.93) < within < (0.99 if few else 0.97)
     bins = len(mesh.positions) * 1024
@@ -73,8 +73,8 @@ def test_the_error_asked_for_is_reached_and_told(name: str) -> None:
 
 
 @pytest.mark.parametrize("transport", [Edged(), Chequered()])
-def test_bounds_hold_as_often_as_they_say_where_bins_share_lattices(transport: object) -> None:
-    """With 162 vertices errors are 648 numbers at least, whose share is known to a point."""
+def test_bounds_hold_at_their_stated_rate_with_shared_lattices(transport: object) -> None:
+    """162 vertices have at least 648 independent errors, which determine the rate to a percent."""
     mesh, every = icosphere(2), 17
     asset = bake(transport, mesh, error=ERROR)
     off = asset.coefficients[:, ::every] - exact(transport, mesh, 16, 64, directions=2048, every=every)
@@ -82,7 +82,7 @@ def test_bounds_hold_as_often_as_they_say_where_bins_share_lattices(transport: o
     assert 0.93 < within.mean() < 0.97
 
 
-def test_smaller_errors_cost_more_and_are_reached() -> None:
+def test_smaller_errors_need_more_evaluations() -> None:
     mesh, spent = icosphere(0), []
     truth = exact(Lobed(), mesh, 8, 32)
     for error in (0.08, 0.02, 0.004):
@@ -93,7 +93,7 @@ def test_smaller_errors_cost_more_and_are_reached() -> None:
 
 
 @pytest.mark.parametrize(("degree", "rings", "sectors"), [(0, 1, 1), (8, 1, 1), (8, 4, 8), (1, 3, 5), (2, 1, 64)])
-def test_any_degree_and_any_bins(degree: int, rings: int, sectors: int) -> None:
+def test_any_degree_and_any_view_bins(degree: int, rings: int, sectors: int) -> None:
     mesh = icosphere(0)
     asset = bake(Edged(), mesh, degree, rings, sectors, error=0.05)
     truth = exact(Edged(), mesh, rings, sectors, degree)
@@ -106,7 +106,7 @@ def one_vertex() -> Mesh:
 
 
 class Scaled:
-    """Ŝ = a number, or what a function makes of the clamped cosine."""
+    """Ŝ as a function of the cosine to the normal and of the position."""
 
     def __init__(self, of_cosine: object) -> None:
         self.of_cosine = of_cosine
@@ -127,7 +127,7 @@ class Scaled:
         ("huge", lambda c, x: 1e25 * np.maximum(c, 0.0)),
     ],
 )
-def test_what_networks_may_be(name: str, of_cosine: object) -> None:
+def test_unusual_transports_reach_the_error(name: str, of_cosine: object) -> None:
     mesh, transport = icosphere(0), Scaled(of_cosine)
     asset = bake(transport, mesh, rings=4, sectors=16, error=0.02)
     truth = exact(transport, mesh, 4, 16)
@@ -136,8 +136,8 @@ def test_what_networks_may_be(name: str, of_cosine: object) -> None:
 
 
 @pytest.mark.parametrize(("floor", "seeds"), [(0.001, 2), (0.01, 1), (0.1, 1)])
-def test_a_lobe_of_two_degrees_is_not_overlooked(floor: float, seeds: int) -> None:
-    # Of 32 directions hardly one in a hundred sets meets it; what is missed must not pass for exact.
+def test_a_lobe_of_two_degrees_is_not_missed(floor: float, seeds: int) -> None:
+    # Hardly one in a hundred sets of 32 directions hits the lobe; a missed lobe must not count as exact.
     mesh, transport = icosphere(0), Lobed(sharpness=3000.0, floor=floor)
     truth = exact(transport, mesh, 4, 16, directions=1 << 14)
     for seed in range(seeds):
@@ -148,13 +148,13 @@ def test_a_lobe_of_two_degrees_is_not_overlooked(floor: float, seeds: int) -> No
 
 
 @pytest.mark.parametrize("slope", [0.0, 1e-5])
-def test_what_float32_rounds_off_is_not_chased(slope: float) -> None:
+def test_rounding_of_float32_does_not_cause_refinement(slope: float) -> None:
     counted = Counting(Scaled(lambda c, x: 0.7 + slope * c))
     bake(counted, icosphere(1), error=ERROR)
     assert counted.evaluations < 8 * 42 * 1024
 
 
-def test_a_vertex_that_is_not_finite_is_named_and_the_rest_baked() -> None:
+def test_a_vertex_that_is_not_finite_is_reported_and_the_others_baked() -> None:
     mesh = icosphere(1)
     bad = 17
 
@@ -172,49 +172,49 @@ def test_a_vertex_that_is_not_finite_is_named_and_the_rest_baked() -> None:
         bake(Scaled(lambda c, x: c * np.nan), mesh, rings=4, sectors=16, error=0.03)
 
 
-def test_what_is_infinite_is_named_without_a_warning() -> None:
+def test_infinite_values_are_reported_without_a_warning() -> None:
     def blinding(incident: Array, positions: Array, outgoing: Array) -> Array:
         facing = np.maximum(np.einsum("ndi,ni->nd", incident, positions), 0.0)
         values = np.where((outgoing @ np.array([0.48, 0.6, 0.64]) > 0.9)[:, None], np.inf, facing)
         return np.repeat(values[..., None], 3, axis=-1)
 
-    asset = bake(of(blinding), icosphere(1), rings=4, sectors=16, error=0.03, leave_out=["views", "bands"])
+    asset = bake(transport_of(blinding), icosphere(1), rings=4, sectors=16, error=0.03, leave_out=["views", "bands"])
     assert 5 < (~asset.valid).sum() == asset.provenance["vertices_not_finite"]["count"] < 40
 
 
-def of(answer: Callable[[Array, Array, Array], Array]) -> object:
-    class Answering:
+def transport_of(function: Callable[[Array, Array, Array], Array]) -> object:
+    class Analytic:
         def evaluate(self, incident: Array, positions: Array, outgoing: Array) -> Array:
-            return answer(incident, positions, outgoing)
+            return function(incident, positions, outgoing)
 
-    return Answering()
+    return Analytic()
 
 
 @pytest.mark.parametrize("size", [1e39, 1e-50])
-def test_what_float32_does_not_hold_is_refused(size: float) -> None:
+def test_values_outside_the_range_of_float32_raise(size: float) -> None:
     with pytest.raises(QueryError, match="float32 does not hold"):
         bake(Scaled(lambda c, x: size * (1.0 + c)), icosphere(0), rings=4, sectors=16, error=0.03)
 
 
-def test_a_vertex_that_outshines_all_others_does_not_make_them_dark() -> None:
+def test_one_very_bright_vertex_does_not_make_the_others_negligible() -> None:
     mesh = icosphere(1)
 
-    def lit(cosine: Array, positions: Array) -> Array:
+    def clamped(cosine: Array, positions: Array) -> Array:
         bright = np.all(np.isclose(positions, mesh.positions[17]), axis=1)
         return (np.maximum(cosine, 0.0) + 0.05) * 10.0 ** (9.0 * bright[:, None])
 
     for seed in range(3):
-        assert bake(Scaled(lit), mesh, rings=4, sectors=16, error=0.01, seed=seed).valid.all()
+        assert bake(Scaled(clamped), mesh, rings=4, sectors=16, error=0.01, seed=seed).valid.all()
 
 
-def test_one_vertex() -> None:
+def test_a_mesh_of_one_vertex() -> None:
     mesh = one_vertex()
     asset = bake(Lobed(), mesh, error=0.02)
     truth = exact(Lobed(), mesh, 16, 64)
     assert relative(asset.coefficients - truth, truth) < 0.022
 
 
-def test_numbers_do_not_depend_on_workers_or_on_the_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_workers_or_block_size(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = icosphere(1)
     whole = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     threads = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05, workers=3)
@@ -227,20 +227,20 @@ def test_numbers_do_not_depend_on_workers_or_on_the_cut(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_numbers_of_a_network_do_not_depend_on_them_either(precision: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_network_bakes_do_not_depend_on_workers_or_block_size(precision: str, monkeypatch: pytest.MonkeyPatch) -> None:
     spot = read_mesh(SHIPPED / "spot.obj")
     used, faces = np.unique(spot.faces[:24], return_inverse=True)
     mesh = build_mesh(spot.positions[used], faces.reshape(-1, 3))
     network = load_model(SHIPPED / "spot.pt")
-    asked = {"rings": 4, "sectors": 8, "error": 0.1, "precision": precision}
-    whole = bake(network, mesh, **asked)
+    arguments = {"rings": 4, "sectors": 8, "error": 0.1, "precision": precision}
+    whole = bake(network, mesh, **arguments)
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 3 * 32)
-    cut = bake(network, mesh, **asked, workers=2)
+    cut = bake(network, mesh, **arguments, workers=2)
     np.testing.assert_array_equal(cut.coefficients, whole.coefficients)
     np.testing.assert_array_equal(cut.standard_error, whole.standard_error)
 
 
-def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pass_that_misses_the_error_is_followed_by_another(monkeypatch: pytest.MonkeyPatch) -> None:
     mesh, transport = icosphere(1), Incoherent()
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     counted = Counting(transport)
@@ -253,7 +253,7 @@ def test_what_misses_the_error_is_mended_where_it_is_worst(monkeypatch: pytest.M
     assert 0.8 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.25
 
 
-def test_the_worst_vertices_alone_are_done_again() -> None:
+def test_only_the_worst_vertices_are_baked_again() -> None:
     mesh = icosphere(1)
     job = AdaptiveJob(Lobed(), mesh, np.arange(42), views_of(mesh, 4, 8)[1], sphere.view_bins(4, 8), 2, 0)
     settings = uncalibrated(first_refinement(job)[0], ERROR)
@@ -263,15 +263,15 @@ def test_the_worst_vertices_alone_are_done_again() -> None:
     tally.variance[2, [3, 17, 30]] = (4.0 * ERROR) ** 2
     done = Pass(tally, Correction(), *tally.relative(Correction()), True)
     assert done.worst > ERROR
-    again = tighter(settings, done, ERROR)
-    assert again.rebake is not None
-    done_again = set(np.flatnonzero(again.rebake).tolist())
-    assert done_again
-    assert done_again <= {3, 17, 30}
-    assert again.error <= ERROR
+    following = tighter(settings, done, ERROR)
+    assert following.rebake is not None
+    rebaked = set(np.flatnonzero(following.rebake).tolist())
+    assert rebaked
+    assert rebaked <= {3, 17, 30}
+    assert following.error <= ERROR
 
 
-def test_minutes_buy_smaller_errors() -> None:
+def test_more_time_gives_smaller_errors() -> None:
     mesh = icosphere(1)
     asset = bake(Lobed(), mesh, rings=8, sectors=32, minutes=0.03)
     rows = asset.error_vs_time
@@ -281,7 +281,7 @@ def test_minutes_buy_smaller_errors() -> None:
     assert asset.provenance["estimated_relative_rmse"]["total"] == rows[-1, 2]
 
 
-def test_what_is_asked_for_must_make_sense() -> None:
+def test_invalid_arguments_raise() -> None:
     mesh = icosphere(0)
     with pytest.raises(QueryError, match="out of reach"):
         bake(Incoherent(), mesh, rings=1, sectors=1, error=1e-7)

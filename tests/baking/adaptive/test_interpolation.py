@@ -1,4 +1,4 @@
-"""Fine meshes: most vertices are foretold from those around them, what that saves, and that it hides nothing."""
+"""Fine meshes: most vertices are interpolated from others, which saves evaluations and is validated."""
 
 import math
 from collections.abc import Iterator
@@ -33,20 +33,20 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Whole(NamedTuple):
-    """A bake to the end: its asset, what it asked for, and what it told of how far it was, (done, seconds left)."""
+    """A complete bake: its asset, its evaluations, and its progress (done, seconds left)."""
 
     asset: Asset
     evaluations: int
-    told: list[tuple[int, float | None]]
+    progress: list[tuple[int, float | None]]
 
 
 @pytest.fixture(scope="module")
 def followed(path: Path) -> Iterator[Whole]:
-    told: list[tuple[int, float | None]] = []
+    progress: list[tuple[int, float | None]] = []
     counted = Counting(Ringed())
-    follow = {"progress": lambda done, _of, row: told.append((done, row.left))}
+    follow = {"progress": lambda done, _of, row: progress.append((done, row.left))}
     with bake(counted, MESH, **SMALL, **follow, out=path) as asset:
-        yield Whole(asset, counted.evaluations, told)
+        yield Whole(asset, counted.evaluations, progress)
 
 
 @pytest.fixture
@@ -55,7 +55,7 @@ def whole(followed: Whole) -> Asset:
 
 
 def true_errors(asset: Asset, transport: Ringed, vertices: Array) -> tuple[Array, Array]:
-    """Squared errors [n,B] and squares [n,B] of coefficients, mean over them, against a fit over many directions."""
+    """Squared errors [n,B] and squares [n,B], mean over coefficients; the reference has many directions."""
     lattice, views = sphere.fibonacci(1024), views_of(MESH, RINGS, SECTORS)[1]
     fit = np.linalg.pinv(sh.evaluate(lattice, 2))
     off, signal = [], []
@@ -75,55 +75,55 @@ def some_vertices(count: int = 150) -> Array:
     return np.random.default_rng(0).choice(len(MESH.positions), count, replace=False)
 
 
-def foretold(asset: Asset) -> int:
+def interpolated(asset: Asset) -> int:
     return int(asset.provenance["refinement"]["vertices_foretold"])
 
 
-def test_most_vertices_of_a_fine_mesh_are_foretold_and_the_error_told_is_true(whole: Asset) -> None:
+def test_most_vertices_of_a_fine_mesh_are_interpolated_and_the_reported_error_is_correct(whole: Asset) -> None:
     off, signal = true_errors(whole, Ringed(), some_vertices())
     true = np.sqrt(off.sum() / signal.sum())
-    told = whole.provenance["estimated_relative_rmse"]["total"]
-    assert foretold(whole) > 0.6 * len(MESH.positions)
+    reported = whole.provenance["estimated_relative_rmse"]["total"]
+    assert interpolated(whole) > 0.6 * len(MESH.positions)
     assert true < 1.1 * ERROR
-    assert 0.8 < told / true < 1.25
+    assert 0.8 < reported / true < 1.25
     standard_error = np.asarray(whole.standard_error)[some_vertices()]
     assert 0.92 < (np.sqrt(off) <= 1.96 * standard_error).mean() < 0.99
 
 
-def test_it_saves_evaluations_and_a_plan_knows_of_it(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
-    foreseen = plan(Ringed(), MESH, **SMALL).evaluations
+def test_interpolation_saves_evaluations_as_the_plan_predicts(whole: Asset, monkeypatch: pytest.MonkeyPatch) -> None:
+    predicted = plan(Ringed(), MESH, **SMALL).evaluations
     monkeypatch.setattr("prt_bake.baking.adaptive.tolerances.choose_interpolation", lambda *_all: (None, 0))
     without = plan(Ringed(), MESH, **SMALL).evaluations
-    assert foreseen < 0.7 * without
+    assert predicted < 0.7 * without
     assert whole.provenance["evaluations"] < without / 1.5
 
 
-def test_a_patch_between_the_vertices_that_were_tried_is_seen() -> None:
+def test_a_patch_that_the_trials_missed_is_detected() -> None:
     transport = Ringed(patch=0.15)
     with bake(transport, MESH, **SMALL) as asset:
         edge = np.flatnonzero(patched(MESH.positions, 0.25) & ~patched(MESH.positions, 0.08))
         off, signal = true_errors(asset, transport, edge)
-        assert foretold(asset) > 0.5 * len(MESH.positions)
+        assert interpolated(asset) > 0.5 * len(MESH.positions)
         assert np.sqrt(off.sum() / signal.sum()) < 1.5 * ERROR
         assert np.sqrt((off.sum(axis=1) / signal.sum(axis=1)).max()) < 6.0 * ERROR
 
 
-def test_where_no_vertex_foretells_another_none_does() -> None:
+def test_vertices_that_do_not_predict_others_are_not_used() -> None:
     transport = Ringed(sharp=True)
     with bake(transport, MESH, **SMALL) as asset:
         off, signal = true_errors(asset, transport, some_vertices())
-        assert foretold(asset) == 0
+        assert interpolated(asset) == 0
         assert np.sqrt(off.sum() / signal.sum()) < 1.1 * ERROR
 
 
-def test_a_vertex_where_nothing_is_finite_spoils_no_other() -> None:
+def test_a_vertex_that_is_not_finite_does_not_affect_others() -> None:
     with bake(Ringed(blind=MESH.positions[7]), MESH, **SMALL) as asset:
         assert asset.provenance["vertices_not_finite"] == {"count": 1, "first": [7]}
         assert np.flatnonzero(~np.asarray(asset.valid)).tolist() == [7]
-        assert foretold(asset) > 0.5 * len(MESH.positions)
+        assert interpolated(asset) > 0.5 * len(MESH.positions)
 
 
-def test_numbers_depend_neither_on_workers_nor_on_the_cut(
+def test_results_do_not_depend_on_workers_or_block_size(
     whole: Asset, path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.run.vertices_at_once", lambda *_all: 77)
@@ -131,13 +131,13 @@ def test_numbers_depend_neither_on_workers_nor_on_the_cut(
     same(tmp_path / "cut.h5", path)
 
 
-@pytest.mark.parametrize("asked", [14, 20])
-def test_stopped_between_the_vertices_that_come_first_and_gone_on_with(
-    whole: Asset, path: Path, tmp_path: Path, asked: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("calls_until_stop", [14, 20])
+def test_a_bake_stopped_among_the_vertices_to_interpolate_from_resumes(
+    whole: Asset, path: Path, tmp_path: Path, calls_until_stop: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A slow machine would ask within the pilot, too.
-    monkeypatch.setattr("prt_bake.baking.adaptive.run.PILOT_UNASKED", math.inf)
-    out, calls = tmp_path / "stopped.h5", iter([False] * asked + [True] * 1000)
+    # On a slow machine the pilot would check for a stop too.
+    monkeypatch.setattr("prt_bake.baking.adaptive.run.UNINTERRUPTED", math.inf)
+    out, calls = tmp_path / "stopped.h5", iter([False] * calls_until_stop + [True] * 1000)
     with bake(Ringed(), MESH, **SMALL, out=out, stop=lambda: next(calls)) as part:
         assert part.complete
         assert part.provenance["estimated_relative_rmse"]["total"] > ERROR
@@ -148,18 +148,18 @@ def test_stopped_between_the_vertices_that_come_first_and_gone_on_with(
     assert [path.name for path in tmp_path.iterdir()] == ["stopped.h5"]
 
 
-def test_progress_never_goes_back_and_all_that_is_asked_is_counted(followed: Whole) -> None:
+def test_progress_never_decreases_and_all_evaluations_are_counted(followed: Whole) -> None:
     assert followed.evaluations == followed.asset.provenance["evaluations"]
-    done = [count for count, _left in followed.told]
+    done = [count for count, _left in followed.progress]
     ends = [place for place, count in enumerate(done) if count == len(MESH.positions)]
     assert len(ends) >= 2
     last = done[ends[-2] + 1 :]
     assert last == sorted(last)
     assert 0 < last[0] < len(MESH.positions) / 3
-    assert all(left is None or left >= 0.0 for _done, left in followed.told)
+    assert all(left is None or left >= 0.0 for _done, left in followed.progress)
 
 
-def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() -> None:
+def test_one_vertex_per_cell_is_evaluated_first() -> None:
     views = views_of(MESH, RINGS, SECTORS)[1]
     job = AdaptiveJob(
         Ringed(), MESH, np.arange(len(MESH.positions)), views, sphere.view_bins(RINGS, SECTORS), 2, 0, (RINGS, SECTORS)
@@ -173,7 +173,7 @@ def test_one_vertex_of_each_cell_is_evaluated_and_the_work_ahead_is_its_share() 
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.03])
-def test_foretold_vertices_are_held_against_the_transport_less_the_noise_of_that(scale: float) -> None:
+def test_the_error_of_interpolated_vertices_is_measured_without_noise(scale: float) -> None:
     mesh, transport = icosphere(1), Lobed()
     views = views_of(mesh, 4, 16)[1]
     job = AdaptiveJob(transport, mesh, np.arange(42), views, sphere.view_bins(4, 16), 2, 0, (4, 16))
@@ -181,10 +181,10 @@ def test_foretold_vertices_are_held_against_the_transport_less_the_noise_of_that
         settings_for_error(Pilot(job), first_refinement(job)[0], ERROR).refinement, validation_noise=2.0 * ERROR
     )
     outgoing = np.concatenate([views(vertex, vertex + 1)[0] for vertex in range(42)])
-    foretold = scale * exact(transport, mesh, 4, 16, directions=1024)
+    coefficients = scale * exact(transport, mesh, 4, 16, directions=1024)
     bins = np.tile(np.arange(64), (42, 1))
-    off, spent = validation_errors(transport, how, np.arange(42), mesh.positions, outgoing, foretold, bins)
-    # The noise of the directions is four times the squared error asked for: a sixteenth of it may be left.
+    off, spent = validation_errors(transport, how, np.arange(42), mesh.positions, outgoing, coefficients, bins)
+    # The variance of the directions is four times the squared error; at most a sixteenth of it may remain.
     assert off.mean() == pytest.approx((1.0 - 1.0 / scale) ** 2, abs=0.25 * ERROR**2)
     assert off.shape == (42, 64)
     assert spent >= off.size * how.lattice.sizes[0]

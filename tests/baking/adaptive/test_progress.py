@@ -1,4 +1,4 @@
-"""How far a bake says that it is: one way to its target, whatever passes lead there."""
+"""Progress of an adaptive bake: one share that increases over all passes."""
 
 import itertools
 import math
@@ -15,21 +15,21 @@ from tests.baking.loose_pilot import loose_settings
 Shown = list[tuple[float | None, str, float | None]]
 
 
-def shown(monkeypatch: pytest.MonkeyPatch, **asked: Any) -> tuple[Shown, list[BakeStatus]]:
-    """What a bake in small blocks shows, and what it was told."""
+def shown(monkeypatch: pytest.MonkeyPatch, **arguments: Any) -> tuple[Shown, list[BakeStatus]]:
+    """The progress of a bake in small blocks, as shown and as reported."""
     monkeypatch.setattr("prt_bake.baking.adaptive.pilot.BINS_AT_ONCE", 4 * 64)
     seen, statuses = Shown(), list[BakeStatus]()
-    told = bake_progress(lambda share, words, left=None: seen.append((share, words, left)))
+    show = bake_progress(lambda share, words, left=None: seen.append((share, words, left)))
 
     def progress(done: int, total: int, status: BakeStatus) -> None:
         statuses.append(status)
-        told(done, total, status)
+        show(done, total, status)
 
-    bake(Incoherent(), icosphere(1), rings=4, sectors=16, progress=progress, **asked)
+    bake(Incoherent(), icosphere(1), rings=4, sectors=16, progress=progress, **arguments)
     return seen, statuses
 
 
-def test_the_share_never_goes_back_from_pass_to_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_share_never_decreases_between_passes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("prt_bake.baking.adaptive.run.MANY", 0)
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     seen, statuses = shown(monkeypatch, error=0.02)
@@ -38,22 +38,22 @@ def test_the_share_never_goes_back_from_pass_to_pass(monkeypatch: pytest.MonkeyP
     assert len(shares) == len(seen)
     assert all(before <= after for before, after in itertools.pairwise(shares))
     assert all(share <= NEARLY for share in shares)
-    # It is no more than the time done over that and what is left, but where it would have to go back.
+    # The share is the elapsed over the total time, unless it would decrease.
     ratios = [min(row[0] / (row[0] + row.left), NEARLY) for row in statuses if row.left is not None]
     assert shares == pytest.approx(list(itertools.accumulate(ratios, max)))
     assert shares[0] < 0.9
 
 
-def test_where_there_is_no_end_no_share_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_an_end_no_share_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     stops = iter(range(10_000))
     seen, _standings = shown(monkeypatch, minutes=math.inf, stop=lambda: next(stops) > 40)
     assert {share for share, _words, _left in seen} == {None}
 
 
-def test_what_is_left_is_foretold_by_what_was_done_since_the_first_share(
+def test_the_time_left_is_extrapolated_from_the_first_share_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A minute of compiling, and half of the work done by an earlier run: neither says how fast it goes on."""
+    """A minute of compiling and half of the work from an earlier run do not count for the speed."""
     clock = [100.0]
     monkeypatch.setattr("prt_bake.cli.shared.progress.time.monotonic", lambda: clock[0])
     monkeypatch.setattr("prt_bake.cli.shared.progress.PLAIN_INTERVAL", 0.0)
@@ -63,8 +63,8 @@ def test_what_is_left_is_foretold_by_what_was_done_since_the_first_share(
         for after, share in ((0.0, 0.5), (2.0, 0.5625), (2.0, 0.625), (4.0, 0.75)):
             clock[0] += after
             show(share, "done")
-    said = capsys.readouterr().err.splitlines()
-    assert said == [
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [
         "render: 0% begun",
         "render: 50% done",
         "render: 56% done, 14 s left",

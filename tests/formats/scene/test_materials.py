@@ -114,7 +114,7 @@ def test_an_inner_part_may_have_a_material(folder):
 def test_info_reports_that_eta_is_not_that_of_the_material(folder):
     scene(folder, SCENE)
     description = describe(folder / "scene.toml")
-    assert description["material"] == "marble, measured with eta 1.5; taken is that of the scene, 1"
+    assert description["material"] == "marble, measured with eta 1.5; the scene uses eta 1"
 
 
 FAULTS = [

@@ -1,10 +1,10 @@
-"""Drawing from a lat-long picture and looking it up, compiled.
+"""Importance sampling of a lat-long picture and its look-up, compiled.
 
-The density over the picture is bilinear, as the light is: with weights W [H,W] of pixels it is proportional, over
-places (u, v), to the bilinear look-up of W (columns wrap around, above the first row's centres and below the last row's
-it stays level). Over v alone it is linear between the centres of rows, along a row linear between the centres of
-columns: both are inverted exactly, v first, so that two uniform numbers become one place, and numbers that lie evenly
-in the square become places that lie evenly in the light.
+The density over (u, v) is proportional to the bilinear look-up of the pixels' weights [H,W]; columns wrap around, and
+the density is constant above the centres of the first row and below those of the last. The marginal density of v is
+linear between the centres of rows, and the density along a row is linear between the centres of columns. Both are
+inverted exactly, v first. Two uniform numbers therefore become one (u, v), and low-discrepancy points stay well
+stratified.
 """
 
 import math
@@ -19,10 +19,10 @@ Array = NDArray[np.float64]
 
 
 class SkyTable(NamedTuple):
-    """What the kernels need of a sky.
+    """Tables of a sky for the kernels.
 
-    image [H,W,3] radiance; weights [H,W]; along [H,W+1] sums of the weights from the centre of column 0 on; down [H+2]
-    sums over v from the top; to_object [3,3] from the frame whose +z is up and whose azimuth is φ to object space.
+    image [H,W,3]: radiance. weights [H,W]. along [H,W+1]: cumulative weights along each row, from the centre of column
+    0. down [H+2]: cumulative weights over v, from the top. to_object [3,3]: polar frame to object space.
     """
 
     image: NDArray[np.float32]
@@ -33,7 +33,7 @@ class SkyTable(NamedTuple):
 
 
 def sky_table(image: NDArray[np.float32], to_object: Array) -> SkyTable:
-    """Weights are the mean over channels times the sine of the row's zenith angle: the energy of a pixel."""
+    """Tables for drawing a pixel by its energy: the mean over channels times the sine of the row's zenith angle."""
     height = len(image)
     sines = np.sin(np.pi * (np.arange(height) + 0.5) / height)
     weights = image.mean(axis=2, dtype=np.float64) * sines[:, None]
@@ -47,23 +47,23 @@ def sky_table(image: NDArray[np.float32], to_object: Array) -> SkyTable:
 
 @compiled(nogil=True, error_model="numpy")
 def draw_directions(sky: Any, numbers: Any, directions: Any) -> None:
-    """From numbers [N,2 or more] in [0,1) directions [N,3] in object space."""
+    """Set directions [N,3], in object space, from numbers [N,2 or more] in [0,1)."""
     height, width = sky.weights.shape
     for n in range(len(numbers)):
         v, top, bottom, share = _draw_row(sky, numbers[n, 0], height)
-        wanted = numbers[n, 1] * ((1.0 - share) * sky.along[top, width] + share * sky.along[bottom, width])
+        target = numbers[n, 1] * ((1.0 - share) * sky.along[top, width] + share * sky.along[bottom, width])
         low, high = 0, width
         while high - low > 1:
             middle = (low + high) // 2
-            if (1.0 - share) * sky.along[top, middle] + share * sky.along[bottom, middle] <= wanted:
+            if (1.0 - share) * sky.along[top, middle] + share * sky.along[bottom, middle] <= target:
                 low = middle
             else:
                 high = middle
         right = (low + 1) % width
-        here = (1.0 - share) * sky.weights[top, low] + share * sky.weights[bottom, low]
-        there = (1.0 - share) * sky.weights[top, right] + share * sky.weights[bottom, right]
-        rest = wanted - ((1.0 - share) * sky.along[top, low] + share * sky.along[bottom, low])
-        u = (low + 0.5 + _within(here, there, rest)) / width
+        at_left = (1.0 - share) * sky.weights[top, low] + share * sky.weights[bottom, low]
+        at_right = (1.0 - share) * sky.weights[top, right] + share * sky.weights[bottom, right]
+        rest = target - ((1.0 - share) * sky.along[top, low] + share * sky.along[bottom, low])
+        u = (low + 0.5 + _invert_linear(at_left, at_right, rest)) / width
         phi, theta = 2.0 * math.pi * (u - 0.5), math.pi * v
         sine = math.sin(theta)
         x, y, z = math.cos(phi) * sine, math.sin(phi) * sine, math.cos(theta)
@@ -73,9 +73,9 @@ def draw_directions(sky: Any, numbers: Any, directions: Any) -> None:
 
 @compiled(nogil=True, error_model="numpy")
 def look_up(sky: Any, directions: Any, radiance: Any, density: Any) -> None:
-    """Add the radiance [N,3] from directions [N,3]; set the density per solid angle [N] with which they are drawn."""
+    """Add the radiance [N,3] of directions [N,3], and set their density per solid angle [N]."""
     height, width = sky.weights.shape
-    per_place = height * width / sky.down[height + 1] if sky.down[height + 1] > 0.0 else 0.0
+    per_uv = height * width / sky.down[height + 1] if sky.down[height + 1] > 0.0 else 0.0
     for n in range(len(directions)):
         x = y = z = 0.0
         for k in range(3):
@@ -102,36 +102,36 @@ def look_up(sky: Any, directions: Any, radiance: Any, density: Any) -> None:
             + corners[2] * sky.weights[bottom, left]
             + corners[3] * sky.weights[bottom, right]
         )
-        # At the very pole the density has no bound; what is drawn there is rounded off it.
-        density[n] = weight * per_place / (2.0 * math.pi**2 * max(sine, 1e-300))
+        # The density has no bound at the pole; rounding keeps drawn directions off it.
+        density[n] = weight * per_uv / (2.0 * math.pi**2 * max(sine, 1e-300))
 
 
 @compiled(nogil=True, error_model="numpy")
 def _draw_row(sky: Any, number: Any, height: Any) -> Any:
-    """v, the rows of centres above and below it, and the share of the lower one."""
-    wanted = number * sky.down[height + 1]
+    """v, the rows whose centres are above and below it, and the interpolation weight of the lower row."""
+    target = number * sky.down[height + 1]
     low, high = 0, height + 1
     while high - low > 1:
         middle = (low + high) // 2
-        if sky.down[middle] <= wanted:
+        if sky.down[middle] <= target:
             low = middle
         else:
             high = middle
     width = sky.weights.shape[1]
     top, bottom = max(low - 1, 0), min(low, height - 1)
-    rest = wanted - sky.down[low]
+    rest = target - sky.down[low]
     if low in (0, height):
-        # Half a row high, and level.
-        whole = sky.along[top, width] if low == height else sky.along[bottom, width]
-        share = min(max(rest / whole, 0.0), 0.5) if whole > 0.0 else 0.0
+        # Half a row with a constant density.
+        total = sky.along[top, width] if low == height else sky.along[bottom, width]
+        share = min(max(rest / total, 0.0), 0.5) if total > 0.0 else 0.0
         edge = bottom if low == 0 else top
         return (share if low == 0 else height - 0.5 + share) / height, edge, edge, 0.0
-    share = _within(sky.along[top, width], sky.along[bottom, width], rest)
+    share = _invert_linear(sky.along[top, width], sky.along[bottom, width], rest)
     return (top + 0.5 + share) / height, top, bottom, share
 
 
 @compiled(nogil=True, error_model="numpy")
-def _within(here: Any, there: Any, area: Any) -> Any:
-    """Where in [0, 1] the area under the line from `here` to `there` reaches `area`."""
-    root = math.sqrt(max(here * here + 2.0 * (there - here) * area, 0.0))
-    return min(2.0 * area / (here + root), 1.0) if here + root > 0.0 and area > 0.0 else 0.0
+def _invert_linear(first: Any, last: Any, area: Any) -> Any:
+    """The x in [0, 1] at which the area under the line from `first` (at 0) to `last` (at 1) reaches `area`."""
+    root = math.sqrt(max(first * first + 2.0 * (last - first) * area, 0.0))
+    return min(2.0 * area / (first + root), 1.0) if first + root > 0.0 and area > 0.0 else 0.0

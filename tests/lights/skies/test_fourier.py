@@ -1,4 +1,4 @@
-"""Sums over rows of pictures: those of plain sums and sparse matrices, in any blocks, threads and memory layouts."""
+"""Row coefficients and downsampled copies equal plain sums and sparse matrices, for any blocks, threads and layouts."""
 
 import subprocess
 import sys
@@ -11,7 +11,9 @@ from scipy.sparse import csr_array
 from formats.errors import ImageError
 from formats.image import write_image
 from formats.image.rows import ImageRows, rows_of
-from prt_bake.lights import downsampled, environment, sky_fourier
+from prt_bake.lights import environment
+from prt_bake.lights.skies import downsampled, fourier
+from prt_bake.mathematics import sh
 
 KINDS = ["float16", "float32", "float64"]
 
@@ -21,9 +23,9 @@ def painted(height: int, width: int, kind: str = "float64", seed: int = 1) -> np
 
 
 def layouts(image: np.ndarray) -> dict[str, np.ndarray]:
-    """The same pixels, in the orders in which files and pictures have them."""
+    """The same pixels in the memory layouts of files and pictures."""
     height, width, _ = image.shape
-    store = np.zeros((height, 5 + 3 * width), image.dtype)  # blue, green and red after one another, as files do
+    store = np.zeros((height, 5 + 3 * width), image.dtype)  # blue, green and red rows, as in files
     backward = store[:, 3 : 3 + 3 * width].reshape(height, 3, width)[:, ::-1].swapaxes(1, 2)
     backward[:] = image
     return {
@@ -43,7 +45,7 @@ def uneven(image: np.ndarray) -> ImageRows:
 
 
 def shrunk_by_matrices(image: np.ndarray, height: int) -> np.ndarray:
-    """A copy as `downsampled` says, by sparse matrices of shares; slow, and all of it at once."""
+    """The downsampled copy by sparse matrices of overlaps: slow, with the picture in memory."""
     width = max(1, round(image.shape[1] * height / image.shape[0]))
     down, across = (
         shares_of(fine, coarse, measure)
@@ -68,18 +70,18 @@ def shares_of(fine: int, coarse: int, measure: object) -> csr_array:
     ("rows", "width", "degree"), [(1, 1, 0), (5, 7, 2), (1, 16, 0), (40, 4099, 1), (6, 1030, 20), (80, 2080, 20)]
 )
 def test_waves_are_sums_over_columns(kind: str, rows: int, width: int, degree: int) -> None:
-    """Over one strip of columns and several, the last of them short."""
-    image, azimuth = painted(rows, width, kind), sky_fourier.azimuth_integrals(width, degree)
+    """For one strip of columns and for several, the last of them short."""
+    image, azimuth = painted(rows, width, kind), fourier.azimuth_integrals(width, degree)
     expected = np.einsum("rwc,mw->rcm", image.astype(np.float64), azimuth)
     scale = 1e-15 * np.abs(image.astype(np.float64)).sum() * np.abs(azimuth).max()
     for name, block in layouts(image).items():
-        found = sky_fourier.of_picture(ImageRows(name, rows, width, lambda block=block: iter([block])), degree)
+        found = fourier.row_waves(ImageRows(name, rows, width, lambda block=block: iter([block])), degree)
         np.testing.assert_allclose(found, expected, rtol=0, atol=scale, err_msg=name)
 
 
-def test_whole_numbers_are_taken_as_they_are() -> None:
-    whole = np.random.default_rng(2).integers(0, 60000, (6, 8, 3)).astype(np.uint16)
-    np.testing.assert_array_equal(environment.project(whole), environment.project(whole.astype(np.float64)))
+def test_integers_are_not_rescaled() -> None:
+    integers = np.random.default_rng(2).integers(0, 60000, (6, 8, 3)).astype(np.uint16)
+    np.testing.assert_array_equal(environment.project(integers), environment.project(integers.astype(np.float64)))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -88,8 +90,8 @@ def test_threads_change_no_bit_and_blocks_only_rounding(monkeypatch: pytest.Monk
     image = painted(90, width, kind)
 
     def sums(threads: int, rows: ImageRows) -> list[np.ndarray]:
-        monkeypatch.setattr(sky_fourier, "THREADS", threads)
-        copies = [downsampled.shrink(rows, height, 3, "z") for height in (1, 7, 60)]
+        monkeypatch.setattr(fourier, "THREADS", threads)
+        copies = [downsampled.shrink(rows, height, 3) for height in (1, 7, 60)]
         return [environment.project(rows, 3), *(part for copy in copies for part in copy)]
 
     expected = sums(1, rows_of(image, rows=90))
@@ -108,31 +110,32 @@ def test_threads_change_no_bit_and_blocks_only_rounding(monkeypatch: pytest.Monk
         ((9, 1072), 1), ((50, 16), 1), ((12, 32), 12),
     ],
 )  # fmt: skip
-def test_copies_are_those_of_sparse_matrices(shape: tuple[int, int], height: int) -> None:
+def test_copies_equal_those_by_sparse_matrices(shape: tuple[int, int], height: int) -> None:
     image = painted(*shape, "float32")
     expected = shrunk_by_matrices(image, height)
     for rows in (rows_of(image, rows=5), rows_of(image)):
-        copy, residual = downsampled.shrink(rows, height, 4, "y")
+        copy, residual = downsampled.shrink(rows, height, 4)
         np.testing.assert_allclose(copy, expected, rtol=1e-7)
         whole = environment.project(image, 4)
         lost = whole - environment.project(copy, 4)
-        np.testing.assert_allclose(residual, lost, rtol=0, atol=1e-13 * np.abs(whole).max())
+        to_object = sh.rotation(environment.from_polar("y"), 4)
+        np.testing.assert_allclose(to_object @ residual, lost, rtol=0, atol=1e-13 * np.abs(whole).max())
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_refused_with_its_place(kind: str, value: float) -> None:
-    """One channel is enough, and two infinities that cancel."""
+def test_pixels_that_are_not_finite_are_refused_with_their_position(kind: str, value: float) -> None:
+    """One channel is enough, and so are two infinities that cancel."""
     image = painted(40, 16, kind)
     image[33, 5, 1] = value
     image[35, 1, 2], image[35, 5, 2] = value, -value
     with pytest.raises(ImageError, match=r"found 3 of 640 pixels .* row 33, column 5"):
         environment.project(rows_of(image, rows=8))
     with pytest.raises(ImageError, match=r"found 3 of 640 pixels .* row 33, column 5"):
-        downsampled.shrink(rows_of(image, rows=8), 11, 2, "y")
+        downsampled.shrink(rows_of(image, rows=8), 11, 2)
 
 
-def test_skies_do_not_wait_for_numba(tmp_path: Path) -> None:
+def test_projecting_a_sky_does_not_import_numba(tmp_path: Path) -> None:
     write_image(tmp_path / "sky.exr", painted(8, 16))
     program = (
         "import sys\nfrom prt_bake.cli.main import main\n"

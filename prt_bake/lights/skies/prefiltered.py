@@ -1,8 +1,8 @@
-"""A sky averaged over solid angles of any size, for lobes to be looked up in without noise.
+"""A prefiltered sky: averages over solid angles of any size, which lobes look up without noise.
 
-It lies on the equal-area octahedron (Clarberg 2008, "Fast equal-area mapping of the (hemi)sphere using SIMD"): every
-texel of a level stands for the same solid angle, none is near a pole, and four of them make one of the next level
-exactly. The octahedron is that of the sky's own frame, so that turning the sky turns what is looked up, no more.
+The levels are maps on the equal-area octahedron (Clarberg 2008, "Fast equal-area mapping of the (hemi)sphere using
+SIMD"). All texels of a level have the same solid angle, and four texels are exactly one of the next level. The
+octahedron is in the polar frame of the sky, so that a turned sky has the same texels.
 """
 
 import math
@@ -13,83 +13,84 @@ from numpy.typing import NDArray
 
 from prt_bake.jit.compilation import compiled
 from prt_bake.jit.threads import in_threads
-from prt_bake.lights import environment
-from prt_bake.lights.lighting import Sky
 
 Array = NDArray[np.float64]
 
 _LARGEST = 1024
 _DIRECTIONS_A_SLICE = 4096
 _ALONG = 4
-"""Places along each side of a texel that the picture is looked up at: even a sun of one pixel keeps its energy."""
+"""Look-ups along each side of a texel: even a sun of one pixel keeps its energy."""
 
 
 class PrefilteredSky(NamedTuple):
-    """levels: float32 [n_k,n_k,3], each half as wide as the one before, the last of one texel. turn [3,3]: from object
-    space to the frame of the octahedron.
+    """A pyramid of averages.
+
+    levels: float32 [n_k,n_k,3], each half as wide as the one before; the last has one texel. to_polar [3,3]: object
+    space to the polar frame.
     """
 
     levels: tuple[NDArray[np.float32], ...]
-    turn: Array
+    to_polar: Array
 
 
-def prefilter(sky: Sky, finest: float = 0.0) -> PrefilteredSky:
-    """Average `sky` over texels of at most `finest` steradians, if it has such detail, and over all coarser ones.
+def prefilter(image: NDArray[np.float32], to_object: Array, finest: float = 0.0) -> PrefilteredSky:
+    """Average a lat-long picture [H,W,3] over texels of at most `finest` steradians, and over all coarser ones.
 
-    They are never finer than 1024 along a side.
+    The finest level has no more detail than the picture, and at most 1024 texels along a side. to_object [3,3]: polar
+    frame to object space.
     """
-    image = np.ascontiguousarray(sky.image, np.float32)
-    # Twice as fine as the picture, whose tents they are to resolve; and fine enough not to step over its columns.
+    image = np.ascontiguousarray(image, np.float32)
+    # Twice as fine as the picture, to resolve its bilinear tents, and fine enough not to skip its columns.
     detail = 2.0 * math.sqrt(2.0 / math.pi * image.shape[0] * image.shape[1])
     wanted = min(detail, math.sqrt(4.0 * math.pi / finest)) if finest > 0.0 else detail
-    size = min(_LARGEST, 1 << math.ceil(math.log2(max(wanted, _places(image.shape[1]), 1.0))))
+    size = min(_LARGEST, 1 << math.ceil(math.log2(max(wanted, _lookup_size(image.shape[1]), 1.0))))
     texels = np.zeros((size, size, 3), np.float32)
     in_threads(_average, size, _reduced(image, size), texels)
     levels = [texels]
     while len(levels[-1]) > 1:
         last = levels[-1]
         levels.append(0.25 * (last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2]))
-    return PrefilteredSky(tuple(levels), (sky.turn @ environment.FROM_POLAR[sky.up]).T)
+    return PrefilteredSky(tuple(levels), to_object.T)
 
 
 def radiance(sky: PrefilteredSky, directions: Array, solid_angles: Array) -> Array:
-    """Mean radiance [N,3] over about `solid_angles` [N], steradians, around unit `directions` [N,3]."""
+    """Mean radiance [N,3] over about `solid_angles` [N] (steradians) around unit `directions` [N,3]."""
     total = np.zeros(directions.shape)
     level = np.array([len(part) for part in sky.levels])
     starts = np.concatenate([[0], np.cumsum(level * level)])
     texels = np.concatenate([part.reshape(-1, 3) for part in sky.levels])
-    local = np.ascontiguousarray(directions @ sky.turn.T)
+    local = np.ascontiguousarray(directions @ sky.to_polar.T)
     angles = np.ascontiguousarray(solid_angles, np.float64)
     in_threads(_look_up, len(local), texels, level, starts, local, angles, total, least=_DIRECTIONS_A_SLICE)
     return total
 
 
 def _reduced(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """The picture, or means of blocks of it where it is finer than the places that a level of `size` looks up."""
+    """The picture, or means over blocks of its pixels if it is finer than the look-ups of a level of `size`."""
     height, width = image.shape[:2]
-    wanted = math.ceil(_places(width) / size)
+    wanted = math.ceil(_lookup_size(width) / size)
     step = next((side for side in range(wanted, 4 * wanted) if height % side == 0 and width % side == 0), 1)
     if step == 1:
         return image
     return np.ascontiguousarray(image.reshape(height // step, step, width // step, step, 3).mean(axis=(1, 3)))
 
 
-def _places(width: int) -> float:
-    """Texels along a side whose places are as far apart as the columns of a picture are on the horizon."""
+def _lookup_size(width: int) -> float:
+    """The texels along a side whose look-ups are as far apart as the columns of a picture are on the horizon."""
     return width / (2.0 * math.pi) * math.sqrt(4.0 * math.pi) / _ALONG
 
 
 @compiled(nogil=True, error_model="numpy")
-def _average(begun: Any, ended: Any, image: Any, texels: Any) -> None:
-    """Set texels [n,n,3] to the means of the picture over them."""
+def _average(first: Any, stop: Any, image: Any, texels: Any) -> None:
+    """Set the rows `first` to `stop` of texels [n,n,3] to the means of the picture over them."""
     size = texels.shape[0]
     height, width = image.shape[0], image.shape[1]
-    for row in range(begun, ended):
+    for row in range(first, stop):
         for column in range(size):
-            for place in range(_ALONG * _ALONG):
-                u = (column + (place % _ALONG + 0.5) / _ALONG) / size
-                v = (row + (place // _ALONG + 0.5) / _ALONG) / size
-                x, y, z = _direction(u, v)
+            for sample in range(_ALONG * _ALONG):
+                u = (column + (sample % _ALONG + 0.5) / _ALONG) / size
+                v = (row + (sample // _ALONG + 0.5) / _ALONG) / size
+                x, y, z = _to_direction(u, v)
                 down = min(max(math.atan2(math.hypot(x, y), z) / math.pi * height - 0.5, 0.0), height - 1.0)
                 across = (math.atan2(y, x) / (2.0 * math.pi) + 0.5) * width - 0.5
                 top, left = math.floor(down), math.floor(across)
@@ -104,12 +105,12 @@ def _average(begun: Any, ended: Any, image: Any, texels: Any) -> None:
 
 @compiled(nogil=True, error_model="numpy")
 def _look_up(
-    begun: Any, ended: Any, texels: Any, sizes: Any, starts: Any, directions: Any, solid_angles: Any, total: Any
+    first: Any, stop: Any, texels: Any, sizes: Any, starts: Any, directions: Any, solid_angles: Any, total: Any
 ) -> None:
     last = len(sizes) - 1
     finest = 4.0 * math.pi / (sizes[0] * sizes[0])
-    for n in range(begun, ended):
-        u, v = _place(directions[n, 0], directions[n, 1], directions[n, 2])
+    for n in range(first, stop):
+        u, v = _to_square(directions[n, 0], directions[n, 1], directions[n, 2])
         level = min(max(0.5 * math.log2(max(solid_angles[n] / finest, 1.0)), 0.0), float(last))
         fine = min(int(level), last)
         coarse, share = min(fine + 1, last), level - fine
@@ -134,7 +135,7 @@ def _add_bilinear(texels: Any, start: Any, size: Any, u: Any, v: Any, weight: An
 
 @compiled(error_model="numpy")
 def _wrapped(column: Any, row: Any, size: Any) -> Any:
-    """The texel beyond an edge of the octahedron: that edge is folded on itself about its middle."""
+    """The texel beyond an edge of the map: each edge is folded on itself about its middle."""
     if column < 0 or column >= size:
         column = min(max(column, 0), size - 1)
         row = size - 1 - row
@@ -145,8 +146,8 @@ def _wrapped(column: Any, row: Any, size: Any) -> Any:
 
 
 @compiled(error_model="numpy")
-def _place(x: Any, y: Any, z: Any) -> Any:
-    """(u, v) in [0, 1]² of a unit direction."""
+def _to_square(x: Any, y: Any, z: Any) -> Any:
+    """The (u, v) in [0, 1]² of a unit direction."""
     r = math.sqrt(max(0.0, (x * x + y * y) / (1.0 + abs(z))))
     turn = math.atan2(abs(y), abs(x)) * 2.0 / math.pi
     v = turn * r
@@ -157,7 +158,7 @@ def _place(x: Any, y: Any, z: Any) -> Any:
 
 
 @compiled(error_model="numpy")
-def _direction(u: Any, v: Any) -> Any:
+def _to_direction(u: Any, v: Any) -> Any:
     """The unit direction at (u, v) in [0, 1]²."""
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
     p, q = abs(a), abs(b)

@@ -1,7 +1,7 @@
-"""Fourier coefficients of the rows of a lat-long picture, and the harmonics that they make up, exact over each pixel.
+"""Spherical harmonics of a lat-long picture by the Fourier coefficients of its rows, exact over each pixel.
 
-A row's coefficients, the integrals over φ of its radiance times sin |m|φ (m < 0), 1 and cos mφ, are what an integral
-over the sphere needs of its pixels: [H, 3, 2·degree + 1], m from −degree to degree, polar frame.
+The coefficients of a row are the integrals over φ of its radiance times sin |m|φ (m < 0), 1 and cos mφ: an array
+[H, 3, 2·degree + 1], m from −degree to degree, in the polar frame.
 """
 
 import math
@@ -16,40 +16,40 @@ from numpy.typing import NDArray
 
 from bakers.in_order import in_order
 from formats.image.rows import Block, ImageRows
-from prt_bake.lights import sky_pixels
+from prt_bake.lights.skies import pixels
 from prt_bake.mathematics import sh
 
 Array = NDArray[np.float64]
 Part = tuple[int, Array]
-"""The number of a first row, and the coefficients of rows from there on."""
+"""The number of a row, and the coefficients of the rows from it on."""
 
 THREADS = min(4, os.cpu_count() or 1)
-"""At most: each keeps a block of rows in memory, and one thread reads."""
+"""Each thread keeps a block of rows in memory, and one thread reads."""
 _COLUMNS = 4096
-"""Of a strip: it stays in the cache, and BLAS starts no threads for sums as short."""
+"""Columns of a strip. A strip stays in the cache, and BLAS starts no threads for such short sums."""
 _PROFILES = 1 << 15
-"""Values of Legendre profiles that are held at a time."""
+"""Values of Legendre profiles in memory at a time."""
 
 
-def of_picture(rows: ImageRows, degree: int) -> Array:
+def row_waves(rows: ImageRows, degree: int) -> Array:
     """The coefficients of every row; `rows` are read once, block by block.
 
-    Raises ImageError if a pixel is not finite (their count and the first one's place).
+    Raises ImageError if a pixel is not finite, with the number of such pixels and the first one.
     """
     azimuth = azimuth_integrals(rows.width, degree)
 
-    def sum_up(numbered: tuple[int, Block]) -> Part:
+    def sum_block(numbered: tuple[int, Block]) -> Part:
         first, block = numbered
         waves = np.zeros((len(block), 3, len(azimuth)))
         for channel, columns, strip in strips(block):
             add_waves(waves[:, channel], strip, azimuth[:, columns])
         return first, waves
 
-    return gathered(rows, in_order(sum_up, rows.blocks(), THREADS))
+    return gather(rows, in_order(sum_block, rows.blocks(), THREADS))
 
 
 def strips(block: Block) -> Iterator[tuple[int, slice, Array]]:
-    """A block [R,W,3] in parts: a channel, columns, and their pixels as float64 [R,w]."""
+    """Split a block [R,W,3] into strips: a channel, columns, and their pixels as float64 [R,w]."""
     for begin in range(0, block.shape[1], _COLUMNS):
         columns = slice(begin, begin + _COLUMNS)
         for channel in range(3):
@@ -57,19 +57,19 @@ def strips(block: Block) -> Iterator[tuple[int, slice, Array]]:
 
 
 def add_waves(waves: Array, strip: Array, azimuth: Array) -> None:
-    """Add the coefficients of a strip [R,w] of one channel, by its `azimuth_integrals` [M,w], to `waves` [R,M]."""
-    with np.errstate(invalid="ignore"):  # `gathered` refuses rows with infinities
+    """Add the coefficients of a strip [R,w] of one channel to `waves` [R,M], by its `azimuth_integrals` [M,w]."""
+    with np.errstate(invalid="ignore"):  # `gather` refuses rows with infinities
         waves += np.vecdot(strip[:, None], azimuth)
 
 
-def gathered(rows: ImageRows, parts: Generator[Part, None, None]) -> Array:
-    """The coefficients of all rows of a picture from those of its parts, in order; raises as `of_picture`."""
+def gather(rows: ImageRows, parts: Generator[Part, None, None]) -> Array:
+    """The coefficients of all rows of a picture from its parts in order. Raises as `row_waves`."""
     waves = np.empty((0, 0, 0))
     with closing(parts):
         for first, part in parts:
-            # That of m = 0 is a sum with positive weights: it is finite only where every pixel is.
+            # The coefficient of m = 0 is a sum with positive weights: it is finite only if every pixel is.
             if not np.isfinite(part[..., part.shape[2] // 2]).all():
-                raise sky_pixels.refusal(rows, negative=True)
+                raise pixels.bad_pixels_error(rows, negative=True)
             if first == 0:
                 waves = np.empty((rows.height, *part.shape[1:]))
             waves[first : first + len(part)] = part
@@ -77,7 +77,7 @@ def gathered(rows: ImageRows, parts: Generator[Part, None, None]) -> Array:
 
 
 def harmonics(waves: Array) -> Array:
-    """∫ L Y_lm dω [K, 3], K = (degree + 1)², of the picture whose rows have these coefficients, polar frame."""
+    """∫ L Y_lm dω [K, 3], K = (degree + 1)², in the polar frame, of the picture whose rows have these coefficients."""
     degree = waves.shape[2] // 2
     m = np.concatenate([np.arange(-l, l + 1) for l in range(degree + 1)])
     polar = np.zeros((sh.count(degree), 3))
@@ -102,7 +102,7 @@ def azimuth_integrals(width: int, degree: int) -> Array:
 
 
 def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> Array:
-    """∫ (√2) P̂_l^|m|(cosθ) sinθ dθ over each of the `rows` of `height` in all: [rows, K], index l(l+1)+m."""
+    """∫ (√2) P̂_l^|m|(cosθ) sinθ dθ over each of `rows` of a picture `height` rows high: [rows, K], index l(l+1)+m."""
     nodes, weights = _nodes(_node_count(height, degree))
     theta = (math.pi / height) * (rows[:, None] + 0.5 + 0.5 * nodes)
     sin_theta = np.sin(theta)
@@ -115,7 +115,7 @@ def _zenith_integrals(rows: NDArray[np.int64], height: int, degree: int) -> Arra
 
 @cache
 def _nodes(number: int) -> tuple[Array, Array]:
-    """Gauss–Legendre nodes and weights, which take longer to find than to use."""
+    """Gauss–Legendre nodes and weights; computing them takes longer than using them."""
     nodes, weights = np.polynomial.legendre.leggauss(number)
     return nodes, weights
 

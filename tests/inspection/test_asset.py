@@ -1,4 +1,4 @@
-"""`prtbake check` names what makes an asset, whose file is as it should be, mean or show something else."""
+"""`prtbake check` finds faults of assets whose file is readable."""
 
 import dataclasses
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from formats.asset import write_asset
-from prt_bake.inspection.assets import selftest_error, soundness_faults
+from prt_bake.inspection.asset import selftest_error, soundness_faults
 from prt_bake.mathematics import sphere
 from tests.cli.command_line import Run
 from tests.shading.test_picture import make_asset
@@ -27,24 +27,24 @@ def baked(folder: Path, prtbake: Run, tmp_path: Path) -> Path:
     ("change", "sentence"),
     [
         (lambda file: _times(file["basis/check_values"], -1.0), "of another basis or damaged"),
-        (lambda file: _times(file["transfer/coefficients"], 1.01), "/selftest: its radiance is off"),
-        (lambda file: _times(file["selftest/radiance"], 0.99), "/selftest: its radiance is off"),
+        (lambda file: _times(file["transfer/coefficients"], 1.01), "/selftest: its radiance differs"),
+        (lambda file: _times(file["selftest/radiance"], 0.99), "/selftest: its radiance differs"),
         (lambda file: file["transfer/valid"].write_direct(np.zeros_like(file["transfer/valid"][...])), "no vertex"),
     ],
 )
-def test_what_an_asset_says_of_itself_is_looked_at(prtbake: Run, baked: Path, change, sentence: str) -> None:
+def test_inconsistent_contents_are_faults(prtbake: Run, baked: Path, change, sentence: str) -> None:
     with h5py.File(baked, "r+") as file:
         change(file)
     outcome = prtbake("check", baked)
     assert outcome.code == 1
-    told = outcome.out + outcome.err
-    assert sentence in told
-    assert str(baked) in told
+    printed = outcome.out + outcome.err
+    assert sentence in printed
+    assert str(baked) in printed
 
 
 @pytest.mark.parametrize("part", ["mesh", "positions", "faces", "origin"])
-def test_a_mesh_that_was_changed_inside_an_asset_is_a_fault(prtbake: Run, baked: Path, part: str) -> None:
-    """Of vertices that the self-test does not look at."""
+def test_a_changed_mesh_is_a_fault(prtbake: Run, baked: Path, part: str) -> None:
+    """The changed vertices are not among those of the self-test."""
     with h5py.File(baked, "r+") as file:
         mesh = file["mesh"]
         first, second = np.setdiff1d(np.arange(len(mesh["positions"])), file["selftest/vertex"][...])[:2]
@@ -61,13 +61,13 @@ def test_a_mesh_that_was_changed_inside_an_asset_is_a_fault(prtbake: Run, baked:
     assert "/mesh: is not the one that was baked, or its vertices are in another order" in outcome.out
 
 
-def test_an_asset_that_keeps_no_digest_of_its_mesh_is_sound(prtbake: Run, baked: Path) -> None:
+def test_an_asset_without_a_mesh_digest_is_sound(prtbake: Run, baked: Path) -> None:
     with h5py.File(baked, "r+") as file:
         del file["mesh"].attrs["sha256"]
     assert prtbake("check", baked).code == 0
 
 
-def test_an_asset_without_a_selftest_is_sound_and_one_that_reproduces_it_too() -> None:
+def test_only_a_failed_selftest_is_a_fault() -> None:
     asset = make_asset(ball(2))
     assert list(soundness_faults(asset)) == []
     local = sphere.uniform(5, 3)
@@ -84,7 +84,7 @@ def _times(dataset: h5py.Dataset, factor: float) -> None:
     dataset[...] = dataset[...] * factor
 
 
-def test_an_asset_is_written_with_a_selftest_that_it_reproduces(baked: Path, tmp_path: Path) -> None:
+def test_a_baked_asset_reproduces_its_selftest(baked: Path, tmp_path: Path) -> None:
     from formats.asset import read_asset
 
     asset = read_asset(baked)

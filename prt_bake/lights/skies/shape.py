@@ -1,4 +1,4 @@
-"""Whether a picture can be a lat-long sky: cube maps are refused, other shapes than 2:1 told."""
+"""Whether a picture can be a lat-long sky: cube maps are refused, shapes other than 2:1 are reported."""
 
 from collections.abc import Callable
 
@@ -10,19 +10,19 @@ from formats.image.rows import ImageRows
 
 _ASPECT = 2.0
 _TOLERANCE = 0.01
-_SMALLEST_FACE = 4
-"""Pixels: below it a picture may have the shape of a cube map by chance."""
+_MIN_FACE = 4
+"""Pixels: a smaller picture may have the shape of a cube map by chance."""
 
-# The faces of a cube unfolded: one column or one row of four, and arms on both sides of one of them.
+# Rows and columns of faces: horizontal and vertical crosses, and strips.
 _CROSSES = ((3, 4), (4, 3))
 _STRIPS = ((1, 6), (6, 1))
 
 
 def refuse_cube_maps(rows: ImageRows) -> None:
-    """Raise ImageError if the picture is the faces of a cube: the file says so, it is a strip of six squares, or a
-    cross of squares with nothing around it.
+    """Raise ImageError if the header says that the picture is a cube map, or if its layout is that of one.
 
-    A picture of the shape of a cross is read through once.
+    The layouts are a strip of six squares, and a cross of squares on an empty background. A picture of the shape of a
+    cross is read completely.
     """
     layout = "its header says so" if rows.cube else _layout(rows)
     if layout:
@@ -32,12 +32,12 @@ def refuse_cube_maps(rows: ImageRows) -> None:
         )
 
 
-def tell_stretching(rows: ImageRows, say: Callable[[str], None]) -> None:
-    """Tell `say` of a picture that is not twice as wide as high; one pixel has no shape."""
+def report_stretching(rows: ImageRows, say: Callable[[str], None]) -> None:
+    """Call `say` if a picture of more than one pixel is not twice as wide as high."""
     aspect = rows.width / rows.height
     if rows.height * rows.width > 1 and abs(aspect / _ASPECT - 1.0) > _TOLERANCE:
         say(
-            f"is {rows.width}x{rows.height} pixels, where a lat-long picture is twice as wide as high; it is stretched "
+            f"is {rows.width}x{rows.height} pixels, but a lat-long picture is twice as wide as high; it is stretched "
             "over all directions"
         )
 
@@ -45,7 +45,7 @@ def tell_stretching(rows: ImageRows, say: Callable[[str], None]) -> None:
 def _layout(rows: ImageRows) -> str:
     for down, across in (*_STRIPS, *_CROSSES):
         face = rows.height // down
-        if face < _SMALLEST_FACE or (rows.height, rows.width) != (down * face, across * face):
+        if face < _MIN_FACE or (rows.height, rows.width) != (down * face, across * face):
             continue
         if (down, across) in _STRIPS:
             return f"{across}x{down} squares"
@@ -55,7 +55,7 @@ def _layout(rows: ImageRows) -> str:
 
 
 def _is_cross(rows: ImageRows, face: int) -> bool:
-    """Whether exactly six of the twelve squares hold a picture, and the others one colour."""
+    """Whether six of the twelve squares form a cross, and the others are of one colour."""
     shape = rows.height // face, rows.width // face
     low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
     for first, block in rows.blocks():
@@ -64,14 +64,14 @@ def _is_cross(rows: ImageRows, face: int) -> bool:
             low[down] = np.minimum(low[down], _per_square(part, face, np.min))
             high[down] = np.maximum(high[down], _per_square(part, face, np.max))
     plain = low == high
-    return bool(plain.sum() == 6 and np.ptp(low[plain]) == 0 and _arms(~plain))
+    return bool(plain.sum() == 6 and np.ptp(low[plain]) == 0 and _has_arms(~plain))
 
 
 def _per_square(part: NDArray[np.floating], face: int, extreme: Callable[..., NDArray[np.floating]]) -> list[float]:
     return [float(extreme(part[:, start : start + face])) for start in range(0, part.shape[1], face)]
 
 
-def _arms(filled: NDArray[np.bool_]) -> bool:
+def _has_arms(filled: NDArray[np.bool_]) -> bool:
     """Whether one line of four squares is filled, and one square on each side of it."""
     lines = filled if filled.shape == (3, 4) else filled.T
     return bool(lines[1].all() and lines[0].sum() == lines[2].sum() == 1)

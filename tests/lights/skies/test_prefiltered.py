@@ -1,13 +1,14 @@
-"""The prefiltered sky: furnace, energy, the equal areas of its texels, folds without seams, turning."""
+"""The prefiltered sky: white furnace, energy, equal areas of texels, no seams at folds, rotation."""
 
 import math
 
 import numpy as np
 import pytest
 
-from prt_bake.lights import environment, prefiltered
+from prt_bake.lights import environment
 from prt_bake.lights.lighting import Sky
-from prt_bake.lights.prefiltered import prefilter, radiance
+from prt_bake.lights.skies import prefiltered
+from prt_bake.lights.skies.prefiltered import radiance
 from tests.tracer.scenes import unit_directions
 
 DIRECTIONS = np.concatenate([unit_directions(20_000, 1), np.eye(3), -np.eye(3)])
@@ -17,8 +18,12 @@ def sky_of(image: np.ndarray, up="y", degrees=0.0) -> Sky:
     return Sky(np.asarray(image, np.float32), up, environment.rotation(degrees, up))
 
 
-def rising(height=64, up="y") -> Sky:
-    """1 + x, which averages over a cap of solid angle Ω to 1 + x (1 − Ω / 4π)."""
+def prefilter(sky: Sky) -> prefiltered.PrefilteredSky:
+    return prefiltered.prefilter(sky.image, sky.to_object)
+
+
+def linear_sky(height=64, up="y") -> Sky:
+    """1 + x, whose mean over a cap of solid angle Ω is 1 + x (1 − Ω / 4π)."""
     width = 2 * height
     u, v = (np.arange(width) + 0.5) / width, (np.arange(height) + 0.5)[:, None] / height
     return sky_of(np.repeat(1 + environment.direction_of(u[None], v, up)[..., :1], 3, axis=2), up)
@@ -32,7 +37,7 @@ def test_a_white_sky_is_white_over_any_solid_angle(shape) -> None:
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_no_energy_is_lost_not_even_of_a_sun_of_one_pixel(up) -> None:
+def test_energy_is_kept_even_of_a_sun_of_one_pixel(up) -> None:
     image = np.random.default_rng(3).random((64, 128, 3)).astype(np.float32)
     image[20, 5] = 1e5
     sky = sky_of(image, up, 40.0)
@@ -40,19 +45,19 @@ def test_no_energy_is_lost_not_even_of_a_sun_of_one_pixel(up) -> None:
     np.testing.assert_allclose(prefilter(sky).levels[-1][0, 0], whole, rtol=0.01)
 
 
-def test_texels_are_of_one_area_and_their_places_round_trip() -> None:
-    places = np.array([prefiltered._place(*direction) for direction in DIRECTIONS])
-    back = np.array([prefiltered._direction(*place) for place in places])
+def test_texels_have_equal_areas_and_the_mapping_round_trips() -> None:
+    uv = np.array([prefiltered._to_square(*direction) for direction in DIRECTIONS])
+    back = np.array([prefiltered._to_direction(*point) for point in uv])
     np.testing.assert_allclose(back, DIRECTIONS, atol=1e-14)
-    counts, _, _ = np.histogram2d(*places[:20_000].T, bins=10, range=[[0, 1], [0, 1]])
+    counts, _, _ = np.histogram2d(*uv[:20_000].T, bins=10, range=[[0, 1], [0, 1]])
     chi_square = ((counts - 200.0) ** 2 / 200.0).sum()
     assert chi_square < 99 + 5 * math.sqrt(2 * 99)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_solid_angles_are_what_is_averaged_over(up) -> None:
-    """Texels and the tents between them lie within a few of their radii."""
-    sky = prefilter(rising(up=up))
+def test_radiance_is_averaged_over_the_requested_solid_angle(up) -> None:
+    """The filter footprint stays within a few radii of the cap."""
+    sky = prefilter(linear_sky(up=up))
     for angle in (1e-2, 1e-1, 1.0):
         seen = radiance(sky, DIRECTIONS, np.full(len(DIRECTIONS), angle))[:, 0]
         off = seen - (1 + DIRECTIONS[:, 0] * (1 - angle / (4 * math.pi)))
@@ -62,11 +67,11 @@ def test_solid_angles_are_what_is_averaged_over(up) -> None:
     np.testing.assert_allclose(finest, 1 + DIRECTIONS[:, 0], atol=0.06)
 
 
-def test_there_is_no_seam_where_the_octahedron_is_folded() -> None:
-    """A step of 1e-4 changes a smooth sky by little, across every fold, the outer edges and the poles."""
+def test_the_octahedron_has_no_seams_at_its_folds() -> None:
+    """A step of 1e-4 across folds, outer edges and poles changes a smooth sky little."""
     u, v = (np.arange(128) + 0.5) / 128, (np.arange(64) + 0.5)[:, None] / 64
-    aslant = environment.direction_of(u[None], v) @ np.array([0.6, 0.5, 0.62])
-    sky = prefilter(sky_of(np.repeat(1 + aslant[..., None], 3, axis=2)))
+    slope = environment.direction_of(u[None], v) @ np.array([0.6, 0.5, 0.62])
+    sky = prefilter(sky_of(np.repeat(1 + slope[..., None], 3, axis=2)))
     generator = np.random.default_rng(5)
     on_folds = unit_directions(3000, 7)
     on_folds[np.arange(3000), generator.integers(0, 3, 3000)] = 0.0
@@ -78,7 +83,7 @@ def test_there_is_no_seam_where_the_octahedron_is_folded() -> None:
         assert abs(here - there).max() < 2e-3
 
 
-def test_turning_the_sky_turns_what_is_seen() -> None:
+def test_a_rotated_sky_gives_rotated_radiance() -> None:
     image = np.random.default_rng(4).random((16, 32, 3))
     turn = environment.rotation(77.0, "y")
     still, turned = prefilter(sky_of(image)), prefilter(sky_of(image, "y", 77.0))
@@ -88,7 +93,7 @@ def test_turning_the_sky_turns_what_is_seen() -> None:
 
 
 def test_a_picture_finer_than_the_texels_is_averaged_first() -> None:
-    """Columns of one pixel, alternately black and white, are grey at every size of level."""
+    """Alternating black and white columns of one pixel become grey."""
     stripes = np.zeros((64, 16384, 3), np.float32)
     stripes[:, ::2] = 1.0
     reduced = prefiltered._reduced(stripes, 64)

@@ -1,0 +1,28 @@
+"""Description and faults of a mesh."""
+
+from pathlib import Path
+from typing import Any
+
+from formats.mesh import check_mesh, open_edges, read_mesh, signed_volume
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Return sizes, bounds and topology; the open edges and the volume tell whether the mesh is closed."""
+    mesh = read_mesh(path, drop_flat_faces=True)
+    return {
+        "vertices": len(mesh.positions),
+        "faces": len(mesh.faces),
+        "faces without area": mesh.dropped_faces,
+        "vertices merged": 0 if mesh.source_vertex is None else len(mesh.source_vertex) - len(mesh.positions),
+        "bounds": mesh.bounds.tolist(),
+        "diagonal": mesh.diagonal,
+        "open edges": open_edges(mesh),
+        "volume": signed_volume(mesh),
+        "texture coordinates": mesh.corner_uv is not None,
+        "content hash": mesh.content_hash,
+    }
+
+
+def find_faults(path: Path) -> list[str]:
+    """Return the faults of a mesh, as `formats.mesh.check_mesh`."""
+    return check_mesh(path)

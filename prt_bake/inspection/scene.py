@@ -1,0 +1,135 @@
+"""Description, faults and remarks of a scene."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from formats.scene import read_scene
+from formats.scene.file import find_table_faults
+from formats.scene.materials import find_material
+from formats.scene.parts import Part
+from formats.scene.schema import MediumTable
+
+
+def describe(path: Path) -> dict[str, Any]:
+    """Return the quantities of the object, then those of the parts inside it under their names."""
+    scene = read_scene(path)
+    tables = [scene.tables.medium, *(table.medium for table in scene.tables.inside)]
+    outermost, *inner = [
+        {**_describe_part(part), **_describe_materials(part, table)}
+        for part, table in zip(scene.parts, tables, strict=True)
+    ]
+    inside = {
+        f"{part.name}: {name}": value
+        for part, description in zip(scene.parts[1:], inner, strict=True)
+        for name, value in {"in": scene.parts[part.parent].name, **description}.items()
+    }
+    return {
+        **outermost,
+        "up": scene.up,
+        "unit": scene.unit,
+        "parts": len(scene.parts),
+        **inside,
+        "content hash": scene.content_hash,
+    }
+
+
+def find_faults(path: Path) -> list[str]:
+    """Return the faults of the tables; if there are none, raise the error of reading the meshes and grids, if any."""
+    faults = find_table_faults(path)
+    if not faults:
+        read_scene(path)
+    return faults
+
+
+def find_remarks(path: str | Path) -> list[str]:
+    """Return remarks on a sound scene as sentences.
+
+    They name parts that stick out of their parents, grids beside their parts, the energy that rough boundaries lose to
+    single scattering, and scenes that networks learn badly.
+    """
+    from prt_bake.geometry.nesting import protruding_parts
+    from prt_bake.trainer.scene_remarks import training_warning
+
+    scene = read_scene(path)
+    parts, warning = scene.parts, training_warning(scene)
+    remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts)]
+    return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
+
+
+def _describe_part(part: Part) -> dict[str, Any]:
+    description: dict[str, Any] = {
+        "mesh": str(part.mesh_path),
+        "vertices": len(part.mesh.positions),
+        "faces": len(part.mesh.faces),
+        "diagonal": part.mesh.diagonal,
+    }
+    if part.diffuse is not None:
+        return {**description, "reflectance": _constant_or_array(part.diffuse, "texture")}
+    assert part.medium is not None
+    return {
+        **description,
+        "eta": part.eta,
+        "roughness": _constant_or_array(part.roughness, "texture"),
+        "normals": part.normals,
+        "energy compensation": part.energy_compensation,
+        "sigma_t": _constant_or_array(part.medium.sigma_t, "grid"),
+        "albedo": _constant_or_array(part.medium.albedo, "grid"),
+        "phase_g": part.medium.phase_g,
+    }
+
+
+def _describe_materials(part: Part, table: MediumTable | None) -> dict[str, str]:
+    names = {
+        "material": table and table.material,
+        "mixed with": table and table.mix and table.mix.material,
+    }
+    description = {}
+    for key, name in names.items():
+        if name:
+            material = find_material(name)
+            description[key] = f"{material.name}, measured with eta {material.eta:g}; the scene uses eta {part.eta:g}"
+    return description
+
+
+def _constant_or_array(quantity: Any, kind: str) -> Any:
+    values = np.asarray(quantity)
+    if values.ndim < 2:
+        return values.tolist()
+    return f"{kind} {list(values.shape)}, {values.min():g} to {values.max():g}"
+
+
+def _misplaced_grids(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence per part that its grids do not overlap. The usual cause is a wrong unit of length."""
+    sentences = []
+    for part in parts:
+        box = None if part.medium is None else part.medium.bounds
+        if box is None:
+            continue
+        low, high = np.maximum(box[0], part.mesh.bounds[0]), np.minimum(box[1], part.mesh.bounds[1])
+        if (low >= high).any():
+            sentences.append(
+                f"{part.name!r}: the grids' box {box.tolist()} does not overlap the part's box "
+                f"{part.mesh.bounds.tolist()}: the part is filled with the grids' border values"
+            )
+    return sentences
+
+
+def _energy_losses(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence per rough boundary between two indices: the energy that single scattering loses."""
+    sentences = []
+    for part in parts:
+        outside = 1.0 if part.parent < 0 else parts[part.parent].eta
+        alpha, eta = float(np.mean(part.roughness)), part.eta / outside
+        if part.diffuse is not None or alpha == 0.0 or eta == 1.0:
+            continue
+        from prt_bake.tracer.surface.losses import furnace_loss
+
+        model = f"{part.name!r}: at roughness {alpha:.3g} and relative eta {eta:.4g} single scattering"
+        loss = f"{furnace_loss(alpha, eta):.1%} of a white furnace"
+        if part.energy_compensation:
+            sentences.append(f"{model} would lose {loss}; energy_compensation restores it")
+        else:
+            sentences.append(f"{model} loses {loss}; energy_compensation = true restores it")
+    return sentences
