@@ -226,7 +226,7 @@ def test_a_view_that_is_held_is_drawn_under_any_light_and_for_no_other_question(
         frames.draw(-EYE)
         expected = again.draw(EYE, some, cull=True)
         np.testing.assert_allclose(frames.draw(EYE, some, cull=True), expected, rtol=0, atol=3e-6)
-        assert frames.clamped == pytest.approx(again.clamped, rel=1e-5)
+        assert frames.clamped == pytest.approx(again.clamped, rel=1e-5, abs=1e-8)
         np.testing.assert_array_equal(frames.draw(EYE, cull=True) != 0.0, again.draw(EYE, cull=True) != 0.0)
     nothing = np.zeros(6300, np.bool_)
     frames.draw(EYE, nothing)
