@@ -58,7 +58,15 @@ def write_animation(
     if not low <= seconds_a_frame <= high:
         raise ImageError(f"{path}: seconds a frame: expected {low:g} to {high:g}, found {seconds_a_frame:g}")
     milliseconds = round(1000.0 * seconds_a_frame)
-    encoded = _CountedFrames(_encode(path, frames, exposure, suffix))
+    count = 0
+
+    def counted() -> Iterator[NDArray[np.uint8]]:
+        nonlocal count
+        for frame in _encode(path, frames, exposure, suffix):
+            count += 1
+            yield frame
+
+    encoded = counted()
     with replacing(path) as part, open(part, "r+b") as file:
         first = next(encoded, None)
         if first is None:
@@ -68,7 +76,7 @@ def write_animation(
             _write_apng(file, all_frames, milliseconds)
         else:
             _write_with_pillow(file, all_frames, milliseconds, suffix)
-    return encoded.count
+    return count
 
 
 def write_sequence(pattern: str | os.PathLike[str], frames: Iterable[Frame], *, exposure: float = 0.0) -> list[Path]:
@@ -95,19 +103,6 @@ def write_sequence(pattern: str | os.PathLike[str], frames: Iterable[Frame], *, 
     if not written:
         raise ImageError(f"{pattern}: the sequence has no frames; expected at least one")
     return written
-
-
-class _CountedFrames(Iterator[NDArray[np.uint8]]):
-    """Frames, and the number of frames consumed so far."""
-
-    def __init__(self, frames: Iterator[NDArray[np.uint8]]) -> None:
-        self._frames = frames
-        self.count = 0
-
-    def __next__(self) -> NDArray[np.uint8]:
-        frame = next(self._frames)
-        self.count += 1
-        return frame
 
 
 def _encode(

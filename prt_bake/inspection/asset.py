@@ -50,9 +50,9 @@ def soundness_faults(asset: Asset) -> Iterator[str]:
         yield str(error).removeprefix("asset: ")
     if not asset.valid.any():
         yield "no vertex is baked, so there is nothing to show; bake it again (--resume finishes a partial bake)"
-    elif asset.selftest and not (error := selftest_error(asset)) <= _TOLERANCE:
+    elif asset.selftest and not (deviation := selftest_error(asset)) <= _TOLERANCE:
         yield (
-            f"/selftest: its radiance differs from that of the coefficients by {error:.3g} of the largest; the "
+            f"/selftest: its radiance differs from that of the coefficients by {deviation:.3g} of the largest; the "
             "coefficients, the mesh or the self-test were changed; bake the asset again"
         )
 

@@ -10,7 +10,7 @@ from prt_bake.geometry.camera import Camera, Visibility, directions
 from prt_bake.lights.lighting import Lighting
 from prt_bake.mathematics.random import hashed, uniforms
 from prt_bake.paper.artefacts import Stopped
-from prt_bake.reflection.finish import interface_alpha, interface_normals
+from prt_bake.reflection.finish import surface_points
 from prt_bake.reflection.reflector import Reflector
 
 Array = NDArray[np.float64]
@@ -59,13 +59,7 @@ def _rows(
     faces, barycentric = hits.faces[met], hits.barycentric[met]
     seen = np.zeros((len(rays), 3))
     seen[missed] = lighting.radiance(rays[missed])
-    seen[met] = reflector.reflected(
-        faces,
-        barycentric,
-        interface_normals(scene.mesh, faces, barycentric, scene.parts[0].normals),
-        -rays[met],
-        interface_alpha(scene.mesh, faces, barycentric, scene.roughness),
-        pixels[met].astype(np.uint64),
-        int(hashed(_REFLECTION_STREAM, seed) >> np.uint64(1)),
-    )
+    points = surface_points(scene.mesh, faces, barycentric, -rays[met], scene.parts[0].normals, scene.roughness)
+    reflection_seed = int(hashed(_REFLECTION_STREAM, seed) >> np.uint64(1))
+    seen[met] = reflector.reflected(points, pixels[met].astype(np.uint64), reflection_seed)
     return seen.reshape(-1, view.width, 3)

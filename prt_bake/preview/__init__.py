@@ -1,4 +1,7 @@
-"""The preview window: an asset under any light, seen from anywhere.
+"""The preview window: an asset under any light, seen from any camera, drawn by VTK.
 
-May import: `prt_bake.shading`, `prt_bake.lights` and the rooms below. Begin with `window.py`.
+`state.py` computes what is shown without a window; `view.py` draws it; `window.py` handles the user's input. Nothing is
+re-exported: VTK loads only when a window opens.
+
+May import: `prt_bake.shading`, `prt_bake.lights` and the rooms below. Start at `state.py`.
 """

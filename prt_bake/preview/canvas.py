@@ -1,7 +1,6 @@
-"""What VTK draws on, in a window or in memory, and how a mouse moves the eye before it.
+"""The VTK window, on the display or in memory, with its camera controls.
 
-VTK's own modules are loaded one by one: all of them, or a library that loads them, would take as long as everything
-else that a preview does before its first picture.
+Imports only the VTK modules it uses: importing all of VTK would double the time to the first picture.
 """
 
 from collections.abc import Callable
@@ -20,30 +19,30 @@ from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 _calldata: Any = calldata_type
 _WHEEL = 1.05
-"""How much nearer or farther one step of the wheel takes the eye."""
-_PLAIN = (0.13, 0.13, 0.14)
-"""Behind an object without a sky, sRGB."""
+"""Factor on the eye's distance per step of the wheel."""
+_BACKGROUND = (0.13, 0.13, 0.14)
+"""Background without a sky, sRGB."""
 _WHITE = (1.0, 1.0, 1.0)
 _SLIDER_HEIGHT = 0.07
-"""Share of the window's height."""
+"""Relative to the window's height."""
 _KNOB, _TUBE = (0.015, 0.03), 0.006
-"""Length along a slider and width across it, shares of the window: what a mouse hits without aim."""
+"""Length and width of a slider's knob, and width of its tube, relative to the window."""
 
 
 class Canvas:
-    """One renderer in one window: no light of VTK's, no tone mapping.
+    """A window with one renderer, without VTK's lights and tone mapping.
 
     Attributes:
-        window, renderer, interactor: VTK's own.
+        window, renderer, interactor: the VTK objects.
     """
 
     def __init__(self, width: int, height: int, off_screen: bool, title: str = "prtbake") -> None:
-        """off_screen: in memory; the window of the platform's otherwise, or in memory too where there is none."""
-        # That there is no display is told in a sentence of our own, or does not matter.
+        """off_screen: draw in memory. Otherwise opens a window, or draws in memory if there is no display."""
+        # VTK warns if there is no display; our callers report that themselves.
         vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
         self.renderer: Any = vtkRenderer()
         self.renderer.AutomaticLightCreationOff()
-        self.renderer.SetBackground(*_PLAIN)
+        self.renderer.SetBackground(*_BACKGROUND)
         self.window: Any = vtkRenderWindow()
         self.window.SetOffScreenRendering(off_screen)
         self.window.SetSize(width, height)
@@ -54,35 +53,35 @@ class Canvas:
 
     @property
     def camera(self) -> Any:
-        """The eye."""
+        """The VTK camera."""
         return self.renderer.GetActiveCamera()
 
     @property
     def on_display(self) -> bool:
-        """Whether the window can be seen: VTK makes one in memory where it finds no display."""
+        """Whether the window is visible; without a display VTK makes one in memory."""
         return not self.window.GetClassName().startswith(("vtkEGL", "vtkOSOpenGL"))
 
     def open(self) -> None:
-        """Open the window, empty: a tenth of a second that needs nothing of what will be in it."""
+        """Open the empty window, which takes 0.1 s and can overlap with reading the asset."""
         self.window.Render()
 
     def resize(self, width: int, height: int) -> None:
-        """Change its size in pixels."""
+        """Set the size in pixels."""
         if (width, height) != tuple(self.window.GetSize()):
             self.window.SetSize(width, height)
 
     def close(self) -> None:
-        """Give back what the window holds on the graphics card."""
+        """Release the window's GPU resources."""
         self.window.Finalize()
         self.interactor.SetRenderWindow(None)
 
-    def connect_mouse(self, moves: Callable[[], None]) -> None:
-        """Let the mouse orbit about the vertical, the wheel go nearer, shift and the mouse go sideways; `moves` is
-        called before each of these is drawn. No key of VTK's own does anything.
+    def connect_mouse(self, on_move: Callable[[], None]) -> None:
+        """Let the mouse orbit, the wheel zoom and shift with the mouse pan; VTK's own keys do nothing.
+
+        `on_move` is called before each movement is drawn.
         """
-        # Kept: VTK's hold on it does not keep what Python knows of it, which is what observers call.
         style: Any = vtkInteractorStyleTerrain()
-        self._style = style
+        self._style = style  # VTK keeps the object alive, but not its Python observers
 
         def press(*_: Any) -> None:
             if self.interactor.GetShiftKey():
@@ -93,31 +92,27 @@ class Canvas:
             style.EndPan()
             style.OnLeftButtonUp()
 
-        def roll(factor: float) -> Callable[..., None]:
-            def do(*_: Any) -> None:
-                moves()
+        def zoom(factor: float) -> Callable[..., None]:
+            def handle(*_: Any) -> None:
+                on_move()
                 camera = self.camera
-                camera.SetPosition(
-                    *(
-                        end + factor * (start - end)
-                        for start, end in zip(camera.GetPosition(), camera.GetFocalPoint(), strict=True)
-                    )
-                )
+                eye, target = camera.GetPosition(), camera.GetFocalPoint()
+                camera.SetPosition(*(t + factor * (e - t) for e, t in zip(eye, target, strict=True)))
                 self.window.Render()
 
-            return do
+            return handle
 
         style.AddObserver("LeftButtonPressEvent", press)
         style.AddObserver("LeftButtonReleaseEvent", release)
-        style.AddObserver("MouseWheelForwardEvent", roll(1.0 / _WHEEL))
-        style.AddObserver("MouseWheelBackwardEvent", roll(_WHEEL))
+        style.AddObserver("MouseWheelForwardEvent", zoom(1.0 / _WHEEL))
+        style.AddObserver("MouseWheelBackwardEvent", zoom(_WHEEL))
         style.AddObserver("CharEvent", lambda *_: None)
-        style.AddObserver("StartInteractionEvent", lambda *_: moves())
-        style.AddObserver("InteractionEvent", lambda *_: moves())
+        style.AddObserver("StartInteractionEvent", lambda *_: on_move())
+        style.AddObserver("InteractionEvent", lambda *_: on_move())
         self.interactor.SetInteractorStyle(style)
 
     def connect_keys(self, actions: dict[str, Callable[[], None]]) -> None:
-        """Call what belongs to the name of a key (X11's) when it is pressed."""
+        """Call `actions[name]` when the key with this X11 name is pressed."""
 
         def pressed(*_: Any) -> None:
             action = actions.get(self.interactor.GetKeySym() or "")
@@ -126,18 +121,18 @@ class Canvas:
 
         self.interactor.AddObserver("KeyPressEvent", pressed)
 
-    def connect_drops(self, take: Callable[[list[str]], None]) -> None:
-        """Call it with the paths of files that are dropped on the window."""
+    def connect_drops(self, on_drop: Callable[[list[str]], None]) -> None:
+        """Call `on_drop` with the paths of files that are dropped on the window."""
 
         def dropped(_caller: Any, _event: str, paths: Any) -> None:
-            take([paths.GetValue(number) for number in range(paths.GetNumberOfValues())])
+            on_drop([paths.GetValue(number) for number in range(paths.GetNumberOfValues())])
 
         self.interactor.AddObserver("DropFilesEvent", _calldata(VTK_OBJECT)(dropped))
 
     def slider(
-        self, span: tuple[float, float], value: float, ends: tuple[float, float], slide: Callable[[float], None]
+        self, span: tuple[float, float], value: float, ends: tuple[float, float], on_change: Callable[[float], None]
     ) -> Any:
-        """A slider between two places across the window (shares of its width); `slide` is called as it moves."""
+        """Add a slider over `span` from left to right end, relative to the window's width."""
         shape: Any = vtkSliderRepresentation2D()
         shape.SetMinimumValue(span[0])
         shape.SetMaximumValue(span[1])
@@ -147,7 +142,7 @@ class Canvas:
             end.SetValue(x, _SLIDER_HEIGHT)
         for part in (shape.GetSliderProperty(), shape.GetCapProperty(), shape.GetTubeProperty()):
             part.SetColor(*_WHITE)
-        shape.ShowSliderLabelOff()  # its format is another one from version to version of VTK
+        shape.ShowSliderLabelOff()  # its format differs between versions of VTK
         shape.SetSliderLength(_KNOB[0])
         shape.SetSliderWidth(_KNOB[1])
         shape.SetTubeWidth(_TUBE)
@@ -157,5 +152,5 @@ class Canvas:
         slider.SetCurrentRenderer(self.renderer)
         slider.SetRepresentation(shape)
         slider.On()
-        slider.AddObserver("InteractionEvent", lambda *_: slide(shape.GetValue()))
+        slider.AddObserver("InteractionEvent", lambda *_: on_change(shape.GetValue()))
         return slider

@@ -1,4 +1,4 @@
-"""False colours for what is no light: linear values that the sRGB curve takes to the colours meant."""
+"""False colours for errors, coefficients and the valid mask."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,20 +11,20 @@ VALID, NOT_VALID = np.array([104, 178, 132]) / 255.0, np.array([214, 40, 100]) /
 
 
 def from_zero(values: ArrayLike) -> NDArray[np.float64]:
-    """sRGB [...,3] of values from 0 to 1, dark to bright; what is outside is taken as the nearer end."""
-    return _between(_FROM_ZERO, np.asarray(values, np.float64))
+    """Return sRGB [...,3] of values from 0 (dark) to 1 (bright), clamped."""
+    return _interpolate(_FROM_ZERO, np.asarray(values, np.float64))
 
 
 def about_zero(values: ArrayLike) -> NDArray[np.float64]:
-    """sRGB [...,3] of values from −1 (blue) over 0 (white) to 1 (red)."""
-    return _between(_ABOUT_ZERO, 0.5 + 0.5 * np.asarray(values, np.float64))
+    """Return sRGB [...,3] of values from −1 (blue) through 0 (white) to 1 (red), clamped."""
+    return _interpolate(_ABOUT_ZERO, 0.5 + 0.5 * np.asarray(values, np.float64))
 
 
 def as_light(srgb: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear values that are shown as these colours at an exposure of 0 EV."""
+    """Return the linear values that show these colours at an exposure of 0 EV."""
     return to_linear(srgb)
 
 
-def _between(anchors: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+def _interpolate(anchors: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
     steps = np.linspace(0.0, 1.0, len(anchors))
-    return np.stack([np.interp(places, steps, channel) for channel in anchors.T], axis=-1)
+    return np.stack([np.interp(values, steps, channel) for channel in anchors.T], axis=-1)

@@ -1,4 +1,4 @@
-"""The lights of a preview: each is read from what the command line names, and again when its file has changed."""
+"""The lights of a preview, which are reloaded when their files change."""
 
 import warnings
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ from prt_bake.shading.suns import SunsApart, SunTreatment, suns_apart
 
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512
-"""Rows of the picture behind the object where it is made of several lights."""
+"""Fewest rows of a background picture that combines several lights."""
 _NOT_FILES = ("sun:", "sphere:")
 
 Stamp = tuple[tuple[str, int, int], ...]
@@ -28,7 +28,7 @@ Stamp = tuple[tuple[str, int, int], ...]
 
 @dataclass(frozen=True, eq=False)
 class ShownLight:
-    """A light, its coefficients [K,3], and a lat-long picture of all of it that has a size; None where nothing has."""
+    """A light, its SH coefficients [K,3], and a lat-long picture of its skies and discs, or None without them."""
 
     lighting: Lighting
     harmonics: NDArray[np.float64]
@@ -36,19 +36,19 @@ class ShownLight:
     _apart: dict[SunTreatment, SunsApart] = field(default_factory=dict, init=False, repr=False)
 
     def apart(self, treatment: SunTreatment) -> SunsApart:
-        """Its suns and the rest, found when first asked for."""
+        """Return the light split into suns and the rest; computed on first use."""
         if treatment not in self._apart:
             self._apart[treatment] = suns_apart(self.lighting, sh.degree_of(len(self.harmonics)), treatment)
         return self._apart[treatment]
 
 
 class LightSource:
-    """A sky, a lights file, a sun or a sphere light, as the command line names it: one light of a preview.
+    """A light of the preview: a sky, a lights file, a sun or a sphere light.
 
     Attributes:
-        text: how the command line names it.
-        name: what it is called in the window.
-        shown: as it was read last; a file that cannot be read leaves it as it was.
+        text: the light as `--light` takes it.
+        name: the name in the window.
+        shown: the light as last read; stays if its file cannot be read any more.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class LightSource:
         say: Callable[[str], None] = warnings.warn,
         mesh: Mesh | None = None,
     ) -> None:
-        """Read it; `mend`, `say`, `mesh` and what is raised are those of `prt_bake.lights.lighting.read_lighting`."""
+        """Read the light; arguments and errors are those of `prt_bake.lights.lighting.read_lighting`."""
         self.text, self._up, self._degree = text, up, degree
         self._mend, self._say, self._mesh = mend, say, mesh
         self.name = text if text.startswith(_NOT_FILES) else Path(text).name
@@ -68,21 +68,21 @@ class LightSource:
         self.shown = self._read()
 
     def sibling(self, text: str) -> "LightSource":
-        """Another light, read as this one is."""
+        """Return another light, read with the same options."""
         return LightSource(text, self._up, self._degree, self._mend, self._say, self._mesh)
 
     def reload(self) -> str | None:
-        """Read it again if a file of it has changed; what to say about it, or None where nothing has changed."""
+        """Read the light again if one of its files has changed; return a message, or None if nothing changed."""
         stamp = self._stamps()
         if stamp == self._stamp:
             return None
-        # Noted before reading: a file that is written meanwhile is read once more.
+        # Stored before reading: a file that is written meanwhile is read again at the next call.
         self._stamp = stamp
         try:
             self.shown = self._read()
-        except PrtbakeError as fault:
-            return f"{fault} (still showing what {self.name} was before)"
-        return f"{self.name} has changed and was read again"
+        except PrtbakeError as error:
+            return f"{error} (still showing the earlier {self.name})"
+        return f"{self.name} was reloaded"
 
     def _read(self) -> ShownLight:
         lighting = read_lighting([self.text], self._up, mend=self._mend, say=self._say, mesh=self._mesh)
@@ -99,16 +99,16 @@ class LightSource:
             try:
                 lights = read_lights(self.text)
             except PrtbakeError:
-                return  # told when it is read
-            yield from (one.path for one in lights if isinstance(one, SkyLight))
+                return  # reported when it is read
+            yield from (light.path for light in lights if isinstance(light, SkyLight))
 
 
 def _stamp(path: Path) -> tuple[str, int, int]:
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return str(path), 0, -1
-    return str(path), found.st_mtime_ns, found.st_size
+    return str(path), status.st_mtime_ns, status.st_size
 
 
 def _picture(lighting: Lighting, up: str) -> NDArray[np.float32] | None:

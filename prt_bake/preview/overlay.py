@@ -1,4 +1,4 @@
-"""What lies over the picture: the keys, what is shown, a message, the scale of false colours."""
+"""Texts over the picture: keys, status, message and the scale of false colours."""
 
 from typing import Any
 
@@ -15,17 +15,17 @@ from prt_bake.preview.state import Scale
 numpy_to_vtk: Any = numpy_support.numpy_to_vtk
 _INK, _PAPER = (0.96, 0.96, 0.96), (0.05, 0.05, 0.06)
 SLIDERS = (0.56, 0.75), (0.78, 0.97)
-"""Left and right ends of the sliders, shares of the window."""
+"""Left and right ends of the sliders, relative to the window."""
 _STEPS = 64
 _BAR = (0.05, 0.45, 0.065, 0.085)
-"""Left, right, lower and upper edge of the scale, shares of the window."""
+"""Left, right, lower and upper edge of the scale, relative to the window."""
 
 
 class Overlay:
-    """Texts over a renderer; empty ones are not drawn."""
+    """Texts over a renderer; empty ones are hidden."""
 
     def __init__(self, renderer: Any, width: int) -> None:
-        """width: of the window in pixels, which letters follow where it is small."""
+        """width: of the window in pixels; it sets the font size."""
         letters = min(max(round(width / 50), 9), 14)
         self.status = _text(renderer, (0.015, 0.98), letters, top=True)
         self.message = _text(renderer, (0.015, 0.93), letters, top=True)
@@ -36,42 +36,43 @@ class Overlay:
         self._low, self._high = (
             _text(renderer, (x, low - 0.01), letters, top=True, centred=True) for x in (left, right)
         )
-        self._of = _text(renderer, (0.5 * (left + right), high + 0.01), letters, centred=True)
-        texts = (self.legend, self.status, self.message, self.rotation, self.exposure, self._low, self._high, self._of)
+        self._label = _text(renderer, (0.5 * (left + right), high + 0.01), letters, centred=True)
+        scale_texts = (self._low, self._high, self._label)
+        texts = (self.legend, self.status, self.message, self.rotation, self.exposure, *scale_texts)
         self._parts = (*texts, self._bar.actor)
 
-    def write(self, text: Any, words: str) -> None:
-        """Change one of the texts."""
-        text.SetInput(words)
-        text.SetVisibility(bool(words))
+    def write(self, actor: Any, text: str) -> None:
+        """Set the text of one of the actors."""
+        actor.SetInput(text)
+        actor.SetVisibility(bool(text))
 
     def show_scale(self, scale: Scale | None) -> None:
-        """Show what false colours mean, or nothing."""
+        """Show the scale of the false colours, or none."""
         self._bar.actor.SetVisibility(scale is not None)
         form = "{:.2%}" if scale is not None and scale.low == 0.0 else "{:.2g}"
         self.write(self._low, "" if scale is None else form.format(scale.low))
         self.write(self._high, "" if scale is None else form.format(scale.high))
-        self.write(self._of, "" if scale is None else scale.words)
+        self.write(self._label, "" if scale is None else scale.label)
         if scale is not None:
             steps = np.linspace(scale.low, scale.high, _STEPS) / scale.high
             self._bar.paint(colours.about_zero(steps) if scale.low < 0.0 else colours.from_zero(steps))
 
     def hide(self) -> list[Any]:
-        """Take all of it off the picture; what `restore` is handed."""
-        shown = [part for part in self._parts if part.GetVisibility()]
-        for part in shown:
+        """Hide all texts; return those that were visible, for `restore`."""
+        visible = [part for part in self._parts if part.GetVisibility()]
+        for part in visible:
             part.VisibilityOff()
-        return shown
+        return visible
 
-    def restore(self, shown: list[Any]) -> None:
-        """Draw again what `hide` took off."""
-        for part in shown:
+    def restore(self, visible: list[Any]) -> None:
+        """Show the parts that `hide` returned."""
+        for part in visible:
             part.VisibilityOn()
 
 
 def _text(
     renderer: Any,
-    place: tuple[float, float],
+    position: tuple[float, float],
     letters: int,
     top: bool = False,
     centred: bool = False,
@@ -79,8 +80,8 @@ def _text(
 ) -> Any:
     text = vtkTextActor()
     text.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
-    text.SetPosition(*place)
-    _letter(text.GetTextProperty(), letters, fixed_width)
+    text.SetPosition(*position)
+    _set_font(text.GetTextProperty(), letters, fixed_width)
     if top:
         text.GetTextProperty().SetVerticalJustificationToTop()
     if centred:
@@ -91,7 +92,7 @@ def _text(
 
 
 class _Bar:
-    """A row of colours."""
+    """The colour bar of the scale."""
 
     def __init__(self, renderer: Any) -> None:
         left, right, low, high = _BAR
@@ -105,9 +106,9 @@ class _Bar:
             cells.InsertNextCell(4, quad)
         self._strip.SetPoints(points)
         self._strip.SetPolys(cells)
-        mapper, place = vtkPolyDataMapper2D(), vtkCoordinate()
-        place.SetCoordinateSystemToNormalizedViewport()
-        mapper.SetTransformCoordinate(place)
+        mapper, coordinate = vtkPolyDataMapper2D(), vtkCoordinate()
+        coordinate.SetCoordinateSystemToNormalizedViewport()
+        mapper.SetTransformCoordinate(coordinate)
         mapper.SetInputData(self._strip)
         self.actor = vtkActor2D()
         self.actor.SetMapper(mapper)
@@ -115,12 +116,12 @@ class _Bar:
         renderer.AddViewProp(self.actor)
 
     def paint(self, colours: NDArray[np.float64]) -> None:
-        """Give it these colours, sRGB [steps,3], from left to right."""
-        bytes_of = np.rint(255.0 * np.concatenate([colours, colours])).astype(np.uint8)
-        self._strip.GetPointData().SetScalars(numpy_to_vtk(bytes_of, deep=True))
+        """Set the colours, sRGB [steps,3], from left to right."""
+        srgb = np.rint(255.0 * np.concatenate([colours, colours])).astype(np.uint8)
+        self._strip.GetPointData().SetScalars(numpy_to_vtk(srgb, deep=True))
 
 
-def _letter(style: Any, size: int, fixed_width: bool) -> None:
+def _set_font(style: Any, size: int, fixed_width: bool) -> None:
     if fixed_width:
         style.SetFontFamilyToCourier()
     else:

@@ -1,7 +1,7 @@
-"""Suns met apart (`prt_bake.shading.suns`) at the vertices that an eye may see, some at a time between two events.
+"""Progressive refinement: suns are shaded separately (`prt_bake.shading.suns`) once the eye and the light rest.
 
-It takes 0.1 to 0.2 ms a vertex: too long for a frame, and short enough to wait for once the eye and the light stand
-still.
+This takes 0.1 to 0.2 ms per vertex, too long for a frame. The vertices that the eye may see are shaded in slices,
+between the window's events.
 """
 
 import math
@@ -24,7 +24,7 @@ _VERTICES_AT_ONCE = 128
 
 
 class Refiner:
-    """What one asset sends to one eye under one light, once it is settled."""
+    """Refined radiance of one asset, for the latest eye and light."""
 
     def __init__(self, asset: Asset) -> None:
         self._asset = asset
@@ -32,105 +32,113 @@ class Refiner:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether no face of the object is seen from behind but from inside."""
+        """Whether the mesh is closed, see `is_closed`."""
         return is_closed(self._asset.mesh)
 
-    def forget(self) -> None:
-        """Another light shines."""
+    def reset(self) -> None:
+        """Discard the refinement, since the light has changed."""
         self._refinement = None
 
     def radiance(self, eye: ArrayLike) -> NDArray[np.float32] | None:
-        """Radiance [V,3] to this eye, None where it is not settled."""
-        settling = self._refinement
-        return settling.radiance if settling is not None and settling.ready and settling.sees(eye) else None
+        """Return the refined radiance [V,3] to this eye, or None if it is not finished."""
+        refinement = self._refinement
+        finished = refinement is not None and refinement.finished and refinement.is_for(eye)
+        return refinement.radiance if refinement is not None and finished else None
 
     def refine(
         self, light: SunsApart, rotation: float, eye: ArrayLike, draw: Draw, seconds: float = math.inf
     ) -> NDArray[np.float32] | None:
-        """`radiance` after about so many seconds more of work. light: before it is turned by `rotation` degrees. draw:
-        gives the radiance to begin with. Raises QueryError for an eye on the object or inside it.
+        """Refine for about `seconds` and return `radiance(eye)`.
+
+        Args:
+            light: the light before its rotation.
+            rotation: degrees.
+            eye: [3], in object space.
+            draw: returns the unrefined radiance [V,3] to an eye.
+            seconds: time limit.
+
+        Raises:
+            QueryError: the eye is on the object or inside it.
         """
-        settling = self._refinement
-        if settling is None or not settling.sees(eye):
-            turned = _turned(light, rotation, self._asset.up)
-            settling = Refinement(self._asset, turned, np.array(eye, np.float64), draw(eye), self.closed)
-            self._refinement = settling
-        settling.refine(seconds)
+        refinement = self._refinement
+        if refinement is None or not refinement.is_for(eye):
+            rotated = _rotated(light, rotation, self._asset.up)
+            refinement = Refinement(self._asset, rotated, np.array(eye, np.float64), draw(eye), self.closed)
+            self._refinement = refinement
+        refinement.refine(seconds)
         return self.radiance(eye)
 
 
 class Refinement:
-    """Radiance [V,3] that `shade` gives for an eye, on its way; vertices that cannot be seen keep what they had.
+    """A refinement in progress for one eye and light; invisible vertices keep their unrefined radiance.
 
     Attributes:
-        eye: where it is seen from.
-        radiance: as far as it has come.
+        eye: [3], in object space.
+        radiance: [V,3], refined so far.
     """
 
     def __init__(
-        self, asset: Asset, light: SunsApart, eye: NDArray[np.float64], radiance: NDArray[np.float32], seen: bool
+        self, asset: Asset, light: SunsApart, eye: NDArray[np.float64], radiance: NDArray[np.float32], closed: bool
     ) -> None:
-        """light: turned. radiance: what to start from. seen: only vertices that the eye may see, of a closed object."""
+        """light: after its rotation. radiance: unrefined. closed: skip the vertices that face away from the eye."""
         from prt_bake.shading.vertices import between_bins
 
         self.eye, self.radiance = eye, np.array(radiance)
         self._asset, self._light = asset, light
-        may_be_seen = facing(asset.mesh, eye) if seen else np.ones(len(asset.valid), np.bool_)
-        self._vertices = np.flatnonzero(asset.valid & may_be_seen)
-        self._at = between_bins(asset, eye, self._vertices)
+        visible = facing(asset.mesh, eye) if closed else np.ones(len(asset.valid), np.bool_)
+        self._vertices = np.flatnonzero(asset.valid & visible)
+        self._bins = between_bins(asset, eye, self._vertices)
         self._next = 0
 
     @property
-    def ready(self) -> bool:
-        """Whether all vertices are there."""
+    def finished(self) -> bool:
+        """Whether all visible vertices are refined."""
         return self._next >= len(self._vertices)
 
-    def sees(self, eye: ArrayLike) -> bool:
-        """Whether it is for this eye."""
+    def is_for(self, eye: ArrayLike) -> bool:
+        """Whether this is the refinement for `eye`."""
         return np.array_equal(self.eye, np.asarray(eye, np.float64))
 
     def refine(self, seconds: float = math.inf) -> None:
-        """Work for about so long, or to the end."""
+        """Refine more vertices for about `seconds`."""
         end = time.monotonic() + seconds
-        while not self.ready:
-            self._meet(slice(self._next, self._next + _VERTICES_AT_ONCE))
+        while not self.finished:
+            self._shade(slice(self._next, self._next + _VERTICES_AT_ONCE))
             self._next += _VERTICES_AT_ONCE
             if time.monotonic() >= end:
                 return
 
-    def _meet(self, some: slice) -> None:
+    def _shade(self, rows: slice) -> None:
         from prt_bake.shading.reconstruction import reconstruct
         from prt_bake.shading.suns import sun_radiance
 
-        vertices, at = self._vertices[some], type(self._at)._make(field[some] for field in self._at)
+        vertices, bins = self._vertices[rows], type(self._bins)._make(field[rows] for field in self._bins)
         asset = self._asset
-        radiance = reconstruct(asset.coefficients, vertices, at, asset.sectors, self._light.harmonics)
-        radiance += sun_radiance(asset, self._light.suns, vertices, at)
+        radiance = reconstruct(asset.coefficients, vertices, bins, asset.sectors, self._light.harmonics)
+        radiance += sun_radiance(asset, self._light.suns, vertices, bins)
         self.radiance[vertices] = np.maximum(radiance, 0.0)
 
 
-def _turned(light: SunsApart, rotation: float, up: str) -> SunsApart:
-    turn = environment.rotation(rotation, up)
-    suns = tuple(replace(sun, direction=turn @ sun.direction) for sun in light.suns)
+def _rotated(light: SunsApart, rotation: float, up: str) -> SunsApart:
+    matrix = environment.rotation(rotation, up)
+    suns = tuple(replace(sun, direction=matrix @ sun.direction) for sun in light.suns)
     return replace(light, harmonics=environment.rotate_light(light.harmonics, rotation, up), suns=suns)
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Whether faces run along every edge as often one way as the other, and look outwards: then no face is seen from
-    behind but from inside.
-    """
+    """Whether the mesh is closed, consistently oriented and outward: from outside, no face is seen from behind."""
     faces = mesh.faces.astype(np.int64)
     starts, ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    there, back = (np.sort(a * len(mesh.positions) + b) for a, b in ((starts, ends), (ends, starts)))
-    if not np.array_equal(there, back):
+    edges, reverse = (np.sort(a * len(mesh.positions) + b) for a, b in ((starts, ends), (ends, starts)))
+    if not np.array_equal(edges, reverse):
         return False
     corners = mesh.positions[faces] - mesh.center
     return float(np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) > 0.0
 
 
 def facing(mesh: Mesh, eye: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Vertices [V] of the faces whose outer side the eye is on."""
-    towards = np.einsum("fi,fi->f", mesh.face_normals, eye - mesh.positions[mesh.faces[:, 0]]) > 0.0
-    seen = np.zeros(len(mesh.positions), np.bool_)
-    seen[mesh.faces[towards]] = True
-    return seen
+    """Return the mask [V] of vertices of faces that turn towards the eye."""
+    front = np.einsum("fi,fi->f", mesh.face_normals, eye - mesh.positions[mesh.faces[:, 0]]) > 0.0
+    mask = np.zeros(len(mesh.positions), np.bool_)
+    mask[mesh.faces[front]] = True
+    return mask

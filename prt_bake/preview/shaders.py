@@ -1,4 +1,4 @@
-"""What the graphics card runs: pictures are linear until the last line, which is that of `formats.image.png`."""
+"""GLSL code of the preview. Radiance is linear until the last line, which encodes it as `formats.image.png` does."""
 
 ENCODE = """
 vec3 encoded(vec3 linear) {
@@ -24,18 +24,24 @@ SKY = """
 vec2 place = 2.0 * tcoordVCVSOutput - 1.0;
 gl_FragData[0] = vec4(encoded(fromSky(forward + place.x * across + place.y * above)), 1.0);
 """
-"""Uniforms: forward, across and above, so that their sum is a direction through the window's corner."""
+"""Uniforms: forward, across and above; their sum is the direction through the window's upper right corner."""
 
 PICTURE = """
 vec2 inside = (2.0 * tcoordVCVSOutput - 1.0) / extent;
 if (max(abs(inside.x), abs(inside.y)) > 1.0) discard;
 gl_FragData[0] = vec4(encoded(texture(actortexture, 0.5 + 0.5 * inside * vec2(1.0, -1.0)).rgb), 1.0);
 """
-"""Uniform: extent, the share of the window that the picture takes, in width and height."""
+"""Uniform: extent, width and height of the picture relative to the window."""
 
-OBJECT_VERTEX_NAMES = "in vec4 shownMC;\nin vec3 bentMC;\nout vec4 shown;\nout vec3 bent;\nout vec3 placeMC;\n"
-OBJECT_VERTEX = "shown = shownMC;\nbent = bentMC;\nplaceMC = vertexMC.xyz;\n"
-OBJECT_NAMES = "in vec4 shown;\nin vec3 bent;\nin vec3 placeMC;\n"
+OBJECT_VERTEX_DECLARATIONS = """
+in vec4 colourMC;
+in vec3 shadingNormalMC;
+out vec4 colour;
+out vec3 shadingNormal;
+out vec3 positionMC;
+"""
+OBJECT_VERTEX = "colour = colourMC;\nshadingNormal = shadingNormalMC;\npositionMC = vertexMC.xyz;\n"
+OBJECT_DECLARATIONS = "in vec4 colour;\nin vec3 shadingNormal;\nin vec3 positionMC;\n"
 
 REFLECTANCE = """
 float reflectance(float cosine) {
@@ -45,13 +51,13 @@ float reflectance(float cosine) {
   return 0.5 * (parallel * parallel + crossed * crossed);
 }
 """
-"""Fresnel, unpolarised. Uniform: eta."""
+"""Unpolarised Fresnel reflectance. Uniform: eta."""
 
-OBJECT = "vec3 light = shown.a > 0.0 ? shown.rgb / shown.a : vec3(0.0);\n"
-OBJECT_MIRRORS = """
-vec3 towards = normalize(eyeMC - placeMC);
-vec3 normal = normalize(bent);
-light += reflectance(clamp(dot(towards, normal), 0.001, 1.0)) * fromSky(reflect(-towards, normal));
+OBJECT = "vec3 radiance = colour.a > 0.0 ? colour.rgb / colour.a : vec3(0.0);\n"
+OBJECT_REFLECTION = """
+vec3 outgoing = normalize(eyeMC - positionMC);
+vec3 normal = normalize(shadingNormal);
+radiance += reflectance(clamp(dot(outgoing, normal), 0.001, 1.0)) * fromSky(reflect(-outgoing, normal));
 """
-"""Uniform: eyeMC, where the eye is."""
-OBJECT_SHOWN = "gl_FragData[0] = vec4(encoded(light), 1.0);\n"
+"""Uniform: eyeMC, the position of the eye."""
+OBJECT_OUTPUT = "gl_FragData[0] = vec4(encoded(radiance), 1.0);\n"

@@ -1,4 +1,4 @@
-"""The window: keys, sliders, and a timer that looks for skies that have changed."""
+"""The window: keys, sliders, and a timer that reloads changed lights and refines the picture."""
 
 import math
 import time
@@ -11,51 +11,53 @@ from formats.interrupts import interrupt_flag
 from prt_bake.preview import legend
 from prt_bake.preview.canvas import Canvas
 from prt_bake.preview.overlay import SLIDERS, Overlay
-from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview
+from prt_bake.preview.state import MOST_EXPOSURE, Mode, Preview, Scale
 from prt_bake.preview.view import View, write_picture
 
 __all__ = ["Canvas", "View", "Window", "write_picture"]
 
 TICK = 100
-"""Milliseconds between two looks at the files."""
-_TURN, _EXPOSE = 5.0, 0.5
+"""Milliseconds between two events of the timer."""
+_ROTATION_STEP, _EXPOSURE_STEP = 5.0, 0.5
+"""Degrees and EV per key press."""
 _MESSAGE_SECONDS = 6.0
 """Seconds that a message stays."""
 _STILL = 0.2
-"""Seconds after the last movement until edges are drawn smooth again, and suns are met apart."""
+"""Seconds after the last movement until edges are antialiased and suns are refined."""
 _SLICE, _PAUSE = 0.02, 1
-"""Seconds that this goes on between two looks at the user's deeds, and milliseconds until it goes on."""
+"""Seconds of a slice of refinement, and milliseconds for the user's events until the next one."""
 
 
 class Window:
-    """A view with all that one drives it by; `run` hands it to the user.
+    """A view with keys, mouse, sliders and texts; `run` shows it to the user.
 
     Attributes:
-        view: what is drawn.
-        overlay: what is written over it.
-        rotation, exposure: the sliders; rotation is None for an asset made for one light.
+        view: the picture.
+        overlay: the texts over it.
+        rotation, exposure: the sliders; `rotation` is off for an asset made for one light.
     """
 
     def __init__(self, view: View, name: str, reference: str | None = None) -> None:
-        """name: of the asset. reference: the name of the picture to compare with."""
+        """name: of the asset. reference: name of the reference picture."""
         self.view, self._name, self._reference = view, name, reference
         self._preview: Preview = view.preview
         self.overlay = Overlay(view.canvas.renderer, view.window.GetSize()[0])
-        self._legend = self._bare = self._loading = False
-        self._moved = self._said = -math.inf
+        self._legend = self._saving = self._loading = False
+        self._moved = self._message_time = -math.inf
+        self._scale: Scale | None = None
         self._interrupted: Callable[[], bool] = lambda: False
         self._interactor: Any = view.canvas.interactor
-        self._drive()
+        self._connect()
         self.rotation = self._slider((-180.0, 180.0), 0, self._preview.rotate_to)
-        self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.expose)
+        self.exposure = self._slider((-MOST_EXPOSURE, MOST_EXPOSURE), 1, self._preview.set_exposure)
         if not self._preview.relightable:
             self.rotation.Off()
         self.overlay.write(self.overlay.message, "")
-        self._tell()
+        self._update_texts()
 
     def run(self) -> None:
-        """Show it until the user closes it, by Ctrl-C too."""
-        # An interrupt that is raised among VTK's events ends the process there, with words of VTK's.
+        """Show the window until the user closes it or presses Ctrl-C."""
+        # A KeyboardInterrupt inside VTK's event loop would end the process with VTK's own message.
         with interrupt_flag() as self._interrupted:
             self._interactor.Initialize()
             self.render()
@@ -64,20 +66,18 @@ class Window:
             self._interactor.Start()
 
     def render(self) -> None:
-        """Draw, with words and sliders brought up to date."""
+        """Draw the picture, texts and sliders."""
         self.view.window.Render()
-        self._tell_after()
+        self._update_message()
 
     def tick(self) -> None:
-        """What the timer does: closes after Ctrl-C, reads skies that have changed, takes off old messages, smooths what
-        stands still and meets its suns apart.
-        """
+        """Handle the timer: close after Ctrl-C, reload lights, remove old messages, refine a resting picture."""
         if self._interrupted():
             self._quit()
             return
         now = time.monotonic()
         changed = self._preview.reload_lights()
-        if not changed and self._preview.message and now - self._said > _MESSAGE_SECONDS:
+        if not changed and self._preview.message and now - self._message_time > _MESSAGE_SECONDS:
             self._preview.message = ""
             changed = True
         if self._loading is not self._preview.loading:
@@ -94,36 +94,37 @@ class Window:
             self.render()
 
     def save(self, path: Path) -> None:
-        """Write the picture alone, without words and sliders, as PNG."""
-        shown, sliders = self.overlay.hide(), [each for each in (self.rotation, self.exposure) if each.GetEnabled()]
+        """Write the refined picture as PNG, without texts and sliders."""
+        texts = self.overlay.hide()
+        sliders = [slider for slider in (self.rotation, self.exposure) if slider.GetEnabled()]
         for slider in sliders:
             slider.Off()
         self.view.smooth(True)
         self.view.refine()
-        self._bare = True
+        self._saving = True
         try:
             write_picture(path, self.view.picture())
         finally:
-            self._bare = False
-            self.overlay.restore(shown)
+            self._saving = False
+            self.overlay.restore(texts)
             for slider in sliders:
                 slider.On()
 
-    def _drive(self) -> None:
+    def _connect(self) -> None:
         canvas = self.view.canvas
         canvas.connect_mouse(self._move)
-        canvas.connect_keys({name: self._doing(action) for names, action in self._actions() for name in names.split()})
-        canvas.connect_drops(self._take)
+        canvas.connect_keys({key: self._handler(action) for keys, action in self._actions() for key in keys.split()})
+        canvas.connect_drops(self._add_lights)
         self._interactor.AddObserver("TimerEvent", lambda *_: self.tick())
-        self.view.window.AddObserver("StartEvent", lambda *_: self._tell())
+        self.view.window.AddObserver("StartEvent", lambda *_: self._update_texts())
 
     def _actions(self) -> list[tuple[str, Callable[[], None]]]:
         preview = self._preview
         actions: list[tuple[str, Callable[[], None]]] = [
-            ("h question", self._flip_legend),
+            ("h question", self._toggle_legend),
             ("0 Home", self.view.reset_camera),
-            ("Up", lambda: preview.set_exposure(preview.exposure + _EXPOSE)),
-            ("Down", lambda: preview.set_exposure(preview.exposure - _EXPOSE)),
+            ("Up", lambda: preview.set_exposure(preview.exposure + _EXPOSURE_STEP)),
+            ("Down", lambda: preview.set_exposure(preview.exposure - _EXPOSURE_STEP)),
             ("r", preview.toggle_reflection),
             ("b", preview.toggle_background),
             ("u", preview.toggle_suns),
@@ -132,58 +133,58 @@ class Window:
             ("c", lambda: preview.show(Mode.COEFFICIENT)),
             ("period greater", lambda: preview.step_harmonic(1)),
             ("comma less", lambda: preview.step_harmonic(-1)),
-            ("space", self.view.flip),
-            ("s", self._save_anew),
+            ("space", self.view.toggle_reference),
+            ("s", self._save_numbered),
             ("q Escape", self._quit),
         ]
         if preview.relightable:
-            actions.append(("Left", lambda: preview.rotate_to(preview.rotation - _TURN)))
-            actions.append(("Right", lambda: preview.rotate_to(preview.rotation + _TURN)))
+            actions.append(("Left", lambda: preview.rotate_to(preview.rotation - _ROTATION_STEP)))
+            actions.append(("Right", lambda: preview.rotate_to(preview.rotation + _ROTATION_STEP)))
         if preview.lights:
             actions.append(("n", preview.step_light))
             actions.append(("N", lambda: preview.step_light(-1)))
         return actions
 
-    def _doing(self, action: Callable[[], None]) -> Callable[[], None]:
-        def do() -> None:
+    def _handler(self, action: Callable[[], None]) -> Callable[[], None]:
+        """Return a function that performs an action, shows its error as a message, and draws."""
+
+        def handle() -> None:
             self._preview.message = ""
             try:
                 action()
-            except PrtbakeError as fault:  # a window that is open has better things to do than to end
-                self._preview.message = str(fault)
+            except PrtbakeError as error:
+                self._preview.message = str(error)
             self.render()
 
-        return do
+        return handle
 
-    def _take(self, paths: list[str]) -> None:
-        """Show the lights that were dropped on the window."""
-
+    def _add_lights(self, paths: list[str]) -> None:
         def add() -> None:
             for path in paths:
                 self._preview.add_light(path)
 
-        self._doing(add)()
+        self._handler(add)()
 
     def _move(self) -> None:
-        """Draw fast while something moves."""
+        """Switch antialiasing off while something moves."""
         self._moved = time.monotonic()
         if self.view.smooth_edges:
             self.view.smooth(False)
 
-    def _slider(self, span: tuple[float, float], place: int, change: Callable[[float], None]) -> Any:
-        def slide(value: float) -> None:
-            if value != wanted():
+    def _slider(self, span: tuple[float, float], number: int, change: Callable[[float], None]) -> Any:
+        def on_change(value: float) -> None:
+            if value != current():
                 self._move()
                 change(value)
                 self.render()
 
-        def wanted() -> float:
-            return self._preview.exposure if place else self._preview.rotation
+        def current() -> float:
+            return self._preview.exposure if number else self._preview.rotation
 
-        return self.view.canvas.slider(span, wanted(), SLIDERS[place], slide)
+        return self.view.canvas.slider(span, current(), SLIDERS[number], on_change)
 
-    def _tell(self) -> None:
-        if self._bare:
+    def _update_texts(self) -> None:
+        if self._saving:
             return
         preview, overlay = self._preview, self.overlay
         reference = self._reference if self.view.showing_reference else None
@@ -195,26 +196,23 @@ class Window:
         overlay.write(overlay.rotation, f"light {preview.rotation:+.0f}°" if preview.relightable else "")
         overlay.write(overlay.exposure, f"{preview.exposure:+.1f} EV")
 
-    def _tell_after(self) -> None:
-        """What is known only once it is drawn; drawn again where it is news."""
+    def _update_message(self) -> None:
+        """Update the message and the scale, which are known only after drawing; draw again if they changed."""
         message, scale = self._preview.message, None if self.view.showing_reference else self._preview.scale
         message = legend.wrapped(message, self.view.window.GetSize()[0])
         if message != self.overlay.message.GetInput() or scale != self._scale:
-            self._said = time.monotonic()
+            self._message_time = time.monotonic()
             self._scale = scale
             self.overlay.write(self.overlay.message, message)
             self.overlay.show_scale(scale)
             self.view.window.Render()
 
-    _scale: Any = None
-
-    def _flip_legend(self) -> None:
+    def _toggle_legend(self) -> None:
         self._legend = not self._legend
 
-    def _save_anew(self) -> None:
-        numbers = iter(range(1, 10**6))
+    def _save_numbered(self) -> None:
         stem = Path(self._name).stem
-        path = next(path for number in numbers if not (path := Path(f"{stem}_{number}.png")).exists())
+        path = next(path for number in range(1, 10**6) if not (path := Path(f"{stem}_{number}.png")).exists())
         self.save(path)
         self._preview.message = f"saved as {path}"
 

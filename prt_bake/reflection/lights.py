@@ -1,4 +1,4 @@
-"""Lights as a reflecting surface gathers them: drawn from, and seen, with densities so that both can be combined."""
+"""Lights for next-event estimation: sampled and evaluated with densities for multiple importance sampling."""
 
 import math
 from typing import Protocol
@@ -19,15 +19,15 @@ class LightSource(Protocol):
     def draw(self, numbers: Array) -> tuple[Array, Array, Array]:
         """Directions [N,3] from uniform numbers [N,3], radiance over density [N,3], and density per solid angle [N]."""
 
-    def seen(self, directions: Array) -> tuple[Array, Array]:
-        """Radiance [N,3] from `directions` [N,3], and the density [N] with which `draw` gives them."""
+    def evaluate(self, directions: Array) -> tuple[Array, Array]:
+        """Radiance [N,3] from `directions` [N,3], and the density [N] with which `draw` samples them."""
 
 
 class SkySource:
-    """A sky, drawn from in proportion to its energy; it must not be black."""
+    """A sky that is not black, sampled in proportion to its energy."""
 
     def __init__(self, sky: Sky) -> None:
-        """Make the sky's tables."""
+        """Build the sky's tables."""
         self._sky = BrightSky(sky)
 
     def draw(self, numbers: Array) -> tuple[Array, Array, Array]:
@@ -37,13 +37,13 @@ class SkySource:
         weight = np.divide(radiance, density[:, None], out=np.zeros_like(radiance), where=density[:, None] > 0.0)
         return directions, weight, density
 
-    def seen(self, directions: Array) -> tuple[Array, Array]:
-        """As `LightSource.seen`."""
+    def evaluate(self, directions: Array) -> tuple[Array, Array]:
+        """As `LightSource.evaluate`."""
         return self._sky.look_up(directions)
 
 
 class SunSource:
-    """A directional light; one without size is drawn with infinite density and never seen."""
+    """A directional light. Without size its density is infinite when drawn, and `evaluate` gives 0."""
 
     def __init__(self, sun: DirectionalLight) -> None:
         """Keep the light."""
@@ -56,8 +56,8 @@ class SunSource:
         directions, weight = self._disc.draw(numbers)
         return directions, weight, np.full(len(directions), self._density)
 
-    def seen(self, directions: Array) -> tuple[Array, Array]:
-        """As `LightSource.seen`."""
+    def evaluate(self, directions: Array) -> tuple[Array, Array]:
+        """As `LightSource.evaluate`."""
         if not math.isfinite(self._density):
             return np.zeros(directions.shape), np.zeros(len(directions))
         within = in_disc(self._sun, directions).astype(np.float64)
@@ -65,6 +65,6 @@ class SunSource:
 
 
 def light_sources(lighting: Lighting) -> tuple[LightSource, ...]:
-    """The lights of a lighting that give any light."""
+    """The lights of a lighting that are not black."""
     skies = [SkySource(sky) for sky in lighting.skies if sky.image.any()]
     return (*skies, *(SunSource(sun) for sun in lighting.suns if sun.irradiance.any()))

@@ -1,11 +1,11 @@
-"""Reflection at the microsurface of a dielectric, in NumPy: the reflecting half of the interface that walks cross.
+"""Reflection at the microsurface of a dielectric, in NumPy.
 
-The model is that of `prt_bake.tracer.surface.interface`: GGX, separable Smith masking, single scattering (Walter et al.
-2007), microfacets drawn from the visible ones (Heitz 2018). What is reflected here and what walks let in are therefore
-parts of one microsurface, and with what single scattering loses they make 1.
+The model is that of the walk's interface (`prt_bake.tracer.surface.interface`): GGX, separable Smith masking, single
+scattering (Walter et al. 2007), sampling of visible microfacets (Heitz 2018). The light reflected here, the light that
+walks let in and the loss of single scattering therefore sum to 1.
 
 All functions work in the local frame whose z axis is the interface's normal. `alpha` is the GGX roughness, `eta` the
-index inside over that outside; rows are independent.
+index inside over the index outside. Rows are independent.
 """
 
 import numpy as np
@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 
 
 def fresnel(cosine: Array, eta: float) -> Array:
-    """Reflectance of unpolarised light at `cosine` ≥ 0 to the facet, on the outside; 1 on total reflection."""
+    """Fresnel reflectance of unpolarised light at `cosine` ≥ 0 to the facet, from outside; 1 on total reflection."""
     squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
     other = np.sqrt(np.maximum(squared, 0.0))
-    with np.errstate(invalid="ignore"):  # 0 / 0 where nothing refracts, which is total reflection
+    with np.errstate(invalid="ignore"):  # 0 / 0 on total reflection
         parallel = (eta * cosine - other) / (eta * cosine + other)
         perpendicular = (cosine - eta * other) / (cosine + eta * other)
     return np.where(squared > 0.0, 0.5 * (parallel * parallel + perpendicular * perpendicular), 1.0)
@@ -30,7 +30,7 @@ def masking(cosine: Array, alpha: Array) -> Array:
 
 
 def visible_facets(towards: Array, alpha: Array, numbers: Array) -> Array:
-    """Normals [N,3] of microfacets seen from `towards` [N,3], by uniform numbers [N,2] (Heitz 2018, by the disc).
+    """Sample normals [N,3] of microfacets visible from `towards` [N,3] by uniform numbers [N,2] (Heitz 2018).
 
     Their density is G1(i) (i·m)⁺ D(m) / i_z.
     """
@@ -53,16 +53,16 @@ def visible_facets(towards: Array, alpha: Array, numbers: Array) -> Array:
 
 
 def mirrored(towards: Array, facets: Array) -> Array:
-    """Where facets [N,3] reflect light to that goes back along `towards` [N,3]."""
+    """The mirror directions [N,3] of `towards` [N,3] at facets [N,3]."""
     return np.asarray(2.0 * np.einsum("ni,ni->n", towards, facets)[:, None] * facets - towards)
 
 
 def reflection_density(towards: Array, facets: Array, alpha: Array) -> Array:
-    """Density [N], per solid angle, of the direction that a visible facet [N,3], seen from `towards`, reflects to.
+    """Density [N] per solid angle of the mirror directions of `towards` [N,3] at sampled visible facets [N,3].
 
-    f(i, o) |o·n| of the interface is this times the facet's Fresnel reflectance times `masking` of o.
+    f(i, o) |o·n| of the interface is this density times the Fresnel reflectance times `masking` of o.
     """
-    # alpha² cos² + sin²: the sine, which may be as small as alpha, is not taken from the cosine.
+    # alpha² cos² + sin²: the sine can be as small as alpha, so it is not computed from the cosine.
     root = alpha * alpha + (1.0 - alpha * alpha) * (facets[:, 0] ** 2 + facets[:, 1] ** 2)
     distribution = alpha * alpha / (np.pi * root * root)
     density = 0.25 * distribution * _masking_per_cosine(towards[:, 2], alpha)
@@ -70,14 +70,14 @@ def reflection_density(towards: Array, facets: Array, alpha: Array) -> Array:
 
 
 def half_vectors(towards: Array, reflected: Array) -> Array:
-    """Facets [N,3] that reflect `towards` [N,3] into `reflected` [N,3]; [0, 0, 0] where these are opposite."""
+    """Facets [N,3] that reflect `towards` [N,3] into `reflected` [N,3]; [0, 0, 0] if these are opposite."""
     half = towards + reflected
     length = np.linalg.norm(half, axis=1, keepdims=True)
     return np.asarray(np.divide(half, length, out=np.zeros_like(half), where=length > 1e-12))
 
 
 def _masking_per_cosine(cosine: Array, alpha: Array) -> Array:
-    """G1(i) / i_z, which has a limit at grazing where both vanish."""
+    """G1(i) / i_z, which has a limit at grazing."""
     return np.asarray(2.0 / (cosine + np.sqrt(cosine * cosine + alpha * alpha * (1.0 - cosine * cosine))))
 
 

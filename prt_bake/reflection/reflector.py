@@ -1,13 +1,12 @@
-"""Light reflected at the surface itself, which Ŝ leaves out: the first event at x, seen from the eye, is a reflection.
+"""Light reflected at the surface, which is not part of Ŝ: the first event at x, seen from the eye, is a reflection.
 
-It is reflected by the microsurface that walks are let in through (`prt_bake.reflection.microfacet`), once: what a
-second facet would reflect is lost, with `energy_compensation` too, which sends that light inwards. Light that comes to
-x off the object itself counts as black: paths that begin with a reflection at x and meet the object again are neither
-here nor, by its definition, in Ŝ.
+The microsurface (`prt_bake.reflection.microfacet`) reflects light once. Light that a second facet would reflect is
+lost; `energy_compensation` sends it inwards. Light that reaches x from the object itself counts as black: paths that
+begin with a reflection at x and meet the object again are neither here nor in Ŝ.
 
-One sample looks where a visible facet reflects the eye's ray to, and once towards each light, and combines the two ways
-for each light by the balance heuristic (Veach and Guibas 1995): both bounds hold, for the sharpest lobe under a wide
-sky as for the widest lobe under the smallest sun.
+Each sample draws one visible facet and one direction of each light, and combines the two for each light by multiple
+importance sampling with the balance heuristic (Veach and Guibas 1995). The variance is bounded for sharp lobes under
+wide skies and for wide lobes under small suns.
 """
 
 import math
@@ -22,22 +21,21 @@ from prt_bake.geometry.camera import Visibility
 from prt_bake.lights.lighting import Lighting
 from prt_bake.mathematics.random import uniforms
 from prt_bake.mathematics.sphere import to_local, to_world
+from prt_bake.reflection.finish import SurfacePoints
 from prt_bake.reflection.lights import LightSource, light_sources
 from prt_bake.reflection.microfacet import half_vectors, mirrored, reflection_density, visible_facets
-from prt_bake.reflection.surface import SMOOTHEST, Points, ReflectingSurface
+from prt_bake.reflection.surface import SMOOTHEST, FrontPoints, ReflectingSurface
 
 Array = NDArray[np.float64]
 
 _FACET_STREAM, _LIGHT_STREAM = 0xA0, 0xA1
 
-Numbers = Callable[[Points, int | None], Array]
-"""Numbers from 0 to 1 for points: [N,2] for their facets (None), [N,3] for the light of that number."""
+Numbers = Callable[[FrontPoints, int | None], Array]
+"""Numbers in [0, 1) for N points: [N,2] for facets (None), [N,3] for the light of an index."""
 
 
 class _Arrivals(NamedTuple):
-    """Light that comes along `directions` [M,3] to the points `rows` [M], if nothing is in its way: the radiance [M,3]
-    that it adds to what is reflected.
-    """
+    """Light from `directions` [M,3] at the points `rows` [M], if unoccluded: its reflected radiance [M,3]."""
 
     rows: NDArray[np.int64]
     directions: Array
@@ -45,104 +43,87 @@ class _Arrivals(NamedTuple):
 
 
 class Reflector:
-    """The surface of an object under a lighting, ready to be asked what it reflects."""
+    """Estimates the light that the surface of an object reflects under a lighting."""
 
     def __init__(self, mesh: Mesh, lighting: Lighting, eta: float, visibility: Visibility | None = None) -> None:
-        """Build for an object of index `eta` in a world of index 1; `visibility` is the mesh's, where there is one.
+        """Prepare an object of index `eta` in a world of index 1; `visibility` of the mesh is built unless given.
 
-        Raises QueryError for an index that is not above 0.
+        Raises QueryError for an index that is not positive.
         """
         self._surface = ReflectingSurface(mesh, eta)
         if not self._surface.matched:
             self._lights = light_sources(lighting)
             self._visibility = visibility or Visibility(mesh)
 
-    def reflected(
-        self,
-        faces: NDArray[np.int64],
-        barycentric: Array,
-        normals: Array,
-        outgoing: Array,
-        alpha: Array,
-        keys: NDArray[np.uint64],
-        seed: int,
-    ) -> Array:
-        """Radiance [N,3] reflected at points of the surface towards `outgoing` [N,3]: one unbiased sample of each, as
-        `sampled`; it depends on the keys [N] and the seed alone.
+    def reflected(self, points: SurfacePoints, keys: NDArray[np.uint64], seed: int) -> Array:
+        """One unbiased sample of the radiance [N,3] reflected at each point towards its `outgoing`.
+
+        It is as `sampled` computes it, and depends on the keys [N] and the seed alone.
         """
 
-        def drawn(points: Points, light: int | None) -> Array:
-            keyed = keys[points.rows]
+        def numbers(front: FrontPoints, light: int | None) -> Array:
+            front_keys = keys[front.rows]
             if light is None:
-                return uniforms((_FACET_STREAM, seed, keyed), 2)
-            return uniforms((_LIGHT_STREAM, seed, light, keyed), 3)
+                return uniforms((_FACET_STREAM, seed, front_keys), 2)
+            return uniforms((_LIGHT_STREAM, seed, light, front_keys), 3)
 
-        return self.sampled(faces, barycentric, normals, outgoing, alpha, drawn)
+        return self.sampled(points, numbers)
 
-    def sampled(
-        self,
-        faces: NDArray[np.int64],
-        barycentric: Array,
-        normals: Array,
-        outgoing: Array,
-        alpha: Array,
-        drawn: Numbers,
-    ) -> Array:
-        """Radiance [N,3] reflected at points of the surface towards `outgoing` [N,3], one facet and one direction of
-        each light a point, at numbers from 0 to 1 that `drawn` says.
+    def sampled(self, points: SurfacePoints, numbers: Numbers) -> Array:
+        """Radiance [N,3] reflected at points towards their `outgoing`, by one facet and one direction of each light.
 
-        faces [N] and barycentric (u, v) [N,2] say where, normals [N,3] are those of the interface (where one faces away
-        from `outgoing` the face's own is taken, as walks do), alpha [N] is its GGX roughness. Directional lights
-        without size are exact, and a mirror does not show them. An eye below its face sees nothing reflected.
+        `numbers` gives the random or quasi-random numbers. A face normal replaces an interface normal that faces away
+        from the eye, as in walks. Directional lights without size are exact, and a mirror does not show them. An eye
+        below a face sees black.
         """
-        total = np.zeros((len(faces), 3))
-        if self._surface.matched or not len(faces) or not self._lights:
+        total = np.zeros((len(points.faces), 3))
+        if self._surface.matched or not len(points.faces) or not self._lights:
             return total
-        points = self._surface.points(faces, normals, outgoing, np.asarray(alpha, np.float64))
-        arrivals = [self._by_facets(points, drawn(points, None))]
-        rough = points.alpha >= SMOOTHEST
+        front = self._surface.front_points(points)
+        arrivals = [self._by_facets(front, numbers(front, None))]
+        rough = front.alpha >= SMOOTHEST
         if rough.any():
-            points = Points._make(part[rough] for part in points)
+            front = front.subset(rough)
             for i, light in enumerate(self._lights):
-                arrivals.append(self._by_light(points, light, drawn(points, i)))
+                arrivals.append(self._by_light(front, light, numbers(front, i)))
         for arriving in arrivals:
-            free = self._reaches(faces, barycentric, arriving)
-            total[arriving.rows[free]] += arriving.radiance[free]
+            visible = self._visible(points, arriving)
+            total[arriving.rows[visible]] += arriving.radiance[visible]
         return total
 
-    def _by_facets(self, points: Points, numbers: Array) -> _Arrivals:
-        """What a visible facet of each point reflects, drawn by numbers [N,2]."""
+    def _by_facets(self, points: FrontPoints, numbers: Array) -> _Arrivals:
+        """Light reflected by one visible facet of each point, sampled by numbers [N,2]."""
         rough = points.alpha >= SMOOTHEST
         facets = np.zeros_like(points.towards)
         facets[:, 2] = 1.0
         facets[rough] = visible_facets(points.towards[rough], points.alpha[rough], numbers[rough])
         local = mirrored(points.towards, facets)
         directions = to_world(local, points.normals, points.tangents)
-        share = self._surface.share(points, facets, local, directions)
+        reflectance = self._surface.reflectance(points, facets, local, directions)
         density = reflection_density(points.towards, facets, np.maximum(points.alpha, SMOOTHEST))
         density[~rough] = math.inf
-        chosen = np.flatnonzero(share > 0.0)
+        chosen = np.flatnonzero(reflectance > 0.0)
         directions, density = directions[chosen], density[chosen]
         light = np.zeros((len(chosen), 3))
         for source in self._lights:
-            radiance, other = source.seen(directions)
-            light += radiance / (1.0 + other / density)[:, None]
-        return _Arrivals(points.rows[chosen], directions, share[chosen, None] * light)
+            radiance, light_density = source.evaluate(directions)
+            light += radiance / (1.0 + light_density / density)[:, None]
+        return _Arrivals(points.rows[chosen], directions, reflectance[chosen, None] * light)
 
-    def _by_light(self, points: Points, light: LightSource, numbers: Array) -> _Arrivals:
-        """What each point reflects of one direction of a light, drawn by numbers [N,3]."""
+    def _by_light(self, points: FrontPoints, light: LightSource, numbers: Array) -> _Arrivals:
+        """Light reflected at each point from one direction of a light, sampled by numbers [N,3]."""
         directions, weight, density = light.draw(numbers)
         local = to_local(directions, points.normals, points.tangents)
         facets = half_vectors(points.towards, local)
-        share = self._surface.share(points, facets, local, directions)
-        chosen = np.flatnonzero((share > 0.0) & (density > 0.0))
-        by_facets = reflection_density(points.towards[chosen], facets[chosen], points.alpha[chosen])
-        share = share[chosen] * by_facets / (1.0 + by_facets / density[chosen])
-        return _Arrivals(points.rows[chosen], directions[chosen], share[:, None] * weight[chosen])
+        reflectance = self._surface.reflectance(points, facets, local, directions)
+        chosen = np.flatnonzero((reflectance > 0.0) & (density > 0.0))
+        facet_density = reflection_density(points.towards[chosen], facets[chosen], points.alpha[chosen])
+        factor = reflectance[chosen] * facet_density / (1.0 + facet_density / density[chosen])
+        return _Arrivals(points.rows[chosen], directions[chosen], factor[:, None] * weight[chosen])
 
-    def _reaches(self, faces: NDArray[np.int64], barycentric: Array, arriving: _Arrivals) -> NDArray[np.int64]:
-        """Which of the arrivals carry light and pass the object."""
-        lit = np.flatnonzero(arriving.radiance.any(axis=1))
-        rows = arriving.rows[lit]
-        starts = self._surface.starts(faces[rows], barycentric[rows])
-        return lit[self._visibility.first_hits(starts, arriving.directions[lit]).faces < 0]
+    def _visible(self, points: SurfacePoints, arriving: _Arrivals) -> NDArray[np.int64]:
+        """Indices of the arrivals that are not black and not occluded."""
+        nonzero = np.flatnonzero(arriving.radiance.any(axis=1))
+        rows = arriving.rows[nonzero]
+        origins = self._surface.ray_origins(points.faces[rows], points.barycentric[rows])
+        return nonzero[self._visibility.first_hits(origins, arriving.directions[nonzero]).faces < 0]

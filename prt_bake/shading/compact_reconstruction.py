@@ -1,9 +1,9 @@
-"""The inner loop of shading compact coefficients: they are never unpacked.
+"""The inner loop of shading compact coefficients, without unpacking them.
 
-With s_j = Σ_r φ_r(ωo) codes[r,j] of a vertex, φ_r its functions of the view interpolated between bins, the radiance is
-Σ_j s_j · step · Σ_k channels[j,k] light[k]: the light meets the basis once for all vertices, and a vertex costs one
-product for each of its codes. Functions of the view that most vertices use are laid out with their zeros, which a
-processor runs through ten times as fast; of the others only the codes that are not zero.
+The radiance of a vertex is Σ_j s_j · step · Σ_k channels[j,k] light[k] with s_j = Σ_r φ_r(ωo) codes[r,j], where φ_r are
+the view functions interpolated between bins. The light is multiplied with the basis once for all vertices, and a vertex
+costs one product per code. View functions that most vertices use are stored densely, with zeros, which is ten times as
+fast per code; of the others only the nonzero codes are stored.
 """
 
 from typing import Any, NamedTuple
@@ -18,16 +18,16 @@ from prt_bake.jit.compilation import compiled
 from prt_bake.mathematics.sphere import BinCoordinates
 
 _DENSE_FROM = 0.08
-"""Share of codes that are not zero from which a function of the view is laid out with its zeros."""
+"""Share of nonzero codes from which a view function is stored densely."""
 _DENSE_BYTES = 1 << 29
 
 
-class Arranged(NamedTuple):
-    """Codes as shading reads them.
+class CodeLayout(NamedTuple):
+    """Codes in the layout of the kernel.
 
-    table: float32 [B,R], functions of the view at the bins, those that most codes use first.
-    dense: [V,J,D], codes of the first D of them, large ones 0. values, which: all other codes [M], and their
-    functions; those of vertex v and channel function j are runs[v,j] to runs[v,j+1] of them, runs [V,J+1].
+    table: float32 [B,R], view functions at the bins, most used first. dense: [V,J,D], codes of the first D view
+    functions, with 0 for large ones. values, which: all other codes [M] and their view functions. Those of vertex v and
+    channel function j are the elements runs[v,j] to runs[v,j+1]; runs [V,J+1].
     """
 
     table: NDArray[np.float32]
@@ -37,7 +37,7 @@ class Arranged(NamedTuple):
     values: NDArray[np.signedinteger]
 
 
-_ARRANGED: WeakKeyDictionary[CompactCoefficients, Arranged] = WeakKeyDictionary()
+_LAYOUTS: WeakKeyDictionary[CompactCoefficients, CodeLayout] = WeakKeyDictionary()
 
 
 def reconstruct_compact(
@@ -48,38 +48,38 @@ def reconstruct_compact(
     light: NDArray[np.float64],
     radiance: NDArray[np.float64],
 ) -> None:
-    """Set radiance [n,3] of `vertices` [n] under light [K,3], as `reconstruction.reconstruct` has it."""
+    """Set radiance [n,3] of `vertices` [n] under light [K,3], as `reconstruction.reconstruct`."""
     channels = compact.channels.astype(np.float64)
-    lit = compact.step * np.einsum("jkc,kc->jc", np.broadcast_to(channels, (*channels.shape[:2], 3)), light)
-    if compact not in _ARRANGED:
-        _ARRANGED[compact] = arranged(compact)
-    _add_up(tuple(_ARRANGED[compact]), lit, vertices, tuple(places), sectors, radiance)
+    basis_light = compact.step * np.einsum("jkc,kc->jc", np.broadcast_to(channels, (*channels.shape[:2], 3)), light)
+    if compact not in _LAYOUTS:
+        _LAYOUTS[compact] = arrange(compact)
+    _reconstruct(tuple(_LAYOUTS[compact]), basis_light, vertices, tuple(places), sectors, radiance)
 
 
-def arranged(compact: CompactCoefficients) -> Arranged:
-    """Lay the codes out for shading."""
+def arrange(compact: CompactCoefficients) -> CodeLayout:
+    """Bring codes into the layout of the kernel."""
     vertices, functions, width = len(compact), len(compact.view_matrix), len(compact.channels)
     views, channels = (part[compact.components] for part in (compact.view_component, compact.channel_component))
     used = np.bincount(views, minlength=functions)
     order = np.argsort(-used, kind="stable")
-    most = _DENSE_BYTES // max(1, vertices * width)
-    size = min(int((used >= _DENSE_FROM * vertices * width).sum()), most)
+    limit = _DENSE_BYTES // max(1, vertices * width)
+    size = min(int((used >= _DENSE_FROM * vertices * width).sum()), limit)
     place = np.empty(functions, np.uint32)
     place[order] = np.arange(functions, dtype=np.uint32)
     which = place[views]
     row = np.repeat(np.arange(vertices), np.diff(compact.starts)) * width + channels
     dense = np.zeros((vertices * width, size), np.int8)
-    of_dense = (which < size) & (np.abs(compact.values) < 128)
-    dense[row[of_dense], which[of_dense]] = compact.values[of_dense]
-    others = ~of_dense
+    fits = (which < size) & (np.abs(compact.values) < 128)
+    dense[row[fits], which[fits]] = compact.values[fits]
+    others = ~fits
     ends = np.concatenate([[0], np.cumsum(np.bincount(row[others], minlength=vertices * width))])
     runs = ends[np.arange(vertices)[:, None] * width + np.arange(width + 1)]
     table = np.ascontiguousarray(compact.view_matrix[order].T, np.float32)
-    return Arranged(table, dense.reshape(vertices, width, size), runs, which[others], compact.values[others])
+    return CodeLayout(table, dense.reshape(vertices, width, size), runs, which[others], compact.values[others])
 
 
 @compiled(fastmath=True)
-def _along(codes: Any, view: Any) -> Any:
+def _dense_dot(codes: Any, view: Any) -> Any:
     total = np.float32(0.0)
     for r in range(codes.shape[0]):
         total += np.float32(codes[r]) * view[r]
@@ -87,7 +87,7 @@ def _along(codes: Any, view: Any) -> Any:
 
 
 @compiled()
-def _here_and_there(values: Any, which: Any, view: Any) -> Any:
+def _sparse_dot(values: Any, which: Any, view: Any) -> Any:
     total = 0.0
     for i in range(values.shape[0]):
         total += values[i] * view[which[i]]
@@ -96,7 +96,7 @@ def _here_and_there(values: Any, which: Any, view: Any) -> Any:
 
 @compiled()
 def _interpolate(table: Any, n: Any, at: Any, sectors: Any, view: Any) -> None:
-    """Set each function's value [R] in the direction of vertex n."""
+    """Set view [R] to the view functions in the eye's direction of vertex n."""
     ring_low, ring_high, ring_weight, sector_low, sector_high, sector_weight, pole_weight = at
     if table.shape[0] == 1:
         view[:] = table[0]
@@ -117,14 +117,14 @@ def _interpolate(table: Any, n: Any, at: Any, sectors: Any, view: Any) -> None:
 
 
 @compiled(parallel=True)
-def _add_up(codes: Any, lit: Any, vertices: Any, at: Any, sectors: Any, radiance: Any) -> None:
+def _reconstruct(codes: Any, basis_light: Any, vertices: Any, at: Any, sectors: Any, radiance: Any) -> None:
     table, dense, runs, which, values = codes
     for n in prange(vertices.shape[0]):
         view = np.empty(table.shape[1], np.float32)
         _interpolate(table, n, at, sectors, view)
         run, rows, to_eye = runs[vertices[n]], dense[vertices[n]], radiance[n]
-        for j in range(lit.shape[0]):
+        for j in range(basis_light.shape[0]):
             some = slice(run[j], run[j + 1])
-            total = _along(rows[j], view) + _here_and_there(values[some], which[some], view)
+            total = _dense_dot(rows[j], view) + _sparse_dot(values[some], which[some], view)
             for c in range(3):
-                to_eye[c] += total * lit[j, c]
+                to_eye[c] += total * basis_light[j, c]

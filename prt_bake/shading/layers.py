@@ -1,4 +1,4 @@
-"""What a picture can hold beside its colour: where the object is seen, what of the light comes from where."""
+"""Layers of a picture besides its colour: geometry of the object, and parts of its radiance."""
 
 from collections.abc import Callable, Mapping
 
@@ -7,67 +7,67 @@ from numpy.typing import NDArray
 
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.shading.visible_points import PixelMeans, Seen
+from prt_bake.shading.visible_points import PixelMeans, VisiblePoints
 
 Array = NDArray[np.float64]
 
 LAYERS = {
     "position": "object space, scene units",
     "normal": "interpolated vertex normals, unit",
-    "vertex": "number of the vertex that is nearest to the middle of the pixel, -1 off the object",
-    "radiance": "of the object alone, the sky left out",
-    "subsurface": "of it what comes from under the surface",
-    "reflection": "of it what the surface reflects",
+    "vertex": "number of the vertex nearest to the middle of the pixel, -1 off the object",
+    "radiance": "of the object, without the sky",
+    "subsurface": "the part of the radiance from under the surface",
+    "reflection": "the part of the radiance reflected at the surface",
 }
-"""Those that `render_picture` takes, and what they hold. Position and normal are means over the object's part of a
-pixel, and 0 off it; radiance is weighted by coverage."""
+"""The layers of `render_picture`. Position and normal are means over the object's part of a pixel, and 0 off the
+object; radiance is weighted by coverage."""
 
 
-def layers_of(
+def make_layers(
     names: tuple[str, ...],
     mesh: Mesh,
-    seen: Seen,
+    points: VisiblePoints,
     pixels: PixelMeans,
-    of_object: Mapping[str, Array],
+    parts: Mapping[str, Array],
     radiance: Array,
 ) -> dict[str, NDArray[np.float32]]:
-    """The layers [H,W,3], or [H,W] of `vertex`, by name; nothing is computed that is not asked for.
+    """The requested layers by name, [H,W,3] or, for "vertex", [H,W].
 
-    of_object: subsurface and reflection at the points [n,3]; radiance [H,W,3]. Raises QueryError for unknown names.
+    parts: subsurface and reflection [n,3] at the visible points. radiance [H,W,3] of the object. Raises QueryError for
+    unknown names.
     """
     unknown = [name for name in names if name not in LAYERS]
     if unknown:
-        raise QueryError(f"layers: {unknown[0]!r} where some of {', '.join(LAYERS)} are expected")
+        raise QueryError(f"layers: expected some of {', '.join(LAYERS)}, found {unknown[0]!r}")
 
-    def blended(corners: Array) -> Array:
-        u, v = seen.barycentric[:, :1], seen.barycentric[:, 1:]
-        a, b, c = (corners[mesh.faces[seen.faces, k]] for k in range(3))
+    def interpolated(values: Array) -> Array:
+        u, v = points.barycentric[:, :1], points.barycentric[:, 1:]
+        a, b, c = (values[mesh.faces[points.faces, k]] for k in range(3))
         return np.asarray((1.0 - u - v) * a + u * b + v * c)
 
-    def on_object(values: Array) -> Array:
+    def mean_over_object(values: Array) -> Array:
         covered = pixels.means(None)[..., None]
         return np.divide(pixels.means(values), covered, out=np.zeros((*covered.shape[:2], 3)), where=covered > 0.0)
 
-    made: dict[str, Callable[[], Array]] = {
-        "position": lambda: on_object(blended(mesh.positions)),
-        "normal": lambda: _unit(on_object(blended(mesh.normals))),
-        "vertex": lambda: _vertices(mesh, seen, pixels),
+    makers: dict[str, Callable[[], Array]] = {
+        "position": lambda: mean_over_object(interpolated(mesh.positions)),
+        "normal": lambda: _unit(mean_over_object(interpolated(mesh.normals))),
+        "vertex": lambda: _nearest_vertices(mesh, points, pixels),
         "radiance": lambda: radiance,
-        "subsurface": lambda: pixels.means(of_object["subsurface"]),
-        "reflection": lambda: pixels.means(of_object["reflection"]),
+        "subsurface": lambda: pixels.means(parts["subsurface"]),
+        "reflection": lambda: pixels.means(parts["reflection"]),
     }
-    return {name: made[name]().astype(np.float32) for name in names}
+    return {name: makers[name]().astype(np.float32) for name in names}
 
 
-def _vertices(mesh: Mesh, seen: Seen, pixels: PixelMeans) -> Array:
-    shape = pixels.means(None).shape
-    numbers = np.full(shape, -1.0)
-    shares = np.concatenate([1.0 - seen.barycentric.sum(axis=1, keepdims=True), seen.barycentric], axis=1)
-    nearest = mesh.faces[seen.faces, shares.argmax(axis=1)]
-    # The middle one of each pixel's samples on the object, in the order of their rows.
-    firsts = np.flatnonzero(np.diff(seen.pixels, prepend=-1))
-    middles = (firsts + np.append(firsts[1:], len(seen.pixels)) - 1) // 2
-    numbers.ravel()[seen.pixels[middles]] = nearest[middles]
+def _nearest_vertices(mesh: Mesh, points: VisiblePoints, pixels: PixelMeans) -> Array:
+    numbers = np.full(pixels.means(None).shape, -1.0)
+    weights = np.concatenate([1.0 - points.barycentric.sum(axis=1, keepdims=True), points.barycentric], axis=1)
+    nearest = mesh.faces[points.faces, weights.argmax(axis=1)]
+    # Points are in the order of pixels: take the middle one of each pixel.
+    firsts = np.flatnonzero(np.diff(points.pixels, prepend=-1))
+    middles = (firsts + np.append(firsts[1:], len(points.pixels)) - 1) // 2
+    numbers.ravel()[points.pixels[middles]] = nearest[middles]
     return numbers
 
 

@@ -1,20 +1,20 @@
-"""Transport as a positive function of the direction of incidence, from its few harmonics: without ringing.
+"""Maximum-entropy reconstruction of transport from a few harmonics: positive, without ringing.
 
-A vertex seen from one direction holds a_k = ∫ f Y_k dω of its transport f(ωi) ≥ 0. Of all functions with these numbers
-the polynomial Σ a_k Y_k is only the one of least square; under a sky it is as good as any, but in one direction alone,
-that of a sun, it rings. The one of greatest entropy −∫ f ln f dω is f = exp(Σ μ_k Y_k), positive, and of forward
-scattering and of clear objects, whose transport is narrow, it is much nearer to the truth.
+A vertex seen from one direction has the coefficients a_k = ∫ f Y_k dω of its transport f(ωi) ≥ 0. The polynomial
+Σ a_k Y_k is the function of least square with these coefficients. It is fine under a sky but rings under a light from
+one direction, such as a sun. The function of maximum entropy −∫ f ln f dω is f = exp(Σ μ_k Y_k). It is positive, and
+much closer to narrow transport such as forward scattering and clear objects.
 
-With p = f / ∫ f and m_k = a_k / ∫ f, ∫ f = √(4π) a_00, the multipliers λ_k, k ≥ 1, are where
+With p = f / ∫ f and m_k = a_k / ∫ f, ∫ f = √(4π) a_00, the multipliers λ_k, k ≥ 1, minimise the dual
 
-    ln ∫ exp(Σ λ_k Y_k) dω − Σ λ_k m_k + ½ ρ |λ|² (1 + |λ|² / 2Λ²)
+    ln ∫ exp(Σ λ_k Y_k) dω − Σ λ_k m_k + ½ ρ |λ|² (1 + |λ|² / 2Λ²).
 
-is least: a strictly convex function whose gradient is ⟨Y_k⟩_p − m_k + ρ λ_k (1 + |λ|²/Λ²), so that Newton's method with
-halved steps always arrives. Coefficients that no positive function has (noise, errors of a network) have an answer too,
-since ρ > 0, and one that the quadrature resolves, since beyond Λ the price rises fast. The energy ∫ f is kept (to the
-error of the quadrature, 1e-6 but for needles), the other coefficients are met to the last term of the gradient times
-∫ f. Sources: Jaynes, "Information Theory and Statistical Mechanics", Phys. Rev. 106 (1957); Mead and Papanicolaou,
-"Maximum entropy in the problem of moments", J. Math. Phys. 25 (1984), for the convex dual.
+It is strictly convex with the gradient ⟨Y_k⟩_p − m_k + ρ λ_k (1 + |λ|²/Λ²), so damped Newton steps always converge.
+Coefficients that no positive function has (noise, network errors) have a solution too, because ρ > 0. The quadrature
+resolves it, because the penalty rises fast beyond Λ. The energy ∫ f is exact up to the quadrature (1e-6 except for
+needles); the other coefficients deviate by the last term of the gradient times ∫ f. Sources: Jaynes, "Information
+Theory and Statistical Mechanics", Phys. Rev. 106 (1957); Mead and Papanicolaou, "Maximum entropy in the problem of
+moments", J. Math. Phys. 25 (1984), for the convex dual.
 """
 
 import math
@@ -33,78 +33,79 @@ from prt_bake.mathematics import sh
 Array = NDArray[np.float64]
 
 RIDGE = 3e-4
-"""ρ of the module's text."""
-LARGE = 6.0
-"""Λ of the module's text: multipliers of needles stay below some 40."""
+"""ρ in the module's docstring."""
+SCALE = 6.0
+"""Λ in the module's docstring; multipliers of needles stay below about 40."""
 _QUADRATURE = 10
-_STEPS = 60
-_CLOSE = 1e-9
-"""Newton's method ends where the gradient is this small."""
+_MAX_STEPS = 60
+_TOLERANCE = 1e-9
+"""Largest entry of the gradient at which Newton's method ends."""
 
 
 @dataclass(frozen=True)
-class PositiveTransport:
+class MaximumEntropyTransport:
     """f [n,C] as energy · exp(Σ λ_k Y_k − logarithm): energy, logarithm [n,C], multipliers λ [n,C,K−1], k from 1."""
 
     energy: Array
     logarithm: Array
     multipliers: Array
 
-    def towards(self, directions: ArrayLike) -> Array:
-        """f [n,C,D] for light from `directions` [D,3], unit."""
+    def evaluate(self, directions: ArrayLike) -> Array:
+        """f [n,C,D] for light from unit `directions` [D,3]."""
         degree = sh.degree_of(self.multipliers.shape[2] + 1)
         exponent = self.multipliers @ sh.evaluate(directions, degree)[:, 1:].T - self.logarithm[..., None]
         return np.asarray(self.energy[..., None] * np.exp(exponent))
 
 
-def positive_transport(coefficients: ArrayLike) -> PositiveTransport:
-    """The positive functions of greatest entropy with `coefficients` [n,K,C], K = (degree + 1)².
+def fit_maximum_entropy(coefficients: ArrayLike) -> MaximumEntropyTransport:
+    """The maximum-entropy functions with `coefficients` [n,K,C], K = (degree + 1)².
 
-    Where a_00 is not above 0 no function is positive, and the even one of that energy is returned. None depends on the
-    light; they scale and turn with the coefficients.
+    If a_00 is not positive there is no positive function, and the constant function of that energy is returned. The
+    functions are independent of the light, and scale and rotate with the coefficients.
     """
-    numbers = np.asarray(coefficients, np.float64)
-    degree = sh.degree_of(numbers.shape[1])
-    energy, means = _means(numbers)
-    for band, needle in _bands(means):
-        band *= (needle / np.maximum(np.linalg.norm(band, axis=1), needle))[:, None]
+    values = np.asarray(coefficients, np.float64)
+    degree = sh.degree_of(values.shape[1])
+    energy, means = _means(values)
+    for band, bound in _bands(means):
+        band *= (bound / np.maximum(np.linalg.norm(band, axis=1), bound))[:, None]
     multipliers, logarithm = np.zeros(means.shape), np.full(len(means), math.log(4.0 * math.pi))
     if degree > 0:
-        in_threads(_fit, len(means), means, *_tables(degree), (RIDGE, LARGE), multipliers, logarithm)
-    shape = (len(numbers), numbers.shape[2])
-    return PositiveTransport(energy.reshape(shape), logarithm.reshape(shape), multipliers.reshape(*shape, -1))
+        in_threads(_fit, len(means), means, *_tables(degree), (RIDGE, SCALE), multipliers, logarithm)
+    shape = (len(values), values.shape[2])
+    return MaximumEntropyTransport(energy.reshape(shape), logarithm.reshape(shape), multipliers.reshape(*shape, -1))
 
 
-def slopes(
-    coefficients: ArrayLike, transport: PositiveTransport, directions: ArrayLike, irradiance: ArrayLike
+def radiance_gradient(
+    coefficients: ArrayLike, transport: MaximumEntropyTransport, directions: ArrayLike, irradiance: ArrayLike
 ) -> Array:
-    """∂/∂a_k [n,K,C] of Σ_d f(ω_d) E_d: what small errors of `coefficients` [n,K,C] make of their `transport` under
-    suns in `directions` [D,3] of `irradiance` [D,C].
+    """∂/∂a_k [n,K,C] of the radiance Σ_d f(ω_d) E_d of a `transport` fitted to `coefficients` [n,K,C].
 
-    By the theorem of implicit functions: the gradient of the module's text stays 0, so that its Hessian says how the
-    multipliers follow m.
+    directions [D,3], irradiance [D,C]: of the suns. By the implicit function theorem: the gradient of the dual stays 0,
+    so its Hessian gives the derivative of the multipliers by m.
     """
-    numbers = np.asarray(coefficients, np.float64)
-    degree, (count, _, channels) = sh.degree_of(numbers.shape[1]), numbers.shape
-    energy, means = _means(numbers)
-    towards = sh.evaluate(directions, degree)[:, 1:]
-    along, constant = np.zeros(means.shape), np.empty(len(means))
-    exponents, logarithm = transport.multipliers.reshape(means.shape), transport.logarithm.ravel()
-    lit = np.ascontiguousarray(np.broadcast_to(np.asarray(irradiance, np.float64).T, (count, channels, len(towards))))
-    lit = lit.reshape(len(means), -1)
+    values = np.asarray(coefficients, np.float64)
+    degree, (count, _, channels) = sh.degree_of(values.shape[1]), values.shape
+    energy, means = _means(values)
+    harmonics = sh.evaluate(directions, degree)[:, 1:]
+    gradient, radiance = np.zeros(means.shape), np.empty(len(means))
+    multipliers, logarithm = transport.multipliers.reshape(means.shape), transport.logarithm.ravel()
+    suns = np.ascontiguousarray(
+        np.broadcast_to(np.asarray(irradiance, np.float64).T, (count, channels, len(harmonics)))
+    ).reshape(len(means), -1)
+    price = (RIDGE, SCALE)
     in_threads(
-        _follow, len(means), exponents, logarithm, towards, lit, *_tables(degree), (RIDGE, LARGE), along, constant
+        _follow, len(means), multipliers, logarithm, harmonics, suns, *_tables(degree), price, gradient, radiance
     )
-    for band, raw in zip(_bands(along), _bands(means), strict=True):
-        _hold(band[0], *raw)
-    along[energy <= 0.0] = 0.0
-    whole = math.sqrt(4.0 * math.pi) * (constant - np.einsum("nk,nk->n", along, means))
-    found = np.concatenate([whole[:, None], along], axis=1)
-    return np.asarray(found.reshape(count, channels, -1).transpose(0, 2, 1))
+    for band, raw in zip(_bands(gradient), _bands(means), strict=True):
+        _project_clamped(band[0], *raw)
+    gradient[energy <= 0.0] = 0.0
+    by_energy = math.sqrt(4.0 * math.pi) * (radiance - np.einsum("nk,nk->n", gradient, means))
+    derivatives = np.concatenate([by_energy[:, None], gradient], axis=1)
+    return np.asarray(derivatives.reshape(count, channels, -1).transpose(0, 2, 1))
 
 
 def _means(coefficients: Array) -> tuple[Array, Array]:
-    """∫ f [M] and m [M,K−1] of the rows of all vertices and channels; 0 where ∫ f is not above 0."""
+    """∫ f [M] and m [M,K−1] of the rows of all vertices and channels; m is 0 if ∫ f is not positive."""
     rows = coefficients.transpose(0, 2, 1).reshape(-1, coefficients.shape[1])
     energy = math.sqrt(4.0 * math.pi) * rows[:, 0]
     means = np.zeros((len(rows), rows.shape[1] - 1))
@@ -112,39 +113,40 @@ def _means(coefficients: Array) -> tuple[Array, Array]:
 
 
 def _bands(means: Array) -> Iterator[tuple[Array, float]]:
-    """Views [M,2l+1] of m by degree, and what a needle has of it, which no positive function exceeds."""
+    """Views [M,2l+1] of m by degree, and their norm for a delta function, which bounds all positive functions."""
     for l in range(1, sh.degree_of(means.shape[1] + 1) + 1):
         yield means[:, l * l - 1 : (l + 1) ** 2 - 1], math.sqrt((2 * l + 1) / (4.0 * math.pi))
 
 
-def _hold(slope: Array, band: Array, needle: float) -> None:
-    """Make of `slope` [M,2l+1] by what was held to the needle's length the one by the `band` as it was."""
+def _project_clamped(gradient: Array, band: Array, bound: float) -> None:
+    """Turn a gradient [M,2l+1] by the clamped band into one by the `band` before clamping to the norm `bound`."""
     length = np.linalg.norm(band, axis=1)
-    beyond = length > needle
+    beyond = length > bound
     unit = band[beyond] / length[beyond, None]
-    across = slope[beyond] - np.einsum("mk,mk->m", slope[beyond], unit)[:, None] * unit
-    slope[beyond] = across * (needle / length[beyond])[:, None]
+    tangential = gradient[beyond] - np.einsum("mk,mk->m", gradient[beyond], unit)[:, None] * unit
+    gradient[beyond] = tangential * (bound / length[beyond])[:, None]
 
 
 @cache
 def _tables(degree: int) -> tuple[Array, Array]:
-    """Harmonics [K−1,D] from degree 1 on at the nodes of a quadrature, and its weights [D]."""
+    """Harmonics [K−1,D] of degree 1 and more at the nodes of a quadrature, and its weights [D]."""
     directions, weights = sh.quadrature(max(_QUADRATURE, 5 * degree))
     return np.ascontiguousarray(sh.evaluate(directions, degree)[:, 1:].T), weights
 
 
 @compiled(nogil=True)
 def _fit(
-    begun: Any, ended: Any, means: Any, harmonics: Any, weights: Any, price: Any, multipliers: Any, logarithm: Any
+    first: Any, stop: Any, means: Any, harmonics: Any, weights: Any, price: Any, multipliers: Any, logarithm: Any
 ) -> None:
+    """Set the multipliers [M,K−1] and logarithm [M] of the rows `first` to `stop` by damped Newton steps."""
     unknowns, nodes = harmonics.shape
-    for n in range(begun, ended):
+    for n in range(first, stop):
         density, gradient, hessian = np.empty(nodes), np.empty(unknowns), np.empty((unknowns, unknowns))
         found, trial = np.zeros(unknowns), np.empty(unknowns)
         value, logarithm[n] = _dual(found, means[n], harmonics, weights, price, density)
-        for _ in range(_STEPS):
+        for _ in range(_MAX_STEPS):
             steepest = _derivatives(found, means[n], harmonics, price, density, gradient, hessian)
-            if steepest < _CLOSE:
+            if steepest < _TOLERANCE:
                 break
             slope = _solve(hessian, gradient)
             step, better = 1.0, False
@@ -162,35 +164,35 @@ def _fit(
 
 @compiled(nogil=True)
 def _follow(
-    begun: Any,
-    ended: Any,
+    first: Any,
+    stop: Any,
     multipliers: Any,
     logarithm: Any,
-    towards: Any,
+    sun_harmonics: Any,
     irradiance: Any,
     harmonics: Any,
     weights: Any,
     price: Any,
-    along: Any,
-    constant: Any,
+    by_means: Any,
+    radiance: Any,
 ) -> None:
-    """Set `along` [M,K−1] to the change of Σ_d f E_d / ∫ f with m, and `constant` [M] to that sum."""
+    """Set `radiance` [M] to Σ_d f E_d / ∫ f, and `by_means` [M,K−1] to its derivative by m."""
     unknowns, nodes = harmonics.shape
-    for n in range(begun, ended):
+    for n in range(first, stop):
         density, gradient, hessian = np.empty(nodes), np.zeros(unknowns), np.empty((unknowns, unknowns))
-        found, change = multipliers[n], along[n]
+        found, change = multipliers[n], by_means[n]
         _dual(found, gradient, harmonics, weights, price, density)
         _derivatives(found, gradient, harmonics, price, density, gradient, hessian)
         total = 0.0
-        for d in range(towards.shape[0]):
+        for d in range(sun_harmonics.shape[0]):
             exponent = -logarithm[n]
             for k in range(unknowns):
-                exponent += found[k] * towards[d, k]
-            lit = irradiance[n, d] * math.exp(exponent)
-            total += lit
+                exponent += found[k] * sun_harmonics[d, k]
+            received = irradiance[n, d] * math.exp(exponent)
+            total += received
             for k in range(unknowns):
-                change[k] += lit * towards[d, k]
-        constant[n] = total
+                change[k] += received * sun_harmonics[d, k]
+        radiance[n] = total
         for k in range(unknowns):
             for d in range(nodes):
                 change[k] -= total * density[d] * harmonics[k, d]
@@ -199,7 +201,7 @@ def _follow(
 
 @compiled(fastmath=True)
 def _dual(found: Any, means: Any, harmonics: Any, weights: Any, price: Any, density: Any) -> Any:
-    """The function to be made least, and the logarithm in it; sets `density` [D] to p times the weights."""
+    """The dual and the logarithm in it; sets `density` [D] to p times the weights."""
     unknowns, nodes = harmonics.shape
     density[:] = 0.0
     linear, square = 0.0, 0.0
@@ -217,18 +219,18 @@ def _dual(found: Any, means: Any, harmonics: Any, weights: Any, price: Any, dens
         total += density[d]
     for d in range(nodes):
         density[d] /= total
-    ridge, large = price
+    ridge, scale = price
     logarithm = largest + math.log(total)
-    return logarithm - linear + 0.5 * ridge * square * (1.0 + 0.5 * square / (large * large)), logarithm
+    return logarithm - linear + 0.5 * ridge * square * (1.0 + 0.5 * square / (scale * scale)), logarithm
 
 
 @compiled(fastmath=True)
 def _derivatives(found: Any, means: Any, harmonics: Any, price: Any, density: Any, gradient: Any, hessian: Any) -> Any:
-    """Set the gradient and the Hessian; returns the gradient's largest entry."""
+    """Set the gradient and the Hessian of the dual; returns the gradient's largest entry."""
     unknowns, nodes = harmonics.shape
     mean, weighted = np.empty(unknowns), np.empty(nodes)
-    ridge, large = price
-    bend = 2.0 * ridge / (large * large)
+    ridge, scale = price
+    bend = 2.0 * ridge / (scale * scale)
     slope = ridge
     for k in range(unknowns):
         slope += 0.5 * bend * found[k] * found[k]
@@ -252,7 +254,7 @@ def _derivatives(found: Any, means: Any, harmonics: Any, price: Any, density: An
 
 @compiled()
 def _solve(hessian: Any, gradient: Any) -> Any:
-    """Turn `gradient` into Newton's step, by Cholesky's factors of `hessian`'s lower half; return their product."""
+    """Replace `gradient` by the Newton step, by a Cholesky factorisation in place; returns gradient · step."""
     unknowns = gradient.shape[0]
     slope = 0.0
     for j in range(unknowns):

@@ -1,4 +1,4 @@
-"""By how much radiance may be off for what a bake has left in the coefficients. Never loads torch."""
+"""Standard error of radiance by the standard errors of the baked coefficients. Never loads torch."""
 
 from collections.abc import Sequence
 
@@ -10,8 +10,8 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.sphere import BinCoordinates
 from prt_bake.mathematics.view_frames import ViewFrames
-from prt_bake.shading.suns import sun_slopes
-from prt_bake.shading.vertices import light_of, towards
+from prt_bake.shading.suns import sun_gradient
+from prt_bake.shading.vertices import bin_coordinates, eye_directions, light_coefficients
 
 Array = NDArray[np.float64]
 
@@ -23,36 +23,37 @@ def radiance_error(
     visible: NDArray[np.bool_] | None = None,
     suns: Sequence[DirectionalLight] = (),
 ) -> Array:
-    """One sigma [V,3] of what `shade` gives, by the asset's standard errors: σ² · channels_c · b_cᵀ C b_c for light b.
+    """Standard error [V,3] of the radiance of `shade`: its square is σ² · channels_c · b_cᵀ C b_c under a light b.
 
-    C is how the errors of a vertex's harmonics hang together in the frame of the view
-    (`formats.asset.error_covariance`); where an asset does not say, they do not. Between bins errors that bins have in
-    common stay, and others go by the squares of the weights. Suns that shine besides are met by what small errors do to
-    them (`sun_light.sun_slopes`), which is added to b vertex by vertex. Of what the model itself is off it knows
-    nothing. Arguments and errors as those of `shade_vertices`.
+    C is the covariance between the errors of a vertex's harmonics, in the frame of the view
+    (`formats.asset.error_covariance`). Without one in the asset the errors are independent. Between view bins, errors
+    shared by the bins add linearly, and independent errors add in squares. Suns enter by the derivative of their
+    radiance (`suns.sun_gradient`), which is added to b for each vertex. The error of the model itself is not included.
+    Arguments and exceptions are those of `shade_vertices`.
     """
-    weights = light_of(asset, light)
+    weights = light_coefficients(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    sigma, (at, outgoing) = asset.standard_error, towards(asset, eye, vertices)
+    outgoing = eye_directions(asset, eye, vertices)
+    at = bin_coordinates(asset, outgoing, vertices)
     error = np.zeros((len(asset.valid), 3))
     lights = np.broadcast_to(weights, (len(vertices), *weights.shape))
     if suns:
-        lights = lights + sun_slopes(asset, suns, vertices, at)
+        lights = lights + sun_gradient(asset, suns, vertices, at)
     if asset.error_covariance is None:
-        apart, times = np.zeros(len(vertices)), (lights**2).sum(axis=1)
+        independent, variance = np.zeros(len(vertices)), (lights**2).sum(axis=1)
     else:
-        shape = asset.error_covariance.at_vertices(vertices)
-        apart, frames = (
-            shape.apart[:, 0].astype(np.float64),
-            ViewFrames(asset.mesh.normals, np.asarray(asset.tangents, np.float64)),
-        )
-        times = shape.variance_under(frames.in_view(vertices, _of_bins(asset, vertices, at, outgoing), lights))
-    error[vertices] = between(sigma, vertices, at, asset.sectors, apart)[:, None] * np.sqrt(times)
+        covariance = asset.error_covariance.at_vertices(vertices)
+        independent = covariance.apart[:, 0].astype(np.float64)
+        frames = ViewFrames(asset.mesh.normals, np.asarray(asset.tangents, np.float64))
+        nearest = _nearest_bin_directions(asset, vertices, at, outgoing)
+        variance = covariance.variance_under(frames.in_view(vertices, nearest, lights))
+    sigma = interpolate_sigma(asset.standard_error, vertices, at, asset.sectors, independent)
+    error[vertices] = sigma[:, None] * np.sqrt(variance)
     return error
 
 
-def _of_bins(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates, outgoing: Array) -> Array:
-    """The directions [n,3] of the nearest view bins, whose errors they are; `outgoing` where all are kept as one."""
+def _nearest_bin_directions(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates, outgoing: Array) -> Array:
+    """World directions [n,3] of the nearest view bins; `outgoing` if one bin stands for all views."""
     if asset.coefficients.shape[1] == 1 and len(asset.directions) > 1:
         return outgoing
     ring = np.where(at.ring_weight > 0.5, at.ring_high, at.ring_low)
@@ -62,39 +63,41 @@ def _of_bins(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates, outg
     return sphere.to_world(local, asset.mesh.normals[vertices], tangents)
 
 
-def between(
-    sigma: NDArray[np.floating], vertices: NDArray[np.int64], at: BinCoordinates, sectors: int, apart: Array
+def interpolate_sigma(
+    sigma: NDArray[np.floating], vertices: NDArray[np.int64], at: BinCoordinates, sectors: int, independent: Array
 ) -> Array:
-    """Sigma [n] of `vertices` [n] between view bins that have sigma [V,B], or [V,1] each; the share `apart` [n] of a
-    bin's variance is its own.
+    """Standard errors [n] of `vertices` [n] between view bins, from those of the bins, [V,B] or [V,1].
+
+    independent [n]: the share of the bins' variance that is independent between bins.
     """
-    alike, own = np.zeros(len(vertices)), np.zeros(len(vertices))
+    shared_sum, own_sum = np.zeros(len(vertices)), np.zeros(len(vertices))
     in_pole = at.pole_weight / sectors
-    beside = [(1.0 - at.sector_weight, at.sector_low), (at.sector_weight, at.sector_high)]
+    sector_terms = [(1.0 - at.sector_weight, at.sector_low), (at.sector_weight, at.sector_high)]
     if sectors == 1:
-        beside = [(np.ones(len(vertices)), at.sector_low)]
+        sector_terms = [(np.ones(len(vertices)), at.sector_low)]
     for ring_weight, ring in ((1.0 - at.ring_weight, at.ring_low), (at.ring_weight, at.ring_high)):
-        for sector_weight, sector in beside:
+        for sector_weight, sector in sector_terms:
             weight = (1.0 - at.pole_weight) * ring_weight * sector_weight
-            here = sigma[vertices, np.minimum(sectors * ring + sector, sigma.shape[1] - 1)].astype(np.float64)
-            alike += weight * here
-            own += (weight**2 + 2.0 * weight * in_pole) * here**2
+            bin_sigma = sigma[vertices, np.minimum(sectors * ring + sector, sigma.shape[1] - 1)].astype(np.float64)
+            shared_sum += weight * bin_sigma
+            own_sum += (weight**2 + 2.0 * weight * in_pole) * bin_sigma**2
     near = np.flatnonzero(at.pole_weight > 0.0)
     if len(near):
         ring = np.broadcast_to(sigma[vertices[near], :sectors].astype(np.float64), (len(near), sectors))
-        alike[near] += at.pole_weight[near] * ring.mean(axis=1)
-        own[near] += in_pole[near] ** 2 * (ring**2).sum(axis=1)
-    return np.asarray(np.sqrt((1.0 - apart) * alike**2 + apart * own))
+        shared_sum[near] += at.pole_weight[near] * ring.mean(axis=1)
+        own_sum[near] += in_pole[near] ** 2 * (ring**2).sum(axis=1)
+    return np.asarray(np.sqrt((1.0 - independent) * shared_sum**2 + independent * own_sum))
 
 
-def over_faces(asset: Asset, shares: Array, corners: NDArray[np.integer], sigma: Array) -> Array:
-    """Sigma [n,3] of points that are `shares` [n,3] of their face's `corners` [n,3], of `sigma` [V,3] at vertices:
-    those that err by themselves add up in squares.
+def interpolate_over_faces(asset: Asset, weights: Array, corners: NDArray[np.integer], sigma: Array) -> Array:
+    """Standard errors [n,3] of points with `weights` [n,3] at their face's `corners` [n,3], from those at vertices [V,3].
+
+    Errors shared by vertices add linearly, independent ones in squares.
     """
     if asset.error_covariance is None:
-        return np.asarray(np.einsum("nk,nkc->nc", shares, sigma[corners]))
-    alone = asset.error_covariance.at_vertices(np.arange(len(asset.valid))).apart[:, 1:].astype(np.float64)
-    squares = np.einsum("nk,nkc->nc", shares**2, (alone * sigma**2)[corners])
-    if (alone < 1.0).any():
-        squares += np.einsum("nk,nkc->nc", shares, (np.sqrt(1.0 - alone) * sigma)[corners]) ** 2
+        return np.asarray(np.einsum("nk,nkc->nc", weights, sigma[corners]))
+    independent = asset.error_covariance.at_vertices(np.arange(len(asset.valid))).apart[:, 1:].astype(np.float64)
+    squares = np.einsum("nk,nkc->nc", weights**2, (independent * sigma**2)[corners])
+    if (independent < 1.0).any():
+        squares += np.einsum("nk,nkc->nc", weights, (np.sqrt(1.0 - independent) * sigma)[corners]) ** 2
     return np.asarray(np.sqrt(squares))

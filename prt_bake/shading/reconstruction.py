@@ -1,7 +1,7 @@
 """The inner loop of shading, compiled: interpolation between view bins and the dot product with a light.
 
-Coefficients stay as they lie in the asset: float32, or the bits of float16 as uint16, widened by a table (numba has no
-half floats on a CPU). Sums are float64.
+Coefficients keep the asset's storage: float32, or the bits of float16 as uint16, converted by a table (numba has no
+float16 on a CPU). Sums are float64.
 """
 
 import math
@@ -27,11 +27,11 @@ _COMPACT_VERTICES_A_THREAD = 1 << 13
 def reconstruct(
     coefficients: Any, vertices: NDArray[np.int64], at: BinCoordinates, sectors: int, light: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Radiance [n,3], negative values kept, that `vertices` [n] (ascending) send to the eye under light [K,3].
+    """Radiance [n,3], not clamped, of `vertices` [n] (ascending) towards the eye under light [K,3].
 
-    coefficients: [V,B,K,C], float16 or float32, an array or an open HDF5 dataset, of which only what is needed is read;
-    B and C may be 1 and are broadcast; or compact ones, which are shaded as they are. at: where each vertex's
-    direction to the eye lies between the view bins, fields [n] (`sphere.bin_coordinates`).
+    coefficients: [V,B,K,C], float16 or float32, an array or an open HDF5 dataset, from which only the needed chunks are
+    read; B and C may be 1 and are broadcast. Compact coefficients are not unpacked. at: coordinates of each vertex's
+    direction to the eye between the view bins, fields [n] (`sphere.bin_coordinates`).
     """
     radiance = np.zeros((len(vertices), 3))
     places = BinCoordinates._make(np.ascontiguousarray(field) for field in at)
@@ -50,7 +50,7 @@ def reconstruct(
 
 @contextmanager
 def _threads_for(vertices: int, a_thread: int) -> Iterator[None]:
-    """As many of numba's threads as have enough to do: on a busy machine waiting for one more costs milliseconds."""
+    """Use only as many numba threads as have enough work; waiting for a thread on a busy machine costs milliseconds."""
     most = get_num_threads()
     set_num_threads(min(most, 1 + vertices // a_thread))
     try:
@@ -60,9 +60,9 @@ def _threads_for(vertices: int, a_thread: int) -> Iterator[None]:
 
 
 def _blocks(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, NDArray[Any], NDArray[np.int64]]]:
-    """Runs of `vertices`, coefficients that hold them, and their rows in those.
+    """Yield runs of `vertices`, coefficients that contain them, and their rows in those coefficients.
 
-    Memory is taken as it is; of a file only the chunks with vertices in them are read, few at a time.
+    An array is yielded unchanged. From a file only the chunks with requested vertices are read, a few at a time.
     """
     if isinstance(coefficients, np.ndarray):
         yield slice(0, len(vertices)), coefficients, vertices
@@ -86,7 +86,7 @@ def _half_table() -> NDArray[np.float32]:
 
 @compiled()
 def _add_bin(transfer: Any, table: Any, light: Any, weight: Any, radiance: Any) -> None:
-    """Add weight · Σ_k transfer[k] light[k] of one bin; numba drops the branch that the type of `table` rules out."""
+    """Add weight · Σ_k transfer[k] light[k] of one bin; numba removes the branch by the type of `table`."""
     last = transfer.shape[1] - 1
     for c in range(3):
         channel, total = min(c, last), 0.0

@@ -1,12 +1,12 @@
-"""Suns on a baked asset: what of a lighting is shaded by harmonics, and what by the transport in the suns' directions.
+"""Suns on a baked asset: the sky is shaded by harmonics, suns by a maximum-entropy reconstruction of the transport.
 
-An asset holds a few harmonics of its transport, and under a sun their sum rings: a vertex that no light of the sun
-reaches glows or is below 0. No light that is written as harmonics mends that without blurring the sun. Suns are
-therefore taken out of the skies (`suns`) and met by a positive transport with the same harmonics
-(`positive_transport`). Directional lights up to the width of a sun are treated in the same way.
+An asset stores a few harmonics of its transport. Under a sun their sum rings: vertices that the sun does not reach glow
+or become negative. Damping the harmonics of the light would blur the sun. Suns are therefore taken out of the skies
+(`prt_bake.lights.suns`) and shaded by the maximum-entropy reconstruction with the same harmonics (`maximum_entropy`).
+Directional lights up to the width of a sun are shaded in the same way.
 
-Radiance stays linear in the scale of the light and additive in suns, and in skies as long as the same suns are found in
-their sum; it is not linear in the asset's coefficients.
+Radiance is linear in the scale of the light and additive in suns. It is additive in skies if the same suns are found in
+their sum. It is not linear in the asset's coefficients.
 """
 
 import math
@@ -29,19 +29,20 @@ from prt_bake.mathematics.sphere import BinCoordinates, tangent_frame, to_world
 
 Array = NDArray[np.float64]
 SunTreatment = Literal["split", "window", "plain"]
-"""split: suns apart, by a positive transport. window: their harmonics damped until they are nowhere below 0.
-plain: in the harmonics like all other light."""
+"""split: suns are shaded separately, by maximum entropy. window: their harmonics are damped until they are nowhere
+negative. plain: they stay in the harmonics."""
 
 _POINT = 2.0
-"""Degrees; discs up to this wide are taken as their middle."""
+"""Degrees; narrower discs are treated as a point."""
 _BYTES_AT_ONCE = 64 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class SunsApart:
-    """Harmonics [K,3] to shade with, and the suns to shade apart; whole [K,3]: harmonics of all the light, undamped.
+    """A lighting divided for an asset.
 
-    found: how many suns there were, whatever was done with them.
+    harmonics [K,3]: the light to shade by harmonics. suns: to shade separately. whole [K,3]: harmonics of all the
+    light, undamped. found: the number of suns, for every treatment.
     """
 
     harmonics: Array
@@ -51,11 +52,17 @@ class SunsApart:
 
 
 def suns_apart(lighting: Lighting, degree: int, treatment: SunTreatment = "split") -> SunsApart:
-    """Divide a lighting for an asset of a degree; raises QueryError for an unknown treatment."""
+    """Divide a lighting into harmonics and suns for an asset of a degree. Raises QueryError for an unknown treatment.
+
+    >>> import prt_bake as prt
+    >>> light = prt.suns_apart(prt.read_lighting("sun:0,1,0:3,3,3:0.5"), degree=2)
+    >>> light.harmonics.shape, len(light.suns)
+    ((9, 3), 1)
+    """
     refuse_path("lighting", lighting, "prt.read_lighting")
     if treatment not in get_args(SunTreatment):
         raise QueryError(f"suns: expected {', '.join(map(repr, get_args(SunTreatment)))}, found {treatment!r}")
-    # A single harmonic cannot ring.
+    # A constant light does not ring.
     split = lighting if treatment == "plain" or degree == 0 else split_lighting(lighting)
     suns = tuple(sun for sun in split.suns if sun.angular_diameter <= WIDEST)
     if split is lighting and (treatment == "plain" or degree == 0 or not suns):
@@ -75,37 +82,38 @@ def suns_apart(lighting: Lighting, degree: int, treatment: SunTreatment = "split
 def sun_radiance(
     asset: Asset, suns: Sequence[DirectionalLight], vertices: NDArray[np.int64], at: BinCoordinates
 ) -> Array:
-    """Radiance [n,3] that `vertices` [n] (ascending) send to the eye under suns alone; `at` as in `reconstruct`.
+    """Radiance [n,3] of `vertices` [n] (ascending) towards the eye under suns alone; `at` as in `reconstruct`.
 
-    Not negative, but where the vertex's mean transport itself is.
+    It is negative only if the mean transport of the vertex is.
     """
-    from prt_bake.shading.maximum_entropy import positive_transport
+    from prt_bake.shading.maximum_entropy import fit_maximum_entropy
 
     radiance = np.zeros((len(vertices), 3))
     if not suns or not len(vertices):
         return radiance
     directions, irradiance = _points(suns)
-    transport = positive_transport(_channels(asset, vertices, at)).towards(directions)
+    transport = fit_maximum_entropy(_channels(asset, vertices, at)).evaluate(directions)
     radiance += np.einsum("ncd,dc->nc", np.broadcast_to(transport, (len(vertices), 3, len(directions))), irradiance)
     return radiance
 
 
-def sun_slopes(
+def sun_gradient(
     asset: Asset, suns: Sequence[DirectionalLight], vertices: NDArray[np.int64], at: BinCoordinates
 ) -> Array:
-    """∂/∂a_k [n,K,3] of `sun_radiance`, by the coefficients between the view bins: the harmonics of a light under which
-    small errors of them are what they are under these suns.
+    """∂/∂a_k [n,K,3] of `sun_radiance` by the coefficients between the view bins.
+
+    To first order, errors of the coefficients have the same effect under the suns as under a light with these harmonics.
     """
-    from prt_bake.shading.maximum_entropy import PositiveTransport, positive_transport, slopes
+    from prt_bake.shading.maximum_entropy import MaximumEntropyTransport, fit_maximum_entropy, radiance_gradient
 
     shape = (len(vertices), (asset.degree + 1) ** 2, 3)
     if not suns or not len(vertices):
         return np.zeros(shape)
     coefficients = _channels(asset, vertices, at)
-    fitted = positive_transport(coefficients)
+    fitted = fit_maximum_entropy(coefficients)
     fields = (fitted.energy, fitted.logarithm, fitted.multipliers)
-    of_each = PositiveTransport(*(np.broadcast_to(part, (len(part), 3, *part.shape[2:])) for part in fields))
-    return slopes(np.broadcast_to(coefficients, shape), of_each, *_points(suns))
+    by_channel = MaximumEntropyTransport(*(np.broadcast_to(part, (len(part), 3, *part.shape[2:])) for part in fields))
+    return radiance_gradient(np.broadcast_to(coefficients, shape), by_channel, *_points(suns))
 
 
 def _points(suns: Sequence[DirectionalLight]) -> tuple[Array, Array]:
@@ -114,28 +122,28 @@ def _points(suns: Sequence[DirectionalLight]) -> tuple[Array, Array]:
 
 
 def _channels(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
-    """Coefficients [n,K,C]; one channel where it stands for all."""
-    coefficients = gathered(asset, vertices, at)
+    """Interpolated coefficients [n,K,C]; C is 1 if all channels are equal."""
+    coefficients = interpolated_coefficients(asset, vertices, at)
     return coefficients[:, :, :1] if (coefficients == coefficients[:, :, :1]).all() else coefficients
 
 
-def gathered(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
+def interpolated_coefficients(asset: Asset, vertices: NDArray[np.int64], at: BinCoordinates) -> Array:
     """Coefficients [n,K,3] of `vertices` [n] (ascending) between the view bins; `at` as in `reconstruct`."""
     from prt_bake.shading.reconstruction import reconstruct
 
     harmonics = (asset.degree + 1) ** 2
-    answer = np.empty((len(vertices), harmonics, 3))
-    for part, block, rows in _in_memory(asset.coefficients, vertices):
+    coefficients = np.empty((len(vertices), harmonics, 3))
+    for part, block, rows in _blocks(asset.coefficients, vertices):
         places = BinCoordinates._make(field[part] for field in at)
         for k in range(harmonics):
             light = np.zeros((harmonics, 3))
             light[k] = 1.0
-            answer[part, k] = reconstruct(block, rows, places, asset.sectors, light)
-    return answer
+            coefficients[part, k] = reconstruct(block, rows, places, asset.sectors, light)
+    return coefficients
 
 
-def _in_memory(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, Any, NDArray[np.int64]]]:
-    """Runs of `vertices`, coefficients that hold them, and their rows in those; a file is read once."""
+def _blocks(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, Any, NDArray[np.int64]]]:
+    """Yield runs of `vertices`, coefficients that contain them, and their rows in those; a file is read once."""
     if isinstance(coefficients, (np.ndarray, CompactCoefficients)):
         yield slice(0, len(vertices)), coefficients, vertices
         return
@@ -147,7 +155,7 @@ def _in_memory(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple
 
 
 def _points_of(sun: DirectionalLight) -> tuple[Array, Array]:
-    """Directions [D,3] and irradiance [D,3] that stand for a sun: its middle, or points even over a wide disc."""
+    """Directions [D,3] and irradiance [D,3] that replace a sun: its centre, or a quadrature over a wide disc."""
     if sun.angular_diameter <= _POINT:
         return sun.direction[None], sun.irradiance[None]
     nodes, turns = np.array([-1.0, 1.0]) / math.sqrt(3.0), 2.0 * math.pi * np.arange(6) / 6.0

@@ -1,4 +1,4 @@
-"""Pictures of an asset all the way round: the eye goes about it, or the light does."""
+"""Turntables: pictures of an asset while the eye or the light goes round."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,13 +22,13 @@ def turntable(
     up: str | None = None,
     **options: Any,
 ) -> Iterator[Picture]:
-    """`frames` pictures, evenly over one turn about the up axis, counter-clockwise seen from above; the first as it is.
+    """`frames` pictures, evenly spaced over one turn about the up axis, counter-clockwise seen from above.
 
-    The eye turns about the axis through what it looks at. Options are those of `render_picture`. Raises QueryError for
-    less than one frame, and as `render_picture` does.
+    The eye turns about the axis through the camera's target. The first picture has no rotation. Options are those of
+    `render_picture`. Raises QueryError for less than one frame, and as `render_picture`.
     """
     if frames < 1:
-        raise QueryError(f"frames: {frames} where at least 1 is expected")
+        raise QueryError(f"frames: expected at least 1, found {frames}")
     axis = up or asset.up
     for number in range(frames):
         degrees = 360.0 * number / frames

@@ -1,4 +1,4 @@
-"""The points of an object that a picture's samples see, and means over the samples of each pixel."""
+"""The points of an object that are visible in a picture, and means over the samples of each pixel."""
 
 import math
 from collections.abc import Iterator
@@ -15,9 +15,11 @@ Array = NDArray[np.float64]
 _RAYS_AT_ONCE = 1 << 15
 
 
-class Seen(NamedTuple):
-    """The samples of a picture that meet the object: their pixels [n], row · width + column, which sample of the pixel
-    [n], faces [n], (u, v) [n,2], and unit directions to the eye [n,3].
+class VisiblePoints(NamedTuple):
+    """Points of the object that are hit by the camera rays of a picture.
+
+    pixels [n]: row · width + column. samples [n]: number of the sample within its pixel. faces [n]; (u, v) barycentric
+    [n,2]; outgoing [n,3]: unit directions to the eye.
     """
 
     pixels: NDArray[np.int64]
@@ -28,21 +30,21 @@ class Seen(NamedTuple):
 
 
 class PixelMeans:
-    """Means over all `samples` of each pixel, of values at those that meet the object; `pixels` [n] are theirs."""
+    """Averages values at visible points over all `samples` of their `pixels` [n]."""
 
     def __init__(self, pixels: NDArray[np.int64], camera: Camera, samples: int) -> None:
         self._pixels, self._samples, self._shape = pixels, samples, (camera.height, camera.width)
 
     def means(self, values: Array | None) -> Array:
-        """Over all samples of a pixel, [H,W,C] of values [n,C] of those on the object; [H,W] the object's share."""
+        """Pixels [H,W,C] from values [n,C] at the visible points; for None the coverage [H,W]."""
         columns = (None,) if values is None else values.T
         count = math.prod(self._shape)
         sums = [np.bincount(self._pixels, column, count).reshape(self._shape) for column in columns]
         return np.asarray((sums[0] if values is None else np.stack(sums, axis=-1)) / self._samples)
 
 
-def cast(visibility: Visibility, camera: Camera, offsets: Array) -> Seen:
-    """The samples of a picture that meet the object, `offsets` [S,2] of each pixel; raises QueryError for none."""
+def find_visible_points(visibility: Visibility, camera: Camera, offsets: Array) -> VisiblePoints:
+    """Trace the camera rays at `offsets` [S,2] of each pixel. Raises QueryError if no ray hits the object."""
     parts = []
     for rows in row_blocks(camera, len(offsets)):
         origins, directions = rays(camera, rows, offsets).rows()
@@ -50,18 +52,18 @@ def cast(visibility: Visibility, camera: Camera, offsets: Array) -> Seen:
         met = np.flatnonzero(hits.faces >= 0)
         pixels, sample = np.divmod(met, len(offsets))
         pixels += rows.start * camera.width
-        parts.append(Seen(pixels, sample, hits.faces[met], hits.barycentric[met], -directions[met]))
-    seen = Seen._make(np.concatenate(part) for part in zip(*parts, strict=True))
-    if not len(seen.pixels):
+        parts.append(VisiblePoints(pixels, sample, hits.faces[met], hits.barycentric[met], -directions[met]))
+    points = VisiblePoints._make(np.concatenate(part) for part in zip(*parts, strict=True))
+    if not len(points.pixels):
         raise QueryError(
             f"camera: the eye at {camera.eye.tolist()}, looking at {camera.target.tolist()}, sees nothing of the "
-            "object; turn it to the object, or narrow the view of one far away"
+            "object; turn it to the object, or narrow its field of view if the object is far away"
         )
-    return seen
+    return points
 
 
 def row_blocks(camera: Camera, samples: int) -> Iterator[slice]:
-    """Rows of the picture, few enough for the arrays of one block to stay in cache."""
+    """Blocks of rows of the picture, small enough for their arrays to stay in cache."""
     step = max(1, _RAYS_AT_ONCE // (camera.width * samples))
     for first in range(0, camera.height, step):
         yield slice(first, min(first + step, camera.height))

@@ -52,9 +52,9 @@ class NeverEvaluated:
     ],
 )
 @pytest.mark.parametrize("command", [bake.bake, bake.plan])
-def test_what_makes_no_sense_is_refused_before_any_work(command: Any, asked: dict[str, Any], sentence: str) -> None:
+def test_invalid_arguments_raise_before_any_work(command: Any, arguments: dict[str, Any], sentence: str) -> None:
     with pytest.raises(QueryError, match=sentence):
-        command(NeverEvaluated(), icosphere(0), **{**SMALL, **asked})
+        command(NeverEvaluated(), icosphere(0), **{**SMALL, **arguments})
 
 
 @pytest.mark.parametrize("minutes", [0.0, -1.0, math.nan])

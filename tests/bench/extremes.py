@@ -23,7 +23,7 @@ from prt_bake.tracer.estimate import Estimate, estimate_coefficients, estimate_t
 from prt_bake.tracer.prepared import prepare
 from tests.tracer.nested_scenes import CLEAR, nested_scene
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
-from tests.tracer.soundness import SQRT_4_PI, connects
+from tests.tracer.soundness import SQRT_4_PI, has_connections
 
 ROUGH: dict[str, Any] = {"eta": 1.4, "roughness": 0.3}
 SCENES = Path(__file__).parents[2] / "scenes"
@@ -85,7 +85,7 @@ def _row(name: str, estimate: Estimate, values: np.ndarray, errors: np.ndarray, 
 def measure(name: str, scene: Scene, count: int, paths: int) -> None:
     """Print the rows of a scene."""
     positions, outgoing, _ = queries(scene.mesh, count, 11)
-    if connects(scene):
+    if has_connections(scene):
         values = estimate_transport(scene, positions, outgoing, unit_directions(count, 12), paths, 1)
         _row(f"{name}: S", values, values.mean, values.standard_error)
     exits = estimate_coefficients(scene, positions, outgoing, 0, paths, 1)
@@ -146,7 +146,7 @@ def main() -> None:
             print(f"{path.stem:46}{error}")
             continue
         measure(path.stem, scene, args.queries, args.paths)
-        if connects(scene):
+        if has_connections(scene):
             print(f"{path.stem}: connections and exits{agreement(scene, 8, args.paths // 4)}", flush=True)
 
 

@@ -142,7 +142,7 @@ def main() -> None:
     asset = make_asset(args.vertices)
     preview = Preview(asset, [LightSource(SKY, asset.up, asset.degree)])
     preview.load()
-    settle(asset)
+    refine(asset)
     print(f"{len(asset.valid)} vertices, {len(asset.mesh.faces)} faces, milliseconds per frame:")
     for mode, choose in (
         ("light and sky", lambda: None),

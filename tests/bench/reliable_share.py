@@ -16,7 +16,7 @@ import numpy as np
 from formats.scene import Scene, read_scene
 from prt_bake.tracer.estimate import estimate_transport
 from tests.tracer.scenes import queries, unit_directions
-from tests.tracer.soundness import connects
+from tests.tracer.soundness import has_connections
 
 ROOT = Path(__file__).parents[2]
 ALLOWED = 0.05
@@ -61,7 +61,7 @@ def main() -> None:
     args = parser.parse_args()
     print(f"{'scene':14}{'paths':>9}{'unreliable':>13}{'error':>9}{'seconds':>10}")
     for name, scene in shipped(args.names).items():
-        if connects(scene):
+        if has_connections(scene):
             measure(name, scene, args.queries, args.paths, args.most, args.seed)
 
 

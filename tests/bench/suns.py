@@ -30,8 +30,8 @@ from prt_bake.lights.suns import split_lighting
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.directions import fibonacci
 from prt_bake.shading import vertices
-from prt_bake.shading.maximum_entropy import positive_transport
-from prt_bake.shading.suns import gathered
+from prt_bake.shading.maximum_entropy import fit_maximum_entropy
+from prt_bake.shading.suns import interpolated_coefficients
 from prt_bake.shipped.demonstration import SHIPPED
 
 Array = NDArray[np.float64]
@@ -89,8 +89,8 @@ class Viewed:
         self._weights = np.concatenate([1.0 - barycentric.sum(axis=1, keepdims=True), barycentric], axis=1)
         self.vertices, index = np.unique(corners, return_inverse=True)
         self._corners = index.reshape(-1, 3)
-        at = vertices.between_bins(asset, self.view.eye, self.vertices)
-        self.coefficients = gathered(asset, self.vertices, at)
+        at = vertices.eye_bin_coordinates(asset, self.view.eye, self.vertices)
+        self.coefficients = interpolated_coefficients(asset, self.vertices, at)
         towards = self.view.eye - asset.mesh.positions[self.vertices]
         self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)
 
@@ -125,7 +125,7 @@ def radiance_by_method(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Ligh
         irradiance = np.array([sun.irradiance for sun in split.suns])
         begun = time.perf_counter()
         radiance["entropy"] = shade(sky) + np.einsum(
-            "ncd,dc->nc", positive_transport(a).towards(directions), irradiance
+            "ncd,dc->nc", fit_maximum_entropy(a).evaluate(directions), irradiance
         )
         print(f"    entropy: {1e3 * (time.perf_counter() - begun):.0f} ms for {len(a)} vertices")
         exact = network.evaluate(directions, viewed.asset.mesh.positions[viewed.vertices], viewed.outgoing)

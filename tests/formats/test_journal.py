@@ -24,20 +24,19 @@ import sys
 sys.path[:0] = {path!r}
 import os, signal
 from prt_bake import bake
-from transports import Incoherent, icosphere
-import formats.journal as journal
-write, left = journal.Journal.write, [{blocks}]
-def counted(self, name, arrays):
+from formats.journal import Journal
+from prt_bake.baking.adaptive import pilot, run
+from tests.bakers.transports import Incoherent, icosphere
+from tests.baking.loose_pilot import loose_settings
+write, remaining = Journal.write, [{blocks}]
+def write_or_die(self, name, arrays):
     write(self, name, arrays)
-    left[0] -= not name.startswith("aim")
-    if left[0] == 0:
+    remaining[0] -= not name.startswith("aim")
+    if remaining[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
-journal.Journal.write = counted
-import prt_bake.baking.adaptive.pilot as refined
-refined.BINS_AT_ONCE = 5 * 64
-from tests.baking import loose_pilot as loose_aim
-import prt_bake.baking.adaptive.run as passes
-passes.settings_for_error = loose_aim.loose_settings
+Journal.write = write_or_die
+pilot.BINS_AT_ONCE = 5 * 64
+run.settings_for_error = loose_settings
 bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.05, out={out!r})
 """
 

@@ -1,4 +1,4 @@
-"""Lights of a preview: read again when their files change, and what the surface mirrors of them."""
+"""Lights of a preview: reloading and prefiltering."""
 
 import math
 import os
@@ -16,14 +16,14 @@ from tests.shading.test_picture import constant, painted_sky
 
 
 def write(path: Path, content: bytes) -> None:
-    """Later than what was there, however coarse the clock of the disk."""
+    """Write a file with a later time stamp, however coarse the file system's clock."""
     later = path.stat().st_mtime_ns + 10_000_000 if path.exists() else None
     path.write_bytes(content)
     if later is not None:
         os.utime(path, ns=(later, later))
 
 
-def test_a_sky_is_read_again_when_it_changes(tmp_path) -> None:
+def test_a_changed_sky_is_reloaded(tmp_path) -> None:
     path, other = tmp_path / "sky.exr", tmp_path / "other.exr"
     write_image(path, painted_sky())
     write_image(other, constant())
@@ -32,23 +32,23 @@ def test_a_sky_is_read_again_when_it_changes(tmp_path) -> None:
     assert source.reload() is None
     assert source.shown is first
     write(path, other.read_bytes()[:200])
-    said = source.reload()
-    assert said is not None
-    assert "sky.exr" in said
-    assert "still showing" in said
+    message = source.reload()
+    assert message is not None
+    assert "sky.exr" in message
+    assert "still showing" in message
     assert source.shown is first
-    assert source.reload() is None  # it is not said again and again
+    assert source.reload() is None  # the message is not repeated
     write(path, other.read_bytes())
-    assert "was read again" in str(source.reload())
+    assert "was reloaded" in str(source.reload())
     np.testing.assert_allclose(source.shown.harmonics[0], math.sqrt(4 * math.pi))
     path.unlink()
-    said = source.reload()
-    assert said is not None
-    assert "still showing" in said
+    message = source.reload()
+    assert message is not None
+    assert "still showing" in message
     np.testing.assert_allclose(source.shown.harmonics[0], math.sqrt(4 * math.pi))
 
 
-def test_skies_in_a_lights_file_are_watched_too(tmp_path) -> None:
+def test_changed_skies_of_a_lights_file_are_reloaded(tmp_path) -> None:
     write_image(tmp_path / "sky.exr", constant())
     write_image(tmp_path / "other.exr", 2.0 * constant())
     (tmp_path / "lights.toml").write_text('[[sky]]\nfile = "sky.exr"\n[[directional]]\ndirection = [0, 1, 0]\n')
@@ -61,13 +61,13 @@ def test_skies_in_a_lights_file_are_watched_too(tmp_path) -> None:
     assert "still showing" in str(source.reload())
 
 
-def test_a_light_that_is_none_is_refused_at_the_start(tmp_path) -> None:
+def test_a_missing_light_is_refused(tmp_path) -> None:
     with pytest.raises(PrtbakeError, match=r"none\.exr"):
         LightSource(str(tmp_path / "none.exr"), "y", 2)
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_the_picture_behind_is_the_light_that_has_a_size(tmp_path, up) -> None:
+def test_the_background_shows_skies_and_discs(tmp_path, up) -> None:
     write_image(tmp_path / "sky.exr", painted_sky())
     alone = LightSource(str(tmp_path / "sky.exr"), up, 2).shown
     np.testing.assert_array_equal(alone.picture, painted_sky())
@@ -85,19 +85,19 @@ def test_the_picture_behind_is_the_light_that_has_a_size(tmp_path, up) -> None:
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
-def test_a_constant_sky_is_mirrored_as_it_is(alpha) -> None:
+def test_prefiltering_keeps_a_constant_sky(alpha) -> None:
     np.testing.assert_allclose(prefiltered_sky(constant((1.0, 2.0, 3.0)), alpha)[..., :] / [1, 2, 3], 1.0, rtol=1e-5)
 
 
-def test_a_smooth_surface_mirrors_the_sky_itself() -> None:
+def test_a_smooth_surface_needs_no_prefiltering() -> None:
     sky = painted_sky()
     assert prefiltered_sky(sky, 0.0) is sky
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5])
 @pytest.mark.parametrize("direction", [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.3, 0.02], [0.1, -1.0, 0.2]])
-def test_a_rough_surface_mirrors_the_mean_over_its_lobe(alpha, direction) -> None:
-    """Against a plain sum over the sky, at a pole, on the seam and elsewhere."""
+def test_prefiltering_equals_the_mean_over_the_lobe(alpha, direction) -> None:
+    """Compared with a sum over the sky, at a pole, at the seam and elsewhere."""
     height, width = 128, 256
     v, u = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
     light = environment.direction_of(u, v[:, None])
@@ -113,7 +113,7 @@ def test_a_rough_surface_mirrors_the_mean_over_its_lobe(alpha, direction) -> Non
 
 
 @pytest.mark.parametrize("shape", [(64, 128), (50, 75), (3, 5), (1, 1)])
-def test_a_shrunk_sky_keeps_its_energy(shape) -> None:
+def test_resampling_keeps_the_energy(shape) -> None:
     sky = np.random.default_rng(0).random((*shape, 3)).astype(np.float32)
     small = resampled_sky(sky, 16)
     assert small.shape == (16, 32, 3)

@@ -1,4 +1,4 @@
-"""What NumPy draws before the kernels are loaded, and how little the first picture loads."""
+"""Radiance by NumPy and by the compiled kernels, and the libraries that the first picture loads."""
 
 import subprocess
 import sys
@@ -23,47 +23,47 @@ VALID = np.arange(66) % 5 != 2
 @pytest.mark.parametrize("storage", ["float32", "float16"])
 @pytest.mark.parametrize(("rings", "sectors", "degree"), [(16, 64, 2), (4, 6, 3), (1, 1, 2), (1, 5, 1), (3, 1, 0)])
 @pytest.mark.parametrize(("views", "channels"), [(None, 3), (1, 3), (None, 1), (1, 1)])
-def test_numpy_draws_what_the_slow_reference_does(storage, rings, sectors, degree, views, channels) -> None:
+def test_numpy_equals_the_slow_reference(storage, rings, sectors, degree, views, channels) -> None:
     asset = make_asset(ball(2), rings, sectors, degree, 0, storage, views, channels, VALID)
-    drawn = VertexRadiance(asset)
+    numpy = VertexRadiance(asset)
     light = make_light(degree)
-    drawn.set_light(light, 70.0)
-    assert not drawn.loaded
+    numpy.set_light(light, 70.0)
+    assert not numpy.loaded
     turned = environment.rotate_light(light, 70.0, asset.up)
     for eye in (EYE, 5.0 * asset.mesh.normals[0], -EYE):
         expected = np.maximum(reference.reconstruct(asset, turned, eye), 0.0)
-        np.testing.assert_allclose(drawn.draw(eye), expected, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(numpy.draw(eye), expected, rtol=1e-5, atol=1e-6)
 
 
-def test_kernels_draw_the_same_under_the_light_of_now() -> None:
+def test_kernels_equal_numpy_under_the_current_light() -> None:
     asset = make_asset(ball(2), valid=VALID)
-    drawn, loaded = VertexRadiance(asset), VertexRadiance(asset)
-    loaded.set_light(make_light(seed=1), 0.0)
-    loaded.load()
-    assert loaded.loaded
+    numpy, kernels = VertexRadiance(asset), VertexRadiance(asset)
+    kernels.set_light(make_light(seed=1), 0.0)
+    kernels.load()
+    assert kernels.loaded
     for seed, degrees in ((1, 0.0), (2, 30.0), (2, -60.0)):
-        for each in (drawn, loaded):
+        for each in (numpy, kernels):
             each.set_light(make_light(seed=seed), degrees)
-        np.testing.assert_allclose(loaded.draw(EYE), drawn.draw(EYE), rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(kernels.draw(EYE), numpy.draw(EYE), rtol=1e-5, atol=1e-6)
 
 
-def test_a_light_that_turns_before_an_eye_that_stays_is_drawn_from_what_is_held(monkeypatch) -> None:
+def test_a_moving_light_and_a_resting_eye_interpolate_once(monkeypatch) -> None:
     asset, held = make_asset(ball(2), valid=VALID), []
-    drawn, plain = VertexRadiance(asset), VertexRadiance(asset)
-    drawn.load()
+    numpy, plain = VertexRadiance(asset), VertexRadiance(asset)
+    numpy.load()
     hold = Frames.hold
     monkeypatch.setattr(Frames, "hold", lambda self, eye: (held.append(tuple(eye)), hold(self, eye)))
     for eye in (EYE, EYE, EYE, EYE, -EYE, EYE, -EYE, -EYE):
-        for each in (drawn, plain):
+        for each in (numpy, plain):
             each.set_light(make_light(), 10.0 * len(held) + eye[0])
-        np.testing.assert_allclose(drawn.draw(eye), plain.draw(eye), rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(numpy.draw(eye), plain.draw(eye), rtol=1e-5, atol=1e-6)
     assert held == [tuple(EYE), tuple(-EYE)]
-    drawn.draw(EYE)
-    drawn.draw(EYE)  # nothing moves
+    numpy.draw(EYE)
+    numpy.draw(EYE)  # nothing moves
     assert len(held) == 2
 
 
-def test_an_asset_made_for_one_light_and_a_compact_one_are_drawn_too() -> None:
+def test_assets_for_one_light_and_compact_assets_are_drawn() -> None:
     fixed = make_asset(ball(2), degree=0, quantity="radiance")
     np.testing.assert_allclose(
         VertexRadiance(fixed).draw(EYE), reference.reconstruct(fixed, np.ones((1, 3)), EYE), rtol=1e-5
@@ -85,7 +85,7 @@ print(*sorted({name.partition(".")[0] for name in sys.modules}))
 
 
 @pytest.mark.parametrize("sunny", [False, True])
-def test_the_first_picture_loads_nothing_that_it_can_do_without(folder: Path, tmp_path: Path, sunny: bool) -> None:
+def test_the_first_picture_loads_only_the_libraries_it_needs(folder: Path, tmp_path: Path, sunny: bool) -> None:
     sky = np.ones((64, 128, 3), np.float32)
     sky[20, 70] += 1000.0 * sunny
     write_image(tmp_path / "sky.exr", sky)

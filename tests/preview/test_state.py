@@ -1,4 +1,4 @@
-"""What a preview shows, before there is any window."""
+"""The preview without its window."""
 
 import dataclasses
 import math
@@ -38,7 +38,7 @@ def made(sky: str, up: str = "y", rotation: float = 0.0, **others) -> Preview:
 
 @pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("rotation", [0.0, 75.0, 435.0, -285.0])
-def test_light_is_what_shade_gives_under_the_turned_sky(sky, up, rotation) -> None:
+def test_radiance_equals_shade_under_the_rotated_sky(sky, up, rotation) -> None:
     preview = made(sky, up, rotation)
     turned = environment.rotate_light(environment.project(painted_sky(), 2, up), rotation, up)
     shown = preview.colours(EYE)
@@ -48,7 +48,7 @@ def test_light_is_what_shade_gives_under_the_turned_sky(sky, up, rotation) -> No
 
 
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_the_sky_behind_turns_with_the_light(sky, up) -> None:
+def test_the_background_rotates_with_the_light(sky, up) -> None:
     preview = made(sky, up, 40.0)
     directions = np.random.default_rng(2).normal(size=(200, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -59,14 +59,14 @@ def test_the_sky_behind_turns_with_the_light(sky, up) -> None:
     np.testing.assert_allclose(environment.radiance_at(preview.sky, u, v), expected, atol=1e-9)
 
 
-def test_what_the_eye_sees_changes_with_it(sky) -> None:
+def test_colours_depend_on_the_eye(sky) -> None:
     preview = made(sky)
     first = preview.colours(EYE).copy()
     assert np.abs(preview.colours(-EYE) - first).max() > 1e-3
     np.testing.assert_array_equal(preview.colours(EYE), first)
 
 
-def test_coefficients_keep_their_sign_and_come_in_order(sky) -> None:
+def test_coefficients_are_signed_and_in_order(sky) -> None:
     preview = made(sky)
     preview.show(Mode.COEFFICIENT)
     seen = []
@@ -90,7 +90,7 @@ def test_coefficients_keep_their_sign_and_come_in_order(sky) -> None:
     np.testing.assert_array_equal(preview.colours(EYE), made(sky).colours(EYE))
 
 
-def test_errors_are_those_of_the_asset_under_the_turned_light(sky) -> None:
+def test_errors_are_those_under_the_rotated_light(sky) -> None:
     rng = np.random.default_rng(1)
     preview = made(sky, rotation=30.0)
     sigma = rng.uniform(0.01, 0.1, preview.asset.standard_error.shape).astype(np.float32)
@@ -118,7 +118,7 @@ def test_the_valid_mask_shows_all_vertices(sky) -> None:
     assert "13 of 66" in legend.status(preview, "ball.h5", EYE)
 
 
-def test_ramps_run_through_their_colours_and_stop_at_the_ends() -> None:
+def test_colour_ramps_vary_everywhere_and_clamp() -> None:
     for ramp, low in ((colours.from_zero, 0.0), (colours.about_zero, -1.0)):
         values = ramp(np.linspace(low, 1.0, 101))
         assert values.min() >= 0.0
@@ -127,7 +127,7 @@ def test_ramps_run_through_their_colours_and_stop_at_the_ends() -> None:
         np.testing.assert_array_equal(ramp([low - 5.0, 7.0]), values[[0, -1]])
 
 
-def test_an_index_of_1_reflects_nothing_and_says_so(sky) -> None:
+def test_an_index_of_1_reflects_nothing(sky) -> None:
     matched, glass = made(sky), made(sky, provenance={"eta": 1.5, "roughness": 0.3})
     matched.toggle_reflection()
     assert matched.reflected_sky is None
@@ -147,7 +147,7 @@ def one_light() -> Asset:
     return dataclasses.replace(asset, degree=2)
 
 
-def test_an_asset_made_for_one_light_needs_none() -> None:
+def test_an_asset_made_for_one_light_is_shown_without_lights() -> None:
     asset = one_light()
     preview = Preview(asset, [])
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], shade(asset, None, EYE), atol=1e-5)
@@ -163,7 +163,7 @@ def test_an_asset_made_for_one_light_needs_none() -> None:
     assert "left right" not in dict(legend.keys(preview, None))
 
 
-def test_nothing_to_show_is_said(sky) -> None:
+def test_a_preview_without_anything_to_show_is_refused(sky) -> None:
     asset = make_asset(ball(2))
     with pytest.raises(QueryError, match="no vertex was baked"):
         Preview(dataclasses.replace(asset, valid=np.zeros(66, np.bool_)), [])
@@ -173,7 +173,7 @@ def test_nothing_to_show_is_said(sky) -> None:
         made(sky).colours(np.array([0.0, 0.1, 0.0]))
 
 
-def test_lights_take_turns(sky, tmp_path) -> None:
+def test_stepping_through_lights(sky, tmp_path) -> None:
     write_image(tmp_path / "white.hdr", constant())
     asset = make_asset(ball(2))
     sources = [LightSource(text, "y", 2) for text in (sky, str(tmp_path / "white.hdr"), "sun:0,1,0:2,2,2:10")]

@@ -1,4 +1,4 @@
-"""Suns in the preview: while it moves in the harmonics, once it stands still as `shade` meets them."""
+"""Suns in the preview: in the harmonics while something moves, then refined to the radiance of `prtbake shade`."""
 
 import dataclasses
 import math
@@ -28,7 +28,7 @@ EYE = np.array([0.3, 1.2, 3.5])
 
 
 def sunny() -> np.ndarray:
-    """Texels of 2.8°, so that one is a sun."""
+    """Return a sky with pixels of 2.8°, one of them a sun."""
     sky = np.repeat(np.repeat(0.05 * painted_sky(), 4, axis=0), 4, axis=1)
     sky[20, 70] = [900.0, 700.0, 400.0]
     return sky
@@ -45,18 +45,18 @@ def made(sky: str, asset: Asset | None = None, **chosen) -> Preview:
     return Preview(asset, [LightSource(sky, asset.up, asset.degree)], **chosen)
 
 
-def of_shade(preview: Preview, treatment: str = "split", eye=EYE) -> np.ndarray:
-    """What `prtbake shade` gives at the vertices."""
+def shaded(preview: Preview, treatment: str = "split", eye=EYE) -> np.ndarray:
+    """Return the radiance of `prtbake shade` at the vertices."""
     asset = preview.asset
-    lit = suns_apart(as_lighting(sunny(), asset.up, preview.rotation), asset.degree, treatment)
-    return shade_vertices(asset, lit.harmonics, eye, None, lit.suns).radiance
+    light = suns_apart(as_lighting(sunny(), asset.up, preview.rotation), asset.degree, treatment)
+    return shade_vertices(asset, light.harmonics, eye, None, light.suns).radiance
 
 
 @pytest.mark.parametrize("rotation", [0.0, 130.0])
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_settled_colours_are_those_of_shade(sky, up, rotation) -> None:
+def test_settled_colours_are_those_shaded(sky, up, rotation) -> None:
     preview = made(sky, dataclasses.replace(lobed(), up=up), rotation=rotation)
-    split, plain = of_shade(preview), of_shade(preview, "plain")
+    split, plain = shaded(preview), shaded(preview, "plain")
     seen = facing(preview.asset.mesh, EYE) & preview.asset.valid
     assert 0.2 < seen.mean() < 0.8
     assert np.abs(split - plain)[seen].max() > 0.05
@@ -67,18 +67,18 @@ def test_settled_colours_are_those_of_shade(sky, up, rotation) -> None:
     np.testing.assert_allclose(shown[~seen], plain[~seen], atol=1e-5)
 
 
-def test_of_an_object_that_is_not_closed_all_vertices_are_settled(sky) -> None:
+def test_all_vertices_of_an_open_mesh_are_refined(sky) -> None:
     whole = lobed()
     open_mesh = build_mesh(whole.mesh.positions, whole.mesh.faces[3:])
     preview = made(sky, dataclasses.replace(whole, mesh=open_mesh))
     preview.refine(EYE)
-    np.testing.assert_allclose(preview.colours(EYE)[:, :3], of_shade(preview), rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], shaded(preview), rtol=1e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize("treatment", ["plain", "window"])
-def test_other_treatments_are_shown_at_once_and_stay(sky, treatment) -> None:
+def test_other_treatments_need_no_refinement(sky, treatment) -> None:
     preview = made(sky, suns=treatment)
-    expected = of_shade(preview, treatment)
+    expected = shaded(preview, treatment)
     np.testing.assert_allclose(preview.colours(EYE)[:, :3], expected, atol=1e-5)
     assert not preview.unrefined(EYE)
     assert not preview.refine(EYE)
@@ -86,7 +86,7 @@ def test_other_treatments_are_shown_at_once_and_stay(sky, treatment) -> None:
     assert preview.suns_shown(EYE) == treatment
 
 
-def test_what_settles_in_slices_is_what_settles_at_once(sky, monkeypatch) -> None:
+def test_refinement_in_slices_equals_refinement_at_once(sky, monkeypatch) -> None:
     at_once, sliced = made(sky), made(sky)
     at_once.refine(EYE)
     monkeypatch.setattr(refinement, "_VERTICES_AT_ONCE", 8)
@@ -94,29 +94,29 @@ def test_what_settles_in_slices_is_what_settles_at_once(sky, monkeypatch) -> Non
     slices = 0
     while not sliced.refine(EYE, 0.0):
         slices += 1
-        np.testing.assert_array_equal(sliced.colours(EYE), before)  # nothing half done is shown
+        np.testing.assert_array_equal(sliced.colours(EYE), before)  # unfinished refinement is not shown
     assert slices > 1
     np.testing.assert_array_equal(sliced.colours(EYE), at_once.colours(EYE))
 
 
-def test_it_unsettles_with_the_eye_and_the_light_alone(sky) -> None:
+def test_only_the_eye_and_the_light_reset_the_refinement(sky) -> None:
     preview = made(sky)
     preview.refine(EYE)
-    settled = preview.colours(EYE).copy()
+    refined = preview.colours(EYE).copy()
     preview.set_exposure(2.0)
     preview.toggle_background()
     assert preview.suns_shown(EYE) == "split"
-    np.testing.assert_array_equal(preview.colours(EYE), settled)
+    np.testing.assert_array_equal(preview.colours(EYE), refined)
     assert preview.suns_shown(-EYE) == "plain"
-    np.testing.assert_allclose(preview.colours(-EYE)[:, :3], of_shade(preview, "plain", -EYE), atol=1e-5)
+    np.testing.assert_allclose(preview.colours(-EYE)[:, :3], shaded(preview, "plain", -EYE), atol=1e-5)
     preview.rotate_to(20.0)
-    np.testing.assert_allclose(preview.colours(EYE)[:, :3], of_shade(preview, "plain"), atol=1e-5)
+    np.testing.assert_allclose(preview.colours(EYE)[:, :3], shaded(preview, "plain"), atol=1e-5)
     preview.rotate_to(0.0)
     preview.refine(EYE)
-    np.testing.assert_array_equal(preview.colours(EYE), settled)
+    np.testing.assert_array_equal(preview.colours(EYE), refined)
 
 
-def test_a_sky_without_a_sun_has_nothing_to_settle(tmp_path) -> None:
+def test_a_sky_without_a_sun_needs_no_refinement(tmp_path) -> None:
     preview = made(write_sky(tmp_path / "sky.exr", painted_sky()))
     assert not preview.unrefined(EYE)
     assert preview.suns_shown(EYE) is None
@@ -125,7 +125,7 @@ def test_a_sky_without_a_sun_has_nothing_to_settle(tmp_path) -> None:
     assert "no suns" in preview.message
 
 
-def test_nothing_is_settled_of_errors_and_coefficients_or_from_inside(sky) -> None:
+def test_false_colours_and_eyes_inside_are_not_refined(sky) -> None:
     preview = made(sky)
     preview.show(Mode.ERROR)
     assert not preview.refine(EYE)
@@ -135,25 +135,25 @@ def test_nothing_is_settled_of_errors_and_coefficients_or_from_inside(sky) -> No
         preview.colours(np.zeros(3))
 
 
-def test_one_light_has_no_suns() -> None:
+def test_an_asset_made_for_one_light_has_no_suns() -> None:
     asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
     preview = Preview(asset, [])
     assert not preview.refine(EYE)
     assert preview.suns_shown(EYE) is None
 
 
-def test_closed_objects_are_told_from_others() -> None:
+def test_is_closed() -> None:
     closed = ball(2)
     assert is_closed(closed)
     assert is_closed(ring())
     inside_out = dataclasses.replace(closed, faces=closed.faces[:, ::-1])
-    one_turned = closed.faces.copy()
-    one_turned[5] = one_turned[5, ::-1]
-    for faces in (inside_out.faces, closed.faces[1:], np.concatenate([closed.faces, closed.faces[:1]]), one_turned):
+    one_flipped = closed.faces.copy()
+    one_flipped[5] = one_flipped[5, ::-1]
+    for faces in (inside_out.faces, closed.faces[1:], np.concatenate([closed.faces, closed.faces[:1]]), one_flipped):
         assert not is_closed(dataclasses.replace(closed, faces=faces))
 
 
-def test_a_ball_shows_the_cap_that_its_tangents_enclose() -> None:
+def test_the_vertices_of_a_ball_that_face_the_eye_are_its_visible_cap() -> None:
     mesh = ball(4)
     height = mesh.positions @ (EYE / np.linalg.norm(EYE))
     edge = 1.0 / np.linalg.norm(EYE)
@@ -164,79 +164,79 @@ def test_a_ball_shows_the_cap_that_its_tangents_enclose() -> None:
 
 @pytest.fixture
 def opened(sky, monkeypatch):
-    """A window under a sky with a sun and one without."""
+    """A window with a sunny and a sunless sky."""
     window = open_window(lobed(), [sky, write_sky(windows.Path("sky.exr"), painted_sky())])
     yield window
     window.view.canvas.close()
 
 
-def tick_when_still(window) -> None:
-    """What the timer does from when nothing moves any more."""
+def tick_until_refined(window) -> None:
+    """Send timer events until the picture is refined."""
     interactor = window.view.canvas.interactor
     for _ in range(100):
         interactor.InvokeEvent("TimerEvent")
         if not window.view.unrefined:
             return
-    pytest.fail("it never settles")
+    pytest.fail("the refinement does not finish")
 
 
 def status(window) -> str:
     return window.overlay.status.GetInput()
 
 
-def test_what_stands_still_is_shown_as_shade_shows_it(opened, monkeypatch) -> None:
+def test_a_resting_window_shows_what_shade_shows(opened, monkeypatch) -> None:
     preview, eye = opened.view.preview, opened.view.eye
-    plain = of_shade(preview, "plain", eye)
-    np.testing.assert_allclose(opened.view.shown[:, :3], plain, atol=1e-5)
-    assert "suns as harmonics" in status(opened)
+    plain = shaded(preview, "plain", eye)
+    np.testing.assert_allclose(opened.view.colours[:, :3], plain, atol=1e-5)
+    assert "suns in harmonics" in status(opened)
     monkeypatch.setattr(windows, "_STILL", 1e9)
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
-    assert "suns as harmonics" in status(opened)
+    assert "suns in harmonics" in status(opened)
     monkeypatch.setattr(windows, "_STILL", 0.0)
-    tick_when_still(opened)
+    tick_until_refined(opened)
     seen = facing(preview.asset.mesh, eye) & preview.asset.valid
-    np.testing.assert_allclose(opened.view.shown[seen, :3], of_shade(preview, "split", eye)[seen], rtol=1e-6, atol=1e-7)
-    assert "suns apart" in status(opened)
+    np.testing.assert_allclose(opened.view.colours[seen, :3], shaded(preview, "split", eye)[seen], rtol=1e-6, atol=1e-7)
+    assert "suns split" in status(opened)
 
 
-def test_while_it_moves_it_is_harmonics_and_says_so(opened, monkeypatch) -> None:
+def test_a_moving_window_shows_suns_in_harmonics(opened, monkeypatch) -> None:
     monkeypatch.setattr(windows, "_STILL", 0.0)
     for move in (lambda: drag(opened, (60, 45), (80, 50)), lambda: slide(opened.rotation, 30.0)):
-        tick_when_still(opened)
-        assert "suns apart" in status(opened)
+        tick_until_refined(opened)
+        assert "suns split" in status(opened)
         move()
         preview, eye = opened.view.preview, opened.view.eye
-        np.testing.assert_allclose(opened.view.shown[:, :3], of_shade(preview, "plain", eye), atol=1e-5)
-        assert "suns as harmonics" in status(opened)
+        np.testing.assert_allclose(opened.view.colours[:, :3], shaded(preview, "plain", eye), atol=1e-5)
+        assert "suns in harmonics" in status(opened)
 
 
-def test_a_key_takes_suns_as_harmonics_and_apart_again(opened, monkeypatch) -> None:
+def test_a_key_toggles_the_treatment_of_suns(opened, monkeypatch) -> None:
     monkeypatch.setattr(windows, "_STILL", 0.0)
-    tick_when_still(opened)
-    apart = opened.view.shown.copy()
+    tick_until_refined(opened)
+    refined = opened.view.colours.copy()
     press(opened, "u")
     preview, eye = opened.view.preview, opened.view.eye
     for _ in range(3):
         opened.view.canvas.interactor.InvokeEvent("TimerEvent")
-        np.testing.assert_allclose(opened.view.shown[:, :3], of_shade(preview, "plain", eye), atol=1e-5)
-    assert "suns as harmonics" in status(opened)
+        np.testing.assert_allclose(opened.view.colours[:, :3], shaded(preview, "plain", eye), atol=1e-5)
+    assert "suns in harmonics" in status(opened)
     press(opened, "u")
-    tick_when_still(opened)
-    np.testing.assert_array_equal(opened.view.shown, apart)
+    tick_until_refined(opened)
+    np.testing.assert_array_equal(opened.view.colours, refined)
     press(opened, "n")
     assert "suns" not in status(opened)
 
 
-def test_a_saved_picture_is_the_settled_one(opened, monkeypatch) -> None:
+def test_a_saved_picture_is_refined(opened, monkeypatch) -> None:
     at_once = bare_picture(opened)
     monkeypatch.setattr(windows, "_STILL", 0.0)
-    tick_when_still(opened)
+    tick_until_refined(opened)
     np.testing.assert_array_equal(bare_picture(opened), at_once)
     press(opened, "u")
     assert np.abs(bare_picture(opened) - at_once).max() > 3.0
 
 
-def test_a_sun_of_the_command_line_is_met_apart_too(tmp_path) -> None:
+def test_a_directional_light_is_refined_too(tmp_path) -> None:
     asset = lobed()
     preview = Preview(asset, [LightSource("sun:1,2,3:4,4,4", asset.up, asset.degree)], rotation=25.0)
     turned = environment.rotation(25.0, "y") @ np.array([1.0, 2.0, 3.0]) / math.sqrt(14.0)

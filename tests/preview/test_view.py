@@ -1,4 +1,4 @@
-"""What VTK draws is what `prtbake shade` writes, pixel by pixel."""
+"""VTK draws the same pixels as `prtbake shade`."""
 
 import dataclasses
 import math
@@ -21,12 +21,12 @@ SIZE = (120, 90)
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path, monkeypatch) -> None:
+def _own_folder(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
 def both(asset: Asset, sky: np.ndarray, path, eye=None, rotation=0.0, exposure=0.0):
-    """The window's picture and that of `prtbake shade`, encoded; the object's coverage."""
+    """Return the window's picture, that of `prtbake shade`, both encoded, and the object's coverage."""
     window = open_window(asset, [write_sky(path, sky)], SIZE, eye, rotation=rotation, exposure=exposure)
     view = camera.fit(asset.mesh, *SIZE, eye=eye, up=asset.up)
     picture = render_picture(asset, as_lighting(sky, asset.up, rotation), view, samples=4)
@@ -36,7 +36,7 @@ def both(asset: Asset, sky: np.ndarray, path, eye=None, rotation=0.0, exposure=0
 
 
 def agree(found: np.ndarray, expected: np.ndarray, coverage: np.ndarray) -> None:
-    """Inside the object and outside to a level and a little; on edges both mean, but not the same samples."""
+    """Assert equality within about one level, except at edges, which both average over different samples."""
     off = np.abs(found - expected).max(axis=2)
     for part in (coverage == 1.0, coverage == 0.0):
         if part.any():
@@ -52,38 +52,38 @@ def test_the_first_picture(tmp_path, up, rotation, exposure) -> None:
     agree(*both(asset, 0.2 * painted_sky(), tmp_path / "sky.exr", None, rotation, exposure))
 
 
-def test_vertices_that_are_not_valid_leave_their_faces_to_the_others(tmp_path) -> None:
+def test_invalid_vertices_do_not_darken_their_faces(tmp_path) -> None:
     valid = np.random.default_rng(0).random(258) > 0.4
     found, expected, coverage = both(make_asset(ball(3), valid=valid), 0.2 * constant(), tmp_path / "sky.exr")
     inside = coverage == 1.0
     off = np.abs(found - expected).max(axis=2)[inside]
-    assert np.quantile(off, 0.8) <= 1.0  # black faces have edges, which both mean otherwise
+    assert np.quantile(off, 0.8) <= 1.0  # edges of black faces differ
     assert off.mean() < 8.0
     assert (expected[inside] == 0.0).any()  # some faces have no valid vertex
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("away", [0.0, 1e4])
-def test_objects_of_any_size_anywhere(tmp_path, scale, away) -> None:
+def test_objects_of_any_size_and_position(tmp_path, scale, away) -> None:
     mesh = ring()
     mesh = build_mesh(scale * (mesh.positions + np.array([away, 0.0, -away])), mesh.faces)
     agree(*both(make_asset(mesh), 0.2 * painted_sky(), tmp_path / "sky.exr"))
 
 
-def test_a_sun_behind_does_not_spread(tmp_path) -> None:
-    """A pixel of 1e5 in a dark sky: where it is not, the sky stays as it is."""
+def test_a_sun_in_the_background_does_not_bleed(tmp_path) -> None:
+    """A pixel of 1e5 leaves the rest of a dark sky unchanged."""
     sky = 0.02 * painted_sky()
     sky[9, 22] = 1e5
     agree(*both(make_asset(ball(2), degree=0), sky, tmp_path / "sky.exr", (-8.0, 1.0, -0.5), exposure=-3.0))
 
 
-def test_the_sky_is_looked_up_at_poles_and_across_the_seam(tmp_path) -> None:
+def test_the_sky_at_its_poles_and_seam(tmp_path) -> None:
     for eye in ((0.05, 5.0, 0.1), (0.1, -5.0, 0.02), (5.0, 0.2, 0.0)):
         agree(*both(make_asset(ball(1)), 0.2 * painted_sky(), tmp_path / "sky.exr", eye))
 
 
 def moved(mesh: Mesh, path, nearer=1.0) -> tuple[bool, np.ndarray, np.ndarray]:
-    """Of an object that moves: whether its backs are left out, its picture, and that with the other choice."""
+    """Return whether backfaces of a moving object are culled, its picture, and that with the opposite setting."""
     window = open_window(make_asset(mesh), [write_sky(path, 0.2 * painted_sky())], SIZE, np.array([0.0, 0.5, 4.0]))
     view = window.view
     view.smooth(False)
@@ -97,14 +97,14 @@ def moved(mesh: Mesh, path, nearer=1.0) -> tuple[bool, np.ndarray, np.ndarray]:
     return hidden, found, other
 
 
-def test_backs_are_left_out_of_what_moves_where_others_hide_them(tmp_path) -> None:
+def test_hidden_backfaces_of_a_moving_object_are_culled(tmp_path) -> None:
     hidden, found, other = moved(ring(), tmp_path / "sky.exr")
     assert hidden
     np.testing.assert_array_equal(found, other)
 
 
 @pytest.mark.parametrize("nearer", [1.0, 0.05])
-def test_backs_of_an_open_object_and_from_within_are_drawn(tmp_path, nearer) -> None:
+def test_backfaces_of_open_objects_and_from_inside_are_drawn(tmp_path, nearer) -> None:
     mesh = ball(3)
     half = build_mesh(mesh.positions, mesh.faces[mesh.positions[mesh.faces].mean(axis=1)[:, 2] < 0.3])
     hidden, found, other = moved(half if nearer == 1.0 else mesh, tmp_path / "sky.exr", nearer)
@@ -112,14 +112,14 @@ def test_backs_of_an_open_object_and_from_within_are_drawn(tmp_path, nearer) -> 
     assert (found != other).mean() > 0.1
 
 
-def test_an_eye_very_far_away_sees_the_sky_and_no_more(tmp_path) -> None:
+def test_a_very_distant_eye_sees_only_the_sky(tmp_path) -> None:
     window = open_window(make_asset(ball(2)), [write_sky(tmp_path / "sky.exr", 0.2 * constant())], SIZE, (1e6, 0, 0))
     found = bare_picture(window)
     assert np.abs(found - encoded(np.full(3, 0.2))).max(axis=2).mean() < 0.5
 
 
 def mirror(mesh: Mesh, alpha: float = 0.0) -> Asset:
-    """Black inside, with a surface of glass."""
+    """Return an asset of glass without subsurface light."""
     asset = make_asset(mesh, provenance={"eta": 1.5, "roughness": alpha})
     return dataclasses.replace(asset, coefficients=0.0 * asset.coefficients)
 
@@ -132,7 +132,7 @@ def fresnel(cosine: np.ndarray, eta: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("up", "rotation"), [("y", 0.0), ("y", 100.0), ("z", -30.0)])
-def test_the_surface_mirrors_the_sky_by_fresnel(tmp_path, up, rotation) -> None:
+def test_the_surface_reflects_the_sky_by_fresnel(tmp_path, up, rotation) -> None:
     asset = dataclasses.replace(mirror(ball(3)), up=up)
     sky = 3.0 * painted_sky()
     window = open_window(asset, [write_sky(tmp_path / "sky.exr", sky)], SIZE, rotation=rotation)
@@ -149,7 +149,7 @@ def test_the_surface_mirrors_the_sky_by_fresnel(tmp_path, up, rotation) -> None:
     cosine = np.einsum("ni,ni->n", normals, towards[met])
     mirrored = 2.0 * cosine[:, None] * normals - towards[met]
     light = as_lighting(sky, up, rotation).radiance(mirrored)
-    facing = cosine > 0.2  # not at the rim, where a pixel is shared with the sky
+    facing = cosine > 0.2  # silhouette pixels also contain sky
     expected = encoded(fresnel(cosine, 1.5)[:, None] * light)[facing]
     off = np.abs(found.reshape(-1, 3)[met][facing] - expected)
     assert np.median(off) <= 1.0
@@ -158,7 +158,7 @@ def test_the_surface_mirrors_the_sky_by_fresnel(tmp_path, up, rotation) -> None:
     assert bare_picture(window).reshape(-1, 3)[met][facing].max() == 0.0
 
 
-def test_a_rough_surface_mirrors_less_sharply(tmp_path) -> None:
+def test_a_rough_surface_blurs_its_reflection(tmp_path) -> None:
     sky = 0.02 * constant()
     sky[2, 6] = 200.0
     seen = []
@@ -171,8 +171,8 @@ def test_a_rough_surface_mirrors_less_sharply(tmp_path) -> None:
     assert (seen[0] > 200).any()
 
 
-def test_orientation_of_the_sky_is_that_of_its_convention(tmp_path) -> None:
-    """Looking along +x sees the middle of the picture, with +z to the right."""
+def test_the_sky_follows_the_lat_long_convention(tmp_path) -> None:
+    """The view along +x shows the middle of the sky, with +z to the right."""
     sky = np.zeros((32, 64, 3), np.float32)
     sky[:16, :32], sky[:16, 32:], sky[16:, :32], sky[16:, 32:] = [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]
     window = open_window(make_asset(ball(1)), [write_sky(tmp_path / "sky.exr", sky)], SIZE, (-30.0, 0.0, 0.0))

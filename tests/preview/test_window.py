@@ -1,4 +1,4 @@
-"""The preview driven as a user drives it: keys, mouse, sliders, files that change, a picture to flip to."""
+"""The preview's input: keys, mouse, sliders, changed and dropped files, and the reference picture."""
 
 import dataclasses
 import os
@@ -26,27 +26,27 @@ SKY = 0.2 * painted_sky()
 
 
 @pytest.fixture(autouse=True)
-def _in_a_folder_of_its_own(tmp_path, monkeypatch) -> None:
+def _own_folder(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture
 def opened(tmp_path):
-    """A window on a ball under two skies, the second of them white."""
+    """A window on a ball with two skies, the second one white."""
     lights = [write_sky(tmp_path / "sky.exr", SKY), write_sky(tmp_path / "white.exr", 0.3 * constant())]
     window = open_window(make_asset(ball(2), provenance={"eta": 1.5}), lights)
     yield window
     window.view.canvas.close()
 
 
-def said(window: Window) -> str:
+def texts_of(window: Window) -> str:
     overlay = window.overlay
     texts = (overlay.legend, overlay.status, overlay.message)
     return "\n".join(" ".join(text.GetInput().split("\n")) for text in texts if text.GetVisibility())
 
 
 def camera_of(window: Window) -> Camera:
-    """The window's camera in object space."""
+    """Return the window's camera in object space."""
     view = window.view
     camera = view.canvas.camera
     target = view.preview.asset.mesh.center + view.radius * np.array(camera.GetFocalPoint())
@@ -54,21 +54,21 @@ def camera_of(window: Window) -> Camera:
     return Camera(view.eye, target, np.array(camera.GetViewUp()), camera.GetViewAngle(), width, height)
 
 
-def test_orbiting_shades_for_the_eye_as_it_moves(opened) -> None:
-    before, eye = opened.view.shown.copy(), opened.view.eye
+def test_orbiting_shades_for_every_eye(opened) -> None:
+    before, eye = opened.view.colours.copy(), opened.view.eye
     drag(opened, (60, 45), (90, 52))
     assert np.linalg.norm(opened.view.eye - eye) > 0.3
     assert np.linalg.norm(opened.view.eye) == pytest.approx(np.linalg.norm(eye), rel=1e-5)
-    assert np.abs(opened.view.shown - before).max() > 1e-3  # drawn while the mouse moved, not after
+    assert np.abs(opened.view.colours - before).max() > 1e-3  # drawn during the movement
     picture = render_picture(opened.view.preview.asset, as_lighting(SKY, "y", 0.0), camera_of(opened), samples=4)
     off = np.abs(bare_picture(opened) - encoded(picture.image)).max(axis=2)
     assert np.quantile(off[(picture.coverage == 1.0) | (picture.coverage == 0.0)], 0.98) <= 1.0
     press(opened, "0")
     np.testing.assert_allclose(opened.view.eye, eye, rtol=1e-6)
-    np.testing.assert_array_equal(opened.view.shown, before)
+    np.testing.assert_array_equal(opened.view.colours, before)
 
 
-def test_edges_are_smooth_but_while_it_moves(opened, monkeypatch) -> None:
+def test_edges_are_antialiased_except_during_movement(opened, monkeypatch) -> None:
     assert opened.view.smooth_edges
     drag(opened, (60, 45), (90, 52))
     assert not opened.view.smooth_edges
@@ -77,11 +77,11 @@ def test_edges_are_smooth_but_while_it_moves(opened, monkeypatch) -> None:
     assert opened.view.smooth_edges
 
 
-def test_keys_show_what_they_say(opened) -> None:
+def test_keys_perform_their_actions(opened) -> None:
     preview = opened.view.preview
     press(opened, "n")
     assert preview.current == 1
-    assert "white.exr" in said(opened)
+    assert "white.exr" in texts_of(opened)
     press(opened, "N")
     assert preview.current == 0
     press(opened, "Up", "Up", "Down", "Left")
@@ -92,15 +92,15 @@ def test_keys_show_what_they_say(opened) -> None:
     assert preview.mode is Mode.ERROR
     press(opened, "v")
     assert preview.mode is Mode.VALID
-    assert "all valid" in said(opened)
+    assert "all valid" in texts_of(opened)
     press(opened, "period", "period")
     assert preview.degree_and_order == (1, 0)
-    assert "l = 1, m = 0" in said(opened)
+    assert "l = 1, m = 0" in texts_of(opened)
     press(opened, "comma", "c")
     assert preview.mode is Mode.RADIANCE
     press(opened, "r")
     assert preview.reflecting
-    assert "with reflection" in said(opened)
+    assert "with reflection" in texts_of(opened)
 
 
 def test_every_mode_and_every_key_changes_the_picture(opened) -> None:
@@ -115,22 +115,22 @@ def test_every_mode_and_every_key_changes_the_picture(opened) -> None:
 
 @pytest.mark.parametrize("key", ["h", "question"])
 def test_the_legend_opens_and_closes(opened, key) -> None:
-    assert "h: keys" in said(opened)
+    assert "h: keys" in texts_of(opened)
     press(opened, key)
-    for words in ("orbit", "next light, of 2", "reflection", "standard error", "valid", "coefficients", "quit"):
-        assert words in said(opened)
-    assert "flip" not in said(opened)
+    for words in ("orbit", "next light of 2", "reflection", "standard error", "valid", "coefficients", "quit"):
+        assert words in texts_of(opened)
+    assert "flip" not in texts_of(opened)
     press(opened, key)
-    assert "orbit" not in said(opened)
+    assert "orbit" not in texts_of(opened)
 
 
-def test_no_key_of_vtk_itself_does_anything(opened) -> None:
+def test_the_keys_of_vtk_do_nothing(opened) -> None:
     before = bare_picture(opened)
     press(opened, "w", "3", "f", "p", "i", "t", "j", "l", "plus")
     np.testing.assert_array_equal(bare_picture(opened), before)
 
 
-def test_sliders_turn_the_light_and_expose(opened) -> None:
+def test_sliders_set_rotation_and_exposure(opened) -> None:
     preview = opened.view.preview
     slide(opened.rotation, 90.0)
     slide(opened.exposure, -2.0)
@@ -148,78 +148,78 @@ def tick_after(window: Window, path, content: bytes) -> None:
     window.view.canvas.interactor.InvokeEvent("TimerEvent")
 
 
-def test_a_sky_that_changes_on_disk_is_seen_at_once(opened, tmp_path, monkeypatch) -> None:
+def test_a_sky_that_changes_on_disk_is_shown(opened, tmp_path, monkeypatch) -> None:
     first, path = bare_picture(opened), tmp_path / "sky.exr"
     whole, white = path.read_bytes(), (tmp_path / "white.exr").read_bytes()
     tick_after(opened, path, white[:300])
     np.testing.assert_array_equal(bare_picture(opened), first)
-    assert "sky.exr" in said(opened)
-    assert "still showing" in said(opened)
+    assert "sky.exr" in texts_of(opened)
+    assert "still showing" in texts_of(opened)
     tick_after(opened, path, white)
     assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.3)), abs=1.0)
     tick_after(opened, path, whole)
     np.testing.assert_array_equal(bare_picture(opened), first)
-    assert "was read again" in said(opened)
+    assert "was reloaded" in texts_of(opened)
     monkeypatch.setattr(windows, "_MESSAGE_SECONDS", 0.0)
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
     assert not opened.overlay.message.GetVisibility()
 
 
-def test_flipping_to_a_reference_shows_it_pixel_by_pixel(tmp_path) -> None:
+def test_the_reference_is_shown_pixel_by_pixel(tmp_path) -> None:
     reference = np.random.default_rng(0).random((90, 120, 3)).astype(np.float32)
     asset, lights = make_asset(ball(2)), [write_sky(tmp_path / "sky.exr", SKY)]
     window = open_window(asset, lights, reference=reference)
-    ours = bare_picture(window)
+    object_picture = bare_picture(window)
     press(window, "space")
     assert np.abs(bare_picture(window) - encoded(reference)).max() <= 1.0
-    assert "reference.exr" in said(window)
+    assert "reference.exr" in texts_of(window)
     press(window, "Up")
     assert np.abs(bare_picture(window) - encoded(reference, 0.5)).max() <= 1.0
     press(window, "Down", "space")
-    np.testing.assert_array_equal(bare_picture(window), ours)
+    np.testing.assert_array_equal(bare_picture(window), object_picture)
     window.view.canvas.close()
     large = open_window(asset, lights, (60, 60), reference=reference)
     press(large, "space")
     shown = bare_picture(large)
-    assert shown[:7].std(axis=(0, 1)).max() == shown[-7:].std(axis=(0, 1)).max() == 0.0  # what its shape leaves over
+    assert shown[:7].std(axis=(0, 1)).max() == shown[-7:].std(axis=(0, 1)).max() == 0.0  # bars above and below
     assert shown[10:50].std() > 20.0
 
 
-def test_an_eye_inside_the_object_is_told_and_the_colours_stay(opened) -> None:
-    before = opened.view.shown.copy()
+def test_an_eye_inside_the_object_is_reported_and_keeps_the_colours(opened) -> None:
+    before = opened.view.colours.copy()
     camera = opened.view.canvas.camera
     camera.SetPosition(0.0, 0.05, 0.1)
     opened.render()
-    assert "inside the object" in said(opened)
-    np.testing.assert_array_equal(opened.view.shown, before)
+    assert "inside the object" in texts_of(opened)
+    np.testing.assert_array_equal(opened.view.colours, before)
     camera.SetPosition(0.0, 0.05, 5.0)
     opened.render()
     assert not opened.overlay.message.GetVisibility()
-    assert np.abs(opened.view.shown - before).max() > 1e-3
+    assert np.abs(opened.view.colours - before).max() > 1e-3
 
 
-def test_a_saved_picture_has_no_words_on_it_and_replaces_no_other(opened, tmp_path) -> None:
+def test_a_saved_picture_has_no_texts_and_a_new_name(opened, tmp_path) -> None:
     press(opened, "h", "s", "s")
     names = sorted(path.name for path in tmp_path.glob("*.png"))
     assert names == ["ball_1.png", "ball_2.png"]
     np.testing.assert_array_equal(read_image("ball_1.png"), read_image("ball_2.png"))
-    assert "orbit" in said(opened)
+    assert "orbit" in texts_of(opened)
     assert opened.overlay.legend.GetVisibility()
     assert opened.exposure.GetEnabled()
 
 
-def test_a_picture_that_cannot_be_saved_is_told_and_the_window_stays(opened, monkeypatch) -> None:
+def test_a_failed_save_is_reported_and_the_window_stays(opened, monkeypatch) -> None:
     def full(path: Path, picture: np.ndarray) -> None:
         raise StorageError(f"{path}: cannot be written: the disk is full")
 
     monkeypatch.setattr(windows, "write_picture", full)
     press(opened, "s")
-    assert "the disk is full" in said(opened)
+    assert "the disk is full" in texts_of(opened)
     assert opened.overlay.status.GetVisibility()
     assert opened.exposure.GetEnabled()
 
 
-def test_an_asset_made_for_one_light_has_no_slider_to_turn_it() -> None:
+def test_an_asset_made_for_one_light_has_no_rotation_slider() -> None:
     asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
     window = open_window(asset, [])
     assert not window.rotation.GetEnabled()
@@ -236,49 +236,49 @@ def drop(window: Window, *paths: Path) -> None:
     window.view.canvas.interactor.InvokeEvent("DropFilesEvent", names)
 
 
-def test_a_sky_that_is_dropped_on_the_window_shines(opened, tmp_path) -> None:
+def test_a_dropped_sky_becomes_the_light(opened, tmp_path) -> None:
     write_sky(tmp_path / "dropped.exr", 0.6 * constant())
     (tmp_path / "none.exr").write_bytes(b"no picture")
     drop(opened, tmp_path / "dropped.exr")
-    assert "dropped.exr" in said(opened)
+    assert "dropped.exr" in texts_of(opened)
     assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.6)), abs=1.0)
     drop(opened, tmp_path / "none.exr")
-    assert "no" in said(opened)
-    assert "OpenEXR picture" in said(opened)
+    assert "no" in texts_of(opened)
+    assert "OpenEXR picture" in texts_of(opened)
     assert "dropped.exr" in opened.overlay.status.GetInput()
     press(opened, "n", "n", "n")
-    assert "dropped.exr" in said(opened)
+    assert "dropped.exr" in texts_of(opened)
     write_sky(tmp_path / "white.exr", 0.9 * constant())
     drop(opened, tmp_path / "white.exr")
-    assert len(opened.view.preview.lights) == 3  # it was there already
+    assert len(opened.view.preview.lights) == 3  # the light was known
     assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.9)), abs=1.0)
 
 
-def test_an_asset_made_for_one_light_takes_no_sky_that_is_dropped(tmp_path) -> None:
+def test_an_asset_made_for_one_light_refuses_a_dropped_sky(tmp_path) -> None:
     asset = dataclasses.replace(make_asset(ball(2), degree=0, quantity="radiance"), degree=2)
     window = open_window(asset, [])
     drop(window, Path(write_sky(tmp_path / "sky.exr", SKY)))
-    assert "made for one light" in said(window)
+    assert "made for one light" in texts_of(window)
     window.view.canvas.close()
 
 
-def test_that_kernels_are_being_loaded_is_said_as_long_as_they_are(opened, monkeypatch) -> None:
+def test_the_status_line_shows_that_kernels_are_loading(opened, monkeypatch) -> None:
     until = threading.Event()
     monkeypatch.setattr(opened.view.preview, "load", until.wait)
     opened.view.preview.load_in_background()
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
-    assert "loading kernels" in said(opened)
+    assert "loading kernels" in texts_of(opened)
     until.set()
     opened.view.preview._loader.join()
     opened.view.canvas.interactor.InvokeEvent("TimerEvent")
-    assert "loading kernels" not in said(opened)
+    assert "loading kernels" not in texts_of(opened)
 
 
-def test_ctrl_c_closes_the_window_and_raises_nothing(opened) -> None:
+def test_ctrl_c_closes_the_window_without_an_exception(opened) -> None:
     ended = []
 
     class Loop:
-        """Of events, in which Ctrl-C falls between two looks of the timer."""
+        """An event loop with Ctrl-C between two timer events."""
 
         def Initialize(self) -> None: ...
 

@@ -1,4 +1,4 @@
-"""Windows in memory for the tests of the preview, and what drives them: the events that VTK sends on a screen."""
+"""Windows in memory for the tests of the preview, and the events that a user causes in them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ def open_window(
 
 
 def bare_picture(window: Window) -> NDArray[np.float64]:
-    """Of the object and what is behind it, without words and sliders."""
+    """Return the saved picture, without texts and sliders, in sRGB levels."""
     saved = Path("bare.png").resolve()
     window.save(saved)
     picture = np.rint(255.0 * to_srgb(read_image(saved)))
@@ -65,7 +65,7 @@ def slide(slider: object, value: float) -> None:
 
 
 def encoded(image: NDArray[np.floating], exposure: float = 0.0) -> NDArray[np.float64]:
-    """What a PNG of it holds."""
+    """Return the sRGB levels of a PNG of the image."""
     return np.rint(255.0 * to_srgb(image * 2.0**exposure))
 
 

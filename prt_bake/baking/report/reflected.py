@@ -9,6 +9,7 @@ from prt_bake.lights import environment
 from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.mathematics.random import hashed, uniforms
 from prt_bake.mathematics.sphere import to_world
+from prt_bake.reflection.finish import SurfacePoints
 from prt_bake.reflection.microfacet import mirrored, visible_facets
 from prt_bake.reflection.reflector import Reflector
 from prt_bake.reflection.surface import SMOOTHEST, ReflectingSurface
@@ -42,32 +43,26 @@ def reflected_at(
         return once, twice
     seen = Visibility(mesh)
     reflector = Reflector(mesh, Lighting((Sky(sky, up, environment.rotation(0.0, up)),)), eta, seen)
-    normals, rough = mesh.face_normals[faces], np.full(len(faces), alpha)
-    points = surface.points(faces, normals, outgoing, rough)
-    starts = surface.starts(faces[points.rows], barycentric[points.rows])
+    points = SurfacePoints(faces, barycentric, mesh.face_normals[faces], outgoing, np.full(len(faces), alpha))
+    front = surface.front_points(points)
+    origins = surface.ray_origins(faces[front.rows], barycentric[front.rows])
     for sample in range(SAMPLES):
         keys = hashed(_STREAM, seed, sample, np.arange(len(faces)))
         half = sample % 2
-        once[half] += reflector.reflected(faces, barycentric, normals, outgoing, rough, keys, _SEED)
-        facets = np.zeros_like(points.towards)
+        once[half] += reflector.reflected(points, keys, _SEED)
+        facets = np.zeros_like(front.towards)
         facets[:, 2] = 1.0
         if alpha >= SMOOTHEST:
-            facets = visible_facets(points.towards, points.alpha, uniforms((_STREAM, keys[points.rows]), 2))
-        local = mirrored(points.towards, facets)
-        directions = to_world(local, points.normals, points.tangents)
-        share = surface.share(points, facets, local, directions)
-        hits = seen.first_hits(starts, directions)
-        met = np.flatnonzero((hits.faces >= 0) & (share > 0.0))
-        again = reflector.reflected(
-            hits.faces[met],
-            hits.barycentric[met],
-            mesh.face_normals[hits.faces[met]],
-            -directions[met],
-            np.full(len(met), alpha),
-            keys[points.rows[met]],
-            _SEED + 1,
-        )
-        twice[half, points.rows[met]] += share[met, None] * again
+            facets = visible_facets(front.towards, front.alpha, uniforms((_STREAM, keys[front.rows]), 2))
+        local = mirrored(front.towards, facets)
+        directions = to_world(local, front.normals, front.tangents)
+        reflectance = surface.reflectance(front, facets, local, directions)
+        hits = seen.first_hits(origins, directions)
+        met = np.flatnonzero((hits.faces >= 0) & (reflectance > 0.0))
+        normals, rough = mesh.face_normals[hits.faces[met]], np.full(len(met), alpha)
+        second = SurfacePoints(hits.faces[met], hits.barycentric[met], normals, -directions[met], rough)
+        again = reflector.reflected(second, keys[front.rows[met]], _SEED + 1)
+        twice[half, front.rows[met]] += reflectance[met, None] * again
     return 2.0 / SAMPLES * once, 2.0 / SAMPLES * twice
 
 

@@ -22,11 +22,12 @@ class BrightSource:
 def find_bright_sources(
     values: Array, solid_angle: Array, direction: Array, max_spread: float, min_excess: float
 ) -> list[BrightSource]:
-    """The largest regions of values [R,C] with a spread ≤ `max_spread` and an excess ≥ `min_excess` > 0, by falling peaks.
+    """The largest regions of values [R,C] with at most `max_spread` and at least an excess `min_excess` > 0.
 
-    A region is a connected set of cells above a level. Its spread is 1 − |mean direction|, weighted by solid angle
-    [R,C], from the mean directions of the cells [R,C,3]. Its level is the lowest at which the spread is small enough.
-    Cells that share an edge or a corner are neighbours, columns wrap around, and all cells at a pole are neighbours.
+    They are in order of falling peaks. A region is a connected set of cells above a level. Its spread is 1 − |mean
+    direction|, weighted by solid angle [R,C], from the mean directions of the cells [R,C,3]. Its level is the lowest at
+    which the spread is small enough. Cells that share an edge or a corner are neighbours, columns wrap around, and all
+    cells at a pole are neighbours.
     """
     grid = _Grid(values, solid_angle, direction)
     # The largest region with this spread is a cap of solid angle 4π · max_spread.

@@ -33,31 +33,16 @@ def resampled(directions: Array, throughput: Array, kept: int, seed: int, keys: 
     and its walks alone. No channel of a ray exceeds three times the throughput of its query's brightest walk. If a walk
     is not finite, all rays of its query are that walk, so that the learner stops at it.
     """
-    kept_directions, kept_throughput = np.zeros((2, len(throughput), kept, 3))
-    kept_directions[..., 2] = 1.0
+    rays = np.zeros((2, len(throughput), kept, 3))
+    rays[0, ..., 2] = 1.0
     offsets = uniforms((_STREAM, seed, keys), 1)[:, 0]
-    in_threads(
-        resample_rows,
-        len(throughput),
-        directions,
-        throughput,
-        offsets,
-        kept_directions,
-        kept_throughput,
-        least=16,
-    )
-    return kept_directions, kept_throughput
+    in_threads(resample_rows, len(throughput), directions, throughput, offsets, rays[0], rays[1], least=16)
+    return rays[0], rays[1]
 
 
 @compiled(nogil=True)
 def resample_rows(
-    begun: Any,
-    ended: Any,
-    directions: Any,
-    throughput: Any,
-    offsets: Any,
-    kept_directions: Any,
-    kept_throughput: Any,
+    begun: Any, ended: Any, directions: Any, throughput: Any, offsets: Any, kept_directions: Any, kept_throughput: Any
 ) -> None:
     """Fill queries begun … ended − 1 of the kept rays [N,K,3] from the walks [N,P,3], with offsets [N] in [0, 1).
 

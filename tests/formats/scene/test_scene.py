@@ -225,7 +225,7 @@ def test_a_grid_outside_the_object_gives_a_remark(folder):
     (folder / "scene.toml").write_text(
         SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", "[[1, 0, 0], [2, 1, 1]]")
     )
-    (remark,) = (remark for remark in find_remarks(folder / "scene.toml") if "wholly beside" in remark)
+    (remark,) = (remark for remark in find_remarks(folder / "scene.toml") if "does not overlap" in remark)
     assert "'object': the grids' box [[1.0, 0.0, 0.0], [2.0, 1.0, 1.0]] does not overlap the part's box" in remark
 
 
