@@ -1,12 +1,12 @@
-# `make demo` and `make test` do everything on a fresh machine: each creates the virtual environment .venv.
-# Torch comes from the configured package index; PIP_EXTRA_INDEX_URL may name one whose wheels have no GPU libraries.
+# `make demo` and `make test` work on a fresh machine: they create the virtual environment .venv.
+# torch comes from the configured package index. PIP_EXTRA_INDEX_URL may name an index of wheels without GPU libraries.
 
 PYTHON = $(shell for candidate in python3.13 python3.12 python3.11 python3; do \
 	"$$candidate" -c 'import ensurepip, sys, venv; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' \
 		2>/dev/null && echo "$$candidate" && break; done)
 BIN := .venv/bin
 
-# Linear algebra in one thread a process: the tests' and the bake's workers share the cores among themselves.
+# One thread of linear algebra per process: the workers of tests and bakes already use every core.
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
@@ -23,7 +23,7 @@ picture: .venv/installed-evaluate
 test: .venv/installed-dev .venv/apart/installed
 	$(PYTEST) -m "not statistics"
 
-# What needs many samples: calibration, the independent renderer, extremes, whole bakes and trainings.
+# Tests that need many samples: calibration, Mitsuba, extremes, whole bakes and trainings.
 test-statistics: .venv/installed-dev .venv/apart/installed
 	$(PYTEST) -m statistics
 
@@ -55,7 +55,7 @@ bench: .venv/installed-dev
 	$(BIN)/python -m tests.bench.bake_accidents
 	$(BIN)/python -m tests.bench.reliable_share grape serpent head spot_1 --most 65536
 
-# What lies in prt_bake/shipped, made anew from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
+# Makes the files of prt_bake/shipped again from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr
 shipped: .venv/installed-evaluate
 	@test -f "$(SKY)" || { echo "prtbake: make shipped needs a sky: make shipped SKY=potsdamer_platz_1k.hdr" >&2; exit 1; }
 	$(BIN)/python -m prt_bake.shipped.remake "$(SKY)"
@@ -67,15 +67,15 @@ shipped: .venv/installed-evaluate
 clean:
 	rm -rf .venv demo bench
 
-# What runs kernels for graphics cards where there is none lies apart: its LLVM and that of OpenGL's do not go together in
-# one process, and torch loads it wherever it is found.
+# Triton interprets GPU kernels in tests on machines without a GPU. It has a separate folder: a process cannot use both its
+# LLVM and that of OpenGL, and torch loads Triton wherever it finds it.
 .venv/apart/installed: constraints.txt | .venv/installed-dev
 	@mkdir -p .venv/apart
 	@test "$$(uname -s)" != Linux || $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --no-compile \
 		--no-deps --upgrade --constraint constraints.txt --target .venv/apart triton
 	@touch $@
 
-# The name of the stamp is that of the extra which is installed with the package.
+# The stamp is named after the extra that is installed with the package.
 .venv/installed-%: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "prtbake: no Python 3.11, 3.12 or 3.13 with the modules venv and ensurepip was found;" \
 		"install one (Debian, Ubuntu: 'sudo apt install python3 python3-venv') or name it: make PYTHON=/path/to/python" >&2; \
@@ -84,7 +84,7 @@ clean:
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --no-compile \
 		--constraint constraints.txt --editable '.[$*]'
-# Byte code comes from all cores, where pip takes one; packages' own tests need none, and a few hold templates that
-# are no Python.
+# Compiles byte code on all cores; pip would use one. Tests of packages are skipped: some contain templates that are not
+# valid Python.
 	@$(BIN)/python -m compileall -qq -j 0 -x '/site-packages/.*/tests?/' .venv/lib >/dev/null || true
 	@touch $@

@@ -38,7 +38,7 @@ def test_a_path_is_refused_with_the_name_of_its_reader(call: Callable[[], object
 
 
 def test_a_method_is_refused_in_place_of_suns() -> None:
-    with pytest.raises(QueryError, match=r"suns: 'split' where directional lights are expected.*suns_apart"):
+    with pytest.raises(QueryError, match=r"suns: expected directional lights.*suns_apart.*found 'split'"):
         prt.shade(ASSET, LIGHT, [0, 0, 9], suns="split")
 
 

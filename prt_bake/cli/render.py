@@ -134,7 +134,7 @@ def render(
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
-    from prt_bake.rendering.state import asked_of, checkpoint_path
+    from prt_bake.rendering.state import stored_limits, checkpoint_path
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
@@ -147,7 +147,7 @@ def render(
     view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
     checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:
-        asked = asked_of(checkpoint)
+        asked = stored_limits(checkpoint)
         spp, minutes, error = asked.get("spp"), asked.get("minutes"), asked.get("error")
     if spp is None and minutes is None and error is None:
         spp = _USUAL_SPP["scene" if is_scene else "network"]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.image.exr import Layers
 from prt_bake.comparison.metrics import Comparison, compare
-from prt_bake.rendering.half_buffers import Traced
+from prt_bake.rendering.half_buffers import TracedPicture
 
 MIDDLE_GREY = 0.18
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -61,7 +61,7 @@ def measure(image: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_], sto
 
 
 def alone(
-    picture: Layers, reference: Traced, mask: NDArray[np.bool_], stops: float
+    picture: Layers, reference: TracedPicture, mask: NDArray[np.bool_], stops: float
 ) -> tuple[NDArray[np.float32], dict[str, float]]:
     """All figures of a picture of the light from under the surface alone, and its map of FLIP; a picture without a
     layer of errors has no noise.
@@ -74,7 +74,7 @@ def alone(
     }
 
 
-def noise_figures(reference: Traced, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
+def noise_figures(reference: TracedPicture, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
     """What the reference's own noise does to each figure: a picture exact but for such noise would have them.
 
     mse: of the standard errors. flip, ssim, ssim_quarter: means of what `smooth` and itself with the reference's noise
@@ -90,7 +90,7 @@ def noise_figures(reference: Traced, smooth: ArrayLike, mask: NDArray[np.bool_],
 
 
 def flip_without_noise(
-    image: ArrayLike, reference: Traced, mask: NDArray[np.bool_], stops: float, flip: float
+    image: ArrayLike, reference: TracedPicture, mask: NDArray[np.bool_], stops: float, flip: float
 ) -> float:
     """An estimate of the mean FLIP that a picture would have against a reference without noise; `flip` is what it has.
 
@@ -104,7 +104,7 @@ def flip_without_noise(
 
 
 def error_without_noise(
-    image: ArrayLike, standard_error: ArrayLike, reference: Traced, mask: NDArray[np.bool_]
+    image: ArrayLike, standard_error: ArrayLike, reference: TracedPicture, mask: NDArray[np.bool_]
 ) -> float:
     """The relative RMSE of a picture [H,W,3] over the object, its own noise and the reference's taken out.
 

@@ -42,7 +42,7 @@ def project(image: ArrayLike | image_rows.ImageRows, degree: int = 2, up: str = 
 
     >>> import numpy as np
     >>> import prt_bake as prt
-    >>> prt.project_environment(np.ones((4, 8, 3)), degree=1).round(6)[:, 0].tolist()  # √(4π) of Y_00
+    >>> (prt.project_environment(np.ones((4, 8, 3)), degree=1).round(6)[:, 0] + 0.0).tolist()  # √(4π) of Y_00
     [3.544908, 0.0, 0.0, 0.0]
     """
     to_object = sh.rotation(from_polar(up), degree)

@@ -39,13 +39,13 @@ class Artefacts:
         self.folder, self.say, self._stop = folder, say, stop
         _make_folder(folder)
 
-    def made(self, name: str, inputs: Facts, build: Callable[[Path], Facts | None]) -> Artefact:
+    def make(self, name: str, inputs: Facts, build: Callable[[Path], Facts | None]) -> Artefact:
         """The file `name`, made by `build(path)` unless it is there of the same `inputs` (plain JSON values).
 
         Raises Stopped, before any work, where the work was asked to stop.
         """
         path = self.folder / name
-        kept = self.kept(name, inputs)
+        kept = self.find(name, inputs)
         if kept is not None:
             return kept
         self.check()
@@ -56,7 +56,7 @@ class Artefacts:
         facts.setdefault("seconds", time.perf_counter() - begun)
         return self.record(name, inputs, facts)
 
-    def kept(self, name: str, inputs: Facts) -> Artefact | None:
+    def find(self, name: str, inputs: Facts) -> Artefact | None:
         """The file `name` where it is there, unaltered and of the same inputs."""
         path, record = self.folder / name, self._record(name)
         if record is None or not path.is_file() or record["inputs"] != _plain(inputs):

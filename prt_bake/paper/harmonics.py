@@ -22,7 +22,7 @@ DEGREE = 2
 _RAYS_A_PIXEL_SIDE = 4
 
 
-def refined(mesh: Mesh, subdivisions: int) -> Mesh:
+def subdivided(mesh: Mesh, subdivisions: int) -> Mesh:
     """The mesh with each face cut into four, `subdivisions` times: the same surface, its vertices nearer together."""
     from trimesh import remesh
 
@@ -47,7 +47,7 @@ def bake_asset(
     """
     asset = bake(
         load_model(model.path),
-        refined(mesh, settings.subdivisions),
+        subdivided(mesh, settings.subdivisions),
         DEGREE,
         settings.rings,
         settings.sectors,
@@ -69,7 +69,7 @@ def bake_asset(
     }
 
 
-def harmonics_picture(path: Path, asset: Artefact, sky: Sky, view: Camera) -> Facts:
+def shade_asset_picture(path: Path, asset: Artefact, sky: Sky, view: Camera) -> Facts:
     """The asset under a sky, as an .exr of the light from under the surface alone; seconds of shading."""
     picture = render_picture(
         read_asset(asset.path), sky.image, view, up=sky.up, samples=_RAYS_A_PIXEL_SIDE, background=False

@@ -7,7 +7,7 @@ from typing import Any
 from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings
 from prt_bake.paper.artefacts import Artefacts
-from prt_bake.paper.models import trained
+from prt_bake.paper.models import train_once
 
 LAYERS = (3, 4, 5, 6, 7)
 _STANDARD = "7"
@@ -52,7 +52,7 @@ def ablation(
         def follow(share: float, words: str, label: str = label) -> None:
             progress(label, share, words)
 
-        model = trained(artefacts, file, scene, minutes, device, follow, settings)
+        model = train_once(artefacts, file, scene, minutes, device, follow, settings)
         errors[network] = _mse(model.facts)
     return relative(errors)
 

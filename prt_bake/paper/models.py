@@ -31,12 +31,12 @@ def scene_model(
         network = load_model(given)
         if network.metadata.get("scene_hash") == scene.content_hash:
             inputs = {"scene": scene.content_hash, "given": sha256(given)}
-            return artefacts.made(file, inputs, lambda path: _copied(given, path, network))
+            return artefacts.make(file, inputs, lambda path: _copied(given, path, network))
         artefacts.say(f"{given}: was trained on another scene than {scene.path}; it is not taken")
-    return trained(artefacts, file, scene, minutes, device, progress)
+    return train_once(artefacts, file, scene, minutes, device, progress)
 
 
-def trained(
+def train_once(
     artefacts: Artefacts,
     file: str,
     scene: Scene,
@@ -92,7 +92,7 @@ def trained(
         path.with_suffix(".train.pt").unlink(missing_ok=True)
         return _facts(network, path)
 
-    return artefacts.made(file, inputs, build)
+    return artefacts.make(file, inputs, build)
 
 
 def scene_importance(
@@ -104,7 +104,7 @@ def scene_importance(
     file = str(importance_path(model.path).relative_to(artefacts.folder))
     if importance_path(given).is_file() and given.is_file() and sha256(given) == model.sha256:
         inputs = {"model": model.sha256, "given": sha256(importance_path(given))}
-        return artefacts.made(file, inputs, lambda path: _importance_copied(given, model, path))
+        return artefacts.make(file, inputs, lambda path: _importance_copied(given, model, path))
     fitted: Facts = {"model": model.sha256, "mesh": mesh.content_hash, "seconds": seconds}
 
     def build(path: Path) -> Facts:
@@ -115,7 +115,7 @@ def scene_importance(
         save_importance(module, model.path)
         return {"megabytes": path.stat().st_size / 1e6, "fit": module.metadata["fit"]}
 
-    return artefacts.made(file, fitted, build)
+    return artefacts.make(file, fitted, build)
 
 
 def _importance_copied(given: Path, model: Artefact, path: Path) -> Facts:

@@ -14,7 +14,7 @@ from prt_bake.paper.artefacts import Artefact, Facts, Stopped
 from prt_bake.rendering.mixture import Sampling
 
 
-def network_picture(
+def render_network_picture(
     path: Path,
     model: Artefact,
     importance_of: Path | None,

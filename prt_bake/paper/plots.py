@@ -9,7 +9,7 @@ import numpy as np
 from formats.atomic import replacing
 from formats.errors import PrtbakeError
 from prt_bake.paper.results import BARS
-from prt_bake.paper.times import Trained, heading
+from prt_bake.paper.times import Trained, power_law
 
 _AHEAD, _FAR_AHEAD = 8.0, 100.0
 """How far beyond its end a training's curve is drawn on, and one through several trainings, as a factor on the time."""
@@ -73,7 +73,7 @@ def plot_times(scenes: Mapping[str, Sequence[Trained]], path: Path) -> None:
         for style, figure_name, words in (("s:", "coefficients", "a_lm"), ("^:", "error", "picture")):
             values = [getattr(row, figure_name) for row in rows]
             axes.loglog(minutes, values, style, color=line.get_color(), alpha=0.6, label=f"{name}: {words}, rel. RMSE")
-        law = heading(rows, "flip_without_noise")
+        law = power_law(rows, "flip_without_noise")
         last = min(_FAR_AHEAD * minutes[-1], max(2.0 * minutes[-1], law.minutes_to(BARS["net"])))
         ahead = np.geomspace(minutes[-1], last, 16)
         axes.loglog(ahead, law.level * ahead**law.slope, "--", color=line.get_color(), alpha=0.6)

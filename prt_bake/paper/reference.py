@@ -19,7 +19,7 @@ from prt_bake.geometry.camera import Camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.mathematics.random import hashed
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
-from prt_bake.rendering.half_buffers import Halves, Traced
+from prt_bake.rendering.half_buffers import HalfBuffers, TracedPicture
 from prt_bake.rendering.scene import Rendering, render_scene
 
 Trace = Callable[[int, int, Path], Rendering]
@@ -34,7 +34,7 @@ _CHUNK_STREAM = 0x5EED
 
 
 @dataclass(frozen=True)
-class Reference(Traced):
+class Reference(TracedPicture):
     """The same with its file, and what it cost."""
 
     artefact: Artefact
@@ -58,7 +58,7 @@ def reference(
     identity = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
     path = artefacts.folder / name
     sums_path = path.with_suffix(".sums.npz")
-    halves = _read(sums_path, identity) or Halves.empty(size)
+    halves = _read(sums_path, identity) or HalfBuffers.empty(size)
     if not _enough(halves, spp, minutes):
         artefacts.check()
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -73,7 +73,7 @@ def reference(
         _write(sums_path, halves, identity)
         checkpoint.unlink(missing_ok=True)
         artefacts.say(f"{name}: {halves.spp} walks a pixel in {halves.seconds:.0f} s")
-    made = artefacts.made(name, {**inputs, "pictures": halves.pictures, "walks": halves.walks}, _exr(halves))
+    made = artefacts.make(name, {**inputs, "pictures": halves.pictures, "walks": halves.walks}, _exr(halves))
     return _read_reference(made)
 
 
@@ -102,13 +102,13 @@ def trace_scene(
     return trace
 
 
-def _enough(halves: Halves, spp: int | None, minutes: float | None) -> bool:
+def _enough(halves: HalfBuffers, spp: int | None, minutes: float | None) -> bool:
     if min(halves.passes) == 0:
         return False
     return (spp is None or halves.spp >= spp) and (minutes is None or halves.seconds >= 60.0 * minutes)
 
 
-def _walks(halves: Halves, spp: int | None) -> int:
+def _walks(halves: HalfBuffers, spp: int | None) -> int:
     """Walks a pixel of the next picture: few where few are asked for, so that both halves have some."""
     return _WALKS_AT_ONCE if spp is None else max(_LEAST_WALKS, min(_WALKS_AT_ONCE, spp // 2))
 
@@ -118,7 +118,7 @@ def _goal(spp: int | None, minutes: float | None) -> str:
     return "path tracing " + " and ".join(goal for goal in goals if goal)
 
 
-def _exr(halves: Halves) -> Callable[[Path], Facts]:
+def _exr(halves: HalfBuffers) -> Callable[[Path], Facts]:
     def write(path: Path) -> Facts:
         layers = {
             "error": halves.standard_error,
@@ -137,7 +137,7 @@ def _read_reference(artefact: Artefact) -> Reference:
     return Reference(found.image, error, noise, coverage, artefact)
 
 
-def _write(path: Path, halves: Halves, identity: str) -> None:
+def _write(path: Path, halves: HalfBuffers, identity: str) -> None:
     numbers = {name: getattr(halves, name) for name in ("passes", "pictures", "spp", "walks", "seconds")}
     with replacing(path) as part, open(part, "wb") as file:
         np.savez(
@@ -149,13 +149,13 @@ def _write(path: Path, halves: Halves, identity: str) -> None:
         )
 
 
-def _read(path: Path, identity: str) -> Halves | None:
+def _read(path: Path, identity: str) -> HalfBuffers | None:
     """What was traced before of the same picture; None where there is nothing, or nothing that can be read."""
     try:
         with np.load(path, allow_pickle=False) as file:
             head = json.loads(str(file["head"]))
             if head["identity"] != identity:
                 return None
-            return Halves(file["radiance"], file["variance"], file["coverage"], **head["numbers"])
+            return HalfBuffers(file["radiance"], file["variance"], file["coverage"], **head["numbers"])
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None

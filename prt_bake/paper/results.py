@@ -8,7 +8,7 @@ from prt_bake.rendering.mixture import Sampling
 
 SAMPLINGS: tuple[Sampling, ...] = ("light", "lobe", "mis")
 METHODS = (*SAMPLINGS, "sh")
-JUDGED: Sampling = "mis"
+PRIMARY_SAMPLING: Sampling = "mis"
 """The sampling of Net that is held against the paper's figure and the bar."""
 TITLES = {"light": "Net (light)", "lobe": "Net (lobe)", "mis": "Net (mis)", "sh": "SH"}
 BARS = {"net": 0.03, "sh": 0.08}
@@ -27,7 +27,7 @@ class Line:
         spp: samples a pixel. seconds: of rendering alone. megabytes: what must be kept to render it.
         alone: mse, ssim, ssim_quarter, flip, flip_without_noise (an estimate: against a reference without noise) and
             error (relative RMSE, the noise of both pictures out) of the light from under the surface alone; of SH
-            flip_to_net, FLIP against the judged picture of Net.
+            flip_to_net, FLIP against the evaluate_model picture of Net.
         whole: the first four with reflection and background in both pictures; None where that was not made.
     """
 

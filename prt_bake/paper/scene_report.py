@@ -16,12 +16,12 @@ from prt_bake.geometry.camera import Camera
 from prt_bake.lights.environment import read_environment, rotation
 from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts
-from prt_bake.paper.harmonics import DEGREE, bake_asset, harmonics_picture
+from prt_bake.paper.harmonics import DEGREE, bake_asset, shade_asset_picture
 from prt_bake.paper.models import scene_importance, scene_model
-from prt_bake.paper.network_pictures import network_picture
+from prt_bake.paper.network_pictures import render_network_picture
 from prt_bake.paper.reference import Reference, reference, trace_scene
-from prt_bake.paper.results import JUDGED, METHODS, SAMPLINGS, Line, Result
-from prt_bake.paper.scenes import PaperScene, framed, is_stand_in, open_scene
+from prt_bake.paper.results import PRIMARY_SAMPLING, METHODS, SAMPLINGS, Line, Result
+from prt_bake.paper.scenes import PaperScene, framing_camera, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
 from prt_bake.paper.surface import surface_picture
@@ -57,7 +57,7 @@ class SceneReport:
         self.paper, self.folder, self.settings = paper, folder, settings
         self.artefacts, self._progress = artefacts, progress
         self.scene = open_scene(paper, folder)
-        self.view = framed(self.scene.mesh, settings.size, self.scene.up)
+        self.view = framing_camera(self.scene.mesh, settings.size, self.scene.up)
 
     @cached_property
     def model(self) -> Artefact:
@@ -99,7 +99,7 @@ class SceneReport:
         model, name = self.model, f"{self.paper.name}/asset.h5"
         inputs = {"method": _METHOD, "model": model.sha256, "degree": DEGREE, **asdict(settings)}
         arguments = model, self.scene.mesh, settings, self.artefacts.stop, self._follow(f"{self.paper.name}: baking")
-        return self.artefacts.made(name, inputs, lambda path: bake_asset(path, *arguments))
+        return self.artefacts.make(name, inputs, lambda path: bake_asset(path, *arguments))
 
     def under(self, sky_name: str, sky_path: Path) -> Result:
         """The scene under one sky; raises Stopped with all whole steps kept."""
@@ -108,14 +108,14 @@ class SceneReport:
         pictures = dict(self._pictures(sky_name, lighting))
         return self._measured(sky_name, truth, pictures, self._surfaces(sky_name, lighting))
 
-    def judged(self, sky_name: str, sky_path: Path, model: Artefact, name: str) -> dict[str, float]:
-        """FLIP, the same without noise, and the error of another network's picture, as the judged line has them.
+    def evaluate_model(self, sky_name: str, sky_path: Path, model: Artefact, name: str) -> dict[str, float]:
+        """FLIP, the same without noise, and the error of another network's picture, as the evaluate_model line has them.
 
         The picture is the file `name`.exr; its directions are drawn by the importance module of the scene's network.
         """
         lighting = self._lighting(sky_path)
         truth = self._reference(sky_name, lighting)
-        found = read_layers(self._network_picture(lighting, JUDGED, f"{name}.exr", model).path)
+        found = read_layers(self._network_picture(lighting, PRIMARY_SAMPLING, f"{name}.exr", model).path)
         mask = object_figures.object_mask(truth.coverage)
         _map, figures = object_figures.alone(found, truth, mask, object_figures.exposure(truth.image, mask))
         return {name: figures[name] for name in ("flip", "flip_without_noise", "error")}
@@ -149,7 +149,7 @@ class SceneReport:
         arguments = self.asset, lighting.skies[0], self.view
         yield (
             "sh",
-            self.artefacts.made(f"{folder}/sh.exr", inputs, lambda path: harmonics_picture(path, *arguments)),
+            self.artefacts.make(f"{folder}/sh.exr", inputs, lambda path: shade_asset_picture(path, *arguments)),
         )
 
     def _picture_inputs(self, lighting: Lighting, model: Artefact) -> Facts:
@@ -164,7 +164,7 @@ class SceneReport:
             inputs["importance"] = drawn_by.sha256
 
         def render(path: Path) -> Facts:
-            return network_picture(
+            return render_network_picture(
                 path,
                 model,
                 None if drawn_by is None else drawn_by.path.with_name("model.pt"),
@@ -179,7 +179,7 @@ class SceneReport:
                 self._follow(file),
             )
 
-        return self.artefacts.made(file, inputs, render)
+        return self.artefacts.make(file, inputs, render)
 
     def _surfaces(self, sky: str, lighting: Lighting) -> tuple[Artefact, Artefact]:
         """Reflection, background and what crosses unscattered: for the pictures, and from other numbers for the
@@ -198,7 +198,7 @@ class SceneReport:
                 write_image(path, image)
 
             file = f"{self.paper.name}/{sky}/{name}.exr"
-            return self.artefacts.made(file, {**inputs, "spp": spp, "seed": seed}, render)
+            return self.artefacts.make(file, {**inputs, "spp": spp, "seed": seed}, render)
 
         return (
             layer("surface", min(most, SURFACE_SPP), _PICTURE_SEED + self.settings.seed),
@@ -224,7 +224,7 @@ class SceneReport:
             "pictures": {method: picture.sha256 for method, picture in pictures.items()},
             "surfaces": [surface.sha256 for surface in surfaces],
         }
-        kept = self.artefacts.made(
+        kept = self.artefacts.make(
             f"{self.paper.name}/{sky}/flip.npz", inputs, lambda path: self._measure(path, truth, pictures, surfaces)
         )
         facts = dict(kept.facts)
@@ -264,7 +264,7 @@ class SceneReport:
                 together.flip_map.astype(np.float16),
             )
             figures[method] = {"alone": alone, "whole": together.as_json()}
-        harmonics, network = (read_image(pictures[method].path) for method in ("sh", JUDGED))
+        harmonics, network = (read_image(pictures[method].path) for method in ("sh", PRIMARY_SAMPLING))
         figures["sh"]["alone"]["flip_to_net"] = object_figures.measure(harmonics, network, mask, alone_stops).flip
         write_maps(path, maps)
         noise = object_figures.noise_figures(truth, harmonics, mask, alone_stops)

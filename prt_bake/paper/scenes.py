@@ -1,4 +1,4 @@
-"""The five scenes of the paper's tables, what the paper reports of each, and how each is framed and baked here."""
+"""The five scenes of the paper's tables, what the paper reports of each, and how each is framing_camera and baked here."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -128,7 +128,7 @@ SKIES = {"outdoor": "skies/outdoor.hdr", "indoor": "skies/indoor.hdr"}
 """Under `scenes/`; `scenes/skies/LICENSES.md` says whose they are."""
 
 
-def chosen(names: list[str]) -> tuple[PaperScene, ...]:
+def select_scenes(names: list[str]) -> tuple[PaperScene, ...]:
     """The scenes of these names in the paper's order, all of them where none is named; raises QueryError for others."""
     unknown = [name for name in names if name not in NAMES]
     if unknown:
@@ -157,7 +157,7 @@ def is_stand_in(paper: PaperScene, scene: Scene) -> bool:
     return len(paper.files) > 1 and Path(scene.path).name == Path(paper.files[-1]).name
 
 
-def framed(mesh: Mesh, size: int, up: str) -> Camera:
+def framing_camera(mesh: Mesh, size: int, up: str) -> Camera:
     """A camera of size × size pixels that sees the whole object, or nearer where it would fill less than 40 %.
 
     The eye stays where `camera.fit` puts it; the field of view is narrowed about the middle of the object until it
@@ -165,19 +165,19 @@ def framed(mesh: Mesh, size: int, up: str) -> Camera:
     """
     whole = camera.fit(mesh, size, size, up=up)
     visibility = Visibility(mesh)
-    if filled(visibility, whole) >= _AIMED_SHARE:
+    if object_share(visibility, whole) >= _AIMED_SHARE:
         return whole
     narrow, wide = _NARROWEST, whole.fov
     while wide - narrow > 1e-3 * wide:
         middle = 0.5 * (narrow + wide)
-        if filled(visibility, _with_fov(whole, middle, size)) >= _AIMED_SHARE:
+        if object_share(visibility, _with_fov(whole, middle, size)) >= _AIMED_SHARE:
             narrow = middle
         else:
             wide = middle
     return _with_fov(whole, narrow, size)
 
 
-def filled(visibility: Visibility, view: Camera) -> float:
+def object_share(visibility: Visibility, view: Camera) -> float:
     """The share of the picture that the object fills, from 128 × 128 rays."""
     small = _with_fov(view, view.fov, _FRAMING_PIXELS)
     rays = directions(small, slice(0, _FRAMING_PIXELS), np.array([[0.5, 0.5]])).reshape(-1, 3)

@@ -6,7 +6,7 @@ from typing import Any
 
 from prt_bake.paper.results import (
     BARS,
-    JUDGED,
+    PRIMARY_SAMPLING,
     METHODS,
     PAPER_MEANS,
     TITLES,
@@ -88,7 +88,7 @@ def second_table(results: Iterable[Result]) -> str:
     """The paper's second table: Net under each sky, for the scenes that the paper has there."""
     rows = []
     for result in results:
-        scene, line = paper_scene(result.scene), result.line(JUDGED)
+        scene, line = paper_scene(result.scene), result.line(PRIMARY_SAMPLING)
         if scene.net_by_sky is None or line is None:
             continue
         theirs = scene.net_by_sky.get(result.sky)
@@ -99,7 +99,7 @@ def second_table(results: Iterable[Result]) -> str:
             noise = _figure(metric, result.noise[metric])
             rows.append([name, _METRICS[metric], ours, noise, paper])
             name = ""
-    return _table(("Experiment", "Metric", f"Net ({JUDGED})", "the reference's noise", "paper: Net"), rows)
+    return _table(("Experiment", "Metric", f"Net ({PRIMARY_SAMPLING})", "the reference's noise", "paper: Net"), rows)
 
 
 def means_table(results: list[Result], skies: Sequence[str]) -> str:
@@ -112,7 +112,7 @@ def means_table(results: list[Result], skies: Sequence[str]) -> str:
                 continue
             whole, with_all = mean_flip(results, sky, method, "whole")
             kind = "sh" if method == "sh" else "net"
-            bar = f"≤ {BARS[kind]:.2f}" if method in (JUDGED, "sh") else ""
+            bar = f"≤ {BARS[kind]:.2f}" if method in (PRIMARY_SAMPLING, "sh") else ""
             reached = ("yes" if mean <= BARS[kind] else "no") if bar and count == len(SCENES) else ""
             noiseless = mean_flip(results, sky, method, figure="flip_without_noise")[0]
             all_in = f"{whole:.4f}" if with_all else ""
@@ -157,7 +157,7 @@ def _of_degree_two(result: Result) -> str:
     """What SH and Net differ by: degree 2 and the bake, whatever the network has learnt."""
     line = result.line("sh")
     flip = None if line is None else line.alone.get("flip_to_net")
-    return "" if flip is None else f"; FLIP of SH against Net ({JUDGED}) {flip:.4f}"
+    return "" if flip is None else f"; FLIP of SH against Net ({PRIMARY_SAMPLING}) {flip:.4f}"
 
 
 def _trained(model: dict[str, Any]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.paper.models import trained
+from prt_bake.paper.models import train_once
 from prt_bake.paper.results import BARS
 from prt_bake.paper.scene_report import SceneReport
 
@@ -21,7 +21,7 @@ _NEVER = math.log(1e12)
 
 @dataclass(frozen=True)
 class Trained:
-    """A training of so many minutes and walks, and its picture by the judged sampling.
+    """A training of so many minutes and walks, and its picture by the evaluate_model sampling.
 
     coefficients: relative RMSE of a_lm on held-out queries, as the training ended. flip, flip_without_noise, error: as
     in `prt_bake.paper.results.Line`.
@@ -36,7 +36,7 @@ class Trained:
 
 
 @dataclass(frozen=True)
-class Heading:
+class PowerLaw:
     """The power law value = level · minutes^slope through a few trainings."""
 
     level: float
@@ -66,27 +66,27 @@ def trainings(
             progress(label, done, words)
 
         file = f"{name}/times/{time:g}.pt"
-        model = trained(scene.artefacts, file, scene.scene, time, scene.settings.device, follow)
-        figures = scene.judged(sky, sky_path, model, f"{name}/times/{time:g}_{sky}")
+        model = train_once(scene.artefacts, file, scene.scene, time, scene.settings.device, follow)
+        figures = scene.evaluate_model(sky, sky_path, model, f"{name}/times/{time:g}_{sky}")
         coefficients = float(model.facts["relative_rmse"]["coefficients"])
         found.append(Trained(time, int(model.facts["walks"]), coefficients, **figures))
     return found
 
 
-def heading(rows: Sequence[Trained], figure: str) -> Heading:
+def power_law(rows: Sequence[Trained], figure: str) -> PowerLaw:
     """The law of a figure by its name: least squares of its logarithm over that of the minutes."""
     values = np.array([getattr(row, figure) for row in rows])
     minutes = np.array([row.minutes for row in rows])
     known = values > 0.0
     if known.sum() < 2:
-        return Heading(math.nan, 0.0)
+        return PowerLaw(math.nan, 0.0)
     slope, level = np.polyfit(np.log(minutes[known]), np.log(values[known]), 1)
-    return Heading(float(np.exp(level)), float(slope))
+    return PowerLaw(float(np.exp(level)), float(slope))
 
 
 def as_json(rows: Sequence[Trained]) -> dict[str, Any]:
     """The trainings, the laws through them, and when FLIP would come to the bar if it went on like that."""
-    laws = {figure: heading(rows, figure) for figure in ("coefficients", "error", "flip_without_noise")}
+    laws = {figure: power_law(rows, figure) for figure in ("coefficients", "error", "flip_without_noise")}
     return {
         "trainings": [asdict(row) for row in rows],
         "laws": {figure: asdict(law) for figure, law in laws.items()},
@@ -94,9 +94,9 @@ def as_json(rows: Sequence[Trained]) -> dict[str, Any]:
     }
 
 
-def told(name: str, rows: Sequence[Trained]) -> str:
+def summary(name: str, rows: Sequence[Trained]) -> str:
     """A line a training, and where they lead."""
-    law = heading(rows, "flip_without_noise")
+    law = power_law(rows, "flip_without_noise")
     lines = [
         f"{name}: {row.minutes:g} minutes, {row.walks:,} walks: a_lm {row.coefficients:.1%}, picture {row.error:.1%}, "
         f"FLIP {row.flip:.4f}, noise out {row.flip_without_noise:.4f}"

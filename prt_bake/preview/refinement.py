@@ -81,13 +81,13 @@ class Refinement:
         self, asset: Asset, light: SunsApart, eye: NDArray[np.float64], radiance: NDArray[np.float32], closed: bool
     ) -> None:
         """light: after its rotation. radiance: unrefined. closed: skip the vertices that face away from the eye."""
-        from prt_bake.shading.vertices import between_bins
+        from prt_bake.shading.vertices import eye_bin_coordinates
 
         self.eye, self.radiance = eye, np.array(radiance)
         self._asset, self._light = asset, light
         visible = facing(asset.mesh, eye) if closed else np.ones(len(asset.valid), np.bool_)
         self._vertices = np.flatnonzero(asset.valid & visible)
-        self._bins = between_bins(asset, eye, self._vertices)
+        self._bins = eye_bin_coordinates(asset, eye, self._vertices)
         self._next = 0
 
     @property

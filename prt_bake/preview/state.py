@@ -316,9 +316,9 @@ class Preview:
         if self._radiance.loaded:
             return  # two threads must not call numba kernels at once
         if self.relightable and self.asset.degree > 0:
-            from prt_bake.shading.maximum_entropy import positive_transport
+            from prt_bake.shading.maximum_entropy import fit_maximum_entropy
 
-            positive_transport(np.ones((1, self._harmonics, 1)))
+            fit_maximum_entropy(np.ones((1, self._harmonics, 1)))
         # Last, because the drawing thread calls any kernel once these are loaded.
         self._radiance.load()
 

@@ -1,9 +1,8 @@
-"""A path-traced reference in two halves, which tell what its own noise does to any figure.
+"""A path-traced reference in two half buffers, which give the effect of its noise on any metric.
 
-With A and B the means over n_A and n_B passes, the reference is R = (n_A A + n_B B) / N, and
-e = (A − B) √(n_A n_B) / N has the variance of R's error and is uncorrelated with it: a smooth picture P and P + e
-differ by noise as strong as R's own, of its real distribution, bright specks included, without any picture being traced
-twice.
+With the means A and B over n_A and n_B passes, the reference is R = (n_A A + n_B B) / N. The difference
+e = (A − B) √(n_A n_B) / N has the variance of R's error and is uncorrelated with it. A smooth picture P and P + e
+therefore differ by noise like R's own, with its distribution and its fireflies, without tracing a second picture.
 """
 
 import math
@@ -18,8 +17,8 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Traced:
-    """A finished reference: image, standard_error and noise [H,W,3] (the e of the module's text), coverage [H,W]."""
+class TracedPicture:
+    """A reference: image, standard_error and noise [H,W,3] (e in the module's docstring), coverage [H,W]."""
 
     image: NDArray[np.float32]
     standard_error: NDArray[np.float32]
@@ -28,8 +27,8 @@ class Traced:
 
 
 @dataclass
-class Halves:
-    """Sums over the passes of two halves: radiance [2,H,W,3], squared errors [H,W,3], coverage [H,W]; their cost."""
+class HalfBuffers:
+    """Sums over passes: radiance in two half buffers [2,H,W,3], squared errors [H,W,3], coverage [H,W]; and the cost."""
 
     radiance: Array
     variance: Array
@@ -41,12 +40,12 @@ class Halves:
     seconds: float = 0.0
 
     @classmethod
-    def empty(cls, size: int) -> "Halves":
-        """Nothing traced yet."""
+    def empty(cls, size: int) -> "HalfBuffers":
+        """Sums of no passes."""
         return cls(np.zeros((2, size, size, 3)), np.zeros((size, size, 3)), np.zeros((size, size)))
 
     def add(self, picture: Rendering) -> None:
-        """Add a picture to the half that has fewer passes."""
+        """Add a picture to the half buffer with fewer passes."""
         half = int(self.passes[1] < self.passes[0])
         self.radiance[half] += picture.passes * picture.image.astype(np.float64)
         self.variance += (picture.passes * picture.standard_error.astype(np.float64)) ** 2
@@ -64,17 +63,17 @@ class Halves:
 
     @property
     def standard_error(self) -> Array:
-        """One sigma of R [H,W,3], from the spread of passes."""
+        """Standard error of R [H,W,3], from the variance between passes."""
         return np.sqrt(self.variance) / sum(self.passes)
 
     @property
     def noise(self) -> Array:
-        """The e of the module's text [H,W,3], which has the variance of R's error."""
+        """The e of the module's docstring [H,W,3], which has the variance of R's error."""
         first, second = self.passes
         difference = self.radiance[0] / first - self.radiance[1] / second
         return np.asarray(difference * math.sqrt(first * second) / (first + second))
 
-    def traced(self) -> Traced:
-        """What the sums come to."""
+    def picture(self) -> TracedPicture:
+        """The reference of all passes."""
         parts = self.image, self.standard_error, self.noise, self.coverage / sum(self.passes)
-        return Traced(*(part.astype(np.float32) for part in parts))
+        return TracedPicture(*(part.astype(np.float32) for part in parts))

@@ -1,8 +1,7 @@
-"""The lobes of a picture's points: an importance module asked once a pixel, where its middle shows the object.
+"""Lobes for the points of a picture: the importance module is evaluated once for each pixel.
 
-Any density serves, as long as it is the one that is drawn from; within a pixel the lobe hardly changes, and asking for
-it costs as much as three evaluations of the network. Points of the other pixels, on the object's edge, are asked for
-each on its own.
+Within a pixel the lobe hardly changes, and evaluating it costs as much as three evaluations of the network. Sampling is
+unbiased with any lobe whose density is known. Pixels whose middle misses the object get a lobe for each point.
 """
 
 from typing import Protocol
@@ -19,18 +18,18 @@ Array = NDArray[np.float64]
 _PIXELS_AT_ONCE = 1 << 16
 
 
-class LobeMaker(Protocol):
+class LobeModule(Protocol):
     """An importance module."""
 
     def lobe(self, positions: Array, outgoing: Array, normals: Array) -> Lobe:
-        """The lobe of each of N points [N,3] seen along outgoing [N,3], about normals [N,3]."""
+        """Lobes of N points [N,3] seen along outgoing [N,3], with normals [N,3]."""
 
 
 class PixelLobes:
     """The lobe at the middle of every pixel that shows the object there."""
 
-    def __init__(self, module: LobeMaker, mesh: Mesh, camera: Camera, visibility: Visibility | None = None) -> None:
-        """Ask `module` for them all."""
+    def __init__(self, module: LobeModule, mesh: Mesh, camera: Camera, visibility: Visibility | None = None) -> None:
+        """Evaluate `module` for all pixels."""
         self._module = module
         visibility = visibility or Visibility(mesh)
         pixels = camera.width * camera.height
@@ -46,29 +45,29 @@ class PixelLobes:
                 continue
             corners = mesh.positions[mesh.faces[hits.faces[met]]]
             u, v = hits.barycentric[met, :1], hits.barycentric[met, 1:]
-            places = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-            parts.append(module.lobe(places, -rays[met], mesh.face_normals[hits.faces[met]]))
+            positions = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+            parts.append(module.lobe(positions, -rays[met], mesh.face_normals[hits.faces[met]]))
             self._row[numbers[met]] = known + np.arange(len(met))
             known += len(met)
-        self._lobes = _joined(parts) if parts else None
+        self._lobes = _concatenate(parts) if parts else None
 
     def at(self, pixels: NDArray[np.int64], positions: Array, outgoing: Array, normals: Array) -> Lobe:
-        """The lobes of N points, as `PointLobes.at`."""
+        """Lobes of N points, as `PointLobes.at`."""
         rows = self._row[pixels]
         known, others = np.flatnonzero(rows >= 0), np.flatnonzero(rows < 0)
-        parts = [] if self._lobes is None or not len(known) else [_taken(self._lobes, rows[known])]
+        parts = [] if self._lobes is None or not len(known) else [_subset(self._lobes, rows[known])]
         if len(others) or not parts:
             parts.append(self._module.lobe(positions[others], outgoing[others], normals[others]))
         if len(parts) == 1:
             return parts[0]
-        return _taken(_joined(parts), np.argsort(np.concatenate([known, others])))
+        return _subset(_concatenate(parts), np.argsort(np.concatenate([known, others])))
 
 
-def _taken(lobe: Lobe, rows: NDArray[np.int64]) -> Lobe:
+def _subset(lobe: Lobe, rows: NDArray[np.int64]) -> Lobe:
     return Lobe(lobe.axes[rows], lobe.sigma[rows], lobe.weights[rows], lobe.shape, lobe.share)
 
 
-def _joined(lobes: list[Lobe]) -> Lobe:
+def _concatenate(lobes: list[Lobe]) -> Lobe:
     axes, sigma, weights = (
         np.concatenate([getattr(lobe, name) for lobe in lobes]) for name in ("axes", "sigma", "weights")
     )

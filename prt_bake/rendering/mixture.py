@@ -1,9 +1,9 @@
-"""How directions of incidence are drawn at a point: from the light, from the object's lobe, or from both.
+"""Multiple importance sampling of directions of incidence at a point: from the light, the object's lobe, or both.
 
-Both together are weighted by the balance heuristic (Veach and Guibas 1995) with the light's share times a `trust`: of n
-directions from the light and m from the lobe each counts radiance · (trust, or 1 if from the lobe) / (trust n p_light +
-m p_lobe). That is unbiased for any trust; 1 is best for independent numbers. Evenly placed ones make the smooth part of
-the integrand, which one of the two ways may have to itself, far less noisy than that.
+Both are combined by the balance heuristic (Veach and Guibas 1995) with a factor `trust` on the light: of n directions
+from the light and m from the lobe, each has the weight radiance · (trust, or 1 if from the lobe) / (trust n p_light +
+m p_lobe). This is unbiased for every trust. 1 is best for independent numbers. Low-discrepancy numbers reduce the noise
+of the smooth part of the integrand much more, so another trust can be better.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _LIGHT_STREAM, _LOBE_STREAM = 0xA4, 0xA5
 
 
 class Lobe(Protocol):
-    """What directions are drawn from at N points: those from where the object lets much through."""
+    """Distributions of incident directions at N points, dense where much light comes through the object."""
 
     def draw(self, numbers: Array) -> Array:
         """Directions [N,S,3] from uniform numbers [N,S,3]."""
@@ -34,9 +34,9 @@ class Lobe(Protocol):
 
 @dataclass(frozen=True)
 class Mixture:
-    """How many directions each point of a pixel gets in a pass, from the light and from the lobe, and the trust.
+    """The numbers of directions per point of a pixel in a pass, from the light and from the lobe, and the trust.
 
-    Raises QueryError where a point gets none, and where the trust is not above 0.
+    Raises QueryError if a point has no direction, or if the trust is not positive.
     """
 
     light: tuple[int, ...]
@@ -45,43 +45,43 @@ class Mixture:
 
     def __post_init__(self) -> None:
         if len(self.light) != len(self.lobe) or not self.light or min(self.directions) < 1 or not self.trust > 0.0:
-            raise QueryError(f"mixture: {self} where each point needs a direction, and the trust is above 0")
+            raise QueryError(f"mixture: expected a direction for each point and a trust above 0, found {self}")
 
     @property
     def directions(self) -> tuple[int, ...]:
-        """Of each point."""
+        """Directions per point."""
         return tuple(n + m for n, m in zip(self.light, self.lobe, strict=True))
 
     @property
     def points(self) -> int:
-        """Of a pixel in a pass."""
+        """Points per pixel and pass."""
         return len(self.light)
 
     @property
     def samples(self) -> int:
-        """Directions a pixel and pass."""
+        """Directions per pixel and pass."""
         return sum(self.directions)
 
     @property
     def share(self) -> float:
-        """Of the directions, those drawn from the light."""
+        """The share of directions from the light."""
         return sum(self.light) / self.samples
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; the reverse of `from_json`."""
+        """Plain JSON values."""
         return {"light": list(self.light), "lobe": list(self.lobe), "trust": self.trust}
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> "Mixture":
-        """What `as_json` gave."""
+        """The inverse of `as_json`."""
         return Mixture(tuple(map(int, values["light"])), tuple(map(int, values["lobe"])), float(values["trust"]))
 
 
 @dataclass(frozen=True)
-class Drawn:
+class IncidentSamples:
     """Directions of incidence [N,S,3] of N points, the first `from_light` from the light, the others from the lobe.
 
-    radiance [N,S,3] that comes from there; light, lobe [N,S]: with which density each way draws them (None: not asked).
+    radiance [N,S,3] from these directions; light, lobe [N,S]: densities of both methods (None: not computed).
     """
 
     directions: Array
@@ -91,24 +91,22 @@ class Drawn:
     from_light: int
 
     def weights(self, n: int, m: int, trust: float) -> Array:
-        """What Ŝ is multiplied by in the sum over directions [N,S,3], of which the first n and m of each way
-        count.
-        """
-        turn = np.arange(self.light.shape[1])
-        from_light = turn < self.from_light
-        factor = np.where(from_light, trust * (turn < n), 1.0 * (turn - self.from_light < m))
+        """The weights of Ŝ in the sum over directions [N,S,3], using the first n of the light and m of the lobe."""
+        index = np.arange(self.light.shape[1])
+        from_light = index < self.from_light
+        factor = np.where(from_light, trust * (index < n), 1.0 * (index - self.from_light < m))
         density = trust * n * self.light
         if self.lobe is not None and m:
             density = density + m * self.lobe
-        # Where the light is drawn alone, rounding at the rim of a tent can leave neither light nor density.
+        # Rounding at the rim of a bilinear tent can make both radiance and density 0.
         share = np.divide(factor, density, out=np.zeros_like(density), where=density > 0.0)
         return np.asarray(self.radiance * share[..., None])
 
 
 def draw(
     sampler: LightSampler, lobe: Lobe | None, mixture: Mixture, point: int, keys: NDArray[np.uint64], seed: int
-) -> Drawn:
-    """Directions for N points, all the `point`-th of their pixels; keys [N] are pixel · points + point."""
+) -> IncidentSamples:
+    """Sample directions for N points, each the `point`-th of its pixel; keys [N] are pixel · points + point."""
     pixels = keys // np.uint64(mixture.points)
     parts = []
     if mixture.light[point]:
@@ -117,14 +115,14 @@ def draw(
         parts.append(lobe.draw(_numbers(_LOBE_STREAM, mixture.lobe, point, pixels, seed)))
     directions = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
     radiance, density = sampler.look_up(directions)
-    beside = lobe.density(directions) if lobe is not None and mixture.lobe[point] else None
-    return Drawn(directions, radiance, density, beside, mixture.light[point])
+    lobe_density = lobe.density(directions) if lobe is not None and mixture.lobe[point] else None
+    return IncidentSamples(directions, radiance, density, lobe_density, mixture.light[point])
 
 
 def _numbers(stream: int, counts: tuple[int, ...], point: int, pixels: NDArray[np.uint64], seed: int) -> Array:
-    """Numbers [N,S,3] of one point: its members of a sequence that all points of a pixel share.
+    """Numbers [N,S,3] of one point: its members of the low-discrepancy sequence of the pixel.
 
-    The points take turns, so that the numbers of one lie about as evenly as those of all.
+    Points take turns, so that the numbers of each point have low discrepancy too.
     """
     turns = [(turn, other) for turn in range(max(counts)) for other in range(len(counts)) if turn < counts[other]]
     members = np.array([i for i, (_turn, other) in enumerate(turns) if other == point], np.int64)

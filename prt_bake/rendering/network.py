@@ -1,8 +1,8 @@
-"""Pictures of a network by Monte Carlo: what the path tracer shows, as far as the network has learnt it.
+"""Monte Carlo pictures of a network, comparable with those of the path tracer.
 
-A network knows light from under the surface alone: neither what crosses the object without scattering nor what the
-surface reflects. Where it answers less than nothing it is taken at its word, so that a picture is the integral of the
-network and its error is what it says; such pixels are told, and cut where a file cannot hold them.
+A network describes scattered light from under the surface, without unscattered light and without surface reflection.
+Negative values of the network are not clamped, so that a picture is an unbiased estimate of the network's integral.
+Negative pixels are reported, and clamped if a file format cannot store them.
 """
 
 import time
@@ -20,18 +20,25 @@ from prt_bake.geometry.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.jit.limits import limited_threads
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.network.inference.pairs import content_hash, pair_transport
-from prt_bake.rendering.lobes import LobeMaker, PixelLobes
-from prt_bake.rendering.loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
+from prt_bake.rendering.lobes import LobeModule, PixelLobes
+from prt_bake.rendering.loop import (
+    SHOWS_REFLECTION,
+    Observers,
+    Rendering,
+    StopCriteria,
+    accumulate,
+    picture_identity,
+)
 from prt_bake.rendering.mixture import Mixture, Sampling
 from prt_bake.rendering.network_pass import NetworkTracer
 from prt_bake.rendering.passes import PassTracer
-from prt_bake.rendering.pilot import choose_mixture, plain_mixture
-from prt_bake.rendering.state import begun_with
+from prt_bake.rendering.pilot import choose_mixture, default_mixture
+from prt_bake.rendering.state import stored_identity
 from prt_bake.rendering.surface_reflection import SurfaceReflection
 
 SHOWS = "subsurface light of the network, unscattered light left out"
 _METHOD = 2
-"""Raised whenever a pass sees other numbers than it did."""
+"""Version of the numbers of a pass; older checkpoints cannot be resumed."""
 
 
 def render_network(
@@ -43,7 +50,7 @@ def render_network(
     seed: int = 0,
     *,
     sampling: Sampling | None = None,
-    importance: LobeMaker | None = None,
+    importance: LobeModule | None = None,
     up: str | None = None,
     rotate: float = 0.0,
     background: bool = True,
@@ -63,50 +70,54 @@ def render_network(
     """Render `network` on its mesh under lights, a lat-long sky [H,W,3] or a `Lighting`, in passes.
 
     Args:
-        network: a `NeuralBSSRDF`, or anything with evaluate(incident[N,D,3], positions[N,3], outgoing[N,3]).
-        mesh: the model's own object.
-        light: as `prt_bake.render_scene` takes it; `up` overrides the network's up axis for a sky.
-        spp: directions of incidence a pixel (None: no such limit).
-        sampling: how they are drawn: "light" (where it is bright), "lobe" (where the importance module says that much
-            comes through), or "mis", both, mixed as a short pilot finds best. By default "mis" where there is an
-            `importance` module, else "light".
+        network: a `NeuralBSSRDF`, or any object with evaluate(incident[N,D,3], positions[N,3], outgoing[N,3]).
+        mesh: the object of the model.
+        light: as in `prt_bake.render_scene`; `up` overrides the network's up axis for a sky.
+        camera: the view.
+        spp: directions of incidence per pixel (None: no limit).
+        sampling: "light" samples the light, "lobe" the lobe of the importance module, "mis" a mixture of both that a
+            short pilot optimises. The default is "mis" with an `importance` module, else "light".
         importance: an `ImportanceModule` of the network.
-        reflection: adds the light that the surface itself reflects, for the eta and the mean roughness that the
-            network's metadata say.
-        precision: "float32" or "bfloat16", of the network's matrix work; device: "cpu" or "cuda".
-        workers: threads; no number depends on them.
+        reflection: adds the light reflected at the surface, with eta and mean roughness of the network's metadata.
+        precision: "float32" or "bfloat16" for the matrix products of the network. device: "cpu" or "cuda".
+        workers: threads; the result does not depend on their number.
         seed, background, rotate, error, minutes, checkpoint, resume, stop, progress, preview, every: as in
             `prt_bake.render_scene`.
 
     Returns:
-        The picture, with its standard error; `sampling` says how it was sampled, `walks` counts evaluations.
-        Directional lights without size are exact, narrow ones have a direction of their own at each point.
+        The picture with its standard error. `sampling` describes the mixture, `walks` counts evaluations. Directional
+        lights without size are exact, and narrow ones get a separate direction at each point.
 
     Raises:
         QueryError: as `prt_bake.render_scene`; a mesh outside the network's box; "lobe" or "mis" without an importance
             module; a network without evaluate.
-        FormatError: `resume` finds no state or another picture's.
+        FormatError: there is no checkpoint to resume, or it belongs to another picture.
+
+    >>> import prt_bake as prt
+    >>> model, mesh = prt.load_model("spot.pt"), prt.read_mesh("spot.obj")  # doctest: +SKIP
+    >>> camera = prt.fit_camera(mesh, 320, 240)  # doctest: +SKIP
+    >>> picture = prt.render_network(model, mesh, prt.read_lighting("sky.hdr"), camera, spp=64)  # doctest: +SKIP
     """
-    ending = Ending(spp, error, minutes, stop)
-    by = _way(sampling, importance)
+    criteria = StopCriteria(spp, error, minutes, stop)
+    by = _sampling_method(sampling, importance)
     refuse_foreign(network, mesh)
     refuse_eye_in_object(mesh, camera.eye)
     metadata = dict(getattr(network, "metadata", None) or {})
     lighting = as_lighting(light, up or metadata.get("up", "y"), rotate)
     transport = pair_transport(on_mesh(network, mesh), precision, device)
-    begun = time.perf_counter()
+    start = time.perf_counter()
     with limited_threads(transport, 1):
         visibility = Visibility(mesh)
-        tracer = NetworkTracer(transport, mesh, lighting, plain_mixture(spp, by), None)
-        if by != "light" and importance is not None and tracer.spread:
+        tracer = NetworkTracer(transport, mesh, lighting, default_mixture(spp, by), None)
+        if by != "light" and importance is not None and tracer.has_wide_lights:
             tracer.lobes = PixelLobes(importance, mesh, camera, visibility)
         surface = _surface(mesh, lighting, metadata, visibility) if reflection else None
         passes = PassTracer(mesh, lighting, camera, background, tracer, workers, visibility, surface)
-        known = begun_with(checkpoint) if resume and checkpoint is not None else {}
-        if "mixture" in known:
-            tracer.mix(Mixture.from_json(known["mixture"]))
-        elif by == "mis" and tracer.spread:
-            tracer.mix(choose_mixture(passes, tracer, spp, seed))
+        stored = stored_identity(checkpoint) if resume and checkpoint is not None else {}
+        if "mixture" in stored:
+            tracer.set_mixture(Mixture.from_json(stored["mixture"]))
+        elif by == "mis" and tracer.has_wide_lights:
+            tracer.set_mixture(choose_mixture(passes, tracer, spp, seed))
         identity = picture_identity(
             lighting,
             camera,
@@ -121,28 +132,28 @@ def render_network(
             mixture=tracer.mixture.as_json(),
             importance=content_hash(importance) if tracer.lobes is not None else "",
         )
-        watching = Watching(progress, preview, every)
-        spent = time.perf_counter() - begun
-        picture = accumulate(passes, camera, seed, ending, identity, checkpoint, resume, watching, spent)
-    how = {"by": by, **tracer.mixture.as_json(), "seconds before the first pass": spent, "precision": precision}
-    return replace(picture, shows=SHOWS + (SHOWS_REFLECTION if reflection else ""), sampling=how)
+        observers = Observers(progress, preview, every)
+        spent = time.perf_counter() - start
+        picture = accumulate(passes, camera, seed, criteria, identity, checkpoint, resume, observers, spent)
+    description = {"by": by, **tracer.mixture.as_json(), "seconds before the first pass": spent, "precision": precision}
+    return replace(picture, shows=SHOWS + (SHOWS_REFLECTION if reflection else ""), sampling=description)
 
 
 def _surface(mesh: Mesh, lighting: Lighting, metadata: dict[str, Any], visibility: Visibility) -> SurfaceReflection:
     if "eta" not in metadata or "roughness" not in metadata:
-        raise QueryError("reflection: the model's metadata does not say eta and roughness; render without reflection")
+        raise QueryError("reflection: the model's metadata lacks eta or roughness; render without reflection")
     return SurfaceReflection(
         mesh, lighting, metadata["eta"], metadata["roughness"], metadata.get("normals") == "vertex", visibility
     )
 
 
-def _way(sampling: Sampling | None, importance: LobeMaker | None) -> Sampling:
+def _sampling_method(sampling: Sampling | None, importance: LobeModule | None) -> Sampling:
     by = sampling or ("light" if importance is None else "mis")
     if by not in ("light", "lobe", "mis"):
         raise QueryError(f'sampling: expected "light", "lobe" or "mis", found {by!r}')
     if by != "light" and importance is None:
         raise QueryError(
-            f"sampling: {by!r} draws directions from an importance module, of which there is none; make it "
+            f"sampling: {by!r} needs an importance module, and there is none; make one "
             '(prtbake importance MODEL.pt MESH) or sample by "light"'
         )
     return by

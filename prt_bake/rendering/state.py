@@ -121,13 +121,13 @@ def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any], asked: di
         np.savez(file, head=head, **{name: getattr(sums, name) for name in _ARRAYS})
 
 
-def begun_with(path: Path) -> dict[str, Any]:
+def stored_identity(path: Path) -> dict[str, Any]:
     """What the picture of a checkpoint was begun with; empty where `read_checkpoint` will say why it cannot be read."""
     return _of_head(path, "identity")
 
 
-def asked_of(path: Path) -> dict[str, Any]:
-    """The limits (spp, error, minutes) that the last run of a checkpoint had; empty as `begun_with`."""
+def stored_limits(path: Path) -> dict[str, Any]:
+    """The limits (spp, error, minutes) that the last run of a checkpoint had; empty as `stored_identity`."""
     return _of_head(path, "asked")
 
 

@@ -90,7 +90,7 @@ def interpolate_sigma(
 
 
 def interpolate_over_faces(asset: Asset, weights: Array, corners: NDArray[np.integer], sigma: Array) -> Array:
-    """Standard errors [n,3] of points with `weights` [n,3] at their face's `corners` [n,3], from those at vertices [V,3].
+    """Standard errors [n,3] between those of vertices, `sigma` [V,3], by `weights` [n,3] of `corners` [n,3].
 
     Errors shared by vertices add linearly, independent ones in squares.
     """

@@ -102,7 +102,7 @@ def sun_gradient(
 ) -> Array:
     """∂/∂a_k [n,K,3] of `sun_radiance` by the coefficients between the view bins.
 
-    To first order, errors of the coefficients have the same effect under the suns as under a light with these harmonics.
+    To first order, an error of the coefficients changes radiance as under a light with these harmonics.
     """
     from prt_bake.shading.maximum_entropy import MaximumEntropyTransport, fit_maximum_entropy, radiance_gradient
 

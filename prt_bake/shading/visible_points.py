@@ -28,6 +28,10 @@ class VisiblePoints(NamedTuple):
     barycentric: Array
     outgoing: Array
 
+    def subset(self, chosen: slice) -> "VisiblePoints":
+        """The points of a slice."""
+        return VisiblePoints._make(part[chosen] for part in self)
+
 
 class PixelMeans:
     """Averages values at visible points over all `samples` of their `pixels` [n]."""

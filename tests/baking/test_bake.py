@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import prt_bake.baking.bake
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
 from prt_bake.baking.bake import bake, plan
@@ -335,7 +334,7 @@ def test_the_thread_count_of_torch_is_restored() -> None:
             inside.append(torch.get_num_threads())
             return super().evaluate(incident, positions, outgoing)
 
-    prt_bake.baking.bake(Recording(), ball(6), 1, 1, 4)
+    bake(Recording(), ball(6), 1, 1, 4)
     assert set(inside) == {1}
     assert torch.get_num_threads() == before
 

@@ -259,7 +259,7 @@ def test_the_command_prints_its_result(tmp_path, prtbake: Run) -> None:
         f"{raw_bytes(compact):,}",
         f"{table['bytes_before']:,}",
         f"{table['bytes_after']:,}",
-        "of 1.000%",
+        "at most 1.000%",
     ):
         assert text in ended.out
     assert all(row["form"] in ended.out for row in table["tried"])

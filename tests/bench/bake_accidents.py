@@ -128,7 +128,7 @@ def clustered(kind: str, bakes: int) -> None:
                 processes, place = Processes(Path(folder)), Path(folder) / "out"
                 place.mkdir()
                 try:
-                    processes.hire(2)
+                    processes.start_workers(2)
                     # The workers import their modules in the first bake.
                     _timed(kind, place / "first.h5", scheduler=processes.address)
                     taken.append(_timed(kind, place / "undisturbed.h5", scheduler=processes.address))

@@ -1,4 +1,4 @@
-"""What a command of the tests is given and answers."""
+"""The scene file and the outcome of a command in the tests of the command line."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""The commands, as a user types them."""
+"""The commands of `prtbake`, run as a user types them."""
 
 import json
 import subprocess
@@ -21,12 +21,12 @@ from prt_bake.shipped import demonstration
 from tests.cli.command_line import Run
 
 
-def test_help_lists_every_command_and_loads_no_library_that_is_slow_to_load() -> None:
+def test_help_lists_every_command_and_loads_no_slow_library() -> None:
     ran = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "prt_bake.cli", "--help"], capture_output=True, text=True, check=True
     )
-    promised = {"demo", "train", "bake", "light", "shade", "render", "compare", "export", "info", "check", "sample"}
-    assert promised <= set(ran.stdout.split())
+    commands = {"demo", "train", "bake", "light", "shade", "render", "compare", "export", "info", "check", "sample"}
+    assert commands <= set(ran.stdout.split())
     loaded = {line.rsplit("|", 1)[-1].strip() for line in ran.stderr.splitlines()}
     assert "typer" in loaded
     assert not loaded & {
@@ -59,7 +59,7 @@ def test_wrong_usage_is_exit_code_2(prtbake: Run, arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize("size", ["12", "0x4", "axb", "4x4x4"])
-def test_a_size_that_is_none_is_wrong_usage(prtbake: Run, size: str) -> None:
+def test_an_invalid_size_is_wrong_usage(prtbake: Run, size: str) -> None:
     assert prtbake("shade", "asset.h5", "--light", "sky.exr", "-o", "x.png", "--size", size).code == 2
 
 
@@ -74,7 +74,7 @@ def test_light_of_a_constant_sky(prtbake: Run) -> None:
     assert table[1].split()[:3] == ["0", "0", "3.5449077"]
 
 
-def test_light_mends_when_asked_and_says_what_it_did(prtbake: Run, tmp_path: Path) -> None:
+def test_light_repairs_pixels_on_request(prtbake: Run, tmp_path: Path) -> None:
     image = np.ones((8, 16, 3), np.float32)
     image[2, 3, 1] = np.nan
     write_image(tmp_path / "nan.exr", image)
@@ -103,7 +103,7 @@ def test_bake_writes_an_asset_and_a_report(prtbake: Run, tmp_path: Path) -> None
     assert reported["estimated_relative_rmse"]["total"] > 0
 
 
-def test_a_scene_is_baked_by_random_walks(prtbake: Run, tmp_path: Path) -> None:
+def test_a_scene_is_path_traced(prtbake: Run, tmp_path: Path) -> None:
     options = ["--rings", "1", "--sectors", "2", "--degree", "0", "--samples", "64"]
     assert prtbake("bake", "scene.toml", "sphere.ply", "-o", tmp_path / "a.h5", *options).code == 0
     coefficients = np.asarray(read_asset(tmp_path / "a.h5").coefficients, np.float64)
@@ -142,15 +142,15 @@ def test_a_bake_without_an_output_is_wrong_usage(prtbake: Run) -> None:
     assert "Missing option '--output' / '-o'" in outcome.err
 
 
-def test_a_plan_is_read_on_a_terminal(folder: Path) -> None:
+def test_the_plan_on_a_terminal(folder: Path) -> None:
     from prt_bake.cli.shared.plan import plan_lines
 
     plan = bake.plan(
         load_model(folder / "model.pt"), read_mesh(folder / "sphere.ply"), samples=18, leave_out=["unseen"]
     )
     lines = list(plan_lines(plan))
-    assert lines[0] == "42 vertices × 1,024 view bins, 9 harmonics"
-    assert "774,144 evaluations, 18.0 a bin" in lines
+    assert lines[0] == "42 vertices × 1,024 view bins, 9 SH coefficients"
+    assert "774,144 evaluations, 18.0 per bin" in lines
     assert lines[3].startswith("about ")
     assert any(line.startswith("kept: unseen: 0 of 42 vertices") for line in lines)
 
@@ -165,13 +165,13 @@ def test_a_plan_is_read_on_a_terminal(folder: Path) -> None:
         ("--samples", 0, "greater than or equal to 1"),
     ],
 )
-def test_numbers_that_make_no_sense_are_wrong_usage(prtbake: Run, option: str, value: object, sentence: str) -> None:
+def test_numbers_out_of_range_are_wrong_usage(prtbake: Run, option: str, value: object, sentence: str) -> None:
     outcome = prtbake("bake", "nothing.pt", "nothing.ply", "-o", "a.h5", option, value)
     assert outcome.code == 2
     assert sentence in outcome.err
 
 
-def test_a_scheduler_that_nobody_runs_is_one_sentence(prtbake: Run, tmp_path: Path) -> None:
+def test_a_missing_scheduler_is_reported_in_one_sentence(prtbake: Run, tmp_path: Path) -> None:
     import dask
     import distributed  # noqa: F401 - its own settings are there before one of them is changed
 
@@ -184,14 +184,14 @@ def test_a_scheduler_that_nobody_runs_is_one_sentence(prtbake: Run, tmp_path: Pa
     assert list(tmp_path.iterdir()) == []
 
 
-def test_resuming_what_was_never_begun_says_so_and_begins(prtbake: Run, tmp_path: Path) -> None:
+def test_resuming_without_a_checkpoint_starts_from_the_beginning(prtbake: Run, tmp_path: Path) -> None:
     options = ["--rings", 1, "--sectors", 2, "--samples", 18, "--resume"]
     outcome = prtbake("bake", "model.pt", "sphere.ply", "-o", tmp_path / "a.h5", *options)
     assert outcome.code == 0
-    assert "a.h5.journal: there is nothing to go on from; the bake begins at its beginning" in outcome.err
+    assert "a.h5.journal: there is no checkpoint to resume from; the bake starts from the beginning" in outcome.err
 
 
-def test_an_error_that_was_reached_is_told_and_one_that_was_not(prtbake: Run, tmp_path: Path) -> None:
+def test_the_report_states_whether_the_error_was_reached(prtbake: Run, tmp_path: Path) -> None:
     options = ["--rings", 1, "--sectors", 2, "--report", tmp_path / "r.json"]
     for error, minutes, reached in ((0.5, [], True), (1e-5, ["--minutes", 0.05], False)):
         outcome = prtbake(
@@ -217,28 +217,26 @@ def test_render_and_compare_with_itself(prtbake: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--exposure", 1], "--exposure: radiance is kept as it is in .exr;"),
-        (["--exposure", 1, "--preview", "p.hdr"], "--exposure: radiance is kept as it is in .exr and .hdr;"),
-        (["--orthographic", "--fov", 50], "they have no field of view"),
-        # What a preview is shown by, and what it takes with it: the field of view, again.
-        (["--exposure", 1, "--preview", "p.png", "--extent", 3, "--fov", 50], "they have no field of view"),
+        (["--exposure", 1], "--exposure: has no effect on .exr, which"),
+        (["--exposure", 1, "--preview", "p.hdr"], "--exposure: has no effect on .exr and .hdr, which"),
+        (["--orthographic", "--fov", 50], "has no field of view"),
+        # The exposure applies to the preview, so that only the field of view is wrong.
+        (["--exposure", 1, "--preview", "p.png", "--extent", 3, "--fov", 50], "has no field of view"),
     ],
 )
-def test_options_of_render_that_would_do_nothing_are_wrong_usage(
-    prtbake: Run, options: list[object], sentence: str
-) -> None:
+def test_ineffective_options_of_render_are_wrong_usage(prtbake: Run, options: list[object], sentence: str) -> None:
     small = ("-o", "a.exr", "--size", "16x12", "--spp", 2)
     outcome = prtbake("render", "scene.toml", "sphere.ply", "--light", "sky.exr", *small, *options)
     assert outcome.code == 2
     assert sentence in outcome.err
 
 
-def test_info_has_a_line_for_every_figure(prtbake: Run) -> None:
-    told = prtbake("info", demonstration.MODEL).out.splitlines()
-    named = dict(line.split("  ", 1) for line in told)
-    assert float(named["training: relative_rmse: coefficients"]) < 0.2
-    assert max(map(len, told)) < 160
-    assert not any("{" in line for line in told)
+def test_info_prints_one_figure_per_line(prtbake: Run) -> None:
+    lines = prtbake("info", demonstration.MODEL).out.splitlines()
+    figures = dict(line.split("  ", 1) for line in lines)
+    assert float(figures["training: relative_rmse: coefficients"]) < 0.2
+    assert max(map(len, lines)) < 160
+    assert not any("{" in line for line in lines)
 
 
 def test_compare_names_files_of_different_size(prtbake: Run, tmp_path: Path) -> None:
@@ -246,11 +244,11 @@ def test_compare_names_files_of_different_size(prtbake: Run, tmp_path: Path) -> 
         write_image(tmp_path / name, np.ones((16, width, 3), np.float32))
     outcome = prtbake("compare", tmp_path / "a.exr", tmp_path / "b.exr")
     assert outcome.code == 1
-    assert f"a.exr: 20x16 where {tmp_path / 'b.exr'} is 24x16" in outcome.err.replace("\n", "")
+    assert f"a.exr: is 20x16, but {tmp_path / 'b.exr'} is 24x16" in outcome.err.replace("\n", "")
 
 
 @pytest.mark.parametrize(
-    ("model", "scene", "said"),
+    ("model", "scene", "message"),
     [
         (SHOWS_NETWORK, SHOWS["all"], "b.exr holds unscattered light, a.exr does not: "),
         (SHOWS_NETWORK + SHOWS_REFLECTION, SHOWS["scattered"], "a.exr holds light reflected at the surface, b.exr"),
@@ -259,19 +257,19 @@ def test_compare_names_files_of_different_size(prtbake: Run, tmp_path: Path) -> 
         (None, SHOWS["all"], ""),
     ],
 )
-def test_compare_says_what_light_one_picture_alone_holds(
-    prtbake: Run, tmp_path: Path, model: str | None, scene: str, said: str
+def test_compare_reports_light_that_only_one_picture_holds(
+    prtbake: Run, tmp_path: Path, model: str | None, scene: str, message: str
 ) -> None:
     for name, shows in (("a.exr", model), ("b.exr", scene)):
         texts = {} if shows is None else {"prtbake.shows": shows}
         write_image(tmp_path / name, np.ones((16, 20, 3), np.float32), attributes=texts)
     outcome = prtbake("compare", tmp_path / "a.exr", tmp_path / "b.exr")
     assert outcome.code == 0
-    words = outcome.err.replace("\n", "").replace(f"{tmp_path}/", "")
-    assert said in words if said else "holds" not in words
+    printed = outcome.err.replace("\n", "").replace(f"{tmp_path}/", "")
+    assert message in printed if message else "holds" not in printed
 
 
-def test_demo_bakes_relights_and_measures_what_is_shipped(
+def test_demo_bakes_relights_and_measures_the_shipped_object(
     prtbake: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     report = folder / "reference.json"
@@ -302,7 +300,7 @@ def test_info_and_check_of_every_kind(prtbake: Run, file: str, kind: str) -> Non
     assert (checked.code, checked.out, checked.err) == (0, f"{file}: sound\n", "")
 
 
-def test_a_path_traced_bake_says_what_its_figures_leave_out(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+def test_a_path_traced_bake_reports_the_limits_of_its_figures(prtbake: Run, folder: Path, tmp_path: Path) -> None:
     thin = (folder / "scene.toml").read_text().replace("4.0", "0.5")
     (folder / "thin.toml").write_text(thin)
     few = ["--rings", 2, "--sectors", 2, "--samples", 16]
@@ -310,11 +308,9 @@ def test_a_path_traced_bake_says_what_its_figures_leave_out(prtbake: Run, folder
     assert baked.code == 0, baked.err
     first, *remarks = baked.out.splitlines()
     assert "42 of 42 vertices" in first
-    assert "estimated relative RMSE of the walks" in first
-    assert "of the view goes straight through the object" in remarks[0]
-    assert remarks[1] == (
-        "100.0% of the bins have too few walks for their error figure to be trusted; give more --samples"
-    )
+    assert "estimated relative RMSE of the path tracing" in first
+    assert "of the view on average, is not in the coefficients" in remarks[0]
+    assert remarks[1] == ("100.0% of the bins have too few paths for a reliable error estimate; increase --samples")
     assert prtbake("check", tmp_path / "a.h5").code == 0
     alone = prtbake("bake", "thin.toml", "sphere.ply", "-o", tmp_path / "b.h5", *few, "--workers", 1)
     assert alone.code == 0
@@ -323,15 +319,14 @@ def test_a_path_traced_bake_says_what_its_figures_leave_out(prtbake: Run, folder
 
 
 def test_check_names_every_fault(prtbake: Run, folder: Path, tmp_path: Path) -> None:
-    wound = (folder / "open.ply").read_bytes()
-    (tmp_path / "open.ply").write_bytes(wound)
+    (tmp_path / "open.ply").write_bytes((folder / "open.ply").read_bytes())
     checked = prtbake("check", tmp_path / "open.ply")
     assert checked.code == 1
     assert "4 edges" in checked.out
     assert "1 fault" in checked.err
 
 
-def test_check_remarks_upon_a_part_that_sticks_out(prtbake: Run, folder: Path) -> None:
+def test_check_remarks_on_a_part_that_sticks_out(prtbake: Run, folder: Path) -> None:
     twin = '[[inside]]\nname = "twin"\nmesh = "moved.obj"\n[inside.medium]\nmaterial = "whole milk"\n'
     rows = [f"v {x} {y} {z}" for x, y, z in ((0, 0, 0), (2, 0, 0), (0, 0.5, 0), (0, 0, 0.5))]
     (folder / "moved.obj").write_text("\n".join([*rows, "f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]))
@@ -340,6 +335,6 @@ def test_check_remarks_upon_a_part_that_sticks_out(prtbake: Run, folder: Path) -
     assert checked.code == 0
     assert checked.out.startswith("remark: twins.toml: 'twin' sticks out of 'object' by 0.29 of its diagonal (1 of 4 ")
     assert checked.out.endswith("twins.toml: sound\n")
-    told = json.loads(prtbake("info", "twins.toml", "--json").out)
-    assert (told["parts"], told["twin: in"]) == (2, "object")
-    assert told["twin: material"] == "wholemilk, measured with eta 1.3; the scene uses eta 1"
+    description = json.loads(prtbake("info", "twins.toml", "--json").out)
+    assert (description["parts"], description["twin: in"]) == (2, "object")
+    assert description["twin: material"] == "wholemilk, measured with eta 1.3; the scene uses eta 1"

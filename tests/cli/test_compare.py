@@ -1,4 +1,4 @@
-"""`prtbake compare` from the outside: what it prints and writes, and one sentence for whatever it cannot compare."""
+"""`prtbake compare`: its output, its files and its errors."""
 
 import json
 from pathlib import Path
@@ -31,7 +31,7 @@ def pair(tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def noisy(tmp_path: Path) -> tuple[Path, Path]:
-    """Two pictures whose difference is all noise."""
+    """Two pictures that differ by noise alone."""
     paths = []
     for seed, name, sigma in ((1, "n.exr", 0.1), (2, "m.exr", 0.02)):
         drawn = sigma * np.random.default_rng(seed).normal(size=SHAPE)
@@ -41,59 +41,59 @@ def noisy(tmp_path: Path) -> tuple[Path, Path]:
 
 
 def sentence(outcome: Outcome, folder: Path) -> str:
-    """The one sentence of a failed command, without the folder."""
+    """Return the error message of a failed command, without the folder."""
     assert outcome.code == 1
     assert "Traceback" not in outcome.err
     assert outcome.err.startswith("prtbake: ")
     return outcome.err.replace("\n", "").replace(f"{folder}/", "")
 
 
-def test_every_figure_is_in_lines_and_in_json(prtbake: Run, pair: tuple[Path, Path]) -> None:
-    told = json.loads(prtbake("compare", *pair, "--json").out)
+def test_every_figure_is_printed_and_in_json(prtbake: Run, pair: tuple[Path, Path]) -> None:
+    figures = json.loads(prtbake("compare", *pair, "--json").out)
     names = ["mse", "relative_mse", "relative_rmse", "ssim", "ssim_quarter", "flip", "hdr_flip"]
-    assert list(told) == [*names, "hdr_exposures", "pixels", "exposure"]
-    assert told["relative_rmse"] == pytest.approx(0.1, rel=1e-5)
-    assert told["pixels"] == 24 * 32
-    assert told["ssim_quarter"] is None
+    assert list(figures) == [*names, "hdr_exposures", "pixels", "exposure"]
+    assert figures["relative_rmse"] == pytest.approx(0.1, rel=1e-5)
+    assert figures["pixels"] == 24 * 32
+    assert figures["ssim_quarter"] is None
     lines = prtbake("compare", *pair).out.splitlines()
     values = {line.split()[0]: float(line.split()[1]) for line in lines}
     assert list(values) == [*names, "hdr_exposures"]
-    assert values["flip"] == pytest.approx(told["flip"], rel=1e-4)
+    assert values["flip"] == pytest.approx(figures["flip"], rel=1e-4)
 
 
-def test_noise_is_taken_out_and_can_be_kept(prtbake: Run, noisy: tuple[Path, Path]) -> None:
-    told = json.loads(prtbake("compare", *noisy, "--json").out)
-    free = told["noise_free"]
-    assert told["mse"] == pytest.approx(0.1**2 + 0.02**2, rel=0.1)
-    assert free["mse"]["low"] < 0.0 < free["mse"]["high"] < 0.1 * told["mse"]
+def test_noise_is_removed_unless_kept(prtbake: Run, noisy: tuple[Path, Path]) -> None:
+    figures = json.loads(prtbake("compare", *noisy, "--json").out)
+    free = figures["noise_free"]
+    assert figures["mse"] == pytest.approx(0.1**2 + 0.02**2, rel=0.1)
+    assert free["mse"]["low"] < 0.0 < free["mse"]["high"] < 0.1 * figures["mse"]
     assert free["relative_rmse"]["low"] == 0.0
     assert free["flip"]["low"] == 0.0
-    assert free["flip"]["value"] < 0.6 * told["flip"]
-    assert free["of_noise"]["flip"] == pytest.approx(told["flip"], rel=0.25)
+    assert free["flip"]["value"] < 0.6 * figures["flip"]
+    assert free["of_noise"]["flip"] == pytest.approx(figures["flip"], rel=0.25)
     lines = prtbake("compare", *noisy).out.splitlines()
     assert lines[0].startswith("mse ")
     assert " without noise " in lines[0]
     assert "noise_free" not in json.loads(prtbake("compare", *noisy, "--keep-noise", "--json").out)
 
 
-def test_noise_that_is_alike_is_not_taken_out(prtbake: Run, noisy: tuple[Path, Path]) -> None:
+def test_correlated_noise_is_not_removed(prtbake: Run, noisy: tuple[Path, Path]) -> None:
     outcome = prtbake("compare", noisy[0], noisy[0], "--json")
     assert outcome.code == 0
     assert "are the same picture" in outcome.err.replace("\n", " ")
     assert "noise_free" not in json.loads(outcome.out)
 
 
-def test_errors_of_a_bake_stay_in_flip(prtbake: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
+def test_errors_of_a_bake_are_not_removed_from_flip(prtbake: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     baked = save(tmp_path, "s.exr", 1.1 * picture(), np.full(SHAPE, 0.01))
     outcome = prtbake("compare", baked, pair[1], "--json")
-    assert "alike in neighbouring pixels" in outcome.err.replace("\n", " ")
-    told = json.loads(outcome.out)
-    assert set(told["noise_free"]) == {"mse", "relative_mse", "relative_rmse", "of_noise"}
-    assert told["noise_free"]["mse"]["value"] == pytest.approx(told["mse"] - 1e-4, rel=1e-4)
+    assert "correlated between neighbouring pixels" in outcome.err.replace("\n", " ")
+    figures = json.loads(outcome.out)
+    assert set(figures["noise_free"]) == {"mse", "relative_mse", "relative_rmse", "of_noise"}
+    assert figures["noise_free"]["mse"]["value"] == pytest.approx(figures["mse"] - 1e-4, rel=1e-4)
 
 
 @pytest.mark.parametrize("bad", [np.inf, -1.0, np.nan])
-def test_an_error_layer_that_says_nothing_is_told(prtbake: Run, tmp_path: Path, bad: float) -> None:
+def test_an_invalid_error_layer_is_reported(prtbake: Run, tmp_path: Path, bad: float) -> None:
     error = np.full(SHAPE, 0.1)
     error[3, 4] = bad
     path = save(tmp_path, "n.exr", picture(1), error, passes="1")
@@ -103,7 +103,7 @@ def test_an_error_layer_that_says_nothing_is_told(prtbake: Run, tmp_path: Path, 
     assert "noise_free" not in json.loads(outcome.out)
 
 
-def test_pictures_that_differ_by_less_than_their_noise_are_told(prtbake: Run, tmp_path: Path) -> None:
+def test_pictures_that_differ_by_less_than_their_noise_are_reported(prtbake: Run, tmp_path: Path) -> None:
     error = np.full(SHAPE, 0.3)
     paths = [save(tmp_path, n, picture() + d, error, passes="8") for n, d in (("a.exr", 0.0), ("b.exr", 0.001))]
     assert "differ by less than their noise" in prtbake("compare", *paths).err.replace("\n", " ")
@@ -118,9 +118,9 @@ def test_a_sheet_and_maps_are_written(prtbake: Run, tmp_path: Path, noisy: tuple
     ours, theirs = (read_image(path) for path in noisy)
     np.testing.assert_allclose(read_image(maps[0]), 2.0 * (ours - theirs), atol=1e-6)
     flip, hdr = read_image(maps[1]), read_image(maps[2])
-    told = json.loads(prtbake("compare", *noisy, "--exposure", 1, "--keep-noise", "--json").out)
-    assert flip.mean() == pytest.approx(told["flip"], rel=1e-5)
-    assert hdr.mean() == pytest.approx(told["hdr_flip"], rel=1e-5)
+    figures = json.loads(prtbake("compare", *noisy, "--exposure", 1, "--keep-noise", "--json").out)
+    assert flip.mean() == pytest.approx(figures["flip"], rel=1e-5)
+    assert hdr.mean() == pytest.approx(figures["hdr_flip"], rel=1e-5)
     height, width = read_image(sheet).shape[:2]
     assert width > 4 * height / 2 > 400
     assert prtbake("compare", *noisy, "--difference-map", maps[3], "--flip-map", maps[4], "--keep-noise").code == 0
@@ -131,9 +131,9 @@ def test_a_sheet_and_maps_are_written(prtbake: Run, tmp_path: Path, noisy: tuple
     assert read_image(maps[4]).shape == SHAPE
 
 
-def test_given_exposures_are_looked_at(prtbake: Run, pair: tuple[Path, Path]) -> None:
-    told = json.loads(prtbake("compare", *pair, "--hdr-exposures", "-2,1.5", "--json").out)
-    assert told["hdr_exposures"] == {"start": -2.0, "stop": 1.5, "steps": 4}
+def test_given_exposures_of_hdr_flip(prtbake: Run, pair: tuple[Path, Path]) -> None:
+    figures = json.loads(prtbake("compare", *pair, "--hdr-exposures", "-2,1.5", "--json").out)
+    assert figures["hdr_exposures"] == {"start": -2.0, "stop": 1.5, "steps": 4}
     for text in ("3,1", "nan,1", "-200,1"):
         outcome = prtbake("compare", *pair, "--hdr-exposures", text)
         assert outcome.code == 1
@@ -142,7 +142,7 @@ def test_given_exposures_are_looked_at(prtbake: Run, pair: tuple[Path, Path]) ->
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--fail-above", "relative_rmse=0.2", "--fail-below", "ssim=0.5"], None),
         (["--fail-above", "relative_rmse=0.05"], "a.exr: relative_rmse is 0.1, above 0.05 (--fail-above)"),
@@ -151,41 +151,41 @@ def test_given_exposures_are_looked_at(prtbake: Run, pair: tuple[Path, Path]) ->
             ["--fail-above", "mse=0", "--fail-above", "flip=0"],
             "(--fail-above); flip is ",
         ),
-        (["--fail-below", "ssim_quarter=0.1"], "ssim_quarter is not known, so --fail-below ssim_quarter=0.1 cannot"),
-        (["--fail-above", "noise_free.flip=0.1"], "noise_free.flip is not known"),
+        (["--fail-below", "ssim_quarter=0.1"], "ssim_quarter is unknown, which breaks --fail-below ssim_quarter=0.1"),
+        (["--fail-above", "noise_free.flip=0.1"], "noise_free.flip is unknown"),
     ],
 )
-def test_bounds_that_are_not_kept_fail(
-    prtbake: Run, tmp_path: Path, pair: tuple[Path, Path], options: list[str], said: str | None
+def test_broken_bounds_fail(
+    prtbake: Run, tmp_path: Path, pair: tuple[Path, Path], options: list[str], message: str | None
 ) -> None:
     outcome = prtbake("compare", *pair, *options)
     assert outcome.out.startswith("mse ")
-    if said is None:
+    if message is None:
         assert outcome.code == 0
     else:
-        assert said in sentence(outcome, tmp_path)
+        assert message in sentence(outcome, tmp_path)
 
 
-def test_noise_alone_breaks_no_bound_without_noise(prtbake: Run, noisy: tuple[Path, Path]) -> None:
+def test_noise_alone_breaks_no_noise_free_bound(prtbake: Run, noisy: tuple[Path, Path]) -> None:
     assert prtbake("compare", *noisy, "--fail-above", "relative_rmse=0.05").code == 1
     assert prtbake("compare", *noisy, "--fail-above", "noise_free.relative_rmse=0.05").code == 0
 
 
-def test_bounds_without_noise_are_broken_by_the_nearer_end_of_the_interval(
+def test_noise_free_bounds_are_compared_with_the_nearer_end_of_the_interval(
     prtbake: Run, tmp_path: Path, noisy: tuple[Path, Path]
 ) -> None:
     other = save(tmp_path, "other.exr", 1.0 - picture(), np.full(SHAPE, 0.02), passes="8", seed="5", scene="ball")
     free = json.loads(prtbake("compare", other, noisy[1], "--json").out)["noise_free"]
     low, high = free["flip"]["low"], free["ssim"]["high"]
     assert 0.0 < low < free["flip"]["value"]
-    said = sentence(prtbake("compare", other, noisy[1], "--fail-above", "noise_free.flip=0.001"), tmp_path)
-    assert f"other.exr: noise_free.flip is at least {low:.4g}, above 0.001 (--fail-above)" in said
-    said = sentence(prtbake("compare", other, noisy[1], "--fail-below", "noise_free.ssim=0.9999"), tmp_path)
-    assert f"other.exr: noise_free.ssim is at most {high:.4g}, below 0.9999 (--fail-below)" in said
+    message = sentence(prtbake("compare", other, noisy[1], "--fail-above", "noise_free.flip=0.001"), tmp_path)
+    assert f"other.exr: noise_free.flip is at least {low:.4g}, above 0.001 (--fail-above)" in message
+    message = sentence(prtbake("compare", other, noisy[1], "--fail-below", "noise_free.ssim=0.9999"), tmp_path)
+    assert f"other.exr: noise_free.ssim is at most {high:.4g}, below 0.9999 (--fail-below)" in message
 
 
-def test_squares_that_come_out_below_0_are_said_to_be_no_more_than_noise(prtbake: Run, tmp_path: Path) -> None:
-    """Unbiased, they are so for half of all pairs that differ by noise alone."""
+def test_negative_squared_differences_are_no_more_than_noise(prtbake: Run, tmp_path: Path) -> None:
+    """The estimate is unbiased: half of all pairs that differ by noise alone have a negative one."""
     sigma, below = 0.1, []
     for seed in range(8):
         drawn = sigma * np.random.default_rng([5, seed]).normal(size=SHAPE)
@@ -200,7 +200,7 @@ def test_squares_that_come_out_below_0_are_said_to_be_no_more_than_noise(prtbake
 
 
 @pytest.mark.parametrize("text", ["flip", "flip=", "flip=much", "psnr=3", "flip=nan", "pixels=3"])
-def test_bounds_that_are_none_are_wrong_usage(prtbake: Run, pair: tuple[Path, Path], text: str) -> None:
+def test_invalid_bounds_are_wrong_usage(prtbake: Run, pair: tuple[Path, Path], text: str) -> None:
     outcome = prtbake("compare", *pair, "--fail-above", text)
     assert outcome.code == 2
     assert "is not NAME=VALUE" in outcome.err
@@ -208,10 +208,10 @@ def test_bounds_that_are_none_are_wrong_usage(prtbake: Run, pair: tuple[Path, Pa
 
 def test_sizes_that_differ_are_named(prtbake: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     small = save(tmp_path, "small.png", np.ones((4, 5, 3)))
-    said = sentence(prtbake("compare", pair[0], small), tmp_path)
-    assert "a.exr: 32x24 where small.png is 5x4; pictures are compared pixel by pixel" in said
-    said = sentence(prtbake("compare", *pair, "--mask", small), tmp_path)
-    assert "a.exr: 32x24 where small.png is 5x4" in said
+    message = sentence(prtbake("compare", pair[0], small), tmp_path)
+    assert "a.exr: is 32x24, but small.png is 5x4; images are compared pixel by pixel" in message
+    message = sentence(prtbake("compare", *pair, "--mask", small), tmp_path)
+    assert "a.exr: is 32x24, but small.png is 5x4" in message
     black = save(tmp_path, "black.png", np.zeros(SHAPE))
     assert "black.png chooses no pixel" in sentence(prtbake("compare", *pair, "--mask", black), tmp_path)
 
@@ -224,20 +224,20 @@ def test_pixels_that_are_not_finite_are_named(
     image[5, 7, 1] = bad
     broken = save(tmp_path, "broken.exr", image)
     for order in ((broken, pair[1]), (pair[0], broken)):
-        said = sentence(prtbake("compare", *order), tmp_path)
-        assert "1 of 768 pixels of broken.exr are not finite, the first at row 5, column 7" in said
+        message = sentence(prtbake("compare", *order), tmp_path)
+        assert "1 of 768 pixels of broken.exr are not finite, the first at row 5, column 7" in message
 
 
 def test_black_pictures_are_compared(prtbake: Run, tmp_path: Path, pair: tuple[Path, Path]) -> None:
     black = save(tmp_path, "black.exr", np.zeros(SHAPE))
     other = save(tmp_path, "other.exr", np.zeros(SHAPE))
-    told = json.loads(prtbake("compare", black, other, "--json", "--sheet", tmp_path / "sheet.png").out)
-    assert (told["mse"], told["flip"], told["hdr_flip"], told["ssim"]) == (0, 0, 0, 1)
-    assert told["relative_rmse"] is None
-    told = json.loads(prtbake("compare", pair[0], black, "--json").out)
-    assert told["relative_rmse"] is None
-    assert told["flip"] > 0.3
-    assert told["hdr_flip"] > 0.1
+    figures = json.loads(prtbake("compare", black, other, "--json", "--sheet", tmp_path / "sheet.png").out)
+    assert (figures["mse"], figures["flip"], figures["hdr_flip"], figures["ssim"]) == (0, 0, 0, 1)
+    assert figures["relative_rmse"] is None
+    figures = json.loads(prtbake("compare", pair[0], black, "--json").out)
+    assert figures["relative_rmse"] is None
+    assert figures["flip"] > 0.3
+    assert figures["hdr_flip"] > 0.1
 
 
 def test_a_picture_of_one_pixel_is_compared(prtbake: Run, tmp_path: Path) -> None:
@@ -247,27 +247,27 @@ def test_a_picture_of_one_pixel_is_compared(prtbake: Run, tmp_path: Path) -> Non
     ]
     outcome = prtbake("compare", *paths, "--json", "--sheet", tmp_path / "sheet.png")
     assert outcome.code == 0
-    told = json.loads(outcome.out)
-    assert told["mse"] == pytest.approx(0.04, rel=1e-5)
-    assert told["ssim"] is None
-    assert told["noise_free"]["mse"]["value"] == pytest.approx(0.02, rel=1e-4)
-    assert told["noise_free"]["mse"]["low"] is None
-    assert "cannot be told" in prtbake("compare", *paths).out
+    figures = json.loads(outcome.out)
+    assert figures["mse"] == pytest.approx(0.04, rel=1e-5)
+    assert figures["ssim"] is None
+    assert figures["noise_free"]["mse"]["value"] == pytest.approx(0.02, rel=1e-4)
+    assert figures["noise_free"]["mse"]["low"] is None
+    assert "interval unknown" in prtbake("compare", *paths).out
 
 
-def test_negative_radiance_is_told_and_seen_as_black(prtbake: Run, tmp_path: Path) -> None:
+def test_negative_radiance_is_reported_and_shown_as_black(prtbake: Run, tmp_path: Path) -> None:
     image = picture()
     image[2, 3] = -5.0
     paths = save(tmp_path, "a.exr", image), save(tmp_path, "b.exr", np.maximum(image, 0.0))
     outcome = prtbake("compare", *paths, "--json")
     assert "a.exr: 1 of 768 pixels hold negative radiance" in outcome.err.replace("\n", "").replace(f"{tmp_path}/", "")
-    told = json.loads(outcome.out)
-    assert told["mse"] == pytest.approx(25.0 / 768, rel=1e-6)
-    assert told["flip"] == told["hdr_flip"] == 0.0
+    figures = json.loads(outcome.out)
+    assert figures["mse"] == pytest.approx(25.0 / 768, rel=1e-6)
+    assert figures["flip"] == figures["hdr_flip"] == 0.0
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("missing.exr", None, "missing.exr: there is no such file"),
         ("text.exr", b"not a picture", "text.exr: is not an OpenEXR image"),
@@ -277,17 +277,17 @@ def test_negative_radiance_is_told_and_seen_as_black(prtbake: Run, tmp_path: Pat
     ],
 )
 def test_files_that_cannot_be_read_are_named(
-    prtbake: Run, tmp_path: Path, pair: tuple[Path, Path], name: str, content: bytes | None, said: str
+    prtbake: Run, tmp_path: Path, pair: tuple[Path, Path], name: str, content: bytes | None, message: str
 ) -> None:
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
     for order in ((path, pair[1]), (pair[0], path), (*pair, "--mask", path)):
-        assert said in sentence(prtbake("compare", *order), tmp_path)
+        assert message in sentence(prtbake("compare", *order), tmp_path)
 
 
 @pytest.mark.parametrize("option", ["--sheet", "--difference-map", "--flip-map", "--hdr-flip-map"])
-def test_outputs_that_cannot_be_written_are_refused_before_any_work(
+def test_unwritable_outputs_are_refused_before_the_work(
     prtbake: Run, tmp_path: Path, pair: tuple[Path, Path], option: str
 ) -> None:
     outcome = prtbake("compare", *pair, option, tmp_path / "none" / "p.png")

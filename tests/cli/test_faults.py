@@ -1,4 +1,4 @@
-"""What a user sees when something is wrong: one sentence, exit code 1, and older outputs as they were."""
+"""Errors: one sentence, exit code 1, and unchanged older outputs."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from formats.image import write_image
 from tests.cli.command_line import SCENE, Outcome, Run
 
 Write = Callable[[Path, Path], object]
-"""write(folder of sound files, path of the bad one)."""
+"""write(folder of valid files, path of the bad file)."""
 
 
 def _scene(text: str) -> Write:
@@ -28,8 +28,8 @@ def _text(folder: Path, path: Path) -> None:
 
 def _truncated(name: str) -> Write:
     def write(folder: Path, path: Path) -> None:
-        whole = (folder / name).read_bytes()
-        path.write_bytes(whole[: len(whole) // 2])
+        content = (folder / name).read_bytes()
+        path.write_bytes(content[: len(content) // 2])
 
     return write
 
@@ -159,7 +159,7 @@ def test_an_unusable_output_is_refused_before_the_work(prtbake: Run, tmp_path: P
 
 
 def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_path: Path) -> None:
-    """A limit on the size of files stands in for a full disk: writing fails in the same place."""
+    """A limit on file sizes simulates a full disk: writing fails at the same place."""
     output = tmp_path / "old.h5"
     output.write_bytes(b"an older output")
     program = (
@@ -176,7 +176,7 @@ def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_pa
 
 
 def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
-    """Start a bake that takes minutes, and return once it says that its first vertices are done."""
+    """Start a bake that takes minutes, and return once it reports its first vertices."""
     program = (
         "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "
         "sys.exit(main.main(sys.argv[1:]))"
@@ -201,7 +201,7 @@ def test_ctrl_c_leaves_a_valid_partial_asset(folder: Path, tmp_path: Path, prtba
     assert prtbake("check", tmp_path / "a.h5").code == 0
 
 
-def test_a_bake_killed_in_the_middle_leaves_the_older_asset(folder: Path, tmp_path: Path) -> None:
+def test_a_killed_bake_leaves_the_older_asset(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "a.h5").write_bytes(b"an older output")
     process = _start_long_bake(folder, tmp_path / "a.h5")
     process.kill()

@@ -1,4 +1,4 @@
-"""`prtbake render` of a model: what it writes and says, and how it refuses."""
+"""`prtbake render` of a model: its outputs and errors."""
 
 import json
 import shutil
@@ -24,37 +24,37 @@ def model(folder: Path, tmp_path: Path) -> Path:
     return path
 
 
-def test_the_picture_says_what_it_holds(prtbake: Run, model: Path, tmp_path: Path) -> None:
+def test_the_picture_states_its_contents(prtbake: Run, model: Path, tmp_path: Path) -> None:
     output, report, preview = tmp_path / "a.exr", tmp_path / "a.json", tmp_path / "so_far.png"
     options = ["--spp", 32, "--report", report, "--preview", preview, "--every", 0, "--seed", 3]
     outcome = prtbake("render", model, "sphere.ply", *COMMAND, "-o", output, *options)
     assert outcome.code == 0
-    assert "samples a pixel a second, sampled by mis" in outcome.out
-    read, said = read_layers(output), json.loads(report.read_text())
+    assert "samples per pixel and second, sampled by mis" in outcome.out
+    read, reported = read_layers(output), json.loads(report.read_text())
     assert read.layers["error"].shape == (10, 12, 3)
     texts = {name.removeprefix("prtbake."): text for name, text in read.attributes.items()}
     assert texts["sampling"] == "mis"
     assert texts["shows"] == "subsurface light of the network, unscattered light left out"
     assert int(texts["spp"]) >= 32
-    assert said["sampling"]["by"] == "mis"
-    assert said["samples_a_pixel_a_second"] > 0
-    assert said["negative"] >= 0
+    assert reported["sampling"]["by"] == "mis"
+    assert reported["samples_a_pixel_a_second"] > 0
+    assert reported["negative"] >= 0
     assert read_image(preview).shape == (10, 12, 3)
     assert prtbake("render", model, "sphere.ply", *COMMAND, "-o", output, *options).code == 0
     np.testing.assert_array_equal(read_image(output), read.image)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".hdr"])
-def test_other_pictures_hold_no_negative_radiance(prtbake: Run, tmp_path: Path, suffix: str) -> None:
+def test_other_formats_hold_no_negative_radiance(prtbake: Run, tmp_path: Path, suffix: str) -> None:
     output = tmp_path / f"a{suffix}"
     assert prtbake("render", "model.pt", "sphere.ply", *COMMAND, "-o", output, "--spp", 8).code == 0
     assert np.isfinite(read_image(output)).all()
 
 
-def test_what_it_refuses_it_refuses_in_a_sentence(prtbake: Run, model: Path, tmp_path: Path) -> None:
+def test_errors_are_one_sentence(prtbake: Run, model: Path, tmp_path: Path) -> None:
     output = tmp_path / "a.exr"
-    for way in ("lobe", "mis"):
-        outcome = prtbake("render", "model.pt", "sphere.ply", *COMMAND, "-o", output, "--sampling", way)
+    for sampling in ("lobe", "mis"):
+        outcome = prtbake("render", "model.pt", "sphere.ply", *COMMAND, "-o", output, "--sampling", sampling)
         assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
         assert "prtbake importance" in outcome.err
     for option in (["--sampling", "light"], ["--precision", "bfloat16"], ["--device", "cuda"], ["--workers", "1"]):
@@ -72,7 +72,7 @@ def test_what_it_refuses_it_refuses_in_a_sentence(prtbake: Run, model: Path, tmp
     assert not output.exists()
 
 
-def test_reflection_of_an_index_matched_object_is_nothing(prtbake: Run, tmp_path: Path) -> None:
+def test_an_index_matched_object_reflects_nothing(prtbake: Run, tmp_path: Path) -> None:
     pictures = []
     for option in ("--reflection", "--no-reflection"):
         output = tmp_path / f"a{option}.exr"

@@ -1,4 +1,4 @@
-"""`prtbake shade`, as a user types it."""
+"""`prtbake shade`: pictures, layers, cameras, turntables and error pictures."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from tests.shapes import ball
 
 @pytest.fixture(scope="module")
 def polished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An asset of index 1.5 and roughness 0.3 that sends more where light comes along +x."""
+    """An asset of index 1.5 and roughness 0.3 that is brighter under light from +x."""
     path = tmp_path_factory.mktemp("polished") / "polished.h5"
     asset = glossy(ball(3))
     asset.coefficients[:, :, 3] = 0.1
@@ -38,7 +38,7 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
     assert image.shape == (30, 40, 3)
     assert np.isfinite(image).all()
     np.testing.assert_allclose(image[0, 0], 1.0, atol=1e-3)
-    assert "error of the projection" in outcome.out
+    assert "projection error" in outcome.out
     if suffix == ".exr":
         layers = read_layers(output).layers
         assert layers["error"][15, 20].min() > 0.0
@@ -46,7 +46,7 @@ def test_shade_makes_a_picture(prtbake: Run, tmp_path: Path, suffix: str) -> Non
 
 
 def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
-    """A sky, a sun in one word, and a lights file: the picture is the sum of those under each, less what rings."""
+    """The picture under a sky, a sun and a lights file is the sum of those under each, up to clamping."""
     (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\nirradiance = [1, 0.5, 0.2]\n")
     given = ["sky.exr", "sun:0,0,1:2,2,2", str(tmp_path / "lights.toml")]
     pictures = []
@@ -55,34 +55,32 @@ def test_shade_takes_several_lights(prtbake: Run, tmp_path: Path) -> None:
         words = [word for light in lights for word in ("--light", light)]
         assert prtbake("shade", "asset.h5", *words, "-o", output, "--size", "16x12").code == 0
         pictures.append(read_image(output))
-    # Negative radiance is cut off: of the sum there may be less left to cut off than of its parts.
-    apart = sum(pictures[:3])
-    assert (pictures[3] <= apart + 1e-4).all()
-    assert np.isclose(pictures[3], apart, rtol=1e-4).mean() > 0.7
+    # Negative radiance is clamped, so that the sum of the parts can be larger than the whole.
+    separate = sum(pictures[:3])
+    assert (pictures[3] <= separate + 1e-4).all()
+    assert np.isclose(pictures[3], separate, rtol=1e-4).mean() > 0.7
     assert all(picture[6, 8].min() > 0.05 for picture in pictures[:2])
     none = prtbake("shade", "asset.h5", "--light", "sun:0,0,0", "-o", tmp_path / "x.png")
     assert none.code == 1
     assert "sun:0,0,0: direction: expected" in none.err
 
 
-def test_reflection_is_added_on_request_and_missed_where_it_is_left_out(
-    prtbake: Run, tmp_path: Path, polished: Path
-) -> None:
+def test_reflection_is_optional_and_its_absence_is_reported(prtbake: Run, tmp_path: Path, polished: Path) -> None:
     options = ["--light", "sky.exr", "--size", "24x24", "-o"]
     plain = prtbake("shade", polished, *options, tmp_path / "plain.exr")
-    assert "what its surface reflects (index 1.5) is left out; --reflection adds it" in plain.err
+    assert "light reflected at its surface (index 1.5) is not shown; --reflection adds it" in plain.err
     shiny = prtbake("shade", polished, *options, tmp_path / "shiny.exr", "--reflection", "--layers", "all")
     assert (shiny.code, shiny.err) == (0, "")
-    ours, layered = read_image(tmp_path / "plain.exr"), read_layers(tmp_path / "shiny.exr")
-    np.testing.assert_allclose(layered.image - layered.layers["reflection"], ours, atol=1e-6)
+    unreflected, layered = read_image(tmp_path / "plain.exr"), read_layers(tmp_path / "shiny.exr")
+    np.testing.assert_allclose(layered.image - layered.layers["reflection"], unreflected, atol=1e-6)
     assert set(layered.layers) == {
         *("position", "normal", "vertex", "radiance", "subsurface", "reflection", "error", "coverage")
     }
     assert "light reflected at the surface" in layered.attributes["prtbake.shows"]
-    told = prtbake("compare", tmp_path / "plain.exr", tmp_path / "shiny.exr").err
-    assert "plain.exr does not: it is in the figures" in told
+    compared = prtbake("compare", tmp_path / "plain.exr", tmp_path / "shiny.exr").err
+    assert "plain.exr does not: the figures include it" in compared
     matched = prtbake("shade", "asset.h5", *options, tmp_path / "matched.exr", "--reflection")
-    assert "its index of refraction is 1, its surface reflects nothing" in matched.err
+    assert "its index of refraction is 1, so its surface reflects nothing" in matched.err
 
 
 def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> None:
@@ -91,7 +89,7 @@ def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> 
         "fitted": [],
         "parallel": ["--orthographic"],
         "wide": ["--extent", 8],
-        "aside": ["--eye", "0,0,6", "--look-at", "1,0,0", "--fov", 50],
+        "offset": ["--eye", "0,0,6", "--look-at", "1,0,0", "--fov", 50],
     }.items():
         output = tmp_path / f"{name}.exr"
         words = ["--light", "sun:0,0,1", "-o", output, "--size", "32x32", *options]
@@ -99,7 +97,7 @@ def test_cameras_of_every_kind(prtbake: Run, tmp_path: Path, polished: Path) -> 
         shown[name] = read_layers(output).layers["coverage"]
     assert shown["parallel"].mean() == pytest.approx(np.pi / 4 / 1.08**2, rel=0.02)
     assert shown["wide"].mean() == pytest.approx(np.pi / 64, rel=0.05)
-    assert np.flatnonzero(shown["aside"].any(axis=0)).mean() < 14
+    assert np.flatnonzero(shown["offset"].any(axis=0)).mean() < 14
     for wrong in (["--fov", 180], ["--extent", 0], ["--look-at", "1,2"]):
         assert prtbake("shade", polished, "--light", "sun:0,0,1", "-o", tmp_path / "x.png", *wrong).code == 2
 
@@ -116,11 +114,11 @@ def test_a_transparent_picture_has_an_alpha_channel(prtbake: Run, tmp_path: Path
     assert ".hdr has no alpha channel; write .exr or .png" in refused.err
 
 
-def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+def test_layers_need_exr_and_unknown_ones_are_refused(prtbake: Run, tmp_path: Path, polished: Path) -> None:
     words = ["--light", "sky.exr", "--size", "8x8", "-o"]
     outcome = prtbake("shade", polished, *words, tmp_path / "a.png", "--layers", "normal")
     assert outcome.code == 2
-    assert ".png holds a picture alone; write .exr" in outcome.err
+    assert ".png has no layers; write .exr" in outcome.err
     outcome = prtbake("shade", polished, *words, tmp_path / "a.exr", "--layers", "normal, depth")
     assert outcome.code == 1
     assert "layers: 'depth' where some of position, normal, vertex" in outcome.err
@@ -128,8 +126,8 @@ def test_layers_go_into_exr_alone_and_unknown_ones_are_refused(prtbake: Run, tmp
 
 
 @pytest.mark.parametrize("turning", ["eye", "light"])
-def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
-    """Turning the eye shows another side of the sky; turning the light by half a turn is the third of four frames."""
+def test_turntables_start_at_the_still_picture(prtbake: Run, tmp_path: Path, polished: Path, turning) -> None:
+    """The third of four frames is the picture with the light rotated by half a turn."""
     words = ["--light", "sun:1,0,0.5:3,3,3", "--size", "16x16", *(["--eye", "-2,1,-5"] if turning == "eye" else [])]
     turned = prtbake("shade", polished, *words, "-o", tmp_path / "t_%d.exr", "--turntable", turning, "--frames", 4)
     assert turned.code == 0, turned.err
@@ -147,8 +145,8 @@ def test_turntables_begin_as_the_picture_is_and_go_round(prtbake: Run, tmp_path:
         assert (animation.n_frames, animation.size) == (3, (16, 16))
 
 
-def test_turntables_of_the_eye_show_all_of_a_long_object(prtbake: Run, tmp_path: Path) -> None:
-    """Its length lies along the first view, which would frame it by its narrow end."""
+def test_turntables_frame_a_long_object_in_every_view(prtbake: Run, tmp_path: Path) -> None:
+    """The first view looks along the object and sees its narrow end."""
     long = glossy(build_mesh(ball(2).positions * [0.5, 0.5, 3.0], ball(2).faces))
     write_asset(long, tmp_path / "long.h5")
     words = ["--light", "sun:0,1,0:3,3,3", "--size", "24x24", "--turntable", "eye", "--frames", 4]
@@ -162,28 +160,25 @@ def test_turntables_of_the_eye_show_all_of_a_long_object(prtbake: Run, tmp_path:
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["-o", "x.png", "--roughness", "0.1"], "that of the reflection; add --reflection"),
-        (["-o", "x.png", "--reflection", "--roughness", "1.5"], "--roughness: 1.5 where a GGX alpha from 0 to 1"),
+        (["-o", "x.png", "--roughness", "0.1"], "applies to the reflection; add --reflection"),
+        (
+            ["-o", "x.png", "--reflection", "--roughness", "1.5"],
+            "--roughness: expected a GGX alpha from 0 to 1 or an image, found 1.5",
+        ),
         (["-o", "x.webp"], ".webp is for turntables; add --turntable eye"),
-        (["-o", "x_%03d.png"], "is for numbered pictures; add --turntable eye"),
-        (["-o", "x.png", "--frames", "3"], "are those of a turntable; add --turntable eye"),
-        (["-o", "x.png", "--seconds", "1"], "are those of a turntable; add --turntable eye"),
-        (["-o", "x.png", "--error-picture", "./x.png"], "is the picture itself; name another file"),
-        (["-o", "x.exr", "--turntable", "eye"], "one .exr holds no turntable"),
-        (["-o", "x.gif", "--turntable", "eye", "--transparent"], "a background, no layers and no error picture"),
-        (["-o", "x.exr", "--exposure", "2"], "--exposure: radiance is kept as it is in .exr; write .png"),
-        (
-            ["-o", "x_%03d.hdr", "--turntable", "eye", "--exposure", "1"],
-            "--exposure: radiance is kept as it is in .hdr",
-        ),
-        (
-            ["-o", "x.png", "--orthographic", "--fov", "50"],
-            "no field of view; leave it out, or --orthographic",
-        ),
-        (["-o", "x.png", "--extent", "3", "--fov", "50"], "no field of view; leave it out, or --extent"),
+        (["-o", "x_%03d.png"], "names numbered pictures; add --turntable eye"),
+        (["-o", "x.png", "--frames", "3"], "apply to turntables; add --turntable eye"),
+        (["-o", "x.png", "--seconds", "1"], "apply to turntables; add --turntable eye"),
+        (["-o", "x.png", "--error-picture", "./x.png"], "is also --output; choose another file"),
+        (["-o", "x.exr", "--turntable", "eye"], "a single .exr cannot store a turntable"),
+        (["-o", "x.gif", "--turntable", "eye", "--transparent"], "cannot be combined with --transparent"),
+        (["-o", "x.exr", "--exposure", "2"], "--exposure: has no effect on .exr, which"),
+        (["-o", "x_%03d.hdr", "--turntable", "eye", "--exposure", "1"], "--exposure: has no effect on .hdr, which"),
+        (["-o", "x.png", "--orthographic", "--fov", "50"], "no field of view; omit --fov or --orthographic"),
+        (["-o", "x.png", "--extent", "3", "--fov", "50"], "no field of view; omit --fov or --extent"),
     ],
 )
-def test_options_that_need_others_say_so(prtbake: Run, polished: Path, words, sentence) -> None:
+def test_ineffective_options_are_wrong_usage(prtbake: Run, polished: Path, words, sentence) -> None:
     outcome = prtbake("shade", polished, "--light", "sky.exr", *words)
     assert outcome.code == 2
     assert sentence in outcome.err
@@ -196,7 +191,7 @@ def test_each_suffix_of_an_output_is_named_once(prtbake: Run, polished: Path) ->
     assert outcome.err == f"prtbake: x.tif: expected a name that ends in {known}, found '.tif'\n"
 
 
-def test_the_error_of_every_pixel_is_shown(prtbake: Run, tmp_path: Path, polished: Path) -> None:
+def test_the_error_picture(prtbake: Run, tmp_path: Path, polished: Path) -> None:
     words = ["--light", "sky.exr", "--size", "40x30", "-o", tmp_path / "a.png"]
     outcome = prtbake("shade", polished, *words, "--error-picture", tmp_path / "error.png")
     assert outcome.code == 0, outcome.err
@@ -206,7 +201,7 @@ def test_the_error_of_every_pixel_is_shown(prtbake: Run, tmp_path: Path, polishe
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (64, 64), (400, 20), (20, 400), (320, 240)])
-def test_words_of_an_error_picture_lie_within_it(size: tuple[int, int]) -> None:
+def test_the_texts_of_an_error_picture_lie_within_it(size: tuple[int, int]) -> None:
     width, height = size
     nothing = np.ones((height, width, 3), np.float32)
     layers = {"radiance": nothing}
@@ -225,7 +220,7 @@ def test_words_of_an_error_picture_lie_within_it(size: tuple[int, int]) -> None:
     assert min(image.width / width, image.height / height) >= 0.95  # a pixel of the picture is one of the figure's
 
 
-def test_relative_errors_are_sigma_over_radiance_and_dark_pixels_are_held_against_the_mean() -> None:
+def test_relative_errors_are_sigma_over_radiance_with_a_floor_for_dark_pixels() -> None:
     radiance = np.zeros((2, 2, 3))
     radiance[0] = [[2.0, 2.0, 2.0], [1e-6, 0.0, 0.0]]
     coverage = np.array([[1.0, 1.0], [0.0, 0.0]], np.float32)

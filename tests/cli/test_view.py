@@ -1,4 +1,4 @@
-"""`prtbake view`, as far as it goes without a display."""
+"""`prtbake view` without a display."""
 
 import subprocess
 import sys
@@ -27,7 +27,7 @@ COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
         ["--suns", "window"],
     ],
 )
-def test_a_screenshot_is_the_picture_that_shade_writes(prtbake: Run, tmp_path: Path, options: list[object]) -> None:
+def test_a_screenshot_equals_the_picture_of_shade(prtbake: Run, tmp_path: Path, options: list[object]) -> None:
     sky = np.random.default_rng(1).random((64, 128, 3)).astype(np.float32)
     sky[15, 80] = 2000.0  # a sun
     write_image(tmp_path / "sky.hdr", sky)
@@ -42,7 +42,7 @@ def test_a_screenshot_is_the_picture_that_shade_writes(prtbake: Run, tmp_path: P
     assert (off > 3.0).mean() < 0.15  # edges of a ball of 80 faces
 
 
-def test_a_sphere_light_shines_in_the_window_as_in_shade(prtbake: Run, tmp_path: Path) -> None:
+def test_a_sphere_light_is_shown_as_by_shade(prtbake: Run, tmp_path: Path) -> None:
     light = ["asset.h5", "--light", "sphere:3,4,2:0.5:40,30,20", "--size", "64x48"]
     shot, shaded = tmp_path / "shot.png", tmp_path / "shade.png"
     outcome = prtbake("view", *light, "--screenshot", shot)
@@ -62,13 +62,13 @@ def test_the_size_is_that_of_the_reference(prtbake: Run, tmp_path: Path) -> None
     assert read_image(tmp_path / "shot.png").shape == (10, 20, 3)
 
 
-def test_without_a_light_it_takes_the_sky_that_comes_along(prtbake: Run, tmp_path: Path) -> None:
+def test_the_default_light_is_the_shipped_sky(prtbake: Run, tmp_path: Path) -> None:
     assert prtbake("view", "asset.h5", "--size", "32x24", "--screenshot", tmp_path / "shot.png").code == 0
     assert read_image(tmp_path / "shot.png")[0].std() > 0.0
 
 
 @pytest.mark.parametrize("display", [None, "", ":4711"])
-def test_without_a_display_it_says_so(prtbake: Run, monkeypatch: pytest.MonkeyPatch, display: str | None) -> None:
+def test_a_missing_display_is_reported(prtbake: Run, monkeypatch: pytest.MonkeyPatch, display: str | None) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     if display is not None:
         monkeypatch.setenv("DISPLAY", display)
@@ -88,7 +88,7 @@ sys.exit(code)
 """
 
 
-def test_without_vtk_it_says_what_to_install(folder: Path, tmp_path: Path) -> None:
+def test_without_vtk_the_message_names_the_extra(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT, *COMMAND, "--screenshot", str(tmp_path / "shot.png")]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (ran.returncode, len(ran.stderr.splitlines())) == (1, 1)
@@ -104,16 +104,14 @@ def test_without_vtk_it_says_what_to_install(folder: Path, tmp_path: Path) -> No
         (["--compare", "scene.toml"], "scene.toml"),
     ],
 )
-def test_what_it_cannot_show_it_refuses_in_a_sentence(
-    prtbake: Run, tmp_path: Path, options: list[str], words: str
-) -> None:
+def test_errors_are_one_sentence(prtbake: Run, tmp_path: Path, options: list[str], words: str) -> None:
     outcome = prtbake("view", "asset.h5", *options, "--screenshot", tmp_path / "shot.png")
     assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
     assert words in outcome.err
     assert not (tmp_path / "shot.png").exists()
 
 
-def test_a_sky_is_mended_when_asked_and_that_is_said(prtbake: Run, tmp_path: Path) -> None:
+def test_a_sky_is_repaired_on_request(prtbake: Run, tmp_path: Path) -> None:
     sky = np.ones((8, 16, 3), np.float32)
     sky[2, 3, 1] = np.nan
     write_image(tmp_path / "nan.exr", sky)
@@ -128,8 +126,8 @@ def test_a_screenshot_of_another_kind_is_refused_at_once(prtbake: Run) -> None:
     assert "ends in .png" in prtbake(*COMMAND, "--screenshot", "shot.jpg").err
 
 
-def test_a_window_is_handed_to_the_user(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a display that only seems to be one: the window is in memory, and its loop ends at once."""
+def test_the_window_is_shown(prtbake: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The display is faked: the window is in memory, and its event loop ends at once."""
     from prt_bake.preview import window
 
     seen = []

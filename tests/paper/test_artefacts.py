@@ -33,8 +33,8 @@ def artefacts(tmp_path: Path, said: list[str]) -> Artefacts:
 
 def test_work_is_done_once_for_the_same_inputs(artefacts: Artefacts, said: list[str]) -> None:
     work = Work()
-    first = artefacts.made("a/b.txt", {"spp": 4, "bins": (2, 3)}, work)
-    again = artefacts.made("a/b.txt", {"bins": [2, 3], "spp": 4}, work)
+    first = artefacts.make("a/b.txt", {"spp": 4, "bins": (2, 3)}, work)
+    again = artefacts.make("a/b.txt", {"bins": [2, 3], "spp": 4}, work)
     assert work.times == 1
     assert again == first
     assert again.facts["walks"] == 7
@@ -43,23 +43,23 @@ def test_work_is_done_once_for_the_same_inputs(artefacts: Artefacts, said: list[
 
 
 def test_another_input_is_another_work_and_the_reason_is_said(artefacts: Artefacts, said: list[str]) -> None:
-    artefacts.made("b.txt", {"spp": 4, "seed": 0}, Work())
+    artefacts.make("b.txt", {"spp": 4, "seed": 0}, Work())
     work = Work("other")
-    found = artefacts.made("b.txt", {"spp": 8, "seed": 0, "size": 1}, work)
+    found = artefacts.make("b.txt", {"spp": 8, "seed": 0, "size": 1}, work)
     assert (work.times, found.path.read_text()) == (1, "other")
     assert said[-1] == "b.txt: made anew, another size, spp"
 
 
 def test_a_file_that_was_altered_or_lost_is_made_anew(artefacts: Artefacts, said: list[str]) -> None:
     work = Work()
-    made = artefacts.made("b.txt", {}, work)
+    made = artefacts.make("b.txt", {}, work)
     made.path.write_text("altered")
-    assert artefacts.made("b.txt", {}, work).path.read_text() == "made"
+    assert artefacts.make("b.txt", {}, work).path.read_text() == "made"
     assert said[-1] == "b.txt: made anew, the file was altered"
     made.path.unlink()
-    artefacts.made("b.txt", {}, work)
+    artefacts.make("b.txt", {}, work)
     made.path.with_name("b.txt.made.json").write_text(json.dumps({"inputs": {}}))
-    artefacts.made("b.txt", {}, work)
+    artefacts.make("b.txt", {}, work)
     assert work.times == 4
 
 
@@ -69,19 +69,19 @@ def test_work_that_fails_leaves_nothing_to_be_taken_for_done(artefacts: Artefact
         raise RuntimeError
 
     with pytest.raises(RuntimeError):
-        artefacts.made("b.txt", {}, failing)
-    assert artefacts.kept("b.txt", {}) is None
+        artefacts.make("b.txt", {}, failing)
+    assert artefacts.find("b.txt", {}) is None
 
 
 def test_what_is_there_is_given_after_a_stop_and_nothing_else_begun(tmp_path: Path) -> None:
     asked = [False]
     artefacts = Artefacts(tmp_path, lambda sentence: None, lambda: asked[0])
     work = Work()
-    artefacts.made("b.txt", {}, work)
+    artefacts.make("b.txt", {}, work)
     asked[0] = True
-    artefacts.made("b.txt", {}, work)
+    artefacts.make("b.txt", {}, work)
     with pytest.raises(Stopped, match="goes on"):
-        artefacts.made("c.txt", {}, work)
+        artefacts.make("c.txt", {}, work)
     assert work.times == 1
 
 

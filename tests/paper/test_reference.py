@@ -9,7 +9,7 @@ import pytest
 from prt_bake.lights.lighting import as_lighting
 from prt_bake.paper.artefacts import Artefacts, Stopped
 from prt_bake.paper.reference import Reference, reference, trace_scene
-from prt_bake.rendering.half_buffers import Halves
+from prt_bake.rendering.half_buffers import HalfBuffers
 from prt_bake.rendering.loop import Rendering
 from tests.rendering.pictures import WHITE, front, make_scene
 
@@ -86,7 +86,7 @@ def test_damaged_sums_are_begun_anew(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spps", [(16, 16), (64, 16, 16), (16, 16, 16)])
 def test_the_noise_of_the_halves_has_the_variance_of_the_error_and_is_uncorrelated(spps: tuple[int, ...]) -> None:
-    halves = Halves.empty(SIZE)
+    halves = HalfBuffers.empty(SIZE)
     for seed, spp in enumerate(spps):
         halves.add(picture(spp, seed))
     error, noise = (halves.image - 1.0).ravel(), halves.noise.ravel()

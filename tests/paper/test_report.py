@@ -26,7 +26,7 @@ from prt_bake.paper.report import PaperReport
 from prt_bake.paper.results import METHODS, Result
 from prt_bake.paper.scenes import SCENES, BakeSettings
 from prt_bake.paper.settings import ReportSettings
-from prt_bake.paper.times import heading
+from prt_bake.paper.times import power_law
 from prt_bake.shipped.demonstration import SHIPPED
 from prt_bake.trainer.learner import LearningSettings
 from prt_bake.trainer.samples.rows import StreamSettings
@@ -147,7 +147,7 @@ def test_longer_trainings_are_compared_on_pictures(tmp_path: Path, scenes: Path,
     # All four are the shipped network: the same picture, and no law to be seen.
     assert len({row.flip for row in rows}) == 1
     assert 0.0 < rows[0].flip_without_noise <= rows[0].flip < 0.5
-    assert heading(rows, "flip").slope == pytest.approx(0.0, abs=1e-9)
+    assert power_law(rows, "flip").slope == pytest.approx(0.0, abs=1e-9)
     assert json.loads((tmp_path / "times.json").read_text())["lucy, outdoor"]["trainings"][3]["flip"] == rows[3].flip
     assert np.asarray(Image.open(tmp_path / "times.png")).std() > 5.0
     said.clear()

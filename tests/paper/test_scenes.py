@@ -1,4 +1,4 @@
-"""The scenes of the tables: how they are framed, baked and lit."""
+"""The scenes of the tables: how they are framing_camera, baked and lit."""
 
 import importlib.util
 import sys
@@ -13,9 +13,9 @@ from formats.mesh import read_mesh
 from prt_bake.geometry import camera
 from prt_bake.geometry.camera import Visibility
 from prt_bake.lights import environment
-from prt_bake.paper.harmonics import refined
+from prt_bake.paper.harmonics import subdivided
 from prt_bake.paper.report import sky_files
-from prt_bake.paper.scenes import LEAST_SHARE, NAMES, SCENES, SKIES, chosen, filled, framed, is_stand_in, open_scene
+from prt_bake.paper.scenes import LEAST_SHARE, NAMES, SCENES, SKIES, select_scenes, object_share, framing_camera, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from tests import ROOT
 
@@ -35,8 +35,8 @@ def shrink(sky: np.ndarray, width: int, height: int) -> np.ndarray:
 @pytest.mark.parametrize("paper", SCENES, ids=NAMES)
 def test_the_object_fills_enough_of_the_picture(paper) -> None:
     scene = open_scene(paper, FOLDER)
-    view, whole = framed(scene.mesh, 512, scene.up), camera.fit(scene.mesh, 512, 512, up=scene.up)
-    share = filled(Visibility(scene.mesh), view)
+    view, whole = framing_camera(scene.mesh, 512, scene.up), camera.fit(scene.mesh, 512, 512, up=scene.up)
+    share = object_share(Visibility(scene.mesh), view)
     assert share >= LEAST_SHARE
     np.testing.assert_array_equal(view.eye, whole.eye)
     assert view.fov <= whole.fov
@@ -45,7 +45,7 @@ def test_the_object_fills_enough_of_the_picture(paper) -> None:
 
 
 def test_stand_ins_are_taken_where_the_scan_is_not_there(tmp_path: Path) -> None:
-    dragon = chosen(["dragon"])[0]
+    dragon = select_scenes(["dragon"])[0]
     for name in dragon.files:
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((FOLDER / name).read_bytes())
@@ -60,14 +60,14 @@ def test_stand_ins_are_taken_where_the_scan_is_not_there(tmp_path: Path) -> None
     assert scene.path.name == "dragon.toml"
     assert not is_stand_in(dragon, scene)
     with pytest.raises(SceneError, match=r"lucy/figure\.toml: not found.*--scenes"):
-        open_scene(chosen(["lucy"])[0], tmp_path)
+        open_scene(select_scenes(["lucy"])[0], tmp_path)
 
 
 def test_scenes_are_chosen_in_the_papers_order() -> None:
-    assert [scene.name for scene in chosen(["lucy", "grape"])] == ["grape", "lucy"]
-    assert chosen([]) == SCENES
+    assert [scene.name for scene in select_scenes(["lucy", "grape"])] == ["grape", "lucy"]
+    assert select_scenes([]) == SCENES
     with pytest.raises(QueryError, match="'teapot' is no scene of the paper; known are grape, dragon"):
-        chosen(["grape", "teapot"])
+        select_scenes(["grape", "teapot"])
 
 
 def test_skies_are_those_of_the_repository_or_ones_own(tmp_path: Path) -> None:
@@ -91,11 +91,11 @@ def test_quick_settings_bound_every_bake() -> None:
 
 def test_a_refined_mesh_is_the_same_surface() -> None:
     mesh = read_mesh(FOLDER / "paperweight/cube.obj")
-    fine = refined(mesh, 2)
+    fine = subdivided(mesh, 2)
     assert len(fine.faces) == 16 * len(mesh.faces)
     assert fine.face_areas.sum() == pytest.approx(mesh.face_areas.sum(), rel=1e-12)
     np.testing.assert_allclose(fine.bounds, mesh.bounds)
-    assert refined(mesh, 0) is mesh
+    assert subdivided(mesh, 0) is mesh
 
 
 def test_a_shrunken_sky_keeps_its_energy() -> None:

@@ -18,7 +18,7 @@ from prt_bake.paper.scenes import NAMES, SCENES
 from prt_bake.paper.sheet import CELL, Row, Tile, write_sheet
 from prt_bake.paper.sigma import SigmaPicture, write_sigma
 from prt_bake.paper.tables import first_table, markdown, means_table, second_table
-from prt_bake.paper.times import Trained, heading, told
+from prt_bake.paper.times import Trained, power_law, summary
 from prt_bake.paper.times import as_json as times_json
 
 SETTINGS = {"size": 512, "cores": 2, "quick": False}
@@ -192,14 +192,14 @@ def trained(minutes: float, flip: float) -> Trained:
 
 def test_where_longer_training_leads() -> None:
     rows = [trained(minutes, 0.24 * minutes**-0.5) for minutes in (1.0, 4.0, 16.0)]
-    law = heading(rows, "flip_without_noise")
+    law = power_law(rows, "flip_without_noise")
     assert (law.level, law.slope) == (pytest.approx(0.24), pytest.approx(-0.5))
     assert law.minutes_to(0.03) == pytest.approx(64.0)
-    assert "would take 64 minutes" in told("dragon, outdoor", rows)
+    assert "would take 64 minutes" in summary("dragon, outdoor", rows)
     assert times_json(rows)["minutes_to_the_bar"] == pytest.approx(64.0)
-    assert heading(rows, "coefficients").minutes_to(0.03) == math.inf
-    assert heading([trained(1.0, 0.0)], "flip").minutes_to(0.03) == math.inf
-    assert told("dragon, outdoor", [trained(1.0, 0.2), trained(2.0, 0.2)]).endswith("is not to be seen")
+    assert power_law(rows, "coefficients").minutes_to(0.03) == math.inf
+    assert power_law([trained(1.0, 0.0)], "flip").minutes_to(0.03) == math.inf
+    assert summary("dragon, outdoor", [trained(1.0, 0.2), trained(2.0, 0.2)]).endswith("is not to be seen")
 
 
 def test_plots_are_written(tmp_path: Path) -> None:

@@ -49,17 +49,17 @@ def test_kernels_equal_numpy_under_the_current_light() -> None:
 
 def test_a_moving_light_and_a_resting_eye_interpolate_once(monkeypatch) -> None:
     asset, held = make_asset(ball(2), valid=VALID), []
-    numpy, plain = VertexRadiance(asset), VertexRadiance(asset)
-    numpy.load()
+    kernels, numpy = VertexRadiance(asset), VertexRadiance(asset)
+    kernels.load()
     hold = Frames.hold
     monkeypatch.setattr(Frames, "hold", lambda self, eye: (held.append(tuple(eye)), hold(self, eye)))
     for eye in (EYE, EYE, EYE, EYE, -EYE, EYE, -EYE, -EYE):
-        for each in (numpy, plain):
+        for each in (kernels, numpy):
             each.set_light(make_light(), 10.0 * len(held) + eye[0])
-        np.testing.assert_allclose(numpy.draw(eye), plain.draw(eye), rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(kernels.draw(eye), numpy.draw(eye), rtol=1e-5, atol=1e-6)
     assert held == [tuple(EYE), tuple(-EYE)]
-    numpy.draw(EYE)
-    numpy.draw(EYE)  # nothing moves
+    kernels.draw(EYE)
+    kernels.draw(EYE)  # nothing moves
     assert len(held) == 2
 
 

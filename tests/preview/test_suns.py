@@ -54,7 +54,7 @@ def shaded(preview: Preview, treatment: str = "split", eye=EYE) -> np.ndarray:
 
 @pytest.mark.parametrize("rotation", [0.0, 130.0])
 @pytest.mark.parametrize("up", ["y", "z"])
-def test_settled_colours_are_those_shaded(sky, up, rotation) -> None:
+def test_refined_colours_equal_shade(sky, up, rotation) -> None:
     preview = made(sky, dataclasses.replace(lobed(), up=up), rotation=rotation)
     split, plain = shaded(preview), shaded(preview, "plain")
     seen = facing(preview.asset.mesh, EYE) & preview.asset.valid

@@ -211,7 +211,7 @@ def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path)
     picture = [*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", "--spp", 8]
     outcome = prtbake(*picture, "--minutes", 0)
     assert outcome.code == 0
-    assert "the time was up after 4 walks a pixel; --resume goes on" in outcome.err
+    assert "the time limit ended after 4 paths per pixel; --resume continues" in outcome.err
     assert read_layers(tmp_path / "a.exr").attributes["prtbake.complete"] == "no"
     refused = prtbake(*picture, "--resume", "--seed", 3)
     assert refused.code == 1
@@ -219,7 +219,7 @@ def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path)
         f"prtbake: {tmp_path}/a.exr.render.npz: belongs to another picture: seed is 0 there, 3"
     )
     again = prtbake(*picture[:-2], "--resume")  # the limits are those of before: 8 walks, no minute
-    assert "the time was up after 4 walks a pixel" in again.err
+    assert "the time limit ended after 4 paths per pixel" in again.err
     assert prtbake(*picture, "--resume").code == 0
     assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == "8"
     resumed = read_image(tmp_path / "a.exr")
@@ -289,7 +289,7 @@ def test_ctrl_c_leaves_a_valid_picture_that_can_go_on(folder: Path, tmp_path: Pa
     )
     assert process.stderr is not None
     for _ in range(3):
-        assert "1000000 walks a pixel" in process.stderr.readline()
+        assert "1000000 paths per pixel" in process.stderr.readline()
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 1

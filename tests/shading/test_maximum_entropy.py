@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from prt_bake.mathematics import sh, sphere
-from prt_bake.shading.maximum_entropy import LARGE, RIDGE, positive_transport, slopes
+from prt_bake.shading.maximum_entropy import LARGE, RIDGE, fit_maximum_entropy, slopes
 
 FINE, WEIGHTS = sh.quadrature(40)
 
@@ -26,7 +26,7 @@ def lobes(sharpness=1.5, count=20, channels=3) -> np.ndarray:
 def test_it_has_the_energy_and_nearly_the_other_coefficients() -> None:
     """Those are off by the ridge times the multipliers, which the functions here say."""
     wanted = moments_of(lobes())
-    fitted = positive_transport(wanted)
+    fitted = fit_maximum_entropy(wanted)
     found = moments_of(fitted.towards(FINE))
     assert (fitted.towards(FINE) > 0.0).all()
     np.testing.assert_allclose(found[:, 0], wanted[:, 0], rtol=1e-5)
@@ -38,7 +38,7 @@ def test_it_has_the_energy_and_nearly_the_other_coefficients() -> None:
 def test_exponentials_of_quadratics_come_back() -> None:
     """The family that it is exact for, but for the ridge."""
     truth = lobes(0.7)
-    found = positive_transport(moments_of(truth)).towards(FINE)
+    found = fit_maximum_entropy(moments_of(truth)).towards(FINE)
     assert np.sqrt(((found - truth) ** 2).sum() / (truth**2).sum()) < 0.01
 
 
@@ -46,7 +46,7 @@ def test_exponentials_of_quadratics_come_back() -> None:
 def test_constant_transport_is_constant(degree: int) -> None:
     coefficients = np.zeros((2, sh.count(degree), 3))
     coefficients[:, 0] = [[1.0, 2.0, 3.0], [1e-30, 1e30, 5.0]]
-    found = positive_transport(coefficients).towards(LATTICE)
+    found = fit_maximum_entropy(coefficients).towards(LATTICE)
     np.testing.assert_allclose(found, np.repeat(coefficients[:, 0, :, None] / math.sqrt(4 * math.pi), 7, 2), rtol=1e-9)
 
 
@@ -66,16 +66,16 @@ def test_it_is_the_minimum_of_the_dual_by_another_minimiser() -> None:
                 + 0.5 * RIDGE * x @ x * (1.0 + 0.5 * x @ x / LARGE**2)
             )
 
-        found = positive_transport(row[None]).multipliers[0, 0]
+        found = fit_maximum_entropy(row[None]).multipliers[0, 0]
         np.testing.assert_allclose(found, minimize(dual, np.zeros(8), tol=1e-12).x, atol=2e-4)
 
 
 def test_it_turns_and_scales_with_the_coefficients() -> None:
     coefficients, turn = moments_of(lobes()), sphere.random_rotations(1, 2)[0]
-    still = positive_transport(coefficients).towards(FINE)
-    turned = positive_transport(np.einsum("jk,nkc->njc", sh.rotation(turn, 2), coefficients))
+    still = fit_maximum_entropy(coefficients).towards(FINE)
+    turned = fit_maximum_entropy(np.einsum("jk,nkc->njc", sh.rotation(turn, 2), coefficients))
     np.testing.assert_allclose(turned.towards(FINE @ turn.T), still, rtol=1e-3)
-    np.testing.assert_allclose(positive_transport(1e-12 * coefficients).towards(FINE), 1e-12 * still, rtol=1e-6)
+    np.testing.assert_allclose(fit_maximum_entropy(1e-12 * coefficients).towards(FINE), 1e-12 * still, rtol=1e-6)
 
 
 @pytest.mark.parametrize("axis", [*np.eye(3), -np.eye(3)[2], np.array([0.48, 0.6, 0.64])])
@@ -84,7 +84,7 @@ def test_coefficients_of_no_positive_function_give_a_narrow_lobe(axis: np.ndarra
     needle = sh.evaluate(axis, 2)[None, :, None]
     beyond = needle * np.array([1.0, *[1.5] * 3, *[2.0] * 5])[:, None]
     for coefficients in (needle, beyond):
-        fitted = positive_transport(coefficients)
+        fitted = fit_maximum_entropy(coefficients)
         values = fitted.towards(FINE)
         assert np.isfinite(values).all()
         assert values[0, 0] @ WEIGHTS == pytest.approx(1.0, rel=0.03)
@@ -94,7 +94,7 @@ def test_coefficients_of_no_positive_function_give_a_narrow_lobe(axis: np.ndarra
 
 def test_noise_of_any_size_has_an_answer() -> None:
     coefficients = np.random.default_rng(1).normal(size=(300, 9, 3)) * np.geomspace(1e-20, 1e20, 300)[:, None, None]
-    values = positive_transport(coefficients).towards(LATTICE)
+    values = fit_maximum_entropy(coefficients).towards(LATTICE)
     assert np.isfinite(values).all()
     assert ((values >= 0.0).all(axis=2) == (coefficients[:, 0] > 0.0)).all()
 
@@ -102,7 +102,7 @@ def test_noise_of_any_size_has_an_answer() -> None:
 def test_below_zero_it_is_even_and_nothing_is_nothing() -> None:
     coefficients = np.zeros((2, 9, 1))
     coefficients[1, :, 0] = [-1.0, *[0.3] * 8]
-    values = positive_transport(coefficients).towards(LATTICE)
+    values = fit_maximum_entropy(coefficients).towards(LATTICE)
     np.testing.assert_allclose(values[0], 0.0, atol=0.0)
     np.testing.assert_allclose(values[1], -1.0 / math.sqrt(4.0 * math.pi), rtol=1e-12)
 
@@ -111,7 +111,7 @@ def test_narrow_transport_is_nearer_than_by_its_harmonics() -> None:
     """A lobe of forward scattering: towards it and away from it."""
     truth = np.exp(6.0 * (FINE @ np.array([0.48, 0.6, 0.64]) - 1.0))[None, None]
     coefficients = moments_of(truth)
-    ours = positive_transport(coefficients).towards(FINE)
+    ours = fit_maximum_entropy(coefficients).towards(FINE)
     theirs = np.einsum("dk,nkc->ncd", sh.evaluate(FINE, 2), coefficients)
     errors = [math.sqrt(float(((answer - truth) ** 2 @ WEIGHTS)[0, 0])) for answer in (ours, theirs)]
     assert errors[0] < 0.2 * errors[1]
@@ -130,9 +130,9 @@ def test_slopes_are_differences_of_fits(degree: int) -> None:
     coefficients = np.concatenate([soft, needle, beyond, -soft[:1], 1e-12 * soft[:1], 1e9 * soft[:1]])
 
     def radiance(numbers: np.ndarray) -> np.ndarray:
-        return np.einsum("ncd,dc->nc", positive_transport(numbers).towards(directions), irradiance)
+        return np.einsum("ncd,dc->nc", fit_maximum_entropy(numbers).towards(directions), irradiance)
 
-    found = slopes(coefficients, positive_transport(coefficients), directions, irradiance)
+    found = slopes(coefficients, fit_maximum_entropy(coefficients), directions, irradiance)
     step = 1e-5 * np.abs(coefficients[:, :1])
     for k in range(coefficients.shape[1]):
         moved = step * (np.arange(coefficients.shape[1]) == k)[:, None]

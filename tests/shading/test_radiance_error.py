@@ -10,7 +10,7 @@ from formats.asset import Asset
 from formats.asset.error_covariance import ErrorCovariance
 from prt_bake.mathematics import sphere
 from prt_bake.shading.picture import radiance_error, render_picture, shade
-from prt_bake.shading.radiance_error import over_faces
+from prt_bake.shading.radiance_error import interpolate_over_faces
 from tests.shading.test_picture import ball, constant, front, make_asset, make_light
 
 
@@ -70,7 +70,7 @@ def test_vertices_that_err_by_themselves_err_less_between_them() -> None:
         shape = (
             None if apart is None else ErrorCovariance(packed(np.eye(9))[None], np.ones((1, 3)), np.array([[1.0, apart]]))
         )
-        told = over_faces(dataclasses.replace(asset, error_covariance=shape), shares, corners, sigma)
+        told = interpolate_over_faces(dataclasses.replace(asset, error_covariance=shape), shares, corners, sigma)
         np.testing.assert_allclose(told, expected)
         np.testing.assert_allclose(told[1], sigma[corners[1, 0]])
 

@@ -20,7 +20,7 @@ from prt_bake.mathematics.view_frames import ViewFrames
 from prt_bake.shading import vertices as vertex_shading
 from prt_bake.shading.picture import render_picture, shade, shade_vertices
 from prt_bake.shading.radiance_error import radiance_error
-from prt_bake.shading.suns import gathered, sun_radiance, sun_slopes, suns_apart
+from prt_bake.shading.suns import gathered, sun_radiance, sun_gradient, suns_apart
 from tests.lights.test_suns import SUNNY, TURN, clouds, disc
 from tests.shading.test_picture import front, make_asset
 from tests.shapes import ball
@@ -113,11 +113,11 @@ def test_errors_are_told_as_suns_have_them(lights: tuple[Sky, ...]) -> None:
 def test_slopes_of_equal_channels_are_told_from_one() -> None:
     """By fits of all three, and of one that stands for all; the suns are of other colours."""
     asset, suns, everything = lobed(), (sun(), sun((-0.6, 0.0, 0.8), (0.5, 1.0, 2.0))), np.arange(66)
-    at = vertex_shading.between_bins(asset, EYE, everything)
-    found = sun_slopes(asset, suns, everything, at)
+    at = vertex_shading.eye_bin_coordinates(asset, EYE, everything)
+    found = sun_gradient(asset, suns, everything, at)
     asset.coefficients[:, :, 0, 1] *= 1.0 + 1e-6
-    np.testing.assert_allclose(sun_slopes(asset, suns, everything, at), found, rtol=1e-3, atol=1e-4)
-    assert not sun_slopes(asset, (), everything, at).any()
+    np.testing.assert_allclose(sun_gradient(asset, suns, everything, at), found, rtol=1e-3, atol=1e-4)
+    assert not sun_gradient(asset, (), everything, at).any()
 
 
 def test_suns_add_up_and_scale() -> None:
@@ -195,7 +195,7 @@ def test_coefficients_are_gathered_from_memory_and_from_files_alike(tmp_path, mo
     write_asset(asset, tmp_path / "a.h5")
     opened = read_asset(tmp_path / "a.h5", load=False)
     vertices = np.array([3, 4, 20, 65])
-    at = vertex_shading.between_bins(asset, EYE, vertices)
+    at = vertex_shading.eye_bin_coordinates(asset, EYE, vertices)
     inside = gathered(asset, vertices, at)
     monkeypatch.setattr("prt_bake.shading.suns._BYTES_AT_ONCE", 20_000)
     np.testing.assert_array_equal(gathered(opened, vertices, at), inside)
@@ -211,4 +211,4 @@ def test_negative_mean_transport_is_clamped_and_told() -> None:
     assert shown.clamped > 0.01
     assert not shown.radiance[:3].any()
     everything = np.arange(66)
-    assert not sun_radiance(asset, (), everything, vertex_shading.between_bins(asset, EYE, everything)).any()
+    assert not sun_radiance(asset, (), everything, vertex_shading.eye_bin_coordinates(asset, EYE, everything)).any()

@@ -224,8 +224,8 @@ def test_sample_and_train_commands_work_together(prtbake: Run, tmp_path):
     )
     assert trained.code == 0, trained.err
     assert {path.name for path in tmp_path.iterdir()} == {"s.h5", "m.pt", "m.train.pt"}
-    assert "kept for testing" in trained.out
-    assert "of coefficients" in trained.out
+    assert "test queries of" in trained.out
+    assert "of the coefficients" in trained.out
 
 
 @pytest.mark.usefixtures("short_runs")

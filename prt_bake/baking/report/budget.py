@@ -110,9 +110,9 @@ def error_budget(
     half = exact.astype(np.float16).astype(np.float64)
     baked = _Baked(sharp, mesh, view.eye, seen, rings, sectors, degree)
     at_corners = radiance(baked.towards_eye(seed))
-    in_bins = radiance(baked.between_bins(EXACT, seed))
+    in_bins = radiance(baked.eye_bin_coordinates(EXACT, seed))
     rounded = baked if sharp is band_limited else _Baked(band_limited, mesh, view.eye, seen, rings, sectors, degree)
-    all_parts = radiance(rounded.between_bins(SAMPLES, seed + 2))
+    all_parts = radiance(rounded.eye_bin_coordinates(SAMPLES, seed + 2))
 
     def part(name: str, difference: Array, how: str) -> Part:
         return Part(name, relative(difference, reference), how)
@@ -231,7 +231,7 @@ class _Baked:
         """Reference coefficients [3·N,K,3] in the exact direction to the eye."""
         return self._fitted(self._vertices, self._outgoing, EXACT, seed)
 
-    def between_bins(self, directions: int, seed: int) -> Array:
+    def eye_bin_coordinates(self, directions: int, seed: int) -> Array:
         """Coefficients interpolated between view bins, which have `directions` directions each."""
         rows, columns = np.nonzero(self._weights)
         outgoing = {int(v): self._views(int(v), int(v) + 1)[0][0] for v in np.unique(self._vertices)}

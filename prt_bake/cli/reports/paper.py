@@ -72,13 +72,13 @@ def paper(
     from prt_bake.paper.artefacts import Stopped
     from prt_bake.paper.report import PaperReport, sky_files
     from prt_bake.paper.results import TITLES, Result
-    from prt_bake.paper.scenes import chosen
+    from prt_bake.paper.scenes import select_scenes
     from prt_bake.paper.settings import ReportSettings
     from prt_bake.paper.times import summary
 
     require_device(device)
     folder = scenes or Path(__file__).parents[2] / "scenes"
-    selected = chosen(scene or (["dragon"] if layers or times else []))
+    selected = select_scenes(scene or (["dragon"] if layers or times else []))
     settings = ReportSettings(
         size=size,
         spp=spp,

@@ -1,5 +1,6 @@
-"""Which vertices a frame asks for, and where the direction of each to the eye lies between the view bins: a batch at a
-time, in float64, eight vertices to an instruction where the processor can.
+"""Batches of the vertices of a frame, and the coordinates of their directions to the eye between the view bins.
+
+Computed in float64, eight vertices at a time by SIMD instructions.
 """
 
 import math
@@ -13,27 +14,28 @@ from prt_bake.jit.vectors import eight_towards
 
 BATCH = 256
 LANE = 8
-"""Vertices whose marks are looked at together, as one whole number of 64 bits."""
+"""Vertices whose flags are read together, as one 64-bit integer."""
 GEOMETRY = 10
-"""Numbers kept of a vertex: position, normal, tangent, and the cosine below which every face turns away."""
+"""Numbers per vertex: position, normal, tangent, and the cosine below which all its faces turn away from the eye."""
 ALL = np.uint64(0x0101010101010101)
-"""The marks of eight vertices that are all asked for."""
+"""The flags of a lane whose vertices are all requested."""
 SPAN = 64
-"""Lanes that a thread takes before the next one's turn: what is seen of an object is shared out evenly."""
+"""Consecutive lanes of a thread, before those of the next thread; this balances the visible vertices."""
 _EIGHTH = math.tan(math.pi / 8.0)
-# No number here is infinite or NaN: what comes in has been looked at.
+# No number here is infinite or NaN: inputs are checked before.
 FAST: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "nsz", "reassoc", "arcp", "nnan", "ninf"}}
 
 
-def part(function: Kernel) -> Kernel:
-    """For what kernels call at each vertex, where a call takes as long as the work: built into each of them. What is
-    kept on disk by itself could only be called.
+def inlined(function: Kernel) -> Kernel:
+    """Compile a function that kernels call at each vertex, and inline it into them.
+
+    Functions in the disk cache cannot be inlined.
     """
     return cast(Kernel, njit(forceinline=True, **FAST)(function))
 
 
 def _arctangent(terms: int) -> tuple[float, ...]:
-    """Polynomial in q² that is atan(q)/q up to tan(π/8), at Chebyshev's points of it; 11 terms: to 1e-15."""
+    """Polynomial in q² that interpolates atan(q)/q at Chebyshev points up to tan(π/8); 11 terms are exact to 1e-15."""
     most = _EIGHTH**2
     points = most * (np.cos(math.pi * (np.arange(terms) + 0.5) / terms) + 1.0) / 2.0
     values = np.arctan(np.sqrt(points)) / np.sqrt(points)
@@ -44,9 +46,9 @@ def _arctangent(terms: int) -> tuple[float, ...]:
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10 = _arctangent(11)
 
 
-@part
+@inlined
 def _angle(y: Any, x: Any) -> Any:
-    """atan2(y, x) without a branch."""
+    """atan2(y, x) without branches."""
     width, height = abs(x), abs(y)
     low, high = min(width, height), max(width, height)
     past = low > _EIGHTH * high
@@ -61,25 +63,26 @@ def _angle(y: Any, x: Any) -> Any:
     return -angle if y < 0.0 else angle
 
 
-@part
+@inlined
 def next_batch(lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, radiance: Any, batch: Any, local: Any) -> Any:
-    """Fill `batch` with vertices that are asked for, from `lane` on, with `cull` those that turn a face to the eye; how
-    many, and the lane after. local [3,n]: x and y of any length, and cosθ, of the direction to the eye. What was shown
-    last and is no longer becomes 0.
+    """Fill `batch` with requested vertices from `lane` on; returns their number and the next lane.
+
+    With `cull` vertices whose faces all turn away are left out. Sets local [3,n]: x and y, not normalised, and cosθ of
+    the direction to the eye. Vertices that are no longer shown become 0.
     """
-    geometry, asked_lanes, shown_lanes, asked, shown = scene
+    geometry, requested_lanes, shown_lanes, requested, shown = scene
     count = 0
-    while lane < asked_lanes.shape[0] and count <= BATCH - LANE:
-        if asked_lanes[lane] != 0:
-            # All eight, where they will stand if all are drawn; then those that are move up.
+    while lane < requested_lanes.shape[0] and count <= BATCH - LANE:
+        if requested_lanes[lane] != 0:
+            # Compute all eight in place; if some are left out, the others move up.
             eight_towards(geometry, lane, eye[0], eye[1], eye[2], local, count)
-            if asked_lanes[lane] == ALL and not cull:
+            if requested_lanes[lane] == ALL and not cull:
                 shown_lanes[lane] = ALL
                 for i in range(LANE):
                     batch[count + i] = LANE * lane + i
                 count += LANE
             else:
-                count = _keep(lane, geometry[lane], asked, cull, batch, local, shown, radiance, count)
+                count = _compact_lane(lane, geometry[lane], requested, cull, batch, local, shown, radiance, count)
         elif shown_lanes[lane] != 0:
             for v in range(LANE * lane, LANE * lane + LANE):
                 _hide(v, shown, radiance)
@@ -89,15 +92,15 @@ def next_batch(lane: Any, threads: Any, scene: Any, eye: Any, cull: Any, radianc
     return count, lane
 
 
-@part
-def _keep(
-    lane: Any, geometry: Any, asked: Any, cull: Any, batch: Any, local: Any, shown: Any, radiance: Any, count: Any
+@inlined
+def _compact_lane(
+    lane: Any, geometry: Any, requested: Any, cull: Any, batch: Any, local: Any, shown: Any, radiance: Any, count: Any
 ) -> Any:
-    """Move what is drawn of a lane up to `count`; how many the batch holds then."""
+    """Move the drawn vertices of a lane up to `count`; returns the new size of the batch."""
     first = count
     for i in range(LANE):
         v, cosine = LANE * lane + i, local[2, first + i]
-        if asked[v] and not (cull and cosine < geometry[9, i]):
+        if requested[v] and not (cull and cosine < geometry[9, i]):
             batch[count], shown[v] = v, True
             local[0, count], local[1, count], local[2, count] = local[0, first + i], local[1, first + i], cosine
             count += 1
@@ -106,22 +109,22 @@ def _keep(
     return count
 
 
-@part
+@inlined
 def _hide(v: Any, shown: Any, radiance: Any) -> None:
     if shown[v]:
         shown[v] = False
         radiance[v, 0], radiance[v, 1], radiance[v, 2] = np.float32(0.0), np.float32(0.0), np.float32(0.0)
 
 
-@part
-def between(local: Any, count: Any, rings: Any, sectors: Any, bins: Any, weights: Any) -> None:
-    """`sphere.bin_coordinates`: bins [4,n] and weights [5,n], the last that of the mean of ring 0."""
+@inlined
+def bin_coordinates(local: Any, count: Any, rings: Any, sectors: Any, bins: Any, weights: Any) -> None:
+    """As `sphere.bin_coordinates`: sets bins [4,n] and weights [5,n]; the last weight is that of ring 0's mean."""
     turns, last = sectors / (2.0 * math.pi), sectors - 1.0
     x, y, cosine = local[0], local[1], local[2]
     low_low, low_high, high_low, high_high = bins[0], bins[1], bins[2], bins[3]
-    # Not unpacked at once: the check of the length would keep the loop from being vectorised.
-    of_low_low, of_low_high, of_high_low, of_high_high = weights[0], weights[1], weights[2], weights[3]
-    of_pole = weights[4]
+    # Not unpacked in one statement: the check of the length would prevent vectorisation.
+    w_low_low, w_low_high, w_high_low, w_high_high = weights[0], weights[1], weights[2], weights[3]
+    w_pole = weights[4]
     for n in range(count):
         depth = (1.0 - min(max(cosine[n], -1.0), 1.0)) * rings - 0.5
         ring = min(max(depth, 0.0), rings - 1.0)
@@ -139,8 +142,8 @@ def between(local: Any, count: Any, rings: Any, sectors: Any, bins: Any, weights
         low_high[n] = np.int32(ring_low * sectors + sector_high)
         high_low[n] = np.int32(ring_high * sectors + sector_low)
         high_high[n] = np.int32(ring_high * sectors + sector_high)
-        of_low_low[n] = off_pole * (1.0 - high) * (1.0 - share)
-        of_low_high[n] = off_pole * (1.0 - high) * share
-        of_high_low[n] = off_pole * high * (1.0 - share)
-        of_high_high[n] = off_pole * high * share
-        of_pole[n] = pole
+        w_low_low[n] = off_pole * (1.0 - high) * (1.0 - share)
+        w_low_high[n] = off_pole * (1.0 - high) * share
+        w_high_low[n] = off_pole * high * (1.0 - share)
+        w_high_high[n] = off_pole * high * share
+        w_pole[n] = pole

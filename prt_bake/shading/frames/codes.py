@@ -1,4 +1,4 @@
-"""Compact coefficients as frames read them, and their radiance under a light at all view bins."""
+"""Compact coefficients in the layout of the kernels, and their radiance at all view bins under a light."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,19 +10,19 @@ from formats.asset.compact_record import CompactCoefficients, FactorisedViews
 from prt_bake.jit.vectors import WIDEST
 
 _DENSE_FROM = 0.04
-"""Share of codes that are not zero from which a function of the view is laid out with its zeros."""
+"""Share of nonzero codes from which a view function is stored densely."""
 _DENSE_BYTES = 1 << 30
 _ROWS_TOGETHER = 4
 _FOLDED_AT_ONCE = 64
 
 
 class Codes(NamedTuple):
-    """Codes in the order of a frame.
+    """Codes in the layout of the kernels.
 
-    table: float32 [B,R], functions of the view at the bins, those that most codes use first. poles: float32 [R], their
-    means over ring 0. dense: int8 [V,D·size], codes of the first D of them, a function after the other, `size` to each:
-    the J functions of harmonics and channels, and zeros. Those of vertex v that are too large for it, or of other
-    functions, are runs[v] to runs[v+1] of which [M], channel [M] and values [M]; runs [V+1].
+    table: float32 [B,R], view functions at the bins, most used first. poles: float32 [R], their means over ring 0.
+    dense: int8 [V,D·size], codes of the first D view functions, `size` each: the J channel functions, padded with 0.
+    Codes of vertex v that do not fit, or of other view functions, are the elements runs[v] to runs[v+1] of which,
+    channel and values [M]; runs [V+1].
     """
 
     table: NDArray[np.float32]
@@ -35,8 +35,8 @@ class Codes(NamedTuple):
     values: NDArray[np.signedinteger]
 
 
-def arranged(compact: CompactCoefficients, sectors: int) -> Codes:
-    """Lay the codes out for frames."""
+def arrange(compact: CompactCoefficients, sectors: int) -> Codes:
+    """Bring codes into the layout of the kernels."""
     vertices, functions, width = len(compact), len(compact.view_matrix), len(compact.channels)
     size = WIDEST * -(-width // WIDEST)
     views, channels = (part[compact.components] for part in (compact.view_component, compact.channel_component))
@@ -53,7 +53,7 @@ def arranged(compact: CompactCoefficients, sectors: int) -> Codes:
     dense = np.zeros((vertices, rows, size), np.int8)
     dense[vertex[fits], which[fits], channels[fits]] = compact.values[fits]
     runs = np.concatenate([[0], np.cumsum(np.bincount(vertex[~fits], minlength=vertices))])
-    # Functions that no code uses fill the last four.
+    # Unused functions pad the last group.
     table = np.zeros((compact.view_matrix.shape[1], max(rows, functions)), np.float32)
     table[:, :functions] = compact.view_matrix[order].T
     poles = table[:sectors].mean(axis=0, dtype=np.float64).astype(np.float32)
@@ -61,11 +61,12 @@ def arranged(compact: CompactCoefficients, sectors: int) -> Codes:
     return Codes(table, poles, dense.reshape(vertices, -1), size, runs, *others)
 
 
-def under_light(
-    compact: CompactCoefficients, lit: NDArray[np.float64]
+def radiance_at_bins(
+    compact: CompactCoefficients, basis_light: NDArray[np.float64]
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64]]]:
-    """Vertices [n], and their radiance [n,B,3] at all view bins, a few at a time; lit [J,3]: each function of harmonics
-    and channels under the light, and times the step.
+    """Yield vertices [n] and their radiance [n,B,3] at all view bins, a few at a time.
+
+    basis_light [J,3]: the channel functions under the light, times the quantisation step.
     """
     functions = len(compact.view_matrix)
     for first in range(0, len(compact), _FOLDED_AT_ONCE):
@@ -74,13 +75,13 @@ def under_light(
         components, values = compact.components[begin:end], compact.values[begin:end]
         row = np.repeat(np.arange(len(vertices)), np.diff(compact.starts[first : first + len(vertices) + 1]))
         place = row * functions + compact.view_component[components]
-        shares = values[:, None] * lit[compact.channel_component[components]]
+        shares = values[:, None] * basis_light[compact.channel_component[components]]
         folded = np.array([np.bincount(place, share, len(vertices) * functions) for share in shares.T], np.float64)
         yield vertices, _at_bins(compact, folded.reshape(3, len(vertices), functions)).transpose(1, 2, 0)
 
 
 def _at_bins(compact: CompactCoefficients, folded: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From functions of the view [3,n,R] to the bins [3,n,B]."""
+    """From view functions [3,n,R] to the bins [3,n,B]."""
     views = compact.views
     if not isinstance(views, FactorisedViews):
         return np.asarray(folded @ compact.view_matrix)

@@ -1,4 +1,4 @@
-"""Drawing an asset many times: radiance at its vertices, a frame at a time, at the speed of memory; without torch."""
+"""Real-time drawing of an asset: radiance at its vertices for each frame, at memory bandwidth. Never loads torch."""
 
 import math
 from collections.abc import Iterator
@@ -17,30 +17,37 @@ from prt_bake.jit.vectors import laid_out
 from prt_bake.lights.environment import rotate_light
 from prt_bake.shading.frames import codes, holding, kernels
 from prt_bake.shading.frames.batches import BATCH, GEOMETRY, LANE
-from prt_bake.shading.vertices import light_of
+from prt_bake.shading.vertices import light_coefficients
 
 _FARTHEST = 1e100
 _VERTICES_A_THREAD = 1 << 12
 _CODED_A_THREAD = 1 << 9
-"""So many are worth waking a thread for: on a busy machine waiting for one more costs milliseconds. Codes of a compact
-asset, where neither light is folded in nor a view held, are ten times as much work.
+"""Vertices that justify another thread; waiting for a thread on a busy machine costs milliseconds. Codes of a compact
+asset, without a folded light or a held view, are ten times as much work.
 """
 _NUMBERS_AT_ONCE = 1 << 24
 _NEVER, _ALWAYS = -2.0, 2.0
 
 
 class Frames:
-    """An asset ready to be drawn many times: compiled, parallel, no allocation a frame.
+    """Draws an asset many times: compiled, parallel, without allocations for a frame.
 
-    Coefficients stay in memory as they lie, float32, the bits of float16, or compact; beside them stand the mean of
-    ring 0 at each vertex and 40 bytes of geometry: position about the centre of the bounding box, normal and tangent
-    as float32, as files keep them. Directions are worked out in float64, sums in float32.
+    Coefficients keep their storage: float32, float16 or compact. Each vertex also needs the mean of ring 0 and 40 bytes
+    of geometry: position relative to the centre of the bounding box, normal and tangent as float32. Directions are
+    computed in float64, sums in float32.
 
-    clamped: of the last frame, Σ of what was cut off / Σ of what is left, over vertices and channels.
+    clamped: of the last frame, Σ of the negative radiance that was clamped to 0 / Σ of the radiance, over vertices and
+    channels.
+
+    >>> import prt_bake as prt
+    >>> asset = prt.read_asset("spot.h5")  # doctest: +SKIP
+    >>> frames = prt.Frames(asset)  # doctest: +SKIP
+    >>> frames.light(prt.project_environment(prt.read_environment("sky.hdr"), asset.degree))  # doctest: +SKIP
+    >>> radiance = frames.draw([0.0, 1.0, 4.0], cull=True)  # doctest: +SKIP
     """
 
     def __init__(self, asset: Asset) -> None:
-        """Read an asset's coefficients into memory where they are not. Raises QueryError where no vertex is valid."""
+        """Read an asset's coefficients into memory. Raises QueryError if no vertex is valid."""
         refuse_path("asset", asset, "prt.read_asset")
         if not asset.valid.any():
             raise QueryError(
@@ -52,113 +59,114 @@ class Frames:
         self._grid = (asset.rings, asset.sectors) if bins > 1 else (1, 1)
         self._centre, geometry = _geometry(asset.mesh, asset.tangents)
         self._valid = asset.valid & np.isfinite(geometry).all(axis=1)
-        self._scene = (_side_by_side(geometry), *self._marks())
+        self._scene = (_in_lanes(geometry), *self._marks())
         self._radiance = np.zeros((len(self._valid), 3), np.float32)
         self._eye = np.zeros(3)
-        self._prepare_desks()
+        self._prepare_scratch()
         self._is_compact = isinstance(asset.coefficients, CompactCoefficients)
         if isinstance(asset.coefficients, CompactCoefficients):
-            self._codes = codes.arranged(asset.coefficients, self._grid[1])
+            self._codes = codes.arrange(asset.coefficients, self._grid[1])
             self._views = np.zeros((get_num_threads(), self._codes.table.shape[1]), np.float32)
         else:
-            self._stored = _rows(asset.coefficients, self._grid[1])
+            self._stored = _flat_rows(asset.coefficients, self._grid[1])
         self._light: NDArray[np.float64] | None = None
-        self._turns: NDArray[np.float64] | None = None
-        self._waves: NDArray[np.float64] | None = None
+        self._rotations: NDArray[np.float64] | None = None
+        self._light_waves: NDArray[np.float64] | None = None
         self._pairs: NDArray[np.float32] | None = None
         self._folded: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
         self._held: NDArray[np.float32] | None = None
-        self._held_for = self._eye.copy(), self._scene[1].copy(), False
+        self._held_view = self._eye.copy(), self._scene[1].copy(), False
         self._differs = np.zeros(len(self._scene[1]), np.bool_)
         self._held_shown = self._scene[-1].copy()
         if asset.quantity == "radiance":
             self.light(None)
 
     def light(self, coefficients: ArrayLike | None) -> None:
-        """The light of the next frames: [K,3] of the asset's degree, None for an asset made for one light (quantity
-        "radiance"). Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot hold.
+        """Set the light of the next frames: [K,3] of the asset's degree, None for an asset made for one light.
+
+        Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot represent.
         """
-        light = light_of(self._asset, coefficients)
+        light = light_coefficients(self._asset, coefficients)
         if np.abs(light).max() > np.finfo(np.float32).max:
-            raise QueryError(f"light: a coefficient of {np.abs(light).max():.3g} where float32 is expected to hold it")
-        self._light, self._waves = light, None
-        self._shine(light)
+            raise QueryError(f"light: expected coefficients within float32, found {np.abs(light).max():.3g}")
+        self._light, self._light_waves = light, None
+        self._load_light(light)
 
     def turn(self, degrees: float) -> None:
-        """Turn the light that was set last by `degrees` in all about the asset's up axis, counter-clockwise seen from
-        above, as `environment.rotate_light` does. Undoes `fold`.
+        """Rotate the light that was set last by `degrees` about the asset's up axis, as `environment.rotate_light`.
 
-        Coefficients of a light that turns are trigonometric polynomials in the angle of the harmonics' degree: 2·degree
-        + 1 of its turns give all others. Raises QueryError for an asset made for one light, for an angle that is not
-        finite, and before a light was set.
+        Angles do not add up between calls. Undoes `fold`. The coefficients of a rotated light are trigonometric
+        polynomials in the angle, of the harmonics' degree, so that 2·degree + 1 rotations give all others. Raises
+        QueryError for an asset made for one light, for an angle that is not finite, and if no light was set.
         """
         if self._asset.quantity == "radiance":
-            raise QueryError("light: the asset was made for one light and cannot be turned under it")
+            raise QueryError("light: the asset was made for one light, which cannot be turned")
         if not math.isfinite(degrees):
-            raise QueryError(f"degrees: {degrees} where a finite number is expected")
-        if self._waves is None:
-            if self._turns is None:
-                self._turns = _turns(self._asset.degree, self._asset.up)
-            self._waves = self._turns @ self._lit()
-        self._shine(np.tensordot(_wave(degrees, self._asset.degree), self._waves, 1))
+            raise QueryError(f"degrees: expected a finite number, found {degrees}")
+        if self._light_waves is None:
+            if self._rotations is None:
+                self._rotations = _rotations(self._asset.degree, self._asset.up)
+            self._light_waves = self._rotations @ self._required_light()
+        self._load_light(np.tensordot(_fourier_terms(degrees, self._asset.degree), self._light_waves, 1))
 
     def fold(self) -> None:
-        """Multiply the light into all coefficients, once: while it stays, a frame reads one colour a bin instead of K,
-        and what lies between four bins from one place in memory. Takes 24 bytes for each vertex and bin.
+        """Multiply the light into all coefficients once, for faster frames under the same light.
 
-        Raises QueryError before a light was set.
+        A frame then reads one colour per bin instead of K, and the four bins around a view are adjacent in memory.
+        Takes 24 bytes for each vertex and bin. Raises QueryError if no light was set.
         """
-        self._lit()
+        self._required_light()
         if self._folded is not None:
             return
         vertices, bins = len(self._valid), math.prod(self._grid)
         if self._pairs is None:
-            # Colours are read four numbers at a time.
+            # Colours are read as four numbers.
             self._pairs = np.zeros(vertices * bins * 6 + 1, np.float32)
         compact = self._asset.coefficients
         if isinstance(compact, CompactCoefficients):
-            for some, radiance in codes.under_light(compact, self._plain.astype(np.float64)):
+            for some, radiance in codes.radiance_at_bins(compact, self._flat_light.astype(np.float64)):
                 kernels.pair_up(radiance, self._grid, some, self._pairs)
         else:
             size = self._terms * self._channels
-            kernels.fold_rows(self._stored[0], size, self._laid, self._grid, self._valid, self._pairs)
+            kernels.fold_rows(self._stored[0], size, self._kernel_light, self._grid, self._valid, self._pairs)
         ring_0 = self._pairs[:-1].reshape(vertices, bins, 6)[:, : self._grid[1], :3]
         self._folded = self._pairs, ring_0.mean(axis=1, dtype=np.float64).astype(np.float32)
 
     def hold(self, eye: ArrayLike, visible: NDArray[np.bool_] | None = None, *, cull: bool = False) -> None:
-        """Interpolate what is stored between the view bins, once: while the eye stays, a frame under any light reads
-        one row of K colours a vertex, in order, compact assets as others. Takes 12 K bytes for each vertex.
+        """Interpolate coefficients between the view bins once, for faster frames from the same eye under any light.
 
-        `draw` makes use of it where it is asked for the same eye, vertices and culling. Raises as `draw` does.
+        A frame then reads one row of K colours per vertex, in order, also for compact assets. Takes 12 K bytes for each
+        vertex. `draw` uses it for the same eye, vertices and culling. Raises as `draw`.
         """
-        self._look(eye, visible)
+        self._set_view(eye, visible)
         size = self._codes.size if self._is_compact else self._terms * self._channels
         if self._held is None:
             self._held = np.zeros(len(self._valid) * size, np.float32)
-        with _running_on(self._threads(self._is_compact)) as threads:
-            view = self._scene, self._eye, bool(cull), self._grid, self._desks
+        with _using_threads(self._threads(self._is_compact)) as threads:
+            view = self._scene, self._eye, bool(cull), self._grid, self._scratch
             if self._is_compact:
                 holding.hold_compact(tuple(self._codes), *view, self._views, self._radiance, self._held, threads)
             else:
                 holding.hold_rows(self._stored, size, *view, self._radiance, self._held, threads)
-        self._held_for = self._eye.copy(), self._scene[1].copy(), bool(cull)
+        self._held_view = self._eye.copy(), self._scene[1].copy(), bool(cull)
         self._held_shown = self._scene[-1].copy()
 
     def draw(
         self, eye: ArrayLike, visible: NDArray[np.bool_] | None = None, *, cull: bool = False
     ) -> NDArray[np.float32]:
-        """Radiance [V,3] towards the eye, a point [3] in object space, as `shading.shade` has it: negative values are
-        cut to 0, vertices that are not valid or not asked for hold 0. The array is the same at every call.
+        """Radiance [V,3] towards the eye, a point [3] in object space, as `prt_bake.shade`, clamped to at least 0.
 
-        visible: the vertices to draw. With `cull` those of them are left out, and not read, all of whose faces turn
-        away from the eye: of a closed object they are never seen. Raises QueryError for a mask of another shape or
-        type, for an eye that is no finite point, and before a light was set. Whether the eye is inside the object is
-        not looked at: there directions below the horizon are taken as grazing, and on a vertex its normal.
+        visible [V]: the vertices to draw; the others and invalid ones are 0. `cull` leaves out vertices whose faces all
+        turn away from the eye; they are never visible on a closed object. Every call returns the same array.
+
+        Raises QueryError for a mask of another shape or type, for an eye that is not a finite point, and if no light
+        was set. An eye inside the object is not detected: directions below the horizon are clamped to it, and an eye on
+        a vertex uses its normal.
         """
-        self._lit()
-        self._look(eye, visible)
+        self._required_light()
+        self._set_view(eye, visible)
         held = self._held if self._holds(bool(cull)) else None
-        with _running_on(self._threads(self._is_compact and held is None and self._folded is None)) as threads:
+        with _using_threads(self._threads(self._is_compact and held is None and self._folded is None)) as threads:
             sums = self._sums[threads - 1]
             sums[:] = 0.0
             self._draw(sums, bool(cull), held)
@@ -166,81 +174,81 @@ class Frames:
         self.clamped = cut / kept if kept > 0.0 else float(cut > 0.0)
         return self._radiance
 
-    def _look(self, eye: ArrayLike, visible: NDArray[np.bool_] | None) -> None:
-        place = np.asarray(eye, np.float64)
-        if place.shape != (3,) or not (np.abs(place) < _FARTHEST).all():
-            raise QueryError(f"eye: {np.asarray(eye).tolist()} where a point of three finite numbers is expected")
-        np.subtract(place, self._centre, out=self._eye)
-        self._ask(visible)
+    def _set_view(self, eye: ArrayLike, visible: NDArray[np.bool_] | None) -> None:
+        point = np.asarray(eye, np.float64)
+        if point.shape != (3,) or not (np.abs(point) < _FARTHEST).all():
+            raise QueryError(f"eye: expected a point of three finite numbers, found {np.asarray(eye).tolist()}")
+        np.subtract(point, self._centre, out=self._eye)
+        self._request(visible)
 
     def _threads(self, coded: bool) -> int:
-        """How many threads are worth waking, where codes are read and where not."""
-        worth = int(np.count_nonzero(self._asked)) // (_CODED_A_THREAD if coded else _VERTICES_A_THREAD)
+        """The number of threads that have enough work."""
+        worth = int(np.count_nonzero(self._requested)) // (_CODED_A_THREAD if coded else _VERTICES_A_THREAD)
         return min(int(get_num_threads()), len(self._sums), 1 + worth)
 
     def _draw(self, sums: NDArray[np.float64], cull: bool, held: NDArray[np.float32] | None) -> None:
-        view = self._scene, self._eye, cull, self._grid, self._desks
+        view = self._scene, self._eye, cull, self._grid, self._scratch
         if held is not None:
             width = len(held) // len(self._valid)
             np.copyto(self._scene[-1], self._held_shown)
-            holding.draw_held(held, width, self._laid, self._held_shown, self._radiance, sums)
+            holding.draw_held(held, width, self._kernel_light, self._held_shown, self._radiance, sums)
         elif self._folded is not None:
             kernels.draw_folded(self._folded, *view, self._radiance, sums)
         elif self._is_compact:
-            lights = self._laid, self._plain
+            lights = self._kernel_light, self._flat_light
             kernels.draw_compact(tuple(self._codes), lights, *view, self._views, self._radiance, sums)
         else:
             size = self._terms * self._channels
-            kernels.draw_rows(self._stored, size, self._laid, *view, self._radiance, sums)
+            kernels.draw_rows(self._stored, size, self._kernel_light, *view, self._radiance, sums)
 
     def _holds(self, cull: bool) -> bool:
         if self._held is None:
             return False
-        eye, asked, culled = self._held_for
-        np.not_equal(asked, self._scene[1], out=self._differs)
+        eye, requested, culled = self._held_view
+        np.not_equal(requested, self._scene[1], out=self._differs)
         return cull == culled and np.array_equal(eye, self._eye) and not self._differs.any()
 
-    def _lit(self) -> NDArray[np.float64]:
+    def _required_light(self) -> NDArray[np.float64]:
         if self._light is None:
-            raise QueryError("light: none was set; set one before drawing, folding or turning it")
+            raise QueryError("light: none was set; call `light` before `draw`, `fold` or `turn`")
         return self._light
 
-    def _shine(self, light: NDArray[np.float64]) -> None:
-        """Lay a light out as the kernels read it."""
+    def _load_light(self, light: NDArray[np.float64]) -> None:
+        """Bring a light into the layout of the kernels."""
         self._folded = None
         each = light if len(light) == self._terms else light.sum(axis=0, keepdims=True)
         compact = self._asset.coefficients
         if isinstance(compact, CompactCoefficients):
             channels = np.broadcast_to(compact.channels.astype(np.float64), (*compact.channels.shape[:2], 3))
-            lit = np.zeros((self._codes.size, 3))
-            lit[: len(channels)] = compact.step * np.einsum("jkc,kc->jc", channels, each)
-            self._plain = lit.astype(np.float32)
+            basis_light = np.zeros((self._codes.size, 3))
+            basis_light[: len(channels)] = compact.step * np.einsum("jkc,kc->jc", channels, each)
+            self._flat_light = basis_light.astype(np.float32)
         else:
             by_channel = np.ones((1, 3)) if self._channels == 1 else np.eye(3)
-            self._plain = (each[:, None] * by_channel).reshape(-1, 3).astype(np.float32)
-        self._laid = laid_out(self._plain)
+            self._flat_light = (each[:, None] * by_channel).reshape(-1, 3).astype(np.float32)
+        self._kernel_light = laid_out(self._flat_light)
 
     def _marks(self) -> tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which vertices are asked for, which are shown: as lanes, and one by one."""
-        asked, shown = (np.zeros(LANE * -(-len(self._valid) // LANE), np.bool_) for _ in range(2))
-        self._asked = asked[: len(self._valid)]
-        return asked.view(np.uint64), shown.view(np.uint64), asked, shown
+        """Flags of requested and shown vertices: as lanes, and one by one."""
+        requested, shown = (np.zeros(LANE * -(-len(self._valid) // LANE), np.bool_) for _ in range(2))
+        self._requested = requested[: len(self._valid)]
+        return requested.view(np.uint64), shown.view(np.uint64), requested, shown
 
-    def _ask(self, visible: NDArray[np.bool_] | None) -> None:
+    def _request(self, visible: NDArray[np.bool_] | None) -> None:
         if visible is None:
-            np.copyto(self._asked, self._valid)
+            np.copyto(self._requested, self._valid)
             return
         if getattr(visible, "dtype", None) != np.bool_ or visible.shape != self._valid.shape:
             found = f"{list(np.shape(visible))} of {getattr(visible, 'dtype', type(visible).__name__)}"
-            raise QueryError(f"visible: {found} where [{len(self._valid)}] of bool is expected")
-        np.logical_and(visible, self._valid, out=self._asked)
+            raise QueryError(f"visible: expected [{len(self._valid)}] of bool, found {found}")
+        np.logical_and(visible, self._valid, out=self._requested)
 
-    def _prepare_desks(self) -> None:
-        """What each thread works with; `_sums[n - 1]` is for n threads."""
+    def _prepare_scratch(self) -> None:
+        """Working memory of each thread; `_sums[n - 1]` is for n threads."""
         threads = int(get_num_threads())
         weights = np.zeros((threads, 5, BATCH), np.float32)
         weights[:, 0] = 1.0
-        self._desks = (
+        self._scratch = (
             np.zeros((threads, BATCH), np.int64),
             np.zeros((threads, 3, BATCH)),
             np.zeros((threads, 4, BATCH), np.int32),
@@ -251,8 +259,8 @@ class Frames:
 
 
 @contextmanager
-def _running_on(count: int) -> Iterator[int]:
-    """Kernels run on so many threads."""
+def _using_threads(count: int) -> Iterator[int]:
+    """Set the number of numba threads."""
     most = int(get_num_threads())
     set_num_threads(count)
     try:
@@ -261,8 +269,8 @@ def _running_on(count: int) -> Iterator[int]:
         set_num_threads(most)
 
 
-def _rows(coefficients: Any, sectors: int) -> tuple[NDArray[Any], NDArray[np.float32]]:
-    """Coefficients [V,B,K,C] as they lie, flat, and their means over ring 0, flat."""
+def _flat_rows(coefficients: Any, sectors: int) -> tuple[NDArray[Any], NDArray[np.float32]]:
+    """Coefficients [V,B,K,C] in their storage, flat, and their means over ring 0, flat."""
     inside = np.ascontiguousarray(coefficients)
     means = np.empty((len(inside), *inside.shape[2:]), np.float32)
     step = max(1, _NUMBERS_AT_ONCE // max(1, sectors * math.prod(inside.shape[2:])))
@@ -273,18 +281,18 @@ def _rows(coefficients: Any, sectors: int) -> tuple[NDArray[Any], NDArray[np.flo
 
 
 def _geometry(mesh: Mesh, tangents: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """The centre of the bounding box [3]; position about it, normal, tangent, and the cosine of the direction to the
-    eye below which all faces about a vertex turn away [V,10].
+    """The centre of the bounding box [3], and the geometry of vertices [V,10].
 
-    All about a vertex turn away from directions at least 90° + α from its normal, α the largest angle between it and
-    the normal of a face.
+    A row holds the position relative to the centre, normal, tangent, and the cosine of the direction to the eye below
+    which all faces of the vertex turn away. These are the directions at least 90° + α from its normal, where α is the
+    largest angle between the vertex normal and the normal of one of its faces.
     """
     low, high = mesh.bounds
     centre = (low + high) / 2.0
     nearest = np.full(len(mesh.positions), np.inf)
     for corner in mesh.faces.T:
         np.minimum.at(nearest, corner, (mesh.face_normals * mesh.normals[corner]).sum(axis=1))
-    # A little less, for the rounding of normals.
+    # A margin for the rounding of normals.
     limit = -np.sqrt(1.0 - np.clip(nearest, 0.0, 1.0) ** 2) - 1e-5
     limit = np.where(nearest > 0.0, limit, _NEVER)
     limit[np.isinf(nearest)] = _ALWAYS
@@ -294,23 +302,23 @@ def _geometry(mesh: Mesh, tangents: NDArray[np.floating]) -> tuple[NDArray[np.fl
     return centre, geometry
 
 
-def _side_by_side(geometry: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Eight vertices to a lane [lanes,10,8]; zeros for what is not finite, and behind the last vertex."""
+def _in_lanes(geometry: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Lanes of eight vertices [lanes,10,8]; 0 for numbers that are not finite, and after the last vertex."""
     lanes = -(-len(geometry) // LANE)
-    each = np.zeros((lanes * LANE, GEOMETRY), np.float32)
-    np.copyto(each[: len(geometry)], geometry, where=np.isfinite(geometry))
-    return np.ascontiguousarray(each.reshape(lanes, LANE, GEOMETRY).transpose(0, 2, 1))
+    padded = np.zeros((lanes * LANE, GEOMETRY), np.float32)
+    np.copyto(padded[: len(geometry)], geometry, where=np.isfinite(geometry))
+    return np.ascontiguousarray(padded.reshape(lanes, LANE, GEOMETRY).transpose(0, 2, 1))
 
 
-def _wave(degrees: float, degree: int) -> NDArray[np.float64]:
+def _fourier_terms(degrees: float, degree: int) -> NDArray[np.float64]:
     """1, cos mα and sin mα [2·degree + 1]."""
     angles = np.arange(1, degree + 1) * math.radians(degrees % 360.0)
     return np.concatenate([[1.0], np.cos(angles), np.sin(angles)])
 
 
-def _turns(degree: int, up: str) -> NDArray[np.float64]:
-    """What each number of `_wave` does to a light's coefficients [2·degree + 1, K, K]."""
+def _rotations(degree: int, up: str) -> NDArray[np.float64]:
+    """The matrices [2·degree + 1, K, K] whose sum, weighted by `_fourier_terms`, rotates a light's coefficients."""
     angles = 360.0 * np.arange(2 * degree + 1) / (2 * degree + 1)
     turned = np.stack([rotate_light(np.eye((degree + 1) ** 2), angle, up) for angle in angles])
-    waves = np.stack([_wave(angle, degree) for angle in angles])
+    waves = np.stack([_fourier_terms(angle, degree) for angle in angles])
     return np.asarray(np.tensordot(np.linalg.inv(waves), turned, 1))

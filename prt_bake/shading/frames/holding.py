@@ -1,5 +1,6 @@
-"""Frames from an eye that stays, compiled: what is stored is interpolated between the view bins once, and read in order
-under one light after the other. Arguments are those of `frame_kernels`.
+"""Kernels of frames from a fixed eye: coefficients are interpolated between the view bins once, for any light.
+
+Arguments are those of `kernels`.
 """
 
 from typing import Any
@@ -16,26 +17,26 @@ from prt_bake.jit.vectors import (
     sum_rows_by_4,
     sum_rows_by_16,
 )
-from prt_bake.shading.frames.batches import FAST, SPAN, part
-from prt_bake.shading.frames.kernels import interpolate, look, show
+from prt_bake.shading.frames.batches import FAST, SPAN, inlined
+from prt_bake.shading.frames.kernels import interpolate, next_views, store_clamped
 
 _AT_ONCE = 1024
-"""Vertices that a thread takes before the next one's turn."""
+"""Consecutive vertices of a thread, before those of the next thread."""
 
 
-@part
-def _sum(rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, weights: Any, held: Any, place: Any) -> None:
-    of_a, of_b, of_c, of_d = weights
+@inlined
+def _blend_rows(rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, weights: Any, held: Any, place: Any) -> None:
+    w_a, w_b, w_c, w_d = weights
     if size >= 16:
-        sum_rows_by_16(rows, size, a * size, b * size, c * size, d * size, of_a, of_b, of_c, of_d, held, place)
+        sum_rows_by_16(rows, size, a * size, b * size, c * size, d * size, w_a, w_b, w_c, w_d, held, place)
     elif size >= 4:
-        sum_rows_by_4(rows, size, a * size, b * size, c * size, d * size, of_a, of_b, of_c, of_d, held, place)
+        sum_rows_by_4(rows, size, a * size, b * size, c * size, d * size, w_a, w_b, w_c, w_d, held, place)
     else:
-        sum_rows_by_1(rows, size, a * size, b * size, c * size, d * size, of_a, of_b, of_c, of_d, held, place)
+        sum_rows_by_1(rows, size, a * size, b * size, c * size, d * size, w_a, w_b, w_c, w_d, held, place)
 
 
-@part
-def _lit(held: Any, size: Any, v: Any, light: Any) -> Any:
+@inlined
+def _dot(held: Any, size: Any, v: Any, light: Any) -> Any:
     if size >= 16:
         return lit_row_by_16(held, size, v * size, light)
     if size >= 4:
@@ -51,25 +52,25 @@ def hold_rows(
     eye: Any,
     cull: Any,
     grid: Any,
-    desks: Any,
+    scratch: Any,
     radiance: Any,
     held: Any,
     threads: Any,
 ) -> None:
-    """Set held, flat, `size` numbers a vertex: what is stored where the eye looks, of the vertices shown."""
+    """Set held, flat, `size` numbers per vertex: interpolated coefficients of the shown vertices."""
     rows, poles = stored
     per_vertex, lanes = grid[0] * grid[1], scene[1].shape[0]
     for t in prange(threads):
         lane = SPAN * t
         while lane < lanes:
-            count, lane = look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
-            batch, bins, weights = desks[0][t], desks[2][t], desks[3][t]
+            count, lane = next_views(t, lane, threads, scene, eye, cull, grid, scratch, radiance)
+            batch, bins, weights = scratch[0][t], scratch[2][t], scratch[3][t]
             for n in range(count):
                 v = batch[n]
                 first, place = v * per_vertex, v * size
                 shares = (weights[0, n], weights[1, n], weights[2, n], weights[3, n])
                 a, b, c, d = first + bins[0, n], first + bins[1, n], first + bins[2, n], first + bins[3, n]
-                _sum(rows, size, a, b, c, d, shares, held, place)
+                _blend_rows(rows, size, a, b, c, d, shares, held, place)
                 for k in range(size if weights[4, n] > 0.0 else 0):
                     held[place + k] += weights[4, n] * poles[place + k]
 
@@ -81,20 +82,20 @@ def hold_compact(
     eye: Any,
     cull: Any,
     grid: Any,
-    desks: Any,
+    scratch: Any,
     views: Any,
     radiance: Any,
     held: Any,
     threads: Any,
 ) -> None:
-    """The same of compact coefficients: functions of harmonics and channels where the eye looks."""
+    """The same for compact coefficients: interpolated values of the channel functions."""
     table, poles, dense, size, runs, which, channel, values = codes
     lanes = scene[1].shape[0]
     for t in prange(threads):
         lane = SPAN * t
         while lane < lanes:
-            count, lane = look(t, lane, threads, scene, eye, cull, grid, desks, radiance)
-            batch, bins, weights, view = desks[0][t], desks[2][t], desks[3][t], views[t]
+            count, lane = next_views(t, lane, threads, scene, eye, cull, grid, scratch, radiance)
+            batch, bins, weights, view = scratch[0][t], scratch[2][t], scratch[3][t], views[t]
             for n in range(count):
                 v = batch[n]
                 interpolate(table, bins, weights, poles, n, view)
@@ -110,18 +111,18 @@ def hold_compact(
 
 @compiled(parallel=True, **FAST)
 def draw_held(held: Any, size: Any, light: Any, shown: Any, radiance: Any, sums: Any) -> None:
-    """Radiance of the shown vertices, 0 elsewhere."""
-    threads, vertices, none = sums.shape[0], radiance.shape[0], np.float32(0.0)
+    """Set the radiance of the shown vertices, and 0 for the others."""
+    threads, vertices, zero = sums.shape[0], radiance.shape[0], np.float32(0.0)
     for t in prange(threads):
         kept, cut = 0.0, 0.0
         for begin in range(_AT_ONCE * t, vertices, _AT_ONCE * threads):
             for v in range(begin, min(begin + _AT_ONCE, vertices)):
                 if shown[v]:
-                    red, green, blue = _lit(held, size, v, light)
-                    more, whole = show(radiance, v, red, green, blue)
-                    kept += more
-                    cut += more - whole
+                    red, green, blue = _dot(held, size, v, light)
+                    stored_sum, raw_sum = store_clamped(radiance, v, red, green, blue)
+                    kept += stored_sum
+                    cut += stored_sum - raw_sum
                 else:
-                    radiance[v, 0], radiance[v, 1], radiance[v, 2] = none, none, none
+                    radiance[v, 0], radiance[v, 1], radiance[v, 2] = zero, zero, zero
         sums[t, 0] += cut
         sums[t, 1] += kept

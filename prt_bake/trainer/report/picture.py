@@ -28,7 +28,7 @@ from prt_bake.comparison.object_figures import (
 from prt_bake.geometry import camera
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.mathematics.noise_free import Interval
-from prt_bake.rendering.half_buffers import Halves, Traced
+from prt_bake.rendering.half_buffers import HalfBuffers, TracedPicture
 from prt_bake.rendering.network import render_network
 from prt_bake.rendering.scene import render_scene
 from prt_bake.rendering.state import relative_noise
@@ -65,7 +65,7 @@ def picture_error(network: Any, scene: Scene, sun: str, seconds: float, seed: in
     lighting = sun_and_sky(scene, sun)
     view = camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
     halves = _traced(scene, lighting, view, seconds, seed)
-    reference = halves.traced()
+    reference = halves.picture()
     ours = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
     mask = object_mask(reference.coverage)
     stops = exposure(reference.image, mask)
@@ -85,7 +85,7 @@ def picture_error(network: Any, scene: Scene, sun: str, seconds: float, seed: in
 
 
 def _flips(
-    image: NDArray[np.float32], reference: Traced, mask: NDArray[np.bool_], stops: float
+    image: NDArray[np.float32], reference: TracedPicture, mask: NDArray[np.bool_], stops: float
 ) -> tuple[NDArray[np.float32], dict[str, float]]:
     """The FLIP map, and its means over the mask."""
     found = measure(image, reference.image, mask, stops)
@@ -139,8 +139,8 @@ def _diameter(scene: Scene) -> float:
     return _DIAMETER if smooth_part(scene) is None else _WIDE
 
 
-def _traced(scene: Scene, lighting: Lighting, view: camera.Camera, seconds: float, seed: int) -> Halves:
-    halves = Halves.empty(SIZE)
+def _traced(scene: Scene, lighting: Lighting, view: camera.Camera, seconds: float, seed: int) -> HalfBuffers:
+    halves = HalfBuffers.empty(SIZE)
     for half in range(2):
         halves.add(
             render_scene(
@@ -157,7 +157,7 @@ def _traced(scene: Scene, lighting: Lighting, view: camera.Camera, seconds: floa
     return halves
 
 
-def _side_by_side(image: NDArray[np.float32], reference: Traced, flip_map: NDArray[np.float32], stops: float) -> str:
+def _side_by_side(image: NDArray[np.float32], reference: TracedPicture, flip_map: NDArray[np.float32], stops: float) -> str:
     """The network's picture, the path tracer's and the FLIP map (1 is white) as a PNG in base64."""
     pictures = [to_srgb(part.astype(np.float64) * 2.0**stops) for part in (image, reference.image)]
     pixels = np.concatenate([*pictures, np.repeat(flip_map[..., None], 3, axis=2)], axis=1)
