@@ -51,8 +51,8 @@ bench: .venv/installed-dev
 	$(BIN)/python -m tests.bench.walk_cost
 	$(BIN)/python -m tests.bench.extremes
 	$(BIN)/python -m tests.bench.bake_stability
-	$(BIN)/python -m tests.bench.bake_needs
-	$(BIN)/python -m tests.bench.bake_accidents
+	$(BIN)/python -m tests.bench.pruning
+	$(BIN)/python -m tests.bench.interruptions
 	$(BIN)/python -m tests.bench.reliable_share grape serpent head spot_1 --most 65536
 
 # Makes the files of prt_bake/shipped again from a lat-long sky: make shipped SKY=potsdamer_platz_1k.hdr

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.adaptive.covariance_sums import OWN, PREDICTED, CovarianceSums
-from bakers.adaptive.fit_residual import LatticeNoise
+from bakers.adaptive.lattice_noise import LatticeNoise
 from bakers.adaptive.lattice_pools import Pool, Pools
 from bakers.adaptive.records import RefinedBlock, RefinementSettings, ValidationSamples, validation_noise
 from bakers.adaptive.view_levels import Level

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.adaptive.block_state import LEAST_OWN_SHARE, BlockState, batches
-from bakers.adaptive.component_fit import PROBE_STAGES, LightComponents
 from bakers.adaptive.covariance_sums import SHARED
+from bakers.adaptive.principal_components import PROBE_STAGES, LightComponents
 from bakers.adaptive.records import RefinementSettings
 from bakers.adaptive.view_levels import Level
 from bakers.error_covariance import residual_sums, rotated

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.adaptive.evaluation_cache import NO_CACHE, EvaluationCache
-from bakers.adaptive.fit_residual import LatticeNoise
+from bakers.adaptive.lattice_noise import LatticeNoise
 from bakers.adaptive.lattice_pools import Pools
 from bakers.adaptive.nested_lattice import NestedLattice
 from bakers.adaptive.view_levels import Level

@@ -14,8 +14,8 @@ from formats.asset import Asset
 from formats.errors import QueryError
 from prt_bake.baking.job.forecast import BakeStatus, Forecast
 from prt_bake.baking.job.job import Job, resolve
-from prt_bake.baking.job.pilot import choose_samples
 from prt_bake.baking.job.running_error import ErrorMeter
+from prt_bake.baking.job.sample_pilot import choose_samples
 from prt_bake.baking.job.work import Work
 from prt_bake.baking.output.checkpoint import CheckpointStore
 from prt_bake.baking.output.checkpoint_store import BlockCheckpoints, Cut

@@ -16,16 +16,16 @@ from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, 
 from bakers.workers import Threads, Workers
 from formats.mesh import Mesh
 from prt_bake.baking.adaptive.checkpoints import as_arrays as pass_checkpoint
+from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.baking.adaptive.pass_settings import uncalibrated
-from prt_bake.baking.adaptive.pilot import AdaptiveJob, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.baking.adaptive.pilot_pass import run_pilot_pass
 from prt_bake.baking.adaptive.run import COARSE, coarse_first
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, pilot_vertices
 from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.job import Job, resolve
-from prt_bake.baking.job.pilot import choose_samples
 from prt_bake.baking.job.pruning_record import Light, Pruning
+from prt_bake.baking.job.sample_pilot import choose_samples
 from prt_bake.baking.output.checkpoint_store import as_arrays as block_checkpoint
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.output.writing_time import checkpoint_time, writing_time

@@ -50,7 +50,7 @@ def find_remarks(path: str | Path) -> list[str]:
     single scattering, and scenes that networks learn badly.
     """
     from prt_bake.geometry.nesting import protruding_parts
-    from prt_bake.trainer.scene_remarks import training_warning
+    from prt_bake.trainer.scene_warnings import training_warning
 
     scene = read_scene(path)
     parts, warning = scene.parts, training_warning(scene)

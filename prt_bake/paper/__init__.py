@@ -1,4 +1,6 @@
-"""`prtbake report paper`: the tables and figures of the paper, beside its own numbers.
+"""`prtbake report paper`: reproduces the tables and figures of the paper and compares them with its numbers.
 
-May import: every room but `cli`, `preview` and `shipped`. Begin with `report.py`.
+`report.py` runs the scenes, `scene_report.py` one of them; `tables.py`, `sheet.py` and `plots.py` write the results.
+
+May import: every room but `cli`, `preview` and `shipped`. Start at `report.py`.
 """

@@ -1,7 +1,7 @@
-"""A folder of what was made, each file with what it was made from: work is done once, and again only for other inputs.
+"""A folder of files, each recorded with its inputs, so that a file is built once and rebuilt only if they change.
 
-Beside NAME lies NAME.made.json: the inputs, the facts that the work reported (seconds, walks, …) and the file's hash.
-A file without it, of other inputs, or altered since, is made anew.
+NAME.made.json beside NAME holds the inputs, the facts that the builder returned (seconds, walks, …) and the file's
+hash. A file without a record, with other inputs or with another hash is rebuilt.
 """
 
 import json
@@ -19,12 +19,12 @@ Say = Callable[[str], None]
 
 
 class Stopped(PrtbakeError):
-    """The work was asked to stop; what was made so far is kept."""
+    """The work was stopped by request; the files built so far are kept."""
 
 
 @dataclass(frozen=True)
 class Artefact:
-    """A file that was made, its SHA-256, and what the work reported of it."""
+    """A file, its SHA-256, and the facts that its builder returned."""
 
     path: Path
     sha256: str
@@ -32,32 +32,32 @@ class Artefact:
 
 
 class Artefacts:
-    """Files made once under a folder; `say` is told what is made, and why anew."""
+    """The files of a folder; `say` prints what is built, and why."""
 
     def __init__(self, folder: Path, say: Say, stop: Callable[[], bool] = lambda: False) -> None:
-        """Make the folder where it is missing; raises StorageError where it cannot be made."""
+        """Create the folder if it is missing; raises StorageError if that fails."""
         self.folder, self.say, self._stop = folder, say, stop
         _make_folder(folder)
 
     def make(self, name: str, inputs: Facts, build: Callable[[Path], Facts | None]) -> Artefact:
-        """The file `name`, made by `build(path)` unless it is there of the same `inputs` (plain JSON values).
+        """Return the file `name`, built by `build(path)` unless it exists with the same `inputs` (plain JSON values).
 
-        Raises Stopped, before any work, where the work was asked to stop.
+        Raises Stopped, before any work, if a stop was requested.
         """
         path = self.folder / name
-        kept = self.find(name, inputs)
-        if kept is not None:
-            return kept
+        found = self.find(name, inputs)
+        if found is not None:
+            return found
         self.check()
         _make_folder(path.parent)
         self.say(f"{name}: {self._reason(name, inputs)}")
-        begun = time.perf_counter()
+        start = time.perf_counter()
         facts = dict(build(path) or {})
-        facts.setdefault("seconds", time.perf_counter() - begun)
+        facts.setdefault("seconds", time.perf_counter() - start)
         return self.record(name, inputs, facts)
 
     def find(self, name: str, inputs: Facts) -> Artefact | None:
-        """The file `name` where it is there, unaltered and of the same inputs."""
+        """Return the file `name` if it exists, unaltered and with the same inputs; else None."""
         path, record = self.folder / name, self._record(name)
         if record is None or not path.is_file() or record["inputs"] != _plain(inputs):
             return None
@@ -65,27 +65,27 @@ class Artefacts:
         return Artefact(path, digest, record["facts"]) if digest == record["sha256"] else None
 
     def record(self, name: str, inputs: Facts, facts: Facts) -> Artefact:
-        """Note what the file `name`, which is there, was made from."""
+        """Write the record of the existing file `name`."""
         path = self.folder / name
         artefact = Artefact(path, sha256(path), _plain(facts))
         record = {"inputs": inputs, "facts": facts, "sha256": artefact.sha256}
-        with replacing(_beside(path)) as part:
+        with replacing(_record_path(path)) as part:
             part.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
         return artefact
 
     def check(self) -> None:
-        """Raise Stopped where the work was asked to stop."""
+        """Raise Stopped if a stop was requested."""
         if self._stop():
-            raise Stopped("the work was stopped; the same command goes on from what is made")
+            raise Stopped("the work was stopped; the same command resumes it")
 
     @property
     def stop(self) -> Callable[[], bool]:
-        """Whether the work was asked to stop."""
+        """A function that returns whether a stop was requested."""
         return self._stop
 
     def _record(self, name: str) -> dict[str, Any] | None:
         try:
-            record = json.loads(_beside(self.folder / name).read_text(encoding="utf-8"))
+            record = json.loads(_record_path(self.folder / name).read_text(encoding="utf-8"))
             return record if {"inputs", "facts", "sha256"} <= set(record) else None
         except (OSError, ValueError, TypeError):
             return None
@@ -93,18 +93,19 @@ class Artefacts:
     def _reason(self, name: str, inputs: Facts) -> str:
         record = self._record(name)
         if record is None or not (self.folder / name).is_file():
-            return "to be made"
-        wanted, found = _plain(inputs), record["inputs"]
-        changed = sorted(key for key in wanted.keys() | found.keys() if wanted.get(key) != found.get(key))
-        return f"made anew, another {', '.join(changed)}" if changed else "made anew, the file was altered"
+            return "building"
+        requested, recorded = _plain(inputs), record["inputs"]
+        keys = requested.keys() | recorded.keys()
+        changed = sorted(key for key in keys if requested.get(key) != recorded.get(key))
+        return f"rebuilding, changed {', '.join(changed)}" if changed else "rebuilding, the file was altered"
 
 
-def _beside(path: Path) -> Path:
+def _record_path(path: Path) -> Path:
     return path.with_name(path.name + ".made.json")
 
 
 def _plain(values: Facts) -> Facts:
-    """As JSON keeps them: tuples become lists."""
+    """Return the values as JSON stores them: tuples become lists."""
     plain: Facts = json.loads(json.dumps(values))
     return plain
 
@@ -113,4 +114,4 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
-        raise StorageError(f"{folder}: cannot be made: {cause.strerror}; choose another --out") from cause
+        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another --out") from cause

@@ -1,4 +1,4 @@
-"""SH at degree 2: a scene's network baked to an asset, and the asset's picture."""
+"""SH of degree 2: a scene's network baked to an asset, and the asset's picture."""
 
 import os
 from collections.abc import Callable
@@ -19,17 +19,17 @@ from prt_bake.paper.scenes import BakeSettings
 from prt_bake.shading.picture import render_picture
 
 DEGREE = 2
-_RAYS_A_PIXEL_SIDE = 4
+_RAYS_PER_PIXEL_SIDE = 4
 
 
 def subdivided(mesh: Mesh, subdivisions: int) -> Mesh:
-    """The mesh with each face cut into four, `subdivisions` times: the same surface, its vertices nearer together."""
+    """Return the mesh with each face split into four, `subdivisions` times; the surface is unchanged."""
     from trimesh import remesh
 
-    cut: Any = remesh.subdivide
+    subdivide: Any = remesh.subdivide
     positions, faces = np.asarray(mesh.positions), np.asarray(mesh.faces)
     for _ in range(subdivisions):
-        positions, faces = cut(positions, faces)
+        positions, faces = subdivide(positions, faces)
     return build_mesh(positions, faces) if subdivisions else mesh
 
 
@@ -41,9 +41,9 @@ def bake_asset(
     stop: Callable[[], bool],
     progress: Callable[[float], None],
 ) -> Facts:
-    """Bake a model at degree 2 into the file `path`; seconds, vertices and the projection's estimated error.
+    """Bake a model at degree 2 into the file `path`; return seconds, vertices, bins and the estimated projection error.
 
-    Raises Stopped where it was stopped on the way.
+    Raises Stopped if a stop was requested.
     """
     asset = bake(
         load_model(model.path),
@@ -59,7 +59,7 @@ def bake_asset(
         provenance={"command": "prtbake report paper", "source": model.path.name, "source_sha256": model.sha256},
     )
     if not asset.complete:
-        raise Stopped(f"{path}: the bake was stopped; the same command bakes it anew")
+        raise Stopped(f"{path}: the bake was stopped; the same command bakes it again")
     report = asset.provenance
     return {
         "seconds": report["seconds"],
@@ -70,9 +70,9 @@ def bake_asset(
 
 
 def shade_asset_picture(path: Path, asset: Artefact, sky: Sky, view: Camera) -> Facts:
-    """The asset under a sky, as an .exr of the light from under the surface alone; seconds of shading."""
+    """Shade the asset under a sky into an .exr of its subsurface light alone; return seconds and counts."""
     picture = render_picture(
-        read_asset(asset.path), sky.image, view, up=sky.up, samples=_RAYS_A_PIXEL_SIDE, background=False
+        read_asset(asset.path), sky.image, view, up=sky.up, samples=_RAYS_PER_PIXEL_SIDE, background=False
     )
     write_image(path, picture.image, layers={"coverage": picture.coverage})
     return {"seconds": picture.seconds, "clamped": picture.clamped, "vertices_shaded": picture.shaded}

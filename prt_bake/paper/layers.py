@@ -1,4 +1,4 @@
-"""The paper's ablation: MSE by number of hidden layers, with skips and without, relative to 7 layers with skips."""
+"""The paper's ablation: MSE by number of hidden layers, with and without skips, relative to 7 layers with skips."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,9 +14,9 @@ _STANDARD = "7"
 
 
 def network_settings(layers: int, skips: bool) -> NetworkSettings:
-    """Our usual network with so many hidden layers; skips lead past one layer, and none into the last.
+    """Return the measured preset with `layers` hidden layers; each skip bypasses one layer, and none enters the last.
 
-    With 5 layers they are the paper's, from 1 to 3 and from 2 to 4; 3 layers have the one from 1 to 3.
+    Five layers have the paper's skips, from 1 to 3 and from 2 to 4. Three layers have the skip from 1 to 3.
     """
     last = max(3, layers - 1)
     pairs = tuple((source, source + 2) for source in range(1, last - 1)) if skips else ()
@@ -24,7 +24,7 @@ def network_settings(layers: int, skips: bool) -> NetworkSettings:
 
 
 def variants() -> dict[str, NetworkSettings]:
-    """The networks by their names in the plot: "5", and "5*" without skips."""
+    """Return the networks by their names in the plot: "5" with skips, "5*" without."""
     return {
         f"{layers}{'' if skips else '*'}": network_settings(layers, skips)
         for layers in LAYERS
@@ -40,25 +40,25 @@ def ablation(
     device: str,
     progress: Callable[[str, float, str], None],
 ) -> dict[str, float]:
-    """Squared relative RMSE of Ŝ on the same fresh queries by network, over that of 7 layers with skips.
+    """Return the squared relative RMSE of Ŝ by network, relative to 7 layers with skips, on the same fresh queries.
 
-    Each is trained for `minutes` and kept, so that a stopped ablation goes on. Raises Stopped.
+    Trains each network for `minutes` and keeps it, so that a stopped ablation resumes. Raises Stopped.
     """
     errors: dict[str, float] = {}
     for network, settings in variants().items():
         file = f"{name}/layers/{network.replace('*', '_without_skips')}.pt"
         label = f"{name}: {network} layers"
 
-        def follow(share: float, words: str, label: str = label) -> None:
+        def report(share: float, words: str, label: str = label) -> None:
             progress(label, share, words)
 
-        model = train_once(artefacts, file, scene, minutes, device, follow, settings)
+        model = train_once(artefacts, file, scene, minutes, device, report, settings)
         errors[network] = _mse(model.facts)
     return relative(errors)
 
 
 def relative(errors: dict[str, float]) -> dict[str, float]:
-    """Errors over that of 7 layers with skips; nan where that is 0."""
+    """Return the errors relative to 7 layers with skips; nan if that error is 0."""
     standard = errors[_STANDARD]
     return {network: error / standard if standard > 0.0 else float("nan") for network, error in errors.items()}
 

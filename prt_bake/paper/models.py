@@ -1,4 +1,4 @@
-"""The networks and importance modules of the scenes: those of the repository, or made where there are none."""
+"""The networks and importance modules of the scenes: copied from the repository, or trained if it has none."""
 
 import json
 import shutil
@@ -16,15 +16,15 @@ from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
 
 Progress = Callable[[float, str], None]
-"""progress(share done, a few words)."""
+"""progress(share done, text)."""
 
 
 def scene_model(
     artefacts: Artefacts, name: str, scene: Scene, given: Path, minutes: float, device: str, progress: Progress
 ) -> Artefact:
-    """The scene's network in `name`/model.pt: copied from `given` where that is there and of this scene, else trained.
+    """Return the scene's network `name`/model.pt: a copy of `given` if it was trained on this scene, else trained.
 
-    Raises SceneError for a scene that cannot be learnt, Stopped where the training was stopped.
+    Raises SceneError for a scene that cannot be learnt, Stopped if a stop was requested.
     """
     file = f"{name}/model.pt"
     if given.is_file():
@@ -32,7 +32,7 @@ def scene_model(
         if network.metadata.get("scene_hash") == scene.content_hash:
             inputs = {"scene": scene.content_hash, "given": sha256(given)}
             return artefacts.make(file, inputs, lambda path: _copied(given, path, network))
-        artefacts.say(f"{given}: was trained on another scene than {scene.path}; it is not taken")
+        artefacts.say(f"{given}: was trained on another scene than {scene.path}; a new model is trained")
     return train_once(artefacts, file, scene, minutes, device, progress)
 
 
@@ -45,49 +45,55 @@ def train_once(
     progress: Progress,
     settings: NetworkSettings | None = None,
 ) -> Artefact:
-    """A network trained for `minutes`, with `settings` or the usual ones; goes on where an earlier run was stopped."""
+    """Return a network trained for `minutes`, by default with the measured preset; resumes a stopped training."""
     from prt_bake.trainer.samples.rows import StreamSettings
     from prt_bake.trainer.train import LearningSettings, train
 
-    usual = {"learning": asdict(LearningSettings()), "walks": asdict(StreamSettings())}
-    chosen = (settings or PRESETS["measured"]).as_json()
-    inputs = {"scene": scene.content_hash, "minutes": minutes, "device": device, "settings": chosen, **usual}
+    defaults = {"learning": asdict(LearningSettings()), "walks": asdict(StreamSettings())}
+    network_settings = (settings or PRESETS["measured"]).as_json()
+    inputs = {
+        "scene": scene.content_hash,
+        "minutes": minutes,
+        "device": device,
+        "settings": network_settings,
+        **defaults,
+    }
 
     def build(path: Path) -> Facts:
         started = path.with_suffix(".started.json")
-        wanted = json.dumps(inputs, sort_keys=True)
-        resume = path.is_file() and started.is_file() and started.read_text(encoding="utf-8") == wanted
+        identity = json.dumps(inputs, sort_keys=True)
+        same_inputs = path.is_file() and started.is_file() and started.read_text(encoding="utf-8") == identity
         with replacing(started) as part:
-            part.write_text(wanted, encoding="utf-8")
+            part.write_text(identity, encoding="utf-8")
 
-        def follow(row: Any) -> None:
-            progress(row.share, f"validation error {row.validation:.2%}, {row.walks_per_second:,.0f} walks/s")
+        def report(row: Any) -> None:
+            progress(row.share, f"validation error {row.validation:.2%}, {row.walks_per_second:,.0f} paths/s")
             if artefacts.stop():
                 raise KeyboardInterrupt
 
-        def learnt(going_on: bool) -> NeuralBSSRDF:
+        def run_training(resume: bool) -> NeuralBSSRDF:
             return train(
                 scene,
                 minutes=minutes,
                 settings=settings,
                 device=device,
                 output=path,
-                resume=going_on,
-                progress=follow,
+                resume=resume,
+                progress=report,
                 say=artefacts.say,
             )
 
-        going_on = resume and path.with_suffix(".train.pt").is_file()
+        resume = same_inputs and path.with_suffix(".train.pt").is_file()
         try:
-            network = learnt(going_on)
-        except ModelError as fault:
-            # What another release began cannot be gone on with.
-            if not going_on:
+            network = run_training(resume)
+        except ModelError as error:
+            # Another release may have written the checkpoint.
+            if not resume:
                 raise
-            artefacts.say(f"{fault}; it is trained anew")
-            network = learnt(False)
+            artefacts.say(f"{error}; the training restarts")
+            network = run_training(False)
         if artefacts.stop():
-            raise Stopped(f"{path}: the training was stopped; the same command goes on from there")
+            raise Stopped(f"{path}: the training was stopped; the same command resumes it")
         started.unlink(missing_ok=True)
         path.with_suffix(".train.pt").unlink(missing_ok=True)
         return _facts(network, path)
@@ -98,9 +104,7 @@ def train_once(
 def scene_importance(
     artefacts: Artefacts, model: Artefact, given: Path, mesh: Mesh, seconds: float, device: str, progress: Progress
 ) -> Artefact:
-    """The importance module beside `model`: copied from beside `given` where it is there and of that model, else
-    fitted.
-    """
+    """Return the importance module of `model`: a copy of that of `given` if it is the same model, else fitted."""
     file = str(importance_path(model.path).relative_to(artefacts.folder))
     if importance_path(given).is_file() and given.is_file() and sha256(given) == model.sha256:
         inputs = {"model": model.sha256, "given": sha256(importance_path(given))}
@@ -130,7 +134,7 @@ def _copied(given: Path, path: Path, network: NeuralBSSRDF) -> Facts:
 
 
 def _facts(network: NeuralBSSRDF, path: Path) -> Facts:
-    """What the training said of itself, and the size on disk."""
+    """Return the figures of the training and the size on disk."""
     training = network.metadata.get("training", {})
     names = ("seconds", "steps", "walks", "relative_rmse", "validation_vs_time")
     return {

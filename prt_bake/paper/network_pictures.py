@@ -1,4 +1,4 @@
-"""Net: the network rendered by Monte Carlo; all that is asked of the renderer is asked here."""
+"""Net: pictures of the network, rendered by Monte Carlo."""
 
 import os
 from collections.abc import Callable
@@ -28,10 +28,10 @@ def render_network_picture(
     stop: Callable[[], bool],
     progress: Callable[[float], None],
 ) -> Facts:
-    """A picture of the light from under the surface alone as an .exr; samples a pixel, seconds, and its own noise.
+    """Render the subsurface light alone into an .exr; return samples per pixel, seconds and relative noise.
 
-    For "lobe" and "mis", `importance_of` is the model beside which the importance module lies. Raises
-    Stopped where it was stopped.
+    For "lobe" and "mis", `importance_of` is the model whose importance module is used. Raises Stopped if a stop was
+    requested.
     """
     from prt_bake.rendering.network import render_network
 
@@ -51,7 +51,7 @@ def render_network_picture(
         progress=progress,
     )
     if not picture.complete:
-        raise Stopped(f"{path}: stopped after {picture.spp} samples a pixel; the same command renders it anew")
+        raise Stopped(f"{path}: stopped after {picture.spp} samples per pixel; the same command renders it again")
     write_image(path, picture.image, layers={"error": picture.standard_error, "coverage": picture.coverage})
     facts = {"spp": picture.spp, "seconds": picture.seconds, "sampling": picture.sampling}
     return {**facts, "relative_noise": picture.relative_noise}

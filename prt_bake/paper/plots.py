@@ -1,4 +1,4 @@
-"""Plots of the report: how the error fell while the networks were trained, and what layers and skips are worth."""
+"""Plots of the report: error against training time, and the ablations of layers and training time."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,21 +12,24 @@ from prt_bake.paper.results import BARS
 from prt_bake.paper.times import Trained, power_law
 
 _AHEAD, _FAR_AHEAD = 8.0, 100.0
-"""How far beyond its end a training's curve is drawn on, and one through several trainings, as a factor on the time."""
+"""Factors on the training time up to which the curves of one and of several trainings are extrapolated."""
 
 
 def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -> None:
-    """Relative RMSE on held-out queries (of Ŝ, or of a_lm where Ŝ has no values) against seconds of training, a curve a
-    scene, on logarithmic axes.
+    """Plot the relative RMSE on held-out queries (of Ŝ, or of a_lm if Ŝ has no values) against seconds of training.
 
-    curves: by scene, rows (seconds, walks, validation error). Dashed: the power law through the second half of a
-    training, drawn on to eight times its time; a rate that falls to zero at the end makes it look better than it is.
+    The dashed line extrapolates the power law of the second half of a training to eight times its time. It is
+    optimistic, because the learning rate falls to zero at the end.
+
+    Args:
+        curves: by scene, rows (seconds, walks, validation error).
+        path: PNG to write.
     """
     figure, axes = _figure()
     for name, rows in curves.items():
         seconds, _walks, error = np.array(rows, np.float64).reshape(-1, 3).T
-        chosen = (seconds > 0.0) & (error > 0.0)
-        seconds, error = seconds[chosen], error[chosen]
+        positive = (seconds > 0.0) & (error > 0.0)
+        seconds, error = seconds[positive], error[positive]
         if not len(seconds):
             continue
         (line,) = axes.loglog(seconds, error, label=name)
@@ -43,36 +46,39 @@ def plot_training(curves: Mapping[str, Sequence[Sequence[float]]], path: Path) -
 
 
 def plot_layers(relative_mse: Mapping[str, Mapping[str, float]], path: Path) -> None:
-    """MSE by number of layers over that of 7 layers with skips, a group of bars a network, a bar a scene.
+    """Plot the MSE relative to 7 layers with skips as bars, grouped by network.
 
-    relative_mse: by scene, by network ("5", and "5*" without skips).
+    Args:
+        relative_mse: by scene, by network ("5" with skips, "5*" without).
+        path: PNG to write.
     """
     figure, axes = _figure()
     names = list(dict.fromkeys(network for row in relative_mse.values() for network in row))
     width = 0.8 / max(1, len(relative_mse))
     for i, (scene, row) in enumerate(relative_mse.items()):
-        places = [names.index(network) + (i - (len(relative_mse) - 1) / 2.0) * width for network in row]
-        axes.bar(places, list(row.values()), width, label=scene)
+        positions = [names.index(network) + (i - (len(relative_mse) - 1) / 2.0) * width for network in row]
+        axes.bar(positions, list(row.values()), width, label=scene)
     axes.axhline(1.0, color="black", linewidth=0.8)
     axes.set_xticks(range(len(names)), names)
-    axes.set(xlabel="hidden layers (* without skips)", ylabel="MSE of Ŝ over that of 7 layers with skips")
+    axes.set(xlabel="hidden layers (* without skips)", ylabel="MSE of Ŝ relative to 7 layers with skips")
     axes.legend()
     _save(figure, path)
 
 
 def plot_times(scenes: Mapping[str, Sequence[Trained]], path: Path) -> None:
-    """Errors of a_lm and of pictures, and FLIP without noise, against minutes of training; a colour a scene and sky.
+    """Plot the errors of a_lm and of pictures, and FLIP without noise, against minutes of training.
 
-    Dashed: the power law of FLIP through all of them, drawn on to where it meets the bar, a hundred times the longest
-    training at most.
+    The dashed line extrapolates the power law of FLIP to the target, or to a hundred times the longest training.
     """
     figure, axes = _figure()
     for name, rows in scenes.items():
         minutes = np.array([row.minutes for row in rows])
-        (line,) = axes.loglog(minutes, [row.flip_without_noise for row in rows], "o-", label=f"{name}: FLIP, noise out")
-        for style, figure_name, words in (("s:", "coefficients", "a_lm"), ("^:", "error", "picture")):
-            values = [getattr(row, figure_name) for row in rows]
-            axes.loglog(minutes, values, style, color=line.get_color(), alpha=0.6, label=f"{name}: {words}, rel. RMSE")
+        (line,) = axes.loglog(
+            minutes, [row.flip_without_noise for row in rows], "o-", label=f"{name}: FLIP without noise"
+        )
+        for style, attribute, label in (("s:", "coefficients", "a_lm"), ("^:", "error", "picture")):
+            values = [getattr(row, attribute) for row in rows]
+            axes.loglog(minutes, values, style, color=line.get_color(), alpha=0.6, label=f"{name}: {label}, rel. RMSE")
         law = power_law(rows, "flip_without_noise")
         last = min(_FAR_AHEAD * minutes[-1], max(2.0 * minutes[-1], law.minutes_to(BARS["net"])))
         ahead = np.geomspace(minutes[-1], last, 16)

@@ -1,6 +1,7 @@
-"""A path-traced reference that grows: many pictures of few walks, summed in two halves, kept after each of them.
+"""A path-traced reference that can be extended: a sum of many short renderings, saved after each of them.
 
-The halves tell what the reference's own noise does to any figure (`prt_bake.rendering.half_buffers`).
+The renderings are summed in two half buffers, which estimate the effect of the reference's noise on any figure
+(`prt_bake.rendering.half_buffers`).
 """
 
 import hashlib
@@ -23,19 +24,19 @@ from prt_bake.rendering.half_buffers import HalfBuffers, TracedPicture
 from prt_bake.rendering.scene import Rendering, render_scene
 
 Trace = Callable[[int, int, Path], Rendering]
-"""trace(walks a pixel, seed, checkpoint): an independent picture; incomplete where it was stopped."""
+"""trace(paths per pixel, seed, checkpoint): an independent picture; incomplete if it was stopped."""
 
 _METHOD = 1
-"""Raised whenever the same settings give other numbers: what was traced before is then traced anew."""
+"""Version of the results; raised when the same settings give other numbers, which discards earlier references."""
 _WALKS_AT_ONCE = 16
 _LEAST_WALKS = 4
-"""With fewer a picture has no error of its own."""
+"""Fewest paths per pixel for which a picture has a standard error."""
 _CHUNK_STREAM = 0x5EED
 
 
 @dataclass(frozen=True)
 class Reference(TracedPicture):
-    """The same with its file, and what it cost."""
+    """A reference with its file and its cost."""
 
     artefact: Artefact
 
@@ -49,10 +50,10 @@ def reference(
     spp: int | None,
     minutes: float | None,
 ) -> Reference:
-    """The reference in the file `name` (.exr), traced on until it has `spp` walks a pixel or took `minutes`.
+    """Return the reference in the file `name` (.exr), extended until it has `spp` paths per pixel or took `minutes`.
 
-    `inputs` are all that decides what is traced, neither spp nor minutes among them: more walks go on from what is
-    there, and a deeper reference than asked for is taken as it is. Raises Stopped with all whole pictures kept.
+    `inputs` identify the picture and contain neither spp nor minutes: a larger goal extends the saved sums, and a
+    better reference than requested is used as it is. Raises Stopped; all finished renderings are kept.
     """
     inputs = {**inputs, "method": _METHOD}
     identity = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
@@ -62,27 +63,25 @@ def reference(
     if not _enough(halves, spp, minutes):
         artefacts.check()
         path.parent.mkdir(parents=True, exist_ok=True)
-        artefacts.say(f"{name}: {_goal(spp, minutes)}, {halves.spp} walks a pixel are there")
+        artefacts.say(f"{name}: {_goal(spp, minutes)}, {halves.spp} paths per pixel exist")
     while not _enough(halves, spp, minutes):
         seed = int(hashed(_CHUNK_STREAM, inputs["seed"], halves.pictures) >> np.uint64(1))
         checkpoint = path.with_name(f"{path.stem}.{identity[:8]}.{halves.pictures}.render.npz")
         picture = trace(_walks(halves, spp), seed, checkpoint)
         if not picture.complete:
-            raise Stopped(f"{name}: stopped after {halves.spp} walks a pixel; the same command goes on from there")
+            raise Stopped(f"{name}: stopped after {halves.spp} paths per pixel; the same command resumes it")
         halves.add(picture)
         _write(sums_path, halves, identity)
         checkpoint.unlink(missing_ok=True)
-        artefacts.say(f"{name}: {halves.spp} walks a pixel in {halves.seconds:.0f} s")
-    made = artefacts.make(name, {**inputs, "pictures": halves.pictures, "walks": halves.walks}, _exr(halves))
-    return _read_reference(made)
+        artefacts.say(f"{name}: {halves.spp} paths per pixel in {halves.seconds:.0f} s")
+    artefact = artefacts.make(name, {**inputs, "pictures": halves.pictures, "walks": halves.walks}, _exr(halves))
+    return _read_reference(artefact)
 
 
 def trace_scene(
     scene: Scene, lighting: Lighting, view: Camera, stop: Callable[[], bool], progress: Callable[[float], None]
 ) -> Trace:
-    """Path trace the light from under the surface alone: nothing reflected, no sky behind the object, and none of the
-    light that crosses it without scattering.
-    """
+    """Return a path tracer of subsurface light alone: no reflection, no background, no unscattered transmission."""
 
     def trace(spp: int, seed: int, checkpoint: Path) -> Rendering:
         return render_scene(
@@ -109,12 +108,12 @@ def _enough(halves: HalfBuffers, spp: int | None, minutes: float | None) -> bool
 
 
 def _walks(halves: HalfBuffers, spp: int | None) -> int:
-    """Walks a pixel of the next picture: few where few are asked for, so that both halves have some."""
+    """Return the paths per pixel of the next rendering, few enough that both half buffers get some."""
     return _WALKS_AT_ONCE if spp is None else max(_LEAST_WALKS, min(_WALKS_AT_ONCE, spp // 2))
 
 
 def _goal(spp: int | None, minutes: float | None) -> str:
-    goals = [f"{spp} walks a pixel" if spp is not None else "", f"{minutes:g} minutes" if minutes is not None else ""]
+    goals = [f"{spp} paths per pixel" if spp is not None else "", f"{minutes:g} minutes" if minutes is not None else ""]
     return "path tracing " + " and ".join(goal for goal in goals if goal)
 
 
@@ -150,7 +149,7 @@ def _write(path: Path, halves: HalfBuffers, identity: str) -> None:
 
 
 def _read(path: Path, identity: str) -> HalfBuffers | None:
-    """What was traced before of the same picture; None where there is nothing, or nothing that can be read."""
+    """Return the saved sums of the same picture; None if there are none or they cannot be read."""
     try:
         with np.load(path, allow_pickle=False) as file:
             head = json.loads(str(file["head"]))

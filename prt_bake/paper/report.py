@@ -1,7 +1,7 @@
-"""`prtbake report paper`: every scene under every sky; after each of them the tables, the sheets and the plots anew."""
+"""`prtbake report paper`: every scene under every sky. Tables, sheets and plots are rewritten after each."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -26,11 +26,11 @@ from prt_bake.paper.tables import markdown
 from prt_bake.paper.times import Trained, trainings
 from prt_bake.paper.times import as_json as times_json
 
-Tell = Callable[[Result], None]
+OnResult = Callable[[Result], None]
 
 
 class PaperReport:
-    """The report in a folder: what was made there, and what is made of it."""
+    """The report in a folder."""
 
     def __init__(
         self,
@@ -43,15 +43,15 @@ class PaperReport:
         progress: Progress = lambda what, share, words: None,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Into `out`, of the scenes that lie under `folder`; raises StorageError where `out` cannot be written to."""
+        """out: the folder to write. folder: that of the scenes. Raises StorageError if `out` cannot be created."""
         self.settings, self._folder, self._progress = settings.quick() if quick else settings, folder, progress
         self._quick = quick
         self.artefacts = Artefacts(out, say, stop)
         self.results: list[Result] = []
         self._sigma: list[SigmaPicture] = []
 
-    def run(self, scenes: Sequence[PaperScene], skies: dict[str, Path], tell: Tell) -> None:
-        """Every scene under every sky; `tell` is called after each, when the tables hold it. Raises Stopped."""
+    def run(self, scenes: Sequence[PaperScene], skies: dict[str, Path], on_result: OnResult) -> None:
+        """Measure every scene under every sky; calls `on_result` after each, once the tables hold it. Raises Stopped."""
         for paper in scenes:
             scene = SceneReport(paper, self._folder, self.settings, self.artefacts, self._progress)
             self._sigma.append(scene.sigma())
@@ -59,31 +59,31 @@ class PaperReport:
                 result = scene.under(name, path)
                 self.results.append(result)
                 self.write()
-                tell(result)
+                on_result(result)
 
     def run_layers(self, scenes: Sequence[PaperScene]) -> dict[str, dict[str, float]]:
-        """MSE by number of layers for each scene, with the plot layers.png and layers.json. Raises Stopped."""
-        found = {}
+        """Run the depth ablation of each scene; writes layers.png and layers.json. Raises Stopped."""
+        errors = {}
         for paper in scenes:
             scene = open_scene(paper, self._folder)
             minutes, device = self.settings.train_minutes, self.settings.device
-            found[paper.name] = ablation(self.artefacts, paper.name, scene, minutes, device, self._progress)
-            plot_layers(found, self.artefacts.folder / "layers.png")
-            _write_text(self.artefacts.folder / "layers.json", as_text({"minutes": minutes, "relative_mse": found}))
-        return found
+            errors[paper.name] = ablation(self.artefacts, paper.name, scene, minutes, device, self._progress)
+            plot_layers(errors, self.artefacts.folder / "layers.png")
+            _write_text(self.artefacts.folder / "layers.json", as_text({"minutes": minutes, "relative_mse": errors}))
+        return errors
 
     def run_times(self, scenes: Sequence[PaperScene], skies: dict[str, Path]) -> dict[str, list[Trained]]:
-        """Trainings of several lengths for each scene under each sky, with times.png and times.json. Raises Stopped."""
-        found: dict[str, list[Trained]] = {}
+        """Run the training-time ablation of each scene and sky; writes times.png and times.json. Raises Stopped."""
+        rows: dict[str, list[Trained]] = {}
         for paper in scenes:
             scene = SceneReport(paper, self._folder, self.settings, self.artefacts, self._progress)
             for sky, path in skies.items():
                 name = f"{paper.name}, {sky}"
-                found[name] = trainings(scene, sky, path, self.settings.train_minutes, self._progress)
-                plot_times(found, self.artefacts.folder / "times.png")
-                laws = {name: times_json(rows) for name, rows in found.items()}
+                rows[name] = trainings(scene, sky, path, self.settings.train_minutes, self._progress)
+                plot_times(rows, self.artefacts.folder / "times.png")
+                laws = {name: times_json(trained) for name, trained in rows.items()}
                 _write_text(self.artefacts.folder / "times.json", as_text(laws) + "\n")
-        return found
+        return rows
 
     def write(self) -> None:
         """Write tables.md, tables.json, the sheets, sigma.png and training.png from the results so far."""
@@ -91,57 +91,55 @@ class PaperReport:
         _write_text(folder / "tables.md", markdown(self.results, settings))
         _write_text(folder / "tables.json", as_text(records.as_json(self.results, settings)) + "\n")
         columns = ("reference", *(TITLES[method] for method in METHODS))
-        write_sheet(folder / "sheet.png", columns, [self._row(result, whole=False) for result in self.results])
-        write_sheet(folder / "everything.png", columns, [self._row(result, whole=True) for result in self.results])
+        write_sheet(folder / "sheet.png", columns, [self._row(result, complete=False) for result in self.results])
+        write_sheet(folder / "everything.png", columns, [self._row(result, complete=True) for result in self.results])
         write_sigma(folder / "sigma.png", self._sigma)
         curves = {result.scene: result.model.get("validation_vs_time", []) for result in self.results}
         plot_training(curves, folder / "training.png")
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What was written for the reader."""
+        """The tables and pictures of the report that exist."""
         pictures = ("sheet", "everything", "training", "sigma", "layers", "times")
         names = ("tables.md", "tables.json", *(f"{picture}.png" for picture in pictures))
         return tuple(path for path in (self.artefacts.folder / name for name in names) if path.is_file())
 
-    def _row(self, result: Result, whole: bool) -> Row:
-        """A row of the sheet: the reference, and every method's picture with its map of FLIP."""
+    def _row(self, result: Result, complete: bool) -> Row:
+        """Return a row of the sheet: the reference, and every method's picture with its FLIP map."""
         folder = self.artefacts.folder / result.scene / result.sky
-        ours, theirs = (
-            (read_image(folder / f"{name}.exr") if whole else np.float32(0.0))
+        surface, surface_reference = (
+            (read_image(folder / f"{name}.exr") if complete else np.float32(0.0))
             for name in ("surface", "surface_reference")
         )
-        tiles: list[Tile | None] = [Tile(read_image(folder / "reference.exr") + theirs, None, "")]
+        tiles: list[Tile | None] = [Tile(read_image(folder / "reference.exr") + surface_reference, None, "")]
         with np.load(folder / "flip.npz") as maps:
             for method in METHODS:
                 line, name = result.line(method), "sh" if method == "sh" else f"net_{method}"
-                figures = None if line is None else line.whole if whole else line.alone
+                figures = None if line is None else line.whole if complete else line.alone
                 if figures is None:
                     tiles.append(None)
                     continue
-                flip_map = maps[f"{method}_whole" if whole else method]
-                words = f"FLIP {figures['flip']:.4f}"
-                tiles.append(Tile(read_image(folder / f"{name}.exr") + ours, flip_map, words))
+                flip_map = maps[f"{method}_whole" if complete else method]
+                label = f"FLIP {figures['flip']:.4f}"
+                tiles.append(Tile(read_image(folder / f"{name}.exr") + surface, flip_map, label))
         return Row(f"{result.scene}, {result.sky}", result.stops, tuple(tiles))
 
     def _settings_json(self) -> dict[str, Any]:
         return {**asdict(self.settings), "quick": self._quick, "cores": os.cpu_count()}
 
 
-def sky_files(asked: Sequence[str], folder: Path) -> dict[str, Path]:
-    """Skies by name: "outdoor" and "indoor" of the repository (both where none is asked for), or files of one's own.
+def sky_files(names: Sequence[str], folder: Path) -> dict[str, Path]:
+    """Return skies by name. A name is "outdoor" or "indoor" (by default both), or the path of another sky.
 
-    Raises StorageError where there is no such file.
+    Raises StorageError if there is no such file.
     """
-    return dict(_skies(asked or tuple(SKIES), folder))
-
-
-def _skies(asked: Sequence[str], folder: Path) -> Iterator[tuple[str, Path]]:
-    for word in asked:
-        path = folder / SKIES[word] if word in SKIES else Path(word)
+    skies = {}
+    for name in names or tuple(SKIES):
+        path = folder / SKIES[name] if name in SKIES else Path(name)
         if not path.is_file():
-            raise StorageError(f"{path}: there is no such sky; give {', '.join(SKIES)} or a lat-long .hdr or .exr")
-        yield (word if word in SKIES else path.stem), path
+            raise StorageError(f"{path}: there is no such sky; expected {', '.join(SKIES)} or a lat-long .hdr or .exr")
+        skies[name if name in SKIES else path.stem] = path
+    return skies
 
 
 def _write_text(path: Path, text: str) -> None:

@@ -1,4 +1,4 @@
-"""What was measured of one scene under one sky: plain records that become JSON and tables."""
+"""The figures of one scene under one sky, as records that are written as JSON and tables."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -9,10 +9,10 @@ from prt_bake.rendering.mixture import Sampling
 SAMPLINGS: tuple[Sampling, ...] = ("light", "lobe", "mis")
 METHODS = (*SAMPLINGS, "sh")
 PRIMARY_SAMPLING: Sampling = "mis"
-"""The sampling of Net that is held against the paper's figure and the bar."""
+"""The sampling of Net that is compared with the paper's figure and the target."""
 TITLES = {"light": "Net (light)", "lobe": "Net (lobe)", "mis": "Net (mis)", "sh": "SH"}
 BARS = {"net": 0.03, "sh": 0.08}
-"""Mean FLIP over the five scenes that is to be reached."""
+"""Targets of the mean FLIP over the five scenes."""
 PAPER_MEANS = {
     "net": sum(scene.net.flip or 0.0 for scene in SCENES) / len(SCENES),
     "sh": sum(scene.harmonics.flip or 0.0 for scene in SCENES) / len(SCENES),
@@ -24,11 +24,14 @@ class Line:
     """A picture by one method.
 
     Attributes:
-        spp: samples a pixel. seconds: of rendering alone. megabytes: what must be kept to render it.
-        alone: mse, ssim, ssim_quarter, flip, flip_without_noise (an estimate: against a reference without noise) and
-            error (relative RMSE, the noise of both pictures out) of the light from under the surface alone; of SH
-            flip_to_net, FLIP against the evaluate_model picture of Net.
-        whole: the first four with reflection and background in both pictures; None where that was not made.
+        method: a sampling of Net, or "sh".
+        spp: samples per pixel.
+        seconds: rendering time.
+        megabytes: size of the files that the rendering needs.
+        alone: figures of subsurface light alone: mse, ssim, ssim_quarter, flip, flip_without_noise (estimated against
+            a noise-free reference) and error (relative RMSE without the noise of both pictures). SH also has
+            flip_to_net, its FLIP against Net with the primary sampling.
+        whole: the first four figures with reflection and background in both pictures, if measured.
     """
 
     method: str
@@ -44,10 +47,15 @@ class Result:
     """A scene under a sky.
 
     Attributes:
-        scene, sky: names. source: the scene file. stand_in: whether the paper's own mesh was not there.
-        framing: object_share, object_pixels. stops: the exposure.
-        reference: spp, seconds, walks. noise: the figures of a picture that is exact but for noise as the reference's.
-        model, asset: what training and bake said of themselves.
+        scene, sky: names.
+        source: name of the scene file.
+        stand_in: whether a stand-in replaces the paper's mesh.
+        framing: object_share, object_pixels.
+        stops: the exposure.
+        reference: spp, seconds, walks.
+        noise: figures of an exact picture with the reference's noise.
+        lines: the pictures by method.
+        model, asset: figures of the training and of the bake.
     """
 
     scene: str
@@ -63,32 +71,32 @@ class Result:
     asset: dict[str, Any] = field(default_factory=dict)
 
     def line(self, method: str) -> Line | None:
-        """The picture by this method, where it was made."""
+        """Return the picture by this method, or None."""
         return next((line for line in self.lines if line.method == method), None)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values, the paper's own figures beside them."""
+        """Return plain values, with the paper's figures."""
         return {**asdict(self), "paper": paper_json(paper_scene(self.scene))}
 
     @staticmethod
     def from_json(values: dict[str, Any]) -> "Result":
-        """The reverse of `as_json`."""
+        """Read what `as_json` returns."""
         own = {name: value for name, value in values.items() if name not in ("paper", "lines")}
         return Result(**own, lines=tuple(Line(**line) for line in values["lines"]))
 
 
 def paper_scene(name: str) -> PaperScene:
-    """The scene of that name."""
+    """Return the scene with this name."""
     return next(scene for scene in SCENES if scene.name == name)
 
 
 def paper_row(scene: PaperScene, method: str) -> PaperRow:
-    """The paper's line for a method; it has one for Net, whatever the sampling."""
+    """Return the paper's row of a method; every sampling of Net has the same one."""
     return scene.harmonics if method == "sh" else scene.net
 
 
 def paper_json(scene: PaperScene) -> dict[str, Any]:
-    """What the paper reports of a scene, as plain values."""
+    """Return the paper's figures of a scene as plain values."""
     return {
         "path_tracing": asdict(scene.path_tracing),
         "net": asdict(scene.net),
@@ -100,7 +108,7 @@ def paper_json(scene: PaperScene) -> dict[str, Any]:
 def mean_flip(
     results: list[Result], sky: str, method: str, part: str = "alone", figure: str = "flip"
 ) -> tuple[float, int]:
-    """Mean FLIP of a method over the scenes that have it under a sky, and how many they are (nan for none)."""
+    """Return the mean of a figure over the scenes with this sky and method (nan for none), and their number."""
     values = []
     for result in results:
         line = result.line(method) if result.sky == sky else None
@@ -111,7 +119,7 @@ def mean_flip(
 
 
 def as_json(results: list[Result], settings: dict[str, Any]) -> dict[str, Any]:
-    """All that was measured, with means, bars and what the paper reports."""
+    """Return all results with means, targets and the paper's figures."""
     skies = list(dict.fromkeys(result.sky for result in results))
     means = {
         sky: {

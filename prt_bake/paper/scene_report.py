@@ -1,4 +1,4 @@
-"""One scene of the report, step by step: model, asset, then under each sky reference, pictures and figures."""
+"""One scene of the report: its model and asset, then reference, pictures and figures under each sky."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
@@ -20,7 +20,7 @@ from prt_bake.paper.harmonics import DEGREE, bake_asset, shade_asset_picture
 from prt_bake.paper.models import scene_importance, scene_model
 from prt_bake.paper.network_pictures import render_network_picture
 from prt_bake.paper.reference import Reference, reference, trace_scene
-from prt_bake.paper.results import PRIMARY_SAMPLING, METHODS, SAMPLINGS, Line, Result
+from prt_bake.paper.results import METHODS, PRIMARY_SAMPLING, SAMPLINGS, Line, Result
 from prt_bake.paper.scenes import PaperScene, framing_camera, is_stand_in, open_scene
 from prt_bake.paper.settings import ReportSettings
 from prt_bake.paper.sigma import SigmaPicture, sigma_picture
@@ -30,20 +30,22 @@ from prt_bake.rendering.scene import render_scene
 from prt_bake.tracer.prepared import has_unscattered
 
 Progress = Callable[[str, float, str], None]
-"""progress(what, share done, a few words)."""
+"""progress(step, share done, text)."""
 
 _METHOD = 2
-"""Raised whenever the same inputs give other pictures or figures: all but references and models are then made anew."""
+"""Version of the results; raised when the same inputs give other pictures, which rebuilds all but references and
+models.
+"""
 _PICTURE_SEED = 0x7AB1E5
-"""Of what is compared with references, whose numbers are drawn from seeds of their own."""
+"""Seed of the pictures that are compared with references; the references use other seeds."""
 SURFACE_SPP, SURFACE_REFERENCE_SPP = 64, 256
-"""Samples a pixel of reflection and background, in pictures and in what they are compared with."""
+"""Samples per pixel of reflection and background, in the pictures and in the reference."""
 UNSCATTERED_SPP = 64
-"""Walks a pixel of what crosses unscattered, in both."""
+"""Paths per pixel of unscattered transmission, in both."""
 
 
 class SceneReport:
-    """What a report makes of one scene."""
+    """The report of one scene."""
 
     def __init__(
         self,
@@ -53,7 +55,7 @@ class SceneReport:
         artefacts: Artefacts,
         progress: Progress,
     ) -> None:
-        """Read the scene, which lies under `folder`, and set up its camera."""
+        """Read the scene from `folder` and set up its camera."""
         self.paper, self.folder, self.settings = paper, folder, settings
         self.artefacts, self._progress = artefacts, progress
         self.scene = open_scene(paper, folder)
@@ -67,7 +69,7 @@ class SceneReport:
             self.artefacts,
             name,
             self.scene,
-            self._given,
+            self._shipped_model,
             settings.train_minutes,
             settings.device,
             lambda share, words: self._progress(f"{name}: training", share, words),
@@ -75,12 +77,12 @@ class SceneReport:
 
     @cached_property
     def importance(self) -> Artefact:
-        """The importance module of the network, beside it."""
+        """The importance module of the network."""
         name, settings = self.paper.name, self.settings
         return scene_importance(
             self.artefacts,
             self.model,
-            self._given,
+            self._shipped_model,
             self.scene.mesh,
             settings.importance_seconds,
             settings.device,
@@ -88,8 +90,8 @@ class SceneReport:
         )
 
     @property
-    def _given(self) -> Path:
-        """Where the repository keeps the scene's network."""
+    def _shipped_model(self) -> Path:
+        """Path of the scene's network in the repository."""
         return self.folder / "models" / f"{self.paper.name}.pt"
 
     @cached_property
@@ -98,30 +100,30 @@ class SceneReport:
         settings = self.settings.bake(self.paper.bake)
         model, name = self.model, f"{self.paper.name}/asset.h5"
         inputs = {"method": _METHOD, "model": model.sha256, "degree": DEGREE, **asdict(settings)}
-        arguments = model, self.scene.mesh, settings, self.artefacts.stop, self._follow(f"{self.paper.name}: baking")
+        arguments = model, self.scene.mesh, settings, self.artefacts.stop, self._reporter(f"{self.paper.name}: baking")
         return self.artefacts.make(name, inputs, lambda path: bake_asset(path, *arguments))
 
     def under(self, sky_name: str, sky_path: Path) -> Result:
-        """The scene under one sky; raises Stopped with all whole steps kept."""
+        """Measure the scene under one sky. Raises Stopped; all finished steps are kept."""
         lighting = self._lighting(sky_path)
-        truth = self._reference(sky_name, lighting)
+        target = self._reference(sky_name, lighting)
         pictures = dict(self._pictures(sky_name, lighting))
-        return self._measured(sky_name, truth, pictures, self._surfaces(sky_name, lighting))
+        return self._result(sky_name, target, pictures, self._surfaces(sky_name, lighting))
 
     def evaluate_model(self, sky_name: str, sky_path: Path, model: Artefact, name: str) -> dict[str, float]:
-        """FLIP, the same without noise, and the error of another network's picture, as the evaluate_model line has them.
+        """Return flip, flip_without_noise and error of another network's picture, with the primary sampling.
 
-        The picture is the file `name`.exr; its directions are drawn by the importance module of the scene's network.
+        Writes the picture `name`.exr. Its directions are sampled by the importance module of the scene's own network.
         """
         lighting = self._lighting(sky_path)
-        truth = self._reference(sky_name, lighting)
-        found = read_layers(self._network_picture(lighting, PRIMARY_SAMPLING, f"{name}.exr", model).path)
-        mask = object_figures.object_mask(truth.coverage)
-        _map, figures = object_figures.alone(found, truth, mask, object_figures.exposure(truth.image, mask))
+        target = self._reference(sky_name, lighting)
+        picture = read_layers(self._network_picture(lighting, PRIMARY_SAMPLING, f"{name}.exr", model).path)
+        mask = object_figures.object_mask(target.coverage)
+        _map, figures = object_figures.alone(picture, target, mask, object_figures.exposure(target.image, mask))
         return {name: figures[name] for name in ("flip", "flip_without_noise", "error")}
 
     def sigma(self) -> SigmaPicture:
-        """What the importance module says of the points seen."""
+        """Return the lobe widths of the importance module at the visible points."""
         return sigma_picture(self.paper.title, self.importance.path.with_name("model.pt"), self.scene.mesh, self.view)
 
     def _lighting(self, path: Path) -> Lighting:
@@ -136,12 +138,14 @@ class SceneReport:
         inputs = {"scene": self.scene.content_hash, "seed": settings.seed, **self._view_inputs(lighting)}
         if has_unscattered(self.scene):
             inputs["shown"] = "scattered"
-        trace = trace_scene(self.scene, lighting, self.view, self.artefacts.stop, self._follow(f"{name}: path tracing"))
+        trace = trace_scene(
+            self.scene, lighting, self.view, self.artefacts.stop, self._reporter(f"{name}: path tracing")
+        )
         goal = settings.reference_spp, settings.reference_minutes
         return reference(self.artefacts, name, inputs, settings.size, trace, *goal)
 
     def _pictures(self, sky: str, lighting: Lighting) -> Iterator[tuple[str, Artefact]]:
-        """The pictures by method, of light from under the surface alone."""
+        """Yield (method, picture of subsurface light alone)."""
         folder = f"{self.paper.name}/{sky}"
         for sampling in SAMPLINGS:
             yield sampling, self._network_picture(lighting, sampling, f"{folder}/net_{sampling}.exr", self.model)
@@ -156,18 +160,18 @@ class SceneReport:
         return {"method": _METHOD, "model": model.sha256, **self._view_inputs(lighting)}
 
     def _network_picture(self, lighting: Lighting, sampling: Sampling, file: str, model: Artefact) -> Artefact:
-        """A network's picture, its directions drawn by the importance module of the scene's own network."""
-        settings, drawn_by = self.settings, None if sampling == "light" else self.importance
+        """Render a network; its directions are sampled by the importance module of the scene's own network."""
+        settings, importance = self.settings, None if sampling == "light" else self.importance
         inputs = {**self._picture_inputs(lighting, model), "spp": settings.spp, "sampling": sampling}
         inputs["seed"] = settings.seed
-        if drawn_by is not None:
-            inputs["importance"] = drawn_by.sha256
+        if importance is not None:
+            inputs["importance"] = importance.sha256
 
         def render(path: Path) -> Facts:
             return render_network_picture(
                 path,
                 model,
-                None if drawn_by is None else drawn_by.path.with_name("model.pt"),
+                None if importance is None else importance.path.with_name("model.pt"),
                 self.scene.mesh,
                 lighting,
                 self.view,
@@ -176,15 +180,13 @@ class SceneReport:
                 _PICTURE_SEED + settings.seed,
                 settings.device,
                 self.artefacts.stop,
-                self._follow(file),
+                self._reporter(file),
             )
 
         return self.artefacts.make(file, inputs, render)
 
     def _surfaces(self, sky: str, lighting: Lighting) -> tuple[Artefact, Artefact]:
-        """Reflection, background and what crosses unscattered: for the pictures, and from other numbers for the
-        reference.
-        """
+        """Render reflection, background and unscattered light twice with independent seeds: for pictures and reference."""
         inputs = {"method": _METHOD, "scene": self.scene.content_hash, **self._view_inputs(lighting)}
         if has_unscattered(self.scene):
             inputs["unscattered"] = UNSCATTERED_SPP
@@ -206,7 +208,7 @@ class SceneReport:
         )
 
     def _unscattered(self, lighting: Lighting, spp: int, seed: int) -> NDArray[np.float32]:
-        """What crosses the object without scattering [H,W,3]; raises Stopped."""
+        """Render the unscattered transmission [H,W,3]; raises Stopped."""
         stop = self.artefacts.stop
         picture = render_scene(
             self.scene, lighting, self.view, spp, seed, background=False, shown="unscattered", stop=stop
@@ -214,20 +216,20 @@ class SceneReport:
         self.artefacts.check()
         return picture.image
 
-    def _measured(
-        self, sky: str, truth: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
+    def _result(
+        self, sky: str, target: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
     ) -> Result:
-        """The figures of every picture; the maps of FLIP are kept beside them."""
+        """Measure every picture and write the FLIP maps."""
         inputs = {
             "method": _METHOD,
-            "reference": truth.artefact.sha256,
+            "reference": target.artefact.sha256,
             "pictures": {method: picture.sha256 for method, picture in pictures.items()},
             "surfaces": [surface.sha256 for surface in surfaces],
         }
-        kept = self.artefacts.make(
-            f"{self.paper.name}/{sky}/flip.npz", inputs, lambda path: self._measure(path, truth, pictures, surfaces)
+        maps = self.artefacts.make(
+            f"{self.paper.name}/{sky}/flip.npz", inputs, lambda path: self._measure(path, target, pictures, surfaces)
         )
-        facts = dict(kept.facts)
+        facts = maps.facts
         lines = tuple(
             Line(method, **self._cost(method, pictures[method]), **facts["figures"][method]) for method in METHODS
         )
@@ -236,9 +238,9 @@ class SceneReport:
             sky,
             Path(self.scene.path).name,
             is_stand_in(self.paper, self.scene),
-            object_figures.framing(truth.coverage),
+            object_figures.framing(target.coverage),
             facts["stops"],
-            truth.artefact.facts,
+            target.artefact.facts,
             facts["noise"],
             lines,
             self.model.facts,
@@ -246,32 +248,30 @@ class SceneReport:
         )
 
     def _measure(
-        self, path: Path, truth: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
+        self, path: Path, target: Reference, pictures: dict[str, Artefact], surfaces: tuple[Artefact, Artefact]
     ) -> Facts:
-        mask = object_figures.object_mask(truth.coverage)
-        alone_stops = object_figures.exposure(truth.image, mask)
-        ours, theirs = (read_image(surface.path) for surface in surfaces)
-        whole = truth.image + theirs
+        mask = object_figures.object_mask(target.coverage)
+        alone_stops = object_figures.exposure(target.image, mask)
+        surface, surface_reference = (read_image(layer.path) for layer in surfaces)
+        whole = target.image + surface_reference
         whole_stops = object_figures.exposure(whole, mask)
         maps: dict[str, NDArray[np.float16]] = {}
         figures: dict[str, Any] = {}
         for method, picture in pictures.items():
-            found = read_layers(picture.path)
-            flip_map, alone = object_figures.alone(found, truth, mask, alone_stops)
-            together = object_figures.measure(found.image + ours, whole, mask, whole_stops)
-            maps[method], maps[f"{method}_whole"] = (
-                flip_map.astype(np.float16),
-                together.flip_map.astype(np.float16),
-            )
+            layers = read_layers(picture.path)
+            flip_map, alone = object_figures.alone(layers, target, mask, alone_stops)
+            together = object_figures.measure(layers.image + surface, whole, mask, whole_stops)
+            maps[method] = flip_map.astype(np.float16)
+            maps[f"{method}_whole"] = together.flip_map.astype(np.float16)
             figures[method] = {"alone": alone, "whole": together.as_json()}
         harmonics, network = (read_image(pictures[method].path) for method in ("sh", PRIMARY_SAMPLING))
         figures["sh"]["alone"]["flip_to_net"] = object_figures.measure(harmonics, network, mask, alone_stops).flip
         write_maps(path, maps)
-        noise = object_figures.noise_figures(truth, harmonics, mask, alone_stops)
+        noise = object_figures.noise_figures(target, harmonics, mask, alone_stops)
         return {"stops": alone_stops, "whole_stops": whole_stops, "noise": noise, "figures": figures}
 
     def _cost(self, method: str, picture: Artefact) -> Facts:
-        """Samples a pixel, seconds, and megabytes of what must be kept to render the picture."""
+        """Return samples per pixel, seconds, and megabytes of the files that the rendering needs."""
         facts = picture.facts
         if method == "sh":
             return {"spp": 1, "seconds": facts["seconds"], "megabytes": self.asset.path.stat().st_size / 1e6}
@@ -280,16 +280,16 @@ class SceneReport:
             megabytes += self.importance.facts["megabytes"]
         return {"spp": facts["spp"], "seconds": facts["seconds"], "megabytes": megabytes}
 
-    def _follow(self, what: str) -> Callable[[float], None]:
-        return lambda share: self._progress(what, share, "")
+    def _reporter(self, step: str) -> Callable[[float], None]:
+        return lambda share: self._progress(step, share, "")
 
 
 def camera_json(view: Camera) -> list[Any]:
-    """All that decides a view, as plain values."""
+    """Return the camera's parameters as plain values."""
     return [view.eye.tolist(), view.target.tolist(), view.up.tolist(), view.fov, view.width, view.height]
 
 
 def write_maps(path: Path, maps: dict[str, NDArray[np.float16]]) -> None:
-    """Write maps by name as .npz, whole or not at all."""
+    """Write maps by name as .npz, atomically."""
     with replacing(path) as part, open(part, "wb") as file:
         np.savez_compressed(file, allow_pickle=False, **maps)

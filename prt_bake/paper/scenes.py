@@ -1,4 +1,4 @@
-"""The five scenes of the paper's tables, what the paper reports of each, and how each is framing_camera and baked here."""
+"""The five scenes of the paper's tables: the paper's figures, the files, the cameras and the bake settings."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,15 +12,15 @@ from prt_bake.geometry import camera
 from prt_bake.geometry.camera import Camera, Visibility, directions
 
 LEAST_SHARE = 0.4
-"""Of the picture, at least, the object fills."""
-_AIMED_SHARE = 0.42
+"""Smallest share of the picture that the object should fill."""
+_TARGET_SHARE = 0.42
 _FRAMING_PIXELS = 128
 _NARROWEST = 0.5
 
 
 @dataclass(frozen=True)
 class PaperRow:
-    """A line of the paper's first table; seconds on a GPU, pictures of a size that the paper does not say."""
+    """A row of the paper's first table; seconds on a GPU; the paper does not state the size of the pictures."""
 
     spp: int
     seconds: float
@@ -32,7 +32,7 @@ class PaperRow:
 
 @dataclass(frozen=True)
 class PaperSky:
-    """A column of the paper's second table for Net: pictures of 1920², SSIM at full and quarter size."""
+    """A column of the paper's second table for Net: pictures of 1920², SSIM at full and at quarter size."""
 
     mse: float
     ssim: float
@@ -42,10 +42,12 @@ class PaperSky:
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """How a scene is baked for SH at degree 2.
+    """How a scene is baked for SH of degree 2.
 
-    subdivisions: of each face into four, before the bake, so that what lies between vertices shows. rings, sectors:
-    view bins. samples: incident directions a bin.
+    Attributes:
+        subdivisions: how often each face is split into four before the bake, to resolve details between vertices.
+        rings, sectors: view bins.
+        samples: light directions per bin.
     """
 
     subdivisions: int
@@ -56,7 +58,7 @@ class BakeSettings:
 
 @dataclass(frozen=True)
 class PaperScene:
-    """A scene of the paper: its files under `scenes/`, the first whose mesh is there being taken."""
+    """A scene of the paper. `files` are paths under `scenes/`; the first one whose meshes exist is used."""
 
     name: str
     title: str
@@ -125,26 +127,26 @@ SCENES = (
 )
 NAMES = tuple(scene.name for scene in SCENES)
 SKIES = {"outdoor": "skies/outdoor.hdr", "indoor": "skies/indoor.hdr"}
-"""Under `scenes/`; `scenes/skies/LICENSES.md` says whose they are."""
+"""Paths under `scenes/`; `scenes/skies/LICENSES.md` names their authors."""
 
 
 def select_scenes(names: list[str]) -> tuple[PaperScene, ...]:
-    """The scenes of these names in the paper's order, all of them where none is named; raises QueryError for others."""
+    """Return the named scenes, by default all, in the paper's order; raises QueryError for unknown names."""
     unknown = [name for name in names if name not in NAMES]
     if unknown:
-        raise QueryError(f"--scene: {unknown[0]!r} is no scene of the paper; known are {', '.join(NAMES)}")
+        raise QueryError(f"--scene: {unknown[0]!r} is not a scene of the paper; expected {', '.join(NAMES)}")
     return tuple(scene for scene in SCENES if not names or scene.name in names)
 
 
 def open_scene(paper: PaperScene, folder: Path) -> Scene:
-    """Read the scene from its files under `folder`, the original's where its mesh is there, else the stand-in's.
+    """Read the scene from its files under `folder`: the original if its mesh exists, else the stand-in.
 
-    Raises SceneError where the last of them is not there either, or does not fit.
+    Raises SceneError if there is no stand-in either, or if the scene is invalid.
     """
     if not (folder / paper.files[-1]).is_file():
         raise SceneError(
-            f"{folder / paper.files[-1]}: not found; the paper's scenes lie in the folder scenes of the repository: "
-            "run the command from its root, or name the folder by --scenes"
+            f"{folder / paper.files[-1]}: not found; the paper's scenes are in the folder scenes of the repository: "
+            "run the command in a checkout, or give the folder by --scenes"
         )
     for name in paper.files[:-1]:
         if _has_meshes(folder / name):
@@ -153,32 +155,31 @@ def open_scene(paper: PaperScene, folder: Path) -> Scene:
 
 
 def is_stand_in(paper: PaperScene, scene: Scene) -> bool:
-    """Whether the scene is the stand-in for one whose mesh may not lie in the repository."""
+    """Whether the scene is a stand-in for a mesh that the repository may not contain."""
     return len(paper.files) > 1 and Path(scene.path).name == Path(paper.files[-1]).name
 
 
 def framing_camera(mesh: Mesh, size: int, up: str) -> Camera:
-    """A camera of size × size pixels that sees the whole object, or nearer where it would fill less than 40 %.
+    """Return the camera of size × size pixels whose picture the object fills to 42 %, or which sees all of it.
 
-    The eye stays where `camera.fit` puts it; the field of view is narrowed about the middle of the object until it
-    fills 42 % of the picture.
+    The eye is that of `camera.fit`. The field of view is narrowed until the object fills 42 % of the picture.
     """
-    whole = camera.fit(mesh, size, size, up=up)
+    fitted = camera.fit(mesh, size, size, up=up)
     visibility = Visibility(mesh)
-    if object_share(visibility, whole) >= _AIMED_SHARE:
-        return whole
-    narrow, wide = _NARROWEST, whole.fov
+    if object_share(visibility, fitted) >= _TARGET_SHARE:
+        return fitted
+    narrow, wide = _NARROWEST, fitted.fov
     while wide - narrow > 1e-3 * wide:
         middle = 0.5 * (narrow + wide)
-        if object_share(visibility, _with_fov(whole, middle, size)) >= _AIMED_SHARE:
+        if object_share(visibility, _with_fov(fitted, middle, size)) >= _TARGET_SHARE:
             narrow = middle
         else:
             wide = middle
-    return _with_fov(whole, narrow, size)
+    return _with_fov(fitted, narrow, size)
 
 
 def object_share(visibility: Visibility, view: Camera) -> float:
-    """The share of the picture that the object fills, from 128 × 128 rays."""
+    """Return the share of the picture that the object fills, from 128 × 128 rays."""
     small = _with_fov(view, view.fov, _FRAMING_PIXELS)
     rays = directions(small, slice(0, _FRAMING_PIXELS), np.array([[0.5, 0.5]])).reshape(-1, 3)
     return float((visibility.first_hits(small.eye, rays).faces >= 0).mean())
@@ -189,9 +190,9 @@ def _with_fov(view: Camera, fov: float, size: int) -> Camera:
 
 
 def _has_meshes(path: Path) -> bool:
-    """Whether the files that a scene file names are there; it is told by the scan alone, which is never committed."""
+    """Whether the scans that a scene file names exist; they are the only files that are never committed."""
     if not path.is_file():
         return False
-    words = path.read_text(encoding="utf-8").replace('"', " ").split()
-    scans = {word for word in words if word.startswith("stanford_") and word.endswith(".ply")}
+    tokens = path.read_text(encoding="utf-8").replace('"', " ").split()
+    scans = {token for token in tokens if token.startswith("stanford_") and token.endswith(".ply")}
     return all((path.parent / scan).is_file() for scan in scans)

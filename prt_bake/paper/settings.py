@@ -1,4 +1,4 @@
-"""How much work a report does."""
+"""The settings of a report."""
 
 from dataclasses import dataclass, replace
 
@@ -7,17 +7,18 @@ from prt_bake.paper.scenes import BakeSettings
 
 @dataclass(frozen=True)
 class ReportSettings:
-    """What decides the pictures and how long they take.
+    """The quality of the pictures and the time limits.
 
     Attributes:
-        size: of the pictures, both ways.
-        spp: samples a pixel of the network's pictures.
-        reference_spp: walks a pixel of each reference; None where time decides.
-        reference_minutes: time for each reference; None where walks decide.
-        train_minutes: for a scene whose model is not there.
-        importance_seconds: for fitting an importance module that is not there.
-        most_bins, most_samples, most_subdivisions: bounds on every scene's bake.
-        seed: of the references; what is compared with them is drawn from other numbers.
+        size: width and height of the pictures.
+        spp: samples per pixel of the network's pictures.
+        reference_spp: paths per pixel of each reference; None if only time limits it.
+        reference_minutes: time of each reference; None if only the paths limit it.
+        train_minutes: training time of a scene without a model.
+        importance_seconds: fitting time of a missing importance module.
+        most_bins, most_samples, most_subdivisions: limits of every scene's bake.
+        device: that of the networks.
+        seed: of the references; the pictures use independent seeds.
     """
 
     size: int = 512
@@ -32,17 +33,17 @@ class ReportSettings:
     device: str = "cpu"
     seed: int = 0
 
-    def bake(self, asked: BakeSettings) -> BakeSettings:
-        """A scene's bake within these bounds."""
+    def bake(self, settings: BakeSettings) -> BakeSettings:
+        """Limit a scene's bake settings."""
         return BakeSettings(
-            min(asked.subdivisions, self.most_subdivisions),
-            min(asked.rings, self.most_bins[0]),
-            min(asked.sectors, self.most_bins[1]),
-            min(asked.samples, self.most_samples),
+            min(settings.subdivisions, self.most_subdivisions),
+            min(settings.rings, self.most_bins[0]),
+            min(settings.sectors, self.most_bins[1]),
+            min(settings.samples, self.most_samples),
         )
 
     def quick(self) -> "ReportSettings":
-        """The same with so little work that it shows the tables' form alone, not their figures."""
+        """Return settings for a quick test of the report, whose figures mean nothing."""
         return replace(
             self,
             size=min(self.size, 96),

@@ -1,4 +1,4 @@
-"""A sheet of pictures: a row a scene and sky, each picture with its map of FLIP below it, figures beside the names."""
+"""A sheet of pictures: a row per scene and sky, each picture above its FLIP map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ PAPER, INK = (24, 24, 24), (235, 235, 235)
 
 @dataclass(frozen=True)
 class Tile:
-    """A picture [H,W,3] in linear radiance, its map of FLIP [H,W] (or none), and a few words."""
+    """A picture [H,W,3] in linear radiance, its FLIP map [H,W] (or none), and a label."""
 
     image: NDArray[np.floating]
     flip_map: NDArray[np.floating] | None
-    words: str
+    label: str
 
 
 @dataclass(frozen=True)
 class Row:
-    """Pictures of one scene under one sky, all lifted by `stops`."""
+    """Pictures of one scene under one sky, exposed by `stops`."""
 
     title: str
     stops: float
@@ -37,10 +37,9 @@ class Row:
 
 
 def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None:
-    """Write the sheet as PNG: `columns` name the tiles of each row; a tile that is None stays empty.
+    """Write the sheet as PNG; `columns` are the titles of the tiles; a tile that is None stays empty.
 
-    FLIP is shown in magma, black 0, white 1, at the size of the pictures. Raises PrtbakeError where the extra
-    `evaluate` is not installed.
+    FLIP maps use magma from 0 to 1. Raises PrtbakeError if the extra `evaluate` is not installed.
     """
     width = _LEFT + len(columns) * (CELL + _GAP)
     height = _HEAD + len(rows) * (2 * CELL + _LABEL + _GAP)
@@ -55,21 +54,21 @@ def write_sheet(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None
             if tile is None:
                 continue
             left = _LEFT + j * (CELL + _GAP)
-            draw.text((left, top + 1), tile.words, INK, font)
-            sheet.paste(fitted(shown(tile.image, row.stops)), (left, top + _LABEL))
+            draw.text((left, top + 1), tile.label, INK, font)
+            sheet.paste(resized(encoded(tile.image, row.stops)), (left, top + _LABEL))
             if tile.flip_map is not None:
-                sheet.paste(fitted(coloured(tile.flip_map)), (left, top + _LABEL + CELL))
+                sheet.paste(resized(coloured(tile.flip_map)), (left, top + _LABEL + CELL))
     with replacing(path) as part:
         sheet.save(part, format="PNG", optimize=True)
 
 
-def shown(image: NDArray[np.floating], stops: float) -> NDArray[np.uint8]:
-    """A picture [H,W,3] of linear radiance, lifted by `stops`, in 8 bits of sRGB."""
+def encoded(image: NDArray[np.floating], stops: float) -> NDArray[np.uint8]:
+    """Return linear radiance [H,W,3], exposed by `stops`, as 8-bit sRGB."""
     return np.rint(255.0 * to_srgb(np.asarray(image, np.float64) * 2.0**stops)).astype(np.uint8)
 
 
 def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "magma") -> NDArray[np.uint8]:
-    """Values [H,W] from 0 to `largest` in a colour map of matplotlib, [H,W,3]."""
+    """Return values [H,W] from 0 to `largest` in a colour map of matplotlib, [H,W,3]."""
     try:
         from matplotlib import colormaps
     except ImportError:
@@ -79,16 +78,16 @@ def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "ma
     return np.rint(255.0 * colours[..., :3]).astype(np.uint8)
 
 
-def fitted(pixels: NDArray[np.uint8]) -> Image.Image:
-    """In the size of a cell: means of pixels where there are more, whole squares where there are fewer."""
+def resized(pixels: NDArray[np.uint8]) -> Image.Image:
+    """Resize to a cell: box filter for larger pictures, nearest pixel for smaller ones."""
     picture = Image.fromarray(pixels)
     larger = pixels.shape[0] > CELL
     return picture.resize((CELL, CELL), Image.Resampling.BOX if larger else Image.Resampling.NEAREST)
 
 
-def _upright(words: str, length: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> Image.Image:
-    """A line of text that reads upwards."""
+def _upright(text: str, length: int, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> Image.Image:
+    """Return a line of text rotated by 90°."""
     strip = Image.new("RGB", (length, _LABEL), PAPER)
-    drawn = ImageDraw.Draw(strip)
-    drawn.text(((length - drawn.textlength(words, font)) / 2.0, 1), words, INK, font)
+    draw = ImageDraw.Draw(strip)
+    draw.text(((length - draw.textlength(text, font)) / 2.0, 1), text, INK, font)
     return strip.transpose(Image.Transpose.ROTATE_90)

@@ -1,4 +1,4 @@
-"""What is seen besides the light from under the surface: what the surface reflects, and the sky behind the object."""
+"""Pictures of the surface reflection and the background, which are added to subsurface light."""
 
 from collections.abc import Callable
 
@@ -22,9 +22,9 @@ _RAYS_AT_ONCE = 1 << 17
 def surface_picture(
     scene: Scene, lighting: Lighting, view: Camera, spp: int, seed: int, stop: Callable[[], bool] = lambda: False
 ) -> NDArray[np.float32]:
-    """A picture [H,W,3] of what the object's surface reflects and of the sky behind it, `spp` samples a pixel.
+    """Render the surface reflection and the sky behind the object [H,W,3], `spp` samples per pixel.
 
-    Added to a picture of the light from under the surface it gives the picture with everything in. Raises Stopped.
+    The sum with a picture of subsurface light is the complete picture. Raises Stopped.
     """
     visibility = Visibility(scene.mesh)
     reflector = Reflector(scene.mesh, lighting, scene.eta, visibility)
@@ -32,7 +32,7 @@ def surface_picture(
     step = max(1, _RAYS_AT_ONCE // view.width)
     for number in range(spp):
         if stop():
-            raise Stopped("the reflected light was stopped; the same command renders it anew")
+            raise Stopped("the surface reflection was stopped; the same command renders it again")
         sample = int(hashed(_PIXEL_STREAM, seed, number) >> np.uint64(1))
         for first in range(0, view.height, step):
             rows = slice(first, min(first + step, view.height))
@@ -49,17 +49,17 @@ def _rows(
     rows: slice,
     seed: int,
 ) -> Array:
-    """One sample of each pixel of some rows [R,W,3]."""
+    """Render one sample per pixel of some rows [R,W,3]."""
     pixels = np.arange(rows.start * view.width, rows.stop * view.width)
-    places = uniforms((_PIXEL_STREAM, seed, pixels.astype(np.uint64)), 2).reshape(-1, view.width, 1, 2)
-    rays = directions(view, rows, places).reshape(-1, 3)
+    offsets = uniforms((_PIXEL_STREAM, seed, pixels.astype(np.uint64)), 2).reshape(-1, view.width, 1, 2)
+    rays = directions(view, rows, offsets).reshape(-1, 3)
     hits = visibility.first_hits(view.eye, rays)
-    met = np.flatnonzero(hits.faces >= 0)
+    hit = np.flatnonzero(hits.faces >= 0)
     missed = np.flatnonzero(hits.faces < 0)
-    faces, barycentric = hits.faces[met], hits.barycentric[met]
-    seen = np.zeros((len(rays), 3))
-    seen[missed] = lighting.radiance(rays[missed])
-    points = surface_points(scene.mesh, faces, barycentric, -rays[met], scene.parts[0].normals, scene.roughness)
+    faces, barycentric = hits.faces[hit], hits.barycentric[hit]
+    radiance = np.zeros((len(rays), 3))
+    radiance[missed] = lighting.radiance(rays[missed])
+    points = surface_points(scene.mesh, faces, barycentric, -rays[hit], scene.parts[0].normals, scene.roughness)
     reflection_seed = int(hashed(_REFLECTION_STREAM, seed) >> np.uint64(1))
-    seen[met] = reflector.reflected(points, pixels[met].astype(np.uint64), reflection_seed)
-    return seen.reshape(-1, view.width, 3)
+    radiance[hit] = reflector.reflected(points, pixels[hit].astype(np.uint64), reflection_seed)
+    return radiance.reshape(-1, view.width, 3)

@@ -1,4 +1,4 @@
-"""The tables as Markdown: the paper's columns, and the paper's own figures beside ours."""
+"""The tables as Markdown, with the paper's columns and figures."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -6,9 +6,9 @@ from typing import Any
 
 from prt_bake.paper.results import (
     BARS,
-    PRIMARY_SAMPLING,
     METHODS,
     PAPER_MEANS,
+    PRIMARY_SAMPLING,
     TITLES,
     Line,
     Result,
@@ -18,22 +18,21 @@ from prt_bake.paper.results import (
 )
 from prt_bake.paper.scenes import LEAST_SHARE, SCENES, PaperRow
 
-_LAW = """Pictures of {size}², light from under the surface alone: nothing reflected, black behind the object, none of
-the light that crosses it without scattering. Figures are means over the pixels that the object covers wholly. The
-exposure gives the reference's object a median luminance of 0.18; MSE is of linear radiance after that exposure, SSIM
-and FLIP (67 pixels a degree) of the sRGB curve cut to [0,1].
+_EXPLANATION = """Pictures are {size}² and show subsurface light alone: no reflection, a black background, no unscattered
+transmission. Figures are means over the pixels that the object covers completely. The exposure gives the reference's
+object a median luminance of 0.18. MSE is computed on linear radiance after that exposure; SSIM and FLIP (67 pixels per
+degree) on sRGB values clamped to [0,1].
 
-The line of the path tracer holds what its own noise does to each figure: a picture that is exact but for noise as
-strong as the reference's would have them. (Half the difference between the two halves of the reference's passes has
-the variance of its error; it is added to the picture by SH, which has no noise, and the two are compared.) *noise out*
-is an estimate of FLIP against a reference without noise: the same half difference added to the reference doubles its
-variance, and FLIP² is drawn on in a straight line to none. Where noise is most of it, that is too high. *error* is the
-relative RMSE of linear radiance with the noise of both pictures taken out: what is wrong however long one renders.
+The row of the path tracer shows the effect of the reference's noise: the figures of an exact picture with noise of the
+same strength. (Half the difference of the reference's two half buffers has the variance of its error. It is added to
+the noise-free picture by SH, and the two are compared.) *no noise* estimates FLIP against a noise-free reference: the
+same half difference, added to the reference, doubles its variance, and FLIP² is extrapolated linearly to zero variance.
+The estimate is too high if noise dominates. *error* is the relative RMSE of linear radiance without the noise of both
+pictures: the error that remains however long one renders.
 
-In *all in*, reflection, sky and the light that crosses unscattered are in both pictures, from other random numbers in
-each. Seconds are of rendering alone,
-on {cores} CPU cores here, on a GPU in the paper. MB: the model; with *lobe* and *mis* the importance module too; of SH
-the asset. The paper has one line for Net; it stands beside each of ours."""
+*complete* adds reflection, sky and unscattered light to both pictures, with independent random numbers. Seconds are
+rendering times, on {cores} CPU cores here and on a GPU in the paper. MB is the size of the model, with *lobe* and *mis*
+also of the importance module, and for SH of the asset. The paper has one row for Net, repeated beside each of ours."""
 
 _COLUMNS = (
     "Scene",
@@ -44,9 +43,9 @@ _COLUMNS = (
     "MSE",
     "SSIM",
     "FLIP",
-    "noise out",
+    "no noise",
     "error",
-    "all in: MSE",
+    "complete: MSE",
     "SSIM",
     "FLIP",
 )
@@ -54,22 +53,22 @@ _PAPER_COLUMNS = ("paper: SPP", "s", "MB", "MSE", "SSIM", "FLIP")
 
 
 def markdown(results: list[Result], settings: dict[str, Any]) -> str:
-    """Both tables, the means against the bars, and how they were measured."""
+    """Return both tables, the means with their targets, and the method."""
     skies = list(dict.fromkeys(result.sky for result in results))
-    parts = ["# The paper's tables", _LAW.format(size=settings["size"], cores=settings["cores"])]
+    parts = ["# The paper's tables", _EXPLANATION.format(size=settings["size"], cores=settings["cores"])]
     if settings.get("quick"):
-        parts.append("**Made with --quick: it shows the form of the tables alone; its figures say nothing.**")
+        parts.append("**Made with --quick, as a test of the report: its figures mean nothing.**")
     for sky in skies:
-        chosen = [result for result in results if result.sky == sky]
-        parts += [f"## Performance and accuracy, {sky} sky", first_table(chosen)]
+        under_sky = [result for result in results if result.sky == sky]
+        parts += [f"## Performance and accuracy, {sky} sky", first_table(under_sky)]
     parts += ["## Mean FLIP over the scenes", means_table(results, skies)]
-    parts += ["## Net under two skies", second_table(results), _NOT_THERE]
+    parts += ["## Net under two skies", second_table(results), _MISSING]
     parts += ["## What was compared", _remarks(results)]
     return "\n\n".join(parts) + "\n"
 
 
 def first_table(results: Iterable[Result]) -> str:
-    """The paper's first table for results under one sky."""
+    """Return the paper's first table for results under one sky."""
     rows = []
     for result in results:
         scene = paper_scene(result.scene)
@@ -85,56 +84,55 @@ def first_table(results: Iterable[Result]) -> str:
 
 
 def second_table(results: Iterable[Result]) -> str:
-    """The paper's second table: Net under each sky, for the scenes that the paper has there."""
+    """Return the paper's second table: Net under each sky, for the paper's scenes."""
     rows = []
     for result in results:
         scene, line = paper_scene(result.scene), result.line(PRIMARY_SAMPLING)
         if scene.net_by_sky is None or line is None:
             continue
-        theirs = scene.net_by_sky.get(result.sky)
+        published = scene.net_by_sky.get(result.sky)
         name = f"{scene.title} ({result.sky})"
         for metric in ("mse", "ssim", "ssim_quarter", "flip"):
-            paper = "" if theirs is None else _figure(metric, getattr(theirs, metric))
-            ours = _figure(metric, line.alone[metric])
+            paper = "" if published is None else _figure(metric, getattr(published, metric))
+            measured = _figure(metric, line.alone[metric])
             noise = _figure(metric, result.noise[metric])
-            rows.append([name, _METRICS[metric], ours, noise, paper])
+            rows.append([name, _METRICS[metric], measured, noise, paper])
             name = ""
-    return _table(("Experiment", "Metric", f"Net ({PRIMARY_SAMPLING})", "the reference's noise", "paper: Net"), rows)
+    return _table(("Experiment", "Metric", f"Net ({PRIMARY_SAMPLING})", "noise of the reference", "paper: Net"), rows)
 
 
 def means_table(results: list[Result], skies: Sequence[str]) -> str:
-    """Mean FLIP of every method under every sky against the bars and the paper."""
+    """Return the mean FLIP of every method under every sky, with the targets and the paper's means."""
     rows = []
     for sky in skies:
         for method in METHODS:
             mean, count = mean_flip(results, sky, method)
             if not count:
                 continue
-            whole, with_all = mean_flip(results, sky, method, "whole")
+            whole, whole_count = mean_flip(results, sky, method, "whole")
             kind = "sh" if method == "sh" else "net"
-            bar = f"≤ {BARS[kind]:.2f}" if method in (PRIMARY_SAMPLING, "sh") else ""
-            reached = ("yes" if mean <= BARS[kind] else "no") if bar and count == len(SCENES) else ""
+            target = f"≤ {BARS[kind]:.2f}" if method in (PRIMARY_SAMPLING, "sh") else ""
+            reached = ("yes" if mean <= BARS[kind] else "no") if target and count == len(SCENES) else ""
             noiseless = mean_flip(results, sky, method, figure="flip_without_noise")[0]
-            all_in = f"{whole:.4f}" if with_all else ""
+            complete = f"{whole:.4f}" if whole_count else ""
             scenes = f"{count} of {len(SCENES)}"
-            row = [sky, TITLES[method], scenes, f"{mean:.4f}", bar, reached]
+            row = [sky, TITLES[method], scenes, f"{mean:.4f}", target, reached]
             error = mean_flip(results, sky, method, figure="error")[0]
-            row += [f"{noiseless:.4f}", f"{error:.1%}", all_in, f"{PAPER_MEANS[kind]:.3f}"]
+            row += [f"{noiseless:.4f}", f"{error:.1%}", complete, f"{PAPER_MEANS[kind]:.3f}"]
             rows.append(row)
-    return _table(
-        ("Sky", "Model", "Scenes", "mean FLIP", "bar", "reached", "noise out", "error", "all in", "paper"), rows
-    )
+    columns = ("Sky", "Model", "Scenes", "mean FLIP", "target", "reached", "no noise", "error", "complete", "paper")
+    return _table(columns, rows)
 
 
 _METRICS = {"mse": "MSE", "ssim": "SSIM", "ssim_quarter": "SSIM, quarter size", "flip": "FLIP"}
-_NOT_THERE = (
-    "NeRFactor and NeuMIP, the paper's other columns, are not there yet. The paper's pictures are of 1920², SSIM at "
-    "quarter size of 480²."
+_MISSING = (
+    "NeRFactor and NeuMIP, the paper's other columns, are missing. The paper's pictures are 1920²; its SSIM at quarter "
+    "size is computed at 480²."
 )
 
 
 def _remarks(results: Iterable[Result]) -> str:
-    """A line a scene and sky: file, framing, exposure, walks; a warning where the object fills too little."""
+    """Return a line per scene and sky: file, framing with a warning if too small, exposure, paths, model, asset."""
     lines = []
     for result in results:
         share = result.framing["object_share"]
@@ -147,25 +145,25 @@ def _remarks(results: Iterable[Result]) -> str:
         )
         lines.append(
             f"- {result.scene}, {result.sky}: {result.source}; the object fills {share:.1%} of the picture{small}, "
-            f"{result.framing['object_pixels']:,} pixels count; exposure {result.stops:+.2f} stops; reference of "
-            f"{result.reference['walks']:,} walks{_trained(result.model)}{baked}{_of_degree_two(result)}"
+            f"{result.framing['object_pixels']:,} pixels are compared; exposure {result.stops:+.2f} stops; reference "
+            f"of {result.reference['walks']:,} paths{_training(result.model)}{baked}{_projection(result)}"
         )
     return "\n".join(lines)
 
 
-def _of_degree_two(result: Result) -> str:
-    """What SH and Net differ by: degree 2 and the bake, whatever the network has learnt."""
+def _projection(result: Result) -> str:
+    """Return the difference between SH and Net, which is due to the projection and the bake alone."""
     line = result.line("sh")
     flip = None if line is None else line.alone.get("flip_to_net")
     return "" if flip is None else f"; FLIP of SH against Net ({PRIMARY_SAMPLING}) {flip:.4f}"
 
 
-def _trained(model: dict[str, Any]) -> str:
+def _training(model: dict[str, Any]) -> str:
     if "seconds" not in model or "walks" not in model:
         return ""
     rmse = model.get("relative_rmse", {}).get("coefficients")
-    error = "" if rmse is None else f", error of its coefficients {rmse:.1%}"
-    return f"; network trained {model['seconds'] / 60.0:.1f} minutes on {model['walks']:,} walks{error}"
+    error = "" if rmse is None else f", error of the coefficients {rmse:.1%}"
+    return f"; network trained {model['seconds'] / 60.0:.1f} minutes on {model['walks']:,} paths{error}"
 
 
 def _line(line: Line) -> list[str]:

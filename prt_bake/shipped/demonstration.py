@@ -16,7 +16,7 @@ from formats.image import read_image, write_image
 from formats.json_report import write_report
 from formats.mesh import read_mesh
 from prt_bake.baking.bake import Progress, bake
-from prt_bake.baking.job.pilot import LADDER, error_ladder
+from prt_bake.baking.job.sample_pilot import LADDER, error_ladder
 from prt_bake.baking.report.summary import bake_report, plot_error
 from prt_bake.comparison.metrics import Comparison, compare
 from prt_bake.comparison.side_by_side import write_side_by_side

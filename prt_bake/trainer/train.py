@@ -28,7 +28,7 @@ from prt_bake.trainer.offline import SampleFileData
 from prt_bake.trainer.prefetch import Prefetcher
 from prt_bake.trainer.resume import read_state, require_state, write_state
 from prt_bake.trainer.samples.rows import RowSource, StreamSettings
-from prt_bake.trainer.scene_remarks import training_warning
+from prt_bake.trainer.scene_warnings import training_warning
 from prt_bake.trainer.training_data import PathTracedData, TrainingData, box_of
 
 __all__ = ["LearningSettings", "TrainingProgress", "train"]

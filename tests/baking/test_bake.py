@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh
 from prt_bake.baking.bake import bake, plan
-from prt_bake.baking.job.pilot import error_ladder
+from prt_bake.baking.job.sample_pilot import error_ladder
 from prt_bake.mathematics import sh, sphere
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF
 

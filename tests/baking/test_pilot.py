@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prt_bake import bake
-from prt_bake.baking.job.pilot import error_ladder
+from prt_bake.baking.job.sample_pilot import error_ladder
 from tests.bakers.transports import Kinked, icosphere
 
 MESH = icosphere(3)

@@ -12,7 +12,7 @@ from formats.mesh import build_mesh, check_mesh, read_mesh, write_mesh
 from formats.scene import read_scene
 from prt_bake.geometry.nesting import protruding_parts, winding_numbers
 from prt_bake.inspection.files import find_remarks
-from prt_bake.trainer.scene_remarks import training_warning
+from prt_bake.trainer.scene_warnings import training_warning
 from tests import ROOT
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene

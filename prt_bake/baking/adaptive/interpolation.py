@@ -20,8 +20,8 @@ from bakers.workers import Workers
 from formats.asset.error_covariance import ErrorCovariance
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
+from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import Interpolation, tested_bins
-from prt_bake.baking.adaptive.pilot import AdaptiveJob
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

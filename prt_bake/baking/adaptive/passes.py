@@ -18,9 +18,9 @@ from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Workers
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation import EvaluatedVertices, interpolated_block
+from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import Interpolation
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block, worst_of
-from prt_bake.baking.adaptive.pilot import AdaptiveJob
 from prt_bake.baking.adaptive.trials import TARGET
 from prt_bake.baking.job.forecast import COST_EXPONENT
 

@@ -14,10 +14,10 @@ from bakers.adaptive.calibration import Tally
 from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import Workers
+from prt_bake.baking.adaptive.noise_pilot import MANY, AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import INTERPOLATION_TIME
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block
 from prt_bake.baking.adaptive.passes import Pass, tighter
-from prt_bake.baking.adaptive.pilot import MANY, AdaptiveJob
 from prt_bake.baking.adaptive.trials import PILOT_VALIDATION_BINS
 from prt_bake.baking.job.forecast import COST_EXPONENT
 from prt_bake.baking.job.lattices import drawn

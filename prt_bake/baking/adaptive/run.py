@@ -15,9 +15,15 @@ from bakers.baker import Block
 from formats.asset import Asset
 from formats.errors import QueryError
 from prt_bake.baking.adaptive.checkpoints import EVALUATED, PassCheckpoints
+from prt_bake.baking.adaptive.noise_pilot import (
+    MANY,
+    AdaptiveJob,
+    first_refinement,
+    refuse_out_of_reach,
+    vertices_at_once,
+)
 from prt_bake.baking.adaptive.pass_settings import PassSettings, uncalibrated
 from prt_bake.baking.adaptive.passes import Pass, one_pass, tighter
-from prt_bake.baking.adaptive.pilot import MANY, AdaptiveJob, first_refinement, refuse_out_of_reach, vertices_at_once
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, PilotStopped
 from prt_bake.baking.job.forecast import COST_EXPONENT, BakeStatus, Forecast, error_exponent

@@ -6,15 +6,15 @@ import numpy as np
 
 from bakers.adaptive.evaluation_cache import EvaluationCache
 from bakers.adaptive.records import Lattices, RefinementSettings
-from prt_bake.baking.adaptive.parent_vertices import Interpolation, choose_interpolation
-from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, VIEW_OVER_LIGHT, PassSettings, uncalibrated
-from prt_bake.baking.adaptive.pilot import (
+from prt_bake.baking.adaptive.noise_pilot import (
     FEWEST_VALIDATION_BINS,
     MOST_VALIDATION_BINS,
     AdaptiveJob,
     fewest_validation_bins,
     out_of_reach,
 )
+from prt_bake.baking.adaptive.parent_vertices import Interpolation, choose_interpolation
+from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, VIEW_OVER_LIGHT, PassSettings, uncalibrated
 from prt_bake.baking.adaptive.pilot_cost import PilotCost, seconds_per_evaluation
 from prt_bake.baking.adaptive.trials import (
     CHEAP,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import SINGLE_THREAD, Workers, split_evenly
+from prt_bake.baking.adaptive.noise_pilot import FEWEST_VALIDATION_BINS, MANY, MISSED, AdaptiveJob
 from prt_bake.baking.adaptive.pass_settings import (
     VALIDATION_NOISE,
     VIEW_OVER_LIGHT,
@@ -18,7 +19,6 @@ from prt_bake.baking.adaptive.pass_settings import (
     refined_block,
     worst_of,
 )
-from prt_bake.baking.adaptive.pilot import FEWEST_VALIDATION_BINS, MANY, MISSED, AdaptiveJob
 from prt_bake.baking.adaptive.pilot_cost import PilotCost
 from prt_bake.baking.job.lattices import drawn, validation_bins
 

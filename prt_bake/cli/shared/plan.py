@@ -1,12 +1,15 @@
 """The plan of a bake as text for a terminal."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from bakers.plan import BakePlan
 from prt_bake.cli.shared.progress import in_words
 
+if TYPE_CHECKING:
+    from bakers.plan import BakePlan
 
-def plan_lines(plan: BakePlan) -> Iterator[str]:
+
+def plan_lines(plan: "BakePlan") -> Iterator[str]:
     """Yield the size and time of the bake, then each pruning: its reason, saving and the cost of testing for it."""
     bins = plan.vertices * plan.bins
     yield f"{plan.vertices:,} vertices × {plan.bins:,} view bins, {plan.coefficients} SH coefficients"

@@ -157,7 +157,9 @@ def _traced(scene: Scene, lighting: Lighting, view: camera.Camera, seconds: floa
     return halves
 
 
-def _side_by_side(image: NDArray[np.float32], reference: TracedPicture, flip_map: NDArray[np.float32], stops: float) -> str:
+def _side_by_side(
+    image: NDArray[np.float32], reference: TracedPicture, flip_map: NDArray[np.float32], stops: float
+) -> str:
     """The network's picture, the path tracer's and the FLIP map (1 is white) as a PNG in base64."""
     pictures = [to_srgb(part.astype(np.float64) * 2.0**stops) for part in (image, reference.image)]
     pixels = np.concatenate([*pictures, np.repeat(flip_map[..., None], 3, axis=2)], axis=1)

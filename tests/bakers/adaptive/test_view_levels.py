@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bakers.adaptive.calibration import Correction, Tally
-from bakers.adaptive.fit_residual import LatticeNoise, fit_lattice_noise
+from bakers.adaptive.lattice_noise import LatticeNoise, fit_lattice_noise
 from bakers.adaptive.records import validation_noise
 from bakers.adaptive.view_levels import view_levels
 from prt_bake.baking.job.lattices import drawn, lattice_for, pools_for, validation_bins, vertex_turns

@@ -1,6 +1,6 @@
 """Interrupted bakes: whether resumed assets are bit-identical, and the time that each accident costs.
 
-    python -m tests.bench.bake_accidents [--bakes 10] [--kills 3] [--seed 0]
+    python -m tests.bench.interruptions [--bakes 10] [--kills 3] [--seed 0]
 
 A small object with a slow transport. Bakes are killed (SIGKILL) at random moments and resumed with one or two workers
 and another block size; a worker of a cluster is killed, or its scheduler; the disk fills up, as in the tests. `lost` is
@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
-import prt_bake.baking.adaptive.pilot
+import prt_bake.baking.adaptive.noise_pilot
 from formats.errors import ClusterError, StorageError
 from prt_bake import bake
 from tests.bakers.transports import icosphere
@@ -107,7 +107,7 @@ def _finished(out: Path, kind: str, block: int) -> float:
 def small_blocks() -> Iterator[None]:
     """Blocks of five vertices."""
     with (
-        mock.patch.object(prt_bake.baking.adaptive.pilot, "BINS_AT_ONCE", 5 * 32),
+        mock.patch.object(prt_bake.baking.adaptive.noise_pilot, "BINS_AT_ONCE", 5 * 32),
         mock.patch("bakers.baker.vertices_at_once", return_value=5),
     ):
         yield

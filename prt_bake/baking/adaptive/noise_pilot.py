@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.component_fit import PROBE_STAGES
-from bakers.adaptive.fit_residual import DEFAULT_SLOPE, LatticeNoise, fit_lattice_noise
+from bakers.adaptive.lattice_noise import DEFAULT_SLOPE, LatticeNoise, fit_lattice_noise
 from bakers.adaptive.lattice_pools import Pools
 from bakers.adaptive.nested_lattice import NestedLattice
+from bakers.adaptive.principal_components import PROBE_STAGES
 from bakers.adaptive.records import RefinementSettings
 from bakers.adaptive.view_levels import Level, view_levels
 from bakers.adaptive.view_survey import FULL_LEVELS, ViewSurvey

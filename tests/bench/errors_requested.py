@@ -1,6 +1,6 @@
 """Cost of a bake by the requested error: evaluations per bin, refinement passes, and the estimated error.
 
-    python -m tests.bench.errors_asked [--errors 0.1 0.05 0.03 0.02 0.01] [--seeds 3] \
+    python -m tests.bench.errors_requested [--errors 0.1 0.05 0.03 0.02 0.01] [--seeds 3] \
         [--rings 4] [--sectors 8] [--model MODEL.pt --mesh MESH]
 
 A coarser error must never cost more than a finer one.

@@ -1,6 +1,6 @@
 """Pruning of bakes: the evaluations, bytes and seconds that it saves, and the error that it adds.
 
-    python -m tests.bench.bake_needs [--error 0.01] [--only WORDS]
+    python -m tests.bench.pruning [--error 0.01] [--only WORDS]
 
 Each scene is baked to a file without and with pruning. Columns are evaluations (thousands), kilobytes and seconds, each
 without and with pruning, and the evaluations that the plan predicted. `adds` is the relative error that pruning adds,
