@@ -201,7 +201,7 @@ def _kept(gram: Array, left_out: float) -> NDArray[np.float32]:
 
 
 def _count(energies: Array, left_out: float) -> int:
-    """Number of energies, in falling order, to keep so that the others sum to at most `left_out`; at least one."""
+    """How many energies, sorted from the largest, to keep so that the others sum to at most `left_out`; at least 1."""
     tails = np.append(np.cumsum(energies[::-1])[::-1], 0.0)
     return max(1, int(np.argmax(tails <= left_out)))
 

@@ -29,7 +29,7 @@ FEWEST_SECTORS = 32
 LEAST_DIRECTIONS_PER_COEFFICIENT = 1.5
 """Least directions per coefficient in each half-size set."""
 FEWEST_VALIDATION_BINS, BINS_PER_VALIDATION_BIN = 4, 64
-"""Validation bins of a vertex: at least so many, and one out of this many bins."""
+"""Least number of validation bins of a vertex, and number of bins per validation bin."""
 UNRELIABLE_FIT, DIRECTIONS_POWER, UNRELIABLE_SUM = 0.3, 1.4, 1.5
 """The neighbour estimate may contain signal above this multiple of the residual variance: for fits over 64 directions,
 the power of the number of directions by which the multiple falls above 64, and for plain sums, whose residual is no

@@ -1,4 +1,4 @@
-"""Size of a bake before it runs: evaluations, bytes, block size, and what pruning leaves out."""
+"""The size of a bake, before it runs: evaluations, bytes, block size, and what is pruned."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -9,15 +9,15 @@ BYTES_AT_ONCE = 8 << 20
 
 @dataclass(frozen=True)
 class PrunableItem:
-    """Something that a scene may not need."""
+    """A part of a bake that may be redundant: vertices, views, bands or channels."""
 
     item: str
     reason: str
-    """The measurement that speaks for or against leaving it out."""
+    """The measurement by which it is pruned or kept."""
     saving: str
-    """What the asset or the bake saves; empty where the item is kept."""
+    """What the asset or the bake saves; empty if the item is kept."""
     cost: str
-    """The cost of the measurement, and the error that leaving it out adds."""
+    """The cost of the measurement, and the error that pruning adds."""
 
     def as_json(self) -> dict[str, str]:
         """Plain values for a report."""
@@ -36,7 +36,7 @@ class BakePlan:
     raw_bytes: int
     """Coefficients before compression, as stored."""
     seconds: float | None
-    """Predicted duration of the whole bake, from a few blocks; None if none was baked."""
+    """Predicted duration of the bake, from a few blocks; None if none was baked."""
     seconds_between: tuple[float, float] | None = None
     """Range that the duration is very likely in; None if unknown."""
     left_out: list[PrunableItem] = field(default_factory=list)

@@ -27,10 +27,10 @@ class Workers(Protocol):
         """
 
 
-def split_evenly(whole: NDArray[Any], most: int, workers: Workers) -> list[NDArray[Any]]:
-    """Splits [n] into pieces of at most `most`, short enough that all workers have one."""
-    size = max(1, min(most, -(-len(whole) // workers.count)))
-    return [whole[first : first + size] for first in range(0, len(whole), size)]
+def split_evenly(items: NDArray[Any], most: int, workers: Workers) -> list[NDArray[Any]]:
+    """Splits items [n] into pieces of at most `most`, and into at least one piece per worker if there are enough."""
+    size = max(1, min(most, -(-len(items) // workers.count)))
+    return [items[first : first + size] for first in range(0, len(items), size)]
 
 
 class Threads:

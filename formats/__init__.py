@@ -1,4 +1,4 @@
-"""Files on disk: meshes, images, scenes, samples and assets, each a frozen record with a reader and a writer.
+"""File formats: meshes, images, scenes, samples and assets, each with a record in memory, a reader and its checks.
 
 May import: nothing else of the product. Begin with `errors.py` and `atomic.py`, which every reader and writer uses.
 """

@@ -1,4 +1,4 @@
-"""The errors that a user can cause. Each message is one sentence: file, place, expected, found, what would do."""
+"""The errors that a user can cause. Each message is one sentence: file, place, expected, found, remedy."""
 
 import os
 
@@ -56,7 +56,7 @@ class StorageError(PrtbakeError, OSError):
 
 
 class ClusterError(PrtbakeError, RuntimeError):
-    """A cluster that cannot be reached, has gone, or whose workers cannot do the work."""
+    """A cluster that cannot be reached or was lost, or whose workers fail."""
 
 
 def refuse_path(name: str, value: object, reader: str) -> None:

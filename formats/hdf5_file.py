@@ -21,7 +21,7 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 class DamagedDataError(OSError):
-    """A part of a file that cannot be unpacked; the message names the part and is fit for users."""
+    """A part of a file that cannot be decompressed; the message names the part."""
 
 
 def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: str, remedy: str) -> Any:
@@ -30,8 +30,8 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
     Args:
         path: the file.
         error: the class of errors to raise.
-        is_not: what a file of another kind is not, for the message: "is not an asset".
-        remedy: what would repair the file, for the message: "bake it".
+        is_not: the message for a file of another kind, such as "is not an asset".
+        remedy: the advice in messages, such as "bake it".
 
     Raises:
         FormatError: `error`, if the file is empty, truncated, damaged or of another kind.

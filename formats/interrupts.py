@@ -12,7 +12,7 @@ from typing import Any
 
 @contextlib.contextmanager
 def deferred() -> Iterator[None]:
-    """Delay an interrupt until the block ends. Other threads than the main one receive no interrupts."""
+    """Delay an interrupt until the block ends. Does nothing outside the main thread, which alone gets interrupts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -44,5 +44,5 @@ def interrupt_flag() -> Iterator[Callable[[], bool]]:
 
 
 def _restore(handler: Any) -> None:
-    """Set a handler again. None stands for one that was not set from Python, which Python cannot restore."""
+    """Restore a handler. None means that it was not set from Python; Python cannot restore it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL if handler is None else handler)

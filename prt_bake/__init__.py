@@ -1,8 +1,12 @@
-"""prtbake's public face: `import prt_bake as prt`.
+"""The Python API of prtbake: `import prt_bake as prt`.
 
-A translucent object is path traced and fitted (`train`), its transport projected on real spherical harmonics for
-every vertex and view bin (`bake`), and relit by a dot product (`shade`). Names are loaded when they are first asked
-for: reading an asset and shading it never loads torch.
+`train` path traces a translucent object and fits a network to it, `bake` projects its transport on real spherical
+harmonics at every vertex and view bin, and `shade` relights it by dot products. Names are imported on first use, so
+that reading and shading an asset never loads torch.
+
+>>> import prt_bake as prt
+>>> prt.project_environment([[[1.0, 1.0, 1.0]] * 4] * 2, degree=0).round(4).tolist()
+[[3.5449, 3.5449, 3.5449]]
 """
 
 from importlib import import_module
@@ -75,7 +79,7 @@ __all__ = [
     "write_mesh",
 ]
 
-# Public name → module, and the name within it; an empty name is the module itself.
+# Public name → (module, name in it); an empty name is the module itself.
 _ORIGIN = {
     "Asset": ("formats.asset", "Asset"),
     "Camera": ("prt_bake.geometry.camera", "Camera"),
@@ -119,7 +123,7 @@ _ORIGIN = {
 
 
 def __getattr__(name: str) -> object:
-    """Load a public name on first use, and keep it so that the next look-up is an ordinary one."""
+    """Import a public name on first use and store it, so that later look-ups are ordinary ones."""
     if name not in _ORIGIN:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module_name, attribute = _ORIGIN[name]

@@ -1,6 +1,6 @@
-"""Every mesh and texture of the scenes: `python -m scenes.make` writes them anew, beside their scene files.
+"""Generates every mesh and texture of the scenes: `python -m scenes.make` writes them beside their scene files.
 
-`--out FOLDER` writes elsewhere; `--only grape` one scene. The head needs scikit-image.
+`--out FOLDER` writes to another folder; `--only grape` writes one scene. The head needs scikit-image.
 """
 
 import argparse
@@ -40,12 +40,12 @@ def dragon(folder: Path) -> None:
 
 
 def paperweight(folder: Path) -> None:
-    """A cube with rounded edges, as wide as it needs to be around Spot, or a bunny of his size."""
+    """A cube with rounded edges that contains Spot, or a bunny of the same size."""
     solids.write(solids.rounded_box(1.1, 0.15).moved(offset=[0.0, 0.11, 0.19]), folder / "cube.obj")
 
 
 def drink(folder: Path) -> None:
-    """A glass closed over its liquid, the liquid, and two ice cubes that float in it."""
+    """A closed glass, the liquid in it, and two floating ice cubes."""
     for name, outline in (("glass", (0.72, 0.95, -1.2, 1.2, 0.08)), ("liquid", (0.63, 0.86, -1.02, 1.1, 0.08))):
         solids.write(solids.plain(solids.revolution(solids.beaker(*outline), 48)), folder / f"{name}.obj")
     cube = solids.rounded_box(0.26, 0.06, bevel=2, flat=2)
@@ -61,7 +61,7 @@ def lucy(folder: Path) -> None:
 
 
 def head(folder: Path) -> None:
-    """The head, and the sun that stands behind it: one bright texel of a dark sky."""
+    """The head, and a dark sky with one bright pixel, a sun behind the head."""
     solids.write(statues.head(), folder / "head.obj")
     sky = np.zeros((32, 64, 3))
     sky[12, 52] = 2000.0
@@ -75,7 +75,7 @@ SCENES: dict[str, Callable[[Path], None]] = {
 
 
 def make(out: Path, names: list[str]) -> None:
-    """Write what these scenes need into folders of their names under `out`."""
+    """Write the meshes and textures of the named scenes into folders of those names under `out`."""
     for name in names:
         folder = out / name
         folder.mkdir(parents=True, exist_ok=True)
@@ -86,5 +86,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Write every mesh and texture of the scenes.")
     parser.add_argument("--out", type=Path, default=HERE)
     parser.add_argument("--only", choices=SCENES)
-    given = parser.parse_args()
-    make(given.out, [given.only] if given.only else list(SCENES))
+    arguments = parser.parse_args()
+    make(arguments.out, [arguments.only] if arguments.only else list(SCENES))

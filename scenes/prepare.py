@@ -1,7 +1,7 @@
-"""A mesh of one's own made ready for a scene: `python -m scenes.prepare IN OUT --size 2 --center 0,0,0`.
+"""Prepares a mesh for a scene: `python -m scenes.prepare IN OUT --size 2 --center 0,0,0`.
 
-Faces without area are dropped, the box is moved to the centre and scaled so that its longest side has the size. A scan
-with holes is refused: close them first.
+Drops faces without area, and moves and scales the mesh to the given centre and longest side. Refuses a mesh with holes:
+close them first.
 """
 
 import argparse
@@ -15,15 +15,17 @@ from formats.mesh import build_mesh, flipped, inconsistent_edges, open_edges, re
 
 
 def prepare(source: Path, out: Path, size: float, center: tuple[float, float, float]) -> None:
-    """Write the mesh so placed.
+    """Write the prepared mesh.
 
     Raises:
-        MeshError: it is damaged, or not closed and wound consistently.
-        StorageError: the file is missing, or the disk does not take it.
+        MeshError: the mesh is damaged, open or inconsistently oriented.
+        StorageError: the file is missing, or the output cannot be written.
     """
     mesh = read_mesh(source, drop_flat_faces=True)
     if faults := open_edges(mesh) + inconsistent_edges(mesh):
-        raise MeshError(f"{source}: {faults} edges are open or torn; close the holes first (MeshLab: Screened Poisson)")
+        raise MeshError(
+            f"{source}: {faults} edges are open or inconsistent; close the holes first (MeshLab: Screened Poisson)"
+        )
     low, high = mesh.bounds
     scale = size / float((high - low).max())
     placed = build_mesh((mesh.positions - mesh.center) * scale + np.asarray(center), mesh.faces)
@@ -41,8 +43,8 @@ if __name__ == "__main__":
     parser.add_argument("out", type=Path)
     parser.add_argument("--size", type=float, default=2.0, help="longest side of its box, in scene units")
     parser.add_argument("--center", type=_point, default=(0.0, 0.0, 0.0), help="middle of its box, as x,y,z")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     try:
-        prepare(given.source, given.out, given.size, given.center)
-    except PrtbakeError as fault:
-        sys.exit(f"prepare: {fault}")
+        prepare(arguments.source, arguments.out, arguments.size, arguments.center)
+    except PrtbakeError as error:
+        sys.exit(f"prepare: {error}")

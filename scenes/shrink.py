@@ -1,7 +1,7 @@
-"""A lat-long sky in fewer pixels, its energy kept: `python -m scenes.shrink SKY OUT.hdr --size 256x128`.
+"""Downsamples a lat-long sky without losing energy: `python -m scenes.shrink SKY OUT.hdr --size 256x128`.
 
-Each pixel becomes the mean of those that it takes the place of, weighted by the solid angle of each: radiance times
-solid angle is the same before and after, of every pixel and so of the whole.
+Each pixel is the mean of those that it replaces, weighted by their solid angles, so that the integral of radiance over
+each pixel is preserved.
 """
 
 import argparse
@@ -14,14 +14,11 @@ from formats.image import read_image, write_image
 
 
 def shrink(sky: NDArray[np.floating], width: int, height: int) -> NDArray[np.float64]:
-    """The sky [H,W,3] at `width` × `height`; H and W must be whole multiples of them.
-
-    Raises ValueError where they are not.
-    """
+    """Return the sky [H,W,3] at `width` × `height`; raises ValueError unless H and W are multiples of them."""
     rows, columns = sky.shape[0] // height, sky.shape[1] // width
     if (rows * height, columns * width) != sky.shape[:2] or not rows * columns:
         raise ValueError(
-            f"the sky is {sky.shape[1]}x{sky.shape[0]}, no whole multiple of {width}x{height}; give another --size"
+            f"the sky is {sky.shape[1]}x{sky.shape[0]}, not a multiple of {width}x{height}; choose another --size"
         )
     edges = np.cos(np.pi * np.arange(sky.shape[0] + 1) / sky.shape[0])
     weights = (edges[:-1] - edges[1:]).reshape(height, rows)
@@ -30,10 +27,10 @@ def shrink(sky: NDArray[np.floating], width: int, height: int) -> NDArray[np.flo
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Shrink a lat-long sky; its energy stays.")
+    parser = argparse.ArgumentParser(description="Downsample a lat-long sky without losing energy.")
     parser.add_argument("sky", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--size", default="256x128")
-    given = parser.parse_args()
-    across, down = (int(part) for part in given.size.split("x"))
-    write_image(given.out, shrink(read_image(given.sky), across, down))
+    arguments = parser.parse_args()
+    width, height = (int(part) for part in arguments.size.split("x"))
+    write_image(arguments.out, shrink(read_image(arguments.sky), width, height))

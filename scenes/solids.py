@@ -14,20 +14,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Solid:
-    """positions [V,3], faces [F,3] counter-clockwise seen from outside, corner_uv [F,3,2] or None."""
+    """A mesh: positions [V,3], faces [F,3] counter-clockwise from outside, corner_uv [F,3,2] or None."""
 
     positions: Array
     faces: NDArray[np.int64]
     corner_uv: Array | None = None
 
     def moved(self, scale: float | list[float] = 1.0, turn: Array | None = None, offset: object = 0.0) -> "Solid":
-        """Scale about the origin, then turn by a matrix [3,3], then shift."""
+        """Scale about the origin, rotate by a matrix [3,3], then translate."""
         scaled = self.positions * np.asarray(scale)
         return replace(self, positions=(scaled if turn is None else scaled @ turn.T) + np.asarray(offset))
 
 
 def write(solid: Solid, path: Path, digits: int = 4) -> None:
-    """Write an OBJ file with so many digits after the point; each face begins with its lowest vertex."""
+    """Write an OBJ file with `digits` decimals."""
     rows = [f"v {x:.{digits}f} {y:.{digits}f} {z:.{digits}f}" for x, y, z in solid.positions]
     pairs, places = np.zeros((0, 2)), solid.faces
     if solid.corner_uv is not None:
@@ -44,15 +44,15 @@ def write(solid: Solid, path: Path, digits: int = 4) -> None:
 
 
 def revolution(profile: Array, segments: int, ripple: Callable[[Array, Array], Array] | None = None) -> Solid:
-    """A body about the y axis with one vertex at each pole.
+    """Return a body of revolution about the y axis with one vertex at each pole.
 
     Args:
         profile: radius and height [n,2], from the lower pole to the upper one; the first and last radius are 0.
-        segments: how many sides it has.
-        ripple: factor on the radius as a function of the angle about the axis and the height.
+        segments: number of sides.
+        ripple: factor on the radius, of the angle about the axis and the height.
 
     Returns:
-        The body, with u once around the axis and v along the profile.
+        The body, with u around the axis and v along the profile.
     """
     rings = len(profile) - 2
     angle = np.arange(segments) * 2 * np.pi / segments
@@ -125,12 +125,12 @@ def rounded_box(half: float, edge: float, bevel: int = 4, flat: int = 2) -> Soli
 
 
 def tube(curve: Callable[[Array], Array], radius: Callable[[Array, Array], Array], rings: int, segments: int) -> Solid:
-    """A closed tube along a closed curve; `curve` takes t in [0, 2π) to [n,3], `radius` t and the angle about it."""
+    """Return a closed tube along `curve`, which maps t in [0, 2π) to [n,3]; `radius` depends on t and the angle."""
     t = np.arange(rings) * 2 * np.pi / rings
     center, step = curve(t), 1e-4
     along = curve(t + step) - curve(t - step)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # A frame turned as little as possible along the way, and the rest of a turn spread evenly so that it closes.
+    # A parallel-transport frame, whose total twist is distributed evenly so that the tube closes.
     side = np.empty_like(center)
     side[0] = np.cross(along[0], [0.0, 1.0, 0.0])
     side[0] /= np.linalg.norm(side[0])
@@ -138,13 +138,13 @@ def tube(curve: Callable[[Array], Array], radius: Callable[[Array, Array], Array
         side[k] = side[k - 1] - along[k] * (side[k - 1] @ along[k])
         side[k] /= np.linalg.norm(side[k])
     last = side[-1] - along[0] * (side[-1] @ along[0])
-    left_over = np.arctan2(np.cross(last, side[0]) @ along[0], last @ side[0])
+    twist = np.arctan2(np.cross(last, side[0]) @ along[0], last @ side[0])
     up = np.cross(along, side)
     about = np.tile(np.arange(segments) * 2 * np.pi / segments, (rings, 1))
-    turned = about + (left_over * t / (2 * np.pi))[:, None]
-    reach = radius(t[:, None], about)[..., None]
-    spokes = np.cos(turned)[..., None] * side[:, None] + np.sin(turned)[..., None] * up[:, None]
-    positions = (center[:, None] + reach * spokes).reshape(-1, 3)
+    angle = about + (twist * t / (2 * np.pi))[:, None]
+    distance = radius(t[:, None], about)[..., None]
+    spokes = np.cos(angle)[..., None] * side[:, None] + np.sin(angle)[..., None] * up[:, None]
+    positions = (center[:, None] + distance * spokes).reshape(-1, 3)
     index = np.arange(rings * segments).reshape(rings, segments)
     a, b = index, np.roll(index, -1, axis=1)
     c, d = np.roll(b, -1, axis=0), np.roll(a, -1, axis=0)
@@ -153,12 +153,12 @@ def tube(curve: Callable[[Array], Array], radius: Callable[[Array, Array], Array
 
 
 def plain(solid: Solid) -> Solid:
-    """The same without texture coordinates."""
+    """Return the solid without texture coordinates."""
     return replace(solid, corner_uv=None)
 
 
 def turn_matrix(axis: list[float], degrees: float) -> Array:
-    """The right-handed rotation about an axis, [3,3] (Rodrigues)."""
+    """Return the right-handed rotation matrix [3,3] about an axis (Rodrigues)."""
     x, y, z = np.asarray(axis) / np.linalg.norm(axis)
     cross, angle = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]), np.radians(degrees)
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)

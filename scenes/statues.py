@@ -1,4 +1,4 @@
-"""The bodies that stand in for statues: a knotted serpent, a robed figure, and a head with ears."""
+"""Stand-ins for statues: a knotted serpent, a robed figure, and a head with ears."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,7 +8,7 @@ Array = NDArray[np.float64]
 
 
 def serpent() -> Solid:
-    """A ridged tube along a trefoil knot, thick and thin by turns: it shadows itself as a coiled dragon does."""
+    """A ridged tube of varying width along a trefoil knot, which shadows itself like a coiled dragon."""
 
     def knot(t: Array) -> Array:
         reach = 0.62 + 0.27 * np.cos(3 * t)
@@ -21,7 +21,7 @@ def serpent() -> Solid:
 
 
 def figure() -> Solid:
-    """A statuette two units high: a pleated robe that turns about its axis, shoulders and a head."""
+    """A statuette two units high: a twisted pleated robe, shoulders and a head."""
     heights = [0.0, 0.0, 0.04, 0.12, 0.16, 0.45, 0.75, 1.0, 1.2, 1.36, 1.48, 1.56, 1.62, 1.68]
     radii = [0.0, 0.42, 0.46, 0.46, 0.38, 0.33, 0.26, 0.23, 0.27, 0.31, 0.26, 0.15, 0.11, 0.13]
     turn = np.linspace(-0.5, np.pi / 2, 8)
@@ -39,9 +39,9 @@ def figure() -> Solid:
 
 
 def head(step: float = 0.058) -> Solid:
-    """A head on its neck, two units high, that looks along −z, with thin ears that stand off.
+    """A head with neck and thin protruding ears, two units high, facing −z.
 
-    Marching cubes (scikit-image) on a distance field, then Taubin's smoothing.
+    Marching cubes (scikit-image) of a distance field, then Taubin smoothing.
     """
     from skimage.measure import marching_cubes
 
@@ -56,7 +56,7 @@ def head(step: float = 0.058) -> Solid:
 
 
 def _head_distance(x: Array, y: Array, z: Array) -> Array:
-    """Roughly the distance to the head's surface, negative inside."""
+    """Approximate signed distance to the head's surface, negative inside."""
     skull = _ellipsoid(x, y - 0.35, z - 0.06, 0.56, 0.66, 0.66)
     jaw = _ellipsoid(x, y + 0.12, z + 0.2, 0.4, 0.5, 0.42)
     neck = np.maximum(np.hypot(x, z - 0.12 - 0.1 * y) - 0.3, np.abs(y + 0.7) - 0.36)
@@ -77,7 +77,7 @@ def _head_distance(x: Array, y: Array, z: Array) -> Array:
 
 
 def _ear(x: Array, y: Array, z: Array) -> Array:
-    """A thin dished disc with a round rim, that stands off to +x and back."""
+    """A thin curved disc with a round rim, pointing towards +x and back."""
     turn = np.radians(38.0)
     outwards, backwards = x - 0.5, z - 0.12
     across = np.cos(turn) * outwards - np.sin(turn) * backwards  # through the thickness
@@ -96,14 +96,14 @@ def _ellipsoid(x: Array, y: Array, z: Array, a: float, b: float, c: float) -> Ar
 
 
 def _blend(a: Array, b: Array, width: float) -> Array:
-    """The union, its crease filled over a width (Quílez's polynomial smooth minimum)."""
+    """Smooth union (Quílez's polynomial smooth minimum)."""
     h = np.maximum(width - np.abs(a - b), 0.0) / width
     union: Array = np.minimum(a, b) - h * h * width / 4.0
     return union
 
 
 def _smoothed(positions: Array, faces: NDArray[np.int64], rounds: int) -> Array:
-    """Taubin, "A Signal Processing Approach to Fair Surface Design" (1995): smooth without shrinking."""
+    """Smooth without shrinking (Taubin, "A Signal Processing Approach to Fair Surface Design", 1995)."""
     edges = np.vstack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     count = np.bincount(edges[:, 0], minlength=len(positions))[:, None]
     for k in range(2 * rounds):
@@ -115,7 +115,7 @@ def _smoothed(positions: Array, faces: NDArray[np.int64], rounds: int) -> Array:
 
 
 def _refined(profile: Array, times: int) -> Array:
-    """A profile with each piece cut into so many, along a Catmull–Rom curve through its points."""
+    """Subdivide each segment of a profile along the Catmull–Rom curve through its points."""
     padded = np.vstack([profile[:1], profile, profile[-1:]])
     t = np.arange(times)[:, None] / times
     pieces = []

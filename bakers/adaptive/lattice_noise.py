@@ -42,8 +42,9 @@ class LatticeNoise:
     """
 
     def variance(self, share: float, size: int) -> float:
-        """Variance of a coefficient (mean over K) per residual variance, for a fit over `size` directions; `share` is
-        its value for values with independent errors.
+        """Variance of a coefficient (mean over K) over the residual variance, for a fit over `size` directions.
+
+        `share` is this ratio if the residuals are independent.
         """
         extrapolated = min(size, EXTRAPOLATED_SIZE)
         gain = (
@@ -58,7 +59,7 @@ def fit_lattice_noise(
     shares: Sequence[float], sizes: tuple[int, ...], residual_variance: Array, squared: Array
 ) -> LatticeNoise:
     """Fits the noise model to squared errors [P,M] (mean over K and channels) and residual variances [P,M] of M bins
-    with P sizes, whose variance shares are given. Few bins, or hardly any noise, leave the default.
+    with P sizes, with variance shares `shares` [P]. With few bins or hardly any noise the default remains.
     """
     logs = []
     for share_of_values, size, r, e in zip(shares, sizes, residual_variance, squared, strict=True):

@@ -1,4 +1,4 @@
-"""Lattices of any size in a few rotated copies, over which single bins are integrated.
+"""Lattices of any size, each in a few rotated copies. Single bins are integrated over a copy.
 
 A lattice made for its size has a smaller error than a nested one, especially for smooth Ŝ (with 256 directions a half
 to a third, measured on six trained networks). Bins over different copies have independent errors, so an interpolation

@@ -34,7 +34,7 @@ LATTICE_SHARE = 0.5
 MOST_LATTICES, LATTICES_COST = 4, 1.0
 """Most lattices of a vertex, and the evaluations per bin that one view of each of them may cost."""
 FEWEST_TRIED, MOST_UNEXPLAINED = 8, 0.7
-"""A vertex whose light is not learnable: so many bins of a level were tried and this fraction was not explained."""
+"""A vertex's light is not learnable if more than this fraction is unexplained after that many bins of a level."""
 
 
 class LightComponentState(BlockState):

@@ -46,7 +46,7 @@ class NestedLattice:
         return coefficients.reshape(len(values), -1), np.asarray(variance)
 
     def error_sums(self, values: NDArray[np.floating], step: int) -> tuple[Array, Array]:
-        """Error covariance [M,P] and channels [M,3] of such a fit, up to a factor
+        """Error covariance [M,P] and channels [M,3] of the fit to values [M,D,3], up to a factor
         (`bakers.error_covariance.residual_sums`).
         """
         exact = values.astype(np.float64)

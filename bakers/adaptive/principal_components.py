@@ -89,7 +89,7 @@ class LightComponents:
         self._prepare(np.unique(rows))
 
     def choose_probes(self, rows: Index) -> None:
-        """Chooses the probe directions of these lattices anew."""
+        """Chooses the probe directions of these lattices again."""
         for row in rows:
             functions = self.values[row, :, : self.counts[row]]
             self.probes[row] = _probe_directions(functions, self._pool.directions)

@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 METHODS = "foretold", "shared", "alone", "nearby"
-"""Names of the methods by which bins are computed: interpolation between bins, the vertex's shared lattices, the bin's
-own lattice, and interpolation between vertices.
+"""Names, in an asset's provenance, of the methods by which bins are computed: interpolation between bins, the vertex's
+shared lattices, the bin's own lattice, and interpolation between vertices.
 """
 SAMPLE_FIELDS = "method", "stated", "squared", "noise"
 """Fields of a validation sample."""

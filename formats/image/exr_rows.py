@@ -1,4 +1,4 @@
-"""OpenEXR pictures too large for memory: their colour in blocks of rows, by the conventions of `formats.image.exr`."""
+"""Reads the colour of an OpenEXR image in blocks of rows, by the conventions of `formats.image.exr`."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -14,24 +14,25 @@ from formats.errors import ImageError
 from formats.image.exr import colour_names, refuse_other_kinds, silenced
 
 _ROWS = 32
-"""As many rows as most compressions pack together (`_PACKED` has the others): none is unpacked twice."""
+"""Rows that most compressions pack together, so that no row is unpacked twice."""
 _PACKED = {"DWAB_COMPRESSION": 256, "HTJ2K256_COMPRESSION": 256}
+"""Rows that the other compressions pack together."""
 _TYPES = (np.dtype(np.uint32), np.dtype(np.float16), np.dtype(np.float32))
 _DAMAGE = (RuntimeError, ValueError, TypeError, OSError)
-"""What the binding raises for a file that is not whole."""
+"""Exceptions of the binding for damaged and truncated files."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExrRows:
-    """What is needed to read the colour of a picture in blocks of rows.
+    """An OpenEXR image, read in blocks of rows.
 
     Attributes:
-        path: of the file.
-        names: of its channels for red, green and blue.
-        display: left, top, right and bottom of the picture; the last two belong to it.
-        stored: the same of the rectangle that the file holds pixels of.
-        rows: of a block.
-        cube: whether the file says that it is the six faces of a cube.
+        path: the file.
+        names: its channels for red, green and blue.
+        display: left, top, right and bottom of the display window, inclusive.
+        stored: the same of the data window.
+        rows: rows of a block.
+        cube: whether the file declares itself a cube map.
     """
 
     path: str | os.PathLike[str]
@@ -43,18 +44,16 @@ class ExrRows:
 
     @property
     def height(self) -> int:
-        """Rows of the picture."""
+        """Number of rows of the display window."""
         return self.display[3] - self.display[1] + 1
 
     @property
     def width(self) -> int:
-        """Columns of the picture."""
+        """Number of columns of the display window."""
         return self.display[2] - self.display[0] + 1
 
     def blocks(self) -> Iterator[NDArray[Any]]:
-        """The picture from its top in blocks [R,W,3] of the type that is stored; raises ImageError where it is
-        damaged.
-        """
+        """Yield blocks [R,W,3] of the stored type, from the top; raises ImageError if it reaches damage."""
         top, bottom = self.display[1], self.display[3] + 1
         first = min(max(self.stored[1], top), bottom)
         last = max(min(self.stored[3] + 1, bottom), first)
@@ -67,19 +66,19 @@ class ExrRows:
         row = first
         with self._reader() as read:
             while row < last:
-                # Blocks end where what is packed together ends.
+                # Blocks end where a packed group of rows ends.
                 end = min(last, row + self.rows - (row - self.stored[1]) % self.rows)
                 try:
                     block = read(row, end)
                 except _DAMAGE as cause:
                     place = f"row {row - self.display[1]} of {self.height}"
-                    raise ImageError(f"{self.path}: the OpenEXR picture is truncated or damaged in {place}") from cause
+                    raise ImageError(f"{self.path}: the OpenEXR image is truncated or damaged in {place}") from cause
                 yield block
                 row = end
 
     @contextmanager
     def _reader(self) -> Iterator[Callable[[int, int], NDArray[Any]]]:
-        """What reads the block of rows from one number to before another."""
+        """Yield a function (first row, last row + 1) → block."""
         import OpenEXR
 
         try:
@@ -87,7 +86,9 @@ class ExrRows:
                 picture = OpenEXR.InputFile(os.fspath(self.path))
                 types = {name: _TYPES[channel.type.v] for name, channel in picture.header()["channels"].items()}
         except _DAMAGE as cause:
-            raise ImageError(f"{self.path}: cannot be read as OpenEXR, the file is damaged") from cause
+            raise ImageError(
+                f"{self.path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again"
+            ) from cause
         with closing(picture):
             yield partial(self._decoded, picture, types)
 
@@ -103,15 +104,15 @@ class ExrRows:
         return self._framed([read[name] for name in self.names])
 
     def _framed(self, planes: list[NDArray[Any]]) -> NDArray[Any]:
-        """Planes of the stored columns [R,w] as a block of the picture's [R,W,3]."""
+        """Copy three planes of the data window's columns [R,w] into a block of the display window's [R,W,3]."""
         kind = np.result_type(*planes)
         kind = kind if kind.kind == "f" else np.dtype(np.float32)
         begin, end = self.stored[0] - self.display[0], self.stored[2] + 1 - self.display[0]
-        whole = begin == 0 and end == self.width
-        if whole and planes[0] is planes[1] is planes[2] and planes[0].dtype == kind:
+        complete = begin == 0 and end == self.width
+        if complete and planes[0] is planes[1] is planes[2] and planes[0].dtype == kind:
             return np.broadcast_to(planes[0][..., None], (*planes[0].shape, 3))
-        # A plane each: sums over one channel run along memory.
-        block = (np.empty if whole else np.zeros)((3, len(planes[0]), self.width), kind)
+        # One plane per channel, so that sums over a channel read contiguous memory.
+        block = (np.empty if complete else np.zeros)((3, len(planes[0]), self.width), kind)
         left, right = min(max(begin, 0), self.width), max(min(end, self.width), 0)
         for channel, plane in zip(block, planes, strict=True):
             channel[:, left:right] = plane[:, left - begin : max(right, left) - begin]
@@ -123,10 +124,10 @@ class ExrRows:
 
 
 def open_exr_rows(path: str | os.PathLike[str]) -> ExrRows | None:
-    """What `read_exr` reads of a file, ready to be read in blocks of rows; None where the binding cannot do so: colour
-    that is not in the first part, or at a fraction of the resolution.
+    """Open an OpenEXR image for reading in blocks of rows.
 
-    Raises ImageError as `read_exr`; damage beyond the header is found when it is come to.
+    Returns None if the binding cannot do that: the colour is not in the first part, or is subsampled. Raises ImageError
+    as `read_exr`; damage beyond the header is detected when it is read.
     """
     import OpenEXR
 
@@ -135,9 +136,9 @@ def open_exr_rows(path: str | os.PathLike[str]) -> ExrRows | None:
         with silenced(), OpenEXR.File(os.fspath(path), separate_channels=True, header_only=True) as picture:
             headers = [dict(picture.header(i)) for i in range(len(picture.parts))]
     except _DAMAGE as cause:
-        raise ImageError(f"{path}: cannot be read as OpenEXR, the file is damaged") from cause
+        raise ImageError(f"{path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again") from cause
     if not headers:
-        raise ImageError(f"{path}: the OpenEXR picture is truncated or damaged")
+        raise ImageError(f"{path}: the OpenEXR image has no parts: it is truncated or damaged; copy it again")
     header = headers[0]
     names = colour_names([channel.name for channel in header["channels"]])
     coarse = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])

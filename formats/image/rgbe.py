@@ -5,7 +5,7 @@ Greg Ward, "Real Pixels", Graphics Gems II (1991): 4 bytes per pixel, three mant
 environment maps.
 
 No library: OpenCV (160 MB) rejects rows that run upward or from the right, decodes complete images only, and truncates
-mantissas: its error is up to 1/132 of a pixel's largest channel, 1/256 here.
+mantissas. Its error is up to 1/132 of a pixel's largest channel; here it is up to 1/256.
 """
 
 import os

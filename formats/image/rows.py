@@ -1,4 +1,4 @@
-"""Images in blocks of rows, for pictures larger than memory: what `formats.image.read_image` reads, bit by bit."""
+"""Reads images in blocks of rows, for images larger than memory; bit for bit as `formats.image.read_image`."""
 
 import os
 from collections.abc import Callable, Iterator
@@ -21,14 +21,14 @@ _ROWS = 32
 
 @dataclass(frozen=True)
 class ImageRows:
-    """A picture to be read from its top in blocks of rows, as often as one likes.
+    """An image that can be read any number of times in blocks of rows, from the top.
 
     Attributes:
-        path: of the file, or another name to call it by.
+        path: the file, or another name for messages.
         height, width: in pixels.
-        open_blocks: begins at the top and gives block after block, linear float16 or float32 [R,W,3], R at least 1,
-            that make up the picture. What is only found when it is come to raises ImageError then.
-        cube: whether the file says that it is the six faces of a cube.
+        open_blocks: starts a new pass, and returns an iterator over linear blocks [R,W,3] in float16 or float32. It
+            raises ImageError when it reaches damage.
+        cube: whether the file declares itself a cube map, which has six faces.
     """
 
     path: str | os.PathLike[str]
@@ -38,14 +38,14 @@ class ImageRows:
     cube: bool = False
 
     def blocks(self) -> Iterator[tuple[int, Block]]:
-        """Blocks of rows from the top, each with the number of its first row."""
+        """Yield the blocks from the top, each with the number of its first row."""
         first = 0
         for block in self.open_blocks():
             yield first, block
             first += len(block)
 
-    def whole(self) -> NDArray[np.float32]:
-        """The picture, float32 [H,W,3]."""
+    def read(self) -> NDArray[np.float32]:
+        """Return the complete image, float32 [H,W,3]."""
         image = np.empty((self.height, self.width, 3), np.float32)
         for first, block in self.blocks():
             image[first : first + len(block)] = block
@@ -53,13 +53,13 @@ class ImageRows:
 
 
 def open_image(path: str | os.PathLike[str]) -> ImageRows:
-    """Open a picture of any kind that `read_image` reads, with what it says of layers, luminance, windows and curves.
+    """Open an image of any format that `read_image` reads; layers, luminance, windows and curves are treated alike.
 
-    `.exr` and `.hdr` are decoded as their blocks are asked for. The other kinds, `.hdr` whose rows run upward, and
-    `.exr` whose colour lies in a part after the first or has fewer pixels than the picture are held whole.
+    `.exr` and `.hdr` are decoded block by block. Other formats are kept in memory, and so are an `.hdr` whose rows run
+    upward and an `.exr` whose colour is subsampled or not in the first part.
 
     Raises:
-        ImageError, StorageError: as `read_image`; `blocks` raises ImageError too, where the file is damaged.
+        ImageError, StorageError: as `read_image`; `blocks` raises ImageError if it reaches damage.
     """
     suffix = Path(path).suffix.lower()
     if suffix == ".exr" and (exr := open_exr_rows(existing(path))) is not None:
@@ -70,7 +70,7 @@ def open_image(path: str | os.PathLike[str]) -> ImageRows:
 
 
 def rows_of(image: NDArray[np.floating[Any]], name: str | os.PathLike[str] = "image", rows: int = _ROWS) -> ImageRows:
-    """An image [H,W,3] in memory as if it were read from a file, `rows` at a time."""
+    """Return an image [H,W,3] in memory as `ImageRows`, in blocks of `rows` rows."""
 
     def blocks() -> Iterator[Block]:
         for first in range(0, len(image), rows):

@@ -1,4 +1,4 @@
-"""Surface textures: images of one number or a colour, looked up by texture coordinates."""
+"""Surface textures: images of roughness or of reflectance, mapped by texture coordinates."""
 
 from pathlib import Path
 

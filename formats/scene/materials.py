@@ -62,7 +62,7 @@ _MEASURED = (
 MATERIALS = {material.name: material for material in _MEASURED}
 """Every measured material, by name."""
 ALIASES = {"chicken": "chicken1", "skin": "skin1"}
-"""Other names of materials; of two samples the first."""
+"""Other names of materials. If two samples were measured, the name means the first."""
 
 
 def find_material(name: str) -> Material:

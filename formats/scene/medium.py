@@ -87,7 +87,7 @@ def _single_substance(table: MediumTable, context: MediumContext) -> Medium:
 def _box_of_grids(table: MediumTable, context: MediumContext) -> NDArray[np.float64]:
     where = f"{context.path}: {context.key}.bounds"
     if table.bounds is None:
-        raise SceneError(f"{where}: is missing; a grid needs its box, as in bounds = [[-1, -1, -1], [1, 1, 1]]")
+        raise SceneError(f"{where}: is missing; a grid needs its box, such as bounds = [[-1, -1, -1], [1, 1, 1]]")
     return np.array(table.bounds, np.float64)
 
 

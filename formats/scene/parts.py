@@ -121,8 +121,8 @@ def _parents(inside: tuple[InsideTable, ...], path: Path) -> list[int]:
     """Return the index of the parent of each part, -1 for the outermost; raises SceneError for a cycle."""
     if len(inside) >= MOST_PARTS:
         raise SceneError(
-            f"{path}: inside: expected at most {MOST_PARTS} parts with the outermost, found {len(inside) + 1}; merge "
-            f"objects of one material into one mesh"
+            f"{path}: inside: expected at most {MOST_PARTS} parts including the outermost, found {len(inside) + 1}; "
+            f"merge objects of one material into one mesh"
         )
     names = [OUTERMOST]
     for i, table in enumerate(inside):

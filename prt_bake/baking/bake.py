@@ -178,7 +178,18 @@ def bake(
     ):
         prunable = set(leave_out) - _items_needed(store)
         while True:
-            pruning = choose_pruning(transport, mesh, degree, rings, sectors, error, seed, prunable, light, eye)
+            pruning = choose_pruning(
+                transport,
+                mesh,
+                degree,
+                rings,
+                sectors,
+                error=error,
+                seed=seed,
+                leave_out=prunable,
+                light=light,
+                eye=eye,
+            )
             evaluations += pruning.evaluations
             work = Work(
                 transport, mesh, pruning, head, report, out, storage, pool, seed, progress, stop, began, evaluations

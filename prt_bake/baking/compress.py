@@ -102,7 +102,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         raise QueryError("asset: is compact already; compress the asset that it was made from")
     began = time.monotonic()
     report = progress or (lambda share, words: None)
-    sample = _sample(asset, SAMPLE_BYTES // np.dtype(kind_for(error)).itemsize)
+    sample = _sample(asset, SAMPLE_BYTES // np.dtype(product_dtype(error)).itemsize)
     squares = float(np.square(sample, dtype=np.float64).sum())
     trials, table = _trials(asset, sample, error**2 * squares, error, squares, report)
     share = int(np.count_nonzero(asset.valid)) / max(1, len(sample))
@@ -202,8 +202,8 @@ def raw_bytes(asset: Asset) -> int:
     return 4 * int(math.prod(asset.coefficients.shape))
 
 
-def kind_for(error: float) -> Any:
-    """The type for products of coefficients and bases."""
+def product_dtype(error: float) -> Any:
+    """The dtype in which products of coefficients and bases are exact enough for the error."""
     return np.float32 if error >= SINGLE_PRECISION else np.float64
 
 
@@ -237,7 +237,7 @@ def _trials(
     for bases in candidate_bases(sample, asset.rings, asset.sectors, allowed):
         report(0.1 + 0.1 * len(table), f"trying {bases.name}")
         began = time.monotonic()
-        trial = tried_bases(bases, sample, allowed, kind_for(error))
+        trial = tried_bases(bases, sample, allowed, product_dtype(error))
         if trial is None:
             continue
         trials.append(trial)
@@ -246,11 +246,11 @@ def _trials(
 
 
 def _trade(best: Trial, sample: NDArray[np.float32], error: float, squares: float, share: float) -> Iterator[Tried]:
-    """Results of the chosen form for other errors."""
+    """Results of the chosen form at half, twice and four times the error."""
     for factor in (0.5, 2.0, 4.0):
         if factor * error < 1.0:
             began = time.monotonic()
-            trial = tried_bases(best.bases, sample, (factor * error) ** 2 * squares, kind_for(factor * error))
+            trial = tried_bases(best.bases, sample, (factor * error) ** 2 * squares, product_dtype(factor * error))
             if trial is not None:
                 yield _row(trial, share, squares, time.monotonic() - began)
 
@@ -299,7 +299,7 @@ def _untransformed(asset: Asset, error: float) -> Trial:
 
 
 def _encoded(asset: Asset, trial: Trial, step: float, error: float, report: Callable[[float], None]) -> Encoded:
-    kind = kind_for(error)
+    kind = product_dtype(error)
     bases = trial.bases
     analysis = bases.analysis(kind)
     at = trial.view_component, trial.channel_component
@@ -334,7 +334,7 @@ def _covariance_sums(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[
     n, bins, terms, channels = errors.shape
     normals, tangents = (np.asarray(each, np.float64) for each in (asset.mesh.normals, asset.tangents))
     frames = ViewFrames(normals, tangents)
-    # A single view stands for views all around.
+    # A single view represents views all around.
     local = asset.directions if bins == len(asset.directions) else sphere.view_bins(1, _AROUND)
     outgoing = sphere.to_world(local, normals[vertices, None], tangents[vertices, None])
     views = outgoing.shape[1]

@@ -87,8 +87,8 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
         raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
     if len(invalid) == done:
         raise QueryError(
-            f"{type(work.transport).__name__}: expected finite values, found values that are not finite at all "
-            f"{done} vertices baked"
+            f"{type(work.transport).__name__}: expected finite values, found NaN or infinite ones at all "
+            f"{done} vertices that were baked"
         )
     settings = work.report["settings"] | {"directions": job.resolved.directions, "samples": job.resolved.samples}
     report = work.report | {

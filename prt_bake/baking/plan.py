@@ -95,7 +95,9 @@ def plan(
     walks = transport_kind(transport) == "coefficients"
     pool = Threads(1 if walks else workers)
     with limited_threads(transport, workers):
-        pruning = choose_pruning(transport, mesh, degree, rings, sectors, error, seed, leave_out, light, eye)
+        pruning = choose_pruning(
+            transport, mesh, degree, rings, sectors, error=error, seed=seed, leave_out=leave_out, light=light, eye=eye
+        )
         if error is not None and directions == "fibonacci" and not walks:
             grid = (rings, sectors) if pruning.views == "all" else None
             at_once = vertices_at_once(len(pruning.vertices), len(pruning.local), workers)

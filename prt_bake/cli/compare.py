@@ -77,21 +77,22 @@ def compare(
     fail_below: FailBelow = None,
     as_json: AsJson = False,
 ) -> None:
-    """Print MSE, relative MSE and RMSE, SSIM (full and quarter size), FLIP and HDR-FLIP.
+    """Compare an image with a reference.
 
-    If the images have an error layer, as .exr files of `prtbake render` and `prtbake shade` do, the figures are also
-    estimated without that noise, each with a 95 % confidence interval. Warns if only one of two images by
-    `prtbake render` holds unscattered or reflected light. Ignores pixels that are transparent in both images.
+    Prints MSE, relative MSE and RMSE, SSIM (full and quarter size), FLIP and HDR-FLIP. If the images have an error
+    layer, as .exr files of `prtbake render` and `prtbake shade` do, the figures are also estimated without that noise,
+    each with a 95 % confidence interval. Warns if only one of two images by `prtbake render` holds unscattered or
+    reflected light. Ignores pixels that are transparent in both images.
     """
     from formats.image import read_layers
     from formats.json_report import as_text
     from prt_bake.comparison import sheet
-    from prt_bake.comparison.alpha import weighted
+    from prt_bake.comparison.alpha import premultiplied
     from prt_bake.comparison.metrics import checked
     from prt_bake.comparison.metrics import compare as measure
 
     bounds = Bounds.of(fail_above or [], fail_below or [])
-    layers, reference_layers = (weighted(path, read_layers(path)) for path in (image, reference))
+    layers, reference_layers = (premultiplied(path, read_layers(path)) for path in (image, reference))
     pixels, target = layers.image, reference_layers.image
     selected = None if mask is None else _read_mask(mask)
     _refuse_other_sizes(image, pixels, (reference, target), *([] if selected is None else [(mask, selected)]))
@@ -156,9 +157,9 @@ def _read_mask(path: Path) -> Any:
 
 def _mask_by_alpha(image: Path, reference: Path, layers: "Layers", reference_layers: "Layers") -> Any:
     """Return the pixels that are visible in either image, if some are transparent in both; else None."""
-    from prt_bake.comparison.alpha import alpha_of, seen_in_either
+    from prt_bake.comparison.alpha import alpha_of, covered_in_either
 
-    seen = seen_in_either(layers, reference_layers)
+    seen = covered_in_either(layers, reference_layers)
     if seen is not None:
         say(f"{(~seen).sum()} of {seen.size} pixels are transparent in both images and are ignored")
         return seen
@@ -198,9 +199,9 @@ def _errors(image: Path, reference: Path, layers: "Layers", reference_layers: "L
     """Return the images' standard errors; None, after a message, if they cannot be used."""
     import numpy as np
 
-    from prt_bake.comparison.noise import errors_of, same_numbers, unusable
+    from prt_bake.comparison.noise import errors_of, same_random_numbers, unusable_reason
 
-    reasons = [unusable(path, read) for path, read in ((image, layers), (reference, reference_layers))]
+    reasons = [unusable_reason(path, read) for path, read in ((image, layers), (reference, reference_layers))]
     for reason in filter(None, reasons):
         say(reason)
     errors = None if any(reasons) else errors_of(layers, reference_layers)
@@ -209,7 +210,7 @@ def _errors(image: Path, reference: Path, layers: "Layers", reference_layers: "L
     if np.array_equal(layers.image, reference_layers.image):
         say(f"{image} and {reference} are the same picture: there is no noise to remove")
         return None
-    if same_numbers(layers, reference_layers):
+    if same_random_numbers(layers, reference_layers):
         say(
             f"{image} and {reference} were rendered with the same random numbers; their noise is correlated and cannot "
             "be removed; render one of them with another --seed"

@@ -19,7 +19,10 @@ def demo(
         int | None, typer.Option(min=1, max=1024, help="Threads; by default one per core.", show_default=False)
     ] = None,
 ) -> None:
-    """Bake and relight the shipped object, and compare the picture with the path tracer's."""
+    """Bake and relight the shipped object, and measure the error.
+
+    The error is that of the picture, compared with a path-traced reference.
+    """
     from prt_bake.shipped.demonstration import FINE, QUICK, demonstrate
 
     settings = {"quick": QUICK, "fine": FINE}[quality]

@@ -12,10 +12,10 @@ def export(
         Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write; created if missing.")
     ],
 ) -> None:
-    """Write a scene for Mitsuba 3: scene.xml and its meshes, grids and images.
+    """Write a scene for Mitsuba 3.
 
-    The scene is centred at the origin and lit by a constant white environment. Render it with
-    `mitsuba FOLDER/scene.xml`.
+    Writes scene.xml and its meshes, grids and images. The scene is centred at the origin and lit by a constant white
+    environment. Render it with `mitsuba FOLDER/scene.xml`.
     """
     from formats.atomic import storage_error
     from formats.errors import StorageError

@@ -45,8 +45,8 @@ def importance(
 
     with reporting("importance") as show, stopping() as stop:
 
-        def report(share: float, words: str) -> None:
-            show(share, words)
+        def report(share: float, text: str) -> None:
+            show(share, text)
             if stop():
                 raise KeyboardInterrupt
 

@@ -17,7 +17,7 @@ def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Mesh, sky, scene, model, asset or samples.")],
     as_json: AsJson = False,
 ) -> None:
-    """Print the contents of a mesh, sky, scene, model, asset or file of samples."""
+    """Print the contents of a file."""
     from prt_bake.inspection.files import describe
 
     description = describe(file)

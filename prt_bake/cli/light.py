@@ -26,9 +26,9 @@ def light(
     mend: Mend = False,
     as_json: AsJson = False,
 ) -> None:
-    """Print the SH coefficients b_lm of an environment, and its suns.
+    """Print the SH coefficients and the suns of an environment.
 
-    The coefficients project radiance (linear Rec.709) on real orthonormal harmonics without Condon–Shortley phase,
+    The coefficients b_lm project radiance (linear Rec.709) on real orthonormal harmonics without Condon–Shortley phase,
     index l(l+1)+m; nothing is pre-convolved. Suns are small strong sources in a sky. They are included in the
     coefficients; `prtbake shade` splits them off.
     """

@@ -134,7 +134,7 @@ def render(
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
-    from prt_bake.rendering.state import stored_limits, checkpoint_path
+    from prt_bake.rendering.state import checkpoint_path, stored_limits
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
@@ -147,8 +147,8 @@ def render(
     view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
     checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:
-        asked = stored_limits(checkpoint)
-        spp, minutes, error = asked.get("spp"), asked.get("minutes"), asked.get("error")
+        limits = stored_limits(checkpoint)
+        spp, minutes, error = limits.get("spp"), limits.get("minutes"), limits.get("error")
     if spp is None and minutes is None and error is None:
         spp = _USUAL_SPP["scene" if is_scene else "network"]
     texts = {"prtbake.seed": str(seed), **_identity_texts(opened, is_scene)}

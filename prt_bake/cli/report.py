@@ -7,7 +7,7 @@ from prt_bake.cli.reports.paper import paper
 from prt_bake.cli.reports.training import training
 
 report = typer.Typer(
-    help="Measure the error of a model, of a bake, or of the paper's scenes, and write a report.",
+    help="Write a report on a model, a bake or the paper's scenes.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,

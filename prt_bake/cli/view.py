@@ -74,9 +74,9 @@ def view(
     mend: Mend = False,
     suns: Suns = "split",
 ) -> None:
-    """Show a baked asset in a window: orbit, rotate the light, flip to a reference, inspect errors and coefficients.
+    """Show a baked asset in an interactive window.
 
-    Press h in the window for its keys.
+    Orbit, rotate the light, flip to a reference, inspect errors and coefficients. Press h in the window for its keys.
     """
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")

@@ -1,4 +1,8 @@
-"""How far apart two pictures are: MSE, SSIM, FLIP, also without their noise, and comparison sheets.
+"""Comparison of pictures: MSE, SSIM and FLIP, also corrected for noise, and comparison sheets.
 
 May import: `prt_bake.rendering`, `prt_bake.mathematics` and `formats`. Begin with `metrics.py`.
 """
+
+from prt_bake.comparison.metrics import Comparison, compare
+
+__all__ = ["Comparison", "compare"]

@@ -1,4 +1,4 @@
-"""Alpha channels of pictures that are compared: where a picture shows nothing, and how its colour is meant."""
+"""Alpha channels of compared pictures: empty pixels, and premultiplication of the colour."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,25 +14,26 @@ _NAME = "A"
 
 
 def alpha_of(picture: Layers) -> Array | None:
-    """The alpha [H,W] of a picture; None where it has none or is opaque everywhere."""
+    """The alpha [H,W] of a picture; None if it has none or is opaque everywhere."""
     alpha = picture.layers.get(_NAME)
     return None if alpha is None or bool((alpha >= 1.0).all()) else alpha
 
 
-def weighted(path: Path, picture: Layers) -> Layers:
-    """The picture with its colour weighted by its alpha, as `.exr` keeps it and `.png` does not."""
+def premultiplied(path: Path, picture: Layers) -> Layers:
+    """The picture with premultiplied alpha: .exr files are premultiplied, .png files are not."""
     alpha = alpha_of(picture)
     if alpha is None or path.suffix.lower() != ".png":
         return picture
     return replace(picture, image=picture.image * alpha[..., None])
 
 
-def seen_in_either(first: Layers, second: Layers) -> NDArray[np.bool_] | None:
-    """The pixels [H,W] that show something in one of two pictures of one size; None where all do, none does, or a
-    picture has no alpha.
+def covered_in_either(first: Layers, second: Layers) -> NDArray[np.bool_] | None:
+    """The pixels [H,W] that are not empty in one of two pictures of equal size.
+
+    None if these are all or no pixels, or if a picture has no alpha.
     """
     alphas = alpha_of(first), alpha_of(second)
     if alphas[0] is None or alphas[1] is None:
         return None
-    seen = (alphas[0] > 0.0) | (alphas[1] > 0.0)
-    return None if seen.all() or not seen.any() else np.asarray(seen)
+    covered = (alphas[0] > 0.0) | (alphas[1] > 0.0)
+    return None if covered.all() or not covered.any() else np.asarray(covered)

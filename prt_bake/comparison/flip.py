@@ -1,11 +1,11 @@
-"""FLIP and HDR-FLIP, maps of the difference that one sees when two pictures are shown in turn.
+"""FLIP and HDR-FLIP: maps of the perceived difference between two pictures that alternate in place.
 
-FLIP (Andersson et al., "FLIP: A difference evaluator for alternating images", 2020) is of pictures as they are shown.
+FLIP (Andersson et al., "FLIP: A difference evaluator for alternating images", 2020) compares display-referred pictures.
 HDR-FLIP (Andersson et al., "Visualizing errors in rendered high dynamic range images", Eurographics 2021) is the
-largest FLIP of a pixel over a range of exposures, each shown through the ACES curve: no highlight and no shadow hides.
+largest FLIP of a pixel over a range of exposures, tone mapped by the ACES curve.
 
-flip-evaluator computes both. The range of exposures is own code: the library's goes up to 24 stops where half of the
-reference is black, as in pictures without a background.
+flip-evaluator computes both. The range of exposures is computed here, because the library's range extends to 24 stops
+if half of the reference is black, as in pictures without a background.
 """
 
 import math
@@ -24,17 +24,17 @@ Array = NDArray[np.float64]
 
 PIXELS_PER_DEGREE = 67.0
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-_SHOWN_AS = 0.85
-"""What the ACES curve gives for the brightest pixel at the first exposure and for the median one at the last."""
+_TONE_MAPPED = 0.85
+"""Tone-mapped value of the brightest pixel at the first exposure, and of the median pixel at the last."""
 _ACES = (0.9036, 0.018, 0.0, 0.8748, 0.354, 0.14)
-"""(a x² + b x + c) / (d x² + e x + f), Narkowicz's fit, x scaled by 0.6 first."""
-_MOST_STOPS = 128.0
-_LARGEST = 1e15
-"""Of radiance at the last exposure: white long before, and its square fits float32."""
+"""(a x² + b x + c) / (d x² + e x + f), Narkowicz's fit, including the scale of x by 0.6."""
+_MAX_STOPS = 128.0
+_MAX_RADIANCE = 1e15
+"""At the last exposure: far beyond white, and its square fits float32."""
 
 
 class Exposures(NamedTuple):
-    """The stops that HDR-FLIP looks at: `steps` of them from `start` to `stop`, both included."""
+    """The exposures of HDR-FLIP: `steps` stops from `start` to `stop`, both included."""
 
     start: float
     stop: float
@@ -42,30 +42,27 @@ class Exposures(NamedTuple):
 
 
 def flip_map(image: Array, reference: Array) -> NDArray[np.float32]:
-    """FLIP [H,W] of pictures [H,W,3] as they are shown, sRGB in [0,1], at 67 pixels a degree; 0 equal, 1 the worst.
+    """FLIP [H,W] of sRGB pictures [H,W,3] in [0,1], at 67 pixels per degree; 0 is equal, 1 the worst.
 
-    Raises PrtbakeError where the extra `evaluate` is not installed.
+    Raises PrtbakeError if the extra `evaluate` is not installed.
     """
     return _evaluated(image, reference, "LDR", {})
 
 
 def hdr_flip_map(image: Array, reference: Array, exposures: Exposures) -> NDArray[np.float32]:
-    """HDR-FLIP [H,W] of linear pictures [H,W,3]; what is negative is taken as black, as displays show it.
-
-    Raises as `flip_map`.
-    """
+    """HDR-FLIP [H,W] of linear pictures [H,W,3]; negative values count as black. Raises as `flip_map`."""
     start, stop, steps = exposures
-    largest = _LARGEST * 2.0 ** -max(stop, 0.0)
+    largest = _MAX_RADIANCE * 2.0 ** -max(stop, 0.0)
     ours, theirs = (np.clip(part, 0.0, largest) for part in (image, reference))
     return _evaluated(ours, theirs, "HDR", {"startExposure": start, "stopExposure": stop, "numExposures": steps})
 
 
 def paper_exposures(reference: Array) -> Exposures:
-    """The range that the paper of HDR-FLIP takes for a linear reference [H,W,3], about a stop apart.
+    """The range of the HDR-FLIP paper for a linear reference [H,W,3], about a stop apart.
 
-    From where its largest luminance is shown as 0.85 by the ACES curve to where its median luminance is. Black pixels
-    are left out of the median if they are half of the picture or more: the paper's range would not end. A black
-    reference is looked at as it is.
+    At the first exposure the largest luminance is tone mapped to 0.85, at the last one the median luminance. The median
+    excludes black pixels if they are half of the picture or more, for which the paper's range is infinite. A black
+    reference has the range 0 to 0.
     """
     luminance = np.maximum(reference, 0.0) @ _LUMINANCE
     largest, median = float(luminance.max()), float(np.median(luminance))
@@ -73,45 +70,47 @@ def paper_exposures(reference: Array) -> Exposures:
         return Exposures(0.0, 0.0, 2)
     if not median > 0.0:
         median = float(np.median(luminance[luminance > 0.0]))
-    shown = _radiance_shown_as(_SHOWN_AS)
-    start, stop = (float(np.clip(math.log2(shown / y), -_MOST_STOPS, _MOST_STOPS)) for y in (largest, median))
+    target = _inverse_aces(_TONE_MAPPED)
+    start, stop = (float(np.clip(math.log2(target / y), -_MAX_STOPS, _MAX_STOPS)) for y in (largest, median))
     return exposures_between(start, stop)
 
 
 def exposures_between(start: float, stop: float) -> Exposures:
-    """As many exposures as the paper takes between two: a stop apart, both ends included.
+    """Exposures about a stop apart, both ends included, as in the paper.
 
-    Raises QueryError where `start` is above `stop`, or one of them beyond ±128 stops.
+    Raises QueryError if `start` is above `stop`, or if one of them is beyond ±128 stops.
     """
-    if not (-_MOST_STOPS <= start <= stop <= _MOST_STOPS):
+    if not (-_MAX_STOPS <= start <= stop <= _MAX_STOPS):
         raise QueryError(
-            f"compare: exposures from {start:g} to {stop:g} where a range within ±{_MOST_STOPS:g} stops is expected, "
-            "the lower end first"
+            f"compare: expected a range of exposures within ±{_MAX_STOPS:g} stops, the lower end first, found "
+            f"{start:g} to {stop:g}"
         )
-    # The library looks at none where it is asked for one.
+    # For one exposure the library computes none.
     return Exposures(start, stop, max(2, math.ceil(stop - start)))
 
 
 def evaluate_extra(name: str) -> ModuleType:
-    """A module of the extra `evaluate`; raises PrtbakeError where it is not installed."""
+    """A module of the extra `evaluate`. Raises PrtbakeError if it is not installed."""
     try:
         return import_module(name)
     except ImportError:
         package = name.partition(".")[0]
         raise PrtbakeError(
-            f"compare: {package} is not installed; install the extra that brings it: pip install 'prt-bake[evaluate]'"
+            f"compare: {package} is not installed; install the extra with it: pip install 'prt-bake[evaluate]'"
         ) from None
 
 
-def _radiance_shown_as(level: float) -> float:
+def _inverse_aces(level: float) -> float:
+    """The radiance that the ACES curve maps to `level`."""
     a, b, c, d, e, f = _ACES
     square, linear, constant = a - level * d, b - level * e, c - level * f
     return (-linear + math.sqrt(linear**2 - 4.0 * square * constant)) / (2.0 * square)
 
 
 def _flip_evaluator() -> ModuleType:
-    """The library, whose threads wait for one another asleep: spinning, as OpenMP has it where nobody says otherwise,
-    takes six times as long where others keep the cores busy. It is read once, while the library is loaded.
+    """The library, loaded with OpenMP threads that sleep while they wait.
+
+    OpenMP's default, spinning, takes six times as long on a busy machine. OpenMP reads the policy once, on loading.
     """
     policy = "OMP_WAIT_POLICY"
     if policy in os.environ or "flip_evaluator" in sys.modules:

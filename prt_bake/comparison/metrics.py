@@ -1,7 +1,7 @@
-"""How far a picture is from its reference: MSE, relative MSE, SSIM, FLIP and HDR-FLIP.
+"""Metrics of a picture against its reference: MSE, relative MSE, SSIM, FLIP and HDR-FLIP.
 
-MSE is over linear radiance. SSIM and FLIP are over the pictures as they are shown: the sRGB curve, cut to [0,1].
-HDR-FLIP is over linear radiance at a range of exposures (`prt_bake.comparison.flip`).
+MSE uses linear radiance. SSIM and FLIP use display-referred pictures: the sRGB curve, clamped to [0,1]. HDR-FLIP uses
+linear radiance at a range of exposures (`prt_bake.comparison.flip`).
 """
 
 from dataclasses import dataclass
@@ -27,23 +27,23 @@ Names = tuple[str, str, str]
 NAMES: Names = ("the image", "the reference", "the mask")
 RELATIVE_FLOOR = 1e-2
 _SSIM_WINDOW = 11
-_MOST_STOPS = 100.0
+_MAX_STOPS = 100.0
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Figures over the pixels of the mask (all without one).
+    """Metrics over the pixels of the mask (all pixels without a mask).
 
     Attributes:
         mse: mean squared difference of linear radiance, after exposure.
-        relative_mse: the mean of squared difference / (reference² + 0.01²), as pbrt's MRSE damps dark pixels.
-        relative_rmse: sqrt(Σ squared difference / Σ reference²); nan where the reference is black.
+        relative_mse: mean of squared difference / (reference² + 0.01²), as pbrt's MRSE.
+        relative_rmse: sqrt(Σ squared difference / Σ reference²); nan for a black reference.
         ssim: structural similarity (Wang et al. 2004: Gaussian window, sigma 1.5), the mean over channels; 1 is equal,
-            nan for pictures smaller than its window of 11 pixels.
-        ssim_quarter: the same of the pictures' means over 4×4 pixels; SSIM prefers blur to noise, this one less so.
-        flip: mean FLIP (Andersson et al. 2020) at 67 pixels a degree; 0 is equal, 1 the worst.
-        flip_map: FLIP [H,W] of every pixel, mask or not.
-        hdr_flip: mean HDR-FLIP over `hdr_exposures`, and its map; None where it was not asked for.
+            nan for pictures smaller than the window of 11 pixels.
+        ssim_quarter: SSIM of the pictures' means over 4×4 pixels, which favours blur over noise less than SSIM does.
+        flip: mean FLIP (Andersson et al. 2020) at 67 pixels per degree; 0 is equal, 1 the worst.
+        flip_map: FLIP [H,W] of all pixels, inside and outside the mask.
+        hdr_flip, hdr_exposures, hdr_flip_map: mean HDR-FLIP, its exposures and its map; None unless requested.
     """
 
     mse: float
@@ -58,7 +58,7 @@ class Comparison:
     hdr_flip_map: NDArray[np.float32] | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """The figures without the maps."""
+        """The metrics without the maps."""
         names = ("mse", "relative_mse", "relative_rmse", "ssim", "ssim_quarter", "flip")
         figures: dict[str, Any] = {name: getattr(self, name) for name in names}
         if self.hdr_exposures is not None:
@@ -77,51 +77,66 @@ def compare(
 ) -> Comparison:
     """Compare linear pictures [H,W,3], both multiplied by 2^exposure first.
 
-    `mask`, [H,W] or [H,W,3], chooses the pixels that count: those above 0.5 in the mean of its channels. Windows of
-    SSIM and FLIP about such a pixel reach beyond the mask. `hdr` asks for HDR-FLIP too: over the exposures that its
-    paper takes for the reference, or over those from a first to a last, in stops on top of `exposure`. `names` are
-    what messages call the pictures and the mask.
+    Args:
+        image: the picture.
+        reference: the picture it is compared with.
+        mask: [H,W] or [H,W,3]; pixels count if the mean of its channels is above 0.5. Windows of SSIM and FLIP extend
+            beyond the mask.
+        exposure: in stops.
+        hdr: True computes HDR-FLIP over the exposures of its paper; a pair gives the first and last exposure in stops,
+            in addition to `exposure`.
+        names: of the pictures and the mask in messages.
 
-    Raises QueryError for shapes that do not match, a mask without pixels, pixels or exposures out of their domain;
-    PrtbakeError where the extra `evaluate` is not installed.
+    Raises QueryError for shapes that do not match, for a mask without pixels, and for pixels or exposures out of their
+    domain. Raises PrtbakeError if the extra `evaluate` is not installed.
+
+    >>> import numpy as np
+    >>> import prt_bake as prt
+    >>> reference = np.full((16, 16, 3), 0.5)
+    >>> found = prt.compare(1.1 * reference, reference)
+    >>> round(found.mse, 6), round(found.relative_rmse, 6)
+    (0.0025, 0.1)
     """
-    ours, theirs, chosen = checked(image, reference, mask, exposure, names)
-    squared = (ours - theirs) ** 2
-    signal = float((theirs[chosen] ** 2).sum())
-    shown, wanted = to_srgb(ours), to_srgb(theirs)
-    map_of_flip = flip_map(shown, wanted)
-    exposures = None if hdr is False else paper_exposures(theirs) if hdr is True else exposures_between(*hdr)
-    map_of_hdr = None if exposures is None else hdr_flip_map(ours, theirs, exposures)
+    linear, linear_reference, chosen = checked(image, reference, mask, exposure, names)
+    squared = (linear - linear_reference) ** 2
+    signal = float((linear_reference[chosen] ** 2).sum())
+    srgb, srgb_reference = to_srgb(linear), to_srgb(linear_reference)
+    flip = flip_map(srgb, srgb_reference)
+    exposures = None if hdr is False else paper_exposures(linear_reference) if hdr is True else exposures_between(*hdr)
+    hdr_flip = None if exposures is None else hdr_flip_map(linear, linear_reference, exposures)
     return Comparison(
         mse=float(squared[chosen].mean()),
-        relative_mse=float((squared / (theirs**2 + RELATIVE_FLOOR**2))[chosen].mean()),
+        relative_mse=float((squared / (linear_reference**2 + RELATIVE_FLOOR**2))[chosen].mean()),
         relative_rmse=float(np.sqrt(squared[chosen].sum() / signal)) if signal > 0.0 else float("nan"),
-        ssim=_mean(ssim_map(shown, wanted), chosen),
-        ssim_quarter=_mean(ssim_map(quartered(shown), quartered(wanted)), quarter_mask(chosen)),
-        flip=_mean(map_of_flip, chosen),
-        flip_map=map_of_flip,
-        hdr_flip=None if map_of_hdr is None else _mean(map_of_hdr, chosen),
+        ssim=_mean(ssim_map(srgb, srgb_reference), chosen),
+        ssim_quarter=_mean(ssim_map(quartered(srgb), quartered(srgb_reference)), quarter_mask(chosen)),
+        flip=_mean(flip, chosen),
+        flip_map=flip,
+        hdr_flip=None if hdr_flip is None else _mean(hdr_flip, chosen),
         hdr_exposures=exposures,
-        hdr_flip_map=map_of_hdr,
+        hdr_flip_map=hdr_flip,
     )
 
 
 def checked(
     image: ArrayLike, reference: ArrayLike, mask: ArrayLike | None, exposure: float, names: Names = NAMES
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Both pictures [H,W,3] times 2^exposure and the pixels [H,W] that count; raises QueryError as `compare`."""
-    if not abs(exposure) <= _MOST_STOPS:
-        raise QueryError(f"compare: an exposure of {exposure:g} where one between ±{_MOST_STOPS:g} stops is expected")
-    ours, theirs = (
+    """Both pictures [H,W,3] times 2^exposure, and the mask [H,W]. Raises QueryError as `compare`."""
+    if not abs(exposure) <= _MAX_STOPS:
+        raise QueryError(f"compare: expected an exposure within ±{_MAX_STOPS:g} stops, found {exposure:g}")
+    linear, linear_reference = (
         _picture(part, name) * 2.0**exposure for part, name in zip((image, reference), names[:2], strict=True)
     )
-    if ours.shape != theirs.shape:
-        raise QueryError(f"compare: {names[0]} is {_size(ours)}, {names[1]} {_size(theirs)}; both must be of one size")
-    return ours, theirs, np.ones(ours.shape[:2], np.bool_) if mask is None else _chosen(mask, ours, names[2])
+    if linear.shape != linear_reference.shape:
+        raise QueryError(
+            f"compare: {names[0]} is {_size(linear)}, {names[1]} {_size(linear_reference)}; both must be of one size"
+        )
+    chosen = np.ones(linear.shape[:2], np.bool_) if mask is None else _chosen(mask, linear, names[2])
+    return linear, linear_reference, chosen
 
 
 def ssim_map(image: Array, reference: Array) -> Array:
-    """SSIM [H,W] of pictures as they are shown [H,W,3], the mean over channels; nan for those below its window."""
+    """SSIM [H,W] of sRGB pictures [H,W,3], the mean over channels; nan for pictures smaller than its window."""
     if min(image.shape[:2]) < _SSIM_WINDOW:
         return np.full(image.shape[:2], np.nan)
     _mean, similarity = evaluate_extra("skimage.metrics").structural_similarity(
@@ -138,13 +153,13 @@ def ssim_map(image: Array, reference: Array) -> Array:
 
 
 def quartered(image: Array) -> Array:
-    """The mean of blocks of 4×4 pixels [H/4,W/4,3]; what does not fill a block is left out."""
+    """Means over blocks of 4×4 pixels [H/4,W/4,3]; incomplete blocks are left out."""
     h, w = image.shape[0] // 4, image.shape[1] // 4
     return np.asarray(image[: 4 * h, : 4 * w].reshape(h, 4, w, 4, image.shape[2]).mean(axis=(1, 3)))
 
 
 def quarter_mask(chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The blocks of 4×4 pixels of which more than half are chosen."""
+    """The blocks of 4×4 pixels with more than half of their pixels in the mask."""
     return np.asarray(quartered(chosen[..., None].astype(np.float64))[..., 0] > 0.5)
 
 
@@ -152,13 +167,13 @@ def _picture(image: ArrayLike, name: str) -> Array:
     refuse_path(name, image, "prt.read_image")
     pixels = np.asarray(image, np.float64)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or not pixels.size:
-        raise QueryError(f"compare: {name} is of shape {list(pixels.shape)} where [H, W, 3] is expected")
+        raise QueryError(f"compare: expected {name} of shape [H, W, 3], found {list(pixels.shape)}")
     wrong = np.argwhere(~np.isfinite(pixels).all(axis=2))
     if len(wrong):
         row, column = wrong[0].tolist()
         raise QueryError(
             f"compare: {len(wrong)} of {pixels[..., 0].size} pixels of {name} are not finite, the first at row "
-            f"{row}, column {column}; render it again or mend it"
+            f"{row}, column {column}; render it again or repair it"
         )
     return pixels
 
@@ -168,12 +183,11 @@ def _chosen(mask: ArrayLike, image: Array, name: str) -> NDArray[np.bool_]:
     values = values.mean(axis=2) if values.ndim == 3 else values
     if values.shape != image.shape[:2]:
         raise QueryError(
-            f"compare: {name} is of shape {list(values.shape)}, the pictures are {_size(image)}; both must "
-            "be of one size"
+            f"compare: expected {name} of the pictures' shape {list(image.shape[:2])}, found {list(values.shape)}"
         )
     chosen = values > 0.5
     if not chosen.any():
-        raise QueryError(f"compare: {name} chooses no pixel; what counts is white, above 0.5")
+        raise QueryError(f"compare: {name} chooses no pixel; chosen pixels are white, above 0.5")
     return np.asarray(chosen)
 
 

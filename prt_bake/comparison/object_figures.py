@@ -1,7 +1,7 @@
-"""Figures of an object's pictures, the paper's tables' own: how far they are from a reference, and what noise does.
+"""Metrics of pictures of an object, as in the paper's tables, and the effect of noise on them.
 
-Law: the pixels that the object covers wholly; an exposure that gives the reference's object a median luminance of 0.18;
-the sRGB curve cut to [0,1]; FLIP at 67 pixels a degree.
+Protocol: pixels that the object covers completely; an exposure that gives the reference's object a median luminance of
+0.18; the sRGB curve, clamped to [0,1]; FLIP at 67 pixels per degree.
 """
 
 import math
@@ -18,12 +18,12 @@ from prt_bake.rendering.half_buffers import TracedPicture
 
 MIDDLE_GREY = 0.18
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-"""Of linear Rec.709."""
+"""Luminance of linear Rec.709."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """MSE (after exposure), SSIM at full and quarter size and mean FLIP over the object's pixels; the map of FLIP."""
+    """MSE (after exposure), SSIM at full and quarter size, mean FLIP over the object's pixels, and the FLIP map."""
 
     mse: float
     ssim: float
@@ -32,22 +32,22 @@ class Figures:
     flip_map: NDArray[np.float32]
 
     def as_json(self) -> dict[str, float]:
-        """The figures without the map."""
+        """The metrics without the map."""
         return {name: getattr(self, name) for name in ("mse", "ssim", "ssim_quarter", "flip")}
 
 
 def object_mask(coverage: ArrayLike) -> NDArray[np.bool_]:
-    """The pixels [H,W] that the object covers wholly; raises QueryError where there is none."""
+    """The pixels [H,W] that the object covers completely. Raises QueryError if there are none."""
     mask = np.asarray(np.asarray(coverage) >= 1.0)
     if not mask.any():
-        raise QueryError("report: no pixel of the reference is covered wholly by the object; ask for a larger --size")
+        raise QueryError("report: the object covers no pixel of the reference completely; choose a larger --size")
     return mask
 
 
 def exposure(image: ArrayLike, mask: NDArray[np.bool_]) -> float:
-    """The stops by which the picture [H,W,3] is lifted so that its object has a median luminance of 0.18.
+    """The exposure in stops at which the object in the picture [H,W,3] has a median luminance of 0.18.
 
-    Raises QueryError where that median is not positive.
+    Raises QueryError if the median is not positive.
     """
     median = float(np.median(np.asarray(image, np.float64)[mask] @ LUMINANCE))
     if not median > 0.0:
@@ -56,15 +56,16 @@ def exposure(image: ArrayLike, mask: NDArray[np.bool_]) -> float:
 
 
 def measure(image: ArrayLike, reference: ArrayLike, mask: NDArray[np.bool_], stops: float) -> Figures:
-    """The figures of a picture [H,W,3] against a reference, both lifted by `stops`."""
+    """The metrics of a picture [H,W,3] against a reference, both at an exposure of `stops`."""
     return _figures(compare(image, reference, mask, stops))
 
 
-def alone(
+def subsurface_figures(
     picture: Layers, reference: TracedPicture, mask: NDArray[np.bool_], stops: float
 ) -> tuple[NDArray[np.float32], dict[str, float]]:
-    """All figures of a picture of the light from under the surface alone, and its map of FLIP; a picture without a
-    layer of errors has no noise.
+    """The FLIP map and all metrics of a picture of the light from under the surface.
+
+    A picture without the layer `error` counts as free of noise.
     """
     found = measure(picture.image, reference.image, mask, stops)
     return found.flip_map, {
@@ -74,13 +75,15 @@ def alone(
     }
 
 
-def noise_figures(reference: TracedPicture, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float) -> dict[str, float]:
-    """What the reference's own noise does to each figure: a picture exact but for such noise would have them.
+def noise_figures(
+    reference: TracedPicture, smooth: ArrayLike, mask: NDArray[np.bool_], stops: float
+) -> dict[str, float]:
+    """The noise floor: the metrics of a picture whose only error is noise like the reference's.
 
-    mse: of the standard errors. flip, ssim, ssim_quarter: means of what `smooth` and itself with the reference's noise
-    added and taken away make (`prt_bake.rendering.half_buffers` says which noise). `smooth` [H,W,3] is a picture
-    without noise that stands for the exact one, which nobody has; the reference itself would not do: its own noise
-    passes for structure, and SSIM forgives more of it.
+    mse is the mean squared standard error. flip, ssim and ssim_quarter are means over `smooth` with the reference's
+    noise added and subtracted (`prt_bake.rendering.half_buffers`), against `smooth` [H,W,3], a noise-free picture in
+    place of the unknown exact one. The reference itself is not suitable, because its noise counts as structure, which
+    raises SSIM.
     """
     base = np.asarray(smooth, np.float64)
     sides = [measure(base + sign * reference.noise, base, mask, stops) for sign in (1.0, -1.0)]
@@ -92,11 +95,11 @@ def noise_figures(reference: TracedPicture, smooth: ArrayLike, mask: NDArray[np.
 def flip_without_noise(
     image: ArrayLike, reference: TracedPicture, mask: NDArray[np.bool_], stops: float, flip: float
 ) -> float:
-    """An estimate of the mean FLIP that a picture would have against a reference without noise; `flip` is what it has.
+    """Mean FLIP against a noise-free reference by simulation–extrapolation, from `flip` against the noisy one.
 
-    With the reference's noise added to the reference or taken away, the variance of its error is doubled. If the square
-    of FLIP grows in a straight line with that variance, it is 2 flip² − doubled² at none. Of noise alone FLIP grows
-    more slowly (about as the 0.35th power of the variance), so that where noise is most of it the estimate is too high.
+    Adding or subtracting the reference's noise doubles the variance of its error. If FLIP² is linear in that variance,
+    its value without noise is 2 flip² − doubled². FLIP of noise alone grows more slowly (about as the 0.35th power of
+    the variance), so the estimate is biased upwards if noise dominates.
     """
     exact, noise = reference.image.astype(np.float64), reference.noise
     doubled = [measure(image, exact + sign * noise, mask, stops).flip for sign in (1.0, -1.0)]
@@ -106,16 +109,17 @@ def flip_without_noise(
 def error_without_noise(
     image: ArrayLike, standard_error: ArrayLike, reference: TracedPicture, mask: NDArray[np.bool_]
 ) -> float:
-    """The relative RMSE of a picture [H,W,3] over the object, its own noise and the reference's taken out.
+    """The relative RMSE of a picture [H,W,3] over the object, without the variance of both pictures.
 
-    standard_error: of the picture, [H,W,3] or 0. Over E[reference²] without noise; 0 where the noise leaves nothing of
-    the error, nan where it leaves nothing of the reference.
+    standard_error: of the picture, [H,W,3] or 0. Both the squared error and the mean square of the reference are
+    unbiased. 0 if the variance exceeds the squared error, nan if it exceeds the mean square of the reference.
     """
-    ours, theirs = np.asarray(image, np.float64)[mask], reference.image[mask].astype(np.float64)
-    own = np.broadcast_to(np.asarray(standard_error, np.float64), np.shape(image))[mask] ** 2
-    noise = reference.standard_error[mask].astype(np.float64) ** 2
-    error, value = np.mean((ours - theirs) ** 2 - noise - own), np.mean(theirs**2 - noise)
-    return math.sqrt(max(0.0, float(error / value))) if value > 0.0 else math.nan
+    values, truth = np.asarray(image, np.float64)[mask], reference.image[mask].astype(np.float64)
+    variance = np.broadcast_to(np.asarray(standard_error, np.float64), np.shape(image))[mask] ** 2
+    reference_variance = reference.standard_error[mask].astype(np.float64) ** 2
+    error = np.mean((values - truth) ** 2 - reference_variance - variance)
+    signal = np.mean(truth**2 - reference_variance)
+    return math.sqrt(max(0.0, float(error / signal))) if signal > 0.0 else math.nan
 
 
 def framing(coverage: ArrayLike) -> dict[str, Any]:

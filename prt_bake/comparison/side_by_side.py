@@ -15,6 +15,6 @@ def write_side_by_side(
     path: str | Path,
     exposure: float = 0.0,
 ) -> None:
-    """Writes image [H,W,3], reference [H,W,3] and FLIP map [H,W] (black 0, white 1) side by side."""
+    """Write image [H,W,3], reference [H,W,3] and FLIP map [H,W] (black 0, white 1) side by side."""
     error = np.repeat(flip_map[..., None] * 2.0**-exposure, 3, axis=2)
     write_image(path, np.concatenate([image, reference, error], axis=1, dtype=np.float32), exposure=exposure)

@@ -1,7 +1,7 @@
-"""A scene in the terms of Mitsuba 3: a dictionary for `mi.load_dict`, and the meshes, grids and images it names.
+"""Converts a scene to Mitsuba 3: a dictionary for `mi.load_dict`, and the meshes, grids and images it refers to.
 
-The dictionary is made of plain numbers, words and file names, so that neither writing nor reading it needs Mitsuba
-itself (the extra `validate` installs it). Plug-ins: https://mitsuba.readthedocs.io/en/stable/src/plugin_reference.html
+The dictionary holds plain numbers, strings and file names, so that writing it does not need Mitsuba (the extra
+`validate` installs it). Plugins: https://mitsuba.readthedocs.io/en/stable/src/plugin_reference.html
 """
 
 import os
@@ -23,10 +23,10 @@ from formats.scene.parts import Part
 from prt_bake.geometry.nesting import TOLERANCE, distances, protruding_parts, winding_numbers
 
 _SMOOTHEST = 1e-4
-"""Below this alpha a boundary counts as smooth, as in the path tracer."""
+"""Below this alpha a boundary is smooth, as in the path tracer."""
 _LEAST_TEXTURED_ALPHA = 0.01
 _EVENTS_WITHOUT_ROULETTE = 2000
-"""Russian roulette after Mitsuba's usual 5 events multiplies the variance where the albedo is near 1."""
+"""Mitsuba's Russian roulette after 5 events multiplies the variance if the albedo is near 1."""
 
 Array = NDArray[np.float64]
 
@@ -39,28 +39,38 @@ def mitsuba_dictionary(
     origin: ArrayLike | None = None,
     scale: float = 1.0,
 ) -> dict[str, Any]:
-    """Return what `mi.load_dict` makes the scene of, and write the meshes, grids and images it names into `folder`.
+    """Return the scene as a dictionary for `mi.load_dict`; writes its meshes, grids and images into `folder`.
 
-    A point x of the scene is at (x − origin) · scale there; radiance does not change with it.
+    A point x of the scene becomes (x − origin) · scale. Radiance is unchanged.
 
     Args:
-        scene: any scene whose parts lie inside one another.
+        scene: a scene whose parts lie inside one another.
         folder: an existing folder.
-        incident: [3], the direction to a distant light of unit irradiance, so that the radiance that leaves a point is
-            Ŝ and what is reflected there; without it a sky of radiance 1 shines from everywhere.
-        origin: [3], usually the middle of the bounding box: Mitsuba holds positions in float32.
-        scale: Mitsuba's lengths in a scene unit.
+        incident: [3], unit direction to a distant light of unit irradiance, so that the outgoing radiance is Ŝ plus the
+            surface reflection. By default a constant environment of radiance 1.
+        origin: [3], by default the centre of the bounding box, because Mitsuba stores positions as float32.
+        scale: Mitsuba's units per scene unit.
 
     Raises:
-        SceneError: parts that are clipped by their parents or overlap their siblings, and energy compensation, none of
-            which Mitsuba has.
-        QueryError: `incident` is not of unit length.
+        SceneError: a part sticks out of its parent or overlaps a sibling, or uses energy compensation; Mitsuba supports
+            neither.
+        QueryError: `incident` is not a unit vector.
         StorageError: the folder is missing or not writable.
+
+    Example:
+        >>> import tempfile
+        >>> import prt_bake as prt
+        >>> from prt_bake.shipped.demonstration import SHIPPED
+        >>> scene = prt.load_scene(SHIPPED / "spot.toml")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     world = prt.mitsuba_dictionary(scene, folder)
+        >>> world["shape_0"]["bsdf"]["type"], world["medium_0"]["type"]
+        ('roughdielectric', 'heterogeneous')
     """
     _refuse_unknown_to_mitsuba(scene)
     target = Path(folder)
     if not target.is_dir():
-        raise StorageError(f"{folder}: is no folder that exists; create it first")
+        raise StorageError(f"{folder}: there is no such folder; create it first")
     center = scene.mesh.center if origin is None else np.asarray(origin, np.float64)
     chromatic = any(part.medium is not None and _by_channel(part.medium) for part in scene.parts)
     integrator = {
@@ -87,18 +97,19 @@ def _refuse_unknown_to_mitsuba(scene: Scene) -> None:
     for part in scene.parts:
         if part.energy_compensation:
             raise SceneError(
-                f"{scene.path}: {part.name!r}: energy_compensation: Mitsuba has none; export the scene without it"
+                f"{scene.path}: {part.name!r}: energy_compensation: not supported by Mitsuba; export the scene without "
+                "it"
             )
     sentences = protruding_parts(scene.parts) + _overlaps(scene.parts)
     if sentences:
         raise SceneError(
-            f"{scene.path}: {sentences[0]}; Mitsuba needs parts that lie wholly inside or outside one another: cut the "
-            f"meshes in an editor"
+            f"{scene.path}: {sentences[0]}; Mitsuba needs parts that lie completely inside or outside one another: cut "
+            "the meshes in an editor"
         )
 
 
 def _overlaps(parts: tuple[Part, ...]) -> list[str]:
-    """Return a sentence for every pair of siblings one of which holds vertices of the other."""
+    """Return a sentence per pair of overlapping siblings: one has vertices inside the other."""
     sentences = []
     for one, other in combinations(parts[1:], 2):
         if one.parent != other.parent:
@@ -106,8 +117,8 @@ def _overlaps(parts: tuple[Part, ...]) -> list[str]:
         for a, b in ((one.mesh, other.mesh), (other.mesh, one.mesh)):
             low, high = a.bounds
             near = b.positions[((b.positions >= low) & (b.positions <= high)).all(axis=1)]
-            held = near[winding_numbers(a, near) > 0.5]
-            if distances(a, held).max(initial=0.0) > TOLERANCE * a.diagonal:
+            inside = near[winding_numbers(a, near) > 0.5]
+            if distances(a, inside).max(initial=0.0) > TOLERANCE * a.diagonal:
                 sentences.append(f"{one.name!r} and {other.name!r} overlap")
                 break
     return sentences
@@ -117,14 +128,14 @@ def _light(incident: ArrayLike | None) -> dict[str, Any]:
     white = {"type": "rgb", "value": [1.0, 1.0, 1.0]}
     if incident is None:
         return {"type": "constant", "radiance": white}
-    towards = np.asarray(incident, np.float64)
-    if towards.shape != (3,) or not abs(np.linalg.norm(towards) - 1.0) < 1e-4:
-        raise QueryError(f"incident: {towards.tolist()} where one direction [3] of unit length is expected")
-    return {"type": "directional", "direction": (-towards).tolist(), "irradiance": white}
+    direction = np.asarray(incident, np.float64)
+    if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < 1e-4:
+        raise QueryError(f"incident: expected a unit vector [3], found {direction.tolist()}")
+    return {"type": "directional", "direction": (-direction).tolist(), "irradiance": white}
 
 
 def _shape(part: Part, stem: Path, center: Array, scale: float) -> dict[str, Any]:
-    """Write the mesh, its vertices split where a texture has seams, and v downwards as Mitsuba's images have it."""
+    """Write the mesh. A textured one gets separate vertices per face, for seams, and v downwards as in Mitsuba."""
     mesh, uv = part.mesh, None
     positions, faces, normals = (mesh.positions - center) * scale, mesh.faces, mesh.normals
     if mesh.corner_uv is not None and _is_textured(part):
@@ -132,8 +143,8 @@ def _shape(part: Part, stem: Path, center: Array, scale: float) -> dict[str, Any
         uv = mesh.corner_uv.reshape(-1, 2) * [1.0, -1.0] + [0.0, 1.0]
         faces = np.arange(len(positions), dtype=np.int32).reshape(-1, 3)
     path = stem.with_suffix(".ply")
-    with replacing(path) as whole:
-        write_ply(whole, positions, faces, normals, uv)
+    with replacing(path) as part_path:
+        write_ply(part_path, positions, faces, normals, uv)
     return {"type": "ply", "filename": str(path), "face_normals": part.normals == "face"}
 
 
@@ -203,8 +214,8 @@ def _volume(quantity: Array, box: Array | None, path: Path) -> Any:
 
 
 def _write_volume(path: Path, grid: Array, box: Array) -> None:
-    """Write a grid [Z,Y,X,C] over a box [2,3] in Mitsuba's own binary format, version 3, float32."""
+    """Write a grid [Z,Y,X,C] over a box [2,3] in Mitsuba's binary volume format, version 3, float32."""
     z, y, x, channels = grid.shape
-    with replacing(path) as whole, open(whole, "wb") as file:
+    with replacing(path) as part_path, open(part_path, "wb") as file:
         file.write(b"VOL" + struct.pack("<B5i6f", 3, 1, x, y, z, channels, *box.ravel()))
         file.write(np.ascontiguousarray(grid, "<f4").tobytes())

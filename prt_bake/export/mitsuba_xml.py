@@ -1,6 +1,6 @@
-"""Mitsuba's dictionaries as its scene files: XML, whose numbers, words and plug-ins are nested elements.
+"""Writes a Mitsuba dictionary as an XML scene file.
 
-No library: Mitsuba 3.9 has no writer of scene files, and an export needs no Mitsuba.
+Own code, because Mitsuba 3.9 cannot write scene files and an export must not need Mitsuba.
 """
 
 import os
@@ -25,9 +25,9 @@ _KINDS = {
 
 
 def write_mitsuba_scene(scene: Scene, folder: str | os.PathLike[str]) -> Path:
-    """Write `scene.xml` and all that it names into an existing folder, under a white sky; return the file's path.
+    """Write `scene.xml` and its files into an existing folder, lit by a white environment; return the path.
 
-    It stands where `origin` of `mitsuba_dictionary` puts it, and is seen by the camera that `prtbake render` takes.
+    The scene is centred as by `mitsuba_dictionary`; the camera is the default one of `prtbake render`.
 
     Raises:
         SceneError, StorageError: as `mitsuba_dictionary`.
@@ -36,19 +36,19 @@ def write_mitsuba_scene(scene: Scene, folder: str | os.PathLike[str]) -> Path:
     root = _element("", mitsuba_dictionary(scene, target))
     root.attrib = {"version": _VERSION}
     root.append(_sensor(fit(scene.mesh, up=scene.up), scene))
-    # Files stand beside the scene file, so that the folder can be moved.
+    # File names are relative to the scene file, so that the folder can be moved.
     for named in root.iter("string"):
         if named.get("name") == "filename":
             named.set("value", Path(named.attrib["value"]).name)
     ET.indent(root)
     path = target / "scene.xml"
-    with replacing(path) as whole:
-        ET.ElementTree(root).write(whole, encoding="utf-8", xml_declaration=True)
+    with replacing(path) as part_path:
+        ET.ElementTree(root).write(part_path, encoding="utf-8", xml_declaration=True)
     return path
 
 
 def _element(name: str, value: Any) -> ET.Element:
-    """The element of one entry of a dictionary."""
+    """Convert one entry of a dictionary."""
     if isinstance(value, dict):
         return _plugin(name, value)
     if isinstance(value, bool):

@@ -60,7 +60,7 @@ def distances(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
         to_edges = [_to_segment(start, end) for start, end in ((a, b), (b, c), (c, a))]
         normal = np.broadcast_to(mesh.face_normals, a.shape)
         height = np.einsum("nfi,nfi->nf", a, normal)
-        # The signs tell whether the foot of the perpendicular is in the face.
+        # The signs show whether the foot of the perpendicular is in the face.
         sides = [np.einsum("nfi,nfi->nf", np.cross(start, end), normal) for start, end in ((a, b), (b, c), (c, a))]
         to_faces = np.where(np.minimum.reduce(sides) >= 0.0, np.abs(height), np.inf)
         nearest[rows] = np.minimum.reduce([*to_edges, to_faces]).min(axis=1)

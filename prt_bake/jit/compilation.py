@@ -1,8 +1,8 @@
-"""How kernels are compiled, and how numba's cache keeps them for the next process.
+"""Compiles kernels, and caches them on disk for the next process.
 
-numba checks a kept kernel against the kernel's own file alone, and processes that write at once may mix kernels up.
-Here a kernel is checked against a digest of its module and of all our modules that this one imports, directly or not.
-One process at a time loads or compiles a kernel. Others that need it wait, and load what the first one kept.
+numba's own cache compares a cached kernel with the kernel's own file alone, and concurrent writers may mix kernels up.
+This cache compares a digest of the kernel's module and of all our modules that it imports, directly or not. One process
+at a time loads or compiles a kernel. Others that need it wait, and load what the first one cached.
 """
 # mypy: disallow-untyped-calls=False
 # numba has no types.
@@ -28,22 +28,22 @@ Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 ROOT = Path(__file__).resolve().parents[2]
 """The folder of the three packages."""
 STARTED = time.time()
-"""A source that is younger may differ from what this process has imported."""
+"""Time at which this process began. A source that was edited later may differ from what was imported."""
 LONGEST_WAIT = 600.0
-"""Seconds after which a process compiles a kernel itself although another still does."""
+"""Seconds to wait for another process that compiles a kernel, before compiling it here too."""
 _IMPORT = re.compile(r"^(?:from|import) ((?:formats|bakers|prt_bake)\b[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
 
 
 def compiled(**options: Any) -> Callable[[Kernel], Kernel]:
-    """numba's `njit` with these options, kept between processes; for functions at the top of their module.
+    """Decorator: numba's `njit` with these options and a cache on disk, for functions at the top of their module.
 
-    Kernels are kept in `NUMBA_CACHE_DIR`, beside the module or in the user's cache: the first that can be written to.
-    Where there is none, and where a source was edited after the process began, they are compiled anew and not kept.
+    The cache is in `NUMBA_CACHE_DIR`, beside the module or in the user's cache folder: the first of these that is
+    writable. Kernels are not cached if none is, or if a source was edited after the process began.
     """
 
     def compile_on_first_call(function: Kernel) -> Kernel:
         kernel: Any = numba.njit(**options)(function)
-        # numba raises RuntimeError where no folder can be written to. With NUMBA_DISABLE_JIT there is nothing to keep.
+        # numba raises RuntimeError if no folder is writable. With NUMBA_DISABLE_JIT there is nothing to cache.
         with suppress(RuntimeError, OSError):
             if kernel is not function:
                 kernel._cache = KernelCache(function, kernel.compile)
@@ -54,20 +54,20 @@ def compiled(**options: Any) -> Callable[[Kernel], Kernel]:
 
 
 class KernelCache(FunctionCache):
-    """The kept forms of one function. `compile_or_load` is its dispatcher's method, which calls the methods below."""
+    """The cached kernels of one function. Its dispatcher's method `compile_or_load` calls the methods below."""
 
     def __init__(self, function: Callable[..., Any], compile_or_load: Callable[[Any], Any]) -> None:
         super().__init__(function)
         self._compile_or_load = compile_or_load
         self._source = Path(function.__code__.co_filename).resolve()
-        # Without the line, by which numba tells functions apart: an edited kernel replaces the old one.
+        # Without the line number, which is part of numba's name: an edited kernel replaces the old one.
         name = f"{function.__module__}.{function.__qualname__}.{sys.implementation.cache_tag}"
         self._cache_file = IndexDataCacheFile(self.cache_path, name, digest(self._source))
         self._lock = os.path.join(self.cache_path, f"{name}.lock")
 
     def compile(self, signature: Any) -> Any:
         """The kernel for a signature, loaded or compiled, by one process at a time."""
-        # Callers are locked before what they call, and the lock of threads before those of processes: no circle waits.
+        # No deadlock: callers are locked before the functions they call, and threads before processes.
         with global_compiler_lock, ExitStack() as held:
             self.disable()
             with suppress(OSError, RuntimeError):
@@ -77,7 +77,7 @@ class KernelCache(FunctionCache):
             return self._compile_or_load(signature)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kernel kept for this signature, or None."""
+        """The cached kernel for this signature, or None."""
         try:
             return super().load_overload(sig, target_context)
         except Exception:  # a damaged file can raise anything
@@ -86,20 +86,20 @@ class KernelCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a kernel; where it cannot be kept it is compiled again next time."""
+        """Caches a kernel, if the cache is writable."""
         with suppress(OSError):
             super().save_overload(sig, data)
 
 
 @cache
 def digest(source: Path) -> str:
-    """A digest of a module's text and of those that it imports, as this process has them."""
+    """SHA-256 over a module's source and the sources of our modules that it imports, directly or not."""
     return hashlib.sha256(b"".join(hashlib.sha256(path.read_bytes()).digest() for path in sources(source))).hexdigest()
 
 
 @cache
 def sources(source: Path) -> list[Path]:
-    """The files of a module and of every module of ours that it imports at its top, those of these, and so on."""
+    """The files of a module and of all our modules that it imports at its top, directly or not."""
     reached, waiting = set[Path](), [source]
     while waiting:
         path = waiting.pop()
@@ -111,7 +111,7 @@ def sources(source: Path) -> list[Path]:
 
 @cache
 def imported(path: Path) -> list[Path]:
-    """The files of our modules that a file imports at its top."""
+    """The files of our modules that a file imports directly, at its top."""
     found: list[Path] = []
     for package, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
         place = ROOT.joinpath(*package.split("."))

@@ -10,8 +10,9 @@ from bakers.transport import transport_kind
 
 @contextmanager
 def limited_threads(transport: Any, workers: int) -> Iterator[None]:
-    """Limits numba to `workers` threads for path-traced transports, and torch, if it is loaded, to one intra-op thread,
-    because more of them would compete with the workers.
+    """Limits numba to `workers` threads for path-traced transports, and torch to one thread per call if it is loaded.
+
+    More threads would compete with the workers.
     """
     with ExitStack() as restore:
         if transport_kind(transport) == "coefficients":

@@ -1,7 +1,7 @@
-"""Loops of kernels shared out among threads.
+"""Runs a kernel on several threads, each with a slice of the rows.
 
-A kernel of numba's own parallel loops is compiled several times over: as the loop's body, as what hands it out, and as
-the function about both. Here it is an ordinary kernel that leaves Python's lock alone and does the rows of a slice.
+numba's own parallel loops compile a kernel several times: the loop's body, its scheduler and the function around both.
+Here it is an ordinary kernel that releases Python's lock (`nogil`) and computes the rows of a slice.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,11 @@ _PIECES_A_THREAD = 8
 
 
 def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any, least: int = 1) -> None:
-    """Call kernel(first, last, *arguments), which leaves Python's lock alone, for slices that make up all of `rows`.
+    """Call kernel(first, last, *arguments), which must release Python's lock, for slices that cover all `rows`.
 
-    As many threads as numba may use in this one (`numba.set_num_threads`) take slices of `least` rows or more; which
-    rows come together and in which order must not matter. Raises what a kernel raises, when all threads have ended.
+    Slices have at least `least` rows, except the last. The result must not depend on the slices or on their order. Uses
+    as many threads as `numba.get_num_threads` returns in the calling thread. An exception of the kernel is raised after
+    all threads have ended.
     """
     threads = min(get_num_threads(), -(-rows // least))
     if threads <= 1:
@@ -29,6 +30,6 @@ def in_threads(kernel: Callable[..., None], rows: int, *arguments: Any, least: i
         kernel(first, min(first + size, rows), *arguments)
 
     with ThreadPoolExecutor(threads, "prtbake-loop") as pool:
-        # After an error or an interrupt, `map` cancels what has not begun.
+        # After an error or an interrupt, `map` cancels the slices that have not begun.
         for _ in pool.map(one_slice, range(0, rows, size)):
             pass

@@ -1,8 +1,8 @@
-"""What numba has no words for, as LLVM: a hint to the memory, and weighted sums of stored rows, many numbers at a time.
+"""LLVM code for operations that numba lacks: prefetching, and weighted sums of stored rows in vector registers.
 
-Rows are float32, whole numbers of 8 bits, or the bits of float16 as uint16. Those are widened by the processor where it
-can (F16C; every 64-bit ARM), otherwise by integer arithmetic: with the bits of a half shifted to where float32 has
-them, what is missing is a factor of 2^112, subnormal halves included. A table of all halves is slower than either.
+Rows are float32, int8, or float16 stored as uint16 bits. The processor converts float16 if it can (F16C, every 64-bit
+ARM). Otherwise integer arithmetic does: shifting the bits of a float16 to their place in a float32 leaves a factor of
+2^112, also for subnormal numbers. A table of all float16 values is slower than either.
 """
 
 import platform
@@ -18,7 +18,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic as _numbas
 from numpy.typing import NDArray
 
-# They carry no types.
+# Libraries without type annotations.
 untyped: Any = cgutils
 several: Any = types.UniTuple
 _FLOAT, _HALF, _BYTE = ir.FloatType(), ir.HalfType(), ir.IntType(8)
@@ -26,26 +26,26 @@ _DOUBLE = ir.DoubleType()
 _SHORT, _INT, _LONG = ir.IntType(16), ir.IntType(32), ir.IntType(64)
 _FUSED = ("contract",)
 WIDEST = 16
-"""Numbers at a time of rows that have as many; rows of at least 4 are taken 4 at a time, others one by one."""
+"""Vector width for rows of at least that many numbers. The width is 4 for rows of at least 4, otherwise 1."""
 _DECODED_ROWS = 4
 _EIGHT = 8
 _EIGHT_DOUBLES = ir.VectorType(_DOUBLE, _EIGHT)
 
 
 def intrinsic(generator: Any) -> Any:
-    """numba's own, which carries no types."""
+    """numba's decorator, which has no type annotations."""
     return _numbas(generator)
 
 
 def width_for(size: int) -> int:
-    """How many numbers of a row of `size` are taken at a time."""
+    """Vector width for rows of `size` numbers."""
     return WIDEST if size >= WIDEST else 4 if size >= 4 else 1
 
 
 def laid_out(light: NDArray[np.floating]) -> NDArray[np.float32]:
-    """What each number of a row gives to each of three channels, light [size,3], as rows are read: [runs,3,width].
+    """The light [size,3] in the order in which kernels read rows: [runs,3,width], a run being one vector of a row.
 
-    The last run of a row ends with the row, and what the one before it has read too counts 0.
+    The last run ends with the row. Numbers that it shares with the run before have weight 0 in it.
     """
     numbers = np.zeros(light.size + 1, np.float32)
     numbers[:-1] = light.reshape(-1)
@@ -54,7 +54,7 @@ def laid_out(light: NDArray[np.floating]) -> NDArray[np.float32]:
 
 @cache
 def _layout(size: int) -> NDArray[np.int64]:
-    """Where each number of `laid_out` stands in the light; the last place is for 0."""
+    """Index into the flat light of each number of `laid_out`; 3·size for a 0."""
     width = width_for(size)
     runs = np.full((-(-size // width), 3, width), 3 * size)
     for run in range(len(runs)):
@@ -67,13 +67,13 @@ def _layout(size: int) -> NDArray[np.int64]:
 
 @intrinsic
 def fetch_ahead(context: Any, array: Any, index: Any) -> Any:
-    """Ask the memory for the cache line of array[index]; array is flat and contiguous. Anywhere is harmless."""
+    """Prefetch the cache line of array[index]; the array is flat and contiguous. Any index is harmless."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        place = builder.bitcast(element(target, builder, signature, arguments, 0, arguments[1]), _BYTE.as_pointer())
+        place = builder.bitcast(pointer_to(target, builder, signature, arguments, 0, arguments[1]), _BYTE.as_pointer())
         form = ir.FunctionType(ir.VoidType(), [_BYTE.as_pointer(), _INT, _INT, _INT])
         hint = builder.module.declare_intrinsic("llvm.prefetch", [_BYTE.as_pointer()], form)
-        # To read, to be kept in all caches, data.
+        # For reading, into all cache levels, as data.
         builder.call(hint, [place, _INT(0), _INT(3), _INT(1)])
         return target.get_dummy_value()
 
@@ -85,11 +85,11 @@ def _lit_rows(width: int) -> Any:
         context: Any, rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any,
         light: Any,
     ) -> Any:  # fmt: skip
-        """(red, green, blue) of Σ weight · row of the rows of `size` numbers that start at a, b, c and d of `rows`."""
+        """(red, green, blue) of Σ weight · row under the light; rows of `size` numbers start at a, b, c and d."""
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            starts = [element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
-            weights = [all_alike(builder, weight, width) for weight in arguments[6:10]]
+            starts = [pointer_to(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
+            weights = [broadcast(builder, weight, width) for weight in arguments[6:10]]
 
             def weighted(offset: Any) -> Any:
                 return _weighted(builder, rows.dtype, [builder.gep(start, [offset]) for start in starts], weights)
@@ -107,10 +107,10 @@ lit_rows_by_16, lit_rows_by_4, lit_rows_by_1 = (_lit_rows(width) for width in (1
 
 def _lit_row(width: int) -> Any:
     def lit_row(context: Any, row: Any, size: Any, start: Any, light: Any) -> Any:
-        """(red, green, blue) of the row of `size` float32 numbers that starts at `start`."""
+        """(red, green, blue) under the light of the row of `size` float32 numbers that starts at `start`."""
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            first = element(target, builder, signature, arguments, 0, arguments[2])
+            first = pointer_to(target, builder, signature, arguments, 0, arguments[2])
 
             def loaded(offset: Any) -> Any:
                 return _load(builder, builder.gep(first, [offset]), _FLOAT, width)
@@ -130,14 +130,15 @@ def _sum_rows(width: int) -> Any:
         context: Any, rows: Any, size: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any,
         total: Any, place: Any,
     ) -> Any:  # fmt: skip
-        """Set `size` numbers of `total`, float32, from `place` on, to Σ weight · row of the rows that start at a, b, c
-        and d of `rows`.
+        """Set `size` numbers of `total` (float32), from `place` on, to Σ weight · row.
+
+        The rows start at a, b, c and d of `rows`.
         """
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            starts = [element(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
-            weights = [all_alike(builder, weight, width) for weight in arguments[6:10]]
-            first = element(target, builder, signature, arguments, 10, arguments[11])
+            starts = [pointer_to(target, builder, signature, arguments, 0, start) for start in arguments[2:6]]
+            weights = [broadcast(builder, weight, width) for weight in arguments[6:10]]
+            first = pointer_to(target, builder, signature, arguments, 10, arguments[11])
             runs = builder.udiv(builder.add(arguments[1], _LONG(width - 1)), _LONG(width))
             with untyped.for_range(builder, runs) as run:
                 offset = _offset(builder, run.index, arguments[1], width)
@@ -158,11 +159,11 @@ sum_rows_by_16, sum_rows_by_4, sum_rows_by_1 = (_sum_rows(width) for width in (1
 def blend(
     context: Any, numbers: Any, a: Any, b: Any, c: Any, d: Any, of_a: Any, of_b: Any, of_c: Any, of_d: Any
 ) -> Any:
-    """(red, green, blue): Σ weight · the three numbers from a, b, c and d on; a fourth is read and not used."""
+    """(red, green, blue): Σ weight · colour, for colours that start at a, b, c and d; reads one number beyond each."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        places = [element(target, builder, signature, arguments, 0, start) for start in arguments[1:5]]
-        weights = [all_alike(builder, weight, 4) for weight in arguments[5:9]]
+        places = [pointer_to(target, builder, signature, arguments, 0, start) for start in arguments[1:5]]
+        weights = [broadcast(builder, weight, 4) for weight in arguments[5:9]]
         colour = _weighted(builder, numbers.dtype, places, weights)
         channels = [builder.extract_element(colour, _INT(channel)) for channel in range(3)]
         return target.make_tuple(builder, signature.return_type, channels)
@@ -174,17 +175,19 @@ def blend(
 def eight_towards(
     context: Any, geometry: Any, lane: Any, eye_x: Any, eye_y: Any, eye_z: Any, local: Any, count: Any
 ) -> Any:
-    """Set local [3,n], from `count` on: x and y of any length, and cosθ, of the directions to the eye from the eight
-    vertices of a lane of geometry [lanes,10,8], float32: positions, normals and tangents; on a vertex its normal.
+    """Set eight columns of local [3,n], from `count` on, to the directions to the eye from the vertices of a lane.
+
+    A column has x and y, not normalised, and cosθ. geometry [lanes,10,8], float32, holds positions, normals and
+    tangents. An eye on a vertex is seen along the normal.
     """
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        first = element(target, builder, signature, arguments, 0, builder.mul(arguments[1], _LONG(10 * _EIGHT)))
+        first = pointer_to(target, builder, signature, arguments, 0, builder.mul(arguments[1], _LONG(10 * _EIGHT)))
         rows = [
             builder.fpext(_load(builder, builder.gep(first, [_LONG(_EIGHT * i)]), _FLOAT, _EIGHT), _EIGHT_DOUBLES)
             for i in range(9)
         ]
-        to_eye = [builder.fsub(all_alike(builder, arguments[2 + i], _EIGHT), rows[i], flags=_FUSED) for i in range(3)]
+        to_eye = [builder.fsub(broadcast(builder, arguments[2 + i], _EIGHT), rows[i], flags=_FUSED) for i in range(3)]
         normal, tangent = rows[3:6], rows[6:9]
         square, along = _dot(builder, to_eye, to_eye), _dot(builder, to_eye, normal)
         root = builder.call(_square_root(builder), [square])
@@ -222,13 +225,14 @@ def _square_root(builder: Any) -> Any:
 
 @intrinsic
 def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights: Any, light: Any) -> Any:
-    """(red, green, blue) of Σ weights[r] · row of `count` rows, a multiple of 4, of `size` numbers, at least 16, one
-    after the other from rows[start].
+    """(red, green, blue) of Σ weights[r] · row under the light. The rows are contiguous from rows[start].
+
+    `count`, the number of rows, is a multiple of 4; `size`, the numbers of a row, is at least 16.
     """
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         length = arguments[1]
-        first = element(target, builder, signature, arguments, 0, arguments[2])
+        first = pointer_to(target, builder, signature, arguments, 0, arguments[2])
 
         def weighted(offset: Any) -> Any:
             total = untyped.alloca_once(builder, ir.VectorType(_FLOAT, WIDEST))
@@ -239,7 +243,7 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
                 numbers = [builder.add(row, _LONG(r)) for r in range(_DECODED_ROWS)]
                 places = [builder.gep(first, [builder.add(builder.mul(r, length), offset)]) for r in numbers]
                 shares = [
-                    all_alike(builder, builder.load(element(target, builder, signature, arguments, 4, r)), WIDEST)
+                    broadcast(builder, builder.load(pointer_to(target, builder, signature, arguments, 4, r)), WIDEST)
                     for r in numbers
                 ]
                 four = _weighted(builder, rows.dtype, places, shares)
@@ -255,7 +259,7 @@ def lit_run(context: Any, rows: Any, size: Any, start: Any, count: Any, weights:
 def _under_light(
     target: Any, builder: Any, signature: Any, size: Any, light: Any, row: Callable[[Any], Any], width: int
 ) -> Any:
-    """Σ row(offset) · light for each channel, `width` numbers at a time."""
+    """Σ row(offset) · light for each channel, in vectors of `width` numbers."""
     totals = [untyped.alloca_once_value(builder, _constant(_FLOAT, width, 0.0)) for _ in range(3)]
     shares = target.make_array(signature.args[-1])(target, builder, light).data
     runs = builder.udiv(builder.add(size, _LONG(width - 1)), _LONG(width))
@@ -268,17 +272,18 @@ def _under_light(
             )
             lit = builder.fmul(numbers, _load(builder, place, _FLOAT, width), flags=_FUSED)
             builder.store(builder.fadd(builder.load(total), lit, flags=_FUSED), total)
-    return target.make_tuple(builder, signature.return_type, [sum_of(builder, builder.load(total)) for total in totals])
+    sums = [horizontal_sum(builder, builder.load(total)) for total in totals]
+    return target.make_tuple(builder, signature.return_type, sums)
 
 
 def _offset(builder: Any, run: Any, size: Any, width: int) -> Any:
-    """Where a run of `width` numbers begins; the last one ends with the row."""
+    """Offset of a run of `width` numbers; the last one ends with the row."""
     begin, last = builder.mul(run, _LONG(width)), builder.sub(size, _LONG(width))
     return builder.select(builder.icmp_signed("<", begin, last), begin, last)
 
 
 def _weighted(builder: Any, kind: Any, places: list[Any], weights: list[Any]) -> Any:
-    """Σ weight · what stands at place, as a balanced tree: a long chain would wait for each sum."""
+    """Σ weight · number at each place, as a balanced tree: in a chain each sum would wait for the one before."""
     terms = [
         builder.fmul(_widened(builder, kind, place, weight.type.count), weight, flags=_FUSED)
         for place, weight in zip(places, weights, strict=True)
@@ -288,7 +293,7 @@ def _weighted(builder: Any, kind: Any, places: list[Any], weights: list[Any]) ->
 
 
 def _widened(builder: Any, kind: Any, place: Any, width: int) -> Any:
-    """The `width` numbers at `place`, as float32."""
+    """The `width` numbers at `place`, converted to float32."""
     if kind == types.float32:
         return _load(builder, place, _FLOAT, width)
     if kind == types.int8:
@@ -300,9 +305,9 @@ def _widened(builder: Any, kind: Any, place: Any, width: int) -> Any:
 
 
 def _shifted(builder: Any, bits: Any, width: int) -> Any:
-    """The bits of finite halves, as float32."""
+    """Finite float16 numbers, given as bits, converted to float32."""
     shifted = builder.shl(builder.sext(bits, ir.VectorType(_INT, width)), _constant(_INT, width, 13))
-    # The sign was drawn out over three bits of the exponent.
+    # Clears the copies of the sign in the upper bits of the exponent.
     kept = builder.and_(shifted, _constant(_INT, width, 0x8FFFE000))
     return builder.fmul(builder.bitcast(kept, ir.VectorType(_FLOAT, width)), _constant(_FLOAT, width, 2.0**112))
 
@@ -311,8 +316,8 @@ def _processor_widens() -> bool:
     return platform.machine() in ("aarch64", "arm64") or bool(llvm.get_host_cpu_features().get("f16c", False))
 
 
-def element(target: Any, builder: Any, signature: Any, arguments: Any, which: int, index: Any) -> Any:
-    """Where an element of the array lies that is the argument of this number."""
+def pointer_to(target: Any, builder: Any, signature: Any, arguments: Any, which: int, index: Any) -> Any:
+    """Pointer to element `index` of the array in argument number `which`."""
     array = target.make_array(signature.args[which])(target, builder, arguments[which])
     return builder.gep(array.data, [index])
 
@@ -327,14 +332,14 @@ def _constant(kind: Any, width: int, value: float) -> Any:
     return ir.Constant(ir.VectorType(kind, width), [ir.Constant(kind, value)] * width)
 
 
-def all_alike(builder: Any, value: Any, width: int) -> Any:
-    """A value, `width` times."""
+def broadcast(builder: Any, value: Any, width: int) -> Any:
+    """A vector of `width` equal values."""
     one = builder.insert_element(ir.Constant(ir.VectorType(value.type, width), ir.Undefined), value, _INT(0))
     return builder.shuffle_vector(one, one, _constant(_INT, width, 0))
 
 
-def sum_of(builder: Any, numbers: Any) -> Any:
-    """Halves onto halves."""
+def horizontal_sum(builder: Any, numbers: Any) -> Any:
+    """Sum over a vector, by adding its upper half to its lower half repeatedly."""
     width = numbers.type.count
     while width > 1:
         width //= 2

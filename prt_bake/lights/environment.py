@@ -138,7 +138,7 @@ def read_environment(
     >>> prt.read_environment(Path(shipped.__file__).parent / "sky.hdr").shape
     (256, 512, 3)
     """
-    return open_environment(path, mend, say).whole()
+    return open_environment(path, mend, say).read()
 
 
 def open_environment(

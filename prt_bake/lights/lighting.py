@@ -56,7 +56,7 @@ class Sky:
     @property
     def to_object(self) -> Array:
         """The rotation [3,3] from the polar frame of the picture to object space."""
-        return self.turn @ environment.FROM_POLAR[self.up]
+        return np.asarray(self.turn @ environment.FROM_POLAR[self.up])
 
     def radiance(self, directions: Array) -> Array:
         """Radiance [N,3] from `directions` [N,3]."""
@@ -176,7 +176,7 @@ def _read_sky(
     residual = None
     fits = 12 * opened.height * opened.width <= MAX_BYTES
     if most_rows is None or opened.height <= most_rows or fits:
-        image = opened.whole()
+        image = opened.read()
     else:
         to_object = sh.rotation(environment.from_polar(up), degree)
         image, residual = shrink(opened, most_rows, degree)

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 MOST_SUNS = 8
 SMALLEST_SHARE = 0.02
-"""Of the sky's energy. A light with the share s changes radiance by nine coefficients by at most s of the whole."""
+"""Of the sky's energy. A light with the share s changes the radiance from nine coefficients by at most this share."""
 WIDEST = 12.0
 """Diameter of the widest sun, degrees."""
 _CELLS = (128, 256)

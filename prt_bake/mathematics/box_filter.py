@@ -1,4 +1,4 @@
-"""Box filter along one axis: weights with which the rows or columns of an image average to those of a smaller one."""
+"""Box filter along one axis: the weights that average rows or columns of an image to those of a smaller image."""
 
 import math
 from collections.abc import Callable
@@ -14,11 +14,11 @@ Array = NDArray[np.float64]
 
 
 def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array]) -> "csr_array":
-    """Weights [coarse, fine] of `fine` equal cells of the unit interval in the means over `coarse` equal cells.
+    """Weights [coarse, fine] that average `fine` equal cells of the unit interval over `coarse` equal cells.
 
-    Weights are proportional to the measure of the overlap; each row sums to 1.
+    A weight is proportional to the size of the overlap. Each row sums to 1.
 
-    measure: of intervals with ends [S] and beginnings [S] in [0, 1].
+    measure: (ends [S], beginnings [S]) → sizes of these intervals in [0, 1].
     """
     from scipy.sparse import csr_array
 
@@ -31,5 +31,5 @@ def box_filter(fine: int, coarse: int, measure: Callable[[Array, Array], Array])
 
 
 def zone(end: Array, begin: Array) -> Array:
-    """Solid angle, up to a factor, between two latitudes in [0, 1] from pole to pole."""
+    """Solid angle between two latitudes, up to a factor; latitudes are 0 at one pole and 1 at the other."""
     return np.asarray(np.sin(math.pi * 0.5 * (begin + end)) * np.sin(math.pi * 0.5 * (end - begin)))

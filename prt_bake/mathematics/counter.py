@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -19,7 +19,7 @@ _ONE = np.uint64(1)
 _TO_UNIT = 1.0 / 9007199254740992.0
 
 
-@walk_function()
+@inlined_function()
 def mix(z: Any) -> Any:
     """The SplitMix64 finaliser: a bijection of 64-bit words in which every input bit reaches every output bit."""
     z = (z ^ (z >> _S30)) * _FIRST
@@ -37,7 +37,7 @@ def begin_stream(stream: Any, seed: Any, query: Any, path: Any) -> None:
     stream[1] = mix(key + _GOLDEN) | _ONE
 
 
-@walk_function()
+@inlined_function()
 def uniform(stream: Any) -> Any:
     """Next number of the stream, uniform in [0, 1), with 53 random bits."""
     stream[0] += stream[1]

@@ -69,7 +69,7 @@ class NetworkCore(nn.Module):
             )
         if (interior is None) != (self.settings.ray_samples == 0):
             raise ModelError(
-                "network: a network has an interior exactly if its ray_samples is not 0; "
+                "network: an interior is needed if ray_samples is above 0, and only then; "
                 f"found {'no' if interior is None else 'an'} interior and ray_samples {self.settings.ray_samples}"
             )
         generator = torch.Generator().manual_seed(self.settings.seed)

@@ -49,8 +49,8 @@ def ablation(
         file = f"{name}/layers/{network.replace('*', '_without_skips')}.pt"
         label = f"{name}: {network} layers"
 
-        def report(share: float, words: str, label: str = label) -> None:
-            progress(label, share, words)
+        def report(share: float, text: str, label: str = label) -> None:
+            progress(label, share, text)
 
         model = train_once(artefacts, file, scene, minutes, device, report, settings)
         errors[network] = _mse(model.facts)

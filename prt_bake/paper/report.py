@@ -40,7 +40,7 @@ class PaperReport:
         *,
         quick: bool = False,
         say: Callable[[str], None] = print,
-        progress: Progress = lambda what, share, words: None,
+        progress: Progress = lambda what, share, text: None,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
         """out: the folder to write. folder: that of the scenes. Raises StorageError if `out` cannot be created."""
@@ -51,7 +51,7 @@ class PaperReport:
         self._sigma: list[SigmaPicture] = []
 
     def run(self, scenes: Sequence[PaperScene], skies: dict[str, Path], on_result: OnResult) -> None:
-        """Measure every scene under every sky; calls `on_result` after each, once the tables hold it. Raises Stopped."""
+        """Measure every scene under every sky; `on_result` is called after the tables hold a result. Raises Stopped."""
         for paper in scenes:
             scene = SceneReport(paper, self._folder, self.settings, self.artefacts, self._progress)
             self._sigma.append(scene.sigma())

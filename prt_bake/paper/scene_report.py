@@ -72,7 +72,7 @@ class SceneReport:
             self._shipped_model,
             settings.train_minutes,
             settings.device,
-            lambda share, words: self._progress(f"{name}: training", share, words),
+            lambda share, text: self._progress(f"{name}: training", share, text),
         )
 
     @cached_property
@@ -86,7 +86,7 @@ class SceneReport:
             self.scene.mesh,
             settings.importance_seconds,
             settings.device,
-            lambda share, words: self._progress(f"{name}: fitting the importance module", share, words),
+            lambda share, text: self._progress(f"{name}: fitting the importance module", share, text),
         )
 
     @property
@@ -119,7 +119,9 @@ class SceneReport:
         target = self._reference(sky_name, lighting)
         picture = read_layers(self._network_picture(lighting, PRIMARY_SAMPLING, f"{name}.exr", model).path)
         mask = object_figures.object_mask(target.coverage)
-        _map, figures = object_figures.alone(picture, target, mask, object_figures.exposure(target.image, mask))
+        _map, figures = object_figures.subsurface_figures(
+            picture, target, mask, object_figures.exposure(target.image, mask)
+        )
         return {name: figures[name] for name in ("flip", "flip_without_noise", "error")}
 
     def sigma(self) -> SigmaPicture:
@@ -186,7 +188,7 @@ class SceneReport:
         return self.artefacts.make(file, inputs, render)
 
     def _surfaces(self, sky: str, lighting: Lighting) -> tuple[Artefact, Artefact]:
-        """Render reflection, background and unscattered light twice with independent seeds: for pictures and reference."""
+        """Render reflection, background and unscattered light independently for the pictures and the reference."""
         inputs = {"method": _METHOD, "scene": self.scene.content_hash, **self._view_inputs(lighting)}
         if has_unscattered(self.scene):
             inputs["unscattered"] = UNSCATTERED_SPP
@@ -259,7 +261,7 @@ class SceneReport:
         figures: dict[str, Any] = {}
         for method, picture in pictures.items():
             layers = read_layers(picture.path)
-            flip_map, alone = object_figures.alone(layers, target, mask, alone_stops)
+            flip_map, alone = object_figures.subsurface_figures(layers, target, mask, alone_stops)
             together = object_figures.measure(layers.image + surface, whole, mask, whole_stops)
             maps[method] = flip_map.astype(np.float16)
             maps[f"{method}_whole"] = together.flip_map.astype(np.float16)

@@ -18,10 +18,10 @@ from prt_bake.paper.results import (
 )
 from prt_bake.paper.scenes import LEAST_SHARE, SCENES, PaperRow
 
-_EXPLANATION = """Pictures are {size}² and show subsurface light alone: no reflection, a black background, no unscattered
-transmission. Figures are means over the pixels that the object covers completely. The exposure gives the reference's
-object a median luminance of 0.18. MSE is computed on linear radiance after that exposure; SSIM and FLIP (67 pixels per
-degree) on sRGB values clamped to [0,1].
+_EXPLANATION = """Pictures are {size}² and show subsurface light alone: no reflection, a black background, and no
+unscattered transmission. Figures are means over the pixels that the object covers completely. The exposure gives the
+reference's object a median luminance of 0.18. MSE is computed on linear radiance after that exposure; SSIM and FLIP (67
+pixels per degree) on sRGB values clamped to [0,1].
 
 The row of the path tracer shows the effect of the reference's noise: the figures of an exact picture with noise of the
 same strength. (Half the difference of the reference's two half buffers has the variance of its error. It is added to

@@ -64,8 +64,8 @@ def trainings(
         time, name = share * minutes, scene.paper.name
         label = f"{name}: {time:g} minutes"
 
-        def report(done: float, words: str, label: str = label) -> None:
-            progress(label, done, words)
+        def report(done: float, text: str, label: str = label) -> None:
+            progress(label, done, text)
 
         file = f"{name}/times/{time:g}.pt"
         model = train_once(scene.artefacts, file, scene.scene, time, scene.settings.device, report)

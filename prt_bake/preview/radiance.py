@@ -77,8 +77,8 @@ class VertexRadiance:
             self._frames.light(self._light)
             self._frames.turn(self._rotation)
         self._light_is_set = True
-        # All but the largest objects take one thread a millisecond. Waiting for a second thread takes longer when other
-        # threads, such as VTK's, are busy.
+        # All but the largest objects take one thread about 1 ms. Waiting for a second thread takes longer if others,
+        # such as those of VTK, are busy.
         most = get_num_threads()
         set_num_threads(min(most, 1 + len(self._radiance) // _VERTICES_PER_THREAD))
         try:

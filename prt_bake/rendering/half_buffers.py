@@ -28,7 +28,7 @@ class TracedPicture:
 
 @dataclass
 class HalfBuffers:
-    """Sums over passes: radiance in two half buffers [2,H,W,3], squared errors [H,W,3], coverage [H,W]; and the cost."""
+    """Sums over passes: radiance in half buffers [2,H,W,3], squared errors [H,W,3], coverage [H,W]; and the cost."""
 
     radiance: Array
     variance: Array

@@ -1,7 +1,7 @@
-"""One pass of a picture: every pixel seen through a few points of it, and what leaves the object there.
+"""One pass of a picture: a few rays through each pixel, and the radiance of the object where they hit it.
 
-A pass is named by a seed of its own, a pixel's numbers by the pixel's place: what a pass sees does not depend on which
-rows are traced together, on threads, or on what was traced before.
+A pass has its own seed, and a pixel's random numbers depend on the pixel's index. The result therefore does not depend
+on which rows are traced together, on threads, or on earlier passes.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,41 +16,37 @@ from formats.mesh import Mesh
 from prt_bake.geometry.camera import Camera, Hits, Visibility, pixel_rays
 from prt_bake.lights.lighting import Lighting
 from prt_bake.mathematics.random import hashed, uniforms
+from prt_bake.rendering.object_points import ObjectPoints
 from prt_bake.rendering.surface_reflection import SurfaceReflection
 
 Array = NDArray[np.float64]
 
 PIXEL_STREAM = 0x9C
 _RAYS_AT_ONCE = 1 << 17
-_GOLDEN = np.array([0.7548776662466927, 0.5698402909980532])
+_R2_SEQUENCE = np.array([0.7548776662466927, 0.5698402909980532])
 _MIDDLE_AND_CORNERS = np.array([[0.5, 0.5], [0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
 class ObjectTracer(Protocol):
-    """Something that tells what leaves an object towards the eye.
+    """Computes the radiance that leaves an object towards the eye.
 
-    points: of a pixel in a pass. samples: of the light, a pixel and pass. cost: of a point, over that of one walk, by
-    which rows are taken together.
+    points: per pixel and pass. samples: of the light, per pixel and pass. cost: of a point over that of one walk, for
+    choosing the number of rows in a batch.
     """
 
     points: int
     samples: int
     cost: int
 
-    def radiance(
-        self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
-    ) -> tuple[Array, int]:
-        """Radiance [N,3] that leaves faces [N] at (u, v) [N,2] along outgoing [N,3], and how many samples that took.
-
-        keys [N] are pixel · points + point, and with the seed of the pass name all random numbers.
-        """
+    def radiance(self, points: ObjectPoints, seed: int) -> tuple[Array, int]:
+        """Radiance [N,3] that leaves the points towards the eye in the pass of `seed`, and the number of samples."""
 
 
 @dataclass(frozen=True)
 class PixelPoints:
-    """Points of N pixels: rays [N·points,3] from the eye, what they meet first, and the keys [N·points] of the points.
+    """Points of N pixels: rays [N·points,3] from the eye, their first hits, and the keys [N·points].
 
-    met: which of them show the object.
+    met: indices of the points on the object.
     """
 
     rays: Array
@@ -59,19 +55,21 @@ class PixelPoints:
     met: NDArray[np.int64]
     points: int
 
-    def on_object(self) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.uint64]]:
-        """Faces, (u, v), directions to the eye and keys of the points that show the object."""
-        return self.hits.faces[self.met], self.hits.barycentric[self.met], -self.rays[self.met], self.keys[self.met]
+    def on_object(self) -> ObjectPoints:
+        """The points on the object."""
+        return ObjectPoints(
+            self.hits.faces[self.met], self.hits.barycentric[self.met], -self.rays[self.met], self.keys[self.met]
+        )
 
     def pixel_means(self, radiance: Array) -> Array:
-        """Means over points [...,N,3] of radiance [...,M,3] of those on the object; the others are black."""
-        seen = np.zeros((*radiance.shape[:-2], len(self.rays), 3))
-        seen[..., self.met, :] = radiance
-        return np.asarray(seen.reshape(*radiance.shape[:-2], -1, self.points, 3).mean(axis=-2))
+        """Pixels [...,N,3] from radiance [...,M,3] at the points on the object; the other points are black."""
+        values = np.zeros((*radiance.shape[:-2], len(self.rays), 3))
+        values[..., self.met, :] = radiance
+        return np.asarray(values.reshape(*radiance.shape[:-2], -1, self.points, 3).mean(axis=-2))
 
 
 class PassTracer:
-    """An object under a lighting as a camera sees it, ready to be traced pass by pass."""
+    """Traces passes of an object under a lighting, seen by a camera."""
 
     def __init__(
         self,
@@ -84,9 +82,9 @@ class PassTracer:
         visibility: Visibility | None = None,
         reflection: SurfaceReflection | None = None,
     ) -> None:
-        """Build the camera's tree, unless it is given; blocks of rows are shared out to `workers` threads.
+        """Build the mesh's visibility unless given; `workers` threads trace blocks of rows.
 
-        `reflection` is added to what the object's `tracer` tells.
+        `reflection` is added to the radiance of `tracer`.
         """
         self._lighting, self._camera, self._background = lighting, camera, background
         self._tracer, self._workers = tracer, workers
@@ -95,13 +93,13 @@ class PassTracer:
 
     @property
     def samples(self) -> int:
-        """Of the light, a pixel and pass, as the tracer draws them now."""
+        """Samples of the light per pixel and pass, for the tracer's current mixture."""
         return self._tracer.samples
 
     def trace(self, seed: int, follow: Callable[[float], None]) -> Iterator[tuple[slice, Array, Array, int]]:
-        """Rows of a pass, one batch after another: (rows, radiance [R,W,3], coverage [R,W], samples).
+        """Yield the rows of a pass in batches: (rows, radiance [R,W,3], coverage [R,W], samples).
 
-        `follow` is told the share of the pass that is done.
+        `follow` is called with the finished share of the pass.
         """
         height, width = self._camera.height, self._camera.width
         step = max(1, _RAYS_AT_ONCE // (width * self._tracer.points * self._tracer.cost))
@@ -116,16 +114,16 @@ class PassTracer:
                 yield rows, *done
                 follow(rows.stop / height)
 
-    def covered(self) -> NDArray[np.int64]:
-        """The pixels that show the object in their middle and corners, or in their middle where there are none."""
+    def pixels_on_object(self) -> NDArray[np.int64]:
+        """Pixels whose middle and corners show the object; if there are none, pixels whose middle does."""
         pixels = np.arange(self._camera.width * self._camera.height)
         rays = pixel_rays(self._camera, pixels, np.broadcast_to(_MIDDLE_AND_CORNERS, (len(pixels), 5, 2)))
         met = self._visibility.first_hits(*rays.rows()).faces.reshape(-1, 5) >= 0
-        whole = met.all(axis=1)
-        return np.flatnonzero(whole if whole.any() else met[:, 0])
+        covered = met.all(axis=1)
+        return np.flatnonzero(covered if covered.any() else met[:, 0])
 
     def points(self, pixels: NDArray[np.int64], seed: int) -> PixelPoints:
-        """The points of `pixels` [N] in the pass of this seed."""
+        """The points of `pixels` [N] in the pass of `seed`."""
         points = self._tracer.points
         origins, rays = pixel_rays(self._camera, pixels, _offsets(pixels, points, seed)).rows()
         keys = (pixels[:, None] * points + np.arange(points)).ravel().astype(np.uint64)
@@ -135,21 +133,21 @@ class PassTracer:
     def _trace_rows(self, rows: slice, seed: int) -> tuple[Array, Array, int]:
         width = self._camera.width
         points = self.points(np.arange(rows.start * width, rows.stop * width), seed)
-        radiance, samples = self._tracer.radiance(*points.on_object(), seed)
+        radiance, samples = self._tracer.radiance(points.on_object(), seed)
         if self._reflection is not None:
-            radiance = radiance + self._reflection.radiance(*points.on_object(), seed)
-        seen = points.pixel_means(radiance)
+            radiance = radiance + self._reflection.radiance(points.on_object(), seed)
+        means = points.pixel_means(radiance)
         missed = np.flatnonzero(points.hits.faces < 0)
         if self._background and len(missed):
             behind = np.zeros(points.rays.shape)
             behind[missed] = self._lighting.radiance(points.rays[missed])
-            seen += behind.reshape(-1, points.points, 3).mean(axis=1)
+            means += behind.reshape(-1, points.points, 3).mean(axis=1)
         coverage = (points.hits.faces >= 0).reshape(-1, width, points.points).mean(axis=2)
-        return seen.reshape(-1, width, 3), coverage, samples
+        return means.reshape(-1, width, 3), coverage, samples
 
 
-def some_of(pixels: NDArray[np.int64], count: int, seed: int) -> NDArray[np.int64]:
-    """At most `count` of `pixels`, drawn at random, in order."""
+def random_subset(pixels: NDArray[np.int64], count: int, seed: int) -> NDArray[np.int64]:
+    """At most `count` random elements of `pixels`, in order."""
     order = np.argsort(hashed(PIXEL_STREAM, seed, pixels), kind="stable")
     return np.sort(pixels[order[:count]])
 
@@ -160,6 +158,6 @@ def pass_seed(seed: int, number: int) -> int:
 
 
 def _offsets(pixels: NDArray[np.int64], points: int, seed: int) -> Array:
-    """Points of each pixel [N,S,2]: a rank-1 lattice of golden ratios (Roberts 2018), shifted at random."""
+    """Points of each pixel [N,S,2]: the R2 sequence (Roberts 2018) with a random shift."""
     shift = uniforms((PIXEL_STREAM, seed, pixels), 2)
-    return np.asarray((shift[:, None, :] + np.arange(points)[:, None] * _GOLDEN) % 1.0)
+    return np.asarray((shift[:, None, :] + np.arange(points)[:, None] * _R2_SEQUENCE) % 1.0)

@@ -20,8 +20,8 @@ def rendering_report(
 ) -> dict[str, Any]:
     """Camera and noise of a path-traced picture [H,W,3], as plain JSON values.
 
-    Noise is measured over pixels that the object covers completely. `noise_mse`: mean squared standard error of the
-    radiance. `relative_noise`: its root over the mean radiance. `error_vs_time`: the rows of `history` [rows,3].
+    Noise is measured over the pixels that the object covers completely. `noise_mse` is the mean squared standard error,
+    `relative_noise` its root over the mean radiance, `error_vs_time` the rows of `history` [rows,3].
     """
     noise = np.asarray(standard_error[coverage >= 1.0], np.float64)
     return {

@@ -1,8 +1,7 @@
-"""Pictures by path tracing a scene under lights: the reference that baked pictures are measured against.
+"""Pictures by path tracing a scene under lights: the reference for baked pictures.
 
-What is shown is what Ŝ describes, light from under the surface, with the sky behind it; light that crosses the object
-without scattering is in the picture too, unless it is left out. Light reflected at the surface itself is there on
-request alone.
+A picture shows light from under the surface, as described by Ŝ, and the sky behind the object. It includes light that
+crosses the object without scattering, unless `shown` excludes it, and light reflected at the surface on request.
 """
 
 from collections.abc import Callable
@@ -15,7 +14,14 @@ from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.geometry.camera import Camera, Visibility, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
-from prt_bake.rendering.loop import SHOWS_REFLECTION, Ending, Rendering, Watching, accumulate, picture_identity
+from prt_bake.rendering.loop import (
+    SHOWS_REFLECTION,
+    Observers,
+    Rendering,
+    StopCriteria,
+    accumulate,
+    picture_identity,
+)
 from prt_bake.rendering.passes import PassTracer
 from prt_bake.rendering.surface_reflection import SurfaceReflection
 from prt_bake.rendering.walks import Shown, WalkTracer
@@ -29,9 +35,9 @@ SHOWS: dict[Shown, str] = {
     "unscattered": "unscattered light alone",
 }
 SHOWS_ROUGH = "subsurface light"
-"""Of all of a scene where nothing crosses unscattered."""
+"""For "all" of a scene without unscattered light."""
 _METHOD = 2
-"""Raised whenever a pass sees other numbers than it did: what was begun before cannot be resumed then."""
+"""Version of the numbers of a pass; older checkpoints cannot be resumed."""
 
 
 def render_scene(
@@ -55,30 +61,47 @@ def render_scene(
     preview: Callable[[Rendering], None] | None = None,
     every: float = 10.0,
 ) -> Rendering:
-    """Path trace `scene` under lights, a lat-long sky [H,W,3] or a `Lighting`, in passes of a few walks a pixel.
+    """Path trace `scene` under lights, a lat-long sky [H,W,3] or a `Lighting`, in passes of a few walks per pixel.
 
-    It ends with the pass that reaches `spp` walks a pixel (None: no such limit), a relative noise of `error` (the root
-    mean square of the standard error over the mean radiance, on the object), or `minutes`, or in which `stop` comes
-    true. After the same number of passes the numbers are the same whatever ended them, and depend on the seed alone.
+    The work ends after the pass that reaches `spp`, `error` or `minutes`, or during which `stop` returns True. The
+    result depends only on the seed and the number of passes.
 
-    `up` overrides the scene's up axis for the sky, `rotate` turns the light (degrees, counter-clockwise seen from
-    above). With `reflection` the light that the surface itself reflects is added, which no bake and no network holds
-    (`prt_bake.reflection.reflector`). `shown` says what of the light from under the surface: all of it, what has
-    scattered (which is all that a network or an asset knows), or what crosses unscattered. The sums are kept in the
-    file `checkpoint` now and then and when the work ends early; with `resume` they are taken from there. It stays: who
-    has the picture safe removes it. `preview` is shown the picture so far about every `every` seconds.
+    Args:
+        scene: the scene.
+        light: a `Lighting` or a lat-long picture of radiance.
+        camera: the view.
+        spp: walks per pixel (None: no limit).
+        seed: of all random numbers.
+        up: overrides the scene's up axis for the sky.
+        rotate: rotates the light (degrees, counter-clockwise seen from above).
+        background: whether the sky is visible behind the object.
+        reflection: adds the light reflected at the surface, which bakes and networks do not contain
+            (`prt_bake.reflection.reflector`).
+        shown: the light from under the surface: "all", "scattered" (as in networks and assets) or "unscattered".
+        error: relative noise: rms of the standard error over the mean radiance, on the object.
+        minutes: time limit.
+        checkpoint: a file for the sums, written regularly and when the work ends early; the caller removes it.
+        resume: continues from the checkpoint.
+        stop: ends the work when it returns True.
+        progress: called with the finished share.
+        preview: called with the current picture about every `every` seconds.
 
-    Raises QueryError below 2 walks a pixel, which have no error, for another `shown`, for an eye inside the object, and
-    for a directional light without size behind a smooth interface; FormatError where `resume` finds no state or another
-    picture's.
+    Raises QueryError for less than 2 walks per pixel, for another `shown`, for an eye inside the object, and for a
+    directional light without size behind a smooth interface. Raises FormatError if there is no checkpoint to resume, or
+    if it belongs to another picture.
+
+    >>> import prt_bake as prt
+    >>> scene = prt.load_scene("spot.toml")  # doctest: +SKIP
+    >>> camera = prt.fit_camera(scene.mesh, 320, 240)  # doctest: +SKIP
+    >>> picture = prt.render_scene(scene, prt.read_lighting("sky.hdr"), camera, spp=64)  # doctest: +SKIP
     """
     if shown not in SHOWS:
         raise QueryError(f"shown: expected {', '.join(map(repr, SHOWS))}, found {shown!r}")
     refuse_path("scene", scene, "prt.load_scene")
-    ending = Ending(spp, error, minutes, stop)
+    criteria = StopCriteria(spp, error, minutes, stop)
     refuse_eye_in_object(scene.mesh, camera.eye)
     lighting = as_lighting(light, up or scene.up, rotate)
-    _refuse_unseen(scene, lighting)
+    _refuse_hidden_suns(scene, lighting)
     visibility, surface = Visibility(scene.mesh), None
     if reflection:
         surface = SurfaceReflection(
@@ -94,16 +117,16 @@ def render_scene(
         reflection,
         **{"method": _METHOD, "scene": scene.content_hash, "points a pass": walks.points, "shown": shown},
     )
-    watching = Watching(progress, preview, every)
-    picture = accumulate(tracer, camera, seed, ending, identity, checkpoint, resume, watching)
+    observers = Observers(progress, preview, every)
+    picture = accumulate(tracer, camera, seed, criteria, identity, checkpoint, resume, observers)
     shows = SHOWS[shown] if shown != "all" or has_unscattered(scene) else SHOWS_ROUGH
     return replace(picture, shows=shows + (SHOWS_REFLECTION if reflection else ""))
 
 
-def _refuse_unseen(scene: Scene, lighting: Lighting) -> None:
+def _refuse_hidden_suns(scene: Scene, lighting: Lighting) -> None:
     smooth = smooth_part(scene)
     if smooth is not None and any(sun.angular_diameter == 0.0 for sun in lighting.suns):
         raise QueryError(
-            f"{scene.path}: behind the smooth interface of '{smooth.name}' no walk meets a directional light without "
-            "size; give the light an angular diameter (the sun's is 0.53 degrees), or make the interface rough"
+            f"{scene.path}: behind the smooth interface of '{smooth.name}' walks cannot hit a directional light "
+            "without size; give the light an angular diameter (the sun's is 0.53 degrees), or make the interface rough"
         )

@@ -1,7 +1,7 @@
-"""A path-traced picture as it grows: sums over passes, what they say, and the checkpoint that keeps them.
+"""The state of progressive rendering: sums over passes, their statistics, and the checkpoint.
 
-Passes are independent and alike, so that their spread tells the error of their mean, where in a pixel the rays fell
-included.
+Passes are independent and of equal distribution, so their variance gives the error of the mean, including the position
+of rays within a pixel.
 """
 
 import json
@@ -24,7 +24,7 @@ _ARRAYS = ("radiance", "square", "coverage")
 
 @dataclass
 class Sums:
-    """Sums over passes of radiance [H,W,3], of its squares, and of coverage [H,W]; what they cost.
+    """Sums over passes of radiance [H,W,3], of its squares, and of coverage [H,W]; and the cost.
 
     history: rows (seconds, walks, relative noise), after passes 2, 4, 8, … and after the last.
     """
@@ -39,11 +39,11 @@ class Sums:
 
     @classmethod
     def empty(cls, height: int, width: int) -> "Sums":
-        """Nothing seen yet."""
+        """Sums of no passes."""
         return cls(np.zeros((height, width, 3)), np.zeros((height, width, 3)), np.zeros((height, width)))
 
     def add(self, rows: slice, radiance: Array, coverage: Array) -> None:
-        """Add what one pass has seen in some rows."""
+        """Add some rows of a pass."""
         self.radiance[rows] += radiance
         self.square[rows] += radiance * radiance
         self.coverage[rows] += coverage
@@ -53,26 +53,26 @@ class Sums:
         return self.radiance / self.passes
 
     def standard_error(self) -> Array:
-        """One sigma of the picture [H,W,3]; infinite after a single pass, which says nothing of it."""
+        """The standard error of the picture [H,W,3]; infinite after a single pass."""
         if self.passes < 2:
             return np.full_like(self.radiance, np.inf)
         mean = self.mean()
-        spread = np.maximum(self.square / self.passes - mean * mean, 0.0)
-        return np.sqrt(spread / (self.passes - 1))
+        variance = np.maximum(self.square / self.passes - mean * mean, 0.0)
+        return np.sqrt(variance / (self.passes - 1))
 
-    def covered(self) -> Array:
+    def mean_coverage(self) -> Array:
         """The object's share of each pixel [H,W]."""
         return self.coverage / self.passes
 
     def relative_noise(self) -> float:
         """As the function of that name."""
-        return relative_noise(self.mean(), self.standard_error(), self.covered())
+        return relative_noise(self.mean(), self.standard_error(), self.mean_coverage())
 
     def is_black(self) -> bool:
         """As the function of that name."""
-        return is_black(self.mean(), self.covered())
+        return is_black(self.mean(), self.mean_coverage())
 
-    def note(self) -> None:
+    def add_to_history(self) -> None:
         """Add a row to the history, unless it is there."""
         if not self.history or self.history[-1][1] != self.walks:
             self.history.append((self.seconds, float(self.walks), self.relative_noise()))
@@ -81,10 +81,9 @@ class Sums:
 def relative_noise(
     image: NDArray[np.floating], standard_error: NDArray[np.floating], coverage: NDArray[np.floating]
 ) -> float:
-    """Root mean square of the standard error [H,W,3] over the mean of the radiance [H,W,3], on the object.
+    """Root mean square of the standard error [H,W,3] over the mean radiance [H,W,3], over `object_pixels`.
 
-    On the object are the pixels that it covers wholly (coverage [H,W]), or in part where there are none; 0 where
-    nothing is seen of it, or nothing but black.
+    0 if the object is not visible or black.
     """
     inside = object_pixels(coverage)
     noise, radiance = (np.asarray(part[inside], np.float64) for part in (standard_error, image))
@@ -94,44 +93,42 @@ def relative_noise(
 
 
 def is_black(image: NDArray[np.floating], coverage: NDArray[np.floating]) -> bool:
-    """Whether the object is seen, and no light at all on it."""
+    """Whether the object is visible and completely black."""
     inside = object_pixels(coverage)
     return bool(inside.any()) and not image[inside].any()
 
 
 def object_pixels(coverage: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """The pixels [H,W] that are on the object: those that it covers wholly, or in part where there are none."""
-    whole = coverage >= 1.0
-    return np.asarray(whole if whole.any() else coverage > 0.0)
+    """The pixels [H,W] that the object covers completely; if there are none, those that it covers in part."""
+    complete = coverage >= 1.0
+    return np.asarray(complete if complete.any() else coverage > 0.0)
 
 
 def checkpoint_path(output: str | Path) -> Path:
-    """Where the state of the run that writes `output` lies: IMAGE.render.npz beside it."""
+    """The checkpoint of the picture `output`: IMAGE.render.npz in the same folder."""
     output = Path(output)
     return output.with_name(output.name + ".render.npz")
 
 
-def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Write the sums, what they are of and what they were to become, whole or not at all; raises StorageError if the
-    disk does not take it.
-    """
+def write_checkpoint(path: Path, sums: Sums, identity: dict[str, Any], limits: dict[str, Any]) -> None:
+    """Write the sums, their identity and the requested limits atomically. Raises StorageError if writing fails."""
     numbers = {"passes": sums.passes, "walks": sums.walks, "seconds": sums.seconds, "history": sums.history}
-    head = np.array(json.dumps({"identity": identity, "numbers": numbers, "asked": asked}))
+    head = np.array(json.dumps({"identity": identity, "numbers": numbers, "asked": limits}))
     with replacing(path) as part, open(part, "wb") as file:
         np.savez(file, head=head, **{name: getattr(sums, name) for name in _ARRAYS})
 
 
 def stored_identity(path: Path) -> dict[str, Any]:
-    """What the picture of a checkpoint was begun with; empty where `read_checkpoint` will say why it cannot be read."""
-    return _of_head(path, "identity")
+    """The identity of a checkpoint's picture; empty if the file cannot be read, which `read_checkpoint` reports."""
+    return _read_head(path, "identity")
 
 
 def stored_limits(path: Path) -> dict[str, Any]:
-    """The limits (spp, error, minutes) that the last run of a checkpoint had; empty as `stored_identity`."""
-    return _of_head(path, "asked")
+    """The limits (spp, error, minutes) of the checkpoint's last run; empty if the file cannot be read."""
+    return _read_head(path, "asked")
 
 
-def _of_head(path: Path, part: str) -> dict[str, Any]:
+def _read_head(path: Path, part: str) -> dict[str, Any]:
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             return dict(json.loads(str(file["head"]))[part])
@@ -142,8 +139,8 @@ def _of_head(path: Path, part: str) -> dict[str, Any]:
 def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
     """The sums of an earlier run.
 
-    Raises FormatError where there are none, where the file is damaged, and where they are of another picture:
-    `identity` names all that decides the picture, and the message what differs.
+    Raises FormatError if there is no file, if it is damaged, or if it has another `identity`; the message lists the
+    differences.
     """
     if not path.is_file():
         raise FormatError(f"{path}: not found; there is nothing to resume, render without --resume")
@@ -157,18 +154,18 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
         sums = Sums(radiance, square, coverage, *counts, history)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
         kind = type(fault).__name__
-        raise FormatError(f"{path}: not a readable state of a picture ({kind}); render without --resume") from None
+        raise FormatError(f"{path}: not a readable checkpoint of a picture ({kind}); render without --resume") from None
     differing = [name for name in identity if found.get(name) != identity[name]]
     if differing:
         differences = "; ".join(_difference(name, found.get(name), identity[name]) for name in differing)
         raise FormatError(
-            f"{path}: belongs to another picture: {differences}; give what it was begun with, or render "
+            f"{path}: belongs to another picture: {differences}; repeat the original arguments, or render "
             "without --resume"
         )
     return sums
 
 
-def _difference(name: str, found: Any, asked: Any) -> str:
-    if isinstance(found, str) and isinstance(asked, str) and len(asked) == 64:
-        return f"the {name} is another"
-    return f"{name} is {json.dumps(found)} there, {json.dumps(asked)} here"
+def _difference(name: str, found: Any, expected: Any) -> str:
+    if isinstance(found, str) and isinstance(expected, str) and len(expected) == 64:
+        return f"the {name} differs"
+    return f"{name} is {json.dumps(found)} in the checkpoint, {json.dumps(expected)} now"

@@ -1,4 +1,4 @@
-"""Light reflected at the surface itself, as an addition to a picture: one sample at every point that is seen."""
+"""Light reflected at the surface as an addition to a picture: one sample at every visible point."""
 
 from typing import Literal
 
@@ -9,14 +9,15 @@ from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.geometry.camera import Visibility
 from prt_bake.lights.lighting import Lighting
-from prt_bake.reflection.finish import interface_alpha, interface_normals
+from prt_bake.reflection.finish import surface_points
 from prt_bake.reflection.reflector import Reflector
+from prt_bake.rendering.object_points import ObjectPoints
 
 Array = NDArray[np.float64]
 
 
 class SurfaceReflection:
-    """What the surface of an object reflects, at the points of a pass."""
+    """Samples the light reflected at the surface of an object, at the points of a pass."""
 
     def __init__(
         self,
@@ -27,7 +28,7 @@ class SurfaceReflection:
         interpolated: bool = False,
         visibility: Visibility | None = None,
     ) -> None:
-        """`roughness` is the GGX alpha, or a texture [H,W] of it; `interpolated`: the interface uses vertex normals.
+        """`roughness` is the GGX alpha, a number or a texture [H,W]; `interpolated`: the interface has vertex normals.
 
         Raises QueryError for a texture on a mesh without texture coordinates.
         """
@@ -37,10 +38,8 @@ class SurfaceReflection:
         self._normals: Literal["face", "vertex"] = "vertex" if interpolated else "face"
         self._reflector = Reflector(mesh, lighting, eta, visibility)
 
-    def radiance(
-        self, faces: NDArray[np.int64], barycentric: Array, outgoing: Array, keys: NDArray[np.uint64], seed: int
-    ) -> Array:
-        """Radiance [N,3] reflected at faces [N] at (u, v) [N,2] towards outgoing [N,3]; keys [N] name the numbers."""
-        normals = interface_normals(self._mesh, faces, barycentric, self._normals)
-        alpha = interface_alpha(self._mesh, faces, barycentric, self._roughness)
-        return self._reflector.reflected(faces, barycentric, normals, outgoing, alpha, keys, seed)
+    def radiance(self, points: ObjectPoints, seed: int) -> Array:
+        """Radiance [N,3] reflected at the points towards the eye."""
+        faces, barycentric, outgoing, keys = points
+        on_surface = surface_points(self._mesh, faces, barycentric, outgoing, self._normals, self._roughness)
+        return self._reflector.reflected(on_surface, keys, seed)

@@ -1,4 +1,4 @@
-"""The demo: a scene, a model and a sky as package data, how they were made, and what `prtbake demo` does.
+"""The shipped scene, model, sky and reference, the programs that made them, and the demonstration on them.
 
-May import: every room but `cli`, `paper` and `preview`. Begin with `demonstration.py`.
+May import: every room but `cli`, `paper` and `preview`. Start at `demonstration.py`.
 """

@@ -1,4 +1,4 @@
-"""The main job on what is shipped: model → asset → relit picture, and its error against a path-traced reference."""
+"""The demonstration: shipped model → asset → relit picture, compared with a path-traced reference."""
 
 import json
 from collections.abc import Callable
@@ -29,24 +29,24 @@ from prt_bake.trainer.precision import bfloat16_is_faster
 SHIPPED = Path(str(resources.files("prt_bake.shipped")))
 MODEL, MESH, SKY = SHIPPED / "spot.pt", SHIPPED / "spot.obj", SHIPPED / "sky.hdr"
 REFERENCE, REFERENCE_REPORT = SHIPPED / "reference.exr", SHIPPED / "reference.json"
-"""A path-traced picture of the scene under the sky, and what `prtbake render --report` said of it."""
+"""A path-traced picture of the scene under the sky, and its report by `prtbake render --report`."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """How much work a demonstration does."""
+    """Quality settings of a demonstration."""
 
     error: float
     """Relative RMSE of the coefficients, of the object and of 95 % of its vertices."""
     rounded: bool
-    """Whether matrix work is done in bfloat16 where the processor is faster in it."""
+    """Whether to compute matrix products in bfloat16 if the processor is faster with it."""
     magnification: int
-    """Width of the picture over that of the reference."""
+    """Width of the picture relative to the reference."""
     exposure: float = 0.0
 
     @property
     def precision(self) -> str:
-        """Of matrix work, on this processor."""
+        """Number type of matrix products on this processor."""
         return "bfloat16" if self.rounded and bfloat16_is_faster("cpu") else "float32"
 
 
@@ -56,10 +56,10 @@ FINE = Settings(error=0.01, rounded=False, magnification=2)
 
 @dataclass(frozen=True)
 class Demonstration:
-    """What was written, and how good it is.
+    """The files and figures of a demonstration.
 
-    comparison is over the whole picture, sky included; object_comparison over the pixels that the object covers wholly.
-    noise_mse is the mean squared standard error of the reference itself on the object.
+    `comparison` covers the whole picture with the sky; `object_comparison` the pixels that the object covers
+    completely. `noise_mse` is the mean squared standard error of the reference on the object.
     """
 
     asset: Asset
@@ -68,7 +68,7 @@ class Demonstration:
     object_comparison: Comparison
     noise_mse: float
     ladder: NDArray[np.float64]
-    """Rows (seconds, evaluations, estimated relative error) of bakes with as many directions at every bin."""
+    """Rows (seconds, evaluations, estimated relative error) of bakes with equally many directions in every bin."""
 
 
 def demonstrate(
@@ -80,21 +80,23 @@ def demonstrate(
 ) -> Demonstration:
     """Bake the shipped model, relight the asset under the shipped sky, and compare the picture with the reference.
 
-    Writes spot.h5, spot.png, spot.exr, comparison.png, error.png and report.json into `folder`, which is made. The
-    pictures of spot have what its surface reflects, the comparison has not.
+    Writes spot.h5, spot.png, spot.exr, comparison.png, error.png and report.json into `folder`, which is created. The
+    pictures of Spot include the surface reflection; the comparison does not.
 
-    Raises StorageError where `folder` cannot be written to.
+    Raises StorageError if `folder` cannot be written.
     """
-    _make(folder)
+    _create(folder)
     asset = _bake(folder / "spot.h5", settings, workers, progress, stop)
-    said = json.loads(REFERENCE_REPORT.read_text(encoding="utf-8"))
-    whole_picture = _relight(asset, said, settings.magnification, reflection=True)
-    write_image(folder / "spot.exr", whole_picture.image)
-    write_image(folder / "spot.png", whole_picture.image, exposure=settings.exposure)
-    # The reference holds the light from under the surface alone.
-    picture = _relight(asset, said, settings.magnification, reflection=False)
+    reference_report = json.loads(REFERENCE_REPORT.read_text(encoding="utf-8"))
+    reflecting = _relight(asset, reference_report, settings.magnification, reflection=True)
+    write_image(folder / "spot.exr", reflecting.image)
+    write_image(folder / "spot.png", reflecting.image, exposure=settings.exposure)
+    # The reference contains subsurface light alone.
+    picture = _relight(asset, reference_report, settings.magnification, reflection=False)
     reference = read_image(REFERENCE)
-    small, coverage = (_shrunk(part, settings.magnification) for part in (picture.image, picture.coverage[..., None]))
+    small, coverage = (
+        _downsampled(image, settings.magnification) for image in (picture.image, picture.coverage[..., None])
+    )
     whole = compare(small, reference, exposure=settings.exposure)
     inside = compare(small, reference, coverage[..., 0] >= 1.0, settings.exposure)
     write_side_by_side(small, reference, whole.flip_map, folder / "comparison.png", settings.exposure)
@@ -107,17 +109,19 @@ def demonstrate(
         baked=asset,
     )
     plot_error(ladder, asset.error_vs_time, folder / "error.png")
-    figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": said}
+    figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": reference_report}
     write_report({"bake": bake_report(asset), **figures, "clamped": picture.clamped}, folder / "report.json")
     names = ("spot.h5", "spot.png", "spot.exr", "comparison.png", "error.png", "report.json")
-    return Demonstration(asset, tuple(folder / name for name in names), whole, inside, said["noise_mse"], ladder)
+    return Demonstration(
+        asset, tuple(folder / name for name in names), whole, inside, reference_report["noise_mse"], ladder
+    )
 
 
-def _make(folder: Path) -> None:
+def _create(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as cause:
-        raise StorageError(f"{folder}: cannot be made: {cause.strerror}; choose another --out") from cause
+        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another --out") from cause
 
 
 def _bake(
@@ -137,7 +141,7 @@ def _bake(
 
 
 def _relight(asset: Asset, reference: dict[str, Any], magnification: int, reflection: bool) -> Picture:
-    """The asset under the shipped sky, from where the reference was seen."""
+    """Render the asset under the shipped sky with the reference's camera."""
     view = camera.Camera(
         np.array(reference["eye"]),
         np.array(reference["target"]),
@@ -149,8 +153,8 @@ def _relight(asset: Asset, reference: dict[str, Any], magnification: int, reflec
     return render_picture(asset, read_environment(SKY), view, reflection=reflection)
 
 
-def _shrunk(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """The mean of blocks of factor × factor pixels."""
+def _downsampled(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
+    """Box-filter blocks of factor × factor pixels."""
     height, width, channels = image.shape
     blocks = image.reshape(height // factor, factor, width // factor, factor, channels)
     return np.asarray(blocks.mean(axis=(1, 3)), np.float32)

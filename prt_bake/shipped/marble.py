@@ -1,6 +1,6 @@
-"""The shipped scene's marble: veins where a sum of random waves crosses zero, as grids of sigma_t and albedo.
+"""The shipped scene's marble: grids of sigma_t and albedo with veins at the zeros of a sum of random waves.
 
-`python -m prt_bake.shipped.marble` writes `sigma_t.npy` and `albedo.npy` beside this file anew; a test compares them.
+`python -m prt_bake.shipped.marble` writes `sigma_t.npy` and `albedo.npy` beside this file; a test compares them.
 """
 
 from pathlib import Path
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BOUNDS = ((-0.5, -0.75, -0.7), (0.5, 1.05, 1.1))
-"""Lowest and highest corner of the grids' box, around Spot the cow."""
+"""Lowest and highest corner of the grids' box around Spot."""
 SHAPE = (36, 36, 20)
 SEED = 20
 
@@ -21,7 +21,7 @@ _WAVES, _OCTAVES, _CYCLES_A_UNIT = 10, 2, 0.3
 
 
 def veins() -> NDArray[np.float64]:
-    """How much of a vein each cell is, 0 … 1, on the grid [Z,Y,X]."""
+    """Return the weight of the vein in each cell [Z,Y,X], 0 to 1."""
     generator = np.random.default_rng(SEED)
     low, high = np.array(BOUNDS)
     axes = [
@@ -32,17 +32,17 @@ def veins() -> NDArray[np.float64]:
     for octave in range(_OCTAVES):
         for _ in range(_WAVES):
             kx, ky, kz = generator.normal(size=3) * _CYCLES_A_UNIT * 2.0**octave
-            turn = generator.uniform(0.0, 1.0)
-            field += np.sin(2.0 * np.pi * (kx * x + ky * y + kz * z + turn)) / 2.0**octave
+            phase = generator.uniform(0.0, 1.0)
+            field += np.sin(2.0 * np.pi * (kx * x + ky * y + kz * z + phase)) / 2.0**octave
     field /= np.sqrt(np.mean(field**2))
     return np.exp(-((field / _VEIN_WIDTH / 2.0) ** 2))
 
 
 def grids() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """sigma_t [Z,Y,X] per unit and albedo [Z,Y,X,3]."""
-    share = veins()
-    sigma_t = _STONE_SIGMA_T + (_VEIN_SIGMA_T - _STONE_SIGMA_T) * share
-    albedo = _STONE_ALBEDO + (_VEIN_ALBEDO - _STONE_ALBEDO) * share[..., None]
+    """Return sigma_t [Z,Y,X] per scene unit and albedo [Z,Y,X,3]."""
+    weight = veins()
+    sigma_t = _STONE_SIGMA_T + (_VEIN_SIGMA_T - _STONE_SIGMA_T) * weight
+    albedo = _STONE_ALBEDO + (_VEIN_ALBEDO - _STONE_ALBEDO) * weight[..., None]
     return sigma_t.astype(np.float32), albedo.astype(np.float32)
 
 

@@ -1,7 +1,7 @@
-"""How every shipped file was made; `make shipped SKY=potsdamer_platz_1k.hdr` makes them anew.
+"""How every shipped file was made; `make shipped SKY=potsdamer_platz_1k.hdr` makes them again.
 
 sigma_t.npy, albedo.npy    marble.py
-sky.hdr                    the CC0 sky at half size (the mean of 2 × 2 pixels)
+sky.hdr                    the CC0 sky at half size (means of 2 × 2 pixels)
 spot.pt                    prtbake train spot.toml -o spot.pt --minutes 10
 reference.exr, .json       prtbake render spot.toml spot.obj --light sky.hdr --size 256x256 --spp 2048 …
 """
@@ -17,8 +17,8 @@ from prt_bake.shipped import marble
 HERE = Path(__file__).parent
 
 
-def shrink_sky(original: Path) -> None:
-    """Write sky.hdr from a lat-long sky, at half its size."""
+def downsample_sky(original: Path) -> None:
+    """Write sky.hdr, a lat-long sky at half its size."""
     sky = read_image(original).astype(np.float64)
     height, width = sky.shape[0] // 2, sky.shape[1] // 2
     small = sky[: 2 * height, : 2 * width].reshape(height, 2, width, 2, 3).mean(axis=(1, 3))
@@ -27,4 +27,4 @@ def shrink_sky(original: Path) -> None:
 
 if __name__ == "__main__":
     marble.write(HERE)
-    shrink_sky(Path(sys.argv[1]))
+    downsample_sky(Path(sys.argv[1]))

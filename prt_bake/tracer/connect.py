@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.surface.boundary import (
     PASS,
@@ -49,7 +49,7 @@ _ALWAYS_CONNECTED = 2.0
 """Scattering events within this many mean free paths of a face always connect."""
 
 
-@walk_function()
+@inlined_function()
 def connection_probability(boundary: Any, media: Any, state: Any, counts: Any) -> Any:
     """Probability with which a scattering event connects. Deep inside it falls like the transmittance to the
     boundary.
@@ -58,7 +58,7 @@ def connection_probability(boundary: Any, media: Any, state: Any, counts: Any) -
     return 1.0 if depth <= _ALWAYS_CONNECTED else math.exp(_ALWAYS_CONNECTED - depth)
 
 
-@walk_function()
+@inlined_function()
 def march(
     boundary: Any,
     media: Any,
@@ -108,7 +108,7 @@ def unscattered(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, st
             transmittance[c] = 0.0
 
 
-@walk_function()
+@inlined_function()
 def scattering_density(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: Any) -> Any:
     """Density per solid angle with which an event scatters along v: the phase function, or the cosine of a diffuse
     face.
@@ -124,7 +124,7 @@ def scattering_density(boundary: Any, media: Any, state: Any, counts: Any, event
     return max(0.0, v[0] * nx + v[1] * ny + v[2] * nz) / math.pi
 
 
-@walk_function()
+@inlined_function()
 def interface_transport(
     boundary: Any, face: Any, normal: Any, alpha: Any, eta: Any, d: Any, v: Any, entering: Any
 ) -> Any:
@@ -171,7 +171,7 @@ def _event_transport(boundary: Any, media: Any, state: Any, counts: Any, event: 
     return scattered, counts[BEHIND] if passes else counts[BEFORE]
 
 
-@walk_function()
+@inlined_function()
 def connect_straight(
     boundary: Any,
     media: Any,
@@ -224,7 +224,7 @@ def connect_straight(
                 value[i, c] += state[THROUGHPUT + c] * contribution[c]
 
 
-@walk_function()
+@inlined_function()
 def _cross_nearby(boundary: Any, media: Any, state: Any, counts: Any, w: Any, stream: Any, contribution: Any) -> Any:
     """Follow a connection along w as far as the nearby faces tell without a ray: (face reached or −1, distance, mask).
 
@@ -243,7 +243,7 @@ def _cross_nearby(boundary: Any, media: Any, state: Any, counts: Any, w: Any, st
     return face, t, 0
 
 
-@walk_function()
+@inlined_function()
 def _roulette(depth: Any, stream: Any, contribution: Any) -> bool:
     """Russian roulette on a connection through at least `depth` mean free paths; survivors are reweighted."""
     if depth <= _ALWAYS_CONNECTED:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.connect import connection_probability, interface_transport, march, scattering_density
 from prt_bake.tracer.next_event import boundary_normal, next_event_density, sample_next_event
@@ -54,13 +54,13 @@ ENTERING = 4
 """The event at x, where walks enter; one more kind beside SCATTERING, REFLECTING and SURFACE."""
 
 
-@walk_function()
+@inlined_function()
 def is_outermost(boundary: Any, before: Any, after: Any) -> Any:
     """Whether a face with these masks before and behind it borders on the outside."""
     return boundary.region_of_mask[before] == 0 or boundary.region_of_mask[after] == 0
 
 
-@walk_function()
+@inlined_function()
 def _transport_to_light(
     boundary: Any,
     face: Any,
@@ -189,7 +189,7 @@ def connect_next_arrival(
             value[i, c] += state[THROUGHPUT + c] * weight * transmittance[c]
 
 
-@walk_function()
+@inlined_function()
 def _crossing_density(boundary: Any, state: Any, counts: Any, entering: Any) -> Any:
     """Density with which the boundary sampled the present direction of flight from state[INCOMING]."""
     face = counts[FACE]
@@ -284,7 +284,7 @@ def connect_next_event(
             value[i, c] += state[THROUGHPUT + c] * contribution[c]
 
 
-@walk_function()
+@inlined_function()
 def _transport_inwards(boundary: Any, media: Any, state: Any, counts: Any, event: Any, v: Any) -> Any:
     """Scattered density along v into the object, and the density with which the walk samples v."""
     if event == SCATTERING or event == REFLECTING:

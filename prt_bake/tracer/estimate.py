@@ -274,13 +274,13 @@ def _estimate(
     values = slice(0, rows * 3)
     touched = np.any(powers[:, 1, values].reshape(count, rows, 3) > 0.0, axis=2)
     trusted = np.repeat(touched, 3, axis=1) & (kurtosis[:, values] <= paths * _KURTOSIS_PER_PATH)
-    error[:, values], dark = _widened_in_the_dark(
+    error[:, values], dark = _widened_for_dark_values(
         mean[:, values], error[:, values], powers[..., values], ~trusted, paths, strong
     )
     return Estimate(
         mean=mean[:, values].reshape(count, *shape, 3),
         standard_error=error[:, values].reshape(count, *shape, 3),
-        unscattered=_one_where_equal(mean[:, -4:-1]),
+        unscattered=_merged_if_equal(mean[:, -4:-1]),
         reliable=np.all(trusted | dark, axis=1) & (paths >= least_paths),
         lost=mean[:, -1],
         paths=paths,
@@ -288,7 +288,7 @@ def _estimate(
     )
 
 
-def _widened_in_the_dark(
+def _widened_for_dark_values(
     mean: Array, error: Array, powers: Array, doubtful: NDArray[np.bool_], paths: int, strong: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Errors [N,M] widened by the possible contribution of unsampled paths, for values that are doubtful but dark, and
@@ -301,7 +301,7 @@ def _widened_in_the_dark(
     return np.where(dark, wide, error), dark
 
 
-def _one_where_equal(shares: Array) -> Array:
+def _merged_if_equal(shares: Array) -> Array:
     """[N] instead of [N,3] if the channels are equal."""
     return shares[:, 0] if np.array_equal(shares, np.broadcast_to(shares[:, :1], shares.shape)) else shares
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from prt_bake.jit.compilation import compiled
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import begin_stream
 from prt_bake.tracer.connect import connect_straight, unscattered
 from prt_bake.tracer.connect_rough import (
@@ -69,7 +69,7 @@ def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
                 basis[l * (l + 1) - m] = twice * legendre * sine
 
 
-@walk_function()
+@inlined_function()
 def _add_powers(value: Any, sums: Any) -> None:
     for j in range(value.shape[0]):
         x = value[j]
@@ -126,7 +126,7 @@ def _connect_and_cross(
     return alive
 
 
-@walk_function()
+@inlined_function()
 def _connect_and_sample(
     boundary: Any,
     media: Any,
@@ -156,7 +156,7 @@ def _connect_and_sample(
     return sample_event(boundary, media, state, counts, event, stream)
 
 
-@walk_function()
+@inlined_function()
 def sample_event(boundary: Any, media: Any, state: Any, counts: Any, event: Any, stream: Any) -> bool:
     """Sample the walk's direction after its event. False if it ends there."""
     if event == SURFACE:
@@ -255,7 +255,7 @@ def sum_transport(
             _add_powers(value, sums[i])
 
 
-@walk_function()
+@inlined_function()
 def walk_out(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any) -> bool:
     """Walk until the object is left for good. False if the walk ends before (absorbed or lost)."""
     while True:

@@ -92,7 +92,7 @@ def sample_transport(
             prepared.medium,
             queries.rows(chosen),
             chunks,
-            # A writable copy: a read-only array has another type, for which the kernel would be compiled anew.
+            # A writable copy: a read-only array has another type, for which the kernel would be compiled again.
             np.array(towards[chosen], order="C"),
             directions,
             prepared.next_event,

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.surface.boundary import facing_normal, normal_at, part_of
 from prt_bake.tracer.surface.embree import nearest_hit
@@ -41,13 +41,13 @@ def next_event_sampling(alpha: float, eta: float) -> NextEventSampling:
     return NextEventSampling((1.0 + alpha**2) / (bend * bend + 0.003), normal_steps)
 
 
-@walk_function()
+@inlined_function()
 def lobe_density(cosine: Any, kappa: Any) -> Any:
     """Density of a von Mises–Fisher lobe per solid angle."""
     return kappa / (2.0 * math.pi * (1.0 - math.exp(-2.0 * kappa))) * math.exp(kappa * (cosine - 1.0))
 
 
-@walk_function()
+@inlined_function()
 def sample_lobe(w: Any, kappa: Any, v: Any, stream: Any) -> None:
     """Sample a direction v from the von Mises–Fisher lobe about w."""
     cosine = 1.0 + math.log(1.0 - uniform(stream) * (1.0 - math.exp(-2.0 * kappa))) / kappa
@@ -62,7 +62,7 @@ def sample_lobe(w: Any, kappa: Any, v: Any, stream: Any) -> None:
     )
 
 
-@walk_function()
+@inlined_function()
 def _outermost_face(boundary: Any, p: Any, v: Any, skip: Any, ray: Any) -> Any:
     """The first face of the object itself along p + t v, past all inner parts; −1: none."""
     near = 0.0

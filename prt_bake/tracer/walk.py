@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.surface.boundary import (
     DIFFUSE,
@@ -68,7 +68,7 @@ _ESCAPE_CHECK_EVERY = 8
 _WEIGHT_WINDOW = 0.1
 
 
-@walk_function()
+@inlined_function()
 def _distance_in_ball(p: Any, d: Any, radius: Any) -> Any:
     """Distance at which p + t d leaves the object's bounding ball."""
     along = p[0] * d[0] + p[1] * d[1] + p[2] * d[2]
@@ -79,7 +79,7 @@ def _distance_in_ball(p: Any, d: Any, radius: Any) -> Any:
     return max(0.0, -along + math.sqrt(root))
 
 
-@walk_function()
+@inlined_function()
 def frame(nx: Any, ny: Any, nz: Any) -> Any:
     """Two unit vectors orthogonal to n and to each other (Duff et al. 2017)."""
     sign = math.copysign(1.0, nz)
@@ -88,7 +88,7 @@ def frame(nx: Any, ny: Any, nz: Any) -> Any:
     return 1.0 + sign * nx * nx * a, sign * b, -sign * nx, b, sign + ny * ny * a, -ny
 
 
-@walk_function()
+@inlined_function()
 def region_of(boundary: Any, counts: Any) -> Any:
     """The region that contains the walk."""
     return boundary.region_of_mask[counts[MASK]]
@@ -127,7 +127,7 @@ def view_clearance(boundary: Any, position: Any, outgoing: Any, face: Any, inwar
     return t if met >= 0 and hits_back(boundary, met, inward) else 0.0
 
 
-@walk_function()
+@inlined_function()
 def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     """Transmit a walk into the object and weight it by the transmittance at x. False if it ends there."""
     kind, _eta = interface_at(boundary, counts[FACE], counts[BEFORE], counts[BEHIND])
@@ -145,7 +145,7 @@ def enter(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     return enters
 
 
-@walk_function()
+@inlined_function()
 def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
     """Fly to the next event: SCATTERING in a medium, SURFACE at a dielectric boundary, REFLECTING at a diffuse surface,
     or SKY outside.
@@ -193,7 +193,7 @@ def advance(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, stream
         return SCATTERING
 
 
-@walk_function()
+@inlined_function()
 def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     """Distance and face of the next hit through a vacuum; (inf, −1) for the sky."""
     p, d = state[POSITION : POSITION + 3], state[DIRECTION : DIRECTION + 3]
@@ -201,7 +201,7 @@ def _to_next_face(boundary: Any, state: Any, counts: Any, ray: Any) -> Any:
     return t, face
 
 
-@walk_function()
+@inlined_function()
 def _fly(boundary: Any, media: Any, region: Any, state: Any, counts: Any, ray: Any, stream: Any) -> Any:
     """(Distance, −1) for a scattering event, (distance, face) for a face hit before it, or (inf, −1) for the sky."""
     p = state[POSITION : POSITION + 3]
@@ -245,7 +245,7 @@ def _fly_by_channel(boundary: Any, media: Any, region: Any, state: Any, counts: 
     return t, face
 
 
-@walk_function()
+@inlined_function()
 def _arrive(boundary: Any, state: Any, counts: Any, face: Any, u: Any, v: Any, before: Any, after: Any) -> Any:
     """Move the walk to (u, v) of a face, which is more exact than p + t d. Returns the kind of interface there, PASS if
     the walk flies straight on.
@@ -310,7 +310,7 @@ def cross(boundary: Any, state: Any, counts: Any, transmit_only: Any, stream: An
     return True
 
 
-@walk_function()
+@inlined_function()
 def _set_direction(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any) -> None:
     """Set the direction of flight to (x, y, z), sampled with `density`, and record where the flight begins."""
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
@@ -321,7 +321,7 @@ def _set_direction(state: Any, counts: Any, x: Any, y: Any, z: Any, density: Any
     counts[ORIGIN_FACE] = counts[FACE]
 
 
-@walk_function()
+@inlined_function()
 def scatter(boundary: Any, media: Any, state: Any, counts: Any, stream: Any) -> None:
     """Sample a direction from the phase function; its density goes to state[DENSITY], its origin to state[ORIGIN]."""
     d = state[DIRECTION : DIRECTION + 3]
@@ -360,7 +360,7 @@ def bounce(boundary: Any, state: Any, counts: Any, stream: Any) -> None:
     )
 
 
-@walk_function()
+@inlined_function()
 def survives_roulette(boundary: Any, state: Any, counts: Any, stream: Any) -> bool:
     """Russian roulette on walks whose throughput has fallen far below the initial one. False if the walk ends.
 

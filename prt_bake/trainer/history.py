@@ -12,7 +12,7 @@ class TrainingProgress:
 
     Attributes:
         seconds, step: training time and optimiser steps so far, earlier runs that were resumed included.
-        share: the same as a share of the whole run, from 0 to 1.
+        share: the same as a share of the complete run, from 0 to 1.
         loss: mean over the steps. The loss of exits omits a constant and may be negative.
         validation: relative RMSE on held-out queries, of Ŝ, or of a_lm where the boundary bends light.
         queries_per_second: rows that the learner consumed.
@@ -70,7 +70,7 @@ class Meter:
     def progress(
         self, seconds: float, step: int, share: float, consumed: int, now: SourceStatistics, validation: float
     ) -> TrainingProgress:
-        """The report; `seconds`, `step`, `share` and `consumed` rows are totals of the run, `now` the source's."""
+        """The report; `seconds`, `step`, `share` and `consumed` rows are totals of the run, `now` of the source."""
         passed = max(self.seconds, 1e-9)
         return TrainingProgress(
             seconds=seconds,

@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 
 MOST_BYTES = 49_152
 """Byte budget of the grids in a model file; with its weights a model stays below 660 KiB."""
-MOST_LEARNT_BYTES = 245_760
-"""Byte budget of the learnt feature grid in a model file."""
+MOST_LEARNED_BYTES = 245_760
+"""Byte budget of the learned feature grid in a model file."""
 MOST_BODIES = 4
 """The object and the largest parts inside it."""
 _HALF_BYTES = 2
@@ -58,12 +58,12 @@ def interior_of(scene: Scene, box: Box) -> Interior:
 
 
 def with_fitting_grid(settings: NetworkSettings, interior: Interior) -> NetworkSettings:
-    """The settings with `grid_places` lowered until the learnt grid fits into MOST_LEARNT_BYTES."""
+    """The settings with `grid_places` lowered until the learned grid fits into MOST_LEARNED_BYTES."""
     reach = float(interval_edges(interior, settings.ray_turns > 0)[-1])
     places = settings.grid_places
     while places > 1:
         rows = int(kept_places(interior, places, reach).sum())
-        if rows * settings.grid_numbers * _HALF_BYTES <= MOST_LEARNT_BYTES:
+        if rows * settings.grid_numbers * _HALF_BYTES <= MOST_LEARNED_BYTES:
             break
         places -= 1
     return replace(settings, grid_places=places)

@@ -74,24 +74,24 @@ class LearningSettings:
 
     def __post_init__(self) -> None:
         valid = {
-            "batch": self.batch >= 1,
-            "rate": self.rate > 0.0,
-            "schedule": self.schedule in ("cosine", "constant", "exponential"),
-            "last_rate": 0.0 < self.last_rate <= 1.0,
-            "warm_up": 0.0 <= self.warm_up <= 1.0,
-            "decay": self.decay >= 0.0,
-            "loss": self.loss in ("l2", "relative"),
-            "floor": self.floor > 0.0,
-            "average_length": 0.0 < self.average_length <= 0.5,
-            "spread": self.spread >= 1,
-            "coarse_steps": self.coarse_steps >= 0,
-            "core_share": 0.0 <= self.core_share < 1.0,
-            "held_out_queries": self.held_out_queries >= 1,
-            "held_out_walks": self.held_out_walks >= 2,
+            "batch": (self.batch >= 1, "1 or more"),
+            "rate": (self.rate > 0.0, "a number above 0"),
+            "schedule": (self.schedule in ("cosine", "constant", "exponential"), "cosine, constant or exponential"),
+            "last_rate": (0.0 < self.last_rate <= 1.0, "above 0 and at most 1"),
+            "warm_up": (0.0 <= self.warm_up <= 1.0, "0 to 1"),
+            "decay": (self.decay >= 0.0, "0 or more"),
+            "loss": (self.loss in ("l2", "relative"), "l2 or relative"),
+            "floor": (self.floor > 0.0, "a number above 0"),
+            "average_length": (0.0 < self.average_length <= 0.5, "above 0 and at most 0.5"),
+            "spread": (self.spread >= 1, "1 or more"),
+            "coarse_steps": (self.coarse_steps >= 0, "0 or more"),
+            "core_share": (0.0 <= self.core_share < 1.0, "0 to below 1"),
+            "held_out_queries": (self.held_out_queries >= 1, "1 or more"),
+            "held_out_walks": (self.held_out_walks >= 2, "2 or more"),
         }
-        for name, fits in valid.items():
+        for name, (fits, expected) in valid.items():
             if not fits:
-                raise QueryError(f"learning settings: {name} cannot be {getattr(self, name)!r}")
+                raise QueryError(f"learning settings: {name}: expected {expected}, found {getattr(self, name)!r}")
 
 
 def learning_rate(settings: LearningSettings, share: float) -> float:

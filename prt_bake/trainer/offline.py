@@ -65,7 +65,7 @@ class SampleFileData:
         if self._samples.head.scene_hash != scene.content_hash:
             raise SamplesError(
                 f"{path}: was sampled from another scene ({self._samples.head.scene}, or it changed since); "
-                f"sample {Path(scene.path).name} anew"
+                f"sample {Path(scene.path).name} again"
             )
         self._split = split_by_key(self._samples.keys)
         self.resume_settings = {"synchronous": synchronous, "samples": sha256(path)}

@@ -58,7 +58,7 @@ def train(
     """Train a neural BSSRDF of a scene for `minutes`, or for `steps` if given.
 
     Args:
-        minutes, steps: length of the whole run, earlier parts that are resumed included.
+        minutes, steps: length of the complete run, including earlier parts that are resumed.
         seed: seed of the queries, the walks and the network's initial weights.
         settings: the network; by default the preset "measured" with `seed`. `PRESETS["paper"]` is the paper's.
         device: "auto" (CUDA if available), "cpu" or "cuda".
@@ -69,7 +69,7 @@ def train(
         samples: file of samples (`record_samples`) to learn from in repeated passes. Only validation and test queries
             are path traced then.
         progress: called with a `TrainingProgress` every few seconds. A KeyboardInterrupt, also one raised here, ends
-            the training early and keeps what was learnt.
+            the training early and keeps what was learned.
         say: called with sentences about what is being done.
         stream, learning: settings of the renderer and of the optimiser.
 

@@ -36,7 +36,7 @@ class TrainingData(Protocol):
         """Threads that the learner may use."""
 
     def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
-        """Entries of the model's metadata: its final errors and the data that it learnt from."""
+        """Entries of the model's metadata: its final errors and the data that it learned from."""
 
 
 class PathTracedData:

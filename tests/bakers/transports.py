@@ -197,7 +197,7 @@ class Counting:
 def exact(
     transport: object, mesh: Mesh, rings: int, sectors: int, degree: int = 2, directions: int = 4096, every: int = 1
 ) -> Array:
-    """Coefficients [V,B,K,3] from a fit over many directions, rotated anew at each vertex; of every so many bins."""
+    """Coefficients [V,B,K,3] from a fit over many directions, with a rotation per vertex; for one of `every` bins."""
     lattice = sphere.fibonacci(directions)
     harmonics = sh.evaluate(lattice, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)

@@ -21,6 +21,8 @@ from tests import ROOT
 from tests.bakers.transports import Array, Incoherent, icosphere
 from tests.baking.test_resume import Walker, same
 
+pytestmark = pytest.mark.statistics
+
 SMALL = {"rings": 2, "sectors": 16}
 
 

@@ -1,6 +1,5 @@
 """Predicted costs of bakes, compared with their actual costs."""
 
-import time
 from typing import Any
 
 import numpy as np
@@ -18,25 +17,10 @@ from prt_bake.baking.bake import plan
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sphere
 from tests.bakers.transports import Counting, Edged, Incoherent, Lobed, icosphere
+from tests.baking.clock import Clock, Timed
 
 MESH = icosphere(3)
 GRID: dict[str, Any] = {"rings": 4, "sectors": 32}
-
-
-class Slow:
-    """A transport with slow evaluations; the first are much slower, as if it built tables."""
-
-    EACH, FIRST = 1e-6, 0.4
-
-    def __init__(self) -> None:
-        self.transport, self.calls = Lobed(), 0
-
-    def evaluate(self, incident: Any, positions: Any, outgoing: Any) -> Any:
-        until = time.monotonic() + self.EACH * incident.shape[0] * incident.shape[1] + (0 if self.calls else self.FIRST)
-        self.calls += 1
-        values = self.transport.evaluate(incident, positions, outgoing)
-        time.sleep(max(until - time.monotonic(), 0.0))
-        return values
 
 
 def job_of(transport: object, vertices: int = len(MESH.positions)) -> AdaptiveJob:
@@ -60,12 +44,12 @@ def test_the_prediction_includes_a_second_pass() -> None:
     assert plan(Incoherent(), MESH, **arguments).evaluations == pytest.approx(asset.provenance["evaluations"], rel=0.2)
 
 
-def test_predicted_seconds_are_those_of_the_bake_with_slow_first_evaluations() -> None:
-    predicted = plan(Slow(), MESH, **GRID, error=0.05)
-    began = time.monotonic()
-    bake(Slow(), MESH, **GRID, error=0.05)
-    seconds = time.monotonic() - began
-    assert predicted.seconds == pytest.approx(seconds, rel=0.3)
+def test_predicted_seconds_are_those_of_the_bake_with_slow_first_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    predicted = plan(Timed(Lobed(), clock, each=1e-6, first=0.4), MESH, **GRID, error=0.05)
+    began = clock.now
+    bake(Timed(Lobed(), clock, each=1e-6, first=0.4), MESH, **GRID, error=0.05)
+    assert predicted.seconds == pytest.approx(clock.now - began, rel=0.2)
     assert predicted.seconds_between is not None
     low, high = predicted.seconds_between
     assert low < predicted.seconds < high

@@ -99,15 +99,15 @@ def test_averaging_views_reduces_their_independent_errors(pays: float, monkeypat
 
 
 @pytest.mark.parametrize("arguments", [{"error": 0.02}, {"samples": 512}])
-def test_where_the_view_does_not_matter_one_is_kept(arguments: dict[str, float], tmp_path: Path) -> None:
+def test_one_view_is_kept_if_views_do_not_matter(arguments: dict[str, float], tmp_path: Path) -> None:
     mesh, out = icosphere(1), tmp_path / "asset.h5"
     counted = Counting(Edged())
     asset = bake(counted, mesh, **arguments, leave_out=baking.ITEMS, out=out)
     truth = exact(Edged(), mesh, 16, 64)
     assert asset.coefficients.shape == (42, 1, 9, 3)
     assert relative(asset.coefficients[...] - truth, truth) < 0.022
-    told = asset.provenance["estimated_relative_rmse"]["total"]
-    assert 0.6 < told / relative(asset.coefficients[...] - truth, truth) < 2.0
+    reported = asset.provenance["estimated_relative_rmse"]["total"]
+    assert 0.6 < reported / relative(asset.coefficients[...] - truth, truth) < 2.0
     assert counted.evaluations == asset.provenance["evaluations"] < 42 * 1024 * 8
     with h5py.File(out) as file:
         left_out = json.loads(file.attrs["left_out"])

@@ -19,6 +19,8 @@ from tests import ROOT
 from tests.bakers.transports import Incoherent, Lobed, icosphere
 from tests.baking.loose_pilot import loose_settings
 
+pytestmark = pytest.mark.statistics
+
 GROUPS = "mesh", "basis", "bins", "transfer"
 SMALL = {"rings": 2, "sectors": 16}
 

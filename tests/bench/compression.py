@@ -39,11 +39,11 @@ def shading(asset: Asset) -> float:
     draw = np.random.default_rng(0)
     vertices = len(asset.valid)
 
-    def anew() -> None:
+    def shade_again() -> None:
         light = draw.normal(size=(sh.count(asset.degree), 3)) if asset.quantity == "transfer" else None
         shade_vertices(asset, light, draw.normal(size=(vertices, 3)))
 
-    return timed(anew)
+    return timed(shade_again)
 
 
 def reading(path: Path) -> tuple[Asset, float]:

@@ -178,8 +178,8 @@ def test_a_full_disk_is_one_sentence_and_older_output_stays(folder: Path, tmp_pa
 def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
     """Start a bake that takes minutes, and return once it reports its first vertices."""
     program = (
-        "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "
-        "sys.exit(main.main(sys.argv[1:]))"
+        "import sys; from prt_bake.cli import main; from prt_bake.cli.shared import progress; "
+        "progress.PLAIN_INTERVAL = 0.0; sys.exit(main.main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", program, "bake", "model.pt", "sphere.ply", "-o", str(output), "--samples", "1024"]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -191,7 +191,7 @@ def _start_long_bake(folder: Path, output: Path) -> subprocess.Popen[str]:
 def test_ctrl_c_leaves_a_valid_partial_asset(folder: Path, tmp_path: Path, prtbake: Run) -> None:
     process = _start_long_bake(folder, tmp_path / "a.h5")
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "Traceback" not in err
     assert "stopped" in err.splitlines()[-1]
@@ -205,7 +205,7 @@ def test_a_killed_bake_leaves_the_older_asset(folder: Path, tmp_path: Path) -> N
     (tmp_path / "a.h5").write_bytes(b"an older output")
     process = _start_long_bake(folder, tmp_path / "a.h5")
     process.kill()
-    process.communicate(timeout=60)
+    process.communicate(timeout=600)
     assert (tmp_path / "a.h5").read_bytes() == b"an older output"
 
 

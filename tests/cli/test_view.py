@@ -96,7 +96,7 @@ def test_without_vtk_the_message_names_the_extra(folder: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("options", "message"),
     [
         (["--eye", "0,0.1,0"], "inside the object"),
         (["--light", "none.exr"], "none.exr"),
@@ -104,10 +104,10 @@ def test_without_vtk_the_message_names_the_extra(folder: Path, tmp_path: Path) -
         (["--compare", "scene.toml"], "scene.toml"),
     ],
 )
-def test_errors_are_one_sentence(prtbake: Run, tmp_path: Path, options: list[str], words: str) -> None:
+def test_errors_are_one_sentence(prtbake: Run, tmp_path: Path, options: list[str], message: str) -> None:
     outcome = prtbake("view", "asset.h5", *options, "--screenshot", tmp_path / "shot.png")
     assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
-    assert words in outcome.err
+    assert message in outcome.err
     assert not (tmp_path / "shot.png").exists()
 
 

@@ -1,4 +1,4 @@
-"""HDR-FLIP: the largest FLIP over exposures, over a range that follows from the reference."""
+"""HDR-FLIP: the largest FLIP over exposures, in a range given by the reference."""
 
 import os
 import subprocess
@@ -22,12 +22,12 @@ def bright(seed: int, height: int = 20, width: int = 24) -> np.ndarray:
 
 
 def aces(radiance: np.ndarray) -> np.ndarray:
-    """Narkowicz's fit with the scale by 0.6 first, written out another way than in the product."""
+    """Narkowicz's fit after the scale by 0.6, in another form than in the product."""
     x = 0.6 * radiance
     return np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0.0, 1.0)
 
 
-def test_hdr_flip_is_the_largest_flip_of_what_each_exposure_shows() -> None:
+def test_hdr_flip_is_the_largest_flip_over_exposures() -> None:
     image, reference = bright(1), bright(2)
     exposures = Exposures(-3.0, 1.0, 5)
     of_each = [
@@ -42,7 +42,7 @@ def test_hdr_flip_is_the_largest_flip_of_what_each_exposure_shows() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_range_is_that_of_its_authors(seed: int) -> None:
+def test_the_range_equals_that_of_the_library(seed: int) -> None:
     import flip_evaluator
 
     reference = bright(seed, 21, 25).astype(np.float32)
@@ -57,7 +57,7 @@ def test_the_range_is_that_of_its_authors(seed: int) -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-30.0, 30.0), st.integers(0, 2**32 - 1))
-def test_exposure_moves_the_range_and_changes_nothing(stops: float, seed: int) -> None:
+def test_exposure_shifts_the_range_and_keeps_the_value(stops: float, seed: int) -> None:
     reference = bright(seed, 8, 9)
     image = reference * np.random.default_rng(seed).uniform(0.7, 1.4, reference.shape)
     plain, lifted = (compare(image, reference, exposure=e, hdr=True) for e in (0.0, stops))
@@ -67,13 +67,13 @@ def test_exposure_moves_the_range_and_changes_nothing(stops: float, seed: int) -
     assert lifted.hdr_flip == pytest.approx(plain.hdr_flip, abs=1e-4)
 
 
-def test_a_wider_range_shows_no_less() -> None:
+def test_a_wider_range_gives_no_smaller_value() -> None:
     image, reference = bright(3), bright(4)
     narrow, wide = (hdr_flip_map(image, reference, Exposures(-2.0 - more, 1.0 + more, 4 + 2 * more)) for more in (0, 2))
     assert (wide >= narrow - 1e-6).all()
 
 
-def test_equal_pictures_differ_nowhere_and_both_ways_are_alike() -> None:
+def test_equal_pictures_have_zero_difference_and_metrics_are_symmetric() -> None:
     image, reference = bright(5), bright(6)
     assert compare(image, image, hdr=True).hdr_flip == 0.0
     there, back = (compare(a, b, hdr=(-3.0, 2.0)) for a, b in ((image, reference), (reference, image)))
@@ -83,7 +83,7 @@ def test_equal_pictures_differ_nowhere_and_both_ways_are_alike() -> None:
     assert there.mse == back.mse
 
 
-def test_figures_grow_with_a_disturbance() -> None:
+def test_metrics_grow_with_a_disturbance() -> None:
     reference = bright(7)
     disturbance = np.random.default_rng(8).normal(size=reference.shape) * reference
     found = [compare(reference + size * disturbance, reference, hdr=(-3.0, 1.0)) for size in (0.01, 0.03, 0.1, 0.3)]
@@ -94,7 +94,7 @@ def test_figures_grow_with_a_disturbance() -> None:
     assert [each.ssim for each in found] == sorted((each.ssim for each in found), reverse=True)
 
 
-def test_the_mask_chooses_what_counts() -> None:
+def test_only_masked_pixels_count() -> None:
     reference = bright(9)
     image = reference.copy()
     image[:, 20:] *= 3.0
@@ -112,21 +112,21 @@ def test_the_mask_chooses_what_counts() -> None:
         (np.full((1, 1, 3), 2.0), None),
     ],
 )
-def test_pictures_without_range_have_one(reference: np.ndarray, expected: Exposures | None) -> None:
+def test_constant_pictures_have_a_range(reference: np.ndarray, expected: Exposures | None) -> None:
     exposures = paper_exposures(reference)
     assert expected in (None, exposures)
     assert exposures.start == exposures.stop
     assert hdr_flip_map(np.abs(reference) + 0.5, reference, exposures).max() > 0.05
 
 
-def test_an_object_on_black_is_looked_at_as_without_the_black() -> None:
+def test_a_black_background_does_not_change_the_range() -> None:
     framed = np.zeros((40, 24, 3))
     framed[:16] = bright(10, 16)
     assert paper_exposures(framed) == paper_exposures(framed[:16])
 
 
 @pytest.mark.parametrize("peak", [1e5, 1e12, 1e30])
-def test_suns_leave_no_pixel_without_a_figure(peak: float) -> None:
+def test_very_bright_pixels_have_finite_values(peak: float) -> None:
     reference = bright(11)
     reference[3, 4] = peak
     image = reference.copy()
@@ -139,21 +139,21 @@ def test_suns_leave_no_pixel_without_a_figure(peak: float) -> None:
 
 
 @pytest.mark.parametrize(("start", "stop"), [(1.0, 0.0), (-200.0, 0.0), (0.0, np.nan), (np.inf, np.inf)])
-def test_a_range_that_is_none_is_refused(start: float, stop: float) -> None:
-    with pytest.raises(QueryError, match="a range within ±128 stops"):
+def test_an_invalid_range_is_refused(start: float, stop: float) -> None:
+    with pytest.raises(QueryError, match="a range of exposures within ±128 stops"):
         exposures_between(start, stop)
 
 
-@pytest.mark.parametrize(("asked", "policy"), [(None, "PASSIVE"), ("active", "ACTIVE")])
-def test_threads_of_flip_wait_asleep_unless_told_otherwise(asked: str | None, policy: str) -> None:
+@pytest.mark.parametrize(("setting", "policy"), [(None, "PASSIVE"), ("active", "ACTIVE")])
+def test_openmp_threads_sleep_by_default(setting: str | None, policy: str) -> None:
     program = (
         "import os, numpy\n"
         "from prt_bake.comparison.flip import flip_map\n"
         "flip_map(numpy.zeros((8, 8, 3)), numpy.ones((8, 8, 3)))\n"
         "print(os.environ.get('OMP_WAIT_POLICY'))\n"
     )
-    said = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
-    said |= {"OMP_DISPLAY_ENV": "true"} | ({} if asked is None else {"OMP_WAIT_POLICY": asked})
-    ran = subprocess.run([sys.executable, "-c", program], env=said, capture_output=True, text=True, check=True)
+    environment = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    environment |= {"OMP_DISPLAY_ENV": "true"} | ({} if setting is None else {"OMP_WAIT_POLICY": setting})
+    ran = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
     assert f"OMP_WAIT_POLICY = '{policy}'" in ran.stderr
-    assert ran.stdout.strip() == str(asked)
+    assert ran.stdout.strip() == str(setting)

@@ -1,4 +1,4 @@
-"""Comparison of pictures."""
+"""Metrics of pictures."""
 
 import subprocess
 import sys
@@ -42,7 +42,7 @@ def test_relative_mse_of_a_scaled_picture():
     assert compare(1.1 * reference, reference).relative_mse == pytest.approx(0.0025 / (0.25 + 1e-4), rel=1e-12)
 
 
-def test_ssim_and_flip_see_what_is_shown_not_what_is_clipped():
+def test_ssim_and_flip_ignore_clipped_radiance():
     image = np.where(picture() > 0.5, 1.0, picture())
     figures = compare(np.where(image >= 1, 7.0, image), image)
     assert figures.mse > 1
@@ -67,7 +67,7 @@ def ssim_at(image: np.ndarray, reference: np.ndarray, row: int, column: int) -> 
     )
 
 
-def test_ssim_is_that_of_wang():
+def test_ssim_equals_its_formula():
     reference = picture(seed=1)
     image = reference + 0.1 * np.random.default_rng(2).normal(size=reference.shape)
     mask = np.zeros(reference.shape[:2])
@@ -77,14 +77,14 @@ def test_ssim_is_that_of_wang():
     assert compare(image, reference, mask).ssim == pytest.approx(expected, abs=1e-10)
 
 
-def test_a_quarter_of_the_size_forgives_noise():
+def test_ssim_at_quarter_size_is_less_sensitive_to_noise():
     reference = picture(seed=1)
     noisy = reference + 0.1 * np.random.default_rng(2).normal(size=reference.shape)
     figures = compare(noisy, reference)
     assert figures.ssim < figures.ssim_quarter < 1
 
 
-def test_flip_of_black_and_white_is_the_worst_and_of_more_noise_is_more():
+def test_flip_is_largest_for_black_and_white_and_grows_with_noise():
     black, white = np.zeros((32, 32, 3)), np.ones((32, 32, 3))
     assert compare(white, black).flip == pytest.approx(1, abs=0.1)
     reference, noise = picture(), np.random.default_rng(3).normal(size=(48, 64, 3))
@@ -92,7 +92,7 @@ def test_flip_of_black_and_white_is_the_worst_and_of_more_noise_is_more():
     assert 0 < little < much < 1
 
 
-def test_flip_is_that_of_its_authors_at_67_pixels_a_degree():
+def test_flip_equals_that_of_the_library_at_67_pixels_per_degree():
     import flip_evaluator
 
     image, reference = picture(), picture(seed=1)
@@ -102,7 +102,7 @@ def test_flip_is_that_of_its_authors_at_67_pixels_a_degree():
     assert compare(image, reference).flip == pytest.approx(mean, rel=1e-5)
 
 
-def test_the_mask_chooses_what_counts():
+def test_only_masked_pixels_count():
     reference = picture()
     image = reference.copy()
     image[:, 40:] += 0.3
@@ -118,7 +118,7 @@ def test_the_mask_chooses_what_counts():
     assert in_colour.as_json() == left.as_json()
 
 
-def test_pictures_below_the_window_have_no_ssim():
+def test_pictures_smaller_than_the_window_have_no_ssim():
     for height, width in ((10, 60), (3, 60), (1, 1)):
         small = compare(picture(height, width), picture(height, width, seed=1))
         assert np.isnan(small.ssim)
@@ -127,12 +127,12 @@ def test_pictures_below_the_window_have_no_ssim():
 
 
 @pytest.mark.parametrize("exposure", [np.nan, np.inf, -5000.0])
-def test_an_exposure_that_shows_nothing_is_refused(exposure):
-    with pytest.raises(QueryError, match="exposure of"):
+def test_an_extreme_exposure_is_refused(exposure):
+    with pytest.raises(QueryError, match="expected an exposure"):
         compare(picture(), picture(), exposure=exposure)
 
 
-def test_figures_are_plain_numbers_for_json():
+def test_metrics_are_plain_numbers_for_json():
     figures = compare(picture(), picture(seed=1)).as_json()
     assert list(figures) == ["mse", "relative_mse", "relative_rmse", "ssim", "ssim_quarter", "flip"]
     assert {type(value) for value in figures.values()} == {float}
@@ -148,15 +148,15 @@ def broken(value: float) -> np.ndarray:
     ("image", "reference", "mask", "expected"),
     [
         (picture(48, 60), picture(), None, "the image is 60x48, the reference 64x48"),
-        (picture()[..., 0], picture(), None, r"image is of shape \[48, 64\]"),
-        (picture(), np.zeros((0, 5, 3)), None, r"reference is of shape \[0, 5, 3\]"),
+        (picture()[..., 0], picture(), None, r"the image of shape \[H, W, 3\], found \[48, 64\]"),
+        (picture(), np.zeros((0, 5, 3)), None, r"the reference of shape \[H, W, 3\], found \[0, 5, 3\]"),
         (broken(np.nan), picture(), None, "1 of 3072 pixels of the image are not finite, the first at row 5, column 7"),
         (picture(), broken(-np.inf), None, "1 of 3072 pixels of the reference"),
-        (picture(), picture(), np.ones((4, 4)), r"mask is of shape \[4, 4\]"),
+        (picture(), picture(), np.ones((4, 4)), r"the mask of the pictures' shape \[48, 64\], found \[4, 4\]"),
         (picture(), picture(), np.full((48, 64), 0.5), "chooses no pixel"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(image, reference, mask, expected):
+def test_invalid_pictures_and_masks_are_refused(image, reference, mask, expected):
     with pytest.raises(QueryError, match=expected):
         compare(image, reference, mask)
 
@@ -173,7 +173,7 @@ def test_a_missing_extra_is_named(missing, monkeypatch):
         compare(picture(), picture())
 
 
-def test_the_extra_is_loaded_only_when_asked_and_torch_never():
+def test_the_extra_is_loaded_on_first_use_and_torch_never():
     program = (
         "import sys, prt_bake.comparison.metrics as c, numpy as np\n"
         "heavy = {'skimage', 'flip_evaluator', 'torch'}\n"

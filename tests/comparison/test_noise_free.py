@@ -1,7 +1,7 @@
-"""Figures of pictures without their noise: unbiased where they are squares, and intervals that hold the truth.
+"""Metrics corrected for noise: squared metrics are unbiased, and confidence intervals contain the truth.
 
-No path tracing here: noise of a known variance is drawn on pictures that are known. Tests of a mean would fail a sound
-figure with probability FALSE_ALARM, had the seeds not been fixed.
+Noise of known variance is simulated on known pictures. Apart from the fixed seeds, a test of a mean would reject a
+correct estimator with the probability FALSE_ALARM.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.stats import binom, norm
 from formats.errors import QueryError
 from formats.image.exr import Layers
 from prt_bake.comparison.metrics import compare
-from prt_bake.comparison.noise import NoiseLike, PixelErrors, errors_of, same_numbers
+from prt_bake.comparison.noise import NoiseLike, PixelErrors, errors_of, same_random_numbers
 from prt_bake.comparison.noise_free import compare_without_noise
 
 FALSE_ALARM = 1e-5
@@ -28,14 +28,14 @@ def scene(seed: int = 0) -> np.ndarray:
 def walks(
     truth: np.ndarray, noise: float, passes: int, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A picture as passes of skewed grey noise make it, and its sigma as their spread tells it."""
+    """A mean over passes with skewed grey noise, and its standard error from the variance between passes."""
     drawn = generator.exponential(size=(passes, *truth.shape[:2], 1)) - 1.0
     each = truth * (1.0 + noise * np.sqrt(passes) * drawn)
     return each.mean(axis=0), np.sqrt(each.var(axis=0, ddof=1) / passes)
 
 
 def shift(kind: str) -> np.ndarray:
-    """What a picture is off: nothing, a part of its radiance, or a stain."""
+    """The true difference of a picture: none, a factor of brightness, or a stain."""
     truth = scene()
     if kind == "nothing":
         return np.zeros_like(truth)
@@ -47,7 +47,7 @@ def shift(kind: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["nothing", "brighter", "stain"])
-def test_squares_are_unbiased_and_their_intervals_hold_the_truth(kind: str) -> None:
+def test_squared_metrics_are_unbiased_and_their_intervals_contain_the_truth(kind: str) -> None:
     truth, off, generator, trials = scene(), shift(kind), np.random.default_rng(1), 60
     true = {
         "mse": float((off**2).mean()),
@@ -55,7 +55,7 @@ def test_squares_are_unbiased_and_their_intervals_hold_the_truth(kind: str) -> N
         "relative_rmse": float(np.sqrt((off**2).mean() / (truth**2).mean())),
     }
     found: dict[str, list[float]] = {name: [] for name in true}
-    held = dict.fromkeys(true, 0)
+    contained = dict.fromkeys(true, 0)
     for trial in range(trials):
         image, sigma = walks(truth + off, 0.3, 8, generator)
         reference, small = walks(truth, 0.03, 8, generator)
@@ -63,25 +63,25 @@ def test_squares_are_unbiased_and_their_intervals_hold_the_truth(kind: str) -> N
         figures = squares_of(image, reference, errors, trial)
         for name in true:
             found[name].append(figures[name].value)
-            held[name] += figures[name].low <= true[name] <= figures[name].high
+            contained[name] += figures[name].low <= true[name] <= figures[name].high
     error = np.std(found["mse"], ddof=1) / np.sqrt(trials)
     assert abs(np.mean(found["mse"]) - true["mse"]) < norm.isf(FALSE_ALARM / 2) * error
-    # Sharp enough to tell: the noise itself is a hundred times what its mean is known to.
+    # The test is sensitive: the noise is a hundred times the standard error of its mean.
     assert error < 0.09 * float((truth**2).mean()) / 100.0
     assert abs(np.mean(found["relative_mse"]) - true["relative_mse"]) < 0.09 / 30.0
     for name in true:
-        assert held[name] >= binom.ppf(FALSE_ALARM, trials, 0.92), name
+        assert contained[name] >= binom.ppf(FALSE_ALARM, trials, 0.92), name
 
 
 def squares_of(image: np.ndarray, reference: np.ndarray, errors: PixelErrors, seed: int) -> dict:
-    """The squares alone: noise that pixels share costs no FLIP."""
+    """The squared metrics alone, without the cost of FLIP."""
     from prt_bake.comparison import noise_free
 
-    return noise_free._squares(image, reference, errors, np.ones(SHAPE[:2], np.bool_), seed)
+    return noise_free._squared_metrics(image, reference, errors, np.ones(SHAPE[:2], np.bool_), seed)
 
 
-def test_gaussian_noise_of_known_variance_is_taken_out_to_its_standard_error() -> None:
-    """A z-test whose variance is known: Σ n² of Gaussians has the variance 2 Σ sigma⁴."""
+def test_gaussian_noise_is_corrected_without_bias() -> None:
+    """A z-test with known variance: Σ n² of Gaussians has the variance 2 Σ sigma⁴."""
     generator, sigma = np.random.default_rng(2), 0.1 * scene(3)
     values = []
     for trial in range(40):
@@ -94,7 +94,7 @@ def test_gaussian_noise_of_known_variance_is_taken_out_to_its_standard_error() -
 
 @pytest.mark.parametrize("kind", ["nothing", "stain"])
 @pytest.mark.parametrize("noise", [0.1, 0.3])
-def test_flip_and_ssim_without_noise_hold_what_pictures_without_noise_have(kind: str, noise: float) -> None:
+def test_intervals_of_flip_and_ssim_contain_the_noise_free_values(kind: str, noise: float) -> None:
     truth, off, generator = scene(), shift(kind), np.random.default_rng(4)
     exact = compare(truth + off, truth, hdr=(-1.0, 3.0))
     assert exact.hdr_exposures is not None
@@ -107,7 +107,7 @@ def test_flip_and_ssim_without_noise_hold_what_pictures_without_noise_have(kind:
         for name, slack in (("flip", 0.01), ("hdr_flip", 0.01), ("ssim", 0.01), ("ssim_quarter", 0.01)):
             true, interval = getattr(exact, name), free.figures[name]
             assert interval.low - slack <= true <= interval.high + slack, name
-            # Nearer to the truth than with the noise in it.
+            # Closer to the truth than without correction.
             assert abs(interval.value - true) < abs(getattr(seen, name) - true) + 1e-3, name
         floor = free.of_noise["flip"]
         if kind == "nothing":
@@ -115,7 +115,7 @@ def test_flip_and_ssim_without_noise_hold_what_pictures_without_noise_have(kind:
             assert free.figures["flip"].low == 0.0
 
 
-def test_less_noise_makes_intervals_shorter() -> None:
+def test_intervals_shrink_with_the_noise() -> None:
     truth, off, lengths = scene(), shift("stain"), []
     for noise in (0.3, 0.1, 0.03):
         image, sigma = walks(truth + off, noise, 16, np.random.default_rng(5))
@@ -124,7 +124,7 @@ def test_less_noise_makes_intervals_shorter() -> None:
     assert (np.diff(lengths, axis=0) < 0.0).all()
 
 
-def test_pictures_without_noise_have_the_plain_figures() -> None:
+def test_without_noise_the_metrics_are_unchanged() -> None:
     truth = scene()
     image = truth + shift("stain")
     nothing = np.zeros(SHAPE)
@@ -135,7 +135,7 @@ def test_pictures_without_noise_have_the_plain_figures() -> None:
 
 
 @pytest.mark.parametrize("stops", [-2.0, 3.0])
-def test_exposure_scales_squares_and_leaves_ratios(stops: float) -> None:
+def test_exposure_scales_squared_metrics_and_keeps_ratios(stops: float) -> None:
     image, sigma = walks(scene(), 0.2, 8, np.random.default_rng(6))
     errors = PixelErrors(sigma, 0 * sigma, 0 * sigma)
     plain, lifted = (compare_without_noise(1.2 * image, scene(), errors, exposure=e).figures for e in (0.0, stops))
@@ -143,7 +143,7 @@ def test_exposure_scales_squares_and_leaves_ratios(stops: float) -> None:
     assert lifted["relative_rmse"].high == pytest.approx(plain["relative_rmse"].high, rel=1e-9)
 
 
-def test_the_mask_chooses_whose_noise_counts() -> None:
+def test_only_the_noise_of_masked_pixels_counts() -> None:
     sigma = np.zeros(SHAPE)
     sigma[:, 32:] = 0.2
     image = scene() + sigma * np.random.default_rng(7).normal(size=SHAPE)
@@ -153,22 +153,22 @@ def test_the_mask_chooses_whose_noise_counts() -> None:
     assert (free.figures["mse"].value, free.of_noise["mse"]) == (0.0, 0.0)
 
 
-def test_errors_that_pixels_share_are_taken_out_of_squares_and_widen_them() -> None:
-    """All pixels off by one draw: 95 of 100 intervals hold no difference, and none is called a difference of noise."""
-    truth, sigma, held, trials = scene(), 0.05 * scene(), 0, 200
+def test_shared_errors_are_corrected_in_squared_metrics_and_widen_their_intervals() -> None:
+    """All pixels have one common random error: 95 % of the intervals contain zero difference."""
+    truth, sigma, contained, trials = scene(), 0.05 * scene(), 0, 200
     generator = np.random.default_rng(8)
     errors = PixelErrors(0 * sigma, 0 * sigma, sigma)
     for trial in range(trials):
         interval = squares_of(truth + sigma * generator.normal(), truth, errors, trial)["mse"]
-        held += interval.low <= 0.0 <= interval.high
-    assert binom.ppf(FALSE_ALARM, trials, 0.95) <= held
+        contained += interval.low <= 0.0 <= interval.high
+    assert binom.ppf(FALSE_ALARM, trials, 0.95) <= contained
     off = squares_of(truth + 0.5 * truth, truth, errors, 0)
     assert off["relative_rmse"].low < 0.5 < off["relative_rmse"].high
     assert off["relative_rmse"].low == pytest.approx(0.5 - 1.96 * 0.05, rel=1e-3)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (9, 40)])
-def test_small_pictures_have_figures_and_intervals_where_they_can(size: tuple[int, int]) -> None:
+def test_small_pictures_have_values_and_intervals_if_possible(size: tuple[int, int]) -> None:
     generator = np.random.default_rng(9)
     image, reference = generator.uniform(0.2, 0.8, (2, *size, 3))
     sigma = np.full((*size, 3), 0.05)
@@ -186,8 +186,8 @@ def test_a_noisy_reference_leaves_relative_mse_without_an_interval() -> None:
     assert free["mse"].low <= 0.0 <= free["mse"].high
 
 
-def test_drawn_noise_is_like_that_of_the_pictures() -> None:
-    """Of its size in each pixel, grey where it is grey, and as skewed in size: bright specks are as rare."""
+def test_resampled_noise_is_like_that_of_the_pictures() -> None:
+    """It has the same standard error, correlation of channels and kurtosis."""
     truth, generator = np.full(SHAPE, 0.4), np.random.default_rng(11)
     image, sigma = walks(truth, 0.5, 4, generator)
     drawn = [NoiseLike(image, truth, PixelErrors(sigma, 0 * sigma, 0 * sigma), seed).draw()[0] for seed in range(20)]
@@ -203,7 +203,7 @@ def layered(image: np.ndarray, error: np.ndarray | None = None, **texts: str) ->
     return Layers(image.astype(np.float32), {} if error is None else {"error": error.astype(np.float32)}, attributes)
 
 
-def test_whose_error_is_noise_is_read_from_the_files() -> None:
+def test_independent_and_shared_errors_are_read_from_files() -> None:
     image, sigma = scene(), 0.1 * scene()
     rendered, shaded, plain = layered(image, sigma, passes="8"), layered(image, 2 * sigma), layered(image)
     assert errors_of(plain, plain) is None
@@ -227,13 +227,13 @@ def test_whose_error_is_noise_is_read_from_the_files() -> None:
         ({}, {}, False),
     ],
 )
-def test_pictures_of_one_seed_share_their_noise(ours: dict, theirs: dict, expected: bool) -> None:
+def test_pictures_of_one_seed_have_correlated_noise(ours: dict, theirs: dict, expected: bool) -> None:
     first, second = layered(scene(), **ours), layered(scene(1), **theirs)
-    assert same_numbers(first, second) is expected
-    assert same_numbers(first, first)
+    assert same_random_numbers(first, second) is expected
+    assert same_random_numbers(first, first)
 
 
 def test_errors_of_another_size_are_refused() -> None:
     other = np.zeros((4, 4, 3))
-    with pytest.raises(QueryError, match=r"errors of shape \[4, 4, 3\]"):
+    with pytest.raises(QueryError, match=r"found \[4, 4, 3\]"):
         compare_without_noise(scene(), scene(), PixelErrors(other, other, other))

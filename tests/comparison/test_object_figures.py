@@ -1,4 +1,4 @@
-"""What counts in the tables' figures: pixels, exposure, and what noise alone does."""
+"""Metrics of the paper's tables: pixels, exposure, and the effect of noise."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_pixels_off_the_object_do_not_count() -> None:
     }
 
 
-def test_figures_are_those_of_the_comparison() -> None:
+def test_metrics_equal_those_of_compare() -> None:
     mask = object_figures.object_mask(COVERAGE)
     stops = object_figures.exposure(IMAGE, mask)
     found, expected = object_figures.measure(1.1 * IMAGE, IMAGE, mask, stops), compare(1.1 * IMAGE, IMAGE, mask, stops)
@@ -45,7 +45,7 @@ def test_figures_are_those_of_the_comparison() -> None:
     assert found.mse == pytest.approx(np.mean(lifted**2), rel=1e-9)
 
 
-def test_noise_figures_are_those_of_a_picture_that_is_exact_but_for_such_noise() -> None:
+def test_the_noise_floor_equals_the_metrics_of_an_exact_picture_with_such_noise() -> None:
     smooth = np.full((64, 64, 3), 0.2, np.float32)
     sigma = 0.02
     drawn = GENERATOR.normal(size=(2, 64, 64, 3)).astype(np.float32) * np.float32(sigma)
@@ -54,20 +54,20 @@ def test_noise_figures_are_those_of_a_picture_that_is_exact_but_for_such_noise()
     found = object_figures.noise_figures(truth, smooth, mask, 0.0)
     exact = object_figures.measure(smooth, truth.image, mask, 0.0)
     assert found["mse"] == pytest.approx(sigma**2, rel=1e-6)
-    # The same law, another draw: their means over 2304 pixels differ by a few per cent.
+    # Another draw of the same distribution: means over 2304 pixels differ by a few per cent.
     assert found["flip"] == pytest.approx(exact.flip, rel=0.1)
     assert found["ssim"] == pytest.approx(exact.ssim, abs=0.05)
 
 
-def test_what_cannot_be_measured_is_refused() -> None:
-    with pytest.raises(QueryError, match="no pixel"):
+def test_unmeasurable_pictures_are_refused() -> None:
+    with pytest.raises(QueryError, match="covers no pixel"):
         object_figures.object_mask(np.full((4, 4), 0.9))
     with pytest.raises(QueryError, match="no light"):
         object_figures.exposure(np.zeros((4, 4, 3)), np.ones((4, 4), np.bool_))
     assert object_figures.framing(COVERAGE) == {"object_share": COVERAGE.mean(), "object_pixels": 2304}
 
 
-def test_flip_without_noise_is_nearer_to_the_truth_and_not_below_it() -> None:
+def test_flip_without_noise_is_closer_to_the_truth_and_not_below_it() -> None:
     smooth = np.full((64, 64, 3), 0.2)
     ramp = np.linspace(0.0, 0.06, 64)[:, None, None]
     mask = object_figures.object_mask(COVERAGE)
@@ -82,8 +82,8 @@ def test_flip_without_noise_is_nearer_to_the_truth_and_not_below_it() -> None:
     assert object_figures.flip_without_noise(smooth + ramp, still, mask, 0.0, exact) == pytest.approx(exact)
 
 
-def test_the_error_without_noise_is_that_of_the_pictures_means() -> None:
-    """8 % too bright, with noise of 10 and 20 %: over 2304 pixels of 3 channels the estimate varies by 0.004."""
+def test_the_error_without_noise_equals_that_of_the_expected_pictures() -> None:
+    """8 % too bright, with noise of 10 and 20 %; the standard error over 2304 pixels of 3 channels is 0.004."""
     smooth = np.full((64, 64, 3), 0.2)
     mask = object_figures.object_mask(COVERAGE)
     drawn = GENERATOR.normal(size=(2, 64, 64, 3))
@@ -99,7 +99,7 @@ def test_the_error_without_noise_is_that_of_the_pictures_means() -> None:
 
 
 def test_the_error_without_noise_is_relative_to_the_reference_without_noise() -> None:
-    """Noise of half the radiance that alternates from pixel to pixel: its sums are exact."""
+    """Noise of half the radiance with alternating signs, whose sums are exact."""
     smooth = np.full((64, 64, 3), 0.2)
     sigma = np.full((64, 64, 3), 0.1, np.float32)
     sign = (-1.0) ** np.add.outer(np.arange(64), np.arange(64))[..., None]

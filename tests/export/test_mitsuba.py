@@ -1,6 +1,6 @@
-"""The export to Mitsuba: what it refuses, what it says of nested parts, and that its files agree with the dictionary.
+"""The export to Mitsuba: nested parts, errors, and files that agree with the dictionary.
 
-How its scenes look is the business of test_mitsuba_reference.
+test_mitsuba_reference compares its renderings.
 """
 
 import subprocess
@@ -23,24 +23,24 @@ MILK: dict[str, Any] = {"sigma_t": [1.0, 2.0, 3.0], "albedo": 0.9, "phase_g": 0.
 
 
 def glass_of_milk(folder: Path) -> Scene:
-    """A smooth glass with milk in it, in which a bubble and a stone float."""
+    """Write a smooth glass of milk with a bubble and a stone in it."""
     milk = {"name": "milk", "mesh": moved(BALL, 0.9), "interface": {"eta": 1.33, "roughness": 0.2}, "medium": MILK}
     bubble = {"name": "bubble", "mesh": moved(BALL, 0.2, 0.3), "in": "milk", "interface": {"eta": 1.0}}
     stone = {"name": "stone", "mesh": moved(BALL, 0.2, -0.3), "in": "milk", "surface": "diffuse", "reflectance": 0.4}
     return nested_scene(folder, BALL, CLEAR, (milk, bubble, stone), eta=1.5)
 
 
-def test_every_boundary_lies_between_its_part_and_the_one_around(tmp_path: Path) -> None:
-    told = prt.mitsuba_dictionary(glass_of_milk(tmp_path), tmp_path)
-    boundaries = [told[f"shape_{index}"]["bsdf"] for index in range(4)]
+def test_every_boundary_has_the_indices_and_media_of_both_sides(tmp_path: Path) -> None:
+    world = prt.mitsuba_dictionary(glass_of_milk(tmp_path), tmp_path)
+    boundaries = [world[f"shape_{index}"]["bsdf"] for index in range(4)]
     assert boundaries[0] == {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
     assert (boundaries[1]["type"], boundaries[1]["int_ior"], boundaries[1]["ext_ior"]) == ("roughdielectric", 1.33, 1.5)
     assert boundaries[2] == {"type": "dielectric", "int_ior": 1.0, "ext_ior": 1.33}
     assert boundaries[3]["type"] == "twosided"
-    sides = [[told[f"shape_{index}"].get(side) for side in ("interior", "exterior")] for index in range(4)]
+    sides = [[world[f"shape_{index}"].get(side) for side in ("interior", "exterior")] for index in range(4)]
     milk = {"type": "ref", "id": "medium_1"}
     assert sides == [[None, None], [milk, None], [None, milk], [None, milk]]
-    assert told["integrator"]["type"] == "volpathmis"
+    assert world["integrator"]["type"] == "volpathmis"
 
 
 def grids_far_away(folder: Path) -> Scene:
@@ -49,8 +49,8 @@ def grids_far_away(folder: Path) -> Scene:
 
 
 @pytest.mark.parametrize("write", [grids_far_away, glass_of_milk])
-def test_files_say_what_the_dictionary_says(tmp_path: Path, write: Callable[[Path], Scene]) -> None:
-    """The command's scene.xml, moved elsewhere, and the dictionary give one picture for one seed."""
+def test_files_agree_with_the_dictionary(tmp_path: Path, write: Callable[[Path], Scene]) -> None:
+    """The command's scene.xml, in a moved folder, and the dictionary render the same picture for one seed."""
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
@@ -71,12 +71,12 @@ def test_files_say_what_the_dictionary_says(tmp_path: Path, write: Callable[[Pat
         }
     )
     pictures = [np.array(mi.render(w, sensor=eye, spp=4, seed=3, integrator=w.integrator())) for w in (world, same)]
-    np.testing.assert_allclose(*pictures, rtol=1e-5)  # threads add up in any order
+    np.testing.assert_allclose(*pictures, rtol=1e-5)  # the order of summation depends on threads
     assert pictures[0].std() > 0.01
     assert np.array(world.sensors()[0].film().size()).tolist() == [640, 480]
 
 
-def test_what_mitsuba_does_not_have_is_refused(tmp_path: Path) -> None:
+def test_unsupported_scenes_are_refused(tmp_path: Path) -> None:
     out = {"name": "out", "mesh": moved(BALL, 0.5, [0.8, 0.0, 0.0])}
     left, right = ({"name": n, "mesh": moved(BALL, 0.3, [x, 0.0, 0.0])} for n, x in (("left", -0.1), ("right", 0.1)))
     cases = [
@@ -84,17 +84,17 @@ def test_what_mitsuba_does_not_have_is_refused(tmp_path: Path) -> None:
         ((left, right), {}, "'left' and 'right' overlap"),
         ((), {"eta": 1.5, "roughness": 0.2, "energy_compensation": True}, "energy_compensation"),
     ]
-    for inside, interface, words in cases:
+    for inside, interface, message in cases:
         scene = nested_scene(tmp_path, BALL, CLEAR, inside, **interface)
-        with pytest.raises(SceneError, match=words):
+        with pytest.raises(SceneError, match=message):
             prt.mitsuba_dictionary(scene, tmp_path)
 
 
 def test_wrong_arguments_are_named(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, BALL)
-    with pytest.raises(StorageError, match=r"nowhere: is no folder"):
+    with pytest.raises(StorageError, match=r"nowhere: there is no such folder"):
         prt.mitsuba_dictionary(scene, tmp_path / "nowhere")
-    with pytest.raises(QueryError, match=r"incident: \[0.0, 0.0, 2.0\]"):
+    with pytest.raises(QueryError, match=r"incident: expected a unit vector \[3\], found \[0.0, 0.0, 2.0\]"):
         prt.mitsuba_dictionary(scene, tmp_path, incident=[0, 0, 2])
 
 

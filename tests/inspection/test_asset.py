@@ -58,7 +58,7 @@ def test_a_changed_mesh_is_a_fault(prtbake: Run, baked: Path, part: str) -> None
             mesh[name][...] = rows
     outcome = prtbake("check", baked)
     assert outcome.code == 1
-    assert "/mesh: is not the one that was baked, or its vertices are in another order" in outcome.out
+    assert "/mesh: is not the mesh that was baked, or its vertices are in another order" in outcome.out
 
 
 def test_an_asset_without_a_mesh_digest_is_sound(prtbake: Run, baked: Path) -> None:

@@ -1,4 +1,4 @@
-"""Kept kernels: never stale, never mixed, compiled by one process at a time, and never needed."""
+"""The cache of kernels: never stale or mixed up, compiled by one process at a time, and dispensable."""
 
 import math
 import os
@@ -41,21 +41,21 @@ def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _nothing_is_young(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_source_was_edited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compilation, "STARTED", math.inf)
 
 
 def _loaded(root: Path) -> ModuleType:
     """The kernel's module as a new process would load it."""
-    for kept in (compilation.digest, compilation.sources, compilation.imported):
-        kept.cache_clear()
+    for function in (compilation.digest, compilation.sources, compilation.imported):
+        function.cache_clear()
     text = KERNELS.replace("from prt_bake.constants import FACTOR", (root / "prt_bake" / "constants.py").read_text())
     module = ModuleType("kernels")
     exec(compile(text, root / "prt_bake" / "kernels.py", "exec"), vars(module))
     return module
 
 
-def _kept(root: Path) -> list[Path]:
+def _cached(root: Path) -> list[Path]:
     return sorted(root.rglob("*.nbc"))
 
 
@@ -63,15 +63,15 @@ def _hits(module: ModuleType) -> int:
     return sum(module.times.stats.cache_hits.values())
 
 
-def test_a_kernel_is_kept_for_each_signature_and_loaded_again(root: Path) -> None:
+def test_a_kernel_is_cached_for_each_signature_and_loaded_again(root: Path) -> None:
     first, second = _loaded(root), _loaded(root)
     assert (first.times(2), first.times(0.5)) == (6, 1.5)
-    assert len(_kept(root)) == 2
+    assert len(_cached(root)) == 2
     assert (second.times(0.5), second.times(2)) == (1.5, 6)
     assert _hits(second) == 2
 
 
-def test_an_edit_of_any_source_of_a_kernel_replaces_the_kept_one(root: Path) -> None:
+def test_an_edit_of_any_source_of_a_kernel_replaces_the_cached_one(root: Path) -> None:
     assert _loaded(root).times(2) == 6
     (root / "prt_bake" / "stranger.py").write_text("FACTOR = 7\n")
     assert _hits_after_a_call(root, 6) == 1
@@ -80,7 +80,7 @@ def test_an_edit_of_any_source_of_a_kernel_replaces_the_kept_one(root: Path) -> 
     assert _hits_after_a_call(root, 10) == 1
     (root / "prt_bake" / "kernels.py").write_text("\n\n" + KERNELS)
     assert _hits_after_a_call(root, 10) == 0
-    assert len(_kept(root)) == 1
+    assert len(_cached(root)) == 1
 
 
 def _hits_after_a_call(root: Path, expected: int) -> int:
@@ -89,7 +89,7 @@ def _hits_after_a_call(root: Path, expected: int) -> int:
     return _hits(module)
 
 
-def test_a_process_whose_sources_were_edited_neither_reads_nor_writes(
+def test_a_process_whose_sources_were_edited_does_not_use_the_cache(
     root: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert _loaded(root).times(2) == 6
@@ -99,12 +99,12 @@ def test_a_process_whose_sources_were_edited_neither_reads_nor_writes(
     old = _loaded(root)
     assert (old.times(2), old.times(0.5)) == (10, 2.5)
     assert _hits(old) == 0
-    assert len(_kept(root)) == 1
+    assert len(_cached(root)) == 1
 
 
 def test_a_damaged_file_is_replaced(root: Path) -> None:
     assert _loaded(root).times(2) == 6
-    for path in (*_kept(root), *root.rglob("*.nbi")):
+    for path in (*_cached(root), *root.rglob("*.nbi")):
         sound = path.read_bytes()
         for damage in (b"", sound[: len(sound) // 2], b"shopping list"):
             path.write_bytes(damage)
@@ -113,17 +113,17 @@ def test_a_damaged_file_is_replaced(root: Path) -> None:
 
 
 @pytest.mark.parametrize("users", [True, False], ids=["the user's cache", "nowhere"])
-def test_where_the_package_cannot_be_written_to(root: Path, users: bool) -> None:
-    """A file where a folder is wanted stands in for a folder that is read-only, as the tests may run as root."""
+def test_a_read_only_package_falls_back_to_the_users_cache_or_to_none(root: Path, users: bool) -> None:
+    """A file in place of the folder represents a read-only folder, since the tests may run as root."""
     (root / "prt_bake" / "__pycache__").write_bytes(b"")
     if not users:
         (root / "users").write_bytes(b"")
     module = _loaded(root)
     assert module.times(2) == 6
-    assert [path.is_relative_to(root / "users") for path in _kept(root)] == [True] * users
+    assert [path.is_relative_to(root / "users") for path in _cached(root)] == [True] * users
 
 
-def test_a_process_compiles_itself_when_it_has_waited_long(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_has_waited_too_long_compiles_itself(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compilation, "LONGEST_WAIT", 0.1)
     assert _loaded(root).times(2) == 6
     (lock,) = root.rglob("*.lock")
@@ -132,7 +132,7 @@ def test_a_process_compiles_itself_when_it_has_waited_long(root: Path, monkeypat
     assert _hits_after_a_call(root, 6) == 1
 
 
-def test_no_lock_remains_of_a_kernel_that_cannot_be_compiled(root: Path) -> None:
+def test_a_kernel_that_cannot_be_compiled_leaves_no_lock(root: Path) -> None:
     module = _loaded(root)
     with pytest.raises(TypingError):
         module.times(())
@@ -159,8 +159,8 @@ print(*(module.times(eval(word)) for word in sys.argv[2:]), sum(module.times.sta
 """
 
 
-def test_of_processes_that_need_a_kernel_at_once_one_compiles_it(root: Path) -> None:
-    """Each begins with another signature."""
+def test_concurrent_processes_compile_each_kernel_once(root: Path) -> None:
+    """Each process begins with another signature."""
     (root / "prt_bake" / "kernels.py").write_text(KERNELS.replace("prt_bake.constants", "constants"))
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     orders = (["2", "0.5", "2j"], ["0.5", "2", "2j"])
@@ -181,11 +181,11 @@ def test_of_processes_that_need_a_kernel_at_once_one_compiles_it(root: Path) -> 
         assert process.stdin is not None
         process.stdin.write("go\n")
         process.stdin.flush()
-    answers = [process.communicate(timeout=120)[0].split() for process in running]
+    answers = [process.communicate(timeout=600)[0].split() for process in running]
     assert [process.returncode for process in running] == [0, 0]
     assert [answer[:-1] for answer in answers] == [["6", "1.5", "6j"], ["1.5", "6", "6j"]]
     assert sum(int(answer[-1]) for answer in answers) == 3
-    assert len(_kept(root)) == 3
+    assert len(_cached(root)) == 3
 
 
 def test_the_sources_of_a_kernel_are_all_modules_that_it_uses() -> None:
@@ -196,6 +196,6 @@ def test_the_sources_of_a_kernel_are_all_modules_that_it_uses() -> None:
     assert not {"tracer/estimate.py", "baking/bake.py", "cli/main.py"} & found
 
 
-def test_every_kept_kernel_is_kept_this_way() -> None:
-    """numba's own decorator would check a kernel against its own file alone."""
+def test_no_kernel_uses_the_cache_of_numba() -> None:
+    """numba's own cache would compare a kernel with its own file alone."""
     assert not [path.name for path in PACKAGE.rglob("*.py") if "cache=True" in path.read_text(encoding="utf-8")]

@@ -1,4 +1,4 @@
-"""Loops shared out among threads: every row once, in several threads, and no error lost."""
+"""Kernels on several threads: every row is computed once, slices run concurrently, and errors are raised."""
 
 import threading
 
@@ -12,7 +12,7 @@ from prt_bake.jit.threads import in_threads
 
 @pytest.fixture(params=[1, 2, 5])
 def several(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """So many threads, whatever the machine has."""
+    """The number of threads, independent of the machine."""
     monkeypatch.setattr(threads, "get_num_threads", lambda: request.param)
     return int(request.param)
 
@@ -34,11 +34,11 @@ def test_every_row_is_in_one_slice_and_none_is_too_short(several: int, rows: int
 
 def test_slices_run_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "get_num_threads", lambda: 3)
-    together = threading.Barrier(3, timeout=10)
+    together = threading.Barrier(3, timeout=600)
     in_threads(lambda begun, ended: together.wait(), 3)
 
 
-def test_what_a_slice_raises_is_raised_after_all_have_ended(several: int) -> None:
+def test_an_exception_of_a_slice_is_raised_after_all_threads_have_ended(several: int) -> None:
     running = []
 
     def kernel(begun: int, ended: int) -> None:
@@ -54,7 +54,7 @@ def test_what_a_slice_raises_is_raised_after_all_have_ended(several: int) -> Non
     assert not running
 
 
-def test_no_more_threads_are_taken_than_numba_may_take() -> None:
+def test_no_more_threads_run_than_numba_allows() -> None:
     most, seen = numba.get_num_threads(), set()
     numba.set_num_threads(1)
     try:

@@ -1,4 +1,4 @@
-"""Compile the path tracer's kernels once, so that several test processes need not each do so."""
+"""Compile the path tracer's kernels once, so that parallel test processes find them in the cache."""
 
 import gc
 import tempfile
@@ -24,6 +24,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # A compiler's many objects live as long as it does: going through them finds no garbage, and takes its time.
+    # The compiler's objects stay alive, so garbage collection only costs time.
     gc.disable()
     main()

@@ -37,9 +37,7 @@ def test_the_smallest_skies_work(prtbake: Run, tmp_path: Path, shape: tuple[int,
 
 
 @pytest.mark.parametrize("light", ["moon:0,1,0", "sun;0,1,0.5", "sky.tif", "sky"])
-def test_an_invalid_light_is_refused_with_the_accepted_forms(
-    prtbake: Run, tmp_path: Path, light: str
-) -> None:
+def test_an_invalid_light_is_refused_with_the_accepted_forms(prtbake: Run, tmp_path: Path, light: str) -> None:
     for command in (
         (*SHADE, "-o", tmp_path / "a.png"),
         ("view", "asset.h5", "--screenshot", tmp_path / "a.png"),

@@ -334,5 +334,5 @@ def test_a_sound_picture_is_unchanged_and_nothing_is_reported(tmp_path: Path) ->
 def test_a_picture_without_any_finite_radiance_becomes_black() -> None:
     messages: list[str] = []
     image = np.array([[[np.nan, np.inf, -np.inf]]])
-    np.testing.assert_array_equal(pixels.repaired(rows_of(image), messages.append).whole(), np.zeros((1, 1, 3)))
+    np.testing.assert_array_equal(pixels.repaired(rows_of(image), messages.append).read(), np.zeros((1, 1, 3)))
     assert "repaired 3 values" in messages[0]

@@ -150,7 +150,7 @@ def test_bad_pixels_are_counted_over_all_blocks_or_repaired(tmp_path: Path) -> N
     read = environment.open_environment(tmp_path / "sky.exr", mend=True, say=messages.append)
     expected = repaired(image)
     assert expected[3, 4, 1] == 55.0
-    np.testing.assert_array_equal(read.whole(), expected)
+    np.testing.assert_array_equal(read.read(), expected)
     np.testing.assert_allclose(environment.project(read), environment.project(expected), rtol=0, atol=1e-12)
     assert len([words for words in messages if "repaired 8 values" in words]) == 1  # read twice, reported once
     half = image.astype("float16")
@@ -158,4 +158,4 @@ def test_bad_pixels_are_counted_over_all_blocks_or_repaired(tmp_path: Path) -> N
 
 
 def repaired(image: np.ndarray) -> np.ndarray:
-    return pixels.repaired(rows_of(image), lambda sentence: None).whole()
+    return pixels.repaired(rows_of(image), lambda sentence: None).read()

@@ -13,7 +13,7 @@ from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model, save_mode
 from prt_bake.network.features.feature_grid import FeatureGrid, kept_places
 from prt_bake.network.features.interior import LEVELS, Interior
 from prt_bake.network.settings import NetworkSettings
-from prt_bake.trainer.interior import MOST_LEARNT_BYTES, interior_of, with_fitting_grid
+from prt_bake.trainer.interior import MOST_LEARNED_BYTES, interior_of, with_fitting_grid
 from prt_bake.trainer.train import train
 from prt_bake.trainer.training_data import box_of
 from tests.network.test_interior import RAY_SETTINGS, features, full, half_space
@@ -155,7 +155,7 @@ def test_the_trainer_chooses_the_finest_grid_that_fits(tmp_path: Path) -> None:
         n: 16 * int(kept_places(interior, n, 3.0).sum()) for n in (fitting.grid_places, fitting.grid_places + 1)
     }
     first, second = bytes_at.values()
-    assert first <= MOST_LEARNT_BYTES < second
+    assert first <= MOST_LEARNED_BYTES < second
     chosen = replace(RAY_SETTINGS, grid_places=40)
     options = {"stream": small_training.STREAM, "learning": small_training.LEARNING, "steps": 3, "synchronous": True}
     network = train(scene, settings=chosen, **options)

@@ -113,7 +113,7 @@ def test_a_damaged_grid_is_refused_by_name(tmp_path: Path) -> None:
         load_model(path)
     del content["tensors"]["interior"]
     torch.save(content, path)
-    with pytest.raises(ModelError, match=r"model\.pt: network: a network has an interior exactly if"):
+    with pytest.raises(ModelError, match=r"model\.pt: network: an interior is needed if"):
         load_model(path)
 
 
@@ -254,9 +254,9 @@ def test_ray_settings_need_a_ray_and_an_interior() -> None:
         NetworkSettings(tells_normal=True)
     with pytest.raises(ModelError, match="ray_samples needs light_layers"):
         NetworkSettings(ray_samples=3)
-    with pytest.raises(ModelError, match="has an interior exactly if its ray_samples is not 0"):
+    with pytest.raises(ModelError, match="an interior is needed if ray_samples is above 0"):
         NeuralBSSRDF(RAY_SETTINGS)
-    with pytest.raises(ModelError, match="has an interior exactly if its ray_samples is not 0"):
+    with pytest.raises(ModelError, match="an interior is needed if ray_samples is above 0"):
         NeuralBSSRDF(interior=full())
 
 

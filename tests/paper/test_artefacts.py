@@ -1,4 +1,4 @@
-"""What a report made is made once, and again only for other inputs."""
+"""Artefacts are built once, and rebuilt only for changed inputs."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from prt_bake.paper.artefacts import Artefacts, Stopped
 
 
 class Work:
-    """Writes a file and counts how often."""
+    """Writes a file and counts the calls."""
 
     def __init__(self, text: str = "made") -> None:
         self.text, self.times = text, 0
@@ -22,16 +22,16 @@ class Work:
 
 
 @pytest.fixture
-def said() -> list[str]:
+def messages() -> list[str]:
     return []
 
 
 @pytest.fixture
-def artefacts(tmp_path: Path, said: list[str]) -> Artefacts:
-    return Artefacts(tmp_path / "out", said.append)
+def artefacts(tmp_path: Path, messages: list[str]) -> Artefacts:
+    return Artefacts(tmp_path / "out", messages.append)
 
 
-def test_work_is_done_once_for_the_same_inputs(artefacts: Artefacts, said: list[str]) -> None:
+def test_files_are_built_once_for_the_same_inputs(artefacts: Artefacts, messages: list[str]) -> None:
     work = Work()
     first = artefacts.make("a/b.txt", {"spp": 4, "bins": (2, 3)}, work)
     again = artefacts.make("a/b.txt", {"bins": [2, 3], "spp": 4}, work)
@@ -39,23 +39,23 @@ def test_work_is_done_once_for_the_same_inputs(artefacts: Artefacts, said: list[
     assert again == first
     assert again.facts["walks"] == 7
     assert again.facts["seconds"] >= 0.0
-    assert said == ["a/b.txt: to be made"]
+    assert messages == ["a/b.txt: building"]
 
 
-def test_another_input_is_another_work_and_the_reason_is_said(artefacts: Artefacts, said: list[str]) -> None:
+def test_changed_inputs_rebuild_the_file(artefacts: Artefacts, messages: list[str]) -> None:
     artefacts.make("b.txt", {"spp": 4, "seed": 0}, Work())
     work = Work("other")
     found = artefacts.make("b.txt", {"spp": 8, "seed": 0, "size": 1}, work)
     assert (work.times, found.path.read_text()) == (1, "other")
-    assert said[-1] == "b.txt: made anew, another size, spp"
+    assert messages[-1] == "b.txt: rebuilding, changed size, spp"
 
 
-def test_a_file_that_was_altered_or_lost_is_made_anew(artefacts: Artefacts, said: list[str]) -> None:
+def test_an_altered_or_missing_file_is_rebuilt(artefacts: Artefacts, messages: list[str]) -> None:
     work = Work()
     made = artefacts.make("b.txt", {}, work)
     made.path.write_text("altered")
     assert artefacts.make("b.txt", {}, work).path.read_text() == "made"
-    assert said[-1] == "b.txt: made anew, the file was altered"
+    assert messages[-1] == "b.txt: rebuilding, the file was altered"
     made.path.unlink()
     artefacts.make("b.txt", {}, work)
     made.path.with_name("b.txt.made.json").write_text(json.dumps({"inputs": {}}))
@@ -63,7 +63,7 @@ def test_a_file_that_was_altered_or_lost_is_made_anew(artefacts: Artefacts, said
     assert work.times == 4
 
 
-def test_work_that_fails_leaves_nothing_to_be_taken_for_done(artefacts: Artefacts) -> None:
+def test_a_failed_build_leaves_no_record(artefacts: Artefacts) -> None:
     def failing(path: Path) -> None:
         path.write_text("half")
         raise RuntimeError
@@ -73,19 +73,19 @@ def test_work_that_fails_leaves_nothing_to_be_taken_for_done(artefacts: Artefact
     assert artefacts.find("b.txt", {}) is None
 
 
-def test_what_is_there_is_given_after_a_stop_and_nothing_else_begun(tmp_path: Path) -> None:
-    asked = [False]
-    artefacts = Artefacts(tmp_path, lambda sentence: None, lambda: asked[0])
+def test_existing_files_are_returned_after_a_stop_and_no_others_are_built(tmp_path: Path) -> None:
+    stop = [False]
+    artefacts = Artefacts(tmp_path, lambda sentence: None, lambda: stop[0])
     work = Work()
     artefacts.make("b.txt", {}, work)
-    asked[0] = True
+    stop[0] = True
     artefacts.make("b.txt", {}, work)
-    with pytest.raises(Stopped, match="goes on"):
+    with pytest.raises(Stopped, match="resumes"):
         artefacts.make("c.txt", {}, work)
     assert work.times == 1
 
 
-def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match=r"file/out: cannot be made"):
+    with pytest.raises(StorageError, match=r"file/out: cannot be created"):
         Artefacts(tmp_path / "file" / "out", print)

@@ -1,4 +1,4 @@
-"""References that grow: they resume to the same numbers, and their two halves tell their noise."""
+"""References resume to the same numbers, can be extended, and estimate their noise from half buffers."""
 
 import math
 from pathlib import Path
@@ -15,11 +15,11 @@ from tests.rendering.pictures import WHITE, front, make_scene
 
 SIZE = 24
 SIGMA = 0.4
-"""Of one walk."""
+"""Standard deviation of one path."""
 
 
 def picture(spp: int, seed: int, complete: bool = True) -> Rendering:
-    """A made-up picture of radiance 1: the mean of `spp` / 2 passes of two walks."""
+    """Return a synthetic picture of radiance 1: the mean of `spp` / 2 passes of two paths."""
     passes = spp // 2
     draws = 1.0 + SIGMA / math.sqrt(2.0) * np.random.default_rng(seed).standard_normal((passes, SIZE, SIZE, 3))
     error = draws.std(axis=0, ddof=1) / math.sqrt(passes)
@@ -28,13 +28,13 @@ def picture(spp: int, seed: int, complete: bool = True) -> Rendering:
 
 
 class Tracer:
-    """Counts the pictures that it is asked for, and stops at the one numbered `last`."""
+    """Counts the requested pictures, and stops at number `last`."""
 
     def __init__(self, last: int = 1000) -> None:
         self.seeds, self.last = list[int](), last
 
     def __call__(self, spp: int, seed: int, checkpoint: Path) -> Rendering:
-        checkpoint.write_bytes(b"what a renderer keeps")
+        checkpoint.write_bytes(b"checkpoint")
         if len(self.seeds) == self.last:
             return picture(spp, seed, complete=False)
         self.seeds.append(seed)
@@ -46,21 +46,21 @@ def make(folder: Path, tracer: Tracer, spp: int | None = 64, minutes: float | No
     return reference(artefacts, "a/reference.exr", {"seed": seed}, SIZE, tracer, spp, minutes)
 
 
-def test_a_stopped_reference_goes_on_to_the_same_numbers(tmp_path: Path) -> None:
-    whole = make(tmp_path / "whole", Tracer())
+def test_a_stopped_reference_resumes_to_the_same_numbers(tmp_path: Path) -> None:
+    uninterrupted = make(tmp_path / "uninterrupted", Tracer())
     first, second = Tracer(last=3), Tracer()
-    with pytest.raises(Stopped, match="stopped after 48 walks"):
+    with pytest.raises(Stopped, match="stopped after 48 paths"):
         make(tmp_path / "parts", first)
     parts = make(tmp_path / "parts", second)
     assert (len(first.seeds), len(second.seeds)) == (3, 1)
     assert len({*first.seeds, *second.seeds}) == 4
     for name in ("image", "standard_error", "noise", "coverage"):
-        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+        np.testing.assert_array_equal(getattr(parts, name), getattr(uninterrupted, name))
     assert not list((tmp_path / "parts").rglob("*.render.npz"))
-    assert parts.artefact.facts == whole.artefact.facts == {"spp": 64, "walks": 640, "seconds": 240.0}
+    assert parts.artefact.facts == uninterrupted.artefact.facts == {"spp": 64, "walks": 640, "seconds": 240.0}
 
 
-def test_nothing_is_traced_twice_and_more_walks_go_on(tmp_path: Path) -> None:
+def test_a_larger_goal_extends_the_reference(tmp_path: Path) -> None:
     make(tmp_path, Tracer())
     again, more, fewer, other = Tracer(), Tracer(), Tracer(), Tracer()
     make(tmp_path, again)
@@ -71,12 +71,12 @@ def test_nothing_is_traced_twice_and_more_walks_go_on(tmp_path: Path) -> None:
     assert kept.artefact.facts["spp"] == deeper.artefact.facts["spp"] == 96
 
 
-def test_time_ends_it_after_both_halves_have_some(tmp_path: Path) -> None:
+def test_the_time_limit_ends_after_both_half_buffers_have_paths(tmp_path: Path) -> None:
     assert make(tmp_path / "none", Tracer(), spp=None, minutes=0.0).artefact.facts["spp"] == 32
     assert make(tmp_path / "some", Tracer(), spp=None, minutes=2.5).artefact.facts["seconds"] == 180.0
 
 
-def test_damaged_sums_are_begun_anew(tmp_path: Path) -> None:
+def test_damaged_sums_are_discarded(tmp_path: Path) -> None:
     make(tmp_path, Tracer())
     (tmp_path / "a/reference.sums.npz").write_bytes(b"nothing")
     tracer = Tracer()
@@ -85,7 +85,7 @@ def test_damaged_sums_are_begun_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("spps", [(16, 16), (64, 16, 16), (16, 16, 16)])
-def test_the_noise_of_the_halves_has_the_variance_of_the_error_and_is_uncorrelated(spps: tuple[int, ...]) -> None:
+def test_the_noise_of_the_half_buffers_has_the_variance_of_the_error_and_is_uncorrelated(spps: tuple[int, ...]) -> None:
     halves = HalfBuffers.empty(SIZE)
     for seed, spp in enumerate(spps):
         halves.add(picture(spp, seed))
@@ -99,8 +99,8 @@ def test_the_noise_of_the_halves_has_the_variance_of_the_error_and_is_uncorrelat
     assert np.mean(halves.standard_error**2) == pytest.approx(expected, rel=0.1)
 
 
-def test_light_that_crosses_unscattered_is_in_no_reference(tmp_path: Path) -> None:
-    """Clear glass in a white furnace: it crosses, and no network knows it."""
+def test_references_contain_no_unscattered_light(tmp_path: Path) -> None:
+    """Clear glass in a white furnace has unscattered light only."""
     glass = make_scene(tmp_path, eta=1.4, sigma_t=1e-6)
     trace = trace_scene(glass, as_lighting(WHITE, "y", 0.0), front(size=8), lambda: False, lambda share: None)
     seen = trace(16, 1, tmp_path / "glass.npz")

@@ -1,4 +1,4 @@
-"""The paper's scenes: every one can be read, its parts nest, and its meshes are what the formulas give."""
+"""The paper's scenes: every one is valid, its parts nest, and its meshes are what the formulas generate."""
 
 import subprocess
 import sys
@@ -17,6 +17,8 @@ from tests import ROOT
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
 
+pytestmark = pytest.mark.statistics
+
 SCENES = ROOT / "scenes"
 FILES = sorted(SCENES.glob("*/*.toml"))
 STANFORD = {SCENES / name for name in ("dragon/dragon.toml", "paperweight/bunny.toml", "lucy/lucy.toml")}
@@ -32,7 +34,7 @@ def run(module, *arguments):
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-def test_the_seven_scenes_of_the_paper_are_there():
+def test_all_scenes_exist():
     folders = {path.parent.name for path in COMPLETE}
     assert folders == {"grape", "dragon", "paperweight", "drink", "lucy", "head", "translucency", "matched"}
     assert set(FILES) > STANFORD
@@ -40,7 +42,7 @@ def test_the_seven_scenes_of_the_paper_are_there():
 
 
 @pytest.mark.parametrize("path", COMPLETE, ids=named)
-def test_a_scene_is_sound_and_its_parts_nest(path):
+def test_a_scene_is_valid_and_its_parts_nest(path):
     scene = read_scene(path)
     for part in scene.parts:
         assert check_mesh(part.mesh_path) == []
@@ -49,7 +51,7 @@ def test_a_scene_is_sound_and_its_parts_nest(path):
 
 
 @pytest.mark.parametrize("path", sorted(STANFORD), ids=named)
-def test_a_scene_of_a_scan_is_sound_once_the_scan_is_there(path, tmp_path):
+def test_a_scene_of_a_scan_is_valid_with_a_prepared_mesh(path, tmp_path):
     for other in path.parent.iterdir():
         (tmp_path / other.name).write_bytes(other.read_bytes())
     text = path.read_text()
@@ -60,7 +62,7 @@ def test_a_scene_of_a_scan_is_sound_once_the_scan_is_there(path, tmp_path):
     assert not protruding_parts(read_scene(tmp_path / path.name).parts)
 
 
-def test_the_grape_is_textured_and_holds_two_seeds():
+def test_the_grape_is_textured_and_has_two_seeds():
     grape, left, right = read_scene(SCENES / "grape/grape.toml").parts
     assert grape.roughness.ndim == 2
     assert 0.09 < grape.roughness.min() < 0.2 < 0.3 < grape.roughness.max() < 0.46
@@ -89,7 +91,7 @@ def test_the_paperweight_s_inner_boundary_is_index_matched():
         assert (cube.roughness == 0) == (name == "cow")
 
 
-def test_rough_clear_glass_is_remarked_upon_as_hard_to_learn():
+def test_check_remarks_that_rough_clear_glass_is_hard_to_learn():
     hard = {
         name: any("learn it poorly" in remark for remark in find_remarks(SCENES / f"{name}.toml"))
         for name in ("paperweight/cow", "paperweight/cow_rough", "dragon/serpent", "matched/spot")
@@ -100,8 +102,8 @@ def test_rough_clear_glass_is_remarked_upon_as_hard_to_learn():
 @pytest.mark.parametrize(
     ("sigma_t", "roughness", "eta", "hard"), [(0.5, 0.1, 1.5, True), (10.0, 0.1, 1.5, False), (0.5, 0.1, 1.0, False)]
 )
-def test_what_forward_scattering_lets_through_is_not_unscattered(tmp_path, sigma_t, roughness, eta, hard):
-    """A ball of diameter 2 whose medium throws nearly all light ahead."""
+def test_forward_scattered_light_is_not_unscattered(tmp_path, sigma_t, roughness, eta, hard):
+    """A ball of diameter 2 with strong forward scattering."""
     scene = make_scene(tmp_path, ball(3), sigma_t=sigma_t, albedo=0.99, phase_g=0.9, roughness=roughness, eta=eta)
     assert (training_warning(scene) is not None) == hard
 
@@ -111,7 +113,7 @@ def test_the_series_doubles_its_extinction():
     assert dense == [2.0 * 2**k for k in range(6)]
 
 
-def test_the_meshes_are_those_of_the_formulas(tmp_path):
+def test_the_meshes_are_reproducible(tmp_path):
     for name in ("grape", "dragon", "paperweight", "drink", "lucy"):
         made = run("make", "--out", tmp_path, "--only", name)
         assert (made.returncode, made.stderr) == (0, "")
@@ -124,7 +126,7 @@ def test_the_meshes_are_those_of_the_formulas(tmp_path):
                 np.testing.assert_allclose(read_levels(fresh), read_levels(kept), atol=1.1 / 255)
 
 
-def test_the_head_is_as_it_is_made(tmp_path):
+def test_the_head_is_reproducible(tmp_path):
     made = run("make", "--out", tmp_path, "--only", "head")
     assert (made.returncode, made.stderr) == (0, "")
     fresh, kept = read_mesh(tmp_path / "head/head.obj"), read_mesh(SCENES / "head/head.obj")
@@ -135,7 +137,7 @@ def test_the_head_is_as_it_is_made(tmp_path):
 
 
 def test_the_ears_are_thin():
-    """Along the axis from ear to ear the outermost crossings lie close together."""
+    """The outer intervals of a line from ear to ear are short."""
     mesh = read_mesh(SCENES / "head/head.obj")
     x = np.linspace(-0.76, 0.76, 400)
     line = np.stack([x, np.full_like(x, 0.28), np.full_like(x, 0.35)], axis=1)
@@ -147,17 +149,17 @@ def test_the_ears_are_thin():
     assert lengths[2] < 0.25
 
 
-def test_what_is_not_closed_is_not_prepared(tmp_path):
+def test_prepare_refuses_an_open_mesh(tmp_path):
     ball = read_mesh(SCENES / "paperweight/cube.obj")
     write_mesh(build_mesh(ball.positions, ball.faces[1:]), tmp_path / "open.ply")
     made = run("prepare", tmp_path / "open.ply", tmp_path / "out.ply")
     assert made.returncode == 1
-    assert "3 edges are open or torn; close the holes first" in made.stderr
+    assert "3 edges are open or inconsistent; close the holes first" in made.stderr
     assert not (tmp_path / "out.ply").exists()
 
 
-def kept_out_of_the_repository(path):
-    """Whether .gitignore names a file, by itself, by its folder or by its place."""
+def is_ignored(path):
+    """Whether .gitignore matches a file, by its name, folder or path."""
     place = path.relative_to(ROOT)
     for pattern in (ROOT / ".gitignore").read_text().split():
         if pattern.startswith("/"):
@@ -171,11 +173,11 @@ def kept_out_of_the_repository(path):
     return False
 
 
-def test_everything_is_small_and_no_scan_is_committed():
-    kept = [path for path in SCENES.rglob("*") if path.is_file() and not kept_out_of_the_repository(path)]
+def test_the_scenes_are_small_and_contain_no_scan():
+    kept = [path for path in SCENES.rglob("*") if path.is_file() and not is_ignored(path)]
     assert len(kept) > 30
     assert not [path for path in kept if "stanford" in path.name.lower()]
-    # Networks and their reports have a bound of their own.
+    # Models and their reports have a separate limit.
     assert sum(path.stat().st_size for path in kept if path.parent.name != "models") < 1_500_000
-    assert kept_out_of_the_repository(SCENES / "dragon/stanford_dragon.ply")
-    assert not kept_out_of_the_repository(SCENES / "dragon/dragon.obj")
+    assert is_ignored(SCENES / "dragon/stanford_dragon.ply")
+    assert not is_ignored(SCENES / "dragon/dragon.obj")

@@ -1,4 +1,4 @@
-"""The trained models of the paper's scenes are of those very scenes, small, and made the way their folder says."""
+"""The trained models of the paper's scenes match their scenes and reports, and are small."""
 
 import json
 
@@ -24,15 +24,15 @@ def test_a_model_was_trained_ten_minutes_on_its_scene(paper: PaperScene) -> None
 
 
 @pytest.mark.parametrize("paper", SCENES, ids=lambda paper: paper.name)
-def test_a_models_report_is_of_that_model(paper: PaperScene) -> None:
+def test_a_report_belongs_to_its_model(paper: PaperScene) -> None:
     report = json.loads((MODELS / f"{paper.name}.report.json").read_text(encoding="utf-8"))
     training = load_model(MODELS / f"{paper.name}.pt").metadata["training"]
-    said = report["model"]
-    assert (said["steps"], said["walks"]) == (training["steps"], training["walks"])
-    assert said["scene"] in (MODELS / "README.md").read_text(encoding="utf-8")
+    reported = report["model"]
+    assert (reported["steps"], reported["walks"]) == (training["steps"], training["walks"])
+    assert reported["scene"] in (MODELS / "README.md").read_text(encoding="utf-8")
     assert report["criteria"]
 
 
-def test_all_of_them_are_small() -> None:
+def test_the_models_are_small() -> None:
     sizes = {path.name: path.stat().st_size for path in MODELS.iterdir()}
     assert sum(sizes.values()) < 6_000_000, sizes

@@ -1,4 +1,4 @@
-"""The scenes of the tables: how they are framing_camera, baked and lit."""
+"""The scenes of the tables: cameras, bake settings, skies and stand-ins."""
 
 import importlib.util
 import sys
@@ -15,7 +15,17 @@ from prt_bake.geometry.camera import Visibility
 from prt_bake.lights import environment
 from prt_bake.paper.harmonics import subdivided
 from prt_bake.paper.report import sky_files
-from prt_bake.paper.scenes import LEAST_SHARE, NAMES, SCENES, SKIES, select_scenes, object_share, framing_camera, is_stand_in, open_scene
+from prt_bake.paper.scenes import (
+    LEAST_SHARE,
+    NAMES,
+    SCENES,
+    SKIES,
+    framing_camera,
+    is_stand_in,
+    object_share,
+    open_scene,
+    select_scenes,
+)
 from prt_bake.paper.settings import ReportSettings
 from tests import ROOT
 
@@ -35,16 +45,16 @@ def shrink(sky: np.ndarray, width: int, height: int) -> np.ndarray:
 @pytest.mark.parametrize("paper", SCENES, ids=NAMES)
 def test_the_object_fills_enough_of_the_picture(paper) -> None:
     scene = open_scene(paper, FOLDER)
-    view, whole = framing_camera(scene.mesh, 512, scene.up), camera.fit(scene.mesh, 512, 512, up=scene.up)
+    view, fitted = framing_camera(scene.mesh, 512, scene.up), camera.fit(scene.mesh, 512, 512, up=scene.up)
     share = object_share(Visibility(scene.mesh), view)
     assert share >= LEAST_SHARE
-    np.testing.assert_array_equal(view.eye, whole.eye)
-    assert view.fov <= whole.fov
-    assert share <= 0.43 or view.fov == whole.fov
+    np.testing.assert_array_equal(view.eye, fitted.eye)
+    assert view.fov <= fitted.fov
+    assert share <= 0.43 or view.fov == fitted.fov
     assert (view.width, view.height) == (512, 512)
 
 
-def test_stand_ins_are_taken_where_the_scan_is_not_there(tmp_path: Path) -> None:
+def test_stand_ins_replace_missing_scans(tmp_path: Path) -> None:
     dragon = select_scenes(["dragon"])[0]
     for name in dragon.files:
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -63,24 +73,24 @@ def test_stand_ins_are_taken_where_the_scan_is_not_there(tmp_path: Path) -> None
         open_scene(select_scenes(["lucy"])[0], tmp_path)
 
 
-def test_scenes_are_chosen_in_the_papers_order() -> None:
+def test_scenes_are_selected_in_the_papers_order() -> None:
     assert [scene.name for scene in select_scenes(["lucy", "grape"])] == ["grape", "lucy"]
     assert select_scenes([]) == SCENES
-    with pytest.raises(QueryError, match="'teapot' is no scene of the paper; known are grape, dragon"):
+    with pytest.raises(QueryError, match="'teapot' is not a scene of the paper; expected grape, dragon"):
         select_scenes(["grape", "teapot"])
 
 
-def test_skies_are_those_of_the_repository_or_ones_own(tmp_path: Path) -> None:
+def test_skies_are_those_of_the_repository_or_files(tmp_path: Path) -> None:
     assert list(sky_files([], FOLDER)) == ["outdoor", "indoor"]
     (tmp_path / "park.hdr").write_bytes((FOLDER / SKIES["outdoor"]).read_bytes())
     assert sky_files(["indoor", str(tmp_path / "park.hdr")], FOLDER) == {
         **{"indoor": FOLDER / "skies/indoor.hdr", "park": tmp_path / "park.hdr"},
     }
-    with pytest.raises(StorageError, match=r"nowhere\.hdr: there is no such sky; give outdoor, indoor"):
+    with pytest.raises(StorageError, match=r"nowhere\.hdr: there is no such sky; expected outdoor, indoor"):
         sky_files(["nowhere.hdr"], FOLDER)
 
 
-def test_quick_settings_bound_every_bake() -> None:
+def test_quick_settings_limit_every_bake() -> None:
     quick = ReportSettings().quick()
     for paper in SCENES:
         bake = quick.bake(paper.bake)
@@ -89,7 +99,7 @@ def test_quick_settings_bound_every_bake() -> None:
     assert ReportSettings(reference_spp=None, reference_minutes=3.0).quick().reference_minutes == 3.0
 
 
-def test_a_refined_mesh_is_the_same_surface() -> None:
+def test_a_subdivided_mesh_is_the_same_surface() -> None:
     mesh = read_mesh(FOLDER / "paperweight/cube.obj")
     fine = subdivided(mesh, 2)
     assert len(fine.faces) == 16 * len(mesh.faces)
@@ -98,7 +108,7 @@ def test_a_refined_mesh_is_the_same_surface() -> None:
     assert subdivided(mesh, 0) is mesh
 
 
-def test_a_shrunken_sky_keeps_its_energy() -> None:
+def test_a_downsampled_sky_keeps_its_energy() -> None:
     sky = np.random.default_rng(1).lognormal(0.0, 2.0, (48, 96, 3))
     small = shrink(sky, 24, 12)
     rows = [np.cos(np.pi * np.arange(count + 1) / count) for count in (48, 12)]
@@ -106,7 +116,7 @@ def test_a_shrunken_sky_keeps_its_energy() -> None:
     blocks = (sky * fine).reshape(12, 4, 24, 4, 3).sum(axis=(1, 3))
     np.testing.assert_allclose(small * coarse * 4, blocks, rtol=1e-12)
     np.testing.assert_allclose(shrink(np.full((48, 96, 3), 2.5), 24, 12), 2.5)
-    with pytest.raises(ValueError, match="no whole multiple of 20x12"):
+    with pytest.raises(ValueError, match="not a multiple of 20x12"):
         shrink(sky, 20, 12)
 
 

@@ -1,4 +1,4 @@
-"""The tables of made-up figures: what stands where, in Markdown, in JSON and on the sheet."""
+"""The tables of synthetic figures in Markdown, in JSON and on the sheet."""
 
 import json
 import math
@@ -40,26 +40,26 @@ def result(scene: str, sky: str = "outdoor", flip: float = 0.02, **changes: obje
         Line(method, 256, 12.5, 0.66, figures(3 * flip if method == "sh" else flip), figures(flip / 2))
         for method in METHODS
     )
-    made = Result(
+    record = Result(
         **{"scene": scene, "sky": sky, "source": f"{scene}.toml", "stand_in": False},
         **{"framing": {"object_share": 0.45, "object_pixels": 1234}, "stops": 1.5},
         **{"reference": {"spp": 1024, "walks": 5000, "seconds": 77.0}, "noise": figures(0.011), "lines": lines},
     )
-    return replace(made, **changes)
+    return replace(record, **changes)
 
 
 def cells(line: str) -> list[str]:
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_the_papers_own_figures_and_their_means() -> None:
+def test_the_papers_figures_and_their_means() -> None:
     assert NAMES == ("grape", "dragon", "paperweight", "drink", "lucy")
     assert round(PAPER_MEANS["net"], 3) == 0.043
     assert round(PAPER_MEANS["sh"], 3) == 0.139
     assert sum(scene.path_tracing.seconds for scene in SCENES) == pytest.approx(9457.43)
 
 
-def test_the_first_table_has_the_papers_columns_beside_ours() -> None:
+def test_the_first_table_has_the_papers_columns() -> None:
     head, _rule, path, light, _lobe, _mis, harmonics = first_table([result("grape", stand_in=True)]).splitlines()
     assert cells(head)[:8] == ["Scene", "Model", "SPP", "s", "MB", "MSE", "SSIM", "FLIP"]
     noise = ["noise 1.2e-04", "noise 0.9500", "noise 0.0110"]
@@ -87,31 +87,31 @@ def test_the_first_table_has_the_papers_columns_beside_ours() -> None:
     assert len({len(cells(line)) for line in (head, path, light, harmonics)}) == 1
 
 
-def test_what_degree_two_costs_is_told() -> None:
+def test_the_difference_of_sh_and_net_is_reported() -> None:
     bare = result("lucy")
     lines = tuple(
         replace(line, alone={**line.alone, "flip_to_net": 0.0707}) if line.method == "sh" else line
         for line in bare.lines
     )
-    told = "; FLIP of SH against Net (mis) 0.0707"
-    assert told in markdown([replace(bare, lines=lines)], SETTINGS)
-    assert told[:30] not in markdown([bare], SETTINGS)
+    text = "; FLIP of SH against Net (mis) 0.0707"
+    assert text in markdown([replace(bare, lines=lines)], SETTINGS)
+    assert text[:30] not in markdown([bare], SETTINGS)
 
 
-def test_everything_in_stays_empty_where_it_was_not_made() -> None:
+def test_figures_of_complete_pictures_are_optional() -> None:
     bare = result("lucy")
     bare = replace(bare, lines=tuple(replace(line, whole=None) for line in bare.lines))
     assert cells(first_table([bare]).splitlines()[3])[10:13] == ["", "", ""]
 
 
 def test_the_second_table_has_the_scenes_and_skies_of_the_paper() -> None:
-    found = second_table([result("grape"), result("lucy"), result("paperweight", "indoor", 0.04)]).splitlines()[2:]
-    assert [cells(line)[0] for line in found] == ["Grape (outdoor)", "", "", "", "Paperweight (indoor)", "", "", ""]
-    assert cells(found[3]) == ["", "FLIP", "0.0200", "0.0110", "0.0174"]
-    assert cells(found[6]) == ["", "SSIM, quarter size", "0.9900", "0.9900", "0.9710"]
+    rows = second_table([result("grape"), result("lucy"), result("paperweight", "indoor", 0.04)]).splitlines()[2:]
+    assert [cells(line)[0] for line in rows] == ["Grape (outdoor)", "", "", "", "Paperweight (indoor)", "", "", ""]
+    assert cells(rows[3]) == ["", "FLIP", "0.0200", "0.0110", "0.0174"]
+    assert cells(rows[6]) == ["", "SSIM, quarter size", "0.9900", "0.9900", "0.9710"]
 
 
-def test_a_bar_is_judged_over_all_five_scenes_alone() -> None:
+def test_a_target_is_evaluated_only_over_all_five_scenes() -> None:
     five = [result(name, flip=0.02 + 0.005 * i) for i, name in enumerate(NAMES)]
     rows = {cells(line)[1]: cells(line) for line in means_table(five, ["outdoor"]).splitlines()[2:]}
     assert rows["Net (mis)"] == [
@@ -132,29 +132,29 @@ def test_a_bar_is_judged_over_all_five_scenes_alone() -> None:
     assert some["Net (mis)"][2:6] == ["4 of 5", "0.0275", "≤ 0.03", ""]
 
 
-def test_the_page_says_what_is_not_there_and_what_is_too_small() -> None:
+def test_the_page_names_missing_columns_and_small_objects() -> None:
     small = result("grape", framing={"object_share": 0.3, "object_pixels": 5})
     page = markdown([small, result("grape", "indoor")], {**SETTINGS, "quick": True})
-    for words in ("NeRFactor and NeuMIP", "not there yet", "less than 40%", "--quick", "1234 pixels", "1,234 pixels"):
-        assert (words in page) == (words != "1234 pixels")
+    for text in ("NeRFactor and NeuMIP", "are missing", "less than 40%", "--quick", "1234 pixels", "1,234 pixels"):
+        assert (text in page) == (text != "1234 pixels")
     assert "--quick" not in markdown([small], SETTINGS)
     assert page.index("outdoor sky") < page.index("indoor sky")
 
 
-def test_json_holds_all_of_it_and_reads_back() -> None:
-    made = [result("grape"), result("drink", "indoor", 0.05)]
-    values = json.loads(json.dumps(records.as_json(made, SETTINGS)))
-    assert [Result.from_json(entry) for entry in values["results"]] == made
+def test_json_holds_all_results_and_reads_back() -> None:
+    results = [result("grape"), result("drink", "indoor", 0.05)]
+    values = json.loads(json.dumps(records.as_json(results, SETTINGS)))
+    assert [Result.from_json(entry) for entry in values["results"]] == results
     assert values["mean_flip"]["indoor"]["sh"] == {
         **{"flip": pytest.approx(0.15), "flip_without_noise": pytest.approx(0.135)},
         **{"flip_everything_in": 0.025, "scenes": 1},
     }
     assert values["results"][1]["paper"]["net"]["flip"] == 0.043
     assert values["bars"] == {"net": 0.03, "sh": 0.08}
-    assert math.isnan(records.mean_flip(made, "nowhere", "sh")[0])
+    assert math.isnan(records.mean_flip(results, "nowhere", "sh")[0])
 
 
-def test_the_sheet_shows_pictures_above_their_maps(tmp_path: Path) -> None:
+def test_the_sheet_shows_pictures_above_their_flip_maps(tmp_path: Path) -> None:
     red, grey = np.zeros((2, 384, 384, 3))
     red[..., 0], grey[...] = 0.25, 0.05
     flip_map = np.zeros((384, 384))
@@ -176,7 +176,7 @@ def test_the_sheet_shows_pictures_above_their_maps(tmp_path: Path) -> None:
         assert (pixels[top + CELL + 20, 26 + CELL // 2] == paper).all()
 
 
-def test_layers_are_those_of_the_paper() -> None:
+def test_the_networks_of_the_depth_ablation() -> None:
     assert network_settings(5, True).skips == ((1, 3), (2, 4))
     assert network_settings(7, True).skips == ((1, 3), (2, 4), (3, 5), (4, 6))
     assert network_settings(4, True).skips == network_settings(3, True).skips == ((1, 3),)
@@ -190,7 +190,7 @@ def trained(minutes: float, flip: float) -> Trained:
     return Trained(minutes, round(1e6 * minutes), 0.1, 1.1 * flip, flip, 0.5 * flip)
 
 
-def test_where_longer_training_leads() -> None:
+def test_the_extrapolation_of_training_time() -> None:
     rows = [trained(minutes, 0.24 * minutes**-0.5) for minutes in (1.0, 4.0, 16.0)]
     law = power_law(rows, "flip_without_noise")
     assert (law.level, law.slope) == (pytest.approx(0.24), pytest.approx(-0.5))
@@ -199,7 +199,7 @@ def test_where_longer_training_leads() -> None:
     assert times_json(rows)["minutes_to_the_bar"] == pytest.approx(64.0)
     assert power_law(rows, "coefficients").minutes_to(0.03) == math.inf
     assert power_law([trained(1.0, 0.0)], "flip").minutes_to(0.03) == math.inf
-    assert summary("dragon, outdoor", [trained(1.0, 0.2), trained(2.0, 0.2)]).endswith("is not to be seen")
+    assert summary("dragon, outdoor", [trained(1.0, 0.2), trained(2.0, 0.2)]).endswith("cannot be extrapolated")
 
 
 def test_plots_are_written(tmp_path: Path) -> None:

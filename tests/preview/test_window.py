@@ -117,8 +117,8 @@ def test_every_mode_and_every_key_changes_the_picture(opened) -> None:
 def test_the_legend_opens_and_closes(opened, key) -> None:
     assert "h: keys" in texts_of(opened)
     press(opened, key)
-    for words in ("orbit", "next light of 2", "reflection", "standard error", "valid", "coefficients", "quit"):
-        assert words in texts_of(opened)
+    for text in ("orbit", "next light of 2", "reflection", "standard error", "valid", "coefficients", "quit"):
+        assert text in texts_of(opened)
     assert "flip" not in texts_of(opened)
     press(opened, key)
     assert "orbit" not in texts_of(opened)
@@ -244,7 +244,7 @@ def test_a_dropped_sky_becomes_the_light(opened, tmp_path) -> None:
     assert bare_picture(opened)[2, 60] == pytest.approx(encoded(np.full(3, 0.6)), abs=1.0)
     drop(opened, tmp_path / "none.exr")
     assert "no" in texts_of(opened)
-    assert "OpenEXR picture" in texts_of(opened)
+    assert "OpenEXR image" in texts_of(opened)
     assert "dropped.exr" in opened.overlay.status.GetInput()
     press(opened, "n", "n", "n")
     assert "dropped.exr" in texts_of(opened)

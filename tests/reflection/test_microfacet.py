@@ -1,4 +1,4 @@
-"""Reflection in NumPy is the reflecting half of the interface that walks cross, to rounding and at the extremes."""
+"""Reflection in NumPy equals the reflecting part of the walk's interface, to rounding and at the extremes."""
 
 import numpy as np
 import pytest
@@ -21,8 +21,8 @@ ETAS = (1.4, 2.5, 1 / 1.4)
 
 
 @njit
-def walkers_density(alpha, eta, i, o):
-    """f(i, o) |o·n| of the walks' interface for rows of i and o."""
+def kernel_density(alpha, eta, i, o):
+    """f(i, o) |o·n| of the walk's interface for rows of i and o."""
     return np.array([interface.rough_density(alpha, eta, *_triple(i[n]), *_triple(o[n])) for n in range(len(i))])
 
 
@@ -32,7 +32,7 @@ def _triple(row):
 
 
 @njit
-def walkers_facets(alpha, i, u):
+def kernel_facets(alpha, i, u):
     rows = np.empty((len(u), 3))
     for n in range(len(u)):
         rows[n] = interface.visible_microfacet(i[n, 0], i[n, 1], i[n, 2], alpha, u[n, 0], u[n, 1])
@@ -48,7 +48,7 @@ def upper(count, seed, cosine=None):
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), z], axis=1)
 
 
-def sent(towards, o, alpha, eta):
+def reflected(towards, o, alpha, eta):
     """f(i, o) |o·n| in NumPy."""
     facets, rough = half_vectors(towards, o), np.full(len(o), alpha)
     share = fresnel(np.einsum("ni,ni->n", towards, facets), eta) * masking(o[:, 2], rough)
@@ -56,45 +56,47 @@ def sent(towards, o, alpha, eta):
 
 
 @pytest.mark.parametrize("eta", ETAS)
-def test_fresnel_and_masking_are_those_of_the_walks(eta):
+def test_fresnel_and_masking_equal_those_of_the_walks(eta):
     cosines = np.array([0.0, 1e-9, 1e-3, 0.2, 0.69, 0.7, 0.9, 1.0])
-    due = [interface.fresnel(cosine, eta) for cosine in cosines]
-    np.testing.assert_allclose(fresnel(cosines, eta), due, rtol=1e-12)
+    expected = [interface.fresnel(cosine, eta) for cosine in cosines]
+    np.testing.assert_allclose(fresnel(cosines, eta), expected, rtol=1e-12)
     for alpha in (1e-4, 0.3, 1.0):
-        due = [interface.masking(cosine, alpha) for cosine in cosines]
-        np.testing.assert_allclose(masking(cosines, np.full(8, alpha)), due, rtol=1e-12)
+        expected = [interface.masking(cosine, alpha) for cosine in cosines]
+        np.testing.assert_allclose(masking(cosines, np.full(8, alpha)), expected, rtol=1e-12)
     assert masking(np.array([-0.5]), np.array([0.3])) == 0.0
 
 
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [1e-4, 1e-2, 0.3, 1.0])
-def test_reflection_is_that_of_the_walks(alpha, eta):
-    """On directions that facets reflect to, on any others, and at grazing."""
+def test_reflection_equals_that_of_the_walks(alpha, eta):
+    """For mirror directions of facets, for other directions, and at grazing."""
     towards = upper(3000, 1)
     facets = visible_facets(towards, np.full(3000, alpha), np.random.default_rng(2).random((3000, 2)))
     o = np.concatenate([mirrored(towards, facets), upper(3000, 3)])
     towards = np.concatenate([towards, towards])
     above = o[:, 2] > 0.0
-    due = walkers_density(alpha, eta, towards[above], o[above])
-    # The walks take the sine of a facet from its cosine, which costs them digits on narrow lobes.
-    np.testing.assert_allclose(sent(towards[above], o[above], alpha, eta), due, rtol=max(1e-9, 1e-14 / alpha**2))
+    expected = kernel_density(alpha, eta, towards[above], o[above])
+    # The walks compute the sine of a facet from its cosine, which loses digits for narrow lobes.
+    np.testing.assert_allclose(
+        reflected(towards[above], o[above], alpha, eta), expected, rtol=max(1e-9, 1e-14 / alpha**2)
+    )
     assert above[:3000].mean() > 0.4
-    assert (due[: above[:3000].sum()] > 0.0).all()
+    assert (expected[: above[:3000].sum()] > 0.0).all()
 
 
 @pytest.mark.parametrize("alpha", [1e-4, 0.1, 1.0])
-def test_facets_are_those_of_the_walks(alpha):
+def test_facets_equal_those_of_the_walks(alpha):
     towards, numbers = upper(3000, 4), np.random.default_rng(5).random((3000, 2))
     towards[0] = [0.0, 0.0, 1.0]
     facets = visible_facets(towards, np.full(3000, alpha), numbers)
     np.testing.assert_allclose(np.linalg.norm(facets, axis=1), 1.0, rtol=1e-14)
-    np.testing.assert_allclose(facets, walkers_facets(alpha, towards, numbers), atol=1e-12)
+    np.testing.assert_allclose(facets, kernel_facets(alpha, towards, numbers), atol=1e-12)
 
 
 @pytest.mark.parametrize("alpha", [1e-4, 1e-2, 0.3, 1.0])
 @pytest.mark.parametrize("cosine", [1e-6, 0.05, 0.6, 1.0])
-def test_facets_of_any_roughness_are_the_visible_ones(alpha, cosine):
-    """Stretched by 1 / alpha they are those of a hemisphere: density 2 (i·h)⁺ / π (1 + i_z) (Heitz 2018)."""
+def test_sampled_facets_follow_the_density_of_visible_facets(alpha, cosine):
+    """Stretched by 1 / alpha they are visible points of a hemisphere: density 2 (i·h)⁺ / π (1 + i_z) (Heitz 2018)."""
     towards = upper(1, 6, cosine)
     numbers = np.random.default_rng(7).random((SAMPLES, 2))
     facets = visible_facets(np.repeat(towards, SAMPLES, axis=0), np.full(SAMPLES, alpha), numbers)
@@ -109,7 +111,7 @@ def test_facets_of_any_roughness_are_the_visible_ones(alpha, cosine):
 
 @pytest.mark.parametrize(("alpha", "cosine"), [(0.25, 0.05), (0.25, 0.9), (0.6, 0.3), (1.0, 0.01), (1.0, 1.0)])
 def test_reflected_directions_follow_their_density_which_integrates_to_one(alpha, cosine):
-    """Above the horizon by cells; what the density lacks there is what facets send below it."""
+    """By cells above the horizon; the rest of the density is below it."""
     cells = SphereCells(256, 256) if alpha < 0.5 else SphereCells(64, 64)
     towards = upper(1, 8, cosine)
     grid = np.repeat(towards, len(cells.directions), axis=0)
@@ -124,8 +126,8 @@ def test_reflected_directions_follow_their_density_which_integrates_to_one(alpha
 
 
 @njit
-def let_in(alpha, eta, i, count):
-    """What walks begin with [N], the transmittance of the facet they meet less what is masked."""
+def transmitted(alpha, eta, i, count):
+    """Initial weights of walks [N]: the transmittance of the facet times masking."""
     weights, stream = np.empty(count), np.zeros(2, np.uint64)
     for n in range(count):
         begin_stream(stream, 3, 1, n)
@@ -135,15 +137,15 @@ def let_in(alpha, eta, i, count):
 
 @pytest.mark.parametrize("eta", ETAS)
 @pytest.mark.parametrize("alpha", [0.1, 0.3, 1.0])
-def test_reflected_let_in_and_lost_make_one(alpha, eta):
-    """What is reflected here, what walks let in, and the loss that the compensating lobe sends on."""
+def test_reflection_transmission_and_loss_sum_to_one(alpha, eta):
+    """The loss is that of the energy-compensating lobe."""
     losses = loss_tables([eta], (alpha, alpha))[0, 0, LOSS : LOSS + CELLS + 1]
     for node in (CELLS // 3, CELLS * 3 // 4, CELLS):
         towards = upper(1, 10, (node / CELLS) ** 2)
         rows, rough = np.repeat(towards, SAMPLES, axis=0), np.full(SAMPLES, alpha)
         facets = visible_facets(rows, rough, np.random.default_rng(11).random((SAMPLES, 2)))
         reflectance = fresnel(np.einsum("ni,ni->n", rows, facets), eta)
-        kept = reflectance * masking(mirrored(rows, facets)[:, 2], rough) + let_in(alpha, eta, towards[0], SAMPLES)
+        kept = reflectance * masking(mirrored(rows, facets)[:, 2], rough) + transmitted(alpha, eta, towards[0], SAMPLES)
         error = Z_BOUND * kept.std() / SAMPLES**0.5
-        # The table sums over a grid of facets, which is off by some 1e-4 where total reflection sets in.
+        # The table sums over a grid of facets, with an error of about 1e-4 at the onset of total reflection.
         assert kept.mean() == pytest.approx(1.0 - losses[node], abs=error + 3e-4)

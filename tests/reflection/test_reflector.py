@@ -1,6 +1,4 @@
-"""The light reflected at the surface: white furnace, suns, mirrors, shadows of the object on itself, both ways of
-sampling.
-"""
+"""Light reflected at the surface: white furnace, suns, mirrors, self-shadowing, multiple importance sampling."""
 
 import math
 
@@ -17,6 +15,7 @@ from prt_bake.lights.lighting import Lighting, Sky, solid_angle
 from prt_bake.mathematics.sphere import tangent_frame, to_local, to_world
 from prt_bake.reflection import reflector as reflection
 from prt_bake.reflection import surface
+from prt_bake.reflection.finish import SurfacePoints
 from prt_bake.reflection.lights import SkySource
 from prt_bake.reflection.microfacet import (
     fresnel,
@@ -44,8 +43,8 @@ def ball() -> Mesh:
 
 
 @pytest.fixture(scope="module")
-def blotchy() -> Sky:
-    """Dark, bright and black places, turned."""
+def patchy() -> Sky:
+    """A rotated sky with dark, bright and black parts."""
     image = np.random.default_rng(1).random((16, 32, 3)).astype(np.float32) ** 4
     image[::2, 1::3] = 0.0
     return Sky(image, "z", environment.rotation(30.0, "y"))
@@ -55,11 +54,12 @@ def sun(direction: Array, diameter: float = 0.0, strength: float = 2.0) -> Direc
     return DirectionalLight(direction / np.linalg.norm(direction), np.array([strength, 0.5 * strength, 0.0]), diameter)
 
 
-def at(mesh: Mesh, cosine: float, count: int, seed: int = 0) -> tuple[Array, Array, Array, Array]:
-    """Random places seen at one cosine to their face: faces, barycentric, normals, outgoing."""
+def at(mesh: Mesh, cosine: float, count: int, seed: int = 0) -> SurfacePoints:
+    """Random points seen at one cosine to their face, with alpha 0."""
     generator = np.random.default_rng(seed)
     faces = generator.integers(0, len(mesh.faces), count)
-    return faces, generator.dirichlet([1, 1, 1], count)[:, :2], *views(mesh, faces, cosine, generator)
+    barycentric = generator.dirichlet([1, 1, 1], count)[:, :2]
+    return SurfacePoints(faces, barycentric, *views(mesh, faces, cosine, generator), np.zeros(count))
 
 
 def views(mesh: Mesh, faces: Array, cosine: float, generator: np.random.Generator) -> tuple[Array, Array]:
@@ -69,18 +69,22 @@ def views(mesh: Mesh, faces: Array, cosine: float, generator: np.random.Generato
     return normals, cosine * normals + math.sqrt(1 - cosine * cosine) * across
 
 
-def one_view(mesh: Mesh, cosine: float, count: int) -> tuple[Array, Array, Array, Array]:
-    """The same place and view, many times."""
-    faces, barycentric, normals, outgoing = (np.repeat(part, count, axis=0) for part in at(mesh, cosine, 1, seed=5))
-    return faces, barycentric, normals, outgoing
+def one_view(mesh: Mesh, cosine: float, count: int) -> SurfacePoints:
+    """The same point and view, many times."""
+    return SurfacePoints._make(np.repeat(part, count, axis=0) for part in at(mesh, cosine, 1, seed=5))
 
 
-def reflect(reflector: Reflector, where: tuple[Array, Array, Array, Array], alpha: float, seed: int = 1) -> Array:
-    count = len(where[0])
-    return reflector.reflected(*where, np.full(count, alpha), np.arange(count, dtype=np.uint64), seed)
+def subset(points: SurfacePoints, chosen: object) -> SurfacePoints:
+    return SurfacePoints._make(part[chosen] for part in points)
 
 
-def sent(towards: Array, local: Array, alpha: float, eta: float) -> Array:
+def reflect(reflector: Reflector, points: SurfacePoints, alpha: float, seed: int = 1) -> Array:
+    count = len(points.faces)
+    rough = points._replace(alpha=np.full(count, alpha))
+    return reflector.reflected(rough, np.arange(count, dtype=np.uint64), seed)
+
+
+def reflected_density(towards: Array, local: Array, alpha: float, eta: float) -> Array:
     """f(i, o) |o·n| in the local frame, 0 below the horizon."""
     facets, rough = half_vectors(towards, local), np.full(len(local), alpha)
     share = fresnel(np.clip((towards * facets).sum(axis=1), 0.0, 1.0), eta) * masking(local[:, 2], rough)
@@ -88,9 +92,9 @@ def sent(towards: Array, local: Array, alpha: float, eta: float) -> Array:
 
 
 def albedo(alpha: float, eta: float, cosine: float, cells: SphereCells) -> float:
-    """What the surface reflects of a white sky, by quadrature."""
+    """The directional albedo by quadrature."""
     towards = np.array([[math.sqrt(1 - cosine * cosine), 0.0, cosine]]).repeat(len(cells.directions), axis=0)
-    return float(cells.integrate(sent(towards, cells.directions, alpha, eta)).sum())
+    return float(cells.integrate(reflected_density(towards, cells.directions, alpha, eta)).sum())
 
 
 @pytest.mark.parametrize("eta", [1.4, 2.5, 1 / 1.4])
@@ -102,54 +106,55 @@ def test_white_furnace_gives_the_directional_albedo(ball: Mesh, eta: float, cosi
         radiance = reflect(reflector, at(ball, cosine, SAMPLES), alpha)
         assert_mean_is(radiance[:, 0], albedo(alpha, eta, cosine, cells))
         np.testing.assert_array_equal(radiance[:, 0], radiance[:, 2])
-        # Never more than both ways of sampling see whole: no fireflies.
+        # At most one full sample of each method: no fireflies.
         assert radiance.max() <= 2.0
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1e-4, 3e-4, 1e-3])
 @pytest.mark.parametrize("cosine", [0.05, 0.5, 1.0])
-def test_narrow_lobes_reflect_what_a_mirror_does(ball: Mesh, blotchy: Sky, alpha: float, cosine: float) -> None:
+def test_narrow_lobes_reflect_like_a_mirror(ball: Mesh, patchy: Sky, alpha: float, cosine: float) -> None:
     """Up to second order in the lobe's width over the cosine and over a pixel of the sky."""
     where = at(ball, cosine, 4000)
-    mirror = mirrored(where[3], where[2])
-    due = fresnel(np.full(4000, cosine), 1.5)[:, None] * blotchy.radiance(mirror)
-    radiance = reflect(Reflector(ball, Lighting((blotchy,)), 1.5), where, alpha)
+    mirror = mirrored(where.outgoing, where.normals)
+    expected = fresnel(np.full(4000, cosine), 1.5)[:, None] * patchy.radiance(mirror)
+    radiance = reflect(Reflector(ball, Lighting((patchy,)), 1.5), where, alpha)
     if alpha == 0.0:
-        np.testing.assert_allclose(radiance, due, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(radiance, expected, rtol=1e-9, atol=1e-12)
     else:
-        error = (radiance - due).std(axis=0) / math.sqrt(4000)
+        error = (radiance - expected).std(axis=0) / math.sqrt(4000)
         bias = 10 * (alpha / cosine) ** 2 + alpha
-        assert (np.abs((radiance - due).mean(axis=0)) < 5 * error + bias * due.mean()).all()
+        assert (np.abs((radiance - expected).mean(axis=0)) < 5 * error + bias * expected.mean()).all()
 
 
 @pytest.mark.parametrize("alpha", [1e-4, 0.05, 0.4, 1.0])
 def test_suns_without_size_are_exact(ball: Mesh, alpha: float) -> None:
-    """f |o·n| E, on the face's side alone, without any noise."""
+    """f |o·n| E on the outer side of the face, without noise."""
     light = sun(np.array([0.3, 0.8, -0.2]))
     generator = np.random.default_rng(3)
-    faces, barycentric, normals, _ = at(ball, 0.5, 2000)
+    where = at(ball, 0.5, 2000)
+    normals = where.normals
     outgoing = 2 * (normals @ light.direction)[:, None] * normals - light.direction
-    # Near the mirrored direction, where narrow lobes are seen at all.
+    # Near the mirror direction, so that narrow lobes are visible.
     outgoing += alpha * generator.normal(size=(2000, 3)) * 0.5
     outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
     keep = (outgoing * normals).sum(axis=1) > 1e-3
-    where = faces[keep], barycentric[keep], normals[keep], outgoing[keep]
-    tangents = tangent_frame(where[2])
-    towards = to_local(where[3], where[2], tangents)
-    local = to_local(np.broadcast_to(light.direction, towards.shape), where[2], tangents)
-    due = sent(towards, local, alpha, 1.4)[:, None] * light.irradiance
+    where = subset(where._replace(outgoing=outgoing), keep)
+    tangents = tangent_frame(where.normals)
+    towards = to_local(where.outgoing, where.normals, tangents)
+    local = to_local(np.broadcast_to(light.direction, towards.shape), where.normals, tangents)
+    expected = reflected_density(towards, local, alpha, 1.4)[:, None] * light.irradiance
     radiance = reflect(Reflector(ball, Lighting(suns=(light,)), 1.4), where, alpha)
-    np.testing.assert_allclose(radiance, due, rtol=1e-6, atol=1e-12)
-    assert (due[:, 0] > 0.0).mean() > 0.3
+    np.testing.assert_allclose(radiance, expected, rtol=1e-6, atol=1e-12)
+    assert (expected[:, 0] > 0.0).mean() > 0.3
     mirror = reflect(Reflector(ball, Lighting(suns=(light,)), 1.4), where, 0.0)
     assert not mirror.any()
 
 
 @pytest.mark.parametrize("diameter", [1e-5, 0.53, 30.0])
 @pytest.mark.parametrize("alpha", [1e-3, 0.02, 0.3, 1.0])
-def test_both_ways_of_sampling_and_their_combination_agree_on_suns(ball: Mesh, alpha: float, diameter: float) -> None:
+def test_both_sampling_methods_and_their_combination_agree_on_suns(ball: Mesh, alpha: float, diameter: float) -> None:
     where = one_view(ball, 0.6, SAMPLES)
-    normals, outgoing = where[2], where[3]
+    normals, outgoing = where.normals, where.outgoing
     mirror = mirrored(outgoing[:1], normals[:1])[0]
     light = sun(mirror + 0.3 * alpha * np.cross(mirror, outgoing[0]), diameter, 1e5)
     radiance = reflect(Reflector(ball, Lighting(suns=(light,)), 1.4), where, alpha)[:, 0]
@@ -157,7 +162,7 @@ def test_both_ways_of_sampling_and_their_combination_agree_on_suns(ball: Mesh, a
     towards = to_local(outgoing, normals, tangents)
     generator = np.random.default_rng(8)
     drawn, weight = Disc(light).draw(generator.random((SAMPLES, 3)))
-    by_light = weight[:, 0] * sent(towards, to_local(drawn, normals, tangents), alpha, 1.4)
+    by_light = weight[:, 0] * reflected_density(towards, to_local(drawn, normals, tangents), alpha, 1.4)
     facets = visible_facets(towards, np.full(SAMPLES, alpha), generator.random((SAMPLES, 2)))
     local = mirrored(towards, facets)
     share = fresnel((towards * facets).sum(axis=1), 1.4) * masking(local[:, 2], np.full(SAMPLES, alpha))
@@ -168,39 +173,41 @@ def test_both_ways_of_sampling_and_their_combination_agree_on_suns(ball: Mesh, a
         assert_mean_is(radiance - by_light, 0.0)
     if np.count_nonzero(by_facets) > 400:
         assert_mean_is(radiance - by_facets, 0.0)
-    # With a sample of each, the balance heuristic adds at most half the squared mean to the better variance (Veach).
+    # With a sample of each method, the balance heuristic adds at most half the squared mean to the lower variance.
     better = min(by_light.var(), by_facets.var() if by_facets.any() else math.inf)
     assert radiance.var() <= better + 0.51 * radiance.mean() ** 2
 
 
 @pytest.mark.parametrize("alpha", [0.05, 0.3, 1.0])
-def test_a_blotchy_sky_agrees_with_draws_from_it_alone(ball: Mesh, blotchy: Sky, alpha: float) -> None:
+def test_a_patchy_sky_agrees_with_light_sampling_alone(ball: Mesh, patchy: Sky, alpha: float) -> None:
     where = one_view(ball, 0.4, 4 * SAMPLES)
-    radiance = reflect(Reflector(ball, Lighting((blotchy,)), 1.4), where, alpha)
-    tangents = tangent_frame(where[2])
-    drawn, weight = BrightSky(blotchy).draw(np.random.default_rng(2).random((4 * SAMPLES, 3)))
-    local = to_local(drawn, where[2], tangents)
-    by_light = weight * sent(to_local(where[3], where[2], tangents), local, alpha, 1.4)[:, None]
+    radiance = reflect(Reflector(ball, Lighting((patchy,)), 1.4), where, alpha)
+    tangents = tangent_frame(where.normals)
+    drawn, weight = BrightSky(patchy).draw(np.random.default_rng(2).random((4 * SAMPLES, 3)))
+    local = to_local(drawn, where.normals, tangents)
+    towards = to_local(where.outgoing, where.normals, tangents)
+    by_light = weight * reflected_density(towards, local, alpha, 1.4)[:, None]
     for channel in range(3):
         assert_mean_is(radiance[:, channel] - by_light[:, channel], 0.0)
     assert radiance.std() < by_light.std()
 
 
-def test_the_density_of_a_sky_is_that_of_its_draws(blotchy: Sky) -> None:
+def test_the_density_of_a_sky_is_that_of_its_samples(patchy: Sky) -> None:
     cells = SphereCells(128, 128)
-    source = SkySource(blotchy)
-    assert cells.integrate(source.seen(cells.directions)[1]).sum() == pytest.approx(1.0, abs=2e-3)
+    source = SkySource(patchy)
+    assert cells.integrate(source.evaluate(cells.directions)[1]).sum() == pytest.approx(1.0, abs=2e-3)
     directions, weight, density = source.draw(np.random.default_rng(4).random((5000, 3)))
-    np.testing.assert_allclose(weight * density[:, None], blotchy.radiance(directions), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(weight * density[:, None], patchy.radiance(directions), rtol=1e-6, atol=1e-9)
 
 
-def test_a_bright_pixel_is_found_and_makes_no_fireflies(ball: Mesh) -> None:
+def test_a_bright_pixel_makes_no_fireflies(ball: Mesh) -> None:
     image = np.full((32, 64, 3), 0.1, np.float32)
     image[9, 20] = 1e5
     reflector = Reflector(ball, Lighting((Sky(image, "y", np.eye(3)),)), 1.4)
     towards = environment.direction_of(20.5 / 64, 9.5 / 32)
     faces = np.full(SAMPLES, int(np.argmax(ball.face_normals @ towards)))
-    where = faces, np.full((SAMPLES, 2), 0.3), *views(ball, faces, 0.6, np.random.default_rng(5))
+    normals, outgoing = views(ball, faces, 0.6, np.random.default_rng(5))
+    where = SurfacePoints(faces, np.full((SAMPLES, 2), 0.3), normals, outgoing, np.zeros(SAMPLES))
     for alpha in (0.1, 1.0):
         radiance = reflect(reflector, where, alpha)[:, 0]
         assert radiance.std() < 5 * radiance.mean()
@@ -208,9 +215,10 @@ def test_a_bright_pixel_is_found_and_makes_no_fireflies(ball: Mesh) -> None:
 
 @pytest.mark.parametrize("mesh", [lumpy(2), ring()])
 def test_the_object_shadows_its_own_reflections(mesh: Mesh) -> None:
-    """A mirror under a white sky: Fresnel where the mirrored ray meets no face, black where it does."""
-    faces, barycentric, normals, outgoing = at(mesh, 0.35, 1500)
-    radiance = reflect(Reflector(mesh, Lighting((WHITE,)), 1.4), (faces, barycentric, normals, outgoing), 0.0)[:, 0]
+    """A mirror under a white sky: Fresnel for unoccluded mirror rays, black for the others."""
+    where = at(mesh, 0.35, 1500)
+    faces, barycentric, normals, outgoing, _alpha = where
+    radiance = reflect(Reflector(mesh, Lighting((WHITE,)), 1.4), where, 0.0)[:, 0]
     corners = mesh.positions[mesh.faces]
     u, v = barycentric[:, :1], barycentric[:, 1:]
     starts = (1 - u - v) * corners[faces, 0] + u * corners[faces, 1] + v * corners[faces, 2]
@@ -226,8 +234,8 @@ def test_the_object_shadows_its_own_reflections(mesh: Mesh) -> None:
     np.testing.assert_allclose(radiance, expected, atol=1e-9)
 
 
-def test_rough_reflections_lose_what_the_object_hides() -> None:
-    """In a white furnace a hollow object reflects its albedo times the share of it that comes from the sky."""
+def test_occlusion_darkens_rough_reflections() -> None:
+    """In a white furnace a hollow object reflects the unoccluded share of its albedo."""
     mesh = ring()
     where = at(mesh, 0.5, SAMPLES)
     open_sky = reflect(Reflector(sphere(1), Lighting((WHITE,)), 1.4), at(sphere(1), 0.5, SAMPLES), 0.5)
@@ -236,25 +244,25 @@ def test_rough_reflections_lose_what_the_object_hides() -> None:
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-4, 0.0), (1e5, 0.0), (1.0, 1e6)])
-def test_size_and_place_do_not_matter(scale: float, offset: float, blotchy: Sky) -> None:
+def test_scale_and_position_do_not_matter(scale: float, offset: float, patchy: Sky) -> None:
     mesh = lumpy(2)
     other = moved(mesh, scale, [offset, -offset, offset])
     where = at(mesh, 0.3, 3000)
-    lighting = Lighting((blotchy,), (sun(np.array([1.0, 1.0, 1.0])),))
+    lighting = Lighting((patchy,), (sun(np.array([1.0, 1.0, 1.0])),))
     first, second = (reflect(Reflector(m, lighting, 1.4), where, 0.2) for m in (mesh, other))
-    # A ray along an edge may fall to either side of it.
+    # A ray along an edge may hit or miss.
     assert np.isclose(first, second, rtol=1e-6, atol=1e-9).all(axis=1).mean() > 0.999
 
 
-def test_flat_neighbours_do_not_shade_grazing_reflections() -> None:
-    """A finely cut sphere seen at grazing: no ray is caught by the faces about its own."""
+def test_neighbouring_faces_do_not_shadow_grazing_reflections() -> None:
+    """A fine sphere seen at grazing: no ray hits the faces around its own."""
     mesh = sphere(4)
     where = at(mesh, 1e-5, 20_000)
     radiance = reflect(Reflector(mesh, Lighting((WHITE,)), 1.4), where, 0.0)
     assert (radiance > 0.9999).all()
 
 
-def test_an_index_of_one_reflects_nothing_and_needs_no_work(ball: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_index_of_one_reflects_nothing_and_builds_nothing(ball: Mesh, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(mesh: Mesh) -> Visibility:
         raise AssertionError("a tree was built")
 
@@ -263,61 +271,59 @@ def test_an_index_of_one_reflects_nothing_and_needs_no_work(ball: Mesh, monkeypa
     assert not reflect(reflector, at(ball, 0.5, 5), 0.3).any()
     with pytest.raises(AssertionError):
         Reflector(ball, Lighting((WHITE,)), 1.0001)
-    with pytest.raises(QueryError, match="eta: -1"):
+    with pytest.raises(QueryError, match="index of refraction above 0, found -1"):
         Reflector(ball, Lighting((WHITE,)), -1.0)
 
 
-def test_an_index_near_one_reflects_by_its_square(ball: Mesh) -> None:
+def test_reflection_near_an_index_of_one_is_quadratic(ball: Mesh) -> None:
     where = at(ball, 0.9, SAMPLES)
     one, two = (reflect(Reflector(ball, Lighting((WHITE,)), 1 + e), where, 0.2).mean() for e in (1e-3, 2e-3))
     assert two / one == pytest.approx(4.0, rel=0.01)
     assert one < 1e-6
 
 
-def test_normals_that_face_away_give_way_to_the_face(ball: Mesh) -> None:
-    faces, barycentric, normals, outgoing = at(ball, 0.3, 2000)
+def test_face_normals_replace_normals_that_face_away(ball: Mesh) -> None:
+    where = at(ball, 0.3, 2000)
     reflector = Reflector(ball, Lighting((WHITE,)), 1.4)
-    away = reflect(reflector, (faces, barycentric, -outgoing, outgoing), 0.3)
-    np.testing.assert_array_equal(away, reflect(reflector, (faces, barycentric, normals, outgoing), 0.3))
+    away = reflect(reflector, where._replace(normals=-where.outgoing), 0.3)
+    np.testing.assert_array_equal(away, reflect(reflector, where, 0.3))
 
 
-def test_interpolated_normals_send_nothing_through_the_face() -> None:
-    """A mirror whose normal leans away from a grazing eye sends the eye's ray under the face: black, even where
-    nothing else is in its way.
-    """
+def test_mirror_rays_below_the_face_are_black() -> None:
+    """At grazing views an interpolated normal can mirror the ray below the face, also without an occluder."""
     sheet = build_mesh(np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.0], [0.1, 1.0, 0.3]]), np.array([[0, 1, 2]]))
-    faces, barycentric, normals, outgoing = at(sheet, 0.1, 2000)
+    where = at(sheet, 0.1, 2000)
+    normals, outgoing = where.normals, where.outgoing
     leaning = normals - np.linspace(0.0, 0.12, 2000)[:, None] * outgoing
     leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
     seen = (leaning * outgoing).sum(axis=1) > 1e-9
     under = (mirrored(outgoing, leaning) * normals).sum(axis=1) <= 0.0
     assert 0.1 < (seen & under).mean() < 0.9
-    radiance = reflect(Reflector(sheet, Lighting((WHITE,)), 1.4), (faces, barycentric, leaning, outgoing), 0.0)
+    radiance = reflect(Reflector(sheet, Lighting((WHITE,)), 1.4), where._replace(normals=leaning), 0.0)
     np.testing.assert_array_equal(radiance[:, 0] == 0.0, seen & under)
 
 
-def test_an_eye_below_the_face_sees_nothing_reflected(ball: Mesh) -> None:
-    faces, barycentric, normals, outgoing = at(ball, 0.3, 2000)
+def test_an_eye_below_the_face_sees_no_reflection(ball: Mesh) -> None:
+    where = at(ball, 0.3, 2000)
+    below = where._replace(outgoing=-where.outgoing)
     for alpha in (0.0, 0.3):
-        assert not reflect(
-            Reflector(ball, Lighting((WHITE,)), 1.4), (faces, barycentric, normals, -outgoing), alpha
-        ).any()
+        assert not reflect(Reflector(ball, Lighting((WHITE,)), 1.4), below, alpha).any()
 
 
-def test_samples_depend_on_their_keys_and_the_seed_alone(ball: Mesh, blotchy: Sky) -> None:
-    reflector = Reflector(ball, Lighting((blotchy, WHITE), (sun(np.ones(3), 2.0),)), 1.4)
-    where, keys = at(ball, 0.5, 1000), np.arange(1000, dtype=np.uint64) * np.uint64(7)
+def test_samples_depend_on_their_keys_and_the_seed_alone(ball: Mesh, patchy: Sky) -> None:
+    reflector = Reflector(ball, Lighting((patchy, WHITE), (sun(np.ones(3), 2.0),)), 1.4)
     alpha = np.random.default_rng(6).random(1000) * 0.4
     alpha[::5] = 0.0
-    whole = reflector.reflected(*where, alpha, keys, 3)
+    where, keys = at(ball, 0.5, 1000)._replace(alpha=alpha), np.arange(1000, dtype=np.uint64) * np.uint64(7)
+    radiance = reflector.reflected(where, keys, 3)
     some = slice(100, 900, 3)
-    part = reflector.reflected(*(array[some] for array in where), alpha[some], keys[some], 3)
-    np.testing.assert_array_equal(part, whole[some])
-    assert not np.array_equal(whole, reflector.reflected(*where, alpha, keys, 4))
-    assert reflector.reflected(*(array[:0] for array in where), alpha[:0], keys[:0], 3).shape == (0, 3)
+    part = reflector.reflected(subset(where, some), keys[some], 3)
+    np.testing.assert_array_equal(part, radiance[some])
+    assert not np.array_equal(radiance, reflector.reflected(where, keys, 4))
+    assert reflector.reflected(subset(where, slice(0)), keys[:0], 3).shape == (0, 3)
 
 
-def test_limits_are_those_of_the_walks() -> None:
+def test_limits_equal_those_of_the_walks() -> None:
     assert surface.SMOOTHEST == boundary.SMOOTHEST
     assert surface.SAME_INDEX == boundary.SAME_INDEX
 

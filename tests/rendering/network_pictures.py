@@ -1,4 +1,4 @@
-"""Small networks, lobes and cameras for the tests of networks' pictures, and what their pictures should be."""
+"""Small networks, lobes and cameras for tests of network pictures, and their expected pictures."""
 
 import numpy as np
 from scipy import stats
@@ -16,7 +16,7 @@ MESH = ball(3)
 
 
 def small_network(**settings) -> NeuralBSSRDF:
-    """Random, smooth, mostly positive."""
+    """A random, smooth, mostly positive network."""
     shape = {"features": 16, "width": 32, "feature_mean": 0.0, "feature_spread": 0.15, "directions": "cartesian"}
     metadata = {"up": "y", "eta": 1.4, "roughness": 0.3}
     network = NeuralBSSRDF(NetworkSettings(**shape | settings), (-1.0,) * 3, 2.0, 0.1, metadata)
@@ -25,7 +25,7 @@ def small_network(**settings) -> NeuralBSSRDF:
 
 
 class Lobes:
-    """A module whose lobes about the normal widen with height."""
+    """An importance module with lobes about the normal that widen with height."""
 
     def lobe(self, positions, outgoing, normals) -> Lobe:
         sigma = 0.6 + 0.2 * np.asarray(positions)[:, 1:2]
@@ -33,7 +33,7 @@ class Lobes:
 
 
 class Slope:
-    """A transport of directions of incidence alone: 1 + b·ωi, so that its integrals are known."""
+    """The transport 1 + b·ωi, whose integrals are known."""
 
     slope = np.array([0.3, -0.4, 0.5])
 
@@ -43,12 +43,12 @@ class Slope:
 
 
 def close_up(size: int = 4) -> Camera:
-    """All pixels show the ball, and so little of it that a pixel's middle says all of it."""
+    """All pixels show the ball, magnified so much that a pixel equals its middle."""
     return Camera(np.array([0.5, 1.0, 4.0]), np.array([0.05, 0.1, 0.0]), np.array([0.0, 1.0, 0.0]), 1.0, size, size)
 
 
 def quadrature(network, lighting: Lighting, camera: Camera, count: int = 20_000) -> np.ndarray:
-    """The pixels [H,W,3], of which the middles are taken, by `count` directions of a lattice."""
+    """Pixels [H,W,3] at their middles, by `count` directions of a lattice."""
     pixels = np.arange(camera.width * camera.height)
     rays = pixel_rays(camera, pixels, np.full((len(pixels), 1, 2), 0.5)).directions[:, 0]
     hits = Visibility(MESH).first_hits(camera.eye, rays)
@@ -63,12 +63,12 @@ def quadrature(network, lighting: Lighting, camera: Camera, count: int = 20_000)
 
 
 def assert_pictures(picture: Rendering, truth: np.ndarray, false_alarm: float = 1e-4) -> None:
-    """Every pixel agrees with the truth, within its error as passes measure it (Student's t, Bonferroni)."""
-    # Besides chance: what the lattice misses of an uneven sky, and a pixel's middle of the pixel.
+    """Check that every pixel agrees with the truth within its standard error (Student's t, Bonferroni)."""
+    # The additional error is that of the lattice, and of a pixel's middle.
     t = (picture.image - truth) / np.hypot(picture.standard_error, 1e-3 * truth)
     limit = stats.t.isf(0.5 * false_alarm / t.size, picture.passes - 1)
     assert np.abs(t).max() < limit
-    # And so does their mean, of whose error many pixels tell more.
+    # The mean over pixels agrees too, with a smaller error.
     error = np.sqrt((picture.standard_error.astype(np.float64) ** 2).sum(axis=(0, 1))) / t[..., 0].size
     off = (picture.image - truth).mean(axis=(0, 1)) / np.hypot(error, 1e-3 * truth.mean(axis=(0, 1)))
     assert np.abs(off).max() < stats.t.isf(0.5 * false_alarm / 3, 7 * 8)

@@ -1,4 +1,4 @@
-"""Small scenes, cameras and skies for the tests of path-traced pictures, and how two pictures are held together."""
+"""Small scenes, cameras and skies for tests of path-traced pictures, and z-scores of their differences."""
 
 import math
 from pathlib import Path
@@ -37,21 +37,21 @@ def uneven_sky() -> np.ndarray:
 
 
 def even_sky() -> np.ndarray:
-    """Random pixels that differ too little for connections to be worth it."""
+    """Random pixels that differ too little to be worth connections."""
     return 1.0 + np.random.default_rng(3).random((16, 32, 3)).astype(np.float32)
 
 
 def z_score(one: Rendering, other: Rendering) -> float:
-    """Of the mean over pixels of the squared difference, which should be the sum of the variances that both state."""
+    """The z-score of the mean squared difference, whose expectation is the sum of both estimated variances."""
     inside = (one.coverage == 1) & (other.coverage == 1)
-    stated = one.standard_error[inside].astype(np.float64) ** 2 + other.standard_error[inside].astype(np.float64) ** 2
-    seen = (one.image[inside].astype(np.float64) - other.image[inside]) ** 2
-    excess = (seen - stated).mean(axis=1)  # channels share their walks
+    variance = one.standard_error[inside].astype(np.float64) ** 2 + other.standard_error[inside].astype(np.float64) ** 2
+    squared = (one.image[inside].astype(np.float64) - other.image[inside]) ** 2
+    excess = (squared - variance).mean(axis=1)  # channels share their walks
     return float(excess.mean() / (excess.std(ddof=1) / math.sqrt(len(excess))))
 
 
 def mean_z(one: Rendering, other: Rendering) -> np.ndarray:
-    """Of the difference of the mean radiance over the object, in standard errors, by channel [3]."""
+    """The z-score of the difference in mean radiance over the object, by channel [3]."""
     inside = (one.coverage == 1) & (other.coverage == 1)
     difference = (one.image[inside].astype(np.float64) - other.image[inside]).mean(axis=0)
     variance = sum((part.standard_error[inside].astype(np.float64) ** 2).sum(axis=0) for part in (one, other))

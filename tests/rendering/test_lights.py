@@ -1,4 +1,4 @@
-"""Pictures under suns: directional lights, and skies with one pixel that outshines all others."""
+"""Pictures under suns: directional lights, and skies with one very bright pixel."""
 
 import math
 from pathlib import Path
@@ -21,6 +21,8 @@ from tests.tracer.nested_scenes import nested_scene
 from tests.tracer.scenes import lumpy, moved, queries, sphere, unit_directions
 from tests.tracer.scenes import make_scene as scene_of
 
+pytestmark = pytest.mark.statistics
+
 ROUGH = {"eta": 1.4, "roughness": 0.3}
 MATCHED: dict[str, float] = {}
 SMOOTH = {"eta": 1.4}
@@ -34,43 +36,43 @@ def render(scene: Scene, light, spp: int = 64, seed: int = 1, size: int = 16, **
     return render_scene(scene, light, front(size=size), spp=spp, seed=seed, **options)
 
 
-def by_exits_alone(monkeypatch: pytest.MonkeyPatch, *arguments, **options) -> Rendering:
+def without_connections(monkeypatch: pytest.MonkeyPatch, *arguments, **options) -> Rendering:
     with monkeypatch.context() as patch:
         patch.setattr("prt_bake.rendering.walks.connections", lambda scene: None)
         return render(*arguments, **options)
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH, SMOOTH])
-def test_scattered_and_unscattered_light_are_all_light(tmp_path: Path, interface: dict[str, float]) -> None:
-    """The same walks in all three. Behind a rough interface what crosses is part of Ŝ, and nothing is left apart."""
+def test_scattered_and_unscattered_light_sum_to_all_light(tmp_path: Path, interface: dict[str, float]) -> None:
+    """All three use the same walks. Behind a rough interface all light is part of Ŝ, and none counts as unscattered."""
     scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]", sigma_t=1.0, **interface)
     lighting = Lighting((Sky(uneven_sky(), "y", np.eye(3)),), (sun(diameter=40.0),))
-    every, scattered, unscattered = (
+    both, scattered, unscattered = (
         render(scene, lighting, shown=shown, background=False) for shown in ("all", "scattered", "unscattered")
     )
-    np.testing.assert_allclose(scattered.image + unscattered.image, every.image, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(scattered.image + unscattered.image, both.image, rtol=1e-5, atol=1e-6)
     assert (scattered.image[4:12, 4:12] > 0.0).all()
     assert unscattered.black == (interface is ROUGH)
     assert (unscattered.walks == 0) == (interface is ROUGH)
     shows = {**SHOWS, "all": SHOWS_ROUGH} if interface is ROUGH else SHOWS
-    assert [picture.shows for picture in (every, scattered, unscattered)] == list(shows.values())
+    assert [picture.shows for picture in (both, scattered, unscattered)] == list(shows.values())
 
 
-def test_what_else_should_be_shown_is_refused_before_any_work(tmp_path: Path) -> None:
+def test_another_value_of_shown_is_refused_before_any_work(tmp_path: Path) -> None:
     with pytest.raises(QueryError, match="shown: expected 'all', 'scattered', 'unscattered', found 'reflected'"):
         render(make_scene(tmp_path), as_lighting(WHITE, "y", 0.0), shown="reflected")
 
 
-def test_clear_glass_shows_nothing_but_what_crosses(tmp_path: Path) -> None:
-    """In a white furnace: of what enters at a pixel all comes from the sky, but for the light that is reflected."""
+def test_clear_glass_shows_unscattered_light_only(tmp_path: Path) -> None:
+    """In a white furnace the radiance is 1, except for reflected light."""
     scene = make_scene(tmp_path, sigma_t=1e-6, eta=1.4)
     assert render(scene, as_lighting(WHITE, "y", 0.0), shown="scattered", background=False).image.max() < 1e-3
-    crossed = render(scene, as_lighting(WHITE, "y", 0.0), shown="unscattered", background=False)
-    assert 0.9 < crossed.image[6:10, 6:10].mean() < 1.0
+    unscattered = render(scene, as_lighting(WHITE, "y", 0.0), shown="unscattered", background=False)
+    assert 0.9 < unscattered.image[6:10, 6:10].mean() < 1.0
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])
-def test_what_a_walk_receives_is_the_transport_function(tmp_path: Path, interface: dict[str, float]) -> None:
+def test_connected_walks_estimate_the_transport_function(tmp_path: Path, interface: dict[str, float]) -> None:
     scene = scene_of(tmp_path, lumpy(2), **interface)
     positions, outgoing, _normals = queries(scene.mesh, 6, 1)
     incident = unit_directions(18, 2).reshape(6, 3, 3)
@@ -81,41 +83,41 @@ def test_what_a_walk_receives_is_the_transport_function(tmp_path: Path, interfac
     assert_agree(mean, np.sqrt((square - mean**2) / 2047), expected.mean, expected.standard_error)
     shared, _square = sample_transport(scene, at.faces, at.barycentric, outgoing, keys, incident[0], 2048, 5)
     np.testing.assert_array_equal(shared[0], mean[0])
-    # A second one is a minute of compiling, of all who draw a picture.
+    # A second signature would cost every user a minute of compilation.
     assert len(sum_transport.signatures) == 1
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])
-def test_a_wide_disc_looks_the_same_connected_and_met_by_exits(
+def test_a_wide_disc_looks_the_same_with_and_without_connections(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interface: dict[str, float]
 ) -> None:
     scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]", **interface)
     lighting = Lighting((), (sun(diameter=50.0), sun((0.8, 0.0, -0.6), (1.0, 1.0, 4.0), 30.0)))
     connected = render(scene, lighting, 256)
-    met = by_exits_alone(monkeypatch, scene, lighting, 256, 2)
-    assert np.abs(mean_z(connected, met)).max() < 4
-    assert abs(z_score(connected, met)) < 4
+    unconnected = without_connections(monkeypatch, scene, lighting, 256, 2)
+    assert np.abs(mean_z(connected, unconnected)).max() < 4
+    assert abs(z_score(connected, unconnected)) < 4
     inside = connected.coverage == 1
-    assert np.mean(met.standard_error[inside] ** 2) > 2 * np.mean(connected.standard_error[inside] ** 2)
+    assert np.mean(unconnected.standard_error[inside] ** 2) > 2 * np.mean(connected.standard_error[inside] ** 2)
 
 
 @pytest.mark.parametrize("interface", [MATCHED, ROUGH])
-def test_a_sky_with_a_sun_looks_the_same_and_is_a_tenth_as_noisy(
+def test_connections_reduce_the_noise_of_a_sky_with_a_sun_tenfold(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interface: dict[str, float]
 ) -> None:
     scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]", **interface)
     sky = uneven_sky()
     sky[5, 20] = 1e5 * np.array([1.0, 0.9, 0.7])
     connected = render(scene, sky, 64)
-    met = by_exits_alone(monkeypatch, scene, sky, 2048, 2)
-    assert np.abs(mean_z(connected, met)).max() < 4
+    unconnected = without_connections(monkeypatch, scene, sky, 2048, 2)
+    assert np.abs(mean_z(connected, unconnected)).max() < 4
     inside = connected.coverage == 1
-    a_walk = [64 * connected.standard_error[inside] ** 2, 2048 * met.standard_error[inside] ** 2]
+    a_walk = [64 * connected.standard_error[inside] ** 2, 2048 * unconnected.standard_error[inside] ** 2]
     assert np.mean(a_walk[1]) > 10 * np.mean(a_walk[0])
 
 
-def test_two_half_spheres_of_light_are_a_white_furnace(tmp_path: Path) -> None:
-    """Index-matched: radiance 1 everywhere, what is connected and what comes straight through taken together."""
+def test_two_hemispheres_of_light_are_a_white_furnace(tmp_path: Path) -> None:
+    """Index-matched: connected and unscattered light sum to a radiance of 1 everywhere."""
     up, down = (sun((0.0, y, 0.0), [2 * math.pi] * 3, 180.0) for y in (1.0, -1.0))
     picture = render(make_scene(tmp_path, "1.0", sigma_t=1.0), Lighting((), (up, down)), 256)
     inside = picture.coverage == 1
@@ -126,8 +128,8 @@ def test_two_half_spheres_of_light_are_a_white_furnace(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sky", [False, True])
-def test_through_nothing_the_disc_is_seen_as_it_is(tmp_path: Path, sky: bool) -> None:
-    """An index-matched object without a medium cannot be seen: the disc stands behind it, edges exact."""
+def test_a_disc_is_visible_through_an_empty_object(tmp_path: Path, sky: bool) -> None:
+    """An index-matched object without a medium is invisible."""
     light = sun((0.0, 0.0, -1.0), (3.0, 2.0, 1.0), 12.0)
     skies = as_lighting(uneven_sky(), "y", 0.0).skies if sky else ()
     scene = make_scene(tmp_path, sigma_t=0.0)
@@ -144,7 +146,7 @@ def test_through_nothing_the_disc_is_seen_as_it_is(tmp_path: Path, sky: bool) ->
         assert seen[0] / seen[2] == pytest.approx(3.0)
 
 
-def test_light_adds_up_and_turns(tmp_path: Path) -> None:
+def test_light_scales_and_rotates(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, "0.8", **ROUGH)
     one = render(scene, Lighting((), (sun(irradiance=(1.0, 2.0, 0.5)),)))
     twice = render(scene, Lighting((), (sun(irradiance=(2.0, 4.0, 1.0)),)))
@@ -159,18 +161,18 @@ def test_light_adds_up_and_turns(tmp_path: Path) -> None:
     assert np.abs(mean_z(one, unturned)).min() > 6
 
 
-def test_behind_a_smooth_interface_exits_meet_the_disc(tmp_path: Path) -> None:
+def test_behind_a_smooth_interface_walks_hit_the_disc_when_they_leave(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, "0.8", **SMOOTH)
     up, down = (sun((0.0, y, 0.0), [2 * math.pi] * 3, 180.0) for y in (1.0, -1.0))
-    halves = render(scene, Lighting((), (up, down)))
+    hemispheres = render(scene, Lighting((), (up, down)))
     furnace = render(scene, np.ones((4, 8, 3), np.float32))
-    np.testing.assert_allclose(halves.image, furnace.image, rtol=1e-5)
+    np.testing.assert_allclose(hemispheres.image, furnace.image, rtol=1e-5)
     with pytest.raises(QueryError, match=r"ball\.toml: behind the smooth interface of 'object' .* angular diameter"):
         render(scene, Lighting((), (sun(diameter=2.0), sun())))
 
 
 def test_a_sun_in_the_sky_and_a_directional_light_agree(tmp_path: Path) -> None:
-    """One bright pixel of a black sky, and a light of its irradiance from its middle."""
+    """One bright pixel of a black sky, and a light of equal irradiance from its middle."""
     scene = make_scene(tmp_path, "[0.9, 0.7, 0.5]")
     sky = np.zeros((128, 256, 3), np.float32)
     sky[40, 70] = 1e5
@@ -193,7 +195,7 @@ INSIDE = {
 @pytest.mark.parametrize(
     ("interface", "part"), [(MATCHED, "diffuse"), (MATCHED, "rough"), (ROUGH, "diffuse"), (ROUGH, "smooth")]
 )
-def test_objects_in_the_object_are_lit_alike_both_ways(
+def test_nested_objects_look_the_same_with_and_without_connections(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interface: dict[str, float], part: str
 ) -> None:
     within = {"mesh": moved(sphere(2), 0.5), "name": "within", **INSIDE[part]}
@@ -202,11 +204,11 @@ def test_objects_in_the_object_are_lit_alike_both_ways(
     sky[5, 20] = 300.0
     lighting = Lighting(as_lighting(sky, "y", 0.0).skies, (sun(diameter=60.0),))
     connected = render(scene, lighting, 256)
-    met = by_exits_alone(monkeypatch, scene, lighting, 512, 2)
-    assert np.abs(mean_z(connected, met)).max() < 4
+    unconnected = without_connections(monkeypatch, scene, lighting, 512, 2)
+    assert np.abs(mean_z(connected, unconnected)).max() < 4
 
 
-def test_a_smooth_part_inside_hides_a_light_without_size(tmp_path: Path) -> None:
+def test_a_smooth_nested_part_hides_a_light_without_size(tmp_path: Path) -> None:
     within = {"mesh": moved(sphere(2), 0.5), "name": "within", **INSIDE["smooth"]}
     scene = nested_scene(tmp_path, sphere(2), {"sigma_t": 1.0, "albedo": 0.8}, (within,))
     with pytest.raises(QueryError, match="the smooth interface of 'within'"):

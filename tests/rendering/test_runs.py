@@ -1,4 +1,4 @@
-"""Pictures that end early, go on, and say so: passes, checkpoints, time, noise; and the command."""
+"""Progressive rendering: passes, checkpoints, limits of time and noise; and the command."""
 
 import json
 import signal
@@ -31,13 +31,13 @@ def render(scene: Scene, spp: int | None = 64, seed: int = 1, **options) -> Rend
 
 
 def after(passes: int) -> Callable[[], bool]:
-    """Ctrl-C in the middle of a pass, the answer to the question asked after it."""
-    asked = 0
+    """A stop callback that returns True after some passes."""
+    calls = 0
 
     def stop() -> bool:
-        nonlocal asked
-        asked += 1
-        return asked >= passes
+        nonlocal calls
+        calls += 1
+        return calls >= passes
 
     return stop
 
@@ -49,7 +49,7 @@ def assert_same(one: Rendering, other: Rendering) -> None:
     assert (one.walks, one.passes, one.spp) == (other.walks, other.passes, other.spp)
 
 
-def test_stopped_and_resumed_is_the_picture_of_one_run(scene: Scene, tmp_path: Path) -> None:
+def test_a_resumed_picture_equals_an_uninterrupted_one(scene: Scene, tmp_path: Path) -> None:
     path = tmp_path / "a.render.npz"
     whole = render(scene)
     assert (whole.passes, whole.spp, whole.complete) == (32, 64, True)
@@ -62,7 +62,7 @@ def test_stopped_and_resumed_is_the_picture_of_one_run(scene: Scene, tmp_path: P
     assert part.passes == 14 - 1
     whole_again = render(scene, checkpoint=path, resume=True)
     assert_same(whole_again, whole)
-    assert path.exists()  # whoever has the picture safe removes it
+    assert path.exists()  # the caller removes it
     assert whole_again.seconds > part.seconds
     seconds, walks, _noise = whole_again.history.T
     assert (np.diff(seconds) > 0).all()
@@ -70,7 +70,7 @@ def test_stopped_and_resumed_is_the_picture_of_one_run(scene: Scene, tmp_path: P
     assert walks[-1] == whole.walks
 
 
-def test_more_walks_than_before_go_on_from_a_checkpoint(scene: Scene, tmp_path: Path) -> None:
+def test_more_walks_continue_from_a_checkpoint(scene: Scene, tmp_path: Path) -> None:
     path = tmp_path / "a.render.npz"
     render(scene, spp=32, checkpoint=path, stop=after(4))
     assert_same(render(scene, spp=64, checkpoint=path, resume=True), render(scene, spp=64))
@@ -79,7 +79,7 @@ def test_more_walks_than_before_go_on_from_a_checkpoint(scene: Scene, tmp_path: 
     assert (enough.passes, enough.complete) == (8, True)
 
 
-def test_one_pass_says_nothing_of_its_error(scene: Scene, tmp_path: Path) -> None:
+def test_one_pass_has_no_error_estimate(scene: Scene, tmp_path: Path) -> None:
     picture = render(scene, stop=after(1))
     assert picture.passes == 1
     assert np.isinf(picture.standard_error).all()
@@ -87,7 +87,7 @@ def test_one_pass_says_nothing_of_its_error(scene: Scene, tmp_path: Path) -> Non
     assert picture.relative_noise == np.inf
 
 
-def test_checkpoints_are_written_now_and_then(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_checkpoints_are_written_regularly(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, seen = tmp_path / "a.render.npz", list[bool]()
     monkeypatch.setattr("prt_bake.rendering.loop._CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr("prt_bake.rendering.loop._CHECKPOINT_SHARE", 1e9)
@@ -113,8 +113,8 @@ def test_time_and_noise_end_the_work(scene: Scene, tmp_path: Path) -> None:
     assert render(scene, spp=None, error=1.0).passes == 8
 
 
-def test_an_object_that_no_light_was_met_on_is_not_without_noise(tmp_path: Path) -> None:
-    """Of a narrow sun behind a smooth interface most passes see nothing; of a black object none ever does."""
+def test_a_black_picture_needs_many_passes_to_count_as_converged(tmp_path: Path) -> None:
+    """Behind a smooth interface most passes miss a narrow sun; on a black object all do."""
     smooth = make_scene(tmp_path, eta=1.4)
     narrow = Lighting(suns=(DirectionalLight(np.array([0.0, 0.0, 1.0]), np.ones(3), 12.0),))
     found = render_scene(smooth, narrow, front(size=2), spp=None, error=0.9, seed=1, background=False)
@@ -126,11 +126,11 @@ def test_an_object_that_no_light_was_met_on_is_not_without_noise(tmp_path: Path)
 
 
 DIFFERENT = {
-    "seed is 1 there, 2 here": {"seed": 2},
+    "seed is 1 in the checkpoint, 2 now": {"seed": 2},
     "camera is": {"camera": front((0.0, 0.0, 5.0), 8)},
-    r"size is \[8, 8\] there, \[9, 9\] here": {"camera": front(size=9)},
-    "the light is another": {"rotate": 1.0},
-    "background is true there, false here": {"background": False},
+    r"size is \[8, 8\] in the checkpoint, \[9, 9\] now": {"camera": front(size=9)},
+    "the light differs": {"rotate": 1.0},
+    "background is true in the checkpoint, false now": {"background": False},
 }
 
 
@@ -141,7 +141,7 @@ def test_a_checkpoint_of_another_picture_is_refused(scene: Scene, tmp_path: Path
     with pytest.raises(FormatError, match=rf"a\.render\.npz: belongs to another picture: {difference}"):
         render(scene, checkpoint=path, resume=True, **DIFFERENT[difference])
     (tmp_path / "ball.toml").write_text((tmp_path / "ball.toml").read_text().replace("0.4", "0.5"))
-    with pytest.raises(FormatError, match="the scene is another; give what it was begun with"):
+    with pytest.raises(FormatError, match="the scene differs; repeat the original arguments"):
         render(read_scene(tmp_path / "ball.toml"), checkpoint=path, resume=True)
     assert path.exists()
 
@@ -154,18 +154,18 @@ def test_a_damaged_checkpoint_is_refused(scene: Scene, tmp_path: Path) -> None:
     whole = path.read_bytes()
     for content in (b"", b"no archive", whole[: len(whole) // 2], whole[:200] + b"\x00" * 64 + whole[264:]):
         path.write_bytes(content)
-        with pytest.raises(FormatError, match="not a readable state of a picture"):
+        with pytest.raises(FormatError, match="not a readable checkpoint of a picture"):
             read_checkpoint(path, {})
     for arrays in ({"head": np.array("{}")}, {"radiance": np.zeros((8, 8, 3))}):
         np.savez(path, **arrays)
-        with pytest.raises(FormatError, match="not a readable state of a picture"):
+        with pytest.raises(FormatError, match="not a readable checkpoint of a picture"):
             read_checkpoint(path, {})
 
 
 COMMAND = ["render", "scene.toml", "sphere.ply", "--size", "12x10"]
 
 
-def test_the_command_writes_layers_texts_and_a_report(prtbake: Run, tmp_path: Path) -> None:
+def test_the_command_writes_layers_attributes_and_a_report(prtbake: Run, tmp_path: Path) -> None:
     output, report = tmp_path / "a.exr", tmp_path / "a.json"
     lights = ["--light", "sky.exr", "--light", "sun:0,1,-1:3,3,2:0.5"]
     outcome = prtbake(*COMMAND, *lights, "-o", output, "--spp", 16, "--seed", 7, "--report", report)
@@ -177,19 +177,19 @@ def test_the_command_writes_layers_texts_and_a_report(prtbake: Run, tmp_path: Pa
     assert 0.2 < read.layers["coverage"].mean() < 1.0
     assert read.layers["error"][read.layers["coverage"] == 1].min() > 0
     texts = {name.removeprefix("prtbake."): text for name, text in read.attributes.items()}
-    said = json.loads(report.read_text())
+    stated = json.loads(report.read_text())
     assert (texts["spp"], texts["seed"], texts["complete"]) == ("16", "7", "yes")
     assert texts["scene"] == read_scene("scene.toml").content_hash
-    assert float(texts["seconds"]) == pytest.approx(said["seconds"], abs=1e-3)
-    assert (said["spp"], said["passes"], said["seed"], said["complete"]) == (16, 8, 7, True)
-    assert said["error_vs_time"]["columns"] == ["seconds", "walks", "relative noise"]
-    assert [row[1] for row in said["error_vs_time"]["rows"]][-1] == said["walks"]
-    assert len(said["error_vs_time"]["rows"]) == 3
+    assert float(texts["seconds"]) == pytest.approx(stated["seconds"], abs=1e-3)
+    assert (stated["spp"], stated["passes"], stated["seed"], stated["complete"]) == (16, 8, 7, True)
+    assert stated["error_vs_time"]["columns"] == ["seconds", "walks", "relative noise"]
+    assert [row[1] for row in stated["error_vs_time"]["rows"]][-1] == stated["walks"]
+    assert len(stated["error_vs_time"]["rows"]) == 3
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.json"]
 
 
 @pytest.mark.parametrize("left_out", [True, False])
-def test_the_command_leaves_out_what_crosses_unscattered(prtbake: Run, tmp_path: Path, left_out: bool) -> None:
+def test_the_command_can_leave_out_unscattered_light(prtbake: Run, tmp_path: Path, left_out: bool) -> None:
     output, option = tmp_path / "a.exr", ["--no-unscattered"] if left_out else []
     assert prtbake(*COMMAND, "--light", "sky.exr", "-o", output, "--spp", 2, *option).code == 0
     shows = read_layers(output).attributes["prtbake.shows"]
@@ -197,9 +197,7 @@ def test_the_command_leaves_out_what_crosses_unscattered(prtbake: Run, tmp_path:
 
 
 @pytest.mark.parametrize("options", [["--minutes", "0"], ["--error", "0.5"], []])
-def test_the_command_ends_on_time_on_noise_or_after_its_usual_walks(
-    prtbake: Run, tmp_path: Path, options: list[str]
-) -> None:
+def test_the_command_ends_on_time_noise_or_its_default_walks(prtbake: Run, tmp_path: Path, options: list[str]) -> None:
     outcome = prtbake(*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", *options)
     assert outcome.code == 0
     expected = {"--minutes": "4", "--error": "16"}.get(options[0] if options else "", "64")
@@ -207,7 +205,7 @@ def test_the_command_ends_on_time_on_noise_or_after_its_usual_walks(
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
-def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path) -> None:
+def test_out_of_time_the_command_says_how_to_resume(prtbake: Run, tmp_path: Path) -> None:
     picture = [*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", "--spp", 8]
     outcome = prtbake(*picture, "--minutes", 0)
     assert outcome.code == 0
@@ -216,9 +214,9 @@ def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path)
     refused = prtbake(*picture, "--resume", "--seed", 3)
     assert refused.code == 1
     assert refused.err.startswith(
-        f"prtbake: {tmp_path}/a.exr.render.npz: belongs to another picture: seed is 0 there, 3"
+        f"prtbake: {tmp_path}/a.exr.render.npz: belongs to another picture: seed is 0 in the checkpoint, 3"
     )
-    again = prtbake(*picture[:-2], "--resume")  # the limits are those of before: 8 walks, no minute
+    again = prtbake(*picture[:-2], "--resume")  # with the previous limits: 8 walks, 0 minutes
     assert "the time limit ended after 4 paths per pixel" in again.err
     assert prtbake(*picture, "--resume").code == 0
     assert read_layers(tmp_path / "a.exr").attributes["prtbake.spp"] == "8"
@@ -228,31 +226,31 @@ def test_out_of_time_the_command_says_how_to_go_on(prtbake: Run, tmp_path: Path)
     np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), resumed)
 
 
-def full(path: Path, *_: object, **__: object) -> None:
+def full_disk(path: Path, *_: object, **__: object) -> None:
     raise StorageError(f"{path}: no space left on the device")
 
 
-def test_a_picture_that_cannot_be_written_can_be_resumed(
+def test_a_picture_can_be_resumed_after_a_failed_write(
     prtbake: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("prt_bake.rendering.loop._CHECKPOINT_SECONDS", 0.0)
     picture = [*COMMAND, "--light", "sky.exr", "-o", tmp_path / "a.exr", "--spp", 8]
     with monkeypatch.context() as patched:
-        patched.setattr("formats.image.write_image", full)
+        patched.setattr("formats.image.write_image", full_disk)
         assert prtbake(*picture).code == 1
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr.render.npz"]
     assert prtbake(*picture, "--resume").code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]
 
 
-def test_two_pictures_of_one_name_have_their_own_states(prtbake: Run, tmp_path: Path) -> None:
+def test_pictures_of_the_same_name_have_separate_checkpoints(prtbake: Run, tmp_path: Path) -> None:
     start = [*COMMAND, "--light", "sky.exr"]
     assert prtbake(*start, "-o", tmp_path / "a.exr", "--spp", 8, "--minutes", 0).code == 0
     assert prtbake(*start, "-o", tmp_path / "a.png", "--spp", 2).code == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.exr.render.npz", "a.png"]
 
 
-def test_no_light_is_wrong_usage_and_bad_lights_are_one_sentence(prtbake: Run, tmp_path: Path) -> None:
+def test_missing_and_invalid_lights_are_refused_in_one_sentence(prtbake: Run, tmp_path: Path) -> None:
     assert prtbake(*COMMAND, "-o", tmp_path / "a.exr").code == 2
     (tmp_path / "lights.toml").write_text("[[directional]]\ndirection = [0, 1, 0]\ncolour = [1, 1, 1]\n")
     (tmp_path / "smooth.toml").write_text(
@@ -278,10 +276,10 @@ def test_no_light_is_wrong_usage_and_bad_lights_are_one_sentence(prtbake: Run, t
 
 
 @pytest.mark.usefixtures("compiled_kernels")
-def test_ctrl_c_leaves_a_valid_picture_that_can_go_on(folder: Path, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_valid_picture_that_can_be_resumed(folder: Path, tmp_path: Path) -> None:
     program = (
-        "import sys; from prt_bake.cli import main, progress; progress.PLAIN_INTERVAL = 0.0; "
-        "sys.exit(main.main(sys.argv[1:]))"
+        "import sys; from prt_bake.cli import main; from prt_bake.cli.shared import progress; "
+        "progress.PLAIN_INTERVAL = 0.0; sys.exit(main.main(sys.argv[1:]))"
     )
     command = [sys.executable, "-c", program, *COMMAND, "--light", "sky.exr", "-o", str(tmp_path / "a.exr")]
     process = subprocess.Popen(
@@ -291,7 +289,7 @@ def test_ctrl_c_leaves_a_valid_picture_that_can_go_on(folder: Path, tmp_path: Pa
     for _ in range(3):
         assert "1000000 paths per pixel" in process.stderr.readline()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=600)
     assert process.returncode == 1
     assert "Traceback" not in err
     assert "stopped" in err.splitlines()[-1]

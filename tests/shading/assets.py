@@ -1,4 +1,4 @@
-"""Assets made of given coefficients, for tests and benches."""
+"""Assets with given coefficients, for tests and benchmarks."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from prt_bake.mathematics import sh, sphere
 
 
 def asset_of(mesh: Mesh, coefficients: np.ndarray, rings: int, sectors: int, degree: int, **others) -> Asset:
-    """Every vertex baked, with a standard error of 0.1 unless it is given."""
+    """All vertices are valid, with a standard error of 0.1 by default."""
     check_directions = np.eye(3)[:2]
     stated = {
         "standard_error": np.full(coefficients.shape[:2], 0.1, np.float32),

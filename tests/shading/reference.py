@@ -1,4 +1,4 @@
-"""Slow and obvious versions of what the product does fast, in float64."""
+"""Slow, simple reference implementations in float64."""
 
 import math
 
@@ -8,7 +8,7 @@ from formats.asset import Asset
 
 
 def reconstruct(asset: Asset, light: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Radiance [V,3] towards the eye, a point [3] or directions [V,3], negative values kept."""
+    """Radiance [V,3] towards the eye, a point [3] or directions [V,3], not clamped."""
     radiance = np.zeros((len(asset.mesh.positions), 3))
     for v in np.flatnonzero(asset.valid):
         outgoing = eye - asset.mesh.positions[v] if np.ndim(eye) == 1 else eye[v]
@@ -38,7 +38,7 @@ def interpolated(bins: np.ndarray, cos_theta: float, phi: float) -> np.ndarray:
 
 
 def along_ring(ring: np.ndarray, phi: float) -> np.ndarray:
-    """The value between sectors [sectors,…] at φ: linear, closed."""
+    """The value between sectors [sectors,…] at φ: linear, periodic."""
     sectors = len(ring)
     place = (phi / (2.0 * math.pi)) % 1.0 * sectors - 0.5
     low = math.floor(place)
@@ -46,7 +46,7 @@ def along_ring(ring: np.ndarray, phi: float) -> np.ndarray:
 
 
 def nearest_hits(corners: np.ndarray, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The face [R] (−1: none) that each ray [R,3] from one origin meets first, every face tried, and its distance [R].
+    """The first face [R] (−1: none) hit by each ray [R,3] from one origin, by testing all faces, and its distance [R].
 
     corners: [F,3,3]. Möller and Trumbore, "Fast, minimum storage ray/triangle intersection" (1997).
     """

@@ -1,4 +1,4 @@
-"""What a picture holds beside its colour: where the object is, and pictures without background."""
+"""Layers of a picture, and pictures without background."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.shading.test_picture import constant, front, make_asset
 from tests.shapes import ball
 
 
-def test_positions_normals_and_vertices_are_those_of_a_ball() -> None:
+def test_position_normal_and_vertex_of_a_ball() -> None:
     mesh = ball(4)
     picture = render_picture(make_asset(mesh), constant(), front(64, 48), layers=("position", "normal", "vertex"))
     position, normal, vertex = (picture.layers[name] for name in ("position", "normal", "vertex"))
@@ -25,21 +25,20 @@ def test_positions_normals_and_vertices_are_those_of_a_ball() -> None:
     assert not position[nothing].any()
     assert not normal[nothing].any()
     np.testing.assert_array_equal(vertex[nothing], -1)
-    # Edges are means over what is the object, not over the pixel.
+    # At edges the mean is over the object's part of the pixel.
     edge = (picture.coverage > 0.0) & ~whole
     assert np.linalg.norm(position[edge], axis=1).min() > 0.9
     np.testing.assert_allclose(np.linalg.norm(normal[picture.coverage > 0.0], axis=1), 1.0, atol=1e-6)
 
 
-def test_no_layer_is_there_that_was_not_asked_for_and_unknown_ones_are_refused() -> None:
+def test_only_requested_layers_are_computed_and_unknown_ones_are_refused() -> None:
     asset = make_asset(ball(2))
     assert render_picture(asset, constant(), front()).layers == {}
-    with pytest.raises(QueryError, match="'depth' where some of position, normal"):
+    with pytest.raises(QueryError, match=r"expected some of position, normal, .*found 'depth'"):
         render_picture(asset, constant(), front(), layers=("depth",))
 
 
-def test_an_orthographic_picture_shows_one_direction_of_every_vertex() -> None:
-    """A picture from very far away is the same."""
+def test_an_orthographic_picture_equals_one_from_very_far_away() -> None:
     asset = make_asset(ball(3))
     far = camera.fit(asset.mesh, 48, 48, [3e4, 4e4, 0.0], fov=1e-3)
     distance = np.linalg.norm(far.eye - far.target)
@@ -49,7 +48,7 @@ def test_an_orthographic_picture_shows_one_direction_of_every_vertex() -> None:
     assert abs(ours - theirs).mean() < 1e-3 * theirs.mean()
 
 
-def test_a_transparent_picture_over_a_colour_is_the_picture_with_that_colour_behind(tmp_path) -> None:
+def test_a_transparent_picture_composes_over_a_colour(tmp_path) -> None:
     picture = render_picture(make_asset(ball(2)), constant((0.2, 0.3, 0.4)), front(), background=False)
     whole = render_picture(make_asset(ball(2)), constant((0.2, 0.3, 0.4)), front())
     write_image(tmp_path / "a.exr", picture.image, alpha=picture.coverage)
@@ -60,14 +59,14 @@ def test_a_transparent_picture_over_a_colour_is_the_picture_with_that_colour_beh
     write_image(tmp_path / "a.png", picture.image, alpha=picture.coverage)
     stored = np.asarray(Image.open(tmp_path / "a.png"), np.float64) / 255.0
     np.testing.assert_allclose(stored[..., 3], picture.coverage, atol=0.5 / 255)
-    # Not weighted, as the format has it: an edge is as bright as the object beside it.
+    # PNG is not premultiplied: an edge is as bright as the object next to it.
     inside = picture.coverage > 0.0
     due = to_srgb(picture.image[inside] / picture.coverage[inside][:, None])
     np.testing.assert_allclose(stored[inside][:, :3], due, atol=0.6 / 255)
     np.testing.assert_array_equal(stored[~inside], 0.0)
 
 
-def test_alpha_of_another_size_or_for_a_file_without_is_refused(tmp_path) -> None:
+def test_alpha_of_another_size_or_in_a_format_without_alpha_is_refused(tmp_path) -> None:
     image = np.zeros((4, 5, 3))
     with pytest.raises(ImageError, match=r"alpha: expected shape \[4, 5\], found \[5, 4\]"):
         write_image(tmp_path / "a.exr", image, alpha=np.zeros((5, 4)))

@@ -1,4 +1,4 @@
-"""The error that a bake has left, as pictures tell it."""
+"""Standard errors of radiance and of pictures by the errors of a bake."""
 
 import dataclasses
 
@@ -29,12 +29,8 @@ def every_view(asset: Asset) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("apart", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("rings", "sectors"), [(4, 6), (1, 3), (3, 1), (1, 1)])
-def test_errors_between_bins_are_those_of_bins_that_err_together_or_apart(
-    rings: int, sectors: int, apart: float
-) -> None:
-    """Errors drawn as the asset says of them: exact anywhere, on the pole and at the rim; under one harmonic at a time
-    of a frame that turns with the eye.
-    """
+def test_errors_between_bins_with_shared_and_independent_parts(rings: int, sectors: int, apart: float) -> None:
+    """Simulated errors with the asset's covariance have the predicted size for all views, pole and horizon included."""
     rng = np.random.default_rng(8)
     exact = make_asset(ball(2), rings, sectors, seed=1)
     count, bins = len(exact.mesh.positions), rings * sectors
@@ -54,12 +50,12 @@ def test_errors_between_bins_are_those_of_bins_that_err_together_or_apart(
             coefficients[:, :, 0] = 30.0 + noise[..., None] * np.sqrt([1.5, 1.0, 0.5])
             off = shade(dataclasses.replace(exact, coefficients=coefficients), light, views) - 30.0
             squares = squares + off**2 / 300
-        told = radiance_error(asset, light, views)
-        ratio = np.sqrt(squares.mean(axis=0) / (told**2).mean(axis=0))
+        predicted = radiance_error(asset, light, views)
+        ratio = np.sqrt(squares.mean(axis=0) / (predicted**2).mean(axis=0))
         assert (np.abs(ratio - 1.0) < 0.03).all()
 
 
-def test_vertices_that_err_by_themselves_err_less_between_them() -> None:
+def test_independent_errors_of_vertices_are_smaller_between_them() -> None:
     asset = make_asset(ball(1), 1, 1)
     sigma = np.random.default_rng(0).uniform(1.0, 2.0, (len(asset.valid), 3))
     corners = asset.mesh.faces[[0, 5]]
@@ -68,16 +64,18 @@ def test_vertices_that_err_by_themselves_err_less_between_them() -> None:
     squares = np.sqrt(np.einsum("nk,nkc->nc", shares**2, sigma[corners] ** 2))
     for apart, expected in ((None, linear), (0.0, linear), (1.0, squares)):
         shape = (
-            None if apart is None else ErrorCovariance(packed(np.eye(9))[None], np.ones((1, 3)), np.array([[1.0, apart]]))
+            None
+            if apart is None
+            else ErrorCovariance(packed(np.eye(9))[None], np.ones((1, 3)), np.array([[1.0, apart]]))
         )
-        told = interpolate_over_faces(dataclasses.replace(asset, error_covariance=shape), shares, corners, sigma)
-        np.testing.assert_allclose(told, expected)
-        np.testing.assert_allclose(told[1], sigma[corners[1, 0]])
+        found = interpolate_over_faces(dataclasses.replace(asset, error_covariance=shape), shares, corners, sigma)
+        np.testing.assert_allclose(found, expected)
+        np.testing.assert_allclose(found[1], sigma[corners[1, 0]])
 
 
 @pytest.mark.parametrize("channels", [3, 1])
-def test_the_error_of_radiance_is_told(channels: int) -> None:
-    """Noise of the standard error's size on the coefficients: at bin centres exactly, between bins at most."""
+def test_the_error_of_radiance_is_predicted(channels: int) -> None:
+    """For simulated noise of the coefficients: exact at bin centres, an upper bound between bins."""
     rng = np.random.default_rng(8)
     exact, light = make_asset(ball(3), 16, 64, channels=channels), make_light()
     sigma = (0.002 * rng.uniform(0.5, 2.0, exact.standard_error.shape)).astype(np.float32)
@@ -88,9 +86,9 @@ def test_the_error_of_radiance_is_told(channels: int) -> None:
     at_centres = sphere.to_world(exact.directions[77], exact.mesh.normals, exact.tangents)
     between = np.tile([0.0, 0.0, 9.0], (len(exact.mesh.positions), 1))
     for views, least in ((at_centres, 0.93), (between, 0.4)):
-        told = radiance_error(noisy, light, views)
+        predicted = radiance_error(noisy, light, views)
         off = shade(noisy, light, views) - shade(exact, light, views)
-        ratio = np.sqrt((off**2).sum(axis=0) / (told**2).sum(axis=0))
+        ratio = np.sqrt((off**2).sum(axis=0) / (predicted**2).sum(axis=0))
         assert (ratio < 1.07).all()
         assert (ratio > least).all()
     picture = render_picture(noisy, constant(), front())

@@ -1,4 +1,4 @@
-"""Assets under suns: laws of light, and that suns do not ring."""
+"""Assets under suns: no ringing, linearity, rotation, error estimates."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ from prt_bake.mathematics.view_frames import ViewFrames
 from prt_bake.shading import vertices as vertex_shading
 from prt_bake.shading.picture import render_picture, shade, shade_vertices
 from prt_bake.shading.radiance_error import radiance_error
-from prt_bake.shading.suns import gathered, sun_radiance, sun_gradient, suns_apart
+from prt_bake.shading.suns import interpolated_coefficients, sun_gradient, sun_radiance, suns_apart
 from tests.lights.test_suns import SUNNY, TURN, clouds, disc
 from tests.shading.test_picture import front, make_asset
 from tests.shapes import ball
@@ -33,7 +33,7 @@ def sun(towards=(0.48, 0.6, 0.64), irradiance=(3.0, 2.0, 1.0), diameter=0.53) ->
 
 
 def lobed(seed=0, **others):
-    """An asset whose transport at each vertex is narrow about the normal."""
+    """An asset with a narrow lobe about the normal at each vertex."""
     asset = make_asset(ball(2), seed=seed, **others)
     fine, weights = sh.quadrature(12)
     lobes = np.exp(3.0 * (asset.mesh.normals @ fine.T - 1.0))
@@ -47,7 +47,7 @@ def lit(asset, lighting: Lighting, treatment="split") -> np.ndarray:
     return shade_vertices(asset, light.harmonics, EYE, suns=light.suns).radiance
 
 
-def test_away_from_the_sun_nothing_glows() -> None:
+def test_vertices_away_from_the_sun_do_not_glow() -> None:
     asset, lights = lobed(), Lighting((), (sun(),))
     truth = np.exp(3.0 * (asset.mesh.normals @ sun().direction - 1.0))[:, None] * sun().irradiance
     errors = {name: np.abs(lit(asset, lights, name) - truth).max() for name in ("split", "window", "plain")}
@@ -58,7 +58,7 @@ def test_away_from_the_sun_nothing_glows() -> None:
     assert lit(asset, lights, "plain")[behind].max() > 0.15
 
 
-def test_shade_takes_what_a_lighting_is_divided_into() -> None:
+def test_shade_takes_harmonics_and_suns_of_a_divided_lighting() -> None:
     asset = lobed()
     lights = Lighting((Sky(clouds(64), "y", np.eye(3)),), (sun(),))
     light = prt.suns_apart(lights, asset.degree)
@@ -70,27 +70,29 @@ def test_shade_takes_what_a_lighting_is_divided_into() -> None:
         prt.shade(fixed, None, EYE, suns=light.suns)
 
 
-def test_a_picture_under_a_sun_alone_tells_its_error() -> None:
-    """All light is met apart: none is left in the harmonics."""
+def test_a_picture_under_a_sun_alone_has_an_error_estimate() -> None:
+    """No light is left in the harmonics."""
     asset, lights, view = lobed(), Lighting((), (sun(),)), front()
     split, plain = (render_picture(asset, lights, view, background=False, suns=name) for name in ("split", "plain"))
     inside = split.coverage > 0.99
     assert (split.error[inside] > 0.0).all()
-    # In the harmonics it is the same everywhere; slopes are steeper where more of the sun is sent on.
+    # By harmonics the error is uniform; for separate suns it grows with the transport of the sun.
     np.testing.assert_allclose(plain.error[inside], plain.error[inside][:1] * np.ones((inside.sum(), 1)), rtol=1e-5)
     assert split.error[inside].max() > 1.2 * plain.error[inside].max()
     assert np.corrcoef(split.error[inside][:, 0], split.image[inside][:, 0])[0, 1] > 0.9
 
 
 @pytest.mark.parametrize("lights", [(), (Sky(0.03 * clouds(64), "y", np.eye(3)),)], ids=["sun", "sun and sky"])
-def test_errors_are_told_as_suns_have_them(lights: tuple[Sky, ...]) -> None:
-    """Errors drawn along one line among the harmonics, of skies and suns together; as harmonics have them is wrong."""
+def test_error_estimates_include_the_gradient_of_suns(lights: tuple[Sky, ...]) -> None:
+    """Simulated errors along one line in the space of harmonics; estimates by harmonics alone are wrong."""
     rng = np.random.default_rng(2)
     exact, line = lobed(rings=1, sectors=1), np.array([1.0, 0.5, -1.0, 0.3, 0.0, 0.7, -0.8, 0.2, 0.4])
     line *= 3.0 / np.linalg.norm(line)
     shape = ErrorCovariance(packed(line[:, None] * line)[None], np.array([[1.5, 1.0, 0.5]]), np.ones((1, 2)))
     sigma = np.full((len(exact.valid), 1), 0.002, np.float32)
-    asset = replace(exact, standard_error=sigma, error_covariance=shape, tangents=sphere.tangent_frame(exact.mesh.normals))
+    asset = replace(
+        exact, standard_error=sigma, error_covariance=shape, tangents=sphere.tangent_frame(exact.mesh.normals)
+    )
     light, everywhere = suns_apart(Lighting(lights, (sun(),)), 2), np.arange(len(exact.valid))
     views = ViewFrames(asset.mesh.normals, asset.tangents)
     outgoing = sphere.to_world(asset.directions[0], asset.mesh.normals, asset.tangents)
@@ -102,16 +104,19 @@ def test_errors_are_told_as_suns_have_them(lights: tuple[Sky, ...]) -> None:
         drawn = replace(exact, coefficients=exact.coefficients + off[:, None].astype(np.float32))
         shown = shade(drawn, light.harmonics, EYE, suns=light.suns)
         squares = squares + (shown - still) ** 2 / 300
-    in_truth = np.sqrt(squares.mean(axis=0))
-    told, plain = radiance_error(asset, light.harmonics, EYE, suns=light.suns), radiance_error(asset, light.whole, EYE)
-    np.testing.assert_allclose(np.sqrt((told**2).mean(axis=0)), in_truth, rtol=0.05)
+    simulated = np.sqrt(squares.mean(axis=0))
+    predicted, plain = (
+        radiance_error(asset, light.harmonics, EYE, suns=light.suns),
+        radiance_error(asset, light.whole, EYE),
+    )
+    np.testing.assert_allclose(np.sqrt((predicted**2).mean(axis=0)), simulated, rtol=0.05)
     behind = asset.mesh.normals @ sun().direction < -0.3
-    assert np.median(np.abs(np.log(told / np.sqrt(squares))[behind])) < 0.06
+    assert np.median(np.abs(np.log(predicted / np.sqrt(squares))[behind])) < 0.06
     assert np.median(np.abs(np.log(plain / np.sqrt(squares))[behind])) > 0.25
 
 
-def test_slopes_of_equal_channels_are_told_from_one() -> None:
-    """By fits of all three, and of one that stands for all; the suns are of other colours."""
+def test_the_gradient_of_equal_channels_is_that_of_one() -> None:
+    """One fit for all channels agrees with three fits, for suns of different colours."""
     asset, suns, everything = lobed(), (sun(), sun((-0.6, 0.0, 0.8), (0.5, 1.0, 2.0))), np.arange(66)
     at = vertex_shading.eye_bin_coordinates(asset, EYE, everything)
     found = sun_gradient(asset, suns, everything, at)
@@ -120,7 +125,7 @@ def test_slopes_of_equal_channels_are_told_from_one() -> None:
     assert not sun_gradient(asset, (), everything, at).any()
 
 
-def test_suns_add_up_and_scale() -> None:
+def test_radiance_is_additive_in_suns_and_scales() -> None:
     asset = make_asset(ball(2), valid=np.arange(66) % 5 != 2)
     one, other = sun(), sun((0.0, -1.0, 0.0), (1.0, 5.0, 0.0), 6.0)
     both, first, second = (lit(asset, Lighting((), suns)) for suns in ((one, other), (one,), (other,)))
@@ -130,8 +135,8 @@ def test_suns_add_up_and_scale() -> None:
     assert not both[~asset.valid].any()
 
 
-def test_a_sun_in_a_sky_is_as_one_beside_it() -> None:
-    """1e5 over half a degree or so, in the picture and as a light of its own."""
+def test_a_sun_in_the_sky_equals_a_directional_light() -> None:
+    """A radiance of 1e5 over about half a degree, in the picture and as a separate light."""
     asset = lobed()
     bright = disc(1024, (0.48, 0.6, 0.64), 0.7, (1e5, 9e4, 7e4))
     irradiance = project_lighting(Lighting((Sky(bright, "y", np.eye(3)),)), 0)[0] * math.sqrt(4.0 * math.pi)
@@ -140,7 +145,7 @@ def test_a_sun_in_a_sky_is_as_one_beside_it() -> None:
     np.testing.assert_allclose(inside, beside, rtol=0.01)
 
 
-def test_turning_everything_changes_nothing() -> None:
+def test_dividing_commutes_with_rotation() -> None:
     asset, turn = lobed(), TURN
     sky = Sky(SUNNY, "y", np.eye(3))
     still, turned = (
@@ -156,7 +161,7 @@ def test_turning_everything_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("treatment", ["split", "window", "plain"])
-def test_even_transport_cannot_tell_the_treatments_apart(treatment: str) -> None:
+def test_treatments_agree_for_constant_transport(treatment: str) -> None:
     asset = make_asset(ball(2))
     asset.coefficients[:, :, 1:] = 0.0
     lights = Lighting((Sky(SUNNY, "y", np.eye(3)),), (sun(),))
@@ -164,7 +169,7 @@ def test_even_transport_cannot_tell_the_treatments_apart(treatment: str) -> None
     np.testing.assert_allclose(lit(asset, lights, treatment), expected, rtol=1e-6)
 
 
-def test_without_suns_nothing_changes() -> None:
+def test_treatments_agree_without_suns() -> None:
     asset, view, calm = make_asset(ball(2)), front(), clouds(64)
     pictures = [render_picture(asset, calm, view, suns=name) for name in ("split", "window", "plain")]
     for picture in pictures:
@@ -178,7 +183,7 @@ def test_without_suns_nothing_changes() -> None:
     )
 
 
-def test_a_picture_says_how_many_suns_there_were_and_shows_the_same_sky() -> None:
+def test_a_picture_reports_the_number_of_suns_and_shows_the_same_background() -> None:
     asset, view = lobed(), front()
     pictures = {name: render_picture(asset, SUNNY, view, suns=name) for name in ("split", "window", "plain")}
     assert [picture.suns for picture in pictures.values()] == [2, 2, 0]
@@ -190,21 +195,21 @@ def test_a_picture_says_how_many_suns_there_were_and_shows_the_same_sky() -> Non
         render_picture(asset, SUNNY, view, suns="none")
 
 
-def test_coefficients_are_gathered_from_memory_and_from_files_alike(tmp_path, monkeypatch) -> None:
+def test_coefficients_are_interpolated_equally_from_memory_and_files(tmp_path, monkeypatch) -> None:
     asset = make_asset(ball(2), 4, 6)
     write_asset(asset, tmp_path / "a.h5")
     opened = read_asset(tmp_path / "a.h5", load=False)
     vertices = np.array([3, 4, 20, 65])
     at = vertex_shading.eye_bin_coordinates(asset, EYE, vertices)
-    inside = gathered(asset, vertices, at)
+    inside = interpolated_coefficients(asset, vertices, at)
     monkeypatch.setattr("prt_bake.shading.suns._BYTES_AT_ONCE", 20_000)
-    np.testing.assert_array_equal(gathered(opened, vertices, at), inside)
+    np.testing.assert_array_equal(interpolated_coefficients(opened, vertices, at), inside)
     light = np.random.default_rng(1).random((9, 3))
     expected = shade(asset, light, EYE)[vertices]
     np.testing.assert_allclose(np.einsum("nkc,kc->nc", inside, light), expected, rtol=1e-9)
 
 
-def test_negative_mean_transport_is_clamped_and_told() -> None:
+def test_negative_mean_transport_is_clamped_and_reported() -> None:
     asset = make_asset(ball(2))
     asset.coefficients[:3, :, 0] = -1.0
     shown = shade_vertices(asset, np.zeros((9, 3)), EYE, suns=(sun(),))

@@ -1,4 +1,4 @@
-"""What a baked surface reflects: furnaces with and without a bounce, suns, mirrors, agreement with unbiased samples."""
+"""Reflection of baked assets: furnaces with and without a bounce, suns, mirrors, agreement with unbiased samples."""
 
 import dataclasses
 import math
@@ -14,11 +14,13 @@ from prt_bake.geometry.camera import Hits, Visibility
 from prt_bake.lights import environment
 from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.mathematics import sh
+from prt_bake.reflection.finish import SurfacePoints
 from prt_bake.reflection.microfacet import fresnel, mirrored
 from prt_bake.reflection.reflector import Reflector
 from prt_bake.shading.picture import render_picture, shade
 from prt_bake.shading.suns import SunTreatment
-from prt_bake.shading.surface_reflection import SurfaceGloss, reflects
+from prt_bake.shading.surface_reflection import AssetReflection, reflects
+from prt_bake.shading.visible_points import VisiblePoints
 from tests.shading.test_picture import constant, front, make_asset
 from tests.shapes import ring
 from tests.tracer.scenes import lumpy, sphere
@@ -28,7 +30,7 @@ DARK = np.zeros((9, 3))
 
 
 def glossy(mesh: Mesh, roughness=0.3, eta=1.5, sent=1.0, normals="face") -> Asset:
-    """An asset that sends `sent` everywhere, whatever the light of unit radiance comes from."""
+    """An asset of the radiance `sent` in all directions under a white sky."""
     asset = make_asset(mesh, provenance={"eta": eta, "roughness": roughness, "model": {"normals": normals}})
     coefficients = np.zeros_like(asset.coefficients)
     coefficients[:, :, 0] = sent / math.sqrt(4 * math.pi)
@@ -41,19 +43,29 @@ def white_weights() -> np.ndarray:
     return weights
 
 
-def blotchy(seed=1) -> Sky:
+def patchy(seed=1) -> Sky:
     image = np.random.default_rng(seed).random((16, 32, 3)).astype(np.float32) ** 4
     return Sky(image, "y", environment.rotation(30.0, "y"))
 
 
-def places(mesh: Mesh, count: int, seed=0):
-    """Faces, (u, v), directions to an eye above them, and the keys of as many whole pixels."""
+def visible_points(mesh: Mesh, count: int, seed=0) -> VisiblePoints:
+    """POINTS points of each of `count` pixels, seen from above their face."""
     generator = np.random.default_rng(seed)
     faces = np.repeat(generator.integers(0, len(mesh.faces), count), POINTS)
     barycentric = generator.dirichlet([1, 1, 1], len(faces))[:, :2]
     outgoing = mesh.face_normals[faces] + 0.7 * np.repeat(generator.normal(size=(count, 3)), POINTS, axis=0)
     outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
-    return faces, barycentric, outgoing, np.arange(len(faces))
+    pixels, samples = np.divmod(np.arange(len(faces)), POINTS)
+    return VisiblePoints(pixels, samples, faces, barycentric, outgoing)
+
+
+def on_surface(mesh: Mesh, points: VisiblePoints, alpha: float) -> SurfacePoints:
+    normals, rough = mesh.face_normals[points.faces], np.full(len(points.faces), alpha)
+    return SurfacePoints(points.faces, points.barycentric, normals, points.outgoing, rough)
+
+
+def keys(points: VisiblePoints) -> np.ndarray:
+    return np.arange(len(points.faces), dtype=np.uint64)
 
 
 def pixels(values: np.ndarray) -> np.ndarray:
@@ -61,15 +73,15 @@ def pixels(values: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.02, 0.3, 1.0])
-def test_in_a_white_furnace_the_bounce_hides_where_the_object_is(roughness: float) -> None:
-    """A ring that sends what the sky sends reflects as much as it would alone: its directional albedo."""
+def test_in_a_white_furnace_the_bounce_replaces_occluded_sky(roughness: float) -> None:
+    """A ring as bright as the sky reflects its directional albedo."""
     mesh = ring()
     asset = glossy(mesh, roughness)
     white = Lighting((Sky(np.ones((8, 16, 3), np.float32), "y", np.eye(3)),))
-    where = places(mesh, 400)
+    where = visible_points(mesh, 400)
     seen = Visibility(mesh)
     whole, without = (
-        pixels(SurfaceGloss(asset, white, weights, seen, POINTS).radiance(*where)[0])
+        pixels(AssetReflection(asset, white, weights, seen, POINTS).radiance(where)[0])
         for weights in (white_weights(), DARK)
     )
     assert (without <= whole + 1e-12).all()
@@ -79,19 +91,19 @@ def test_in_a_white_furnace_the_bounce_hides_where_the_object_is(roughness: floa
         def first_hits(self, _origins, rays):
             return Hits(np.full(len(rays), -1), np.zeros((len(rays), 2)))
 
-    alone = SurfaceGloss(asset, white, DARK, Free(), POINTS).radiance(*where)[0]
+    alone = AssetReflection(asset, white, DARK, Free(), POINTS).radiance(where)[0]
     np.testing.assert_allclose(whole, pixels(alone), rtol=1e-5, atol=1e-9)
 
 
 def with_sun(sky: Sky) -> Sky:
-    """The sky with a sun of 1e5 in one pixel of a finer picture."""
+    """The sky, 16 times as fine, with a sun of 1e5 in one pixel."""
     image = np.repeat(np.repeat(sky.image, 16, axis=0), 16, axis=1)
     image[90, 300] = 1e5
     return dataclasses.replace(sky, image=image)
 
 
 def with_window(sky: Sky) -> Sky:
-    """The sky with a pixel of 11 degrees that is taken out of it, and is wide beside most lobes."""
+    """The sky with a bright pixel of 11 degrees, wider than most lobes, which counts as a sun."""
     image = sky.image.copy()
     image[4, 9] = 3e3
     return dataclasses.replace(sky, image=image)
@@ -99,65 +111,57 @@ def with_window(sky: Sky) -> Sky:
 
 @pytest.mark.parametrize(
     ("sky", "most"),
-    [(blotchy(), 0.08), (with_sun(blotchy()), 0.08), (with_window(blotchy()), 0.15)],
-    ids=["blotchy", "sun", "window"],
+    [(patchy(), 0.08), (with_sun(patchy()), 0.08), (with_window(patchy()), 0.15)],
+    ids=["patchy", "sun", "window"],
 )
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.8])
-def test_it_agrees_with_unbiased_samples_within_what_it_tells(roughness: float, sky: Sky, most: float) -> None:
-    """Without a bounce, as the path tracer's pictures have it."""
+def test_reflection_agrees_with_unbiased_samples_within_its_error(roughness: float, sky: Sky, most: float) -> None:
+    """Without a bounce, as in path-traced pictures."""
     mesh = lumpy(2)
     asset, lighting = glossy(mesh, roughness), Lighting((sky,))
-    faces, barycentric, outgoing, keys = places(mesh, 300)
+    where = visible_points(mesh, 300)
     seen = Visibility(mesh)
-    ours, differing = SurfaceGloss(asset, lighting, DARK, seen, POINTS).radiance(faces, barycentric, outgoing, keys)
-    reflector, normals, alpha = Reflector(mesh, lighting, 1.5, seen), mesh.face_normals[faces], np.full(2700, roughness)
+    ours, difference = AssetReflection(asset, lighting, DARK, seen, POINTS).radiance(where)
+    reflector, points = Reflector(mesh, lighting, 1.5, seen), on_surface(mesh, where, roughness)
     rounds = 120
-    samples = [
-        pixels(reflector.reflected(faces, barycentric, normals, outgoing, alpha, keys.astype(np.uint64), seed))
-        for seed in range(rounds)
-    ]
+    samples = [pixels(reflector.reflected(points, keys(where), seed)) for seed in range(rounds)]
     truth, noise = np.mean(samples, axis=0), np.var(samples, axis=0).sum() / rounds
     squared = ((pixels(ours) - truth) ** 2).sum()
     signal = (truth**2).sum()
     error = math.sqrt(max(0.0, squared - noise) / signal)
-    told = math.sqrt((pixels(differing) ** 2).sum() / signal)
+    predicted = math.sqrt((pixels(difference) ** 2).sum() / signal)
     assert error < most
-    assert error < 1.3 * told < 6.0 * max(error, 0.01)
+    assert error < 1.3 * predicted < 6.0 * max(error, 0.01)
     assert pixels(ours).sum() == pytest.approx(truth.sum(), rel=max(0.02, error))
 
 
-def test_a_sun_without_size_is_connected_to() -> None:
+def test_a_sun_without_size_is_exact() -> None:
     mesh = sphere(2)
     sun = DirectionalLight(np.array([0.0, 0.6, 0.8]), np.array([3.0, 2.0, 1e5]), 0.0)
-    faces, barycentric, outgoing, keys = places(mesh, 200)
+    where = visible_points(mesh, 200)
     lighting = Lighting((), (sun,))
-    gloss = SurfaceGloss(glossy(mesh), lighting, DARK, Visibility(mesh), POINTS)
-    ours, differing = gloss.radiance(faces, barycentric, outgoing, keys)
-    reflector = Reflector(mesh, lighting, 1.5)
-    due = reflector.reflected(
-        faces, barycentric, mesh.face_normals[faces], outgoing, np.full(1800, 0.3), keys.astype(np.uint64), 0
-    )
-    np.testing.assert_allclose(ours, due, rtol=1e-9)
+    surface = AssetReflection(glossy(mesh), lighting, DARK, Visibility(mesh), POINTS)
+    ours, difference = surface.radiance(where)
+    expected = Reflector(mesh, lighting, 1.5).reflected(on_surface(mesh, where, 0.3), keys(where), 0)
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
     assert ours.any()
-    assert not differing.any()
+    assert not difference.any()
 
 
-def test_a_mirror_shows_the_sky_as_it_is() -> None:
+def test_a_mirror_reflects_the_exact_sky() -> None:
     mesh = sphere(2)
-    lighting = Lighting((blotchy(),), (DirectionalLight(np.array([0.0, 1.0, 0.0]), np.full(3, 2.0), 60.0),))
-    faces, barycentric, outgoing, keys = places(mesh, 200)
-    gloss = SurfaceGloss(glossy(mesh, 0.0), lighting, DARK, Visibility(mesh), POINTS)
-    normals = mesh.face_normals[faces]
+    lighting = Lighting((patchy(),), (DirectionalLight(np.array([0.0, 1.0, 0.0]), np.full(3, 2.0), 60.0),))
+    where = visible_points(mesh, 200)
+    surface = AssetReflection(glossy(mesh, 0.0), lighting, DARK, Visibility(mesh), POINTS)
+    normals, outgoing = mesh.face_normals[where.faces], where.outgoing
     towards = mirrored(outgoing, normals)
-    due = fresnel((outgoing * normals).sum(axis=1), 1.5)[:, None] * lighting.radiance(towards)
+    expected = fresnel((outgoing * normals).sum(axis=1), 1.5)[:, None] * lighting.radiance(towards)
     above = ((outgoing * normals).sum(axis=1) > 1e-6) & ((towards * normals).sum(axis=1) > 1e-6)
-    np.testing.assert_allclose(
-        gloss.radiance(faces, barycentric, outgoing, keys)[0][above], due[above], rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(surface.radiance(where)[0][above], expected[above], rtol=1e-9, atol=1e-12)
 
 
-def test_a_ray_that_meets_the_object_sees_what_the_asset_sends_along_it() -> None:
-    """A polished ring whose radiance depends on the view: each hit by itself, by `shade` along the ray."""
+def test_a_ray_that_hits_the_object_gets_its_radiance_along_the_ray() -> None:
+    """A polished ring with view-dependent radiance, compared with `shade` for each hit."""
     mesh = ring()
     asset = dataclasses.replace(
         make_asset(mesh, rings=8, sectors=16), provenance={"eta": 1.5, "roughness": 0.0, "model": {}}
@@ -165,8 +169,9 @@ def test_a_ray_that_meets_the_object_sees_what_the_asset_sends_along_it() -> Non
     asset.coefficients[:] *= np.random.default_rng(3).uniform(0.2, 2.0, asset.coefficients.shape[:2])[:, :, None, None]
     black = Lighting((Sky(np.zeros((2, 4, 3), np.float32), "y", np.eye(3)),))
     seen = Visibility(mesh)
-    faces, barycentric, outgoing, keys = (part[::POINTS] for part in places(mesh, 400))
-    sent = SurfaceGloss(asset, black, white_weights(), seen, 1).radiance(faces, barycentric, outgoing, keys)[0]
+    where = visible_points(mesh, 400).subset(slice(None, None, POINTS))
+    faces, barycentric, outgoing = where.faces, where.barycentric, where.outgoing
+    reflected = AssetReflection(asset, black, white_weights(), seen, 1).radiance(where)[0]
     normals = mesh.face_normals[faces]
     towards = mirrored(outgoing, normals)
     corners = mesh.positions[mesh.faces[faces]]
@@ -178,45 +183,45 @@ def test_a_ray_that_meets_the_object_sees_what_the_asset_sends_along_it() -> Non
     for n in met:
         at_vertices = shade(asset, white_weights(), np.broadcast_to(-towards[n], mesh.positions.shape))
         u, v = hits.barycentric[n]
-        due = np.array([1 - u - v, u, v]) @ at_vertices[mesh.faces[hits.faces[n]]]
-        np.testing.assert_allclose(sent[n], share[n] * due, rtol=2e-3)
+        expected = np.array([1 - u - v, u, v]) @ at_vertices[mesh.faces[hits.faces[n]]]
+        np.testing.assert_allclose(reflected[n], share[n] * expected, rtol=2e-3)
 
 
-def test_turning_object_sky_and_eye_together_changes_nothing() -> None:
+def test_reflection_is_invariant_under_a_common_rotation() -> None:
     turn = environment.rotation(50.0, "y")
     mesh = lumpy(2)
     turned = build_mesh(mesh.positions @ turn.T, mesh.faces)
-    sky = blotchy()
-    faces, barycentric, outgoing, keys = places(mesh, 200)
-    still = SurfaceGloss(glossy(mesh), Lighting((sky,)), white_weights(), Visibility(mesh), POINTS)
-    other = SurfaceGloss(
+    sky = patchy()
+    where = visible_points(mesh, 200)
+    still = AssetReflection(glossy(mesh), Lighting((sky,)), white_weights(), Visibility(mesh), POINTS)
+    other = AssetReflection(
         glossy(turned), Lighting((sky,)).turned(50.0, "y"), white_weights(), Visibility(turned), POINTS
     )
-    ours = pixels(still.radiance(faces, barycentric, outgoing, keys)[0])
-    theirs = pixels(other.radiance(faces, barycentric, outgoing @ turn.T, keys)[0])
-    # Single rays may graze the object here and miss it there.
+    ours = pixels(still.radiance(where)[0])
+    theirs = pixels(other.radiance(where._replace(outgoing=where.outgoing @ turn.T))[0])
+    # A ray along a silhouette may hit in one case and miss in the other.
     assert (abs(ours - theirs).max(axis=1) < 1e-5).mean() > 0.98
     assert abs(ours - theirs).mean() < 1e-5
 
 
-def test_it_is_linear_in_the_light() -> None:
+def test_reflection_is_linear_in_the_light() -> None:
     mesh = lumpy(2)
-    asset, where = glossy(mesh), places(mesh, 60)
-    first, second = blotchy(1), blotchy(2)
+    asset, where = glossy(mesh), visible_points(mesh, 60)
+    first, second = patchy(1), patchy(2)
     sun = DirectionalLight(np.array([0.6, 0.0, 0.8]), np.array([1e5, 1e4, 1.0]), 0.5)
     seen = Visibility(mesh)
 
     def reflected(*lights: Sky | DirectionalLight, weights: np.ndarray) -> np.ndarray:
         skies = tuple(light for light in lights if isinstance(light, Sky))
         suns = tuple(light for light in lights if isinstance(light, DirectionalLight))
-        return SurfaceGloss(asset, Lighting(skies, suns), weights, seen, POINTS).radiance(*where)[0]
+        return AssetReflection(asset, Lighting(skies, suns), weights, seen, POINTS).radiance(where)[0]
 
     parts = [reflected(light, weights=DARK) for light in (first, second, sun)]
     together = reflected(first, second, sun, weights=DARK)
     np.testing.assert_allclose(together, sum(parts), rtol=1e-6, atol=1e-9)
 
 
-def test_pictures_are_the_sum_of_their_parts_and_an_index_of_1_reflects_nothing() -> None:
+def test_layers_sum_to_the_picture_and_an_index_of_1_reflects_nothing() -> None:
     mesh = ring()
     picture = render_picture(
         glossy(mesh), constant(), front(), reflection=True, layers=("radiance", "subsurface", "reflection")
@@ -250,7 +255,7 @@ def test_interpolated_normals_reflect_smoothly() -> None:
 def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
     asset = glossy(ring())
     bare = dataclasses.replace(asset, provenance={"eta": 1.5})
-    with pytest.raises(QueryError, match="does not say how rough"):
+    with pytest.raises(QueryError, match="has no roughness"):
         render_picture(bare, constant(), front(), reflection=True)
     assert render_picture(bare, constant(), front(), reflection=True, roughness=0.2).reflects
     with pytest.raises(QueryError, match="a GGX alpha from 0 to 1"):
@@ -261,7 +266,7 @@ def test_a_surface_of_unknown_or_impossible_roughness_is_refused() -> None:
         )
 
 
-def test_roughness_from_a_texture_is_that_of_each_place() -> None:
+def test_roughness_of_a_texture_is_local() -> None:
     mesh = sphere(3)
     left = mesh.positions[:, 0] < 0.0
     mesh = dataclasses.replace(mesh, uv=np.stack([np.where(left, 0.25, 0.75), np.full(len(left), 0.5)], axis=1))
@@ -271,19 +276,19 @@ def test_roughness_from_a_texture_is_that_of_each_place() -> None:
         return render_picture(asset, Lighting((), (sun,)), front(), reflection=True, roughness=roughness).image
 
     mixed, smooth, rough = picture(np.array([[0.2, 0.6]])), picture(0.2), picture(0.6)
-    halves = [(abs(mixed - whole) <= 1e-6 * whole).all(axis=2) for whole in (smooth, rough)]
+    equal = [(abs(mixed - uniform) <= 1e-6 * uniform).all(axis=2) for uniform in (smooth, rough)]
     assert (abs(smooth - rough).max(axis=2) > 1e-3).sum() > 100
-    assert halves[0][:, :18].all()
-    assert halves[1][:, 22:].all()
+    assert equal[0][:, :18].all()
+    assert equal[1][:, 22:].all()
     with pytest.raises(QueryError, match="no texture coordinates"):
         render_picture(glossy(ring()), constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
 
 
 @pytest.mark.parametrize("suns", ["split", "window", "plain"])
-def test_turning_the_light_of_a_picture_is_turning_object_and_camera_the_other_way(suns: SunTreatment) -> None:
-    """Sky, a sun in it, a sun beside it, and what the ring reflects of itself."""
+def test_rotating_the_light_equals_rotating_object_and_camera_back(suns: SunTreatment) -> None:
+    """With a sky, a sun in it, a separate sun, and inter-reflection of the ring."""
     asset = make_asset(ring(), provenance={"eta": 1.5, "roughness": 0.3, "model": {"normals": "face"}})
-    sky = with_window(blotchy())
+    sky = with_window(patchy())
     back = environment.rotation(-37.0, "y")
     light = Lighting((sky,), (DirectionalLight(np.array([0.6, 0.48, 0.64]), np.ones(3), 0.5),))
     about = light.turned(37.0, "y")

@@ -1,4 +1,4 @@
-"""Turning the sky is turning the object and the eye the other way: whole pictures, suns and reflections in them."""
+"""Rotating the sky equals rotating object and eye the other way, for pictures with suns and reflections."""
 
 import dataclasses
 
@@ -20,7 +20,7 @@ def glossy(roughness: float) -> Asset:
 
 
 def turned_asset(asset: Asset, turn: np.ndarray) -> Asset:
-    """The object turned, and its transport with it: a'(R x, R ωo) = M(R) a(x, ωo)."""
+    """The rotated object with its transport: a'(R x, R ωo) = M(R) a(x, ωo)."""
     mesh = build_mesh(asset.mesh.positions @ turn.T, asset.mesh.faces)
     rotated = np.einsum("kj,vbjc->vbkc", sh.rotation(turn, asset.degree), asset.coefficients.astype(np.float64))
     return dataclasses.replace(asset, mesh=mesh, tangents=asset.tangents @ turn.T, coefficients=rotated)
@@ -39,13 +39,15 @@ def with_sun(sky: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("degrees", [90.0, -37.0])
 @pytest.mark.parametrize("sky", [painted_sky(), with_sun(painted_sky())], ids=["painted", "sun"])
 @pytest.mark.parametrize("options", [{}, {"reflection": True}], ids=["plain", "reflection"])
-def test_turning_the_sky_is_turning_object_and_eye_the_other_way(degrees: float, sky: np.ndarray, options) -> None:
+def test_rotating_the_sky_equals_rotating_object_and_eye_the_other_way(
+    degrees: float, sky: np.ndarray, options
+) -> None:
     asset, view = glossy(0.3), front()
     back = environment.rotation(-degrees, "y")
     by_sky = render_picture(asset, sky, view, rotate=degrees, background=False, **options)
     by_object = render_picture(turned_asset(asset, back), sky, turned_camera(view, back), background=False, **options)
     assert by_sky.image.max() > 0.5
-    # A sample may graze the silhouette here and miss it there.
+    # A ray at the silhouette may hit in one picture and miss in the other.
     close = np.isclose(by_sky.image, by_object.image, rtol=1e-5, atol=1e-5).all(axis=2)
     assert close.mean() > 0.995
     assert by_sky.suns == by_object.suns == (1 if sky.max() > 1e4 else 0)

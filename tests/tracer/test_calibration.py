@@ -13,6 +13,8 @@ from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
 from tests.tracer.nested_scenes import nested_scene
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, sphere, unit_directions, with_uv
 
+pytestmark = pytest.mark.statistics
+
 QUERIES, SEEDS = 24, 210
 FEWER_QUERIES, FEWEST_QUERIES = 12, 8
 BOUND = 1.96

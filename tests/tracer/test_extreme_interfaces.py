@@ -21,6 +21,8 @@ from tests.tracer.nested_scenes import CLEAR, nested_scene
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from tests.tracer.soundness import SQRT_4_PI, assert_furnace, assert_sound, into_cap, transmitted_share, white_sky
 
+pytestmark = pytest.mark.statistics
+
 WHITE: dict[str, Any] = {"sigma_t": 3.0, "albedo": 1.0}
 HAZE: dict[str, Any] = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99]}
 INDICES = [0.25, 0.7, 1.0 - 1e-6, 1.0 + 1e-10, 1.0 + 1e-6, 1.01, 2.5, 4.0]
@@ -182,9 +184,7 @@ assert abs(12.5664**0.5 * seen.mean[:, 0, 0] + seen.unscattered - 1.0).max() < 1
 def test_coincident_surfaces_do_not_hang(tmp_path: Path, coincident: int) -> None:
     """The object, a part that fills it, and one that fills that part; in a subprocess with a time limit."""
     command = [sys.executable, "-c", THREE_IN_ONE_PLACE, str(tmp_path), str(coincident)]
-    # The first case may compile.
-    limit = 300 if coincident == 1 else 30
-    assert subprocess.run(command, timeout=limit, cwd=ROOT).returncode == 0
+    assert subprocess.run(command, timeout=600, cwd=ROOT).returncode == 0
 
 
 def test_diffuse_part_that_fills_the_object_gives_zero(tmp_path: Path) -> None:

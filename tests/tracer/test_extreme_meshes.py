@@ -18,6 +18,8 @@ from tests.mathematics.significance import assert_agree
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions
 from tests.tracer.soundness import assert_furnace, assert_sound
 
+pytestmark = pytest.mark.statistics
+
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 SMOOTH: dict[str, Any] = {"eta": 1.4}
 

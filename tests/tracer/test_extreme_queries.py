@@ -15,6 +15,8 @@ from tests.mathematics.significance import assert_agree
 from tests.tracer.scenes import lumpy, make_scene, queries, slab, sphere, unit_directions
 from tests.tracer.soundness import SQRT_4_PI, assert_furnace, assert_sound, white_sky
 
+pytestmark = pytest.mark.statistics
+
 ROUGH: dict[str, Any] = {"eta": 1.3, "roughness": 0.3}
 NARROW: dict[str, Any] = {"eta": 1.5, "roughness": 0.01}
 INTERFACES: list[dict[str, Any]] = [{}, ROUGH, NARROW]

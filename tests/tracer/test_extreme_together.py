@@ -17,6 +17,8 @@ from tests.tracer.nested_scenes import CLEAR, nested_scene
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, slab, sphere, unit_directions, with_uv
 from tests.tracer.soundness import assert_furnace, assert_sound, has_connections, into_cap, white_sky
 
+pytestmark = pytest.mark.statistics
+
 WHITE: dict[str, Any] = {"sigma_t": 3.0, "albedo": 1.0}
 SHARP: dict[str, Any] = {"sigma_t": 5.0, "albedo": 1.0, "phase_g": 0.99}
 RARE = np.where(np.random.default_rng(5).random((16, 16, 16)) < 0.01, 1e4, 0.0)

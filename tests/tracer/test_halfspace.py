@@ -14,6 +14,8 @@ from tests.mathematics.significance import assert_agree
 from tests.tracer.half_space import h_function, reflected, white_sky
 from tests.tracer.scenes import make_scene, slab
 
+pytestmark = pytest.mark.statistics
+
 ALBEDOS = (0.5, 0.9, 0.99)
 COSINES = np.array([0.05, 0.2, 0.5, 0.8, 1.0])
 EXTRAPOLATION = 0.7104460896

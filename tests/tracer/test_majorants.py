@@ -17,6 +17,8 @@ from prt_bake.tracer.volume.media import MAJORANT
 from tests.mathematics.significance import assert_agree, largest_z, z_scores
 from tests.tracer.scenes import lumpy, make_scene, queries, unit_directions
 
+pytestmark = pytest.mark.statistics
+
 GENERATOR = np.random.default_rng(21)
 RARE = np.where(GENERATOR.random((24, 20, 18)) < 0.02, 60.0, GENERATOR.uniform(0.0, 2.0, (24, 20, 18)))
 """Few dense cells in a thin medium, so that there are several blocks, and free flights cross many."""

@@ -15,6 +15,8 @@ from tests.tracer.nested_scenes import CLEAR, nested_scene
 from tests.tracer.optical_depth import crossings
 from tests.tracer.scenes import moved, sphere, unit_directions
 
+pytestmark = pytest.mark.statistics
+
 BALL = sphere(2)
 VIEW = np.array([0.12, 0.05, 0.99])
 VIEW /= np.linalg.norm(VIEW)

@@ -21,6 +21,8 @@ from prt_bake.tracer.surface.interface import fresnel
 from tests.mathematics.significance import assert_agree
 from tests.tracer.scenes import lumpy, moved, queries, rotated_lattices, slab, sphere, unit_directions
 
+pytestmark = pytest.mark.statistics
+
 HAZE = {"sigma_t": 3.0, "albedo": [0.9, 0.6, 0.99], "phase_g": 0.3}
 MILK = {"sigma_t": 9.0, "albedo": [0.99, 0.8, 0.5]}
 CLEAR = {"sigma_t": 0.0, "albedo": 1.0}

@@ -18,6 +18,8 @@ from tests.tracer.optical_depth import at_cells, single_scattering
 from tests.tracer.rough_slab import black_slab
 from tests.tracer.scenes import lumpy, make_scene, queries, slab, sphere, unit_directions
 
+pytestmark = pytest.mark.statistics
+
 SIGMA_T = np.random.default_rng(7).uniform(0.3, 5.0, (4, 5, 6))
 SINGLE: dict[str, tuple[Any, dict[str, Any]]] = {
     "sphere": (sphere, {"sigma_t": 2.0, "phase_g": 0.4}),

@@ -41,6 +41,8 @@ from tests.mathematics.significance import assert_agree, largest_z, z_scores
 from tests.tracer.scenes import make_scene, sphere
 from tests.tracer.soundness import cap
 
+pytestmark = pytest.mark.statistics
+
 SAMPLES = 480_000
 MEDIUM: dict[str, Any] = {"sigma_t": 1.0, "albedo": [1.0, 0.9, 0.6], "phase_g": 0.3}
 INTO, BEHIND = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])
@@ -139,7 +141,7 @@ def test_concave_dielectric_is_reciprocal_with_paths_reflected_first(tmp_path: P
     assert_agree(*mean_and_error(forward + forward_first), *mean_and_error(backward + backward_first))
 
 
-def test_convex_dielectric_is_reciprocal_by_itself(tmp_path: Path) -> None:
+def test_convex_dielectric_is_reciprocal(tmp_path: Path) -> None:
     """No path that is reflected at x can enter a convex object later."""
     scene = make_scene(tmp_path, sheared_ball(), **MEDIUM, eta=2.5, roughness=0.2)
     forward, forward_first = transported(scene, BEHIND, INTO, 1)

@@ -13,6 +13,8 @@ from tests.mathematics.significance import assert_agree
 from tests.tracer.optical_depth import optical_depth, single_scattering
 from tests.tracer.scenes import lumpy, make_scene, queries, sphere, unit_directions
 
+pytestmark = pytest.mark.statistics
+
 EDGES = (-0.99, 0.99)
 
 

@@ -18,6 +18,8 @@ from tests.mathematics.significance import assert_agree
 from tests.tracer.optical_depth import crossings
 from tests.tracer.scenes import lumpy, make_scene, moved, queries, sphere, unit_directions
 
+pytestmark = pytest.mark.statistics
+
 GRIDS = np.random.default_rng(0)
 SIGMA_T, ALBEDO = GRIDS.uniform(0.5, 6.0, (4, 5, 6)), GRIDS.uniform(0.5, 1.0, (3, 4, 3, 3))
 BODIES: dict[str, tuple[Any, dict[str, Any]]] = {

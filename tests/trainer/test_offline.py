@@ -101,7 +101,7 @@ def test_recorded_queries_are_those_of_the_trainer(scene, tmp_path):
 
 def test_numbers_out_of_range_are_refused(scene, tmp_path):
     for wrong in ({"count": 0}, {"count": 1, "walks": 1}, {"count": 1, "directions": 0}):
-        with pytest.raises(QueryError, match="or more is expected"):
+        with pytest.raises(QueryError, match="or more, found"):
             record_samples(scene, tmp_path / "s.h5", **wrong)
 
 

@@ -1,7 +1,6 @@
 """Precision of the learner's matrix products: the machine's faster one, or that of the run that is resumed."""
 
 import dataclasses
-import time
 
 import pytest
 import torch
@@ -22,13 +21,25 @@ def learner_if(faster, monkeypatch, settings=BFLOAT16):
     return Learner(NeuralBSSRDF(SMALL, [-1.0] * 3, 2.0, 0.05), settings)
 
 
+class Clock:
+    """Replaces the module `time` where precisions are measured; only products advance it."""
+
+    def __init__(self, monkeypatch):
+        self.now = 0.0
+        monkeypatch.setattr(precision, "time", self)
+
+    def perf_counter(self):
+        return self.now
+
+
 @pytest.mark.parametrize(("share", "faster"), [(0.2, True), (0.9, False), (2.0, False)])
 def test_the_faster_precision_is_measured(share, faster, monkeypatch):
     """A machine whose products in bfloat16 take `share` of the time of products in float32."""
 
     def product(rows, weights):
-        time.sleep(2e-3 * (share if rows.dtype == torch.bfloat16 else 1.0))
+        clock.now += share if rows.dtype == torch.bfloat16 else 1.0
 
+    clock = Clock(monkeypatch)
     monkeypatch.setattr(torch.nn.functional, "linear", product)
     precision.bfloat16_is_faster.cache_clear()
     try:
@@ -44,8 +55,9 @@ def test_interrupted_measurements_do_not_count(monkeypatch):
     def product(rows, weights):
         products.append(rows.dtype)
         interrupted = rows.dtype == torch.bfloat16 and products.count(rows.dtype) in (1, 3, 4, 7)
-        time.sleep(20e-3 if interrupted else 2e-3 * (0.2 if rows.dtype == torch.bfloat16 else 1.0))
+        clock.now += 10.0 if interrupted else 0.2 if rows.dtype == torch.bfloat16 else 1.0
 
+    clock = Clock(monkeypatch)
     monkeypatch.setattr(torch.nn.functional, "linear", product)
     assert precision._speedup() > 1.3
     assert len(products) == 14

@@ -111,7 +111,7 @@ def test_the_hilbert_curve_covers_the_sphere_and_is_local():
 
 
 @pytest.mark.parametrize(("exits", "kept"), [(8, 3), (3, 8), (4, 4)])
-def test_rows_have_as_many_rays_as_are_kept(rough_scene, exits, kept):
+def test_the_number_of_rays_does_not_depend_on_the_number_of_walks(rough_scene, exits, kept):
     """Rows have the same width for any number of walks; with fewer walks some are drawn twice."""
     tracer = ExitTracer(prepare(rough_scene), box_of(rough_scene), StreamSettings(exits=exits, kept=kept), 0)
     assert tracer.render(0, 10).rays.shape == (10, kept, 6)

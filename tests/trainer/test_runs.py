@@ -179,9 +179,8 @@ def test_a_learner_that_is_ahead_waits_for_new_rows(scene):
         generator = np.random.default_rng(0)
         assert len(renderer.draw(96, generator).rows) == 96
         threading.Timer(0.2, continued.set).start()
-        requested = time.perf_counter()
         renderer.draw(1, generator)
-        assert time.perf_counter() - requested > 0.15
+        assert continued.is_set()
         assert renderer.statistics().rows > 64
     finally:
         continued.set()

@@ -15,6 +15,8 @@ from prt_bake.trainer.validation import hold_out_coefficients, network_coefficie
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.small_training import LEARNING, SMALL, STREAM, train_small
 
+pytestmark = pytest.mark.statistics
+
 BRIEF = dataclasses.replace(LEARNING, batch=64, held_out_queries=16, held_out_walks=32)
 
 

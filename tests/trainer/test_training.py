@@ -50,7 +50,7 @@ def test_queries_are_uniform_in_their_triangles(queries):
     assert_counts_follow(counts.ravel(), np.full(256, 1 / 256))
 
 
-def test_a_tenth_of_the_queries_lies_on_vertices_and_edges(queries):
+def test_a_tenth_of_the_queries_are_on_vertices_and_edges(queries):
     full = np.concatenate(
         [1 - queries.location.barycentric.sum(axis=1, keepdims=True), queries.location.barycentric], axis=1
     )

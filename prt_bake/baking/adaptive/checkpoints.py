@@ -49,7 +49,7 @@ class PassCheckpoints:
         self.store.write(name, {"tolerances": tolerances, "at_once": np.asarray(block_vertices)})
 
     def write(self, first: int, block: RefinedBlock, clamped: int) -> None:
-        """Keeps a block."""
+        """Stores a block."""
         self.store.write(self._name(first), as_arrays(block, clamped))
 
     def read(self, first: int) -> ClampedBlock | None:
@@ -63,7 +63,7 @@ class PassCheckpoints:
         return found
 
     def write_evaluated(self, first: int, block: RefinedBlock, clamped: int) -> None:
-        """Keeps the vertices of a block from which others are interpolated."""
+        """Stores the vertices of a block from which others are interpolated."""
         self.store.write(EVALUATED + self._name(first), as_arrays(block, clamped))
 
     def read_evaluated(self, first: int) -> ClampedBlock | None:

@@ -28,7 +28,7 @@ Index = NDArray[np.int64]
 
 FEWEST_NOISE_BINS, MOST_NOISE_BINS = 16, 48
 REFERENCE_BINS, REFERENCE_DIRECTIONS = 8, 4096
-"""Bins that are evaluated in so many directions, to measure what fewer directions miss."""
+"""Number of bins, and of the directions in which each is evaluated, to measure what fewer directions miss."""
 DARK = 0.01
 """Share of the root mean square coefficient of the object, or of its median vertex if that is less. Errors of darker
 vertices are relative to this value.
@@ -41,7 +41,7 @@ MANY = 1 << 18
 """Bins of an object for which a pilot is a small part of the cost."""
 VALIDATION_SHARE, FEWEST_VALIDATION_BINS, MOST_VALIDATION_BINS = 0.008, 64, 4096
 SURVEY_SHARE, MOST_SURVEYED = 10, 32
-"""The survey evaluates all bins of one of so many vertices, and of at most so many."""
+"""The survey evaluates all bins of one in `SURVEY_SHARE` vertices, and of at most `MOST_SURVEYED`."""
 HOPELESS = 4.0
 """The error is out of reach if the largest number of directions leaves more than this many times as much."""
 FLOAT32_RANGE = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
@@ -155,7 +155,7 @@ def _measure_noise(
     finite = np.isfinite(parts).all(axis=(0, 1))
     if not finite.any():
         raise QueryError(
-            f"{type(job.transport).__name__}: expected finite values, found values that are not finite at all "
+            f"{type(job.transport).__name__}: expected finite values, found NaN or infinite ones at all "
             f"{len(bins)} view bins of a pilot"
         )
     residuals, squared = (part[:, finite] for part in parts)

@@ -27,15 +27,17 @@ TRIAL_VERTICES, TRIAL_BINS, TRIAL_DIRECTIONS, TRIAL_SHARE = 48, 8, (64, 512), 0.
 trials cost this share of the bake.
 """
 TESTED_BINS, TESTED_SHARE = 4, 0.06
-"""An interpolated vertex is compared with the transport at so many bins, or fewer, so that it costs this share of its
-evaluation.
+"""Most bins at which an interpolated vertex is compared with the transport, and largest cost of that test over the cost
+of evaluating the vertex.
 """
 INTERPOLATION_TIME, WORTH = 2.0, 0.5
 """Time to interpolate a bin, in network evaluations; and largest cost with interpolation over the cost without."""
-TOLERANCE, TRIAL_TOLERANCE, ELSEWHERE = 0.8, 0.85, 0.7
-"""Largest error of an interpolated vertex at its tested bins, over the requested error. The error of the interpolation
-alone, over that: largest at a vertex of a trial, and largest rms at other bins of all vertices that pass. The noise of
-the parents adds to it; its variance there is a third of that at the tested bins.
+TOLERANCE = 0.8
+"""Largest error of an interpolated vertex at its tested bins, over the requested error."""
+TRIAL_TOLERANCE, ELSEWHERE = 0.85, 0.7
+"""Limits in trials, which have no noise, over that error: on the error at the tested bins of a vertex, and on the rms
+error at other bins of all vertices that pass. Noise of the parents adds to both; its variance at other bins is a third
+of that at the tested bins.
 """
 _CELL_STREAM, _TEST_STREAM = 41, 42
 
@@ -66,7 +68,7 @@ class Interpolation:
     interpolator: VertexInterpolator
 
     @property
-    def on_average(self) -> float:
+    def mean_evaluations(self) -> float:
         """Mean evaluations of a vertex, without validation samples."""
         interpolated = self.bins * self.per_bin + (1.0 - self.passing) * self.per_vertex
         return self.share * self.per_vertex + (1.0 - self.share) * interpolated
@@ -74,7 +76,7 @@ class Interpolation:
     @property
     def ahead(self) -> float:
         """Share of the work that is done when all vertices to interpolate from are evaluated."""
-        return self.share * self.per_vertex / self.on_average
+        return self.share * self.per_vertex / self.mean_evaluations
 
     @property
     def share(self) -> float:
@@ -117,7 +119,7 @@ def choose_interpolation(
 
 def _cost(job: AdaptiveJob, interpolation: Interpolation) -> float:
     """Mean cost of a vertex in evaluations, including the time of the interpolation."""
-    return interpolation.on_average + INTERPOLATION_TIME * job.bins * (1.0 - interpolation.share)
+    return interpolation.mean_evaluations + INTERPOLATION_TIME * job.bins * (1.0 - interpolation.share)
 
 
 def cell_interpolation(

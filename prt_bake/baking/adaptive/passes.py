@@ -3,7 +3,7 @@
 A pilot at a few vertices measures the noise of the fits and chooses tolerances for the requested error. A pass bakes
 all vertices to these (`bakers.adaptive.refinement`), validates a random sample of the bins against independent
 directions, and corrects all stated errors by the result (`bakers.adaptive.calibration`). If the error is larger than
-requested, a pass with tighter tolerances follows. Each pass starts anew: the passes before it cost little in
+requested, a pass with tighter tolerances follows. Each pass starts again: the passes before it cost little in
 comparison, and a lattice of the right size has a smaller error than one that was enlarged.
 """
 

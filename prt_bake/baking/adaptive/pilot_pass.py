@@ -50,7 +50,7 @@ class PilotPass:
         interpolation = settings.active_interpolation
         if interpolation is None:
             return self
-        evaluated = interpolation.on_average / interpolation.per_vertex
+        evaluated = interpolation.mean_evaluations / interpolation.per_vertex
         time_share = (1.0 - interpolation.share) * INTERPOLATION_TIME * job.bins / interpolation.per_vertex
         return replace(self, seconds=self.seconds * (evaluated + time_share), evaluations=self.evaluations * evaluated)
 

@@ -41,7 +41,7 @@ FINER, FINEST, STEP = 1.25, 16.0, 2.5
 runs until it is stopped.
 """
 UNINTERRUPTED = 5.0
-"""Seconds from the start in which a pilot does not check for a stop, as a block does not."""
+"""Seconds from the start during which a pilot ignores a stop, as a block does."""
 FROM_VERTICES = METHODS.index("nearby")
 NOTHING_DONE = "the bake was stopped before its first vertex was done; nothing was written"
 TIME_TO_USE = 0.75
@@ -204,8 +204,8 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
         return None
     if done.tally.invalid[done.tally.done].all():
         raise QueryError(
-            f"{type(run.job.transport).__name__}: expected finite values, found values that are not finite at all "
-            f"{int(done.tally.done.sum())} vertices baked"
+            f"{type(run.job.transport).__name__}: expected finite values, found NaN or infinite ones at all "
+            f"{int(done.tally.done.sum())} vertices that were baked"
         )
     if checkpoints.read(0) is not None and (done.complete or run.asset is None):
         _write(run, checkpoints, settings, done)

@@ -35,7 +35,7 @@ SHARED_PAYS = 1.3
 lattice misses is missed at all bins of a vertex, and underestimated.
 """
 COMPARED = 2
-"""One of so many vertices of the pilot is used for that comparison."""
+"""That comparison uses one in this many vertices of the pilot."""
 LEAST_VALIDATION_NOISE = 0.25
 """`VALIDATION_NOISE` if there are as many validation samples as are useful."""
 VALIDATION_COST = 0.3
@@ -98,7 +98,7 @@ def _with_interpolation(settings: PassSettings, interpolation: Interpolation, er
         view_tolerance=finer * settings.refinement.view_tolerance,
     )
     settings = replace(settings, refinement=refinement, interpolation=interpolation, error=finer * settings.error)
-    return replace(settings, evaluations_per_vertex=interpolation.on_average * finer**-COST_EXPONENT)
+    return replace(settings, evaluations_per_vertex=interpolation.mean_evaluations * finer**-COST_EXPONENT)
 
 
 def _is_learnable(refinement: RefinementSettings, error: float) -> bool:

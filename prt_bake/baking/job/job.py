@@ -46,8 +46,9 @@ def resolve(
     seed: int,
     pruning: Pruning | None = None,
 ) -> Job:
-    """The job of these arguments; without `pruning` everything is baked. Raises QueryError as `resolve_sampling` and
-    `views_of` do.
+    """The job for these arguments; without `pruning` everything is baked.
+
+    Raises QueryError as `resolve_sampling` and `views_of` do.
     """
     outgoing, bins, around = views_of(mesh, rings, sectors)[1], rings * sectors, sectors
     if pruning is not None and pruning.views != "all":
@@ -61,7 +62,7 @@ def resolve(
 
 
 def _same_directions_in_all_views(sampling: Sampling) -> Sampling:
-    """All bins of a vertex sampled by the same directions, so that noise does not contribute to their differences."""
+    """The sampling with equal directions in all bins of a vertex, so that noise cancels in their differences."""
 
     def of_first_bin(rotation: Callable[[int, int], NDArray[np.int64]]) -> Callable[[int, int], NDArray[np.int64]]:
         return lambda first, last: np.broadcast_to(rotation(first, last)[:, :1], rotation(first, last).shape)

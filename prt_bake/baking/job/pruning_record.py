@@ -62,8 +62,8 @@ class Pruning:
         """
         if self.rounding > MOST_ROUNDING * error:
             raise QueryError(
-                f"error: rounding alone adds {self.rounding:.2g}, at most {MOST_ROUNDING:.0%} of the requested "
-                f"{error:g} may be rounding; bake in float32 or request a larger error"
+                f"error: half precision alone adds {self.rounding:.2g}, allowed are {MOST_ROUNDING:.0%} of the "
+                f"requested {error:g}; bake in float32 or request a larger error"
             )
         items = (self.views == "one") + (self.kept_degree < self.degree) + (self.channels == 1)
         return error * float(np.sqrt(1.0 - items * SHARE_OF_ERROR**2 - (self.rounding / error) ** 2))

@@ -1,4 +1,4 @@
-"""A pilot bake of a few vertices: error and time of the whole bake for more and for fewer samples."""
+"""A pilot bake of a few vertices, which predicts error and time of the bake for other numbers of samples."""
 
 import math
 import time
@@ -81,7 +81,7 @@ def error_ladder(
     device: str = "cpu",
     baked: Asset | None = None,
 ) -> NDArray[np.float64]:
-    """Rows (seconds, evaluations, estimated relative RMSE) of baking the whole mesh with each number of directions.
+    """Rows (seconds, evaluations, estimated relative RMSE) of baking the complete mesh with each number of directions.
 
     Error and time are measured at a few vertices drawn by the seed; the time is scaled to all vertices and divided by
     the workers. With `baked`, an earlier bake of the same mesh, vertices are drawn by importance: in proportion to

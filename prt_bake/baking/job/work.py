@@ -1,4 +1,4 @@
-"""What every method of baking is given: transport, pruning, output, workers, callbacks and the cost so far."""
+"""The input of every method of baking: transport, pruning, output, workers, callbacks and the cost so far."""
 
 import time
 from collections.abc import Callable
@@ -45,5 +45,5 @@ class Work:
 
     @property
     def stopped(self) -> bool:
-        """Whether the caller asked for an early end."""
+        """Whether the caller requested an early end."""
         return self.stop is not None and self.stop()

@@ -9,19 +9,19 @@ from formats.journal import Journal
 
 
 class CheckpointStore(Protocol):
-    """Keeps groups of arrays by name; `formats.journal.Journal` is one."""
+    """Stores groups of arrays by name; `formats.journal.Journal` is one."""
 
     def read(self, name: str) -> dict[str, NDArray[Any]] | None:
         """The arrays of that name; None if there are none, or they are damaged."""
 
     def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keeps arrays under a name."""
+        """Stores arrays under a name."""
 
     def names(self, stage: str) -> list[str]:
-        """The names with that prefix."""
+        """The names that begin with the prefix."""
 
     def forget(self, stage: str) -> None:
-        """Deletes all names with that prefix."""
+        """Deletes all arrays whose names begin with the prefix."""
 
     def remove(self) -> None:
         """Deletes everything."""
@@ -41,15 +41,15 @@ class MemoryStore:
         return self._arrays.get(name)
 
     def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Keeps arrays under a name."""
+        """Stores arrays under a name."""
         self._arrays[name] = arrays
 
     def names(self, stage: str) -> list[str]:
-        """The names with that prefix."""
+        """The names that begin with the prefix."""
         return sorted(name for name in self._arrays if name.startswith(stage))
 
     def forget(self, stage: str) -> None:
-        """Deletes all names with that prefix."""
+        """Deletes all arrays whose names begin with the prefix."""
         for name in self.names(stage):
             del self._arrays[name]
 

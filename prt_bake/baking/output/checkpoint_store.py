@@ -36,7 +36,7 @@ class BlockCheckpoints:
         return sorted(finished + cuts(task, missing))
 
     def write(self, block: Block) -> None:
-        """Keeps a block."""
+        """Stores a block."""
         if self._store is not None:
             name = _name(block.first_vertex, block.first_vertex + len(block.valid))
             self._store.write(name, as_arrays(block))

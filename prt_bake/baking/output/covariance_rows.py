@@ -15,7 +15,7 @@ class CovarianceRows:
         self._shape: ErrorCovariance | None = None
 
     def add(self, block: Block) -> None:
-        """Takes the covariances of the block's valid vertices, if it has any."""
+        """Adds the covariances of the block's valid vertices, if it has any."""
         if block.error_covariance is None:
             return
         if self._shape is None:

@@ -1,4 +1,4 @@
-"""Decides which vertices, views, bands and channels of a bake are redundant and can be left out.
+"""Decides which vertices, views, bands and channels of a bake are redundant and can be pruned.
 
 Each item is reported with its reason, its saving and its cost, and can be switched off. A pilot at a few vertices
 decides; `prt_bake.baking.output.pruned_sink` checks the decision at every vertex that is baked, and the bake restarts
@@ -39,19 +39,19 @@ ITEMS = ("unseen", "duplicates", "views", "bands", "channels")
 ALWAYS_TOLERATED = 2.0**-12
 """Relative error that an item may add if no error is requested: half of the rounding of float16."""
 PILOT_SHARE, USUAL_DIRECTIONS = 0.1, 64
-"""Largest cost of the pilot over that of a bake with so many directions per bin."""
+"""Largest cost of the pilot over that of a bake, and the directions per bin of that bake."""
 
 
 @dataclass
 class _Decisions:
-    """Items that may be left out, and what was decided about each."""
+    """Items that may be pruned, and the decision about each."""
 
     candidates: Collection[str]
     left_out: list[PrunableItem] = field(default_factory=list)
     kept: list[PrunableItem] = field(default_factory=list)
 
     def prune(self, name: str, redundant: bool, reason: str, saving: str, cost: str) -> bool:
-        """Records the item; true if it is redundant and may be left out."""
+        """Records the item; true if it is redundant and may be pruned."""
         allowed = name in self.candidates
         if redundant and not allowed:
             reason = f"{reason}; switched off"
@@ -66,6 +66,7 @@ def choose_pruning(
     degree: int,
     rings: int,
     sectors: int,
+    *,
     error: float | None,
     seed: int,
     leave_out: Collection[str],

@@ -121,10 +121,10 @@ def _progress_lines() -> Callable[[str, float, str], None]:
     """Return a callback that prints progress as a line every few seconds."""
     last = time.monotonic()
 
-    def show(what: str, share: float, words: str) -> None:
+    def show(what: str, share: float, text: str) -> None:
         nonlocal last
         if time.monotonic() - last >= PLAIN_INTERVAL:
             last = time.monotonic()
-            say(f"{what} {share:.0%} {words}".rstrip())
+            say(f"{what} {share:.0%} {text}".rstrip())
 
     return show

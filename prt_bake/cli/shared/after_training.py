@@ -43,8 +43,8 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) 
 
     with reporting("importance") as show, stopping() as stop:
 
-        def report_fit(share: float, words: str) -> None:
-            show(share, words)
+        def report_fit(share: float, text: str) -> None:
+            show(share, text)
             if stop():
                 raise KeyboardInterrupt
 

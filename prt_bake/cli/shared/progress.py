@@ -22,7 +22,7 @@ NEARLY = 0.99
 class Report(Protocol):
     """Shows the progress of the work."""
 
-    def __call__(self, share: float | None, words: str, left: float | None = None) -> None:
+    def __call__(self, share: float | None, text: str, left: float | None = None) -> None:
         """share: done, in [0, 1], or None if unknown. left: remaining seconds; by default extrapolated."""
 
 
@@ -50,7 +50,7 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
         BarColumn(),
         TaskProgressColumn(),
         TextColumn("{task.fields[left]}", markup=False),
-        TextColumn("{task.fields[words]}", markup=False),
+        TextColumn("{task.fields[text]}", markup=False),
     )
     plain = not sys.stderr.isatty()
     last_line = time.monotonic()
@@ -61,22 +61,22 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
         get_time=time.monotonic,
         disable=plain,
     ) as progress:
-        number = progress.add_task(label, total=1.0, words=first, left="")
+        number = progress.add_task(label, total=1.0, text=first, left="")
         task = progress.tasks[0]
 
-        def report(share: float | None, words: str, left: float | None = None) -> None:
+        def report(share: float | None, text: str, left: float | None = None) -> None:
             nonlocal last_line
             # Without a total the bar only pulses. `update` would forget the pace along with the old total.
             task.total = None if share is None else 1.0
             progress.update(number, completed=share or 0.0)
             seconds = task.time_remaining if left is None else left
             remaining = "" if seconds is None else f"{in_words(seconds)} left"
-            progress.update(number, words=words, left=remaining)
-            # A report without words is the last one; the command's output follows it.
-            if plain and words and time.monotonic() - last_line >= PLAIN_INTERVAL:
+            progress.update(number, text=text, left=remaining)
+            # A report without text is the last one; the command's output follows it.
+            if plain and text and time.monotonic() - last_line >= PLAIN_INTERVAL:
                 last_line = time.monotonic()
                 percent = "" if share is None else f" {share:.0%}"
-                line = ", ".join(part for part in (words, remaining) if part)
+                line = ", ".join(part for part in (text, remaining) if part)
                 print(f"{label}:{percent} {line}", file=sys.stderr, flush=True)
 
         yield report

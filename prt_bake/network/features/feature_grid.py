@@ -20,7 +20,7 @@ from prt_bake.network.features.interior import LEVELS, REACH, Interior
 class FeatureGrid(nn.Module):
     """Learned features at nodes 1/per_side box sides apart: `rows` [1 + nodes, numbers], initially 0.
 
-    The first row stands for all nodes that are not stored, and stays 0.
+    The first row represents all nodes that are not stored, and stays 0.
     """
 
     row_index: Tensor

@@ -78,7 +78,7 @@ class FusedNetwork:
         self._tables: OrderedDict[int, tuple[ArrayLike, LightTable]] = OrderedDict()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """A copy in another process is rebuilt there, for the processor on which it runs."""
+        """Pickle the network and the settings; a copy in another process is rebuilt for its processor."""
         return FusedNetwork, (self.network, self.precision, str(self._device))
 
     def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float32]:
@@ -220,7 +220,7 @@ class FusedNetwork:
         if self.network.view is None:
             phases = self._cycles("positions", positions)[:, None, :] + self._cycles("outgoing", outgoing)
             exponentials = _exponential(phases).reshape(-1, phases.shape[-1])
-            return _planes(exponentials), torch.empty((len(exponentials), 0, 3), device=self._device)
+            return _cosines_and_sines(exponentials), torch.empty((len(exponentials), 0, 3), device=self._device)
         eye = torch.from_numpy(np.array(outgoing, np.float64))
         x = torch.from_numpy(np.array(positions, np.float64))[:, None].expand_as(eye)
         return self.view_rows(x.reshape(-1, 3), eye.reshape(-1, 3))
@@ -264,7 +264,7 @@ class FusedNetwork:
         return ((u @ network.frequencies[:, columns[part]].double().T) % 1.0).float()
 
     def _light_table(self, key: ArrayLike, light: NDArray[Any], complete: bool) -> LightTable:
-        """The table of incident directions [R,D,3]; tables of a few complete arrays are cached by the array `key`."""
+        """The table of incident directions [R,D,3], cached by the array object `key` if `complete`."""
         if not complete:
             return self._new_light_table(light)
         with self._lock:
@@ -279,7 +279,7 @@ class FusedNetwork:
     def _new_light_table(self, light: NDArray[Any]) -> LightTable:
         incident = _float32(light, self._device)
         if self._late is None:
-            return LightTable(_planes(_exponential(self._cycles("incident", light))), incident)
+            return LightTable(_cosines_and_sines(_exponential(self._cycles("incident", light))), incident)
         directions = torch.from_numpy(np.array(light, np.float64)).to(self._device)
         rows, parts = directions.reshape(-1, 3), []
         for first in range(0, len(rows), LIGHTS_PER_BATCH):
@@ -322,6 +322,6 @@ def _exponential(cycles: Tensor) -> Tensor:
     return torch.polar(torch.ones_like(cycles), (2.0 * torch.pi) * cycles)
 
 
-def _planes(exponentials: Tensor) -> Tensor:
-    """Cosines, then sines."""
+def _cosines_and_sines(exponentials: Tensor) -> Tensor:
+    """Real parts, then imaginary parts, along the last axis."""
     return torch.cat((exponentials.real, exponentials.imag), dim=-1)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.tracer.surface.embree import nearest_hit
 from prt_bake.tracer.surface.interface import MATCHED, ROUGH, SMOOTH
 
@@ -70,7 +70,7 @@ ALPHA, REFLECTANCE, IS_DIFFUSE, INTERPOLATED, FIRST_TEXEL, HEIGHT, WIDTH = 0, 1,
 COMPENSATED, INDEX, TREE, FIRST_FACE, PART_SIZE = 9, 10, 11, 12, 13
 
 
-@walk_function()
+@inlined_function()
 def part_of(boundary: Any, face: Any) -> Any:
     """The part that a face belongs to."""
     return int(boundary.faces[face, PART])
@@ -93,7 +93,7 @@ def normal_at(boundary: Any, face: Any, u: Any, v: Any, normal: Any) -> None:
         normal[0], normal[1], normal[2] = x / length, y / length, z / length
 
 
-@walk_function()
+@inlined_function()
 def point_on_face(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> None:
     """Write the point at (u, v) of a face."""
     row = boundary.faces[face]
@@ -101,7 +101,7 @@ def point_on_face(boundary: Any, face: Any, u: Any, v: Any, position: Any) -> No
         position[k] = (1.0 - u - v) * row[CORNERS + k] + u * row[CORNERS + 3 + k] + v * row[CORNERS + 6 + k]
 
 
-@walk_function()
+@inlined_function()
 def _texel(boundary: Any, part: Any, s: Any, t: Any, channel: Any) -> Any:
     """Texture of a part at (s, t), bilinear and repeating; t = 0 is the lower edge of the bottom row."""
     row = boundary.parts[part]
@@ -127,7 +127,7 @@ def _textured(boundary: Any, face: Any, u: Any, v: Any, channel: Any) -> Any:
     return _texel(boundary, part_of(boundary, face), s, t, channel)
 
 
-@walk_function()
+@inlined_function()
 def alpha_at(boundary: Any, face: Any, u: Any, v: Any) -> Any:
     """GGX alpha of the interface at (u, v) of a face."""
     row = boundary.parts[part_of(boundary, face)]
@@ -144,34 +144,34 @@ def reflectance_at(boundary: Any, face: Any, part: Any, u: Any, v: Any, channel:
     return _textured(boundary, face, u, v, channel)
 
 
-@walk_function()
+@inlined_function()
 def is_compensated(boundary: Any, face: Any) -> Any:
     """Whether a rough interface at this face compensates the energy that single scattering loses."""
     return boundary.losses.shape[0] > 0 and boundary.parts[part_of(boundary, face), COMPENSATED] != 0.0
 
 
-@walk_function()
+@inlined_function()
 def sees_sky(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray that leaves the face along d certainly hits nothing."""
     row = boundary.faces[face]
     return row[OPEN] != 0.0 and d[0] * row[0] + d[1] * row[1] + d[2] * row[2] > 0.0
 
 
-@walk_function()
+@inlined_function()
 def hits_back(boundary: Any, face: Any, d: Any) -> Any:
     """Whether a ray along d hits the face from behind, that is from inside its part."""
     g = boundary.faces[face]
     return d[0] * g[0] + d[1] * g[1] + d[2] * g[2] > 0.0
 
 
-@walk_function()
+@inlined_function()
 def mask_before(boundary: Any, face: Any, d: Any, mask: Any) -> Any:
     """The mask of a walk that hits the face along d; the side that it hits tells whether it is in the face's part."""
     bit = 1 << part_of(boundary, face)
     return mask | bit if hits_back(boundary, face, d) else mask & ~bit
 
 
-@walk_function()
+@inlined_function()
 def resolve_hit(boundary: Any, ray: Any, p: Any, d: Any, t: Any, face: Any, mask: Any) -> Any:
     """The interface at p + t d, where `ray` has just hit a face: decisive face, (u, v) on it, masks before and behind.
 
@@ -210,7 +210,7 @@ def _resolve_coincident(
     return face, u, v, before, after
 
 
-@walk_function()
+@inlined_function()
 def interface_at(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     """Kind of interface and relative index at a face, from the masks before and behind it."""
     kind = boundary.kind
@@ -220,7 +220,7 @@ def interface_at(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     return kind, eta
 
 
-@walk_function()
+@inlined_function()
 def _index(boundary: Any, region: Any) -> Any:
     return 1.0 if region == 0 else boundary.parts[region - 1, INDEX]
 
@@ -240,7 +240,7 @@ def _nested_interface(boundary: Any, face: Any, before: Any, after: Any) -> Any:
     return SMOOTH if boundary.parts[part_of(boundary, face), ALPHA] < SMOOTHEST else ROUGH, eta
 
 
-@walk_function()
+@inlined_function()
 def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
     """The shading normal on the side that d comes from; the face's own normal if d sees the shading normal from
     behind.
@@ -254,7 +254,7 @@ def facing_normal(boundary: Any, face: Any, normal: Any, d: Any) -> Any:
     return x, y, z
 
 
-@walk_function()
+@inlined_function()
 def next_face(boundary: Any, ray: Any, p: Any, d: Any, start: Any, far: Any, face: Any) -> Any:
     """Nearest face along p + t d between `start`, on `face` (−1: none), and `far`, with its distance t.
 

@@ -19,7 +19,7 @@ loss on the rarer side goes inwards at alpha 0.3, 97 % at 0.6, 98 % at 1 (`tests
 import math
 from typing import Any
 
-from prt_bake.jit.without_counts import called_function
+from prt_bake.jit.kernel_functions import called_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.surface.interface import refract
 from prt_bake.tracer.surface.losses import (

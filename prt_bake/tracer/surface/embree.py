@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from prt_bake.jit.compilation import compiled
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 
 _INDEX_BUFFER, _VERTEX_BUFFER = 0, 1
 _UINT3, _FLOAT3 = 0x5003, 0x9003
@@ -121,7 +121,7 @@ def new_ray() -> Any:
     return room[(4 - first) % 4 : (4 - first) % 4 + RAY_FLOATS]
 
 
-@walk_function()
+@inlined_function()
 def _intersect(
     address: Any, scene: Any, ray: Any, ox: Any, oy: Any, oz: Any, dx: Any, dy: Any, dz: Any, near: Any, far: Any
 ) -> Any:

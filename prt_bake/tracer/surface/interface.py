@@ -11,13 +11,13 @@ omit the squared index ratio: paths begin and end outside, so that the product o
 import math
 from typing import Any
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 
 MATCHED, SMOOTH, ROUGH = 0, 1, 2
 
 
-@walk_function()
+@inlined_function()
 def fresnel(cosine: Any, eta: Any) -> Any:
     """Fresnel reflectance of unpolarised light at `cosine` ≥ 0; 1 for total internal reflection."""
     squared = 1.0 - (1.0 - cosine * cosine) / (eta * eta)
@@ -29,7 +29,7 @@ def fresnel(cosine: Any, eta: Any) -> Any:
     return 0.5 * (parallel * parallel + perpendicular * perpendicular)
 
 
-@walk_function()
+@inlined_function()
 def masking(cosine: Any, alpha: Any) -> Any:
     """Smith's masking function G1 of GGX (Walter 2007, eq. 34)."""
     squared = cosine * cosine
@@ -38,7 +38,7 @@ def masking(cosine: Any, alpha: Any) -> Any:
     return 2.0 / (1.0 + math.sqrt(1.0 + alpha * alpha * (1.0 - squared) / squared))
 
 
-@walk_function()
+@inlined_function()
 def microfacet_density(cosine: Any, alpha: Any) -> Any:
     """GGX distribution D (Walter 2007, eq. 33), in a form that is accurate for small alpha."""
     squared = cosine * cosine
@@ -72,7 +72,7 @@ def visible_microfacet(ix: Any, iy: Any, iz: Any, alpha: Any, u1: Any, u2: Any) 
     return mx * scale, my * scale, mz * scale
 
 
-@walk_function()
+@inlined_function()
 def refract(ix: Any, iy: Any, iz: Any, mx: Any, my: Any, mz: Any, cosine: Any, eta: Any) -> Any:
     """Direction of refraction at a microfacet at `cosine` to i; tangential under total internal reflection."""
     across = math.sqrt(max(0.0, 1.0 - (1.0 - cosine * cosine) / (eta * eta)))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.jit.compilation import compiled
-from prt_bake.jit.without_counts import called_function
+from prt_bake.jit.kernel_functions import called_function
 from prt_bake.tracer.surface.interface import fresnel, masking, refract, visible_microfacet
 
 CELLS = 48

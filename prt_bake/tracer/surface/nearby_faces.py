@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import walk_function
+from prt_bake.jit.kernel_functions import inlined_function
 from prt_bake.tracer.surface.boundary import CORNERS, RAY_EPSILON
 from prt_bake.tracer.surface.clearance import NEAR_CELLS, REACH
 
@@ -18,7 +18,7 @@ _MARGIN = 1e-6
 """Hits with barycentric coordinates closer to an edge than this are left to Embree."""
 
 
-@walk_function()
+@inlined_function()
 def clearance_at(boundary: Any, p: Any) -> Any:
     """Lower bound of the distance from p, inside the object, to any face; 0 if unknown."""
     clearance = _grid_clearance(boundary, p)
@@ -27,7 +27,7 @@ def clearance_at(boundary: Any, p: Any) -> Any:
     return _plane_clearance(boundary, p)
 
 
-@walk_function()
+@inlined_function()
 def _grid_clearance(boundary: Any, p: Any) -> Any:
     """`clearance_at` from the grid alone, which is 0 near the surface."""
     n = boundary.clearance.shape[0]
@@ -39,7 +39,7 @@ def _grid_clearance(boundary: Any, p: Any) -> Any:
     return np.float64(boundary.clearance[z, y, x])
 
 
-@walk_function()
+@inlined_function()
 def _plane_clearance(boundary: Any, p: Any) -> Any:
     """`clearance_at` near the surface: the least distance to the planes of the listed faces."""
     first, last = _faces_near(boundary, p)
@@ -52,13 +52,13 @@ def _plane_clearance(boundary: Any, p: Any) -> Any:
     return clearance
 
 
-@walk_function()
+@inlined_function()
 def _cell_axis(x: Any) -> Any:
     """Cell index of a coordinate, clamped to the box."""
     return min(max(int((x + 0.5) * NEAR_CELLS), 0), NEAR_CELLS - 1)
 
 
-@walk_function()
+@inlined_function()
 def _faces_near(boundary: Any, p: Any) -> Any:
     """Range in `near` of the faces close to p; empty if there are none or too many."""
     x, y, z = _cell_axis(p[0]), _cell_axis(p[1]), _cell_axis(p[2])
@@ -69,13 +69,13 @@ def _faces_near(boundary: Any, p: Any) -> Any:
     return first, last
 
 
-@walk_function()
+@inlined_function()
 def _height(plane: Any, p: Any) -> Any:
     """Signed distance of p in front of a plane."""
     return p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] - plane[3]
 
 
-@walk_function()
+@inlined_function()
 def _known_distance(p: Any, d: Any) -> Any:
     """Distance along d from p within which the list of p's cell is complete."""
     far = np.inf
@@ -89,7 +89,7 @@ def _known_distance(p: Any, d: Any) -> Any:
     return far
 
 
-@walk_function()
+@inlined_function()
 def nearby_hit(boundary: Any, p: Any, d: Any, face: Any) -> Any:
     """First hit of p + t d from the listed faces: (face, t, u, v, whether p is certainly inside).
 
@@ -129,7 +129,7 @@ def nearby_hit(boundary: Any, p: Any, d: Any, face: Any) -> Any:
         begin, tried = t, chosen
 
 
-@walk_function()
+@inlined_function()
 def _barycentric(row: Any, p: Any, d: Any, t: Any) -> Any:
     """Barycentric coordinates (u, v) of p + t d in the plane of a face."""
     ax, ay, az = row[CORNERS], row[CORNERS + 1], row[CORNERS + 2]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.volume.media import EXTINCTION_GRID, LOW, PER_LENGTH, extinction
 
@@ -19,7 +19,7 @@ _MOST_STEPS = 60
 _EXACT = 1e-11
 
 
-@walk_function()
+@inlined_function()
 def _axis_end(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any) -> Any:
     """Distance beyond `probe` at which p + t d reaches the next voxel centre on one axis; inf beyond the outermost
     ones.
@@ -33,7 +33,7 @@ def _axis_end(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any)
     return (low + (centre + 0.5) / (per_length * count) - p) / d
 
 
-@walk_function()
+@inlined_function()
 def _cell_end(row: Any, p: Any, d: Any, t: Any) -> Any:
     """Distance at which p + t d leaves its cell; always greater than t."""
     probe = t + 1e-7
@@ -44,7 +44,7 @@ def _cell_end(row: Any, p: Any, d: Any, t: Any) -> Any:
     return max(min(x, min(y, z)), probe)
 
 
-@walk_function()
+@inlined_function()
 def _sigma_t(media: Any, region: Any, p: Any, d: Any, t: Any, channel: Any, point: Any) -> Any:
     for k in range(3):
         point[k] = p[k] + t * d[k]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.jit.compilation import compiled
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 
 
 class Media(NamedTuple):
@@ -42,7 +42,7 @@ STEEP = 36
 REGION_SIZE = 37
 
 
-@walk_function()
+@inlined_function()
 def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     """Lower cell and interpolation weight of the upper one, on one axis of a grid of cell-centred values, clamped."""
     g = (position - low) * per_length * count - 0.5
@@ -51,7 +51,7 @@ def _cell(position: Any, low: Any, per_length: Any, count: Any) -> Any:
     return first, g - first
 
 
-@walk_function()
+@inlined_function()
 def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
     """Trilinear value of a channel; columns from `grid` on in a region's `row` describe the grid."""
     first, channels = int(row[grid]), int(row[grid + 1])
@@ -73,7 +73,7 @@ def _trilinear(cells: Any, row: Any, grid: Any, p: Any, channel: Any) -> Any:
     return a * (1.0 - fz) + b * fz
 
 
-@walk_function()
+@inlined_function()
 def extinction(media: Any, region: Any, p: Any, channel: Any) -> Any:
     """sigma_t of a channel at p, trilinear."""
     row = media.regions[region]
@@ -83,7 +83,7 @@ def extinction(media: Any, region: Any, p: Any, channel: Any) -> Any:
     return _trilinear(media.extinction_cells, row, EXTINCTION_GRID, p, channel if channels == 3.0 else 0)
 
 
-@walk_function()
+@inlined_function()
 def multiply_albedo(media: Any, region: Any, p: Any, throughput: Any) -> None:
     """Multiply the throughput [3] by the albedo at p, trilinear."""
     row = media.regions[region]
@@ -112,7 +112,7 @@ def is_heterogeneous(media: Any) -> bool:
     return bool((media.regions[:, EXTINCTION_GRID + CHANNELS] != 0.0).any())
 
 
-@walk_function()
+@inlined_function()
 def phase(cosine: Any, g: Any) -> Any:
     """Henyey–Greenstein phase function per solid angle; `cosine` is between the directions of flight."""
     g2 = g * g
@@ -120,7 +120,7 @@ def phase(cosine: Any, g: Any) -> Any:
     return (1.0 - g2) / (4.0 * math.pi * root * math.sqrt(root))
 
 
-@walk_function()
+@inlined_function()
 def phase_cosine(g: Any, u: Any) -> Any:
     """Sample the cosine of a Henyey–Greenstein deflection by inversion, for u in [0, 1), accurate from g = 0 to |g| →
     1.

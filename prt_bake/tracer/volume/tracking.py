@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from prt_bake.jit.without_counts import called_function, walk_function
+from prt_bake.jit.kernel_functions import called_function, inlined_function
 from prt_bake.mathematics.counter import uniform
 from prt_bake.tracer.volume.cells import attenuate_in_cells, flight_in_cells
 from prt_bake.tracer.volume.media import (
@@ -34,7 +34,7 @@ _ROULETTE_BELOW = 0.05
 """Transmittances that have fallen below this share of the initial value play Russian roulette."""
 
 
-@walk_function()
+@inlined_function()
 def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: Any) -> Any:
     """Block index on one axis at p + probe d, and distance at which the ray leaves it; outermost blocks are
     unbounded.
@@ -49,7 +49,7 @@ def _block_axis(p: Any, d: Any, probe: Any, low: Any, per_length: Any, count: An
     return i, np.inf
 
 
-@walk_function()
+@inlined_function()
 def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     """Block of the region's grid at p + t d, and distance at which the ray leaves it; always greater than t."""
     row = media.regions[region]
@@ -62,7 +62,7 @@ def _block(media: Any, region: Any, p: Any, d: Any, t: Any) -> Any:
     return first + (z * ny + y) * nx + x, max(min(tx, min(ty, tz)), probe)
 
 
-@walk_function()
+@inlined_function()
 def free_flight(media: Any, region: Any, p: Any, d: Any, far: Any, point: Any, stream: Any) -> Any:
     """Distance to the next scattering event along p + t d, inf if there is none before `far`.
 
@@ -138,7 +138,7 @@ def flight_by_channel(
     return np.inf
 
 
-@walk_function()
+@inlined_function()
 def _collides(media: Any, region: Any, point: Any, majorant: Any, throughput: Any, u: Any) -> bool:
     """Whether a tentative collision is real; weights the throughput accordingly."""
     real, total = 0.0, 0.0
@@ -179,7 +179,7 @@ def _homogeneous_by_channel(sigma_t: Any, far: Any, throughput: Any, stream: Any
     return t if t < far else np.inf
 
 
-@walk_function()
+@inlined_function()
 def attenuate(
     media: Any, region: Any, p: Any, d: Any, near: Any, far: Any, point: Any, stream: Any, transmittance: Any
 ) -> None:
@@ -244,7 +244,7 @@ def _attenuate_in_grid(
         transmittance[c] *= math.exp(-control_depth)
 
 
-@walk_function()
+@inlined_function()
 def _roulette(transmittance: Any, control_depth: Any, threshold: Any, stream: Any) -> bool:
     """Russian roulette on a small transmittance: doubled, or set to 0 and False."""
     if max(transmittance[0], max(transmittance[1], transmittance[2])) * math.exp(-control_depth) >= threshold:

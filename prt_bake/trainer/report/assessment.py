@@ -1,4 +1,4 @@
-"""Assessment of a trained network on path-traced queries that it never learnt from, every figure with its interval.
+"""Assessment of a trained network on path-traced queries that were not in its training; figures have intervals.
 
 Ŝ and a_lm are compared at queries over the surface, drawn with a separate seed. Errors by position are measured at
 vertices of the mesh, each from several sides. All errors are corrected for the reference's noise.
@@ -65,7 +65,18 @@ def assess(
     tracer = tracer or PathTracer(scene, int(stream.get("connections", 4)))
     smooth = smooth_part(scene) is not None
     directions = int(stream.get("directions", 8))
-    evaluation = evaluate(network, prepared, tracer, smooth, queries, directions, walks, seed, seconds, vertices)
+    evaluation = evaluate(
+        network,
+        prepared,
+        tracer,
+        smooth=smooth,
+        count=queries,
+        directions=directions,
+        walks=walks,
+        seed=seed,
+        seconds=seconds,
+        vertices=vertices,
+    )
     report: dict[str, Any] = {
         "format": "prtbake training report",
         "version": 1,

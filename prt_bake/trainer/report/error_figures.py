@@ -121,5 +121,5 @@ def prediction(evaluation: Evaluation, network: Any, training: dict[str, Any], s
 
 
 def weights_of(network: Any) -> int:
-    """The number of learnt parameters."""
+    """The number of learned parameters."""
     return sum(int(parameter.numel()) for parameter in getattr(network, "parameters", tuple)())

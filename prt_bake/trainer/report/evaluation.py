@@ -102,6 +102,7 @@ def evaluate(
     network: Any,
     prepared: PreparedScene,
     tracer: Tracer,
+    *,
     smooth: bool,
     count: int,
     directions: int,

@@ -56,7 +56,7 @@ def picture_error(network: Any, scene: Scene, sun: str, seconds: float, seed: in
     """Compare the network's picture with one path traced for `seconds`, and return the report's entry.
 
     sun: one of SUNS. Only subsurface light is compared, at the exposure of the tables (`object_figures`). FLIP is
-    measured over the whole picture and, as `on_object`, over the object's pixels. `flip` includes the reference's
+    measured over the complete picture and, as `on_object`, over the object's pixels. `flip` includes the reference's
     noise, `flip_without_noise` is corrected for it, `flip_of_noise` is that of the noise alone. `error` and `noise`
     are relative to the object's radiance. `png` has both pictures and the FLIP map.
 

@@ -226,7 +226,7 @@ def _draw_seams(figure: Any, report: dict[str, Any]) -> None:
 
 
 def _with_interval(axes: Any, places: Any, figures: list[dict[str, Any]], style: str, label: str, color: str) -> None:
-    """Points in percent, with their intervals where there are any."""
+    """Plots figures in percent, with their confidence intervals if these are finite."""
     values = np.asarray([100.0 * figure["value"] for figure in figures])
     low, high = (np.asarray([100.0 * _number(figure[end]) for figure in figures]) for end in ("low", "high"))
     bars = np.nan_to_num(np.maximum(0.0, [values - low, high - values]))

@@ -54,7 +54,7 @@ def record_samples(
         )
     for name, value, least in (("count", count, 1), ("walks", walks, 2), ("directions", directions, 1)):
         if value < least:
-            raise QueryError(f"{name}: found {value}, {least} or more is expected")
+            raise QueryError(f"{name}: expected {least} or more, found {value}")
     prepared = prepare(scene)
     shares = {name: getattr(StreamSettings(), name) for name in ("face_share", "edge_share")}
     source = QuerySource(prepared, directions, seed, **shares)

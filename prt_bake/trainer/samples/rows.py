@@ -79,7 +79,7 @@ class StreamSettings:
     """Rows of the buffer."""
     reuse: int = 1
     """How often each row is used at most: a learner that shares the renderer's cores waits for new rows, a learner on
-    a GPU does not. If renderer and learner take turns, each row is used exactly so often."""
+    a GPU does not. If renderer and learner take turns, each row is used exactly that often."""
 
     def __post_init__(self) -> None:
         for name in (field.name for field in fields(self) if field.type is int):

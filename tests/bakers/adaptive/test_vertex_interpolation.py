@@ -107,7 +107,7 @@ def test_one_vertex_per_cell_is_chosen_whatever_their_order() -> None:
     np.testing.assert_array_equal(again, chosen[shuffled])
 
 
-def test_rotating_sectors_is_exact_for_whole_ones_and_accurate_between() -> None:
+def test_rotation_is_exact_by_whole_sectors_and_accurate_by_fractions() -> None:
     phi = (np.arange(64) + 0.5) / 64 * 2.0 * np.pi
     values = np.stack([np.cos(3.0 * phi), np.exp(np.sin(phi))])[..., None]
     for steps in (-65, -1, 0, 5):

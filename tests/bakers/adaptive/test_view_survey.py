@@ -15,8 +15,9 @@ LEVELS = view_levels(BINS)
 
 
 class Glinting:
-    """A cosine, a hundred times as bright within a cone of so many bins; its direction varies by vertex, and half of
-    the vertices have none.
+    """A cosine, a hundred times as bright within a cone of `bins` bins.
+
+    The cone's direction varies by vertex, and half of the vertices have none.
     """
 
     def __init__(self, bins: float) -> None:

@@ -44,7 +44,7 @@ def test_the_share_never_decreases_between_passes(monkeypatch: pytest.MonkeyPatc
     assert shares[0] < 0.9
 
 
-def test_without_an_end_no_share_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_share_is_shown_without_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     stops = iter(range(10_000))
     seen, _standings = shown(monkeypatch, minutes=math.inf, stop=lambda: next(stops) > 40)
     assert {share for share, _words, _left in seen} == {None}

@@ -1,4 +1,4 @@
-"""Pictures in blocks of rows: bit by bit what is read whole, with the same faults, and no more than a block at once."""
+"""Images in blocks of rows equal complete images bit for bit, with the same errors and the memory of one block."""
 
 import tracemalloc
 from itertools import pairwise
@@ -31,9 +31,9 @@ def write_channels(path: Path, channels: dict[str, np.ndarray], **header: object
 
 
 def assert_same(path: Path) -> ImageRows:
-    opened, whole = open_image(path), read_image(path)
-    assert (opened.height, opened.width) == whole.shape[:2]
-    np.testing.assert_array_equal(opened.whole(), whole)
+    opened, complete = open_image(path), read_image(path)
+    assert (opened.height, opened.width) == complete.shape[:2]
+    np.testing.assert_array_equal(opened.read(), complete)
     firsts = [(first, len(block)) for first, block in opened.blocks()]  # a second time
     assert all(first + rows == following for (first, rows), (following, _) in pairwise(firsts))
     return opened
@@ -62,13 +62,13 @@ def test_openexr_of_every_compression(tmp_path: Path, compression: str, kind: st
     ],
 )
 def test_openexr_windows(tmp_path: Path, data: tuple, display: tuple) -> None:
-    """The stored rectangle inside the picture, around it, across it and beside it."""
+    """The data window inside the display window, around it, overlapping it and beside it."""
     windows = {"dataWindow": window(*data), "displayWindow": window(*display)}
     write_channels(tmp_path / "a.exr", {"RGB": noise(80, 20)}, **windows)
     if display[0] < 40:
         assert_same(tmp_path / "a.exr")
     else:
-        assert not open_image(tmp_path / "a.exr").whole().any()
+        assert not open_image(tmp_path / "a.exr").read().any()
 
 
 def test_openexr_layers_luminance_alpha_and_types(tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_openexr_tiles_and_parts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("resolution", ["-Y 90 +X 40", "-Y 90 -X 40", "+Y 90 +X 40", "+Y 90 -X 40"])
-def test_radiance_in_every_order(tmp_path: Path, resolution: str) -> None:
+def test_radiance_with_rows_and_columns_in_every_order(tmp_path: Path, resolution: str) -> None:
     write_image(tmp_path / "a.hdr", noise(90, 40))
     assert_same(tmp_path / "a.hdr")
     content = (tmp_path / "a.hdr").read_bytes().replace(b"-Y 90 +X 40", resolution.encode())
@@ -116,8 +116,8 @@ def test_radiance_in_every_order(tmp_path: Path, resolution: str) -> None:
     )
 
 
-def test_radiance_in_runs(tmp_path: Path) -> None:
-    """Coded rows are of any length: blocks end where rows do."""
+def test_run_length_coded_radiance(tmp_path: Path) -> None:
+    """Run-length coded rows have varying lengths."""
     import cv2
 
     image = noise(100, 300)
@@ -126,7 +126,7 @@ def test_radiance_in_runs(tmp_path: Path) -> None:
     assert_same(tmp_path / "a.hdr")
 
 
-def test_other_kinds_of_picture(tmp_path: Path) -> None:
+def test_png_and_jpeg(tmp_path: Path) -> None:
     pixels = (255 * DRAW.random((50, 20, 4))).astype(np.uint8)
     Image.fromarray(pixels, "RGBA").save(tmp_path / "a.png")
     Image.fromarray(pixels[..., 0], "L").save(tmp_path / "b.png")
@@ -136,7 +136,7 @@ def test_other_kinds_of_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png"])
-def test_truncated_pictures_are_refused_in_one_sentence(
+def test_truncated_images_are_refused_in_one_sentence(
     tmp_path: Path, suffix: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     write_image(tmp_path / f"a{suffix}", noise(100, 60))
@@ -145,7 +145,7 @@ def test_truncated_pictures_are_refused_in_one_sentence(
     for tenth in range(10):
         path.write_bytes(content[: len(content) * tenth // 10])
         with pytest.raises(ImageError) as caught:
-            open_image(path).whole()
+            open_image(path).read()
         assert str(caught.value).startswith(f"{path}: ")
         assert "\n" not in str(caught.value)
     if suffix == ".exr":
@@ -156,7 +156,7 @@ def test_truncated_pictures_are_refused_in_one_sentence(
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".hdr"])
-def test_no_more_than_a_block_is_held(tmp_path: Path, suffix: str) -> None:
+def test_memory_is_that_of_one_block(tmp_path: Path, suffix: str) -> None:
     write_image(tmp_path / f"a{suffix}", np.ones((2000, 512, 3), np.float32))  # 12 MB
     opened = open_image(tmp_path / f"a{suffix}")
     tracemalloc.start()
@@ -167,8 +167,8 @@ def test_no_more_than_a_block_is_held(tmp_path: Path, suffix: str) -> None:
     assert peak < 2 << 20
 
 
-def test_an_array_is_a_picture_too() -> None:
+def test_an_array_is_read_in_blocks() -> None:
     image = noise(70, 5)
     opened = rows_of(image, rows=30)
     assert [len(block) for _, block in opened.blocks()] == [30, 30, 10]
-    np.testing.assert_array_equal(opened.whole(), image)
+    np.testing.assert_array_equal(opened.read(), image)

@@ -158,7 +158,7 @@ FAULTS = [
     ),
     (
         "".join(PLAIN.replace("plain", f"plain {i}") for i in range(12)),
-        "inside: expected at most 12 parts with the outermost, found 13",
+        "inside: expected at most 12 parts including the outermost, found 13",
     ),
     (
         SEED.replace("seed.ply", "unwrapped.ply").replace('in = "liquid"', "").replace("0.5", '"bright.exr"'),

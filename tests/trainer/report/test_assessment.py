@@ -226,7 +226,7 @@ def test_the_worst_queries_are_measured_again_without_selection_bias(ball):
     assert abs(z.mean()) < 2.0
 
 
-def test_behind_a_smooth_interface_coefficients_alone_are_assessed(tmp_path):
+def test_only_coefficients_are_assessed_behind_a_smooth_interface(tmp_path):
     scene = make_scene(tmp_path, sphere(2), eta=1.4)
     found = assess_function(lambda *query: 1.05 * truth(*query), scene)
     assert found["transport"] is None

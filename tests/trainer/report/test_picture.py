@@ -1,4 +1,4 @@
-"""Pictures of a training report: their light, their figures compared with independent pictures, and the verdict."""
+"""Pictures of a training report: their light, their figures compared with independent pictures, and the criterion."""
 
 import base64
 import io
