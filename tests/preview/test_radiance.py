@@ -95,5 +95,5 @@ def test_the_first_picture_loads_only_the_libraries_it_needs(folder: Path, tmp_p
     )
     loaded = set(ran.stdout.split())
     assert "vtkmodules" in loaded
-    assert not loaded & {"torch", "matplotlib", "pyvista", "scipy", "trimesh"} - ({"scipy"} if sunny else set())
+    assert not loaded & {"torch", "matplotlib", "pyvista", "trimesh"}
     assert ("numba" in loaded) == sunny
