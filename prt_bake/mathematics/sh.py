@@ -14,6 +14,10 @@ P̂_l^m / sin^m θ is a polynomial in z, and sin^m θ (cos mφ, sin mφ) are the
 neither needs θ, φ or a division. Source of the three-term recursion: Holmes and Featherstone, "A unified approach to
 the Clenshaw summation and the recursive computation of very high degree and order normalised associated Legendre
 functions", J. Geodesy 76 (2002).
+
+    >>> import prt_bake as prt
+    >>> prt.sh.evaluate([[0.0, 1.0, 0.0]], degree=1).round(6).tolist()
+    [[0.282095, 0.488603, 0.0, 0.0]]
 """
 
 import math

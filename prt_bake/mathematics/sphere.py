@@ -4,6 +4,10 @@ The local frame of a vertex is (t, b, n): n the unit normal, t the tangent store
 is (sinθ cosφ, sinθ sinφ, cosθ) in it, φ from t toward b. Ring i of `rings` covers cosθ from 1 − i/rings down to 1 −
 (i+1)/rings; sector j of `sectors` covers φ from 2πj/sectors to 2π(j+1)/sectors. Bin `sectors·i + j` has the direction
 of its centre in (cosθ, φ). All bins have the same solid angle, 2π/(rings·sectors).
+
+    >>> import prt_bake as prt
+    >>> prt.sphere.view_bins(rings=1, sectors=4).round(3)[0].tolist()
+    [0.612, 0.612, 0.5]
 """
 
 import math

@@ -94,9 +94,11 @@ def render_network(
         FormatError: there is no checkpoint to resume, or it belongs to another picture.
 
     >>> import prt_bake as prt
-    >>> model, mesh = prt.load_model("spot.pt"), prt.read_mesh("spot.obj")  # doctest: +SKIP
-    >>> camera = prt.fit_camera(mesh, 320, 240)  # doctest: +SKIP
-    >>> picture = prt.render_network(model, mesh, prt.read_lighting("sky.hdr"), camera, spp=64)  # doctest: +SKIP
+    >>> model, mesh = prt.load_model("spot.pt"), prt.read_mesh("spot.obj")
+    >>> camera = prt.fit_camera(mesh, 32, 24)
+    >>> picture = prt.render_network(model, mesh, prt.read_lighting("sky.hdr"), camera, spp=4)
+    >>> picture.image.shape
+    (24, 32, 3)
     """
     criteria = StopCriteria(spp, error, minutes, stop)
     by = _sampling_method(sampling, importance)

@@ -91,9 +91,11 @@ def render_scene(
     if it belongs to another picture.
 
     >>> import prt_bake as prt
-    >>> scene = prt.load_scene("spot.toml")  # doctest: +SKIP
-    >>> camera = prt.fit_camera(scene.mesh, 320, 240)  # doctest: +SKIP
-    >>> picture = prt.render_scene(scene, prt.read_lighting("sky.hdr"), camera, spp=64)  # doctest: +SKIP
+    >>> scene = prt.load_scene("spot.toml")
+    >>> camera = prt.fit_camera(scene.mesh, 32, 24)
+    >>> picture = prt.render_scene(scene, prt.read_lighting("sky.hdr"), camera, spp=4)
+    >>> picture.image.shape
+    (24, 32, 3)
     """
     if shown not in SHOWS:
         raise QueryError(f"shown: expected {', '.join(map(repr, SHOWS))}, found {shown!r}")

@@ -92,10 +92,10 @@ def render_picture(
     reflection is unknown.
 
     >>> import prt_bake as prt
-    >>> asset = prt.read_asset("spot.h5")  # doctest: +SKIP
-    >>> camera = prt.fit_camera(asset.mesh, 640, 480)  # doctest: +SKIP
-    >>> picture = prt.render_picture(asset, prt.read_lighting("sky.hdr"), camera)  # doctest: +SKIP
-    >>> prt.write_image("spot.png", picture.image)  # doctest: +SKIP
+    >>> asset = prt.read_asset("spot.h5")
+    >>> camera = prt.fit_camera(asset.mesh, 64, 48)
+    >>> picture = prt.render_picture(asset, prt.read_lighting("sky.hdr"), camera)
+    >>> prt.write_image("spot.png", picture.image)
     """
     start = time.perf_counter()
     refuse_path("asset", asset, "prt.read_asset")

@@ -50,9 +50,11 @@ def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike, *, suns: Sequen
 
     >>> import numpy as np
     >>> import prt_bake as prt
-    >>> asset = prt.read_asset("spot.h5")  # doctest: +SKIP
-    >>> light = prt.suns_apart(prt.read_lighting("sky.hdr"), asset.degree)  # doctest: +SKIP
-    >>> prt.shade(asset, light.harmonics, [0.0, 1.0, 4.0], suns=light.suns)  # doctest: +SKIP
+    >>> asset = prt.read_asset("spot.h5")
+    >>> light = prt.suns_apart(prt.read_lighting("sky.hdr"), asset.degree)
+    >>> radiance = prt.shade(asset, light.harmonics, [0.0, 1.0, 4.0], suns=light.suns)
+    >>> radiance.shape == asset.mesh.positions.shape
+    True
     """
     refuse_path("asset", asset, "prt.read_asset")
     if isinstance(suns, str):

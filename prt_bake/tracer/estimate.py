@@ -97,12 +97,10 @@ def estimate_transport(
     Raises QueryError for wrong shapes, directions that are not of unit length, positions off the surface, queries below
     the horizon, and smooth interfaces, behind which Ŝ is a sum of delta functions that no connection samples.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> scene = prt.load_scene("spot.toml")
     >>> x, n = scene.mesh.positions[:1], scene.mesh.normals[:1]
-    >>> prt.estimate_transport(scene, x, n, n, paths=64).mean.shape  # doctest: +SKIP
+    >>> prt.estimate_transport(scene, x, n, n, paths=64).mean.shape
     (1, 3)
     """
     prepared = prepare(scene)
@@ -161,12 +159,10 @@ def estimate_coefficients(
 
     Raises QueryError as `estimate_transport`, except for smooth interfaces.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
+    >>> scene = prt.load_scene("spot.toml")
     >>> x, n = scene.mesh.positions[:1], scene.mesh.normals[:1]
-    >>> prt.estimate_coefficients(scene, x, n, degree=2, paths=64).mean.shape  # doctest: +SKIP
+    >>> prt.estimate_coefficients(scene, x, n, degree=2, paths=64).mean.shape
     (1, 9, 3)
     """
     prepared = prepare(scene)

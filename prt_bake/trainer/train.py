@@ -80,13 +80,11 @@ def train(
     finite, naming the query; SamplesError for a file that is damaged or belongs to another scene; ModelError for a
     checkpoint that cannot be resumed.
 
-    >>> from pathlib import Path
     >>> import prt_bake as prt
-    >>> from prt_bake import shipped
-    >>> scene = prt.load_scene(Path(shipped.__file__).parent / "spot.toml")
-    >>> network = prt.train(scene, minutes=10, output="spot.pt")  # doctest: +SKIP
-    >>> network.metadata["training"]["relative_rmse"]["coefficients"] < 0.1  # doctest: +SKIP
-    True
+    >>> scene = prt.load_scene("spot.toml")
+    >>> network = prt.train(scene, steps=2, output="quick.pt")  # ten minutes give a good network: minutes=10
+    >>> network.metadata["training"]["steps"]
+    2
     """
     refuse_path("scene", scene, "prt.load_scene")
     if minutes <= 0 or (steps is not None and steps < 1):

@@ -40,10 +40,12 @@ class Frames:
     channels.
 
     >>> import prt_bake as prt
-    >>> asset = prt.read_asset("spot.h5")  # doctest: +SKIP
-    >>> frames = prt.Frames(asset)  # doctest: +SKIP
-    >>> frames.light(prt.project_environment(prt.read_environment("sky.hdr"), asset.degree))  # doctest: +SKIP
-    >>> radiance = frames.draw([0.0, 1.0, 4.0], cull=True)  # doctest: +SKIP
+    >>> asset = prt.read_asset("spot.h5")
+    >>> frames = prt.Frames(asset)
+    >>> frames.light(prt.project_environment(prt.read_environment("sky.hdr"), asset.degree))
+    >>> radiance = frames.draw([0.0, 1.0, 4.0], cull=True)
+    >>> radiance.shape == asset.mesh.positions.shape
+    True
     """
 
     def __init__(self, asset: Asset) -> None:
