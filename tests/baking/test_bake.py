@@ -92,6 +92,7 @@ def test_band_limited_transports_are_recovered_exactly(degree: int, rings: int, 
     assert asset.standard_error.max() < 2e-3
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("directions", "rings", "sectors", "samples", "method"),
     [
@@ -139,6 +140,7 @@ def test_the_residual_estimate_is_conservative() -> None:
     assert 1.0 < np.sqrt((asset.standard_error**2).mean() / squared.mean()) < 3.0
 
 
+@pytest.mark.statistics
 def test_the_lattice_is_unbiased_and_far_better_than_uniform_directions() -> None:
     """The mean over many seeds agrees with the reference within its standard error."""
     mesh = ball(8)

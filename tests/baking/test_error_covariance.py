@@ -71,6 +71,7 @@ def reported_over_measured(bakes: list[Asset], light: Array | None) -> float:
     return float(np.sqrt(np.mean(np.square(reported)) / variance.mean()))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("where", LIGHTS)
 def test_the_reported_error_under_a_light_is_the_scatter_of_bakes(method: str, bakes: list[Asset], where: str) -> None:
     """Directions that miss a narrow lobe cause errors in all harmonics at once. These add up under a light from the

@@ -56,6 +56,7 @@ def estimated(scene: Scene, asset: Asset, degree: int) -> Estimate:
     return estimate_coefficients(scene, positions, eye, degree, MORE * WALKS, seed=77)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("make", [matched, rough, smooth, nested])
 def test_a_bake_agrees_with_independent_estimates(make: Any, degree: int, tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ class Rough:
 ROUGH = np.round(MESH.positions[5::107] @ [1.0, 7.0, 31.0], 6)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("seed", range(3))
 def test_the_ladder_predicts_bakes_with_most_of_the_error_at_few_vertices(seed: int) -> None:
     samples = (32, 64, 128)

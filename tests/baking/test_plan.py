@@ -28,6 +28,7 @@ def job_of(transport: object, vertices: int = len(MESH.positions)) -> AdaptiveJo
     return AdaptiveJob(transport, MESH, np.arange(vertices), views, local, 2, 0, (GRID["rings"], GRID["sectors"]))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("error", [0.03, 0.05])
 @pytest.mark.parametrize("transport", [Edged, Lobed, Incoherent])
 def test_predicted_evaluations_are_those_of_the_bake(transport: type, error: float) -> None:

@@ -98,6 +98,7 @@ def test_averaging_views_reduces_their_independent_errors(pays: float, monkeypat
     assert 0.75 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.35
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("arguments", [{"error": 0.02}, {"samples": 512}])
 def test_one_view_is_kept_if_views_do_not_matter(arguments: dict[str, float], tmp_path: Path) -> None:
     mesh, out = icosphere(1), tmp_path / "asset.h5"
@@ -129,6 +130,7 @@ def test_equal_channels_are_stored_once(arguments: dict[str, float]) -> None:
     assert relative(asset.coefficients - truth, truth) < 0.055
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("arguments", [{"error": 0.05}, {"samples": 64}])
 @pytest.mark.parametrize("item", ["views", "channels"])
 def test_an_item_that_one_vertex_needs_is_not_pruned(arguments: dict[str, float], item: str, tmp_path: Path) -> None:

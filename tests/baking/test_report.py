@@ -31,6 +31,7 @@ def sky() -> Array:
     return image
 
 
+@pytest.mark.statistics
 def test_errors_converge_at_the_rate_of_each_method() -> None:
     mesh = icosphere(1)
     bins = drawn_bins(mesh, 4, 64, 2, 4, 0)
@@ -94,6 +95,7 @@ def test_parts_of_the_error_vanish_for_an_exact_bake() -> None:
     assert 0.5 * most < some["all but the network together"] < 4.0 * most
 
 
+@pytest.mark.statistics
 def test_a_report_has_all_methods_and_the_error_budget(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, sphere(1), sigma_t=2.0, albedo=0.8)
     mesh = scene.mesh

@@ -49,6 +49,7 @@ def test_transports_in_full_precision_are_not_measured() -> None:
     assert network.exact() is network
 
 
+@pytest.mark.statistics
 def test_the_error_budget_has_a_part_for_half_precision() -> None:
     mesh = read_mesh(SHIPPED / "spot.obj")
     sky = np.ones((8, 16, 3), np.float32)

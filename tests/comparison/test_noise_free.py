@@ -92,6 +92,7 @@ def test_gaussian_noise_is_corrected_without_bias() -> None:
     assert np.std(values, ddof=1) * np.sqrt(1 / len(values)) == pytest.approx(error, rel=0.5)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("kind", ["nothing", "stain"])
 @pytest.mark.parametrize("noise", [0.1, 0.3])
 def test_intervals_of_flip_and_ssim_contain_the_noise_free_values(kind: str, noise: float) -> None:

@@ -65,6 +65,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndar
     return contents(out)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("blocks", [1, 4, 9, 10, 13, 19, 20])
 def test_a_killed_and_resumed_bake_equals_an_uninterrupted_one(
     tmp_path: Path, blocks: int, uninterrupted: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch

@@ -9,11 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HERE = Path(__file__).parent
 TRITON_FOLDER = Path(sys.prefix) / "apart"
 """The folder in which `make test` installs Triton: in the environment itself torch would load it."""
 
 
+@pytest.mark.statistics
 def test_gpu_kernels() -> None:
     command = [sys.executable, "-m", "pytest", "-p", "no:xdist", "-p", "no:cacheprovider", "--color=no", "kernels"]
     path = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(TRITON_FOLDER))))

@@ -81,6 +81,7 @@ def relative(found, truth):
     return float(np.sqrt(((found - truth) ** 2).sum() / (truth**2).sum()))
 
 
+@pytest.mark.statistics
 def test_a_bake_evaluates_bands_only():
     """64 directions per bin compared with 4096: the remaining error is that of the layers, not of the lobes."""
     network = lobed()

@@ -147,6 +147,7 @@ def test_a_file_stores_the_learned_features(tmp_path: Path) -> None:
     assert not np.array_equal(load_model(tmp_path / "model.pt").evaluate(*query), network.evaluate(*query))
 
 
+@pytest.mark.statistics
 def test_the_trainer_chooses_the_finest_grid_that_fits(tmp_path: Path) -> None:
     scene = make_scene(tmp_path, ball(4), sigma_t=0.5)
     interior = interior_of(scene, box_of(scene))

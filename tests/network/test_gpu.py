@@ -132,6 +132,7 @@ def train_on_both(folder: Path) -> None:
                 assert relative_error(found.detach().cpu().numpy(), expected.detach().numpy()) < 1e-3, name
 
 
+@pytest.mark.statistics
 def test_training_on_the_gpu_agrees_with_the_cpu(tmp_path: Path) -> None:
     """In a separate process: autograd counts the devices once, on first use."""
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:

@@ -301,6 +301,7 @@ def test_a_bake_uses_the_normals_of_its_mesh() -> None:
     assert not np.array_equal(asset.coefficients, without_mesh.coefficients)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("eta", "has_normal"), [(1.0, False), (1.3, True)])
 def test_training_uses_normals_only_behind_an_interface(tmp_path: Path, eta: float, has_normal: bool) -> None:
     """The network in training uses its mesh; its file restores the same inputs."""

@@ -190,6 +190,7 @@ def test_lobes_need_a_normal() -> None:
         replace(LOBED, lobes=-1)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("eta", "roughness", "sigma_t", "lobes"),
     [(1.0, 0.2, 0.5, 0), (1.4, 0.2, 0.5, 2), (1.4, 0.0, 0.5, 0), (1.4, 0.2, 3.0, 0)],

@@ -160,6 +160,7 @@ def test_negative_reflections_are_refused() -> None:
         replace(REFLECTING, ray_turns=-1)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("eta", "sigma_t", "phase_g", "turns"),
     [(1.0, 0.5, 0.0, 0), (1.4, 0.5, 0.0, 4), (1.4, 1.9, 0.0, 4), (1.4, 2.1, 0.0, 0), (1.4, 3.0, 0.5, 4)],

@@ -113,6 +113,7 @@ def test_time_and_noise_end_the_work(scene: Scene, tmp_path: Path) -> None:
     assert render(scene, spp=None, error=1.0).passes == 8
 
 
+@pytest.mark.statistics
 def test_a_black_picture_needs_many_passes_to_count_as_converged(tmp_path: Path) -> None:
     """Behind a smooth interface most passes miss a narrow sun; on a black object all do."""
     smooth = make_scene(tmp_path, eta=1.4)

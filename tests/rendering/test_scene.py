@@ -121,6 +121,7 @@ def coverage_of_bars(pictures: list[Rendering], truth: Rendering, chosen: np.nda
     return float(np.mean([one[chosen] for one in contained]))
 
 
+@pytest.mark.statistics
 def test_error_bars_contain_the_truth_also_at_the_edge(tmp_path: Path) -> None:
     """1.96 standard errors of 64 passes contain it in 94.5 % by Student's t, and less for skewed walks.
 

@@ -82,6 +82,7 @@ def test_a_picture_under_a_sun_alone_has_an_error_estimate() -> None:
     assert np.corrcoef(split.error[inside][:, 0], split.image[inside][:, 0])[0, 1] > 0.9
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("lights", [(), (Sky(0.03 * clouds(64), "y", np.eye(3)),)], ids=["sun", "sun and sky"])
 def test_error_estimates_include_the_gradient_of_suns(lights: tuple[Sky, ...]) -> None:
     """Simulated errors along one line in the space of harmonics; estimates by harmonics alone are wrong."""

@@ -109,6 +109,7 @@ def with_window(sky: Sky) -> Sky:
     return dataclasses.replace(sky, image=image)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(
     ("sky", "most"),
     [(patchy(), 0.08), (with_sun(patchy()), 0.08), (with_window(patchy()), 0.15)],

@@ -63,6 +63,7 @@ def cells():
     return SphereCells(256, 256)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("alpha", "eta", "cosine"), INTERFACES)
 def test_density_integrates_to_one_and_is_sampled(alpha, eta, cosine, cells):
     """False-alarm rate `sampling.FALSE_ALARM`; the table and the integrals over cells err by about 1e-3."""
@@ -151,6 +152,7 @@ FURNACES: dict[str, tuple[Any, dict[str, Any], tuple[dict[str, Any], ...]]] = {
 }
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("name", FURNACES)
 def test_furnace_by_exits(name: str, tmp_path: Path) -> None:
     """Under a constant sky Ŝ and the reflection at x sum to 1 for any shape, within 3e-3 and the noise."""

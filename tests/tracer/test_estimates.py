@@ -24,6 +24,7 @@ KINDS = {
 }
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("kind", KINDS)
 def test_values_integrate_to_the_coefficients(kind, tmp_path):
     """Two independent estimators of the same value: ∫ Ŝ Y over randomly rotated lattices, and Y at exits."""
@@ -88,6 +89,7 @@ def far(folder, near, scale, shift):
     return moved_scene, positions * scale + shift, outgoing, incident
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize(("scale", "shift"), [(1e-6, 0.0), (1e6, 0.0), (1.0, 1e5), (3.7, -20.0), (1e-6, 3.0)])
 def test_estimates_depend_on_the_optical_thickness_alone(scale, shift, near, near_estimates, tmp_path):
     """Another size or position, with the extinction scaled along, gives the same values from other seeds."""
@@ -134,6 +136,7 @@ def test_results_depend_on_neither_threads_nor_batches(estimate, tmp_path, monke
     assert not np.array_equal(run(seed=4).mean, reference.mean)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("kind", ["index-matched grid", "rough"])
 def test_number_of_connections_does_not_change_the_expectation(kind, tmp_path):
     """Sums over sixteen directions do not depend on how many of them an event connects to; errors from copies."""

@@ -72,6 +72,7 @@ def test_lobe_integrates_to_one(kappa):
     assert total[0] == pytest.approx(1.0, abs=1e-10)
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("eta", [1.3, 1 / 1.3, 1.5])
 @pytest.mark.parametrize("alpha", [0.15, 0.25])
 @pytest.mark.parametrize("cosine", [0.98, 0.6, 0.35])

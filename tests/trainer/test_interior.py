@@ -62,6 +62,7 @@ def test_distances_agree_with_trimesh() -> None:
     np.testing.assert_allclose(found.ravel(), exact, atol=1e-12)
 
 
+@pytest.mark.statistics
 def test_the_interior_does_not_depend_on_unit_and_position(tmp_path: Path) -> None:
     here = make_scene(tmp_path, ball(3), sigma_t=2.0)
     there = make_scene(tmp_path, moved(ball(3), 250.0, 1000.0), sigma_t=2.0)
@@ -71,6 +72,7 @@ def test_the_interior_does_not_depend_on_unit_and_position(tmp_path: Path) -> No
     assert theirs.attenuation[0] == pytest.approx(250.0 * ours.attenuation[0])
 
 
+@pytest.mark.statistics
 def test_a_rough_surface_gets_a_coarser_grid_within_the_byte_budget(tmp_path: Path) -> None:
     smooth = ball(6)
     spikes = 1.0 + 0.2 * np.random.default_rng(1).random((len(smooth.positions), 1))

@@ -88,6 +88,7 @@ def test_a_value_that_is_not_finite_names_its_query_and_keeps_those_before_it(sc
     assert len(read_samples(tmp_path / "s.h5").keys) == 10
 
 
+@pytest.mark.statistics
 def test_recorded_queries_are_those_of_the_trainer(scene, tmp_path):
     """With the trainer's shares of faces and edges; `stop` is also called between few long queries."""
     calls = []
@@ -211,6 +212,7 @@ def short_runs(monkeypatch):
     monkeypatch.setattr(picture, "_SPP", 16)
 
 
+@pytest.mark.statistics
 @pytest.mark.usefixtures("short_runs")
 def test_sample_and_train_commands_work_together(prtbake: Run, tmp_path):
     sampled = prtbake("sample", "scene.toml", "--count", 600, "-o", tmp_path / "s.h5", "--walks", 2, "--directions", 3)
@@ -228,6 +230,7 @@ def test_sample_and_train_commands_work_together(prtbake: Run, tmp_path):
     assert "of the coefficients" in trained.out
 
 
+@pytest.mark.statistics
 @pytest.mark.usefixtures("short_runs")
 def test_report_and_importance_follow_a_training(prtbake: Run, tmp_path):
     trained = prtbake("train", "scene.toml", "--synchronous", "-o", tmp_path / "m.pt", "--steps", 3)

@@ -135,6 +135,7 @@ def test_the_percentile_allows_for_different_vertices() -> None:
     assert tally.relative(Correction())[1] < 0.8 * worst
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("error", [0.01, 0.05])
 def test_percentiles_of_a_bake_are_accurate(error: float) -> None:
     from tests.bakers.transports import exact

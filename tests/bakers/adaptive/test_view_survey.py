@@ -63,6 +63,7 @@ def test_tolerated_highlights_need_few_levels() -> None:
     assert survey.full_levels_for(0.01, 0.02) == FULL_LEVELS
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("bins", [6.0, 20.0])
 def test_isolated_highlights_are_found_and_reported(bins: float) -> None:
     mesh, transport = icosphere(1), Glinting(bins)

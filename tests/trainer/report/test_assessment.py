@@ -108,6 +108,7 @@ def test_a_perfect_network_meets_every_criterion_and_one_with_ten_percent_error_
     assert [row["verdict"] for row in poor] == ["not met"] * 5 + ["met"]
 
 
+@pytest.mark.statistics
 def test_intervals_contain_the_truth_as_often_as_stated(ball):
     """A network whose error varies over the object; its true errors come from 60 times as many queries."""
 

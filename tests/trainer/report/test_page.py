@@ -49,6 +49,7 @@ def test_the_files_are_beside_the_model(tmp_path):
     assert report_paths(tmp_path / "cow.pt") == (tmp_path / "cow.report.json", tmp_path / "cow.report.html")
 
 
+@pytest.mark.statistics
 def test_the_json_has_finite_numbers_and_determines_the_page(report, tmp_path):
     write_training_report(report, tmp_path / "a.json", tmp_path / "a.html")
     read = json.loads((tmp_path / "a.json").read_text(), parse_constant=pytest.fail)
@@ -105,6 +106,7 @@ def test_a_page_that_cannot_be_written_leaves_no_files(report, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.statistics
 def test_the_command_reports_on_a_model_and_refuses_another_scene(tmp_path, capfd):
     scene = make_scene(tmp_path, sphere(1))
     settings = NetworkSettings(features=8, width=8, layers=2, skips=(), directions="cartesian")

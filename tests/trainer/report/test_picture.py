@@ -47,6 +47,7 @@ def constant(value):
     return Network(lambda incident, positions, outgoing: np.full((*incident.shape[:2], 3), value))
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("sun", SUNS)
 def test_the_error_agrees_with_independent_pictures(scene, sun):
     """The picture of a constant network is Ŝ times the fluence, known without rendering."""
