@@ -38,6 +38,7 @@ def test_predicted_evaluations_are_those_of_the_bake(transport: type, error: flo
     assert plan(transport(), MESH, **arguments).evaluations == pytest.approx(baked["evaluations"], rel=0.15)
 
 
+@pytest.mark.statistics
 def test_the_prediction_includes_a_second_pass() -> None:
     arguments: dict[str, Any] = {"rings": 8, "sectors": 32, "error": 0.03, "seed": 1}
     asset = bake(Incoherent(), MESH, **arguments)

@@ -149,6 +149,7 @@ def test_an_item_that_one_vertex_needs_is_not_pruned(arguments: dict[str, float]
     assert relative((asset.coefficients[...] - truth)[101], truth[101]) < 0.1
 
 
+@pytest.mark.statistics
 def test_empty_bands_are_pruned() -> None:
     mesh = icosphere(1)
     for arguments in ({"error": 0.05}, {"samples": 64}):
@@ -247,6 +248,7 @@ def test_an_asset_for_one_light_reports_the_error_of_its_radiance() -> None:
     assert 0.6 < asset.provenance["estimated_relative_rmse"]["total"] / true < 1.7
 
 
+@pytest.mark.statistics
 def test_shading_an_asset_for_one_light_under_another_warns(prtbake: Run, tmp_path: Path) -> None:
     skies = [tmp_path / "one.exr", tmp_path / "other.exr"]
     for sky, value in zip(skies, (1.0, 2.0), strict=True):

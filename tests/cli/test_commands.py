@@ -269,6 +269,7 @@ def test_compare_reports_light_that_only_one_picture_holds(
     assert message in printed if message else "holds" not in printed
 
 
+@pytest.mark.statistics
 def test_demo_bakes_relights_and_measures_the_shipped_object(
     prtbake: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,7 @@ def lobes_alone(views=20):
     return network, uniform(views, 1) * 0.45 + 0.5, uniform(views, 1)
 
 
+@pytest.mark.statistics
 def test_few_directions_integrate_bands_exactly():
     """64 directions have an error of more than 10 % for lobes, and none for bands."""
     network, x, eye = lobes_alone(5)

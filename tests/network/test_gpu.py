@@ -96,6 +96,7 @@ def test_rays_with_reflections_cost_few_gpu_operations(gpu: str) -> None:
     assert steps[0] < steps[1] + 60
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("options", [{"samples": 32}, {"error": 0.05}], ids=["samples", "error"])
 def test_a_bake_on_the_gpu_agrees_with_the_cpu(options: dict[str, float], gpu: str) -> None:
     """A bake to an error takes the same decisions, also with several workers."""

@@ -107,6 +107,7 @@ def test_compensating_lobe_is_reciprocal(alpha):
         assert inside == pytest.approx(b * returned_density(losses, alpha, 1 / eta, b, a), rel=1e-9)
 
 
+@pytest.mark.statistics
 def test_losses_are_between_0_and_1_and_grow_with_roughness():
     for eta in (1.0 + 1e-6, 1.1, 1.5, 2.5, 4.0):
         rows = table(eta, 0.01, 1.0)
@@ -182,6 +183,7 @@ def test_furnace_by_transport(tmp_path: Path) -> None:
     assert_agree(sums.mean(axis=1), error, expected)
 
 
+@pytest.mark.statistics
 def test_furnace_loss_agrees_with_walks(tmp_path: Path) -> None:
     """`furnace_loss` assumes diffuse light inside, which holds to 2 % in this white medium."""
     scene = nested(tmp_path, sphere(2), {**WHITE, "sigma_t": 8.0}, {"eta": 1.4, "roughness": 0.3})

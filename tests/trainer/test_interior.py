@@ -19,6 +19,7 @@ from tests.shapes import ball
 from tests.tracer.scenes import make_scene, moved
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("scale", [1.0, 1e-3])
 def test_levels_are_the_distances_to_a_sphere(tmp_path: Path, scale: float) -> None:
     scene = make_scene(tmp_path, ball(5, scale), sigma_t=2.0)
@@ -84,6 +85,7 @@ def test_a_rough_surface_gets_a_coarser_grid_within_the_byte_budget(tmp_path: Pa
     assert network.view.interior is interior
 
 
+@pytest.mark.statistics
 def test_parts_inside_are_separate_bodies(tmp_path: Path) -> None:
     """A block in a block in a ball, each after the body that contains it; the inner block is opaque."""
     write_mesh(ball(3), tmp_path / "ball.ply")

@@ -50,6 +50,7 @@ def new_components() -> LightComponents:
     return LightComponents(POOL, np.eye(9)[None])
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("transport", [Clamped(), Chequered(), Edged()])
 def test_products_of_light_and_view_need_few_directions(transport: object) -> None:
     counted = Counting(transport)
@@ -78,6 +79,7 @@ def test_a_small_light_that_few_directions_would_miss_is_learned() -> None:
     assert asset.provenance["evaluations"] < 100 * asset.coefficients.shape[0] * RINGS * SECTORS
 
 
+@pytest.mark.statistics
 @pytest.mark.parametrize("transport", [Lobed(), Incoherent()])
 def test_unexplained_bins_are_integrated_over_own_lattices(transport: object) -> None:
     found = baked(transport)
