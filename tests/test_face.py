@@ -1,6 +1,7 @@
 """The public names of `prt_bake`, what importing them loads, and the layers of packages."""
 
 import ast
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 import prt_bake as prt
 
 ROOT = Path(prt.__file__).resolve().parents[1]
+ROOMS = sorted(path.parent for path in (ROOT / "prt_bake").rglob("__init__.py"))
 
 
 def run_python(program: str) -> subprocess.CompletedProcess[str]:
@@ -78,3 +80,12 @@ def test_the_import_contracts_hold() -> None:
     from importlinter.cli import EXIT_STATUS_SUCCESS, lint_imports
 
     assert lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True) == EXIT_STATUS_SUCCESS
+
+
+@pytest.mark.parametrize(
+    "room", sorted(path.parent for path in (ROOT / "prt_bake").rglob("__init__.py")), ids=lambda room: room.name
+)
+def test_a_room_describes_itself_and_its_names_load(room: Path) -> None:
+    module = importlib.import_module(".".join(room.relative_to(ROOT).parts))
+    assert len((module.__doc__ or "").strip().splitlines()) in range(1, 11)
+    assert [name for name in getattr(module, "__all__", []) if not hasattr(module, name)] == []
