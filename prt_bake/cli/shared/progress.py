@@ -5,7 +5,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import TYPE_CHECKING, Protocol
 
@@ -54,13 +54,15 @@ def reporting(label: str, first: str = "") -> Iterator[Report]:
     )
     plain = not sys.stderr.isatty()
     last_line = time.monotonic()
-    with Progress(
+    progress = Progress(
         *columns,
         console=Console(stderr=True),
         speed_estimate_period=math.inf,
         get_time=time.monotonic,
         disable=plain,
-    ) as progress:
+    )
+    # Older versions of rich print an empty line when they leave a disabled bar.
+    with nullcontext() if plain else progress:
         number = progress.add_task(label, total=1.0, text=first, left="")
         task = progress.tasks[0]
 
