@@ -38,7 +38,7 @@ def test_files_are_built_once_for_the_same_inputs(artefacts: Artefacts, messages
     assert work.times == 1
     assert again == first
     assert again.facts["walks"] == 7
-    assert again.facts["seconds"] >= 0.0
+    assert set(again.facts) >= {"walks", "seconds"}
     assert messages == ["a/b.txt: building"]
 
 
