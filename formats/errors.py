@@ -1,6 +1,14 @@
-"""The errors that a user can cause. Each message is one sentence: file, place, expected, found, remedy."""
+"""The errors that a user can cause, and warnings about input that is read all the same.
+
+Each message is one sentence: file, place, expected, found, remedy.
+"""
 
 import os
+import warnings
+
+
+class InputWarning(UserWarning):
+    """Input that can be read in several ways, or of which a part is ignored; the message says what was done."""
 
 
 class PrtbakeError(Exception):
@@ -65,3 +73,8 @@ def refuse_path(name: str, value: object, reader: str) -> None:
         raise QueryError(
             f"{name}: expected what {reader}(path) returns, found the path {os.fspath(value)}; read the file first"
         )
+
+
+def warn(sentence: str) -> None:
+    """Issue an InputWarning; the command line prints it as one line on standard error."""
+    warnings.warn(sentence, InputWarning, stacklevel=2)

@@ -3,11 +3,14 @@
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import typer
 
-from formats.errors import PrtbakeError
+from formats.errors import InputWarning, PrtbakeError
 from prt_bake.cli.bake import bake
 from prt_bake.cli.check import check
 from prt_bake.cli.compare import compare
@@ -64,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     command_line = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        app(args=command_line, prog_name="prtbake", obj=shlex.join(["prtbake", *command_line]))
+        with _printed_warnings():
+            app(args=command_line, prog_name="prtbake", obj=shlex.join(["prtbake", *command_line]))
     except SystemExit as ending:
         if ending.code != INTERRUPTED:
             return int(ending.code or 0)
@@ -84,6 +88,29 @@ def run() -> None:
     sys.exit(main())
 
 
-def _fail(message: str) -> int:
+@contextmanager
+def _printed_warnings() -> Iterator[None]:
+    """Print each InputWarning once, as one line on stderr; other warnings are shown as Python does."""
+    printed = set()
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def show_once(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
+            if not issubclass(category, InputWarning):
+                show(message, category, *args, **kwargs)
+            elif str(message) not in printed:
+                printed.add(str(message))
+                _print_line(f"warning: {message}")
+
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show_once
+        yield
+
+
+def _print_line(message: str) -> None:
     print("prtbake:", " ".join(message.split()), file=sys.stderr)
+
+
+def _fail(message: str) -> int:
+    _print_line(message)
     return 1
