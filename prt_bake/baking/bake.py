@@ -25,7 +25,7 @@ from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.identity import identity_of
 from prt_bake.baking.job.pruning_record import Light
 from prt_bake.baking.job.work import Progress, Work
-from prt_bake.baking.output.checkpoint import CheckpointStore, open_checkpoint_store
+from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
 from prt_bake.baking.output.pruned_sink import WronglyPruned
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.plan import plan

@@ -1,6 +1,6 @@
 """Bakes with the same number of directions, or of random walks, at every view bin.
 
-Finished blocks are kept beside the asset until it is complete (`prt_bake.baking.output.checkpoint_store`).
+Finished blocks are kept beside the asset until it is complete (`prt_bake.baking.output.block_checkpoints`).
 """
 
 from collections.abc import Iterator
@@ -17,8 +17,8 @@ from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.running_error import ErrorMeter
 from prt_bake.baking.job.sample_pilot import choose_samples
 from prt_bake.baking.job.work import Work
-from prt_bake.baking.output.checkpoint import CheckpointStore
-from prt_bake.baking.output.checkpoint_store import BlockCheckpoints, Cut
+from prt_bake.baking.output.block_checkpoints import BlockCheckpoints, Cut
+from prt_bake.baking.output.checkpoint_store import CheckpointStore
 from prt_bake.baking.output.pruned_sink import open_pruned_sink
 from prt_bake.baking.output.sink import Sink
 

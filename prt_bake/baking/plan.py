@@ -26,7 +26,7 @@ from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.pruning_record import Light, Pruning
 from prt_bake.baking.job.sample_pilot import choose_samples
-from prt_bake.baking.output.checkpoint_store import as_arrays as block_checkpoint
+from prt_bake.baking.output.block_checkpoints import as_arrays as block_checkpoint
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.output.writing_time import checkpoint_time, writing_time
 from prt_bake.baking.pruning.pruning import choose_pruning

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinedBlock
 from prt_bake.baking.adaptive.pass_settings import LATTICES, PassSettings
-from prt_bake.baking.output.checkpoint import CheckpointStore
+from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
 ClampedBlock = tuple[RefinedBlock, int]
 """A block and the number of its bins that were clamped to the horizon."""

@@ -18,7 +18,14 @@ from bakers.evaluation import values_at
 from bakers.workers import SINGLE_THREAD, Workers
 from formats.errors import QueryError
 from formats.mesh import Mesh
-from prt_bake.baking.job.lattices import drawn, lattice_for, pair_turns, pools_for, validation_bins, vertex_turns
+from prt_bake.baking.job.lattices import (
+    lattice_for,
+    pair_rotations,
+    pools_for,
+    sample_without_replacement,
+    validation_bins,
+    vertex_rotations,
+)
 from prt_bake.baking.job.views import Views
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.view_frames import mesh_view_frames
@@ -114,7 +121,7 @@ def first_refinement(job: AdaptiveJob, workers: Workers = SINGLE_THREAD) -> tupl
     return RefinementSettings(
         levels=levels,
         lattice=lattice,
-        rotations=vertex_turns(job.seed),
+        rotations=vertex_rotations(job.seed),
         rotate=partial(sh.rotations, degree=job.degree),
         noise=noise,
         pools=pools,
@@ -148,7 +155,7 @@ def _measure_noise(
     residual of the fits, and evaluations. Random bins are fitted over two lattices each of several sizes.
     """
     few = int(np.clip(job.many // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS))
-    bins = drawn(job.seed + 2, job.many, min(few, job.many))
+    bins = sample_without_replacement(job.seed + 2, job.many, min(few, job.many))
     shared = [_pair(job, lattice, size, bins) for size in lattice.sizes[:2]]
     pooled = [_pooled_pair(job, pools, size, bins) for size in pools.sizes[2:7:2]]
     parts = [np.array([pair[part] for pair in shared + pooled]) for part in (1, 2)]
@@ -182,7 +189,7 @@ Pair = tuple[Array, Array, Array]
 def _pair(job: AdaptiveJob, lattice: NestedLattice, size: int, bins: Index) -> Pair:
     fits = []
     for which in (0, 1):
-        turns = pair_turns(job.seed, size, which, bins)
+        turns = pair_rotations(job.seed, size, which, bins)
         values = _values_at_bins(job, lattice.directions[:size], turns, bins)
         own, residual = lattice.fitted(values, lattice.sizes.index(size))
         fits.append((sh.rotations(turns, job.degree) @ own.reshape(len(bins), -1, 3), residual))
@@ -213,7 +220,7 @@ def refuse_out_of_reach(job: AdaptiveJob, refinement: RefinementSettings, error:
     if refinement.finest_error <= error:
         return 0
     size = refinement.pools.sizes[-1]
-    bins = drawn(job.seed + 5, job.many, min(REFERENCE_BINS, job.many))
+    bins = sample_without_replacement(job.seed + 5, job.many, min(REFERENCE_BINS, job.many))
     coefficients, _residual, squared = _pooled_pair(job, refinement.pools, size, bins)
     signal = _finite_mean(coefficients**2)
     left = float(np.sqrt(_finite_mean(squared) / signal)) if signal > 0.0 else 0.0
@@ -236,10 +243,10 @@ def _measure_missed_detail(job: AdaptiveJob, lattice: NestedLattice, noise: Latt
     relative error of the largest size; and evaluations. Compares with a few bins in many directions, because the
     residual of a fit does not show what its lattice missed.
     """
-    bins = drawn(job.seed + 3, job.many, min(REFERENCE_BINS, job.many))
+    bins = sample_without_replacement(job.seed + 3, job.many, min(REFERENCE_BINS, job.many))
     step = next((s for s, size in enumerate(lattice.sizes) if size >= REFERENCE_DIRECTIONS), len(lattice.sizes) - 1)
     values = _values_at_bins(
-        job, lattice.directions[: lattice.sizes[step]], pair_turns(job.seed, REFERENCE_DIRECTIONS, 2, bins), bins
+        job, lattice.directions[: lattice.sizes[step]], pair_rotations(job.seed, REFERENCE_DIRECTIONS, 2, bins), bins
     )
     reference, _residual = lattice.fitted(values, step)
     missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, _finite_mean(reference**2)
@@ -268,7 +275,7 @@ def _survey(
     if len(levels) <= FULL_LEVELS + 1:
         return None, squares, 0
     count = int(np.clip(len(job.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
-    chosen = np.sort(drawn(job.seed + 4, len(job.vertices), count))
+    chosen = np.sort(sample_without_replacement(job.seed + 4, len(job.vertices), count))
     results = list(workers.in_order(lambda place: workers.do(_survey_vertex, (job, lattice), int(place)), chosen))
     coefficients = np.stack([each for each, _energies in results], axis=1)
     finite = np.isfinite(coefficients).all(axis=(0, 2))
@@ -287,7 +294,7 @@ def _survey_vertex(job: AdaptiveJob, lattice: NestedLattice, place: int) -> tupl
     """
     few = lattice.sizes[0] // 2
     bins = place * job.bins + np.arange(job.bins)
-    turns = np.broadcast_to(pair_turns(job.seed, few, 3, bins[:1]), (job.bins, 3, 3))
+    turns = np.broadcast_to(pair_rotations(job.seed, few, 3, bins[:1]), (job.bins, 3, 3))
     values = _values_at_bins(job, lattice.directions[:few], turns, bins).astype(np.float64)
     by_light = values.transpose(1, 0, 2).reshape(few, -1)
     gram = by_light @ by_light.T

@@ -28,7 +28,7 @@ from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, PilotStopped
 from prt_bake.baking.job.forecast import COST_EXPONENT, BakeStatus, Forecast, error_exponent
 from prt_bake.baking.job.work import Work
-from prt_bake.baking.output.checkpoint import CheckpointStore
+from prt_bake.baking.output.checkpoint_store import CheckpointStore
 from prt_bake.baking.output.pruned_sink import open_pruned_sink
 
 COARSE = 0.3

@@ -20,7 +20,7 @@ from prt_bake.baking.adaptive.pass_settings import (
     worst_of,
 )
 from prt_bake.baking.adaptive.pilot_cost import PilotCost
-from prt_bake.baking.job.lattices import drawn, validation_bins
+from prt_bake.baking.job.lattices import sample_without_replacement, validation_bins
 
 Index = NDArray[np.int64]
 
@@ -84,7 +84,7 @@ class Pilot:
 def pilot_vertices(job: AdaptiveJob) -> Index:
     """The vertices [P] of the pilot."""
     count = int(np.clip(len(job.vertices) // PILOT_SHARE, 1, PILOT_VERTICES))
-    return job.vertices[np.sort(drawn(job.seed, len(job.vertices), count))]
+    return job.vertices[np.sort(sample_without_replacement(job.seed, len(job.vertices), count))]
 
 
 def calibrated(pilot: Pilot, refinement: RefinementSettings, error: float, costs: list[PilotCost]) -> PassSettings:
