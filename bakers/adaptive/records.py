@@ -20,9 +20,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 METHODS = "foretold", "shared", "alone", "nearby"
-"""Names, in an asset's provenance, of the methods by which bins are computed: interpolation between bins, the vertex's
-shared lattices, the bin's own lattice, and interpolation between vertices.
+"""Keys, in an asset's provenance, of the methods by which bins are computed: interpolation between bins, the vertex's
+shared or learned lattices, the bin's own lattice, and interpolation between vertices.
 """
+FROM_VERTICES = METHODS.index("nearby")
 SAMPLE_FIELDS = "method", "stated", "squared", "noise"
 """Fields of a validation sample."""
 VERTEX_FIELDS = (
@@ -30,13 +31,7 @@ VERTEX_FIELDS = (
 )  # fmt: skip
 """Fields of a vertex."""
 MISSED_SHARE = 0.3
-_STORED_NAMES = {"standard_error": "deviation", "method": "way", "correlated": "together"}
 Lattices = Literal["own", "shared", "learned"]
-
-
-def stored_name(field: str) -> str:
-    """Name of a field in checkpoints."""
-    return _STORED_NAMES.get(field, field)
 
 
 @dataclass(frozen=True)
@@ -185,16 +180,16 @@ class RefinedBlock:
 
     def as_arrays(self) -> dict[str, NDArray[Any]]:
         """All fields as arrays for a checkpoint."""
-        own = {stored_name(name): np.asarray(values) for name, values in vars(self).items() if name != "validation"}
-        samples = {f"checks_{stored_name(name)}": np.asarray(values) for name, values in vars(self.validation).items()}
+        own = {name: np.asarray(values) for name, values in vars(self).items() if name != "validation"}
+        samples = {f"validation_{name}": np.asarray(values) for name, values in vars(self.validation).items()}
         return own | samples
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "RefinedBlock":
         """Inverse of `as_arrays`."""
-        own = {name: arrays[stored_name(name)] for name in VERTEX_FIELDS}
-        samples = {name: arrays[f"checks_{stored_name(name)}"] for name in ("rows", *SAMPLE_FIELDS)}
-        validation = ValidationSamples(evaluations=int(arrays["checks_evaluations"]), **samples)
+        own = {name: arrays[name] for name in VERTEX_FIELDS}
+        samples = {name: arrays[f"validation_{name}"] for name in ("rows", *SAMPLE_FIELDS)}
+        validation = ValidationSamples(evaluations=int(arrays["validation_evaluations"]), **samples)
         evaluations, recalled = int(arrays["evaluations"]), int(arrays["recalled"])
         return cls(**own, evaluations=evaluations, recalled=recalled, validation=validation)
 

@@ -35,6 +35,9 @@ from prt_bake.mathematics import sphere
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan"]
 
+JOURNAL_VERSION = 2
+"""Changes with the names of the checkpoints and of their arrays."""
+
 
 def bake(
     transport: Any,
@@ -167,7 +170,7 @@ def bake(
     # An adaptive bake chooses its own directions.
     arguments |= {"minutes": minutes} if adaptive else {"directions": directions, "samples": samples}
     transport_hash, evaluations = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
-    identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash}
+    identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash, "journal_version": JOURNAL_VERSION}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
     report = _provenance(transport, mesh, arguments, workers) | (provenance or {})

@@ -53,7 +53,7 @@ def bake_by_samples(work: Work, store: CheckpointStore, directions: str, samples
 def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Asset:
     """Bakes into the sink and finishes the asset, complete or partial."""
     vertices, per_vertex = len(work.pruning.vertices), job.task.bins * job.resolved.samples
-    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), WalkStatistics()
+    meter, rows, invalid, statistics = ErrorMeter(), list[tuple[float, float, float]](), list[int](), WalkStatistics()
     done = clamped = 0
 
     def bake_cut(cut: Cut) -> Block:
@@ -72,7 +72,7 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
             sink.write(block)
             done, clamped = done + len(block.valid), clamped + block.clamped
             invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
-            account += block.statistics or WalkStatistics()
+            statistics += block.statistics or WalkStatistics()
             meter.add(block)
             row = (work.seconds, float(work.evaluations), meter.total)
             if not rows or done * ROWS // vertices > len(rows) or done == vertices:
@@ -103,7 +103,7 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
         "vertices_baked": done,
     }
     if isinstance(job.resolved.sampling, Walks):
-        report["walks"] = account.as_json()
+        report["walks"] = statistics.as_json()
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
 
 

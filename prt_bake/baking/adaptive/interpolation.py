@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.records import METHODS, RefinedBlock, RefinementSettings, ValidationSamples, joined
+from bakers.adaptive.records import FROM_VERTICES, RefinedBlock, RefinementSettings, ValidationSamples, joined
 from bakers.adaptive.refinement import refine
 from bakers.adaptive.vertex_interpolation import Parents
 from bakers.adaptive.vertex_validation import validation_errors, validation_samples
@@ -175,7 +175,7 @@ def _as_block(
         coefficients.astype(np.float32),
         np.sqrt(variance).astype(np.float32),
         np.zeros(variance.shape, np.uint16),
-        np.full(variance.shape, METHODS.index("nearby"), np.uint8),
+        np.full(variance.shape, FROM_VERTICES, np.uint8),
         np.ones(len(variance), np.float32),
         covariance.covariance,
         covariance.channels,

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bakers.adaptive.calibration import Tally
-from bakers.adaptive.records import METHODS, RefinementSettings
+from bakers.adaptive.records import FROM_VERTICES, METHODS, RefinementSettings
 from bakers.baker import Block
 from formats.asset import Asset
 from formats.errors import QueryError
@@ -42,7 +42,6 @@ runs until it is stopped.
 """
 UNINTERRUPTED = 5.0
 """Seconds from the start during which a pilot ignores a stop, as a block does."""
-FROM_VERTICES = METHODS.index("nearby")
 NOTHING_DONE = "the bake was stopped before its first vertex was done; nothing was written"
 TIME_TO_USE = 0.75
 """Largest predicted time of a pass over the time left."""
@@ -56,10 +55,10 @@ class Run:
         pruning = work.pruning
         self.work, self.store, self.deadline = work, store, deadline
         self.error = None if error is None else pruning.left_for_projection(error)
-        earlier = [arrays for name in store.names("aim-") if (arrays := store.read(name)) is not None]
+        earlier = [arrays for name in store.names("settings-") if (arrays := store.read(name)) is not None]
         at_once = vertices_at_once(len(pruning.vertices), len(pruning.local), work.workers.count)
         if earlier:
-            at_once = int(earlier[0]["at_once"])
+            at_once = int(earlier[0]["block_vertices"])
         self.job = AdaptiveJob(
             transport=work.transport,
             mesh=work.mesh,

@@ -197,8 +197,8 @@ def trial(pilot: Pilot, refinement: RefinementSettings, error: float, bins: floa
         cost += piece_cost
     correction = tally.correction(Correction())
     reached = worst_of(*tally.relative(correction))
-    per_vertex = (tally.evaluations - tally.check_evaluations) / len(vertices)
-    per_bin = tally.check_evaluations / max(1, tally.validated_bins)
+    per_vertex = (tally.evaluations - tally.validation_evaluations) / len(vertices)
+    per_bin = tally.validation_evaluations / max(1, tally.validated_bins)
     return PassSettings(refinement, correction, reached, 0.0, cost, per_vertex, per_bin), tally
 
 

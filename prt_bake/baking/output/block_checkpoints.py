@@ -46,10 +46,10 @@ class BlockCheckpoints:
         arrays = None if self._store is None else self._store.read(_name(*cut))
         if arrays is None:
             return None
-        parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
-        account = _account(arrays["account"]) if "account" in arrays else None
-        shape = ErrorCovariance(arrays["covariance"], arrays["channels"], arrays["apart"])
-        return Block(cut[0], *parts, account, int(arrays["more"]), error_covariance=shape)
+        parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["clamped"])
+        statistics = _statistics(arrays["statistics"]) if "statistics" in arrays else None
+        errors = ErrorCovariance(arrays["covariance"], arrays["channels"], arrays["apart"])
+        return Block(cut[0], *parts, statistics, int(arrays["extra_evaluations"]), error_covariance=errors)
 
 
 def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
@@ -58,17 +58,17 @@ def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
         "coefficients": block.coefficients,
         "standard_error": block.standard_error,
         "valid": block.valid,
-        "bent": np.asarray(block.clamped),
-        "more": np.asarray(block.extra_evaluations),
+        "clamped": np.asarray(block.clamped),
+        "extra_evaluations": np.asarray(block.extra_evaluations),
     }
     if block.error_covariance is not None:
         arrays |= {name: getattr(block.error_covariance, name) for name in ("covariance", "channels", "apart")}
     if block.statistics is not None:
-        arrays["account"] = np.array(astuple(block.statistics), np.float64)
+        arrays["statistics"] = np.array(astuple(block.statistics), np.float64)
     return arrays
 
 
-def _account(numbers: NDArray[np.float64]) -> WalkStatistics:
+def _statistics(numbers: NDArray[np.float64]) -> WalkStatistics:
     bins, clamped, unreliable = (int(number) for number in numbers[:3])
     return WalkStatistics(bins, clamped, unreliable, *(float(number) for number in numbers[3:]))
 
