@@ -117,16 +117,11 @@ class ValidationSamples:
     def with_rows(self, rows: Index, other: "ValidationSamples") -> "ValidationSamples":
         """These samples, with those of the vertices `rows` [m] replaced by `other`."""
         kept = ~np.isin(self.rows, rows)
-        order = np.argsort(np.concatenate([self.rows[kept], rows[other.rows]]), kind="stable")
-        fields = [np.concatenate([getattr(self, name)[kept], getattr(other, name)])[order] for name in SAMPLE_FIELDS]
-        return ValidationSamples(
-            np.concatenate([self.rows[kept], rows[other.rows]])[order],
-            fields[0],
-            fields[1],
-            fields[2],
-            fields[3],
-            other.evaluations,
-        )
+        merged = np.concatenate([self.rows[kept], rows[other.rows]])
+        order = np.argsort(merged, kind="stable")
+        parts = {name: (getattr(self, name)[kept], getattr(other, name)) for name in SAMPLE_FIELDS}
+        fields = {name: np.concatenate(each)[order] for name, each in parts.items()}
+        return ValidationSamples(rows=merged[order], evaluations=other.evaluations, **fields)
 
 
 def validation_noise(rows: Index, one: Array, other: Array) -> Array:
@@ -221,10 +216,9 @@ def joined(count: int, parts: Sequence[tuple[Index, RefinedBlock]]) -> RefinedBl
         arrays[name] = merged
     rows = np.concatenate([rows[part.validation.rows] for rows, part in parts])
     order = np.argsort(rows, kind="stable")
-    fields = [
-        np.concatenate([getattr(part.validation, name) for _rows, part in parts])[order] for name in SAMPLE_FIELDS
-    ]
+    samples = {name: [getattr(part.validation, name) for _rows, part in parts] for name in SAMPLE_FIELDS}
+    fields = {name: np.concatenate(each)[order] for name, each in samples.items()}
     sample_evaluations = sum(part.validation.evaluations for _rows, part in parts)
-    validation = ValidationSamples(rows[order], fields[0], fields[1], fields[2], fields[3], sample_evaluations)
+    validation = ValidationSamples(rows=rows[order], evaluations=sample_evaluations, **fields)
     taken, recalled = (sum(getattr(part, name) for _rows, part in parts) for name in ("evaluations", "recalled"))
     return RefinedBlock(**arrays, evaluations=taken, recalled=recalled, validation=validation)

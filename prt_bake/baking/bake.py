@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, transport_property, up_to
+from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads, Workers
 from formats.asset import Asset
 from formats.atomic import refuse_unwritable
@@ -23,6 +23,7 @@ from prt_bake.baking.adaptive.run import Run, bake_to_error
 from prt_bake.baking.fixed_samples import bake_by_samples
 from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.identity import identity_of
+from prt_bake.baking.job.provenance import known_before
 from prt_bake.baking.job.pruning_record import Light
 from prt_bake.baking.job.work import Progress, Work
 from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
@@ -173,7 +174,7 @@ def bake(
     identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash, "journal_version": JOURNAL_VERSION}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
-    report = _provenance(transport, mesh, arguments, workers) | (provenance or {})
+    report = known_before(transport, mesh, arguments, workers) | (provenance or {})
     with (
         limited_threads(transport, workers),
         closing(open_checkpoint_store(out, identity, resume)) as store,
@@ -228,19 +229,3 @@ def _items_needed(store: CheckpointStore) -> set[str]:
     """Items that an earlier run could not prune."""
     arrays = store.read("needed")
     return set() if arrays is None else set(arrays["items"].tolist())
-
-
-def _provenance(transport: Any, mesh: Mesh, arguments: dict[str, Any], workers: int) -> dict[str, Any]:
-    """Provenance that is known before the bake."""
-    settings = {name: value for name, value in arguments.items() if name not in ("seed", "device")}
-    roughness = transport_property(transport, "roughness", None)
-    return {
-        "settings": {**settings, "workers": workers},
-        "seed": arguments["seed"],
-        "device": arguments["device"],
-        "mesh_sha256": mesh.content_hash,
-        "transport": type(transport).__name__,
-        "eta": float(transport_property(transport, "eta", 1.0)),
-        **({} if roughness is None else {"roughness": float(np.mean(roughness))}),
-        "model": dict(getattr(transport, "metadata", None) or {}),
-    }

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from bakers.baker import Block, bake_block
 from bakers.path_traced import Walks, WalkStatistics
 from formats.asset import Asset
-from formats.errors import QueryError
 from prt_bake.baking.job.forecast import BakeStatus, Forecast
 from prt_bake.baking.job.job import Job, resolve
+from prt_bake.baking.job.provenance import not_finite, nothing_done, outcome
 from prt_bake.baking.job.running_error import ErrorMeter
 from prt_bake.baking.job.sample_pilot import choose_samples
 from prt_bake.baking.job.work import Work
@@ -84,23 +84,15 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
     finally:
         blocks.close()
     if done == 0:
-        raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
+        raise nothing_done()
     if len(invalid) == done:
-        raise QueryError(
-            f"{type(work.transport).__name__}: expected finite values, found NaN or infinite ones at all "
-            f"{done} vertices that were baked"
-        )
+        raise not_finite(work.transport, f"{done} vertices that were baked")
     settings = work.report["settings"] | {"directions": job.resolved.directions, "samples": job.resolved.samples}
     report = work.report | {
         "settings": settings,
         "error_estimate": job.resolved.error_estimate,
         "condition_number": job.resolved.condition,
-        "evaluations": work.evaluations,
-        "seconds": work.seconds,
-        "estimated_relative_rmse": {"total": meter.total, "percentile_95_over_vertices": meter.percentile_95},
-        "bins_bent_to_the_horizon": clamped,
-        "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
-        "vertices_baked": done,
+        **outcome(work, meter.total, meter.percentile_95, clamped, invalid, done),
     }
     if isinstance(job.resolved.sampling, Walks):
         report["walks"] = statistics.as_json()

@@ -15,8 +15,9 @@ from bakers.plan import BakePlan, plan_bake
 from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads, Workers
 from formats.mesh import Mesh
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob, vertices_at_once
 from prt_bake.baking.adaptive.checkpoints import as_arrays as pass_checkpoint
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement, refuse_out_of_reach, vertices_at_once
+from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
 from prt_bake.baking.adaptive.pass_settings import uncalibrated
 from prt_bake.baking.adaptive.pilot_pass import run_pilot_pass
 from prt_bake.baking.adaptive.run import COARSE, coarse_first

@@ -18,9 +18,9 @@ from bakers.adaptive.vertex_validation import validation_errors, validation_samp
 from bakers.error_covariance import concatenated
 from bakers.workers import Workers
 from formats.asset.error_covariance import ErrorCovariance
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import Interpolation, tested_bins
 
 Array = NDArray[np.float64]

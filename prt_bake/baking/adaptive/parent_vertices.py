@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.records import RefinementSettings
 from bakers.adaptive.vertex_interpolation import PARENTS, Parents, VertexInterpolator, one_per_cell, rotated_with_normal
 from bakers.evaluation import values_at
-from prt_bake.baking.adaptive.noise_pilot import MANY, AdaptiveJob
+from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
 from prt_bake.baking.job.lattices import sample_without_replacement
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.random import hashed

@@ -14,7 +14,7 @@ from bakers.adaptive.calibration import Tally
 from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import Workers
-from prt_bake.baking.adaptive.noise_pilot import MANY, AdaptiveJob
+from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import INTERPOLATION_TIME
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block
 from prt_bake.baking.adaptive.passes import Pass, tighter

@@ -117,7 +117,7 @@ class PrunedSink:
                 self._sink.write(Block(copy, *parts, 0, error_covariance=shape))
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset, complete or partial. Its error figures include pruning and rounding."""
+        """Ends the writing and returns the asset, whose error figures include pruning and rounding."""
         if self._pruning.light is not None:
             # The predicted errors are of coefficients; under a light they have other weights.
             measured = {"total": self._meter.total, "percentile_95_over_vertices": self._meter.percentile_95}

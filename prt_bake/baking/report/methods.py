@@ -13,7 +13,8 @@ from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.baker import Task, bake_block
 from bakers.path_traced import Walks
 from formats.errors import QueryError
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, PassSettings, refined_block
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot
