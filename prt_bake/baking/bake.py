@@ -183,16 +183,7 @@ def bake(
         prunable = set(leave_out) - _items_needed(store)
         while True:
             pruning = choose_pruning(
-                transport,
-                mesh,
-                degree,
-                rings,
-                sectors,
-                error=error,
-                seed=seed,
-                leave_out=prunable,
-                light=light,
-                eye=eye,
+                transport, mesh, degree, rings, sectors, error=error, seed=seed, prunable=prunable, light=light, eye=eye
             )
             evaluations += pruning.evaluations
             work = Work(

@@ -97,7 +97,7 @@ def plan(
     pool = Threads(1 if walks else workers)
     with limited_threads(transport, workers):
         pruning = choose_pruning(
-            transport, mesh, degree, rings, sectors, error=error, seed=seed, leave_out=leave_out, light=light, eye=eye
+            transport, mesh, degree, rings, sectors, error=error, seed=seed, prunable=leave_out, light=light, eye=eye
         )
         if error is not None and directions == "fibonacci" and not walks:
             grid = (rings, sectors) if pruning.views == "all" else None
@@ -119,7 +119,7 @@ def plan(
     low, high = (seconds + writing for seconds in cost.between)
     return replace(
         sizes,
-        left_out=pruning.left_out,
+        left_out=pruning.pruned,
         kept=pruning.kept,
         evaluations=round(cost.evaluations),
         seconds=cost.seconds + writing,

@@ -43,7 +43,7 @@ def pruned_head(head: AssetHead, pruning: Pruning) -> AssetHead:
         head,
         degree=degree,
         check_values=head.check_values[:, : sh.count(degree)],
-        left_out=[item.as_json() for item in pruning.left_out],
+        left_out=[item.as_json() for item in pruning.pruned],
     )
     if pruning.light is None:
         return head
@@ -97,7 +97,7 @@ class PrunedSink:
         self._sink.__exit__(kind, fault, trace)
 
     @property
-    def left_out(self) -> float:
+    def pruning_error(self) -> float:
         """Relative RMSE that pruning has added so far."""
         return float(np.sqrt(max(self.squared[0], 0.0) / self.squared[1])) if self.squared[1] > 0.0 else 0.0
 
@@ -122,7 +122,7 @@ class PrunedSink:
             # The predicted errors are of coefficients; under a light they have other weights.
             measured = {"total": self._meter.total, "percentile_95_over_vertices": self._meter.percentile_95}
             return self._sink.finish(provenance | {"estimated_relative_rmse": measured}, error_vs_time, complete)
-        parts = {"left_out": self.left_out, "rounding": self._pruning.rounding}
+        parts = {"left_out": self.pruning_error, "rounding": self._pruning.rounding}
         parts = {name: value for name, value in parts.items() if value > 0.0}
         if parts or self._pruning.views == "one":
             smaller = math.sqrt(self._averaged[1] / self._averaged[0]) if self._averaged[0] > 0.0 else 1.0

@@ -34,6 +34,10 @@ class Deviation(NamedTuple):
         """Whether coefficients that differ by this may be merged."""
         return self.total <= tolerated and self.worst <= WORST * tolerated
 
+    def reason(self, what: str) -> str:
+        """The measurement in words, for differences between `what`."""
+        return f"{what} differ by {self.total:.2g} of the coefficients, {self.worst:.2g} at the worst vertex of a pilot"
+
 
 @dataclass(frozen=True)
 class Redundancy:
