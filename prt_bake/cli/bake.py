@@ -215,12 +215,12 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
         yield f"pruned: {item['item']} ({item['reason']}); {item['saving']}"
     if "walks" not in summary:
         return
-    paths = summary["walks"]
-    if paths["unscattered"] >= 0.001:
-        yield f"unscattered transmission, {paths['unscattered']:.1%} of the view on average, is not in the coefficients"
-    if paths["lost"] > 0:
-        yield f"{paths['lost']:.2g} of the light was lost in truncated paths"
-    if paths["unreliable_bins"]:
+    walks = summary["walks"]
+    if walks["unscattered"] >= 0.001:
+        yield f"unscattered transmission, {walks['unscattered']:.1%} of the view on average, is not in the coefficients"
+    if walks["lost"] > 0:
+        yield f"{walks['lost']:.2g} of the light was lost in truncated paths"
+    if walks["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
-        share = paths["unreliable_bins"] / bins
+        share = walks["unreliable_bins"] / bins
         yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"

@@ -171,7 +171,7 @@ def _refined_to(job: AdaptiveJob, settings: PassSettings, bins: Bins, reference:
     began, tally, found = time.monotonic(), Tally(len(job.mesh.positions)), []
     for first in range(0, len(bins.vertices), job.block_vertices):
         some = bins.vertices[first : first + job.block_vertices]
-        refined, _bent = refined_block(job, settings.refinement, some)
+        refined, _clamped = refined_block(job, settings.refinement, some)
         tally.add(some, refined)
         own = bins.bins[first : first + job.block_vertices]
         found.append(np.take_along_axis(refined.coefficients, own[:, :, None, None], axis=1))

@@ -15,10 +15,11 @@ REACHED = 1.02
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
-    """Provenance, completeness and error against time of a bake, as plain JSON values.
+    """The asset's provenance, all keys of it, and six more, as plain JSON values; docs/baking.md explains every key.
 
     `model_error`: error of the coefficients of the baked network after its training, if it is known.
     `error_reached`: whether the object and 95 % of its vertices have the requested error, if one was requested.
+    `complete`, `vertices`, `left_out` and `error_vs_time` are those of the asset.
     """
     trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
     requested, rmse = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
