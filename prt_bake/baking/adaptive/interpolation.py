@@ -39,11 +39,7 @@ class EvaluatedVertices:
     """The evaluated vertices of all blocks, read from the checkpoints when they are needed."""
 
     def __init__(
-        self,
-        job: AdaptiveJob,
-        interpolation: Interpolation,
-        checkpoints: PassCheckpoints,
-        most_bytes: int = 1 << 28,
+        self, job: AdaptiveJob, interpolation: Interpolation, checkpoints: PassCheckpoints, most_bytes: int = 1 << 28
     ) -> None:
         """Keeps at most `most_bytes` of coefficients in memory."""
         self._checkpoints, self._lock, self._most_bytes = checkpoints, Lock(), most_bytes

@@ -53,10 +53,7 @@ def write_asset(
             "bins_checked": done.tally.validated_bins,
             "checked_over_stated_variance": dict(zip(METHODS, done.correction.factors.tolist(), strict=True)),
             "bound_factor": done.correction.bound,
-            "lattice_gain": {
-                "shared": vars(settings.refinement.noise),
-                "alone": vars(settings.refinement.pool_noise),
-            },
+            "lattice_gain": {"shared": vars(settings.refinement.noise), "alone": vars(settings.refinement.pool_noise)},
         }
         return sink.finish(report, np.array(rows).reshape(-1, 3), complete=done.complete)
 
