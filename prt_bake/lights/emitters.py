@@ -194,17 +194,18 @@ def _level(grey: Array, connections: Connections) -> float | None:
     mean, largest = float(area @ value), float(value.max())
     if not largest > mean > 0.0:
         return None
-    variance = float(area @ value**2) - mean**2
+    deviation = value - mean
+    variance = float(area @ deviation**2)
     lowest = min(mean, max(float(np.median(value)), _MIN_LEVEL * mean))
     levels = np.geomspace(lowest, largest, _LEVELS, endpoint=False)
     below = np.searchsorted(levels, value, side="right")  # the number of levels below each pixel
     share, first, second = (
         np.cumsum(np.bincount(below, weights, _LEVELS + 1))[:_LEVELS]
-        for weights in (area, area * value, area * value**2)
+        for weights in (area, area * deviation, area * deviation**2)
     )
-    clipped = first + levels * (1.0 - share)
-    rest_variance = second + levels**2 * (1.0 - share) - clipped**2
-    variances = rest_variance + connections.variance * (mean - clipped) ** 2
+    clipped = first + (levels - mean) * (1.0 - share)  # mean of the rest minus mean of the sky
+    rest_variance = second + (levels - mean) ** 2 * (1.0 - share) - clipped**2
+    variances = rest_variance + connections.variance * clipped**2
     best = int(np.argmin(variances))
     return float(levels[best]) if (1.0 + connections.cost) * variances[best] < variance else None
 

@@ -59,7 +59,7 @@ class WalkTracer:
         for i, emitter in enumerate(self._plan.emitters):
             incident[:, i], weights[:, i] = emitter.draw(uniforms((_LIGHT_STREAM, seed, i, points.keys), 3))
         kernel_seed = _kernel_seed(seed, _TRANSPORT_STREAM)
-        received, _square = sample_transport(self._scene, *points, incident, 1, kernel_seed)
+        received = sample_transport(self._scene, *points, incident, 1, kernel_seed)
         return np.asarray((received * weights).sum(axis=1))
 
     def _rows_with_exits(self, outgoing: Array) -> NDArray[np.int64]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from formats.scene import Scene
 from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
+from prt_bake.mathematics.moments import SUMS, from_sums
 from prt_bake.tracer.prepared import interface_kind, prepare, smooth_part
 from prt_bake.tracer.surface.interface import MATCHED
 
@@ -65,8 +66,8 @@ def sample_transport(
     incident: Array,
     paths: int,
     seed: int,
-) -> tuple[Array, Array]:
-    """Ŝ [N,D,3] [1/sr] of N points for incident [D,3] or [N,D,3]: mean of `paths` walks, and mean of their squares.
+) -> Array:
+    """Ŝ [N,D,3] [1/sr] of N points for incident [D,3] or [N,D,3]: mean of `paths` walks.
 
     faces [N] and barycentric (u, v) [N,2] locate the points, outgoing [N,3] points to the eye, keys [N] select the
     random numbers. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). Requires `connections`.
@@ -77,14 +78,14 @@ def sample_transport(
     count, directions = len(faces), np.shape(incident)[-2]
     towards = np.broadcast_to(np.asarray(incident, np.float64), (count, directions, 3))
     queries = prepared.queries(_location(faces, barycentric), np.asarray(outgoing, np.float64), keys)
-    means, squares = np.zeros((count, directions, 3)), np.zeros((count, directions, 3))
+    means = np.zeros((count, directions, 3))
     numbers = directions * 3 + 4  # after the directions: unscattered transmittance [3] and lost throughput
-    step = max(1, _NUMBERS_AT_ONCE // (4 * numbers))
+    step = max(1, _NUMBERS_AT_ONCE // (SUMS * numbers))
     for begin in range(0, count, step):
         chosen = slice(begin, min(begin + step, count))
         rows = chosen.stop - begin
         chunks = np.stack([np.arange(rows), np.zeros(rows, np.int64), np.full(rows, paths)], axis=1)
-        sums = np.zeros((rows, 4, numbers))
+        sums = np.zeros((rows, SUMS, numbers))
         in_threads(
             sum_transport,
             rows,
@@ -99,9 +100,9 @@ def sample_transport(
             seed,
             sums,
         )
-        powers = sums[:, :, : directions * 3].reshape(rows, 4, directions, 3) / paths
-        means[chosen], squares[chosen] = powers[:, 0], powers[:, 1]
-    return means, squares
+        mean = from_sums(sums.transpose(1, 0, 2), paths).mean
+        means[chosen] = mean[:, : directions * 3].reshape(rows, directions, 3)
+    return means
 
 
 def sample_exits(
