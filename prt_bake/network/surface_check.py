@@ -27,6 +27,8 @@ _MATCHES = 0.95
 """Share of vertices that a transformation must bring onto the surface to be named as the cause."""
 _UNKNOWN = "bake the mesh of the model's own scene, or train a model on this mesh"
 _TESTED = 500
+_LEAST_SIZE = 10.0
+"""Diagonal, in spacings, of a mesh that a cause makes smaller."""
 _FACTORS = {
     2.0: "",
     0.5: "",
@@ -106,7 +108,9 @@ class OwnSurface:
         sizes = np.sort(found[1] - found[0]), np.sort(own[1] - own[0])
         factors = [1.0, *_FACTORS, float(np.median(sizes[0] / sizes[1]))]
         middle = own.mean(axis=0)
-        for axes, factor in itertools.product(_axis_changes(), factors):
+        # A mesh that shrinks to a point fits anywhere.
+        most = float(np.linalg.norm(sizes[0])) / (_LEAST_SIZE * self.spacing)
+        for axes, factor in itertools.product(_axis_changes(), [factor for factor in factors if factor < most]):
             turned = some[:, list(axes.order)] * axes.signs / factor
             centre = found.mean(axis=0)[list(axes.order)] * axes.signs / factor
             for shift, shifted in (
