@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from formats.mesh import texture_remark
 from formats.scene import read_scene
 from formats.scene.file import find_table_faults
 from formats.scene.materials import find_material
@@ -47,14 +48,14 @@ def find_remarks(path: str | Path) -> list[str]:
     """Return remarks on a sound scene as sentences.
 
     They name parts that stick out of their parents, grids beside their parts, the energy that rough boundaries lose to
-    single scattering, and scenes that networks learn badly.
+    single scattering, images that repeat, and scenes that networks learn badly.
     """
     from prt_bake.geometry.nesting import protruding_parts
     from prt_bake.trainer.scene_warnings import training_warning
 
     scene = read_scene(path)
     parts, warning = scene.parts, training_warning(scene)
-    remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts)]
+    remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts), *_repeated_images(parts)]
     return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
 
 
@@ -114,6 +115,12 @@ def _misplaced_grids(parts: tuple[Part, ...]) -> list[str]:
                 f"{part.mesh.bounds.tolist()}: the part is filled with the grids' border values"
             )
     return sentences
+
+
+def _repeated_images(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence per textured part whose texture coordinates leave the image."""
+    textured = [part for part in parts if isinstance(part.roughness, np.ndarray) or np.ndim(part.diffuse) == 3]
+    return [f"{part.name!r}: {remark}" for part in textured if (remark := texture_remark(part.mesh))]
 
 
 def _energy_losses(parts: tuple[Part, ...]) -> list[str]:
