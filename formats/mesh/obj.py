@@ -163,7 +163,7 @@ def _name_missing_pairs(
         face = int(np.searchsorted(np.cumsum(sizes), missing.argmax(), side="right"))
         warn(
             f"{path}: {missing.sum()} of {len(missing)} corners of faces have no texture coordinates, the first in "
-            f"line {tables.lines[face]}; those of the others are not used, unwrap the whole mesh if a texture needs them"
+            f"line {tables.lines[face]}; the others' are not used, unwrap the whole mesh if a texture needs them"
         )
 
 

@@ -17,6 +17,7 @@ from formats.mesh.soup import TriangleSoup
 from formats.text import without_byte_order_mark
 
 _HEADER, _FACET = 84, 50  # bytes: 80 of text and the number of facets; 12 float32 and two bytes of attributes
+_BEGINNING = 1000  # bytes; in a binary file some of them are zeros
 
 
 def read_stl(path: str | os.PathLike[str]) -> TriangleSoup:
@@ -35,7 +36,7 @@ def _is_text(content: bytes) -> bool:
     """Whether the file is ascii. The header of a binary one may begin with the word solid, too."""
     if len(content) >= _HEADER and len(content) == _HEADER + _FACET * _facets(content):
         return False
-    return b"\0" not in content[:_HEADER] or content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    return b"\0" not in content[:_BEGINNING] or content[:2] in (b"\xff\xfe", b"\xfe\xff")
 
 
 def _facets(content: bytes) -> int:

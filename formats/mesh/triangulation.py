@@ -165,10 +165,9 @@ def _divide(points: Array) -> tuple[Indices, Mask, Mask]:
     plane = np.stack([side, np.cross(normals, side)], axis=2)
     flat = points @ plane
     split, worst = _best_splits(flat)
-    simple = (
-        (worst > -_ROUNDING) & (np.abs(_turning(flat) - 2 * np.pi) < 1) & (np.linalg.norm(vectors, axis=1) > SLIVER)
-    )
-    bent = np.ptp(np.einsum("pnk,pk->pn", points, normals), axis=1) > _PLANAR
+    has_front = np.linalg.norm(vectors, axis=1) > SLIVER
+    simple = has_front & (worst > -_ROUNDING) & (np.abs(_turning(flat) - 2 * np.pi) < 1)
+    bent = has_front & (np.ptp(np.einsum("pnk,pk->pn", points, normals), axis=1) > _PLANAR)
     return _triangles(split), ~simple & ~bent, ~simple & bent
 
 

@@ -119,8 +119,12 @@ def _misplaced_grids(parts: tuple[Part, ...]) -> list[str]:
 
 def _repeated_images(parts: tuple[Part, ...]) -> list[str]:
     """Return a sentence per textured part whose texture coordinates leave the image."""
-    textured = [part for part in parts if isinstance(part.roughness, np.ndarray) or np.ndim(part.diffuse) == 3]
-    return [f"{part.name!r}: {remark}" for part in textured if (remark := texture_remark(part.mesh))]
+    sentences = []
+    for part in parts:
+        textured = isinstance(part.roughness, np.ndarray) or (part.diffuse is not None and part.diffuse.ndim == 3)
+        if textured and (remark := texture_remark(part.mesh)):
+            sentences.append(f"{part.name!r}: {remark}")
+    return sentences
 
 
 def _energy_losses(parts: tuple[Part, ...]) -> list[str]:
