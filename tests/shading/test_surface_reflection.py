@@ -283,6 +283,11 @@ def test_roughness_of_a_texture_is_local() -> None:
     assert equal[1][:, 22:].all()
     with pytest.raises(QueryError, match="no texture coordinates"):
         render_picture(glossy(ring()), constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
+    unusable = np.where(left[:, None], np.nan, mesh.uv)
+    damaged = glossy(dataclasses.replace(mesh, uv=unusable, corner_uv=None))
+    with pytest.raises(QueryError, match="corners of faces have texture coordinates that are not finite"):
+        render_picture(damaged, constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
+    assert render_picture(damaged, constant(), front(), reflection=True, roughness=0.2).reflects
 
 
 @pytest.mark.parametrize("suns", ["split", "window", "plain"])
