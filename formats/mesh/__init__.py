@@ -11,6 +11,7 @@ from formats.mesh.record import (
     inconsistent_edges,
     open_edges,
     read_mesh,
+    refuse_inside_out,
     signed_volume,
     write_mesh,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "inconsistent_edges",
     "open_edges",
     "read_mesh",
+    "refuse_inside_out",
     "signed_volume",
     "texture_fault",
     "texture_remark",

@@ -21,6 +21,8 @@ _FEW = 0.01
 """Share of contradicting normals up to which only these are replaced."""
 _LEAST_COSINE = 0.5
 """Least median of the cosines between the normals of a file and those of the faces."""
+_INSTEAD = "normals computed from the faces are used"
+_REMEDY = "compute them from the faces, as formats.mesh.build_mesh does"
 
 
 def agreeing_normals(path: str | os.PathLike[str], given: Array | None, of_faces: Array) -> Array:
@@ -28,45 +30,48 @@ def agreeing_normals(path: str | os.PathLike[str], given: Array | None, of_faces
 
     Args:
         path: the file, for the warning.
-        given: unit vertex normals of the file [V,3], or None.
+        given: unit vertex normals of the file [V,3], NaN where they are missing; or None.
         of_faces: angle-weighted mean normals of the faces around each vertex [V,3].
     """
     if given is None:
         return of_faces
     cosines = np.einsum("vi,vi->v", given, of_faces)
+    if _agree(-cosines):
+        warn(f"{path}: the vertex normals point inwards; they were reversed")
+        given, cosines = -given, -cosines
     contradicting = ~(cosines > 0.0)
-    if contradicting.mean() > _FEW or np.median(cosines) < _LEAST_COSINE:
-        warn(
-            f"{path}: the vertex normals contradict the faces: {contradicting.sum()} of {len(given)} point away from the "
-            f"faces around them, and half of all differ from them by more than {_angle(np.median(cosines)):.0f} degrees; "
-            f"normals computed from the faces are used instead"
-        )
+    found = f"{path}: {contradicting.sum()} of {len(given)} vertex normals are missing or point away from the faces"
+    if not _agree(cosines):
+        warn(f"{found}, the median angle being {_median_angle(cosines):.0f} degrees; {_INSTEAD}")
         return of_faces
     if contradicting.any():
-        warn(
-            f"{path}: {contradicting.sum()} of {len(given)} vertex normals point away from the faces around them; there, "
-            f"normals computed from the faces are used"
-        )
+        warn(f"{found}; there, {_INSTEAD}")
     return np.where(contradicting[:, None], of_faces, given)
 
 
-def refuse_contradicting_normals(mesh: "Mesh", of_faces: Array) -> None:
-    """Raise MeshError if normals of a mesh are not of unit length or contradict those of the faces [V,3]."""
+def _agree(cosines: Array) -> bool:
+    """Whether all normals but a few are within 90 degrees of the faces', and half of them within 60."""
+    return bool((~(cosines > 0.0)).mean() <= _FEW and np.nanmedian(cosines) >= _LEAST_COSINE)
+
+
+def refuse_wrong_side(mesh: "Mesh", of_faces: Array) -> None:
+    """Raise MeshError if the normals of a mesh are not of unit length or contradict those of the faces [V,3]."""
     lengths = np.linalg.norm(mesh.normals, axis=1)
     wrong = ~(np.abs(lengths - 1.0) < 1e-3)
     if wrong.any():
         first = int(wrong.argmax())
         raise MeshError(
-            f"mesh: {wrong.sum()} of {len(wrong)} normals are not unit vectors, the first is that of vertex {first} with "
-            f"length {lengths[first]:.3g}; normalise them, or build the mesh with formats.mesh.build_mesh"
+            f"mesh: {wrong.sum()} of {len(wrong)} normals are not unit vectors, the first is that of vertex {first}, "
+            f"of length {lengths[first]:.3g}; {_REMEDY}"
         )
     cosines = np.einsum("vi,vi->v", mesh.normals, of_faces)
-    if (cosines <= 0.0).mean() > _FEW or np.median(cosines) < _LEAST_COSINE:
+    if not _agree(cosines):
         raise MeshError(
-            f"mesh: the vertex normals contradict the faces: {(cosines <= 0.0).sum()} of {len(cosines)} point away from "
-            f"the faces around them; compute them from the faces, with formats.mesh.build_mesh"
+            f"mesh: {(cosines <= 0.0).sum()} of {len(cosines)} vertex normals point away from the faces, the median "
+            f"angle being {_median_angle(cosines):.0f} degrees; {_REMEDY}"
         )
 
 
-def _angle(cosine: float) -> float:
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+def _median_angle(cosines: Array) -> float:
+    """In degrees; missing normals count as opposite ones."""
+    return float(np.degrees(np.arccos(np.clip(np.median(np.nan_to_num(cosines, nan=-1.0)), -1.0, 1.0))))

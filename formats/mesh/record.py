@@ -20,6 +20,7 @@ from formats.errors import MeshError, warn
 from formats.mesh import geometry
 from formats.mesh.edges import edges_of, opens_edges, welded
 from formats.mesh.gltf import read_gltf
+from formats.mesh.normals import agreeing_normals, refuse_wrong_side
 from formats.mesh.obj import read_obj, write_obj
 from formats.mesh.ply import read_ply, write_ply
 from formats.mesh.soup import TriangleSoup
@@ -134,7 +135,8 @@ def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) ->
     Merges vertices at equal positions and removes unused ones (see `Mesh.source_vertex`), and triangulates polygons.
     Normals come from the file, averaged over merged vertices, or else are the angle-weighted mean of the face normals.
 
-    Two faults are mended with an InputWarning. Faces without area are dropped if no face loses its neighbour by that.
+    Three faults are mended with an InputWarning. Normals that contradict the faces are replaced by those of the faces
+    (`formats.mesh.normals`). Faces without area are dropped if no face loses its neighbour by that.
     Loose vertices within a rounding to float32 of one another are merged if that closes the surface.
 
     Args:
@@ -172,7 +174,7 @@ def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) ->
             f"others, a rounding to float32; they were merged, which closes the surface"
         )
         faces, source_vertex = target[faces], target[source_vertex]
-    return _assemble(soup, positions, faces, source_vertex, ~flat)
+    return _assemble(path, soup, positions, faces, source_vertex, ~flat)
 
 
 def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:
@@ -219,6 +221,13 @@ def signed_volume(mesh: Mesh) -> float:
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
+def refuse_inside_out(mesh: Mesh) -> None:
+    """Raise MeshError if a closed mesh is wound inside out, or if its normals contradict its faces."""
+    if signed_volume(mesh) < 0.0 and open_edges(mesh) + inconsistent_edges(mesh) == 0:
+        raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
+    refuse_wrong_side(mesh, build_mesh(mesh.positions, mesh.faces).normals)
+
+
 def flipped(mesh: Mesh) -> Mesh:
     """Return the mesh with the winding of every face and every normal reversed."""
     corner_uv = None if mesh.corner_uv is None else mesh.corner_uv[:, ::-1]
@@ -260,6 +269,7 @@ def _accept_flat_faces(
 
 
 def _assemble(
+    path: str | os.PathLike[str],
     soup: TriangleSoup,
     positions: NDArray[np.float64],
     faces: NDArray[np.int64],
@@ -277,7 +287,9 @@ def _assemble(
     return Mesh(
         positions=positions,
         faces=faces.astype(np.int32),
-        normals=geometry.vertex_normals(centred, faces, _valid_normals(soup, kept_faces)),
+        normals=agreeing_normals(
+            path, _given_normals(soup, kept_faces, centred, faces), geometry.vertex_normals(centred, faces)
+        ),
         uv=None if corner_uv is None else corner_uv.reshape(-1, 2)[first_corner],
         corner_uv=corner_uv,
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
@@ -285,9 +297,14 @@ def _assemble(
     )
 
 
-def _valid_normals(soup: TriangleSoup, kept_faces: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-    """Return the file's corner normals, normalised, or None if any is missing, zero or not finite."""
-    if soup.corner_normals is None or not np.isfinite(soup.corner_normals[kept_faces]).all():
+def _given_normals(
+    soup: TriangleSoup, kept_faces: NDArray[np.bool_], positions: NDArray[np.float64], faces: NDArray[np.int64]
+) -> NDArray[np.float64] | None:
+    """The file's normals averaged at the vertices [V,3], NaN where one is zero or not finite; None if it has none."""
+    if soup.corner_normals is None:
         return None
-    normals = geometry.normalise(soup.corner_normals[kept_faces])
-    return normals if np.abs(normals).max(axis=2).all() else None
+    at_corners = geometry.normalise(soup.corner_normals[kept_faces])
+    missing = ~(np.abs(at_corners).max(axis=2) > 0.0)
+    normals = geometry.vertex_normals(positions, faces, np.where(missing[..., None], 0.0, at_corners))
+    normals[faces[missing]] = np.nan
+    return normals

@@ -25,6 +25,7 @@ from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.identity import identity_of
 from prt_bake.baking.job.provenance import known_before
 from prt_bake.baking.job.pruning_record import Light
+from prt_bake.baking.job.views import warn_of_clamped_views
 from prt_bake.baking.job.work import Progress, Work
 from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
 from prt_bake.baking.output.pruned_sink import WronglyPruned
@@ -142,6 +143,7 @@ def bake(
     if out is not None:
         refuse_unwritable(out)
     refuse_foreign(transport, mesh)
+    warn_of_clamped_views(mesh, rings, sectors)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     walks = transport_kind(transport) == "coefficients"
     adaptive = directions == "fibonacci" and not walks

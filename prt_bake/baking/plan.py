@@ -27,6 +27,7 @@ from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.pruning_record import Light, Pruning
 from prt_bake.baking.job.sample_pilot import choose_samples
+from prt_bake.baking.job.views import warn_of_clamped_views
 from prt_bake.baking.output.block_checkpoints import as_arrays as block_checkpoint
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.output.writing_time import checkpoint_time, writing_time
@@ -91,6 +92,7 @@ def plan(
         workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
     )  # fmt: skip
     refuse_foreign(transport, mesh)
+    warn_of_clamped_views(mesh, rings, sectors)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
     walks = transport_kind(transport) == "coefficients"
