@@ -10,7 +10,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "picture": ["Picture", "render_picture"],
-        "suns": ["SunsApart", "suns_apart"],
+        "sun_shading": ["SunsApart", "suns_apart"],
         "vertices": ["shade"],
     },
 )

@@ -9,7 +9,7 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.lights import environment, suns
 from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.lights.skies.bright_sources import find_bright_sources
-from prt_bake.lights.suns import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
+from prt_bake.lights.sun_detection import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
 from prt_bake.mathematics import sphere
 
 TURN = sphere.random_rotations(1, 8)[0]
