@@ -1,8 +1,7 @@
 """Pictures of baked assets: reconstruction between view bins, suns, surface reflection, errors. Never loads torch.
 
-`frames` draws an asset many times, in real time. May import: `prt_bake.reflection` and the rooms below it in
-`pyproject.toml`, but none that loads torch. Begin with `picture.py` (a picture) and `vertices.py` (radiance at
-vertices). Names load when they are used.
+`frames` draws an asset many times. May import: `prt_bake.reflection` and the rooms below it in `pyproject.toml`. Begin
+with `picture.py` (a picture) and `vertices.py` (radiance at vertices). Names load when they are used.
 """
 
 import lazy_loader

@@ -14,11 +14,9 @@ MOST_TABLES = 12
 
 
 class LightTable(NamedTuple):
-    """Precomputed values of R sets of D incident directions.
+    """Precomputed values of R sets of D directions [R,D,3], float32.
 
-    Attributes:
-        table: cosines and sines of their phases [R,D,2F], or their contributions to late layers [layers,R,D,width].
-        directions: [R,D,3], float32.
+    table: cosines and sines of their phases [R,D,2F], or their contributions to late layers [layers,R,D,width].
     """
 
     table: Tensor
