@@ -6,7 +6,7 @@ that leave the object. The bright part above the level is sampled in proportion 
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.lighting import Lighting, Sky, in_disc, solid_angle
 from prt_bake.lights.skies.sampling import draw_directions, look_up, sky_table
-from prt_bake.tracer.light_samples import Connections
 
 Array = NDArray[np.float64]
 
@@ -150,6 +149,17 @@ class LightPlan:
     emitters: tuple[Emitter, ...]
     skies: tuple[Sky, ...]
     suns: tuple[DirectionalLight, ...]
+
+
+class Connections(NamedTuple):
+    """Efficiency of a path tracer's connections to one direction of incidence.
+
+    variance: of one walk's light sample, over its squared mean. cost: of such a walk, over that of a walk without
+    connections.
+    """
+
+    variance: float
+    cost: float
 
 
 def plan_light(lighting: Lighting, connections: Connections | None) -> LightPlan:

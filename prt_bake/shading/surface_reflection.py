@@ -22,7 +22,7 @@ from prt_bake.geometry.camera import Visibility
 from prt_bake.lights.emitters import frame_across
 from prt_bake.lights.lighting import Lighting
 from prt_bake.lights.skies import prefiltered
-from prt_bake.lights.suns import split_lighting
+from prt_bake.lights.sun_detection import split_lighting
 from prt_bake.mathematics.sphere import to_world
 from prt_bake.reflection.finish import SurfacePoints, surface_points
 from prt_bake.reflection.microfacet import mirrored, reflection_density, visible_facets

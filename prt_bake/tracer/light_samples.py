@@ -15,8 +15,7 @@ from formats.scene import Scene
 from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
 from prt_bake.mathematics.moments import SUMS, from_sums
-from prt_bake.tracer.prepared import interface_kind, prepare, smooth_part
-from prt_bake.tracer.surface.interface import MATCHED
+from prt_bake.tracer.prepared import prepare
 
 Array = NDArray[np.float64]
 
@@ -33,30 +32,6 @@ class Exits(NamedTuple):
     unscattered: NDArray[np.bool_]
 
 
-class Connections(NamedTuple):
-    """Efficiency of connections to one direction of incidence.
-
-    variance: of one walk's light sample, over its squared mean. cost: of such a walk, over that of a walk without
-    connections.
-    """
-
-    variance: float
-    cost: float
-
-
-def connections(scene: Scene) -> Connections | None:
-    """Efficiency of connections in a scene; None behind a smooth interface, which allows none (`smooth_part`).
-
-    The figures are rough fits to measurements on a lumpy ball of 4 to 15 mean free paths, alpha 0.02 to 0.3.
-    """
-    if smooth_part(scene) is not None:
-        return None
-    if interface_kind(scene) == MATCHED:
-        return Connections(variance=0.8, cost=1.5)
-    alpha = float(np.mean(scene.roughness))
-    return Connections(variance=0.6 + 0.03 / alpha**1.7, cost=4.0)
-
-
 def sample_transport(
     scene: Scene,
     faces: NDArray[np.int64],
@@ -70,7 +45,8 @@ def sample_transport(
     """Ŝ [N,D,3] [1/sr] of N points for incident [D,3] or [N,D,3]: mean of `paths` walks.
 
     faces [N] and barycentric (u, v) [N,2] locate the points, outgoing [N,3] points to the eye, keys [N] select the
-    random numbers. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). Requires `connections`.
+    random numbers. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). Requires that
+    `smooth_part` is None.
     """
     from prt_bake.tracer.kernels import sum_transport
 

@@ -192,7 +192,7 @@ def test_a_disk_too_full_for_the_asset_loses_no_block(tmp_path: Path, monkeypatc
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as during:
-        during.setattr("formats.asset.file.AssetFile.close", full)
+        during.setattr("formats.asset.asset_file.AssetFile.close", full)
         with pytest.raises(StorageError, match="disk is full"):
             bake(Incoherent(), icosphere(0), **SMALL, out=out)
     baked: list[int] = []

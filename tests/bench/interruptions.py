@@ -28,7 +28,7 @@ from tests.baking.test_cluster import Processes, after_first_block
 from tests.baking.test_resume import GROUPS, contents
 
 SMALL = {"rings": 2, "sectors": 16}
-FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset.file.AssetFile.close"}
+FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset.asset_file.AssetFile.close"}
 """The function that fails on a full disk."""
 SUBDIVISIONS, PAUSE = 2, 5e-7
 """Subdivisions of the mesh (162 vertices), and least seconds of an evaluation."""

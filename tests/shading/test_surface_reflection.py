@@ -18,7 +18,7 @@ from prt_bake.reflection.finish import SurfacePoints
 from prt_bake.reflection.microfacet import fresnel, mirrored
 from prt_bake.reflection.reflector import Reflector
 from prt_bake.shading.picture import render_picture, shade
-from prt_bake.shading.suns import SunTreatment
+from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
 from prt_bake.shading.visible_points import VisiblePoints
 from tests.shading.test_picture import constant, front, make_asset
