@@ -34,6 +34,8 @@ def storage_error(path: str | os.PathLike[str], cause: OSError) -> StorageError:
 def refuse_unwritable(path: str | os.PathLike[str]) -> None:
     """Raise StorageError if `path` cannot be written: no such folder, a read-only folder, not an ordinary file."""
     target = Path(os.path.realpath(path))
+    if target.parent.is_file():
+        raise StorageError(f"{path}: cannot be written: {target.parent} is a file, not a folder; check the path")
     if not target.parent.is_dir():
         raise StorageError(f"{path}: cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
@@ -41,7 +43,9 @@ def refuse_unwritable(path: str | os.PathLike[str]) -> None:
     if target.exists() and not target.is_file():
         raise StorageError(f"{path}: cannot be written: it is a device or a pipe, not an ordinary file")
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise StorageError(f"{path}: cannot be written: no permission for the folder {target.parent}")
+        raise StorageError(
+            f"{path}: cannot be written: the folder {target.parent} is read-only for you; choose another folder"
+        )
 
 
 @contextlib.contextmanager

@@ -10,10 +10,10 @@ import torch
 
 from formats.errors import ModelError, QueryError
 from prt_bake.network.bssrdf import load_model
+from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer import cores
 from prt_bake.trainer.history import every_tenth
-from prt_bake.trainer.resume import state_path
 from prt_bake.trainer.samples.repeatable import AlternatingRenderer, ShuffledRows
 from prt_bake.trainer.samples.rows import Batch, Box, StreamSettings, ValueTracer, row_tracer
 from prt_bake.trainer.samples.stream import BackgroundRenderer
