@@ -29,7 +29,7 @@ from prt_bake.cli.shared.options import (
     output_option,
     refuse_unseen_exposure,
 )
-from prt_bake.cli.shared.outputs import check_outputs
+from prt_bake.cli.shared.outputs import Paths, check_outputs
 from prt_bake.cli.shared.progress import reporting, say, stopping
 from prt_bake.network.file_names import importance_path
 
@@ -137,8 +137,8 @@ def render(
 
     checkpoint = checkpoint_path(output)
     outputs = {"--output": output, "--preview": preview, "--report": report, "the checkpoint": checkpoint}
-    inputs = {"SOURCE": source, "the importance module": importance_path(source), "MESH": mesh, "--light": light}
-    check_outputs(outputs, inputs)
+    inputs: dict[str, Paths] = {"SOURCE": source, "the importance module": importance_path(source)}
+    check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
