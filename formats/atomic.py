@@ -41,7 +41,7 @@ def refuse_unwritable(path: str | os.PathLike[str]) -> None:
     if target.is_dir():
         raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
     if target.exists() and not target.is_file():
-        raise StorageError(f"{path}: cannot be written: it is a device or a pipe, not an ordinary file")
+        raise StorageError(f"{path}: cannot be written: it is a device or a pipe; give the name of a file")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise StorageError(
             f"{path}: cannot be written: the folder {target.parent} is read-only for you; choose another folder"
@@ -108,4 +108,4 @@ def existing(path: str | os.PathLike[str]) -> Path:
     except IsADirectoryError as cause:
         raise StorageError(f"{path}: is a folder; give the name of a file") from cause
     except OSError as cause:
-        raise StorageError(f"{path}: cannot be read: {cause.strerror}") from cause
+        raise StorageError(f"{path}: cannot be read: {cause.strerror}; check its permissions and its disk") from cause

@@ -33,7 +33,10 @@ class SurfaceReflection:
         Raises QueryError for a texture on a mesh without texture coordinates.
         """
         if isinstance(roughness, np.ndarray) and mesh.corner_uv is None:
-            raise QueryError("reflection: roughness is a texture, but the mesh has no texture coordinates")
+            raise QueryError(
+                "reflection: roughness is a texture, but the mesh has no texture coordinates; unwrap the mesh, or "
+                "render without reflection"
+            )
         self._mesh, self._roughness = mesh, np.asarray(roughness, np.float64)
         self._normals: Literal["face", "vertex"] = "vertex" if interpolated else "face"
         self._reflector = Reflector(mesh, lighting, eta, visibility)
