@@ -56,7 +56,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     the older file too, and a `.part` file beside it.
 
     Raises:
-        StorageError: the folder is missing, `path` is not an ordinary file, the disk is full or read-only.
+        StorageError: the folder is missing or was removed, `path` is not an ordinary file, the disk is full or
+            read-only.
     """
     target = Path(os.path.realpath(path))
     refuse_unwritable(path)
@@ -65,6 +66,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         with open(part, "xb"):
             pass
         yield part
+        if not part.exists():
+            raise StorageError(
+                f"{path}: cannot be written: its temporary file or its folder was removed meanwhile; write it again, "
+                "by one program at a time"
+            )
         _flush(part)
         os.replace(part, target)
     except OSError as cause:
