@@ -10,7 +10,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: demo picture test test-statistics lint bench shipped clean
+.PHONY: demo picture test test-statistics lint messages bench shipped clean
 PYTEST = $(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 demo: .venv/installed-evaluate
@@ -32,6 +32,10 @@ lint: .venv/installed-dev
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Every message of an error or a warning, by file, for a reader of all of them.
+messages: .venv/installed-dev
+	@$(BIN)/python -m tests.messages
 
 bench: .venv/installed-dev
 	$(BIN)/python -m tests.bench.bake_error --model prt_bake/shipped/spot.pt --mesh prt_bake/shipped/spot.obj --out bench

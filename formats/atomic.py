@@ -34,14 +34,18 @@ def storage_error(path: str | os.PathLike[str], cause: OSError) -> StorageError:
 def refuse_unwritable(path: str | os.PathLike[str]) -> None:
     """Raise StorageError if `path` cannot be written: no such folder, a read-only folder, not an ordinary file."""
     target = Path(os.path.realpath(path))
+    if target.parent.is_file():
+        raise StorageError(f"{path}: cannot be written: {target.parent} is a file, not a folder; check the path")
     if not target.parent.is_dir():
         raise StorageError(f"{path}: cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
         raise StorageError(f"{path}: cannot be written: it is a folder; give the name of a file")
     if target.exists() and not target.is_file():
-        raise StorageError(f"{path}: cannot be written: it is a device or a pipe, not an ordinary file")
+        raise StorageError(f"{path}: cannot be written: it is a device or a pipe; give the name of a file")
     if not os.access(target.parent, os.W_OK | os.X_OK):
-        raise StorageError(f"{path}: cannot be written: no permission for the folder {target.parent}")
+        raise StorageError(
+            f"{path}: cannot be written: the folder {target.parent} is read-only for you; choose another folder"
+        )
 
 
 @contextlib.contextmanager
@@ -52,7 +56,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     the older file too, and a `.part` file beside it.
 
     Raises:
-        StorageError: the folder is missing, `path` is not an ordinary file, the disk is full or read-only.
+        StorageError: the folder is missing or was removed, `path` is not an ordinary file, the disk is full or
+            read-only.
     """
     target = Path(os.path.realpath(path))
     refuse_unwritable(path)
@@ -61,6 +66,11 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         with open(part, "xb"):
             pass
         yield part
+        if not part.exists():
+            raise StorageError(
+                f"{path}: cannot be written: its temporary file or its folder was removed meanwhile; write it again, "
+                "by one program at a time"
+            )
         _flush(part)
         os.replace(part, target)
     except OSError as cause:
@@ -112,4 +122,4 @@ def existing(path: str | os.PathLike[str]) -> Path:
     except IsADirectoryError as cause:
         raise StorageError(f"{path}: is a folder; give the name of a file") from cause
     except OSError as cause:
-        raise StorageError(f"{path}: cannot be read: {cause.strerror}") from cause
+        raise StorageError(f"{path}: cannot be read: {cause.strerror}; check its permissions and its disk") from cause

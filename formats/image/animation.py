@@ -91,18 +91,24 @@ def write_sequence(pattern: str | os.PathLike[str], frames: Iterable[Frame], *, 
         ImageError: no number in the name, no frame, or as `write_image`.
         StorageError: as `write_image`.
     """
-    folder, name = os.path.split(os.fspath(pattern))
-    if len(re.findall(r"%0\d+d|%d", name)) != 1 or name.count("%") != 1:
-        raise ImageError(f"{pattern}: expected a name with one number in it, such as turn_%03d.png")
+    numbered(pattern, 0)
     written = []
     for number, frame in enumerate(frames):
-        path = Path(folder, name % number)
+        path = numbered(pattern, number)
         _refuse_nan(path, frame, number)
         write_image(path, frame, exposure=exposure)
         written.append(path)
     if not written:
         raise ImageError(f"{pattern}: the sequence has no frames; expected at least one")
     return written
+
+
+def numbered(pattern: str | os.PathLike[str], number: int) -> Path:
+    """Return the path of a numbered image; raises ImageError for a pattern without one number in the file name."""
+    folder, name = os.path.split(os.fspath(pattern))
+    if len(re.findall(r"%0\d+d|%d", name)) != 1 or name.count("%") != 1:
+        raise ImageError(f"{pattern}: expected a name with one number in it, such as turn_%03d.png")
+    return Path(folder, name % number)
 
 
 def _encode(

@@ -104,7 +104,8 @@ class PlyBody:
                 length = float(self._read_values(entry.count_kind, 1, element, row)[0]) if entry.count_kind else 1.0
                 if not (length >= 0 and length.is_integer()):
                     raise MeshError(
-                        f"{self._path}: is damaged: row {row} of element {element.name} has a list of length {length:g}"
+                        f"{self._path}: is damaged: row {row} of element {element.name} has a list of length "
+                        f"{length:g}; export it again"
                     )
                 lengths[i].append(int(length))
                 values[i].append(self._read_values(entry.kind, int(length), element, row))
@@ -129,7 +130,7 @@ def _numbers(body: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]:
     try:
         return np.array(body.split(), dtype=np.float64)
     except ValueError as cause:
-        raise MeshError(f"{path}: the PLY body is damaged: {cause}") from cause
+        raise MeshError(f"{path}: the PLY body is damaged: {cause}; export it again") from cause
 
 
 def _concatenate(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +14,7 @@ from formats.asset import Asset
 from formats.asset.compact_file import SparseCodes, join_sparse, round_up, to_sparse
 from formats.asset.compact_record import AddedError, CompactCoefficients
 from formats.asset.error_covariance import pairs
-from formats.errors import QueryError
+from formats.errors import AssetError, QueryError
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.view_frames import ViewFrames
 
@@ -141,12 +142,25 @@ def _compact(asset: Asset, trial: Trial, step: float, error: float, encoded: Enc
 
 def read_valid(asset: Asset, rows: NDArray[np.int64]) -> NDArray[np.float32]:
     """Coefficients of vertices in ascending order, 0 for those that are not valid."""
-    span = np.asarray(asset.coefficients[int(rows[0]) : int(rows[-1]) + 1])
+    span = _stored(asset, int(rows[0]), int(rows[-1]) + 1)
     block = np.where(asset.valid[rows, None, None, None], span[rows - rows[0]], 0.0).astype(np.float32)
     wrong = ~np.isfinite(block).all(axis=(1, 2, 3))
     if wrong.any():
         raise QueryError(f"asset: coefficients of vertex {rows[wrong.argmax()]} are not finite; bake it again")
     return block
+
+
+def _stored(asset: Asset, start: int, stop: int) -> NDArray[np.floating]:
+    """Coefficients of some vertices; raises AssetError that names the file if it is damaged there."""
+    try:
+        return np.asarray(asset.coefficients[start:stop])
+    except OSError as cause:
+        if cause.errno is not None or not isinstance(asset.coefficients, h5py.Dataset):
+            raise
+        raise AssetError(
+            f"{asset.coefficients.file.filename}: is damaged: the coefficients of vertices {start} to {stop - 1} "
+            "cannot be decompressed; copy or bake it again"
+        ) from cause
 
 
 def product_dtype(error: float) -> Any:

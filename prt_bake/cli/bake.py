@@ -12,6 +12,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.options import Device, OnlyEye, ReportFile, Seed, output_option, within
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
@@ -101,6 +102,8 @@ def bake(
     """
     if output is None and not dry_run:
         raise typer.BadParameter("Missing option '--output' / '-o'; only --dry-run works without it.")
+    inputs = {"SOURCE": source, "MESH": mesh, "--for-light": for_light}
+    check_outputs({"--output": output, "--report": report}, inputs)
     from bakers.transport import transport_property
     from formats.journal import journal_folder
     from formats.json_report import write_report

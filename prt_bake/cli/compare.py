@@ -9,6 +9,7 @@ import typer
 
 from prt_bake.cli.shared.bounds import Bounds, FailAbove, FailBelow
 from prt_bake.cli.shared.options import AsJson, Exposure, optional_output
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
 if TYPE_CHECKING:
@@ -84,6 +85,9 @@ def compare(
     each with a 95 % confidence interval. Warns if only one of two images by `prtbake render` holds unscattered or
     reflected light. Ignores pixels that are transparent in both images.
     """
+    outputs = {"--picture": picture, "--difference-map": difference_map}
+    outputs |= {"--flip-map": flip_map, "--hdr-flip-map": hdr_flip_map}
+    check_outputs(outputs, {"IMAGE": image, "REFERENCE": reference, "--mask": mask})
     from formats.image import read_layers
     from formats.json_report import as_text
     from prt_bake.comparison import sheet

@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
+from formats.atomic import existing
 from prt_bake.cli.shared.options import optional_output
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import reporting, say
 
 
@@ -27,9 +29,10 @@ def compress(
     Tries several forms and writes the smallest that meets the error. Every command reads the compact asset, without
     unpacking it first.
     """
+    target = out or asset.with_name(f"{asset.stem}.compact{asset.suffix}")
+    check_outputs({"--output": target}, {"ASSET": existing(asset)})
     from prt_bake.baking.compress import compress_file
 
-    target = out or asset.with_name(f"{asset.stem}.compact{asset.suffix}")
     with reporting("compress") as show:
         outcome = compress_file(asset, target, error, show, context.obj)
     if outcome.compact is None:

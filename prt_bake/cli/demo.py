@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import bake_progress, reporting, stopping
 
 
@@ -23,11 +24,14 @@ def demo(
 
     The error is that of the picture, compared with a path-traced reference.
     """
-    from prt_bake.shipped.demonstration import FINE, QUICK, demonstrate
+    from prt_bake.shipped import demonstration as shipped
 
-    settings = {"quick": QUICK, "fine": FINE}[quality]
+    inputs = (shipped.MODEL, shipped.MESH, shipped.SKY, shipped.REFERENCE, shipped.REFERENCE_REPORT)
+    check_outputs({"--out": [out / name for name in shipped.FILES]}, {"the shipped object": inputs}, folder=out)
+    settings = {"quick": shipped.QUICK, "fine": shipped.FINE}[quality]
     with reporting("bake") as show, stopping() as stop:
-        result = demonstrate(out, settings, workers or os.cpu_count() or 1, progress=bake_progress(show), stop=stop)
+        cores = workers or os.cpu_count() or 1
+        result = shipped.demonstrate(out, settings, cores, progress=bake_progress(show), stop=stop)
         if result.asset.complete:
             show(1.0, "")
     for file in result.files:

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from prt_bake.cli.shared.outputs import check_outputs
+
 
 def export(
     scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file.")],
@@ -17,16 +19,9 @@ def export(
     Writes scene.xml and its meshes, grids and images. The scene is centred at the origin and lit by a constant white
     environment. Render it with `mitsuba FOLDER/scene.xml`.
     """
-    from formats.atomic import storage_error
-    from formats.errors import StorageError
     from formats.scene import read_scene
-    from prt_bake.export.mitsuba_xml import write_mitsuba_scene
+    from prt_bake.export.mitsuba_xml import exported_files, write_mitsuba_scene
 
     read = read_scene(scene)
-    if output.exists() and not output.is_dir():
-        raise StorageError(f"{output}: expected a folder, found a file; choose another --output")
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise storage_error(output, cause) from cause
+    check_outputs({"--output": exported_files(read, output)}, {"SCENE": scene}, folder=output)
     print(f"wrote {write_mitsuba_scene(read, output)}")

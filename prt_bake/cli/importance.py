@@ -5,9 +5,12 @@ from typing import Annotated, Literal
 
 import typer
 
+from formats.atomic import existing
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.options import Device, Seed
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import reporting, stopping
+from prt_bake.network.file_names import importance_path
 
 
 def importance(
@@ -32,12 +35,14 @@ def importance(
     The module predicts which light directions matter at each point and view; `prtbake render` draws its samples from
     it. It learns from the model alone. Ctrl-C ends the fit early and keeps the module as fitted so far.
     """
+    path = importance_path(existing(model))
+    check_outputs({"the module": path}, {"MODEL": model, "MESH": mesh})
     from dataclasses import replace
 
     from formats.mesh import read_mesh
     from prt_bake.baking.sources import require_device
     from prt_bake.importance.fit import fit_importance
-    from prt_bake.importance.module import IMPORTANCE_PRESETS, importance_path, save_importance
+    from prt_bake.importance.module import IMPORTANCE_PRESETS, save_importance
     from prt_bake.network.bssrdf import load_model
 
     require_device(device)
@@ -62,7 +67,7 @@ def importance(
         )
         stopped = stop()
     save_importance(module, model)
-    path, fit = importance_path(model), module.metadata["fit"]
+    fit = module.metadata["fit"]
     print(
         f"{path}: {fit['steps']} steps on {fit['queries']:,} queries in {fit['seconds']:.0f} s; KL divergence "
         f"{fit['module']['divergence']:.3f} (uniform {fit['uniform']['divergence']:.3f}, one lobe for the object "

@@ -29,7 +29,9 @@ from prt_bake.cli.shared.options import (
     output_option,
     refuse_unseen_exposure,
 )
+from prt_bake.cli.shared.outputs import Paths, check_outputs
 from prt_bake.cli.shared.progress import reporting, say, stopping
+from prt_bake.network.file_names import importance_path
 
 if TYPE_CHECKING:
     from prt_bake.rendering.loop import Rendering
@@ -131,10 +133,15 @@ def render(
     slightly negative; it is not clamped, so that errors are not hidden. Ctrl-C writes the picture as rendered so far,
     and --resume continues it.
     """
+    from prt_bake.rendering.state import checkpoint_path, stored_limits
+
+    checkpoint = checkpoint_path(output)
+    outputs = {"--output": output, "--preview": preview, "--report": report, "the checkpoint": checkpoint}
+    inputs: dict[str, Paths] = {"SOURCE": source, "the importance module": importance_path(source)}
+    check_outputs(outputs, inputs | {"MESH": mesh, "--light": light})
     from formats.mesh import read_mesh
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
-    from prt_bake.rendering.state import checkpoint_path, stored_limits
 
     is_scene = source.suffix.lower() == ".toml"
     refuse_unseen_exposure(exposure, output, preview)
@@ -145,7 +152,6 @@ def render(
     axis = up or (opened.up if is_scene else opened.metadata.get("up", "y"))
     lighting = read_lighting(light, axis, rotate, mend=mend, say=say, mesh=surface)
     view = camera_for(surface, size, axis, eye, look_at, fov, orthographic, extent)
-    checkpoint = checkpoint_path(output)
     if resume and spp is None and minutes is None and error is None:
         limits = stored_limits(checkpoint)
         spp, minutes, error = limits.get("spp"), limits.get("minutes"), limits.get("error")
@@ -219,7 +225,7 @@ def _open(source: Path, surface: Any, device: str) -> Any:
 
 def _importance(source: Path, sampling: str | None, device: str) -> Any:
     """Return the model's importance module; None for `light`, and by default if the module does not exist."""
-    from prt_bake.importance.module import importance_path, load_importance
+    from prt_bake.importance.module import load_importance
 
     if sampling == "light" or (sampling is None and not importance_path(source).is_file()):
         return None

@@ -7,6 +7,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.options import Seed, output_option
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import reporting, stopping
 
 
@@ -23,6 +24,7 @@ def sample(
     `prtbake train SCENE.toml --samples SAMPLES.h5` learns from them. Ctrl-C keeps the queries finished so far. Each
     --seed draws different queries.
     """
+    check_outputs({"--output": output}, {"SCENE": scene})
     from formats.scene import read_scene
     from prt_bake.trainer.samples.record import record_samples
 

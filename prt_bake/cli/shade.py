@@ -28,6 +28,7 @@ from prt_bake.cli.shared.options import (
     refuse_unseen_exposure,
     within,
 )
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import Report, reporting, say
 
 _FRAMES, _SECONDS = 36, 3.0
@@ -97,15 +98,19 @@ def shade(
     light reflected at the surface. An .exr has the standard error of the bake (error.R, error.G, error.B) and the
     object's coverage (coverage.Y).
     """
+    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness)
+    refuse_unseen_exposure(exposure, output)
+    if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
+        raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
+    check_outputs(
+        {"--output": _files(output, frames), "--error-picture": error_picture},
+        {"ASSET": asset, "--light": light, "--roughness": roughness},
+    )
     from formats.asset import read_asset
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.skies.downsampled import rows_shown
 
-    _refuse_ineffective(output, transparent, layers, turntable, error_picture, reflection, roughness)
-    refuse_unseen_exposure(exposure, output)
-    if turntable is None and (frames, seconds) != (_FRAMES, _SECONDS):
-        raise typer.BadParameter("--frames and --seconds apply to turntables; add --turntable eye")
     baked = read_asset(asset)
     axis = up or baked.up
     turns = frames if turntable == "eye" else 1
@@ -138,6 +143,15 @@ def shade(
         f"{abs(picture.clamped):.3%} of the energy, projection error {picture.relative_error:.2%} of "
         f"the object's radiance" + _sun_figures(picture.suns, suns)
     )
+
+
+def _files(output: Path, frames: int) -> list[Path]:
+    """Return the files of the output, several if its name has a number in it."""
+    if "%" not in output.name:
+        return [output]
+    from formats.image.animation import numbered
+
+    return [numbered(output, number) for number in range(frames)]
 
 
 def _sun_figures(count: int, treatment: str) -> str:
@@ -214,8 +228,6 @@ def _refuse_ineffective(
         )
     if turntable is None and "%" in output.name:
         raise typer.BadParameter(f"--output: {output.name} names numbered pictures; add --turntable eye")
-    if error_picture is not None and error_picture.resolve() == output.resolve():
-        raise typer.BadParameter(f"--error-picture: {error_picture} is also --output; choose another file")
     if roughness is not None and not reflection:
         raise typer.BadParameter("--roughness: applies to the reflection; add --reflection")
     if turntable is not None and (transparent or layers or error_picture is not None):

@@ -7,7 +7,9 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.options import Seed, output_option
+from prt_bake.cli.shared.outputs import Paths, check_outputs
 from prt_bake.cli.shared.progress import reporting, say, stopping
+from prt_bake.network.file_names import importance_path, report_paths, state_path
 
 if TYPE_CHECKING:
     from prt_bake.trainer.train import TrainingProgress
@@ -56,6 +58,10 @@ def train(
     the model; --resume continues it. Then measures the model and fits its importance module, from which `prtbake
     render` draws light directions.
     """
+    outputs: dict[str, Paths] = {"--output": output, "the checkpoint": state_path(output)}
+    outputs |= {"--report": report_paths(output)} if with_report else {}
+    outputs |= {"--importance": importance_path(output)} if with_importance else {}
+    check_outputs(outputs, {"SCENE": scene, "--samples": samples})
     from dataclasses import replace
 
     from formats.scene import read_scene

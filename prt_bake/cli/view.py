@@ -24,6 +24,7 @@ from prt_bake.cli.shared.options import (
     optional_output,
     read_size,
 )
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ def view(
     """
     if screenshot is None and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise QueryError(f"view: {_WITHOUT_DISPLAY}")
+    check_outputs({"--screenshot": screenshot}, {"ASSET": asset, "--light": light, "--compare": compare})
     options = _Options(light, up, rotate, exposure, mend, suns, compare, size, eye, look_at, fov)
     from formats.asset import read_asset
 

@@ -28,6 +28,9 @@ _LEAST_TEXTURED_ALPHA = 0.01
 _EVENTS_WITHOUT_ROULETTE = 2000
 """Mitsuba's Russian roulette after 5 events multiplies the variance if the albedo is near 1."""
 
+ENDINGS = (".ply", "_reflectance.exr", "_alpha.exr", "_sigma_t.vol", "_albedo.vol")
+"""Ends of the names of the files that a part may have."""
+
 Array = NDArray[np.float64]
 
 

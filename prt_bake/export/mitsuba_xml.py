@@ -10,7 +10,7 @@ from typing import Any
 
 from formats.atomic import replacing
 from formats.scene import Scene
-from prt_bake.export.mitsuba import mitsuba_dictionary
+from prt_bake.export.mitsuba import ENDINGS, mitsuba_dictionary
 from prt_bake.geometry.camera import Camera, fit
 
 _VERSION = "3.0.0"
@@ -22,6 +22,12 @@ _KINDS = {
     **dict.fromkeys(("null", "dielectric", "roughdielectric", "twosided", "diffuse"), "bsdf"),
     **{"hg": "phase", "ply": "shape", "bitmap": "texture", "scene": "scene"},
 }
+
+
+def exported_files(scene: Scene, folder: str | os.PathLike[str]) -> list[Path]:
+    """Return the paths of all files that an export of the scene into `folder` may write."""
+    parts = (f"part_{index}{ending}" for index in range(len(scene.parts)) for ending in ENDINGS)
+    return [Path(folder, name) for name in ("scene.xml", *parts)]
 
 
 def write_mitsuba_scene(scene: Scene, folder: str | os.PathLike[str]) -> Path:

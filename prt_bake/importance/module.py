@@ -21,6 +21,7 @@ from prt_bake.importance.settings import IMPORTANCE_PRESETS, ImportanceSettings
 from prt_bake.mathematics.lobe import Lobe
 from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
 from prt_bake.network.features.fourier import encode_directions, fourier_features
+from prt_bake.network.file_names import importance_path
 
 __all__ = [
     "IMPORTANCE_PRESETS",
@@ -158,12 +159,6 @@ class ImportanceModule(nn.Module):
 def _as_stored(weights: Tensor) -> Tensor:
     """Float16 halves the file. Sampling and density use the same rounded lobe, so the estimate stays unbiased."""
     return weights.half().float()
-
-
-def importance_path(model_path: str | Path) -> Path:
-    """Path of a model's importance module: NAME.importance.pt beside NAME.pt, and the same for .safetensors."""
-    path = Path(model_path)
-    return path.with_name(f"{path.stem}.importance{path.suffix}")
 
 
 def save_importance(module: ImportanceModule, model_path: str | Path) -> None:

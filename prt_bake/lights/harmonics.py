@@ -25,7 +25,10 @@ def project_lighting(lighting: Lighting, degree: int) -> Array:
         own = environment.project(sky.image, degree, sky.up)
         if sky.residual is not None:
             if len(sky.residual) < len(own):
-                raise QueryError(f"light: read for harmonics to degree {sh.degree_of(len(sky.residual))}, not {degree}")
+                raise QueryError(
+                    f"light: was read for harmonics to degree {sh.degree_of(len(sky.residual))}, not {degree}; read it "
+                    f"with degree={degree}"
+                )
             own += sky.residual[: len(own)]
         total += sh.rotation(sky.turn, degree) @ own
     for sun in lighting.suns:

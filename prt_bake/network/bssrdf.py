@@ -125,7 +125,8 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
         if head["format"] != FORMAT or head["format_version"] != FORMAT_VERSION:
             raise ModelError(
                 f"{path}: expected {FORMAT!r} version {FORMAT_VERSION}, "
-                f"found {head['format']!r} version {head['format_version']!r}"
+                f"found {head['format']!r} version {head['format_version']!r}; give a network of this version, "
+                "or train one"
             )
         packed = tensors.pop(INTERIOR, None)
         network = NeuralBSSRDF(
@@ -142,7 +143,10 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
         raise ModelError(
             f"{path}: the model's description is not readable ({fault!r}); train the model again"
         ) from None
-    check_tensors(tensors, _shapes(network.state_dict()), path)
+    try:
+        check_tensors(tensors, _shapes(network.state_dict()), path)
+    except ModelError as fault:
+        raise ModelError(f"{fault}; copy the file again, or train the model again") from None
     network.load_state_dict(tensors)
     return network.to(device).eval()
 

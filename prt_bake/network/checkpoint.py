@@ -74,7 +74,7 @@ def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
         raise ModelError(f"{path}: a checkpoint of another program; expected a model written by prtbake")
     for name, tensor in tensors.items():
         if not isinstance(name, str) or not isinstance(tensor, Tensor):
-            raise ModelError(f"{path}: {name!r} is not a named tensor")
+            raise ModelError(f"{path}: {name!r} is not a named tensor; expected a model written by prtbake")
     return head, tensors
 
 
@@ -85,12 +85,9 @@ def _diagnosis(fault: Exception) -> str:
             'for example --convention "incident, position, outgoing"'
         )
     if isinstance(fault, pickle.UnpicklingError):
-        return (
-            "contains more than plain weights and was refused; none of its code ran; "
-            "expected a model written by prtbake"
-        )
+        return "is no file of plain weights and was refused; none of its code ran; expected a model written by prtbake"
     if isinstance(fault, OSError | MemoryError):
-        return f"cannot be read ({_first_line(fault) or type(fault).__name__})"
+        return f"cannot be read ({_first_line(fault)}); copy it again"
     return "not a readable checkpoint: truncated, or not a .pt file; expected a model written by prtbake"
 
 
@@ -102,7 +99,7 @@ def _read_safetensors(path: Path) -> tuple[str, dict[str, Tensor]]:
             head = (file.metadata() or {}).get(HEAD)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError) as fault:
-        raise ModelError(f"{path}: not a readable .safetensors file ({_first_line(fault)})") from None
+        raise ModelError(f"{path}: not a readable .safetensors file ({_first_line(fault)}); copy it again") from None
     if head is None:
         raise ModelError(f"{path}: a .safetensors file of another program; expected a model written by prtbake")
     return head, tensors

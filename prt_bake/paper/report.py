@@ -27,6 +27,9 @@ from prt_bake.paper.times import Trained, trainings
 from prt_bake.paper.times import as_json as times_json
 
 OnResult = Callable[[Result], None]
+_PICTURES = ("sheet.png", "everything.png", "training.png", "sigma.png", "layers.png", "times.png")
+FILES = ("tables.md", "tables.json", *_PICTURES, "layers.json", "times.json")
+"""The names of the tables and pictures of the report; each scene has a folder besides."""
 
 
 class PaperReport:
@@ -100,9 +103,8 @@ class PaperReport:
     @property
     def files(self) -> tuple[Path, ...]:
         """The tables and pictures of the report that exist."""
-        pictures = ("sheet", "everything", "training", "sigma", "layers", "times")
-        names = ("tables.md", "tables.json", *(f"{picture}.png" for picture in pictures))
-        return tuple(path for path in (self.artefacts.folder / name for name in names) if path.is_file())
+        shown = (self.artefacts.folder / name for name in FILES if name not in ("layers.json", "times.json"))
+        return tuple(path for path in shown if path.is_file())
 
     def _row(self, result: Result, complete: bool) -> Row:
         """Return a row of the sheet: the reference, and every method's picture with its FLIP map."""

@@ -33,7 +33,10 @@ class SurfaceReflection:
         Raises QueryError for a texture on a mesh without texture coordinates, or with unusable ones.
         """
         if isinstance(roughness, np.ndarray) and mesh.corner_uv is None:
-            raise QueryError("reflection: roughness is a texture, but the mesh has no texture coordinates")
+            raise QueryError(
+                "reflection: roughness is a texture, but the mesh has no texture coordinates; unwrap the mesh, or "
+                "render without reflection"
+            )
         if isinstance(roughness, np.ndarray) and (fault := texture_fault(mesh)):
             raise QueryError(f"reflection: roughness is a texture, but {fault}")
         self._mesh, self._roughness = mesh, np.asarray(roughness, np.float64)

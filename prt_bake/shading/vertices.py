@@ -150,7 +150,8 @@ def light_coefficients(asset: Asset, light: ArrayLike | None) -> Array:
         )
     refuse_other_basis(asset)
     if not np.isfinite(weights).all():
-        raise QueryError(f"light: {int((~np.isfinite(weights)).sum())} of its coefficients are not finite")
+        count = int((~np.isfinite(weights)).sum())
+        raise QueryError(f"light: {count} of its coefficients are not finite; repair the sky (mend=True)")
     return weights
 
 

@@ -30,6 +30,8 @@ SHIPPED = Path(str(resources.files("prt_bake.shipped")))
 MODEL, MESH, SKY = SHIPPED / "spot.pt", SHIPPED / "spot.obj", SHIPPED / "sky.hdr"
 REFERENCE, REFERENCE_REPORT = SHIPPED / "reference.exr", SHIPPED / "reference.json"
 """A path-traced picture of the scene under the sky, and its report by `prtbake render --report`."""
+FILES = ("spot.h5", "spot.png", "spot.exr", "comparison.png", "error.png", "report.json")
+"""The names of the files that a demonstration writes."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +113,8 @@ def demonstrate(
     plot_error(ladder, asset.error_vs_time, folder / "error.png")
     figures = {"picture": whole.as_json(), "object": inside.as_json(), "reference": reference_report}
     write_report({"bake": bake_report(asset), **figures, "clamped": picture.clamped}, folder / "report.json")
-    names = ("spot.h5", "spot.png", "spot.exr", "comparison.png", "error.png", "report.json")
     return Demonstration(
-        asset, tuple(folder / name for name in names), whole, inside, reference_report["noise_mse"], ladder
+        asset, tuple(folder / name for name in FILES), whole, inside, reference_report["noise_mse"], ladder
     )
 
 

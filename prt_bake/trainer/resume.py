@@ -6,14 +6,9 @@ from typing import Any
 
 from formats.atomic import replacing
 from formats.errors import ModelError
+from prt_bake.network.file_names import state_path
 
 _VERSION = 3
-
-
-def state_path(output: str | Path) -> Path:
-    """Path of the checkpoint that belongs to the model `output`."""
-    output = Path(output)
-    return output.with_name(output.stem + ".train.pt")
 
 
 def require_state(output: str | Path) -> Path:

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from formats.atomic import refuse_unwritable
 from formats.errors import QueryError, refuse_path
 from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import interface_kind, is_unrefracted
 from prt_bake.tracer.surface.interface import ROUGH
 from prt_bake.trainer.cores import select_device
@@ -79,7 +81,7 @@ def train(
 
     Raises QueryError for a time that is not positive, for `synchronous` without `steps`, and for a loss that is not
     finite, naming the query; SamplesError for a file that is damaged or belongs to another scene; ModelError for a
-    checkpoint that cannot be resumed.
+    checkpoint that cannot be resumed; StorageError, at once, if `output` cannot be written.
 
     >>> import prt_bake as prt
     >>> scene = prt.load_scene("spot.toml")
@@ -92,6 +94,9 @@ def train(
         raise QueryError(f"train: minutes and steps must be positive, found {minutes:g} and {steps}")
     if synchronous and steps is None:
         raise QueryError("train: synchronous needs steps: the number of steps in a time varies from run to run")
+    if output is not None:
+        for path in (output, state_path(output)):
+            refuse_unwritable(path)
     if resume:
         if output is None:
             raise QueryError("train: resume needs output, the model to continue from")

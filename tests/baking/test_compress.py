@@ -3,13 +3,15 @@
 import dataclasses
 import subprocess
 import sys
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from bakers.error_covariance import unknown_covariance
 from formats.asset import Asset, check_asset, read_asset, write_asset
-from formats.errors import QueryError
+from formats.errors import AssetError, QueryError
 from formats.mesh import Mesh
 from prt_bake.baking.compress import compress, compress_file, raw_bytes, unpacked
 from prt_bake.baking.output.sink import selftest
@@ -228,6 +230,19 @@ def test_errors_out_of_range_raise(error: float) -> None:
         compress(asset_with(of_rank(1, 0.1)), error)
 
 
+def test_a_damaged_part_is_refused_by_the_name_of_the_file(tmp_path: Path) -> None:
+    write_asset(asset_with(of_rank(1, 0.1)), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        chunk = file["transfer/coefficients"].id.get_chunk_info(0)
+    content = bytearray((tmp_path / "a.h5").read_bytes())
+    middle = chunk.byte_offset + chunk.size // 2
+    content[middle : middle + 40] = bytes(40)
+    (tmp_path / "a.h5").write_bytes(content)
+    with pytest.raises(AssetError, match=r"a\.h5: is damaged: the coefficients of vertices 0 to 63 cannot be decompr"):
+        compress_file(tmp_path / "a.h5", tmp_path / "b.h5", 0.1)
+    assert not (tmp_path / "b.h5").exists()
+
+
 def test_assets_that_cannot_be_compressed_raise(tmp_path) -> None:
     asset = asset_with(of_rank(1, 0.1))
     with pytest.raises(QueryError, match="is compact already"):
@@ -269,7 +284,7 @@ def test_the_command_prints_its_result(tmp_path, prtbake: Run) -> None:
         ((tmp_path / "a.compact.h5",), "is compact already"),
         ((tmp_path / "a.h5", "--error", "2"), "must be a relative RMSE"),
         ((tmp_path / "none.h5",), "no such file"),
-        ((tmp_path / "a.h5", "-o", tmp_path / "a.h5"), "is the asset itself"),
+        ((tmp_path / "a.h5", "-o", tmp_path / "a.h5"), "is also the input given as ASSET"),
         ((tmp_path / "a.h5", "--out", tmp_path / "a.png"), "expected a name that ends in .h5"),
     ):
         failed = prtbake("compress", *words)

@@ -169,7 +169,6 @@ def test_turntables_frame_a_long_object_in_every_view(prtbake: Run, tmp_path: Pa
         (["-o", "x_%03d.png"], "names numbered pictures; add --turntable eye"),
         (["-o", "x.png", "--frames", "3"], "apply to turntables; add --turntable eye"),
         (["-o", "x.png", "--seconds", "1"], "apply to turntables; add --turntable eye"),
-        (["-o", "x.png", "--error-picture", "./x.png"], "is also --output; choose another file"),
         (["-o", "x.exr", "--turntable", "eye"], "a single .exr cannot store a turntable"),
         (["-o", "x.gif", "--turntable", "eye", "--transparent"], "cannot be combined with --transparent"),
         (["-o", "x.exr", "--exposure", "2"], "--exposure: has no effect on .exr, which"),

@@ -66,6 +66,14 @@ def test_a_full_disk_is_reported_in_one_sentence(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == ["a.txt"]
 
 
+def test_a_temporary_file_that_another_program_removed_is_reported(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(StorageError, match=r"a\.txt: cannot be written: its temporary file"), replacing(path) as part:
+        part.unlink()
+    assert path.read_text() == "old"
+
+
 def test_unusable_paths_are_refused_before_writing(tmp_path):
     for path, sentence in ((tmp_path / "no" / "a.txt", "folder .*no does not exist"), (tmp_path, "it is a folder")):
         with pytest.raises(StorageError, match=sentence), replacing(path):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
-from formats.atomic import replacing
+from formats.atomic import refuse_unwritable, replacing
 from formats.json_report import write_report
 from formats.mesh import Mesh
 from formats.scene import Scene
@@ -22,6 +22,11 @@ from prt_bake.jit.limits import limited_threads
 
 Array = NDArray[np.float64]
 REFERENCE_DIRECTIONS = 1 << 13
+
+
+def report_files(out: Path) -> list[Path]:
+    """Paths of the report in the folder `out`: bake.md, bake.json and bake.png."""
+    return [out / name for name in ("bake.md", "bake.json", "bake.png")]
 
 
 def report_bake(
@@ -52,6 +57,9 @@ def report_bake(
 
     Raises QueryError for a mesh that is not the transport's, PrtbakeError if the extra `evaluate` is not installed.
     """
+    out.mkdir(parents=True, exist_ok=True)
+    for file in report_files(out):
+        refuse_unwritable(file)
     refuse_foreign(transport, mesh)
     bins = drawn_bins(mesh, rings, sectors, degree, vertices, seed)
     rows, parts = list[Row](), list[Part]()
@@ -89,12 +97,12 @@ def report_bake(
         "bin. A walk counts as an evaluation, and the error of a path-traced bake is its own standard error. Adaptive "
         "bakes cover all bins of these vertices; their pilot is not counted."
     ]
-    out.mkdir(parents=True, exist_ok=True)
-    with replacing(out / "bake.md") as part:
+    table, figures, plotted = report_files(out)
+    with replacing(table) as part:
         part.write_text(as_markdown(title, rows, parts, count, remarks), encoding="utf-8")
-    write_report(as_json(rows, parts, count), out / "bake.json")
-    plot(rows, out / "bake.png")
-    return [out / name for name in ("bake.md", "bake.json", "bake.png")]
+    write_report(as_json(rows, parts, count), figures)
+    plot(rows, plotted)
+    return [table, figures, plotted]
 
 
 def _walks(transport: Any, degree: int, seed: int) -> Callable[[Array, Array, int], tuple[Array, Array]]:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 from prt_bake.cli.shared.options import Eye, Seed
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
 
@@ -42,9 +43,12 @@ def bake(
     Writes bake.md, bake.json and bake.png: uniform Monte Carlo, Sobol, a lattice and adaptive bakes, with fitted slopes
     and efficiencies. With --scene adds path-traced bakes; with --light adds the error budget of a picture.
     """
+    from prt_bake.baking.report.report import report_bake, report_files
+
+    inputs = {"SOURCE": source, "MESH": mesh, "--scene": scene, "--light": light}
+    check_outputs({"--out": report_files(out)}, inputs, folder=out)
     from formats.mesh import read_mesh
     from formats.scene import read_scene
-    from prt_bake.baking.report.report import report_bake
     from prt_bake.baking.sources import open_source
     from prt_bake.geometry import camera
     from prt_bake.lights.environment import read_environment

@@ -9,6 +9,7 @@ import typer
 
 from formats.errors import PrtbakeError
 from prt_bake.cli.shared.options import Device, Seed
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import PLAIN_INTERVAL, say, stopping
 
 
@@ -70,7 +71,7 @@ def paper(
     """
     from prt_bake.baking.sources import require_device
     from prt_bake.paper.artefacts import Stopped
-    from prt_bake.paper.report import PaperReport, sky_files
+    from prt_bake.paper.report import FILES, PaperReport, sky_files
     from prt_bake.paper.results import TITLES, Result
     from prt_bake.paper.scenes import select_scenes
     from prt_bake.paper.settings import ReportSettings
@@ -78,6 +79,7 @@ def paper(
 
     require_device(device)
     folder = scenes or Path(__file__).parents[2] / "scenes"
+    check_outputs({"--out": [out / name for name in FILES]}, {"--sky": sky}, folder=out)
     selected = select_scenes(scene or (["dragon"] if layers or times else []))
     settings = ReportSettings(
         size=size,

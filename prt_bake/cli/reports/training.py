@@ -5,8 +5,11 @@ from typing import Annotated
 
 import typer
 
+from formats.atomic import existing
 from prt_bake.cli.shared.options import Seed
+from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
+from prt_bake.network.file_names import report_paths
 
 
 def training(
@@ -29,6 +32,7 @@ def training(
     Writes MODEL.report.json and MODEL.report.html beside the model: its error over time, angle and position, without
     the reference's noise, with a confidence interval of each figure.
     """
+    check_outputs({"the report": report_paths(existing(model))}, {"MODEL": model, "SCENE": scene})
     from formats.scene import read_scene
     from prt_bake.network.bssrdf import load_model
     from prt_bake.trainer.report.report import report_training

@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import typer
 
-from formats.atomic import refuse_unwritable
 from formats.errors import FormatError
 
 IMAGE_SUFFIXES = (".png", ".exr", ".hdr")
@@ -71,33 +70,24 @@ def within(low: float, high: float) -> Callable[[float | None], float | None]:
 
 
 def output_option(metavar: str, *suffixes: str) -> Any:
-    """Declare `--output`. Refuses a wrong suffix or an unwritable path at once, not after an hour's work."""
-
-    def refuse_unusable(path: Path | None) -> Path | None:
-        if path is None:
-            return None
-        _refuse_other_suffixes(path, suffixes)
-        refuse_unwritable(path)
-        return path
-
-    return typer.Option("--output", "-o", metavar=metavar, callback=refuse_unusable, help="File to write.")
+    """Declare `--output`, which refuses other suffixes; `check_outputs` refuses paths that cannot be written."""
+    return typer.Option("--output", "-o", metavar=metavar, callback=_with_suffix(suffixes), help="File to write.")
 
 
 def optional_output(names: str, metavar: str, text: str, *suffixes: str) -> Any:
     """Declare an optional further output with help `text`; `names` are separated by blanks. Refuses as `--output`."""
-
-    def refuse_unusable(path: Path | None) -> Path | None:
-        if path is not None:
-            _refuse_other_suffixes(path, suffixes)
-        return _checked_writable(path)
-
-    return typer.Option(*names.split(), metavar=metavar, callback=refuse_unusable, help=text, show_default=False)
+    check = _with_suffix(suffixes)
+    return typer.Option(*names.split(), metavar=metavar, callback=check, help=text, show_default=False)
 
 
-def _refuse_other_suffixes(path: Path, suffixes: tuple[str, ...]) -> None:
-    if path.suffix.lower() not in suffixes:
-        known = " or ".join(dict.fromkeys(suffixes))  # .png is both a picture and an animation
-        raise FormatError(f"{path}: expected a name that ends in {known}, found {path.suffix!r}")
+def _with_suffix(suffixes: tuple[str, ...]) -> Callable[[Path | None], Path | None]:
+    def refuse_other_suffixes(path: Path | None) -> Path | None:
+        if path is not None and path.suffix.lower() not in suffixes:
+            known = " or ".join(dict.fromkeys(suffixes))  # .png is both a picture and an animation
+            raise FormatError(f"{path}: expected a name that ends in {known}, found {path.suffix!r}")
+        return path
+
+    return refuse_other_suffixes
 
 
 def refuse_unseen_exposure(exposure: float, *outputs: Path | None) -> None:
@@ -106,12 +96,6 @@ def refuse_unseen_exposure(exposure: float, *outputs: Path | None) -> None:
     if exposure != 0.0 and all(suffix in (".exr", ".hdr") for suffix in suffixes):
         kinds = " and ".join(dict.fromkeys(suffixes))
         raise typer.BadParameter(f"--exposure: has no effect on {kinds}, which store radiance; write .png or omit it")
-
-
-def _checked_writable(path: Path | None) -> Path | None:
-    if path is not None:
-        refuse_unwritable(path)
-    return path
 
 
 Up = Annotated[
@@ -197,10 +181,5 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 Device = Annotated[Literal["cpu", "cuda"], typer.Option(help="Device that runs the network.")]
 ReportFile = Annotated[
     Path | None,
-    typer.Option(
-        metavar="R.json",
-        callback=_checked_writable,
-        help="Also write settings, errors and times as JSON.",
-        show_default=False,
-    ),
+    optional_output("--report", "R.json", "Also write settings, errors and times as JSON.", ".json"),
 ]

@@ -30,12 +30,6 @@ b.verdict { white-space: nowrap }
 """
 
 
-def report_paths(model: str | Path) -> tuple[Path, Path]:
-    """Paths of the report of MODEL.pt: MODEL.report.json and MODEL.report.html beside it."""
-    path = Path(model)
-    return path.with_name(path.stem + ".report.json"), path.with_name(path.stem + ".report.html")
-
-
 def write_training_report(report: dict[str, Any], json_path: str | Path, page_path: str | Path) -> None:
     """Write a report (`assess`) as JSON, then as a page, each atomically.
 

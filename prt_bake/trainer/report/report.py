@@ -4,12 +4,14 @@ from pathlib import Path
 from typing import Any
 
 from bakers.transport import on_mesh
+from formats.atomic import refuse_unwritable
 from formats.errors import ModelError, PrtbakeError
 from formats.scene import Scene
+from prt_bake.network.file_names import report_paths
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report.assessment import ASSESSMENT_SEED, assess
 from prt_bake.trainer.report.evaluation import VERTICES
-from prt_bake.trainer.report.page import report_paths, write_training_report
+from prt_bake.trainer.report.page import write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_criterion, picture_error, picture_summary
 
 QUERIES, SECONDS = 1024, 40.0
@@ -33,8 +35,12 @@ def report_training(
     of the training is `network.metadata["training"]["validation_vs_time"]`, rows (seconds, walks, validation error).
 
     Returns the report and the path of the page. Raises ModelError if the model was trained on another scene,
-    StorageError if a file cannot be written, and PrtbakeError without matplotlib (the JSON is written by then).
+    StorageError, at once, if a file cannot be written, and PrtbakeError without matplotlib (the JSON is written by
+    then).
     """
+    json_path, page_path = report_paths(model)
+    for path in (json_path, page_path):
+        refuse_unwritable(path)
     scene_hash = network.metadata.get("scene_hash")
     if scene_hash not in (None, scene.content_hash):
         raise ModelError(
@@ -53,7 +59,6 @@ def report_training(
         vertices=vertices,
     )
     _add_pictures(report, bound, scene, _PICTURE_SHARE * seconds, seed)
-    json_path, page_path = report_paths(model)
     write_training_report(report, json_path, page_path)
     return report, page_path
 

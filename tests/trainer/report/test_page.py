@@ -12,9 +12,10 @@ import pytest
 from formats.errors import StorageError
 from prt_bake.cli.main import main
 from prt_bake.network.bssrdf import NetworkSettings, NeuralBSSRDF, save_model
+from prt_bake.network.file_names import report_paths
 from prt_bake.tracer.prepared import prepare
 from prt_bake.trainer.report.assessment import assess
-from prt_bake.trainer.report.page import report_paths, training_page, write_training_report
+from prt_bake.trainer.report.page import training_page, write_training_report
 from prt_bake.trainer.report.picture import SUNS, picture_summary, sun_text
 from tests.tracer.scenes import make_scene, sphere
 from tests.trainer.report.test_assessment import Network, NoisyTruth, truth

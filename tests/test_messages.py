@@ -1,0 +1,35 @@
+"""The list of messages, and what they have in common."""
+
+from tests import ROOT
+from tests.messages import messages
+
+SOURCE = """
+def read(path):
+    if not path.exists():
+        raise StorageError(f"{path}: there is no such file; " + "check the name")
+    warn(f"{path}: {count(path):,} rows were skipped")
+    faults.append("the header has no end")
+    yield f"{name!r} is not known here"
+    names.append("short")
+    raise fault
+    raise TypeError(f"{kind}")
+"""
+
+
+def test_errors_warnings_and_parts_of_messages_are_listed() -> None:
+    assert list(messages(SOURCE)) == [
+        (4, "StorageError", "{path}: there is no such file; check the name"),
+        (5, "warn", "{path}: {count(path)} rows were skipped"),
+        (6, "append", "the header has no end"),
+        (7, "part", "{name} is not known here"),
+        (10, "TypeError", "{kind}"),
+    ]
+
+
+def test_errors_about_files_begin_with_the_file_or_the_argument() -> None:
+    found = []
+    for path in sorted((ROOT / "formats").rglob("*.py")):
+        for line, kind, text in messages(path.read_text(encoding="utf-8")):
+            if kind.endswith("Error") and kind != "ValueError" and not text.startswith(("{", "--light {", "mesh: {")):
+                found.append((path.name, line, text))
+    assert found == []
