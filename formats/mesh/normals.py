@@ -5,15 +5,11 @@ hemisphere at each vertex. Normals that are smoothed or weighted differ from tho
 """
 
 import os
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
-
-if TYPE_CHECKING:
-    from formats.mesh.record import Mesh
 
 Array = NDArray[np.float64]
 
@@ -54,9 +50,9 @@ def _agree(cosines: Array) -> bool:
     return bool((~(cosines > 0.0)).mean() <= _FEW and np.nanmedian(cosines) >= _LEAST_COSINE)
 
 
-def refuse_wrong_side(mesh: "Mesh", of_faces: Array) -> None:
-    """Raise MeshError if the normals of a mesh are not of unit length or contradict those of the faces [V,3]."""
-    lengths = np.linalg.norm(mesh.normals, axis=1)
+def refuse_wrong_side(normals: Array, of_faces: Array) -> None:
+    """Raise MeshError if the vertex normals [V,3] of a mesh are not of unit length or contradict those of the faces [V,3]."""
+    lengths = np.linalg.norm(normals, axis=1)
     wrong = ~(np.abs(lengths - 1.0) < 1e-3)
     if wrong.any():
         first = int(wrong.argmax())
@@ -64,7 +60,7 @@ def refuse_wrong_side(mesh: "Mesh", of_faces: Array) -> None:
             f"mesh: {wrong.sum()} of {len(wrong)} normals are not unit vectors, the first is that of vertex {first}, "
             f"of length {lengths[first]:.3g}; {_REMEDY}"
         )
-    cosines = np.einsum("vi,vi->v", mesh.normals, of_faces)
+    cosines = np.einsum("vi,vi->v", normals, of_faces)
     if not _agree(cosines):
         raise MeshError(
             f"mesh: {(cosines <= 0.0).sum()} of {len(cosines)} vertex normals point away from the faces, the median "

@@ -225,7 +225,7 @@ def refuse_inside_out(mesh: Mesh) -> None:
     """Raise MeshError if a closed mesh is wound inside out, or if its normals contradict its faces."""
     if signed_volume(mesh) < 0.0 and open_edges(mesh) + inconsistent_edges(mesh) == 0:
         raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
-    refuse_wrong_side(mesh, build_mesh(mesh.positions, mesh.faces).normals)
+    refuse_wrong_side(mesh.normals, build_mesh(mesh.positions, mesh.faces).normals)
 
 
 def flipped(mesh: Mesh) -> Mesh:
