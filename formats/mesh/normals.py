@@ -51,7 +51,7 @@ def _agree(cosines: Array) -> bool:
 
 
 def refuse_wrong_side(normals: Array, of_faces: Array) -> None:
-    """Raise MeshError if the vertex normals [V,3] of a mesh are not of unit length or contradict those of the faces [V,3]."""
+    """Raise MeshError if vertex normals [V,3] are not of unit length or contradict those of the faces [V,3]."""
     lengths = np.linalg.norm(normals, axis=1)
     wrong = ~(np.abs(lengths - 1.0) < 1e-3)
     if wrong.any():

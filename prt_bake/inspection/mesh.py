@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from formats.mesh import check_mesh, open_edges, read_mesh, signed_volume, texture_remark
+from prt_bake.geometry.shells import ambiguity
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -24,8 +25,11 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def find_faults(path: Path) -> list[str]:
-    """Return the faults of a mesh, as `formats.mesh.check_mesh`."""
-    return check_mesh(path)
+    """Return the faults of a mesh: those of `formats.mesh.check_mesh`, else shells that overlap."""
+    if faults := check_mesh(path):
+        return faults
+    what, _volume = ambiguity(read_mesh(path))
+    return [f"{path}: {what}; unite its shells in a mesh editor (boolean union)"] if what else []
 
 
 def find_remarks(path: str | Path) -> list[str]:

@@ -37,10 +37,13 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def find_faults(path: Path) -> list[str]:
-    """Return the faults of the tables; if there are none, raise the error of reading the meshes and grids, if any."""
+    """Return the faults of the tables; if there are none, raise the error of the meshes and grids, if any."""
+    from prt_bake.geometry.shells import refuse_ambiguous
+
     faults = find_table_faults(path)
     if not faults:
-        read_scene(path)
+        for part in read_scene(path).parts:
+            refuse_ambiguous(part.mesh, part.mesh_path)
     return faults
 
 
