@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from formats.errors import warn
 from formats.mesh.gltf.accessors import Accessors
 from formats.mesh.gltf.container import GltfFile
-from formats.mesh.gltf.schema import Node
 
 Array = NDArray[np.float64]
 
@@ -49,14 +48,14 @@ def read_forest(file: GltfFile) -> Forest:
             if parents[child] >= 0:
                 raise file.fault(where, f"node {child} is already a child of node {parents[child]}")
             parents[child] = index
-    matrices = np.zeros((len(nodes), 4, 4))
+    matrices = _local_matrices(file)
     pending = [index for index, parent in enumerate(parents) if parent < 0]
     reached = 0
     while pending:
         index = pending.pop()
         reached += 1
-        local = _local_matrix(file, nodes[index], f"nodes[{index}]")
-        matrices[index] = local if parents[index] < 0 else matrices[parents[index]] @ local
+        if parents[index] >= 0:
+            matrices[index] = matrices[parents[index]] @ matrices[index]
         pending += nodes[index].children
     if reached < len(nodes):
         raise file.fault("nodes", f"{len(nodes) - reached} nodes are their own ancestors or descend from such nodes")
@@ -91,7 +90,7 @@ def instance_matrices(accessors: Accessors, file: GltfFile, index: int) -> Array
         read.get("TRANSLATION", np.zeros((count, 3))),
         read.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
         read.get("SCALE", np.ones((count, 3))),
-        f"{where}.ROTATION",
+        f"{where}.ROTATION: instance {{}}",
     )
 
 
@@ -120,26 +119,38 @@ def _roots(file: GltfFile, forest: Forest) -> list[int]:
     return list(roots)
 
 
-def _local_matrix(file: GltfFile, node: Node, where: str) -> Array:
-    """Return the transform of a node relative to its parent [4,4]."""
-    translation, rotation, scale = (np.array([row]) for row in (node.translation, node.rotation, node.scale))
-    composed: Array = _compose(file, translation, rotation, scale, f"{where}.rotation")[0]
-    if node.matrix is None:
-        return composed
-    matrix = np.array(node.matrix).reshape(4, 4).T  # stored by columns
-    refuse_projection(file, matrix, f"{where}.matrix")
-    if not (np.array_equal(matrix, np.eye(4)) or np.array_equal(composed, np.eye(4))):
-        raise file.fault(where, "expected a matrix, or a translation, rotation and scale, found both")
-    product: Array = matrix @ composed
-    return product
+def _local_matrices(file: GltfFile) -> Array:
+    """Return the transform of each node relative to its parent [N,4,4]."""
+    nodes = file.records.nodes
+    matrices = _compose(
+        file,
+        np.array([node.translation for node in nodes]).reshape(-1, 3),
+        np.array([node.rotation for node in nodes]).reshape(-1, 4),
+        np.array([node.scale for node in nodes]).reshape(-1, 3),
+        "nodes[{}].rotation",
+    )
+    for index, node in enumerate(nodes):
+        if node.matrix is not None:
+            matrix = np.array(node.matrix).reshape(4, 4).T  # stored by columns
+            refuse_projection(file, matrix, f"nodes[{index}].matrix")
+            if not (np.array_equal(matrix, np.eye(4)) or np.array_equal(matrices[index], np.eye(4))):
+                where = f"nodes[{index}]"
+                raise file.fault(where, "expected a matrix, or a translation, rotation and scale, found both")
+            matrices[index] = matrix @ matrices[index]
+    return matrices
 
 
 def _compose(file: GltfFile, translations: Array, rotations: Array, scales: Array, where: str) -> Array:
-    """Return translation · rotation · scale [I,4,4]; the rotations [I,4] are unit quaternions x, y, z, w."""
+    """Return translation · rotation · scale [I,4,4]; the rotations [I,4] are unit quaternions x, y, z, w.
+
+    `where` is the place of a rotation for errors; its number replaces the braces.
+    """
     lengths = np.linalg.norm(rotations, axis=1, keepdims=True)
-    if not (np.abs(lengths - 1) < _UNIT).all():
-        found = lengths[(np.abs(lengths - 1) >= _UNIT).argmax(), 0]
-        raise file.fault(where, f"expected a unit quaternion x, y, z, w, found one of length {found:.3g}")
+    wrong = ~(np.abs(lengths[:, 0] - 1) < _UNIT)
+    if wrong.any():
+        first = int(wrong.argmax())
+        found = f"expected a unit quaternion x, y, z, w, found one of length {lengths[first, 0]:.3g}"
+        raise file.fault(where.format(first), found)
     x, y, z, w = (rotations / lengths).T
     turn = np.array(
         [

@@ -8,7 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
+
+from formats.errors import MeshError
+from formats.mesh.gltf import read_gltf
 
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 SHAPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -69,7 +73,9 @@ class GltfBuilder:
             self.json["scenes"][0]["nodes"].append(index)
         return index
 
-    def solid(self, positions: Any = TETRAHEDRON, faces: Any = FACES, kind: str = "u2", **attributes: int) -> dict[str, Any]:
+    def solid(
+        self, positions: Any = TETRAHEDRON, faces: Any = FACES, kind: str = "u2", **attributes: int
+    ) -> dict[str, Any]:
         """Return a primitive of indexed triangles."""
         corners = self.accessor(np.ravel(faces), kind)
         return {"attributes": {"POSITION": self.accessor(positions), **attributes}, "indices": corners}
@@ -107,6 +113,17 @@ def tetrahedron(**node: Any) -> GltfBuilder:
     builder = GltfBuilder()
     builder.node(mesh=builder.mesh(builder.solid()), **node)
     return builder
+
+
+def refused(path: Path) -> str:
+    """Return the sentence with which a file is refused, without the file's name."""
+    with pytest.raises(MeshError) as caught:
+        read_gltf(path)
+    name, _, sentence = str(caught.value).partition(": ")
+    assert name == str(path)
+    assert "\n" not in sentence
+    assert ";" in sentence
+    return sentence
 
 
 def corners(mesh: Any) -> NDArray[np.float64]:
