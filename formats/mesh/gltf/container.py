@@ -119,7 +119,7 @@ def _parse(kind: type[Entry], text: bytes, path: str | os.PathLike[str]) -> Entr
         error = cause.errors(include_url=False)[0]
         place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"]).lstrip(".")
         if not place:
-            raise MeshError(f"{path}: is not glTF: expected a JSON object: {error['msg']}; export it again") from cause
+            raise MeshError(f"{path}: is not glTF, or its JSON is damaged: {error['msg']}; export it again") from cause
         found = "nothing" if error["type"] == "missing" else repr(error["input"])[:80]
         raise MeshError(f"{path}: {place}: {error['msg']}, found {found}; export the glTF file again") from cause
 

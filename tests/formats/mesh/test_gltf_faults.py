@@ -195,27 +195,28 @@ VALUES = [
 ]
 
 
-def _damage(place: Any, rng: random.Random) -> None:
-    """Replace, remove or repeat a random value inside a JSON object or array."""
-    while True:
-        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-        if not keys:
-            return
-        key = rng.choice(keys)
-        if isinstance(place[key], dict | list) and place[key] and rng.random() < 0.8:
-            place = place[key]
-            continue
-        choice = rng.random()
-        if choice < 0.15:
-            del place[key]
-        elif choice < 0.25 and isinstance(place, list):
-            place.append(copy.deepcopy(place[key]))
-        else:
-            place[key] = rng.choice(VALUES)
-        return
+def _places(parent: Any) -> list[tuple[Any, Any]]:
+    """Every value inside a JSON object or array, as the object or array that holds it and its key."""
+    keys = list(parent) if isinstance(parent, dict) else list(range(len(parent)))
+    inner = [place for key in keys if isinstance(parent[key], dict | list) for place in _places(parent[key])]
+    return [(parent, key) for key in keys] + inner
 
 
-@settings(max_examples=250, deadline=None, derandomize=True, database=None)
+def _damage(record: Any, rng: random.Random) -> None:
+    """Replace, remove, repeat or shift a random value of a JSON object."""
+    parent, key = rng.choice(_places(record))
+    value, choice = parent[key], rng.random()
+    if choice < 0.1:
+        del parent[key]
+    elif choice < 0.2 and isinstance(parent, list):
+        parent.append(copy.deepcopy(value))
+    elif choice < 0.5 and isinstance(value, int | float):
+        parent[key] = rng.choice([value + 1, value - 1, 10 * value + 1, -value, value / 2])
+    else:
+        parent[key] = copy.deepcopy(rng.choice(VALUES))
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, database=None)
 @given(
     seed=st.integers(0, len(SEEDS) - 1),
     random_seed=st.integers(0, 2**32),
@@ -231,8 +232,8 @@ def test_damage_gives_a_mesh_or_one_sentence(tmp_path_factory, seed, random_seed
     content = bytearray(builder.glb())
     if not deep:
         for _ in range(changes):
-            content[rng.randrange(len(content))] = rng.randrange(256)
-        content = content[: rng.choice([len(content), rng.randrange(len(content))])]
+            content[-rng.randrange(1, rng.choice([len(builder.data), len(content)]))] = rng.randrange(256)
+        content = content[: rng.choice([len(content), len(content), rng.randrange(len(content))])]
     path = tmp_path_factory.getbasetemp() / "damaged.glb"
     path.write_bytes(content)
     with warnings.catch_warnings():

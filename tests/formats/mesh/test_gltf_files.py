@@ -79,8 +79,8 @@ def test_containers_that_are_no_gltf_are_refused(tmp_path):
     content = tetrahedron().glb()
     binary = struct.pack("<II4s", 4, 0x004E4942, b"more")
     cases = {
-        b"": "is not glTF: expected a JSON object",
-        b"[]": "is not glTF: expected a JSON object",
+        b"": "is not glTF, or its JSON is damaged",
+        b"[]": "is not glTF, or its JSON is damaged",
         b"PK\3\4": "is not glTF",
         b"[" * 9999: "is not glTF",
         b"{}": "asset: Field required, found nothing",
