@@ -15,7 +15,7 @@ COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_me
 _UNDERSTOOD = ("EXT_mesh_gpu_instancing", "KHR_mesh_quantization", "KHR_node_visibility", "KHR_texture_transform")
 # Extensions that move no triangle: materials, textures, lights, animation, metadata, and simpler or coarser copies.
 _WITHOUT_GEOMETRY = (
-    *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_techniques_webgl", "EXT_texture_", "EXT_lights_"),
+    *("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_technique", "EXT_texture_", "EXT_lights_"),
     *("ADOBE_materials_", "NV_materials_", "MSFT_texture_", "MSFT_packing_", "MSFT_lod", "KHR_animation_pointer"),
     *("KHR_xmp", "KHR_audio", "KHR_interactivity", "KHR_node_hoverability", "KHR_node_selectability", "AGI_"),
     *("EXT_structural_metadata", "EXT_mesh_features", "EXT_instance_features", "FB_geometry_metadata", "GODOT_"),

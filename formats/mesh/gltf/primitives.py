@@ -87,12 +87,11 @@ def _triangulate(corners: NDArray[np.int64], mode: int, positions: Array) -> NDA
     """
     if mode == _TRIANGLES:
         return corners.reshape(-1, 3)
-    first = np.arange(max(len(corners) - 2, 0))
-    odd = first % 2
     if mode == _STRIP:
-        faces = np.stack([corners[first], corners[first + 1 + odd], corners[first + 2 - odd]], axis=1)
+        faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+        faces[1::2] = faces[1::2, ::-1]  # the winding alternates
     else:
-        faces = np.stack([corners[first + 1], corners[first + 2], corners[0 * first]], axis=1)
+        faces = np.stack([corners[1:-1], corners[2:], np.repeat(corners[:1], len(corners[2:]))], axis=1)
     places = positions[faces]
     links: NDArray[np.bool_] = (places == np.roll(places, 1, axis=1)).all(axis=2).any(axis=1)
     return faces[~links]

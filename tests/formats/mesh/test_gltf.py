@@ -67,6 +67,7 @@ PLAIN = {
     "interleaved": interleaved,
     "not indexed": unindexed,
     "tree": tree,
+    "strip": lambda: triangulated(5, [0, 2, 1, 3, 0, 2]),
 }
 
 

@@ -55,6 +55,7 @@ DAMAGED: list[tuple[str, Any, str]] = [
     ("nodes/0/extensions", instances(TRANSLATION=2, ROTATION=3), "(accessors[3]): expected 3 elements, found 1"),
     ("nodes/0/extensions", instances(ROTATION=3), "attributes.ROTATION: instance 0: expected a unit quaternion"),
     ("scenes/0/nodes", [5], "scenes[0].nodes: node 5 does not exist"),
+    ("nodes/1/children", [0], "scenes[0].nodes: expected roots, but node 0 is a child of node 1"),
     ("scenes/0/nodes", [0, 0], "scenes[0].nodes: names a node twice"),
     ("scene", 2, "scene: scene 2 does not exist, the file has 1"),
     ("scene", "first", "scene: Input should be a valid integer"),

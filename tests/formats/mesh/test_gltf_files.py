@@ -36,10 +36,10 @@ def test_every_container_gives_the_same_mesh(tmp_path):
 def test_buffers_in_other_files_are_found_by_their_names(tmp_path):
     builder = tetrahedron()
     expected = read_mesh(builder.write(tmp_path / "plain.glb")).content_hash
-    name = "my mesh é #1 100%.bin"
+    name = "my mesh é #1 100%41.bin"
     (tmp_path / "deep").mkdir()
     (tmp_path / name).write_bytes(builder.data + b"more than is declared")
-    uris = [f"../{quote(name)}", f"../{name}", f"..\\{name}", str(tmp_path / name), quote(str(tmp_path / name))]
+    uris = [f"../{quote(name)}", f"../{name}", f"..\\{quote(name)}", str(tmp_path / name), quote(str(tmp_path / name))]
     encoded = base64.b64encode(builder.data).decode()
     uris += [f"data:;base64,{encoded.rstrip('=')}", f"data:application/gltf-buffer;base64,{quote(encoded)}"]
     uris += [f"data:application/octet-stream,{quote(builder.data)}"]
