@@ -117,18 +117,24 @@ def _parse(kind: type[Entry], text: bytes, path: str | os.PathLike[str]) -> Entr
         return kind.model_validate_json(text)
     except ValidationError as cause:
         error = cause.errors(include_url=False)[0]
-        place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in error["loc"]).lstrip(".")
+        keys = (f"[{part}]" if isinstance(part, int) else f".{part!r:.40}".replace("'", "") for part in error["loc"])
+        place = "".join(keys).lstrip(".")
         if not place:
             raise MeshError(f"{path}: is not glTF, or its JSON is damaged: {error['msg']}; export it again") from cause
-        found = "nothing" if error["type"] == "missing" else repr(error["input"])[:80]
-        raise MeshError(f"{path}: {place}: {error['msg']}, found {found}; export the glTF file again") from cause
+        if error["type"] == "missing":
+            raise MeshError(f"{path}: {place}: is missing; export the glTF file again") from cause
+        expected = (
+            "0 or more" if error["type"] == "greater_than_equal" else error["msg"].replace("Input should be ", "")
+        )
+        found = f"expected {expected}, found {error['input']!r:.80}"
+        raise MeshError(f"{path}: {place}: {found}; export the glTF file again") from cause
 
 
 def _refuse_other_versions(head: Head, path: str | os.PathLike[str]) -> None:
     """Raise MeshError for another version, and for a required extension that is not supported."""
     version = head.asset.minVersion or head.asset.version
     if version.split(".")[0] != "2" or head.asset.minVersion not in (None, "2.0"):
-        raise MeshError(f"{path}: asset: is glTF {version[:20]}; expected version 2.0; export it as glTF 2.0")
+        raise MeshError(f"{path}: asset: is glTF {version!r:.20}; expected version 2.0; export it as glTF 2.0")
     for name in head.extensionsRequired:
         if name in COMPRESSIONS:
             raise MeshError(

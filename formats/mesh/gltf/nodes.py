@@ -131,6 +131,8 @@ def _local_matrices(file: GltfFile) -> Array:
     )
     for index, node in enumerate(nodes):
         if node.matrix is not None:
+            if len(node.matrix) != 16:
+                raise file.fault(f"nodes[{index}].matrix", f"expected 16 numbers, found {len(node.matrix)}")
             matrix = np.array(node.matrix).reshape(4, 4).T  # stored by columns
             refuse_projection(file, matrix, f"nodes[{index}].matrix")
             if not (np.array_equal(matrix, np.eye(4)) or np.array_equal(matrices[index], np.eye(4))):

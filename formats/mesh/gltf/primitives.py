@@ -12,7 +12,6 @@ from formats.mesh.gltf.schema import Primitive, Texture, TextureTransform
 
 Array = NDArray[np.float64]
 
-_SHAPES = {"POSITION": "VEC3", "NORMAL": "VEC3"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
@@ -32,25 +31,22 @@ def read_primitive(
         file.remark(where, "points and lines are ignored, only triangles are read")
         return None
     _refuse_missing_data(file, accessors, primitive, where)
-    if "POSITION" not in primitive.attributes:
+    attributes = primitive.attributes
+    if "POSITION" not in attributes:
         file.remark(where, "is ignored, since it has no attribute POSITION")
         return None
     if primitive.targets and len(weights) not in (0, len(primitive.targets)):
         raise file.fault(where, f"has {len(primitive.targets)} morph targets, but the mesh has {len(weights)} weights")
-    count = accessors.record(primitive.attributes["POSITION"], f"{where}.attributes.POSITION").count
+    count = accessors.record(attributes["POSITION"], f"{where}.attributes.POSITION").count
 
-    def attribute(name: str) -> Array | None:
-        if name not in primitive.attributes:
-            return None
-        shape = _SHAPES.get(name, "VEC2")
-        values = accessors.floats(primitive.attributes[name], shape, f"{where}.attributes.{name}", count)
+    def read(name: str, shape: str) -> Array:
+        values = accessors.floats(attributes[name], shape, f"{where}.attributes.{name}", count)
         for number, (target, weight) in enumerate(zip(primitive.targets, weights, strict=False)):
             if weight and name in target:
                 values += weight * accessors.floats(target[name], shape, f"{where}.targets[{number}].{name}", count)
         return values
 
-    positions = attribute("POSITION")
-    assert positions is not None
+    positions = read("POSITION", "VEC3")
     corners = np.arange(count)
     if primitive.indices is not None:
         corners = accessors.indices(primitive.indices, f"{where}.indices", count)
@@ -59,9 +55,10 @@ def read_primitive(
     faces = _triangulate(corners, primitive.mode, positions)
     if len(faces) == 0:
         return None
+    normals = read("NORMAL", "VEC3") if "NORMAL" in attributes else None
     name, transform = _texture_coordinates(file, primitive, where)
-    uv = attribute(name)
-    return Part(positions, faces, attribute("NORMAL"), None if uv is None else _upwards(uv, transform))
+    uv = _upwards(read(name, "VEC2"), transform) if name in attributes else None
+    return Part(positions, faces, normals, uv)
 
 
 def _refuse_missing_data(file: GltfFile, accessors: Accessors, primitive: Primitive, where: str) -> None:
@@ -114,7 +111,7 @@ def _texture_coordinates(file: GltfFile, primitive: Primitive, where: str) -> tu
     if any(use != uses[0] for use in uses):
         file.remark(where, "has textures with different coordinates, the first one's are read")
     name, transform = uses[0]
-    if transform != TextureTransform():
+    if name in primitive.attributes and transform != TextureTransform():
         file.remark(where, "KHR_texture_transform is applied to the texture coordinates")
     return name, transform
 

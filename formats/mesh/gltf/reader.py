@@ -1,6 +1,7 @@
 """Reads the triangles of a glTF file: every visible mesh of the default scene, in the default pose."""
 
 import os
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -78,7 +79,7 @@ class _Reader:
         ]
 
     def _primitives(
-        self, index: int, node_weights: list[float] | None, where: str
+        self, index: int, node_weights: Sequence[float] | None, where: str
     ) -> list[tuple[str, Primitive, Part]]:
         """Return the primitives of a mesh that have triangles: their places in the file, records and triangles."""
         mesh = self._file.entry("mesh", self._file.records.meshes, index, where)

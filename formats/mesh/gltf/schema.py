@@ -3,10 +3,12 @@
 Names are those of the standard. Everything else in the file is skipped: cameras, animations, images, extras.
 """
 
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
+Element = TypeVar("Element")
+Many = Annotated[tuple[Element, ...], Field(fail_fast=True)]  # one error is enough: a damaged file may have millions
 Index = Annotated[int, Field(ge=0)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Pair = tuple[Number, Number]
@@ -29,7 +31,7 @@ class Head(Record):
     """What decides whether the rest can be read."""
 
     asset: Asset
-    extensionsRequired: list[str] = []
+    extensionsRequired: Many[str] = ()
 
 
 class Buffer(Record):
@@ -129,15 +131,15 @@ class Primitive(Record):
     indices: Index | None = None
     material: Index | None = None
     mode: int = 4
-    targets: list[dict[str, Index]] = []
+    targets: Many[dict[str, Index]] = ()
     extensions: dict[str, Any] = {}
 
 
 class Mesh(Record):
     """Primitives, and the default weights of their morph targets."""
 
-    primitives: list[Primitive]
-    weights: list[Number] | None = None
+    primitives: Many[Primitive]
+    weights: Many[Number] | None = None
 
 
 class Instancing(Record):
@@ -162,39 +164,39 @@ class NodeExtensions(Record):
 class Node(Record):
     """A node of the scene's tree: a transform, and perhaps a mesh."""
 
-    children: list[Index] = []
-    matrix: Annotated[list[Number], Field(min_length=16, max_length=16)] | None = None
+    children: Many[Index] = ()
+    matrix: Many[Number] | None = None
     translation: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
     rotation: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
     scale: tuple[Number, Number, Number] = (1.0, 1.0, 1.0)
     mesh: Index | None = None
     skin: Index | None = None
-    weights: list[Number] | None = None
+    weights: Many[Number] | None = None
     extensions: NodeExtensions = NodeExtensions()
 
 
 class Skin(Record):
     """The nodes that move the vertices of a mesh."""
 
-    joints: list[Index]
+    joints: Many[Index]
     inverseBindMatrices: Index | None = None
 
 
 class Scene(Record):
     """The roots of one scene."""
 
-    nodes: list[Index] = []
+    nodes: Many[Index] = ()
 
 
 class Gltf(Record):
     """The whole file."""
 
     scene: Index | None = None
-    scenes: list[Scene] = []
-    nodes: list[Node] = []
-    skins: list[Skin] = []
-    meshes: list[Mesh] = []
-    materials: list[Material] = []
-    accessors: list[Accessor] = []
-    bufferViews: list[BufferView] = []
-    buffers: list[Buffer] = []
+    scenes: Many[Scene] = ()
+    nodes: Many[Node] = ()
+    skins: Many[Skin] = ()
+    meshes: Many[Mesh] = ()
+    materials: Many[Material] = ()
+    accessors: Many[Accessor] = ()
+    bufferViews: Many[BufferView] = ()
+    buffers: Many[Buffer] = ()

@@ -21,7 +21,7 @@ def joint_matrices(file: GltfFile, accessors: Accessors, forest: Forest, skin_in
     place = f"skins[{skin_index}]"
     for joint in skin.joints:
         file.entry("node", file.records.nodes, joint, f"{place}.joints")
-    matrices = forest.matrices[skin.joints]
+    matrices: Array = forest.matrices[list(skin.joints)]
     if skin.inverseBindMatrices is None:
         return matrices
     place = f"{place}.inverseBindMatrices"
@@ -43,7 +43,8 @@ def vertex_matrices(file: GltfFile, accessors: Accessors, primitive: Primitive, 
         MeshError: weights or joint numbers are missing, negative, zero or out of range.
     """
     attributes, where = primitive.attributes, f"{where}.attributes"
-    sets = [name.removeprefix("JOINTS_") for name in attributes if name.startswith("JOINTS_")]
+    numbers = (name.removeprefix("JOINTS_") for name in attributes if name.startswith("JOINTS_"))
+    sets = [number for number in numbers if number.isdigit()]
     if not sets or any(f"WEIGHTS_{number}" not in attributes for number in sets):
         raise file.fault(where, "expected JOINTS_0 and WEIGHTS_0, since the node has a skin")
     count = accessors.record(attributes["POSITION"], f"{where}.POSITION").count
