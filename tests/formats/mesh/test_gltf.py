@@ -249,6 +249,10 @@ def test_a_skin_in_its_bind_pose_leaves_the_mesh_as_it_is(tmp_path):
     weights, joints = [[[0.5, 0.25, 0, 0]] * 4], [[[0, 1, 0, 0]] * 4]
     soup = read_gltf(skinned(weights, joints, np.linalg.inv(pose)).write(tmp_path / "skin.glb"))
     np.testing.assert_allclose(soup.positions, TETRAHEDRON, atol=1e-6)
+    mirror = np.diag([-1, 1, 1, 1])
+    path = skinned(weights, joints, np.linalg.inv(pose) @ mirror, scale=[-1, 1, 1]).write(tmp_path / "mirrored.glb")
+    np.testing.assert_allclose(read_gltf(path).positions, TETRAHEDRON * [-1, 1, 1], atol=1e-6)
+    assert signed_volume(read_mesh(path)) == pytest.approx(1 / 6, abs=1e-6)
 
 
 @pytest.mark.parametrize("bytes_of_rotations", [False, True])
