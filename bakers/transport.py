@@ -113,9 +113,9 @@ def refuse_foreign(transport: Any, mesh: Mesh) -> None:
     Raises QueryError if the mesh is not the transport's own: if it leaves the box in which a network was trained, or
     if the transport's own method `refuse_foreign` refuses it. Outside its box a network's values are arbitrary.
     """
-    refuse_inside_out(mesh)
     if hasattr(transport, "refuse_foreign"):
         transport.refuse_foreign(mesh)
+    refuse_inside_out(mesh)
     if not hasattr(transport, "box_min") or not hasattr(transport, "box_side"):
         return
     corner = transport.box_min

@@ -1,0 +1,88 @@
+"""Triangles of one primitive: placed by the matrices of nodes, instances or joints, and joined to a soup."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import warn
+from formats.mesh.soup import TriangleSoup
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Triangles with one value per vertex.
+
+    Attributes:
+        positions: float64 [n,3].
+        faces: int64 [F,3], indices into positions.
+        normals: float64 [n,3], of any length, or None.
+        uv: float64 [n,2], v upwards, or None.
+    """
+
+    positions: Array
+    faces: NDArray[np.int64]
+    normals: Array | None
+    uv: Array | None
+
+
+def place(part: Part, matrices: Array) -> Part:
+    """Transform a part; faces are turned round where a matrix mirrors, so that the front stays in front.
+
+    Args:
+        part: the part, of n vertices.
+        matrices: [I,1,4,4] for I copies of the part, or [1,n,4,4], one for each vertex.
+    """
+    copies, count = len(matrices), len(part.positions)
+    positions = _product(matrices[..., :3, :3], part.positions) + matrices[..., :3, 3]
+    mirrored = np.broadcast_to(np.linalg.det(matrices[..., :3, :3]) < 0, (copies, count))
+    turned = mirrored[:, part.faces].sum(axis=2) >= 2
+    faces = np.where(turned[..., None], part.faces[:, ::-1], part.faces) + count * np.arange(copies)[:, None, None]
+    normals = None if part.normals is None else _product(_normal_matrices(matrices), part.normals).reshape(-1, 3)
+    uv = None if part.uv is None else np.tile(part.uv, (copies, 1))
+    return Part(positions.reshape(-1, 3), faces.reshape(-1, 3), normals, uv)
+
+
+def join(parts: list[Part], path: str) -> TriangleSoup:
+    """Return all parts as one soup. Warn if only some have normals or texture coordinates; then all lose them."""
+    starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    return TriangleSoup(
+        np.concatenate([part.positions for part in parts]),
+        np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
+        _at_corners([(part.normals, part.faces) for part in parts], path, "normals"),
+        _at_corners([(part.uv, part.faces) for part in parts], path, "texture coordinates"),
+    )
+
+
+def _at_corners(parts: list[tuple[Array | None, NDArray[np.int64]]], path: str, name: str) -> Array | None:
+    """Return the values at the corners of all faces [F,3,k], or None if a part has none."""
+    present = [values[faces] for values, faces in parts if values is not None]
+    if present and len(present) < len(parts):
+        warn(
+            f"{path}: {len(parts) - len(present)} of {len(parts)} parts have no {name}; those of the others are ignored"
+        )
+    return np.concatenate(present) if present and len(present) == len(parts) else None
+
+
+def _product(matrices: Array, vectors: Array) -> Array:
+    """Multiply matrices [...,3,3] by vectors [n,3].
+
+    Each product is rounded alone, so that equal vertices stay equal; a matrix product of BLAS does not promise that.
+    """
+    x, y, z = (vectors[:, None, axis] for axis in range(3))
+    product: Array = matrices[..., 0] * x + matrices[..., 1] * y + matrices[..., 2] * z
+    return product
+
+
+def _normal_matrices(matrices: Array) -> Array:
+    """Return the inverse transposes of matrices [...,4,4] times the size of the determinant [...,3,3].
+
+    The columns are cross products, which exist where a matrix is singular.
+    """
+    a, b, c = (matrices[..., :3, axis] for axis in range(3))
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+    sign = np.where(np.linalg.det(matrices[..., :3, :3]) < 0, -1.0, 1.0)
+    signed: Array = cofactors * sign[..., None, None]
+    return signed

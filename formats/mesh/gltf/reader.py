@@ -1,0 +1,102 @@
+"""Reads the triangles of a glTF file: every visible mesh of the default scene, in the default pose."""
+
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from formats.errors import MeshError
+from formats.mesh.gltf.accessors import Accessors
+from formats.mesh.gltf.container import GltfFile, open_gltf
+from formats.mesh.gltf.nodes import instance_matrices, read_forest, visible_nodes
+from formats.mesh.gltf.part import Part, join, place
+from formats.mesh.gltf.primitives import read_primitive
+from formats.mesh.gltf.schema import Node, Primitive
+from formats.mesh.gltf.skins import joint_matrices, vertex_matrices
+from formats.mesh.soup import TriangleSoup
+
+# Instances take few bytes in the file. A file with more vertices and triangles than these and its bytes is damaged.
+_MOST_ELEMENTS = 10_000_000
+
+
+def read_scene(path: str | os.PathLike[str]) -> TriangleSoup:
+    """Read the triangles of a glTF file.
+
+    Morph targets have their default weights and skins the pose of the nodes; animations are not played. Nodes outside
+    of the default scene and hidden nodes are left out. Positions are transformed in float64.
+
+    Returns:
+        The triangles. Normals and texture coordinates are None unless every part has them.
+
+    Raises:
+        MeshError: the file is damaged, has no triangles, or requires what is not supported; the message names the place
+            in the JSON.
+    """
+    file = open_gltf(path)
+    with np.errstate(all="ignore"):  # `read_mesh` reports positions that are not finite
+        parts = _Reader(file).parts()
+    file.tell_remarks()
+    if not parts:
+        raise MeshError(f"{path}: has no faces; expected triangles in its scene, export the object as a triangle mesh")
+    return join(parts, os.fspath(path))
+
+
+class _Reader:
+    """Places the meshes of all visible nodes. A mesh that several nodes use is decoded once."""
+
+    def __init__(self, file: GltfFile) -> None:
+        self._file = file
+        self._accessors = Accessors(file)
+        self._forest = read_forest(file)
+        self._meshes: dict[tuple[int, tuple[float, ...]], list[tuple[str, Primitive, Part]]] = {}
+        self._elements = 0
+
+    def parts(self) -> list[Part]:
+        """Return all parts in the coordinates of the scene, without those that have no triangle."""
+        parts = []
+        for index in visible_nodes(self._file, self._forest):
+            node = self._file.records.nodes[index]
+            if node.mesh is not None:
+                parts += self._placed(index, node, node.mesh)
+        return [part for part in parts if len(part.faces)]
+
+    def _placed(self, index: int, node: Node, mesh: int) -> list[Part]:
+        """Return the parts of a node's mesh, moved by the node and its instances, or by its skin."""
+        where = f"nodes[{index}]"
+        primitives = self._primitives(mesh, node.weights, f"{where}.mesh")
+        instances = instance_matrices(self._accessors, self._file, index)
+        self._count(len(instances), [part for _, _, part in primitives], where)
+        if node.skin is None:
+            matrices = self._forest.matrices[index] @ instances
+            return [place(part, matrices[:, None]) for _, _, part in primitives]
+        if node.extensions.EXT_mesh_gpu_instancing is not None:
+            remedy = "apply the skin and export it again"
+            raise self._file.fault(where, "has a skin and EXT_mesh_gpu_instancing, which are not read together", remedy)
+        joints = joint_matrices(self._file, self._accessors, self._forest, node.skin, f"{where}.skin")
+        return [
+            place(part, vertex_matrices(self._file, self._accessors, primitive, place_of, joints)[None])
+            for place_of, primitive, part in primitives
+        ]
+
+    def _primitives(
+        self, index: int, node_weights: Sequence[float] | None, where: str
+    ) -> list[tuple[str, Primitive, Part]]:
+        """Return the primitives of a mesh that have triangles: their places in the file, records and triangles."""
+        mesh = self._file.entry("mesh", self._file.records.meshes, index, where)
+        weights = mesh.weights or [] if node_weights is None else node_weights
+        key = (index, tuple(weights))
+        if key not in self._meshes:
+            self._meshes[key] = []
+            for number, primitive in enumerate(mesh.primitives):
+                place_of = f"meshes[{index}].primitives[{number}]"
+                part = read_primitive(self._file, self._accessors, primitive, place_of, weights)
+                if part is not None:
+                    self._meshes[key].append((place_of, primitive, part))
+        return self._meshes[key]
+
+    def _count(self, copies: int, parts: list[Part], where: str) -> None:
+        """Raise MeshError when the copies of meshes become too many."""
+        self._elements += copies * sum(len(part.positions) + len(part.faces) for part in parts)
+        if self._elements > _MOST_ELEMENTS + self._accessors.bytes_read:
+            remedy = "export fewer instances"
+            raise self._file.fault(where, f"makes {self._elements} vertices and faces of so small a file", remedy)
