@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SceneError
-from formats.image.files import read_image, read_levels
+from formats.image.files import read_levels
+from formats.image.rows import open_image
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
-    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: the first channel, without the sRGB curve for PNG.
+    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: the first channel as data, without the sRGB curve.
 
     Args:
         scene_path: the scene file; `name` is relative to its folder.
@@ -29,10 +30,12 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
     """Read linear reflectances float64 [H,W,3] from 0 to 1, row 0 on top; `.png` and `.jpg` are decoded from sRGB.
 
+    Colours outside Rec.709 are clipped to it, of which a warning tells.
+
     Arguments and errors as `read_roughness_texture`.
     """
     path = scene_path.parent / name
-    return _check_range(scene_path, key, path, read_image(path).astype(np.float64))
+    return _check_range(scene_path, key, path, open_image(path, clip=True).read().astype(np.float64))
 
 
 def _check_range(scene_path: Path, key: str, path: Path, texture: NDArray[np.float64]) -> NDArray[np.float64]:
