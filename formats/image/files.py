@@ -11,14 +11,14 @@ from formats.atomic import existing, replacing
 from formats.errors import ImageError
 from formats.image.exr import Layers, read_exr, read_exr_layers, write_exr
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
-from formats.image.png import read_jpeg, read_jpeg_levels, read_png, read_png_alpha, read_png_levels, write_png
+from formats.image.png import read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
 from formats.image.rgbe import read_rgbe, refuse_unstorable, write_rgbe
 
 _READERS: dict[str, Callable[[Path], tuple[NDArray[np.float32], Primaries | None]]] = {
     **{".exr": read_exr, ".hdr": read_rgbe, ".png": read_png},
     **{".jpg": read_jpeg, ".jpeg": read_jpeg},
 }
-_LEVEL_READERS = {".png": read_png_levels, ".jpg": read_jpeg_levels, ".jpeg": read_jpeg_levels}
+_DATA_READERS = {".png": read_png_data, ".jpg": read_jpeg_data, ".jpeg": read_jpeg_data}
 READABLE = tuple(_READERS)
 """The suffixes that `read_image` reads."""
 _WRITABLE = (".exr", ".hdr", ".png")
@@ -76,17 +76,20 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
 
 
 def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of an image as data, float64 [H,W], row 0 on top.
+    """Read the first channel of an image as data, float64 [H,W]; as `read_data`."""
+    return np.ascontiguousarray(read_data(path)[..., 0])
+
+
+def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read an image as data, float64 [H,W,3], row 0 on top: a roughness or a mask, for example.
 
     Data is no colour: no curve and no conversion of primaries applies. A PNG or JPEG has values from 0 to 1.
 
     Raises:
         ImageError, StorageError: as `read_image`.
     """
-    reader = _LEVEL_READERS.get(Path(path).suffix.lower())
-    if reader is not None:
-        return reader(existing(path))
-    return read_linear(path)[0][..., 0].astype(np.float64)
+    reader = _DATA_READERS.get(Path(path).suffix.lower())
+    return read_linear(path)[0].astype(np.float64) if reader is None else reader(existing(path))
 
 
 def write_image(

@@ -63,22 +63,22 @@ def read_png_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
     return None if alpha.min() == stored.highest else (alpha / float(stored.highest)).astype(np.float32)
 
 
-def read_png_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of a PNG as data, float64 [H,W] from 0 to 1: no curve applies to it.
+def read_png_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read a PNG as data, float64 [H,W,3] from 0 to 1: no curve applies to it. Grey is repeated over the channels.
 
     Raises:
         ImageError: the file is not PNG, or is truncated.
     """
-    return _read_levels(path, "PNG")
+    return _read_data(path, "PNG")
 
 
-def read_jpeg_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of a JPEG as data, float64 [H,W] from 0 to 1: no curve applies to it.
+def read_jpeg_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read a JPEG as data, as `read_png_data`.
 
     Raises:
         ImageError: the file is not JPEG, is truncated, or is CMYK.
     """
-    return _read_levels(path, "JPEG")
+    return _read_data(path, "JPEG")
 
 
 def _read_colour(path: str | os.PathLike[str], kind: str) -> tuple[NDArray[np.float32], Primaries | None]:
@@ -95,11 +95,12 @@ def _read_colour(path: str | os.PathLike[str], kind: str) -> tuple[NDArray[np.fl
     return image, None if grey else encoding.primaries
 
 
-def _read_levels(path: str | os.PathLike[str], kind: str) -> NDArray[np.float64]:
+def _read_data(path: str | os.PathLike[str], kind: str) -> NDArray[np.float64]:
     stored = read_stored(path, kind)
     if stored.cmyk:
         raise ImageError(f"{path}: stores CMYK, of which no channel is data; save it in grey")
-    return np.asarray(stored.values[..., 0] / float(stored.highest))
+    channels = stored.values[..., : 1 if stored.values.shape[2] < 3 else 3]
+    return np.broadcast_to(channels / float(stored.highest), (*channels.shape[:2], 3))
 
 
 def write_png(

@@ -21,6 +21,8 @@ _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 """Stored channels by the colour type of a PNG."""
 _MOST_DEFLATED = 1032
 """Bytes that a byte of a zlib stream expands to, at most."""
+_MOST_JPEG = 1024
+"""Pixels of a byte of a JPEG, at most: blocks of 64 take at least a bit. What is missing would be read as grey."""
 _ORIENTATION = 0x0112
 _UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     2: lambda a: a[:, ::-1],
@@ -64,7 +66,10 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
     """
     bits, cicp = _read_chunks(path) if kind == "PNG" else (8, None)
     with _opened(path, kind) as picture:
-        refuse_size(path, *picture.size)
+        width, height = picture.size
+        refuse_size(path, width, height)
+        if kind == "JPEG":
+            _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
         values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
         orientation, info, cmyk = _orientation(picture), dict(picture.info), picture.mode == "CMYK"
     values = values if values.ndim == 3 else values[..., None]
@@ -107,17 +112,19 @@ def _read_chunks(path: str | os.PathLike[str]) -> tuple[int, bytes | None]:
             content = file.read(min(length, 64))
             if kind == b"IHDR" and len(content) == 13:
                 width, height, bits, colour = struct.unpack(">IIBB", content[:10])
-                _refuse_short(path, width, height, bits * _CHANNELS.get(colour, 1))
+                refuse_size(path, width, height)
+                row_bytes = width * bits * _CHANNELS.get(colour, 1) // 8
+                _refuse_short(path, width, height, height * row_bytes // _MOST_DEFLATED)
             if kind == b"cICP" and length == 4:
                 cicp = content
             file.seek(length - len(content) + 4, os.SEEK_CUR)
     return bits, cicp
 
 
-def _refuse_short(path: str | os.PathLike[str], width: int, height: int, bits: int) -> None:
-    refuse_size(path, width, height)
+def _refuse_short(path: str | os.PathLike[str], width: int, height: int, expected: int) -> None:
+    """Raise ImageError if a file has fewer bytes than `expected`."""
     size = os.path.getsize(path)
-    if height * (width * bits // 8) > _MOST_DEFLATED * size:
+    if size < expected:
         raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")
 
 

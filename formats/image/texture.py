@@ -5,9 +5,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import SceneError
+from formats.errors import SceneError, warn
 from formats.image.files import read_levels
 from formats.image.rows import open_image
+
+_LOSS = 1e-3
+"""How far lossy compression takes values out of their range."""
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
@@ -40,6 +43,9 @@ def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[n
 
 def _check_range(scene_path: Path, key: str, path: Path, texture: NDArray[np.float64]) -> NDArray[np.float64]:
     invalid = ~((texture >= 0) & (texture <= 1))
+    if invalid.any() and ((texture > -_LOSS) & (texture < 1 + _LOSS)).all():
+        warn(f"{path}: {invalid.sum()} values are outside 0 to 1, by less than {_LOSS:g}, and are clipped")
+        return np.clip(texture, 0.0, 1.0)
     if invalid.any():
         first = tuple(int(i) for i in np.argwhere(invalid)[0])
         raise SceneError(
