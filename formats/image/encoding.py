@@ -15,6 +15,7 @@ from formats.errors import ImageError, warn
 from formats.image import gamut
 from formats.image.gamut import Primaries
 from formats.image.stored import Stored
+from formats.image.text import printable
 
 _SRGB_GAMMA = 0.45455
 """The gAMA of files in sRGB, whose curve is meant then (https://www.w3.org/TR/png-3/#11sRGB)."""
@@ -93,7 +94,7 @@ def _other_than_srgb(profile: bytes) -> str | None:
 
     try:
         opened = ImageCms.getOpenProfile(io.BytesIO(profile))
-        name = " ".join(ImageCms.getProfileDescription(opened).split())[:60] or "without a name"
+        name = printable(ImageCms.getProfileDescription(opened).strip()) or "without a name"
         space: Any = opened.profile
         mode = {"RGB ": "RGB", "GRAY": "L"}.get(space.xcolor_space)
         if mode is None:

@@ -82,24 +82,24 @@ def _read_channels(colour: ExrColour) -> dict[str, NDArray[Any]]:
     import OpenEXR
 
     part = colour.part
+    damaged = ImageError(f"{colour.path}: the OpenEXR image is truncated or damaged; copy it again")
     with reading(colour.path), OpenEXR.File(os.fspath(colour.path), separate_channels=True) as picture:
-        if part.number >= len(picture.parts):
-            raise ImageError(
-                f"{colour.path}: the OpenEXR image has no parts: it is truncated or damaged; copy it again"
-            )
+        # The binding leaves out parts that it cannot read, and numbers the others anew.
+        names = [str(picture.header(i).get("name", "")) for i in range(len(picture.parts))]
+        if part.number >= len(names) or names[part.number] != part.name:
+            raise damaged
         stored = {name: channel.pixels for name, channel in picture.channels(part.number).items()}
+    if stored.keys() != part.sampling.keys():
+        raise damaged
     left, top, right, bottom = part.stored
     channels = {}
     for name, pixels in stored.items():
         across, down = part.sampling[name]
         if (across, down) != (1, 1):
             pixels = np.repeat(np.repeat(pixels, down, axis=0), across, axis=1)
-        channels[name] = pixels
         if pixels.shape != (bottom - top + 1, right - left + 1):
-            raise ImageError(
-                f"{colour.path}: channel {name}: expected {right - left + 1}x{bottom - top + 1} pixels, found "
-                f"{pixels.shape[1]}x{pixels.shape[0]}: the image is damaged; copy it again"
-            )
+            raise damaged
+        channels[name] = pixels
     return channels
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from formats.errors import ImageError, warn
 from formats.image import gamut
 from formats.image.exr_header import Part, primaries_of, read_parts, refuse_windows
+from formats.image.text import printable
 
 _LETTERS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"))
 _BEAUTY = {"beauty", "combined", "rgba", "rgb", "color", "colour", "c", "ci", "main", "final", "finalimage"}
@@ -122,14 +123,14 @@ def _luminance(layer: str, channels: Collection[str]) -> tuple[str, str, str] | 
 
 
 def _label(part: Part, layer: str, names: tuple[str, str, str], several: bool) -> str:
-    places = [f"part {part.name or part.number}"] if several else []
+    places = [f"part {printable(part.name) or part.number}"] if several else []
     if layer and layer != part.name:
-        places.append(f"layer {layer}")
+        places.append(f"layer {printable(layer)}")
     return ", ".join(places) or "the channels " + ", ".join(dict.fromkeys(names))
 
 
 def _no_colour(path: str | os.PathLike[str], parts: list[Part]) -> ImageError:
-    channels = [name for part in parts for name in part.sampling]
+    channels = [printable(name) for part in parts for name in part.sampling]
     if any(part.deep for part in parts):
         return ImageError(
             f"{path}: is a deep picture: its pixels have any number of samples; flatten it, for example with oiiotool "

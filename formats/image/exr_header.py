@@ -11,6 +11,7 @@ from typing import Any
 from formats.errors import ImageError
 from formats.image import gamut
 from formats.image.limits import refuse_size
+from formats.image.text import printable
 
 Window = tuple[int, int, int, int]
 """Left, top, right and bottom, inclusive."""
@@ -94,7 +95,7 @@ def primaries_of(part: Part) -> gamut.Primaries | None:
         return gamut.Primaries("the attribute chromaticities", numbers)
     name = part.header.get("colorInteropID")
     if isinstance(name, str) and name not in ("unknown", "data"):
-        return gamut.Primaries(f"the attribute colorInteropID = {name}", _INTEROP.get(name, ()))
+        return gamut.Primaries(f"the attribute colorInteropID = {printable(name)}", _INTEROP.get(name, ()))
     if part.header.get("acesImageContainerFlag") == 1:
         return gamut.Primaries("the attribute acesImageContainerFlag", gamut.ACES_AP0)
     return None

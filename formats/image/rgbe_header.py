@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from formats.errors import ImageError, warn
 from formats.image.gamut import Primaries, are_equal
+from formats.image.text import printable
 
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\n|\r)")
 _RESOLUTION = re.compile(rb"([+-])Y (\d{1,18}) ([+-])X (\d{1,18})")
@@ -76,14 +77,16 @@ def read_header(path: str | os.PathLike[str]) -> RgbeHeader:
 def _refuse_other_formats(path: str | os.PathLike[str], lines: list[str]) -> None:
     for line in lines:
         if line.startswith("FORMAT=") and line[7:].strip() != "32-bit_rle_rgbe":
-            raise ImageError(f"{path}: expected FORMAT=32-bit_rle_rgbe, found {line[:60]}; convert the image to RGB")
+            raise ImageError(
+                f"{path}: expected FORMAT=32-bit_rle_rgbe, found {printable(line)}; convert the image to RGB"
+            )
 
 
 def _resolution(path: str | os.PathLike[str], line: bytes) -> tuple[bool, int, bool, int]:
     """Return whether rows run upward, the height, whether columns run leftward, and the width."""
     match = _RESOLUTION.fullmatch(line)
     if match is None:
-        found = line[:40].decode("ascii", "replace")
+        found = printable(line.decode("latin-1"))
         raise ImageError(
             f"{path}: expected a resolution such as '-Y 512 +X 1024', found '{found}'; rows must come first"
         )
@@ -97,13 +100,13 @@ def _divisors(path: str | os.PathLike[str], lines: list[str]) -> Rgb:
     red = green = blue = 1.0
     for line in lines:
         if line.startswith("GAMMA=") and _numbers(line) != [1.0]:
-            warn(f"{path}: {line[:60]} is ignored: the values are taken as linear")
+            warn(f"{path}: {printable(line)} is ignored: the values are taken as linear")
         if not line.startswith(("EXPOSURE=", "COLORCORR=")):
             continue
         factors = _numbers(line)
         factors = 3 * factors if line.startswith("EXPOSURE=") and len(factors) == 1 else factors
         if len(factors) != 3 or not all(0.0 < factor < math.inf for factor in factors):
-            warn(f"{path}: {line[:60]} is ignored: expected positive numbers")
+            warn(f"{path}: {printable(line)} is ignored: expected positive numbers")
             continue
         red, green, blue = red * factors[0], green * factors[1], blue * factors[2]
     if not all(_SMALLEST < divisor < 1.0 / _SMALLEST for divisor in (red, green, blue)):

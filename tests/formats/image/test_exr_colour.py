@@ -135,9 +135,29 @@ def test_data_are_no_picture(tmp_path: Path, channels: dict[str, np.ndarray]) ->
             reader(path)
 
 
+def test_names_are_shown_in_one_short_line(tmp_path: Path) -> None:
+    content = write(tmp_path / "a.exr", {"N.aaa": OTHER[..., 0].copy(), "y" * 200: OTHER[..., 0].copy()}).read_bytes()
+    (tmp_path / "a.exr").write_bytes(content.replace(b"N.aaa", b"N\n\x1b\ta"))
+    with pytest.raises(ImageError, match=f"found N\\?\\?\\?a, {'y' * 59}…; positions"):
+        read_image(tmp_path / "a.exr")
+
+
 def test_luminance_beside_depth_is_grey(tmp_path: Path) -> None:
     path = write(tmp_path / "a.exr", {"Y": IMAGE[..., 0].copy(), "Z": OTHER[..., 0].copy()}, chromaticities=AP1)
     assert_both(path, np.repeat(IMAGE[..., :1], 3, axis=2))
+
+
+def test_a_damaged_part_is_not_replaced_by_another(tmp_path: Path) -> None:
+    """The binding leaves out parts that it cannot read, so that `albedo` has the number of `beauty`."""
+    parts = {"z": {"Z": IMAGE[..., 0].copy()}, "beauty": planes("", IMAGE), "albedo": planes("")}
+    path = write_parts(tmp_path / "a.exr", parts)
+    content = path.read_bytes()
+    # Each part has one chunk. The table of their offsets precedes the first: its part, row, size and content.
+    chunk = next(start for start in range(24, len(content)) if content[start - 24 :][:8] == struct.pack("<Q", start))
+    path.write_bytes(content[: chunk + 8] + struct.pack("<i", 1 << 30) + content[chunk + 12 :])
+    for reader in (read_image, open_image, read_layers):
+        with pytest.warns(InputWarning, match="those of part beauty"), pytest.raises(ImageError, match="or damaged"):
+            reader(path)
 
 
 def test_deep_pictures_are_refused_by_name(tmp_path: Path) -> None:
