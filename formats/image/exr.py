@@ -4,12 +4,9 @@ Linear radiance, written as float32. The image is read from any layer with RGB o
 the standard error and the coverage, are returned separately.
 """
 
-import contextlib
 import errno
-import io
 import os
-import sys
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError
+from formats.image.exr_colour import ExrColour, open_colour
+from formats.image.exr_header import Part, reading, silenced
+from formats.image.gamut import Primaries, convert, matrix_to_rec709
 
 _VECTORS = ("position", "normal")
 """Layers written as X, Y and Z, so that compositing tools do not treat them as a colour."""
@@ -38,58 +38,69 @@ class Layers:
     attributes: Mapping[str, str]
 
 
-def read_exr(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read an OpenEXR image as float32 [H,W,3] over its display window; pixels without data are 0.
+def read_exr(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:
+    """Read an OpenEXR image as float32 [H,W,3] over its display window, and what it says about its primaries.
 
-    The colour is R, G, B, else that of the first layer by name that has them, else luminance Y repeated. Alpha is not
-    returned.
+    Pixels without data are 0. `formats.image.exr_colour` chooses the channels; luminance is repeated, alpha is not
+    returned. A channel that is stored at every n-th pixel keeps its value over n pixels.
 
     Raises:
-        ImageError: the file is not OpenEXR, is truncated, or has no colour.
+        ImageError: the file is not OpenEXR, is truncated, has no colour or several that are equally good.
     """
-    header, channels, names = _read_colour_part(path)
-    return _to_display_window(_stack(channels, names), header)
+    colour = open_colour(path)
+    return read_colour(colour), colour.primaries
+
+
+def read_colour(colour: ExrColour) -> NDArray[np.float32]:
+    """Read the chosen channels as float32 [H,W,3], as stored; raises ImageError if the file is damaged."""
+    return _to_display_window(_stack(_read_channels(colour), colour.names), colour.part)
 
 
 def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
-    """Read an OpenEXR image with the further layers and texts of its part; raises as `read_exr`."""
-    header, channels, names = _read_colour_part(path)
-    rest = {name: pixels for name, pixels in channels.items() if name not in names}
+    """Read an OpenEXR image with the further layers and texts of its part; raises as `read_exr`.
+
+    The image is converted to Rec.709. The layers are as stored.
+    """
+    colour = open_colour(path)
+    part, channels = colour.part, _read_channels(colour)
+    rest = {name: pixels for name, pixels in channels.items() if name not in colour.names}
     layers = {}
     for prefix in {name.rpartition(".")[0] for name in rest} - {""}:
         for letters in ("RGB", "XYZ"):
             triple = tuple(f"{prefix}.{letter}" for letter in letters)
             if prefix not in layers and all(name in rest for name in triple):
-                layers[prefix] = _to_display_window(_stack(rest, triple), header)
+                layers[prefix] = _to_display_window(_stack(rest, triple), part)
                 rest = {name: pixels for name, pixels in rest.items() if name not in triple}
     for name in rest:
-        layers[name.removesuffix(".Y")] = _to_display_window(_stack(rest, (name,)), header)[..., 0]
-    image = _to_display_window(_stack(channels, names), header)
-    return Layers(image, layers, {name: text for name, text in header.items() if isinstance(text, str)})
+        layers[name.removesuffix(".Y")] = _to_display_window(_stack(rest, (name,)), part)[..., 0]
+    image = convert(_to_display_window(_stack(channels, colour.names), part), matrix_to_rec709(path, colour.primaries))
+    return Layers(image, layers, {name: text for name, text in part.header.items() if isinstance(text, str)})
 
 
-def _read_colour_part(
-    path: str | os.PathLike[str],
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]], tuple[str, str, str]]:
-    """Return the header, the channels and the names of the colour channels of the first part that has colour."""
+def _read_channels(colour: ExrColour) -> dict[str, NDArray[Any]]:
+    """Return the channels of the colour's part [h,w] over its data window."""
     import OpenEXR
 
-    refuse_other_kinds(path)
-    try:
-        with silenced(), OpenEXR.File(os.fspath(path), separate_channels=True) as picture:
-            parts = [
-                (dict(picture.header(i)), {name: channel.pixels for name, channel in picture.channels(i).items()})
-                for i in range(len(picture.parts))
-            ]
-    except (RuntimeError, ValueError, TypeError, OSError) as cause:
-        raise ImageError(f"{path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again") from cause
-    if not parts:
-        raise ImageError(f"{path}: the OpenEXR image has no parts: it is truncated or damaged; copy it again")
-    for header, channels in parts:
-        if names := colour_names(channels):
-            return header, channels, names
-    found = ", ".join(sorted(name for _, channels in parts for name in channels))
-    raise ImageError(f"{path}: has no colour: expected channels R, G, B or Y, found {found or 'none'}")
+    part = colour.part
+    damaged = ImageError(f"{colour.path}: the OpenEXR image is truncated or damaged; copy it again")
+    with reading(colour.path), OpenEXR.File(os.fspath(colour.path), separate_channels=True) as picture:
+        # The binding leaves out parts that it cannot read, and numbers the others anew.
+        names = [str(picture.header(i).get("name", "")) for i in range(len(picture.parts))]
+        if part.number >= len(names) or names[part.number] != part.name:
+            raise damaged
+        stored = {name: channel.pixels for name, channel in picture.channels(part.number).items()}
+    if stored.keys() != part.sampling.keys():
+        raise damaged
+    left, top, right, bottom = part.stored
+    channels = {}
+    for name, pixels in stored.items():
+        across, down = part.sampling[name]
+        if (across, down) != (1, 1):
+            pixels = np.repeat(np.repeat(pixels, down, axis=0), across, axis=1)
+        if pixels.shape != (bottom - top + 1, right - left + 1):
+            raise damaged
+        channels[name] = pixels
+    return channels
 
 
 def write_exr(
@@ -137,56 +148,18 @@ def _stack(channels: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> NDAr
     return np.stack([channels[name] for name in names], axis=2).astype(np.float32)
 
 
-def refuse_other_kinds(path: str | os.PathLike[str]) -> None:
-    """Raise ImageError for a file that does not begin with the magic number of OpenEXR."""
-    with open(path, "rb") as file:
-        if (found := file.read(4)) != b"\x76\x2f\x31\x01":
-            start = found.hex(" ") or "nothing"
-            raise ImageError(f"{path}: is not an OpenEXR image: expected the magic number 76 2f 31 01, found {start}")
-
-
-def colour_names(channels: Collection[str]) -> tuple[str, str, str] | None:
-    """Return the names of the red, green and blue channel, or None if there is no colour."""
-    layers = sorted({name.rpartition(".")[0] for name in channels})
-    prefixes = [f"{layer}." if layer else "" for layer in layers]
-    for prefix in prefixes:
-        red, green, blue = (prefix + letter for letter in "RGB")
-        if red in channels and green in channels and blue in channels:
-            return red, green, blue
-    # Luminance together with RY and BY is the luminance/chroma encoding, not a grey image.
-    grey = next((p + "Y" for p in prefixes if p + "Y" in channels and p + "RY" not in channels), None)
-    return None if grey is None else (grey, grey, grey)
-
-
-def _to_display_window(pixels: NDArray[np.float32], header: Mapping[str, Any]) -> NDArray[np.float32]:
+def _to_display_window(pixels: NDArray[np.float32], part: Part) -> NDArray[np.float32]:
     """Copy the stored pixels (data window) into the image (display window)."""
-    (left, top), (right, bottom) = (tuple(int(c) for c in corner) for corner in header["displayWindow"])
-    (x, y), _ = (tuple(int(c) for c in corner) for corner in header["dataWindow"])
-    height, width = pixels.shape[:2]
-    if (x, y) == (left, top) and (height, width) == (bottom - top + 1, right - left + 1):
+    if part.display == part.stored:
         return pixels
+    left, top, right, bottom = part.display
+    x, y = part.stored[:2]
+    height, width = pixels.shape[:2]
     image = np.zeros((bottom - top + 1, right - left + 1, pixels.shape[2]), np.float32)
-    rows = slice(max(y, top), min(y + height, bottom + 1))
-    columns = slice(max(x, left), min(x + width, right + 1))
-    image[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left] = pixels[
-        rows.start - y : rows.stop - y, columns.start - x : columns.stop - x
-    ]
+    first_row, last_row = max(y, top), min(y + height, bottom + 1)
+    first_column, last_column = max(x, left), min(x + width, right + 1)
+    if first_row < last_row and first_column < last_column:
+        image[first_row - top : last_row - top, first_column - left : last_column - left] = pixels[
+            first_row - y : last_row - y, first_column - x : last_column - x
+        ]
     return image
-
-
-@contextlib.contextmanager
-def silenced() -> Iterator[None]:
-    """Suppress what the OpenEXR library prints to standard output and error."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    # The binding prints through Python's streams, the library through the file descriptors.
-    with open(os.devnull, "wb") as null, contextlib.redirect_stdout(io.StringIO()):
-        saved = [os.dup(stream) for stream in (1, 2)]
-        try:
-            for stream in (1, 2):
-                os.dup2(null.fileno(), stream)
-            yield
-        finally:
-            for stream, copy in zip((1, 2), saved, strict=True):
-                os.dup2(copy, stream)
-                os.close(copy)

@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import ImageError
-from formats.image.exr import colour_names, refuse_other_kinds, silenced
+from formats.image.exr_colour import ExrColour, open_colour
+from formats.image.exr_header import Window, reading
 
 _ROWS = 32
 """Rows that most compressions pack together, so that no row is unpacked twice."""
 _PACKED = {"DWAB_COMPRESSION": 256, "HTJ2K256_COMPRESSION": 256}
 """Rows that the other compressions pack together."""
 _TYPES = (np.dtype(np.uint32), np.dtype(np.float16), np.dtype(np.float32))
-_DAMAGE = (RuntimeError, ValueError, TypeError, OSError)
-"""Exceptions of the binding for damaged and truncated files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,19 +26,30 @@ class ExrRows:
 
     Attributes:
         path: the file.
-        names: its channels for red, green and blue.
-        display: left, top, right and bottom of the display window, inclusive.
-        stored: the same of the data window.
+        colour: its channels for red, green and blue.
         rows: rows of a block.
         cube: whether the file declares itself a cube map.
     """
 
     path: str | os.PathLike[str]
-    names: tuple[str, str, str]
-    display: tuple[int, int, int, int]
-    stored: tuple[int, int, int, int]
+    colour: ExrColour
     rows: int
     cube: bool
+
+    @property
+    def in_rows(self) -> bool:
+        """Whether the binding reads rows of it: the colour is in the first part, and all its pixels are stored."""
+        return self.colour.part.number == 0 and not self.colour.subsampled
+
+    @property
+    def display(self) -> Window:
+        """The display window."""
+        return self.colour.part.display
+
+    @property
+    def stored(self) -> Window:
+        """The data window."""
+        return self.colour.part.stored
 
     @property
     def height(self) -> int:
@@ -68,11 +77,8 @@ class ExrRows:
             while row < last:
                 # Blocks end where a packed group of rows ends.
                 end = min(last, row + self.rows - (row - self.stored[1]) % self.rows)
-                try:
+                with reading(self.path, f"row {row - self.display[1]} of {self.height}"):
                     block = read(row, end)
-                except _DAMAGE as cause:
-                    place = f"row {row - self.display[1]} of {self.height}"
-                    raise ImageError(f"{self.path}: the OpenEXR image is truncated or damaged in {place}") from cause
                 yield block
                 row = end
 
@@ -81,27 +87,21 @@ class ExrRows:
         """Yield a function (first row, last row + 1) → block."""
         import OpenEXR
 
-        try:
-            with silenced():
-                picture = OpenEXR.InputFile(os.fspath(self.path))
-                types = {name: _TYPES[channel.type.v] for name, channel in picture.header()["channels"].items()}
-        except _DAMAGE as cause:
-            raise ImageError(
-                f"{self.path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again"
-            ) from cause
+        with reading(self.path):
+            picture = OpenEXR.InputFile(os.fspath(self.path))
+            types = {name: _TYPES[channel.type.v] for name, channel in picture.header()["channels"].items()}
         with closing(picture):
             yield partial(self._decoded, picture, types)
 
     def _decoded(self, picture: Any, types: Mapping[str, np.dtype[Any]], row: int, end: int) -> NDArray[Any]:
-        different = sorted(set(self.names))
-        with silenced():
-            planes = picture.channels(different, scanLine1=row, scanLine2=end - 1)
+        different = sorted(set(self.colour.names))
+        planes = picture.channels(different, scanLine1=row, scanLine2=end - 1)
         shape = end - row, self.stored[2] - self.stored[0] + 1
         read = {
             name: np.frombuffer(plane, types[name]).reshape(shape)
             for name, plane in zip(different, planes, strict=True)
         }
-        return self._framed([read[name] for name in self.names])
+        return self._framed([read[name] for name in self.colour.names])
 
     def _framed(self, planes: list[NDArray[Any]]) -> NDArray[Any]:
         """Copy three planes of the data window's columns [R,w] into a block of the display window's [R,W,3]."""
@@ -123,32 +123,15 @@ class ExrRows:
             yield np.zeros((min(self.rows, rows - first), self.width, 3), np.float32)
 
 
-def open_exr_rows(path: str | os.PathLike[str]) -> ExrRows | None:
+def open_exr_rows(path: str | os.PathLike[str]) -> ExrRows:
     """Open an OpenEXR image for reading in blocks of rows.
 
-    Returns None if the binding cannot do that: the colour is not in the first part, or is subsampled. Raises ImageError
-    as `read_exr`; damage beyond the header is detected when it is read.
+    Raises ImageError as `read_exr`; damage beyond the header is detected when it is read.
     """
     import OpenEXR
 
-    refuse_other_kinds(path)
-    try:
-        with silenced(), OpenEXR.File(os.fspath(path), separate_channels=True, header_only=True) as picture:
-            headers = [dict(picture.header(i)) for i in range(len(picture.parts))]
-    except _DAMAGE as cause:
-        raise ImageError(f"{path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again") from cause
-    if not headers:
-        raise ImageError(f"{path}: the OpenEXR image has no parts: it is truncated or damaged; copy it again")
-    header = headers[0]
-    names = colour_names([channel.name for channel in header["channels"]])
-    coarse = any(channel.xSampling != 1 or channel.ySampling != 1 for channel in header["channels"])
-    if names is None or coarse or header["type"] not in (OpenEXR.scanlineimage, OpenEXR.tiledimage):
-        return None
-    rows = int(header["tiles"].ySize) if "tiles" in header else _PACKED.get(header["compression"].name, _ROWS)
-    cube = header.get("envmap") == OpenEXR.ENVMAP_CUBE
-    return ExrRows(path, names, _window(header["displayWindow"]), _window(header["dataWindow"]), rows, cube)
-
-
-def _window(corners: Any) -> tuple[int, int, int, int]:
-    (left, top), (right, bottom) = corners
-    return int(left), int(top), int(right), int(bottom)
+    colour = open_colour(path)
+    header = colour.part.header
+    with reading(path):
+        rows = int(header["tiles"].ySize) if "tiles" in header else _PACKED.get(header["compression"].name, _ROWS)
+    return ExrRows(path, colour, rows, header.get("envmap") == OpenEXR.ENVMAP_CUBE)

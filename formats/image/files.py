@@ -10,25 +10,30 @@ from numpy.typing import NDArray
 from formats.atomic import existing, replacing
 from formats.errors import ImageError
 from formats.image.exr import Layers, read_exr, read_exr_layers, write_exr
-from formats.image.png import read_jpeg, read_png, read_png_alpha, read_png_levels, write_png
-from formats.image.rgbe import read_rgbe, write_rgbe
+from formats.image.gamut import Primaries, convert, matrix_to_rec709
+from formats.image.png import read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
+from formats.image.rgbe import read_rgbe, refuse_unstorable, write_rgbe
 
-_READERS: dict[str, Callable[[Path], NDArray[np.float32]]] = {
+_READERS: dict[str, Callable[[Path], tuple[NDArray[np.float32], Primaries | None]]] = {
     **{".exr": read_exr, ".hdr": read_rgbe, ".png": read_png},
     **{".jpg": read_jpeg, ".jpeg": read_jpeg},
 }
+_DATA_READERS = {".png": read_png_data, ".jpg": read_jpeg_data, ".jpeg": read_jpeg_data}
 READABLE = tuple(_READERS)
 """The suffixes that `read_image` reads."""
 _WRITABLE = (".exr", ".hdr", ".png")
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read an image as linear float32 [H,W,3].
+    """Read an image as linear float32 [H,W,3], Rec.709.
 
-    PNG and JPEG are decoded from sRGB. NaN, infinite and negative pixels of an `.exr` are returned unchanged.
+    PNG and JPEG are decoded from sRGB, unless their metadata names another curve. Colours with other primaries are
+    converted to Rec.709. A warning tells of either, and of everything else that can be read in more than one way. NaN,
+    infinite and negative pixels of an `.exr` are returned unchanged; colours outside Rec.709 have a negative channel.
 
     Raises:
-        ImageError: an unknown suffix, content of another format, a truncated file, no colour.
+        ImageError: an unknown suffix, content of another format, a truncated file, no colour, several layers of colour
+            that are equally good.
         StorageError: the file is missing or cannot be opened.
 
     >>> import prt_bake as prt
@@ -36,6 +41,15 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     >>> image = prt.read_image("grey.exr")
     >>> image.shape, image.dtype, float(image.mean())
     ((2, 4, 3), dtype('float32'), 0.5)
+    """
+    image, primaries = read_linear(path)
+    return convert(image, matrix_to_rec709(path, primaries))
+
+
+def read_linear(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:
+    """Read an image as linear float32 [H,W,3] with its own primaries, and what it says about them.
+
+    Raises as `read_image`.
     """
     suffix = _suffix(path, "read", READABLE)
     return _READERS[suffix](existing(path))
@@ -62,14 +76,20 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
 
 
 def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of an image as float64 [H,W], row 0 on top; a PNG without the sRGB curve, from 0 to 1.
+    """Read the first channel of an image as data, float64 [H,W]; as `read_data`."""
+    return np.ascontiguousarray(read_data(path)[..., 0])
+
+
+def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read an image as data, float64 [H,W,3], row 0 on top: a roughness or a mask, for example.
+
+    Data is no colour: no curve and no conversion of primaries applies. A PNG or JPEG has values from 0 to 1.
 
     Raises:
         ImageError, StorageError: as `read_image`.
     """
-    if Path(path).suffix.lower() == ".png":
-        return read_png_levels(existing(path))
-    return read_image(path)[..., 0].astype(np.float64)
+    reader = _DATA_READERS.get(Path(path).suffix.lower())
+    return read_linear(path)[0].astype(np.float64) if reader is None else reader(existing(path))
 
 
 def write_image(
@@ -118,6 +138,8 @@ def write_image(
     if suffix == ".png" and np.isnan(image).any():
         row, column = np.argwhere(np.isnan(image).any(axis=2))[0]
         raise ImageError(f"{path}: pixels are NaN, the first in row {row}, column {column}; write .exr to keep them")
+    if suffix == ".hdr":
+        refuse_unstorable(path, image)
     with replacing(path) as part:
         if suffix == ".exr":
             write_exr(part, image, layers, attributes, alpha)

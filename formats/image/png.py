@@ -1,15 +1,20 @@
-"""PNG (https://www.w3.org/TR/png-3/) and JPEG (https://www.w3.org/Graphics/JPEG/itu-t81.pdf), read with Pillow.
+"""PNG (https://www.w3.org/TR/png-3/) and JPEG (https://www.w3.org/Graphics/JPEG/itu-t81.pdf), as colours or as data.
 
 Images are written with 8 bits per channel. The sRGB curve of IEC 61966-2-1 relates their values to linear radiance.
 """
 
 import os
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError
+from formats.image.encoding import encoding_of
+from formats.image.gamut import Primaries
+from formats.image.stored import read_stored
+
+_ROWS = 64
+"""Rows that are looked up at a time: NumPy widens the indices."""
 
 
 def to_srgb(linear: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -24,13 +29,25 @@ def to_linear(encoded: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
-def read_png(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a PNG as linear float32 [H,W,3], without its alpha; grey is repeated over the channels.
+def read_png(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:
+    """Read a PNG as linear float32 [H,W,3], and what it says about its primaries.
+
+    Its alpha is not returned; grey is repeated over the channels. The curve is that of sRGB, unless a chunk names
+    another (`formats.image.encoding`).
 
     Raises:
-        ImageError: the file is not PNG, or is truncated.
+        ImageError: the file is not PNG, is truncated, or has a curve that is not read (PQ, HLG).
     """
-    return to_linear(_pixels(path, "PNG", "RGB") / 255.0).astype(np.float32)
+    return _read_colour(path, "PNG")
+
+
+def read_jpeg(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:
+    """Read a JPEG as linear float32 [H,W,3]; grey is repeated over the channels. No primaries.
+
+    Raises:
+        ImageError: the file is not JPEG, or is truncated.
+    """
+    return _read_colour(path, "JPEG")
 
 
 def read_png_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
@@ -39,46 +56,51 @@ def read_png_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
     Raises:
         ImageError: the file is not PNG, or is truncated.
     """
-    stored = _pixels(path, "PNG", "RGBA")[..., 3]
-    return None if stored.min(initial=255) == 255 else (stored / 255.0).astype(np.float32)
+    stored = read_stored(path, "PNG")
+    if stored.values.shape[2] in (1, 3):
+        return None
+    alpha = stored.values[..., -1]
+    return None if alpha.min() == stored.highest else (alpha / float(stored.highest)).astype(np.float32)
 
 
-def read_jpeg(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a JPEG as linear float32 [H,W,3]; grey is repeated over the channels.
-
-    Raises:
-        ImageError: the file is not JPEG, or is truncated.
-    """
-    return to_linear(_pixels(path, "JPEG", "RGB") / 255.0).astype(np.float32)
-
-
-def read_png_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of a PNG without the sRGB curve, float64 [H,W] from 0 to 1.
+def read_png_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read a PNG as data, float64 [H,W,3] from 0 to 1: no curve applies to it. Grey is repeated over the channels.
 
     Raises:
         ImageError: the file is not PNG, or is truncated.
     """
-    stored = _pixels(path, "PNG", None)
-    first = stored if stored.ndim == 2 else stored[..., 0]
-    return first / (255.0 if stored.dtype == np.uint8 else 65535.0)
+    return _read_data(path, "PNG")
 
 
-def _pixels(path: str | os.PathLike[str], kind: str, mode: str | None) -> NDArray[Any]:
-    """Read the stored values in a mode of Pillow, 0 to 255; None keeps the channels and bit depth of the file."""
-    from PIL import Image
+def read_jpeg_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read a JPEG as data, as `read_png_data`.
 
-    try:
-        with Image.open(path, formats=[kind]) as picture:
-            if mode is None:
-                mode = {"1": "L", "P": "RGB", "PA": "RGB"}.get(picture.mode, picture.mode)
-            elif mode == "RGB" and picture.mode.startswith("I"):
-                # 16-bit grey: Pillow would clip it at 255.
-                return np.repeat(np.asarray(picture)[..., None] / 257.0, 3, axis=2)
-            return np.asarray(picture.convert(mode))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as cause:
-        raise ImageError(
-            f"{path}: cannot be read as {kind}: it is truncated, damaged or of another kind; copy or save it again"
-        ) from cause
+    Raises:
+        ImageError: the file is not JPEG, is truncated, or is CMYK.
+    """
+    return _read_data(path, "JPEG")
+
+
+def _read_colour(path: str | os.PathLike[str], kind: str) -> tuple[NDArray[np.float32], Primaries | None]:
+    stored = read_stored(path, kind)
+    encoding = encoding_of(path, stored)
+    levels = np.arange(stored.highest + 1) / (stored.highest // 255) / 255.0
+    decoded = to_linear(levels) if encoding.gamma is None else levels ** (1.0 / encoding.gamma)
+    linear = decoded.astype(np.float32)
+    grey = stored.values.shape[2] < 3
+    colours = stored.values[..., : 1 if grey else 3]
+    image = np.empty((*colours.shape[:2], 3), np.float32)
+    for first in range(0, len(image), _ROWS):
+        image[first : first + _ROWS] = linear[colours[first : first + _ROWS]]
+    return image, None if grey else encoding.primaries
+
+
+def _read_data(path: str | os.PathLike[str], kind: str) -> NDArray[np.float64]:
+    stored = read_stored(path, kind)
+    if stored.cmyk:
+        raise ImageError(f"{path}: stores CMYK, of which no channel is data; save it in grey")
+    channels = stored.values[..., : 1 if stored.values.shape[2] < 3 else 3]
+    return np.broadcast_to(channels / float(stored.highest), (*channels.shape[:2], 3))
 
 
 def write_png(

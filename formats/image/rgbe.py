@@ -1,57 +1,48 @@
 """Radiance images, `.hdr` (Radiance file formats: https://radsite.lbl.gov/radiance/refer/filefmts.pdf).
 
 Greg Ward, "Real Pixels", Graphics Gems II (1991): 4 bytes per pixel, three mantissas and a shared exponent. A pixel
-(r, g, b, e) is (r, g, b)·2^(e−136) if e > 0, and black if e = 0. The EXPOSURE line is ignored, as in other readers of
-environment maps.
+(r, g, b, e) is (r, g, b)·2^(e−136) if e > 0, and black if e = 0. `formats.image.rgbe_header` reads the header, whose
+EXPOSURE and COLORCORR divide the values.
 
 No library: OpenCV (160 MB) rejects rows that run upward or from the right, decodes complete images only, and truncates
 mantissas. Its error is up to 1/132 of a pixel's largest channel; here it is up to 1/256.
 """
 
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import ImageError
+from formats.errors import ImageError, warn
+from formats.image.gamut import Primaries
+from formats.image.limits import refuse_size
+from formats.image.rgbe_header import RgbeHeader, read_header
 
-_RESOLUTION = re.compile(rb"^([+-])Y (\d+) ([+-])X (\d+)$")
 _ROWS = 32
-_LONGEST_HEADER = 1 << 20
+_MOST_PIXELS = 1 << 21
+"""Pixels of a block of rows, unless a row has more."""
 _LARGEST = 255 * 2.0**119  # mantissa 255 at the highest exponent
 
 
-def read_rgbe(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a Radiance image as float32 [H,W,3], row 0 on top.
+def read_rgbe(path: str | os.PathLike[str]) -> tuple[NDArray[np.float32], Primaries | None]:
+    """Read a Radiance image as float32 [H,W,3], row 0 on top, and what it says about its primaries.
 
     Raises:
         ImageError: the file is not a Radiance image, is in XYZ colours, is stored by columns, or is truncated.
     """
     picture = open_rgbe_rows(path)
-    return np.concatenate(list(picture.blocks()))[:: -1 if picture.upward else 1]
+    image = np.concatenate(list(picture.blocks()))
+    return image[:: -1 if picture.header.upward else 1], picture.header.primaries
 
 
 @dataclass(frozen=True)
 class RgbeRows:
-    """A Radiance image, read in blocks of rows.
-
-    Attributes:
-        path: the file.
-        height, width: in pixels.
-        upward: whether the last row is on top.
-        leftward: whether rows run from right to left.
-        start: offset of the pixels in the file.
-    """
+    """A Radiance image, read in blocks of rows; `path` is the file."""
 
     path: str | os.PathLike[str]
-    height: int
-    width: int
-    upward: bool
-    leftward: bool
-    start: int
+    header: RgbeHeader
 
     def blocks(self) -> Iterator[NDArray[np.float32]]:
         """Yield the rows in file order, columns from the left, as float32 [R,W,3].
@@ -59,46 +50,58 @@ class RgbeRows:
         Raises:
             ImageError: the file is truncated or damaged.
         """
+        height, width = self.header.height, self.header.width
+        rows = max(1, min(_ROWS, _MOST_PIXELS // width))
+        divisors = np.array(self.header.divisors, np.float32)
         with open(self.path, "rb") as file:
-            file.seek(self.start)
+            file.seek(self.header.end)
             content, at = b"", 0
-            for first in range(0, self.height, _ROWS):
-                pixels = np.empty((min(_ROWS, self.height - first), self.width, 4), np.uint8)
+            for first in range(0, height, rows):
+                pixels = np.empty((min(rows, height - first), width, 4), np.uint8)
                 # A row has at most a marker of 4 bytes, and a count for each byte.
                 content = content[at:]
-                content += file.read(max(0, len(pixels) * (4 + 8 * self.width) - len(content)))
+                content += file.read(max(0, len(pixels) * (4 + 8 * width) - len(content)))
                 at = _decode_rows(content, pixels, first, self)
                 scale = np.ldexp(np.float32(1), pixels[..., 3].astype(np.int32) - 136)
                 scale[pixels[..., 3] == 0] = 0
                 radiance = pixels[..., :3].astype(np.float32) * scale[..., None]
-                yield radiance[:, ::-1] if self.leftward else radiance
+                if np.any(divisors != 1.0):
+                    with np.errstate(over="ignore"):  # infinite pixels are reported by those who read them
+                        radiance /= divisors
+                yield radiance[:, ::-1] if self.header.leftward else radiance
 
 
 def open_rgbe_rows(path: str | os.PathLike[str]) -> RgbeRows:
     """Read the header of a Radiance image; raises ImageError as `read_rgbe`."""
-    with open(path, "rb") as file:
-        (upward, height, leftward, width), start = _header(file.read(_LONGEST_HEADER), path)
-        # A coded row takes at least a marker of 4 bytes, and 2 bytes per run of 127: a shorter file is truncated.
-        size = file.seek(0, os.SEEK_END)
+    header = read_header(path)
+    # A coded row takes at least a marker of 4 bytes, and 2 bytes per run of 127: a shorter file is truncated.
+    size, height, width = os.path.getsize(path), header.height, header.width
     if height * (width // 32 if 8 <= width < 32768 else 1) > size:
         raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")
-    return RgbeRows(path, height, width, upward, leftward, start)
+    refuse_size(path, width, height)
+    return RgbeRows(path, header)
 
 
-def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
-    """Write radiance [H,W,3], rounded to 8 bits relative to the largest channel; pixels below 2^-128 become black.
-
-    Raises:
-        ImageError: pixels are negative, not finite or above 1.7e38.
-    """
+def refuse_unstorable(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
+    """Raise ImageError for pixels that are not finite or above 1.7e38; a warning tells of negative ones."""
     linear = np.asarray(image, np.float64)
-    invalid = ~((linear >= 0) & (linear <= _LARGEST)).all(axis=2)
+    invalid = ~(np.abs(linear) <= _LARGEST).all(axis=2)
     if invalid.any():
         row, column = np.argwhere(invalid)[0]
         raise ImageError(
-            f"{path}: {invalid.sum()} pixels are negative, not finite or above {_LARGEST:.2g}, the limit of .hdr; the "
-            f"first is row {row}, column {column} ({linear[row, column].tolist()}); write .exr instead"
+            f"{path}: {invalid.sum()} pixels are not finite or above {_LARGEST:.2g}, the limit of .hdr; the first is "
+            f"row {row}, column {column} ({linear[row, column].tolist()}); write .exr instead"
         )
+    if negative := int((linear < 0).any(axis=2).sum()):
+        warn(f"{path}: {negative} pixels are negative, down to {linear.min():.3g}; .hdr stores them as 0, .exr as is")
+
+
+def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
+    """Write radiance [H,W,3], rounded to 8 bits relative to the largest channel.
+
+    Negative values and pixels below 2^-128 become black. The image is finite (`refuse_unstorable`).
+    """
+    linear = np.maximum(np.asarray(image, np.float64), 0.0)
     largest = linear.max(axis=2)
     exponent = np.frexp(largest)[1]
     exponent += np.rint(np.ldexp(largest, 8 - exponent)) > 255  # rounding up may need the next exponent
@@ -113,34 +116,9 @@ def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> Non
         file.write(pixels.tobytes())
 
 
-def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[tuple[bool, int, bool, int], int]:
-    """Return (rows run upward, height, columns run leftward, width) and the offset of the pixels."""
-    if not content.startswith(b"#?"):
-        raise ImageError(f"{path}: is not a Radiance image: expected '#?' at its start, found {content[:2]!r}")
-    end = content.find(b"\n\n")
-    line_end = content.find(b"\n", end + 2)
-    if end < 0 or line_end < 0:
-        raise ImageError(f"{path}: the Radiance header has no end: the file is truncated or damaged; copy it again")
-    for line in content[:end].split(b"\n"):
-        if line.startswith(b"FORMAT=") and line.strip() != b"FORMAT=32-bit_rle_rgbe":
-            found = line.decode("ascii", "replace")
-            raise ImageError(f"{path}: expected FORMAT=32-bit_rle_rgbe, found {found}; convert the image to RGB")
-    line = content[end + 2 : line_end].strip()
-    match = _RESOLUTION.match(line)
-    if match is None:
-        found = line[:40].decode("ascii", "replace")
-        raise ImageError(
-            f"{path}: expected a resolution such as '-Y 512 +X 1024', found '{found}'; rows must come first"
-        )
-    height, width = int(match[2]), int(match[4])
-    if height == 0 or width == 0:
-        raise ImageError(f"{path}: the image is empty: {width}x{height} pixels")
-    return (match[1] == b"+", height, match[3] == b"-", width), line_end + 1
-
-
 def _decode_rows(content: bytes, pixels: NDArray[np.uint8], first: int, picture: RgbeRows) -> int:
     """Decode rows [R,W,4] of the image, starting with row `first`, and return the offset of their end."""
-    width, at = picture.width, 0
+    width, at = picture.header.width, 0
     marker = bytes([2, 2, width >> 8, width & 255]) if 8 <= width < 32768 else None
     for row in range(len(pixels)):
         try:
@@ -149,7 +127,7 @@ def _decode_rows(content: bytes, pixels: NDArray[np.uint8], first: int, picture:
             else:
                 at = _plain_row(content, at, pixels[row])
         except (IndexError, ValueError) as cause:
-            where = f"row {first + row} of {picture.height}"
+            where = f"row {first + row} of {picture.header.height}"
             raise ImageError(f"{picture.path}: is truncated or damaged in {where}; copy it again") from cause
     return at
 

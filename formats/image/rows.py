@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import existing
+from formats.image.exr import read_colour
 from formats.image.exr_rows import open_exr_rows
-from formats.image.files import read_image
+from formats.image.files import read_linear
+from formats.image.gamut import Primaries, converted_blocks, matrix_to_rec709
 from formats.image.rgbe import open_rgbe_rows
 
 Block = NDArray[np.floating[Any]]
@@ -29,6 +31,8 @@ class ImageRows:
         open_blocks: starts a new pass, and returns an iterator over linear blocks [R,W,3] in float16 or float32. It
             raises ImageError when it reaches damage.
         cube: whether the file declares itself a cube map, which has six faces.
+        layer: what the colours of an `.exr` are read from; empty for other formats.
+        other_layers: its other layers of colour.
     """
 
     path: str | os.PathLike[str]
@@ -36,6 +40,8 @@ class ImageRows:
     width: int
     open_blocks: Callable[[], Iterator[Block]]
     cube: bool = False
+    layer: str = ""
+    other_layers: tuple[str, ...] = ()
 
     def blocks(self) -> Iterator[tuple[int, Block]]:
         """Yield the blocks from the top, each with the number of its first row."""
@@ -52,21 +58,45 @@ class ImageRows:
         return image
 
 
-def open_image(path: str | os.PathLike[str]) -> ImageRows:
+def open_image(path: str | os.PathLike[str], clip: bool = False) -> ImageRows:
     """Open an image of any format that `read_image` reads; layers, luminance, windows and curves are treated alike.
 
     `.exr` and `.hdr` are decoded block by block. Other formats are kept in memory, and so are an `.hdr` whose rows run
-    upward and an `.exr` whose colour is subsampled or not in the first part.
+    upward and an `.exr` whose colour is subsampled or not in the first part. `clip`: as in `to_rec709`.
 
     Raises:
         ImageError, StorageError: as `read_image`; `blocks` raises ImageError if it reaches damage.
     """
+    return to_rec709(*open_linear(path), clip)
+
+
+def to_rec709(opened: ImageRows, primaries: Primaries | None, clip: bool = False) -> ImageRows:
+    """`opened` with the colours of its blocks converted to Rec.709; a warning tells.
+
+    Colours outside Rec.709 have a negative channel. With `clip` it becomes 0, which another warning tells after the
+    last block.
+    """
+    matrix = matrix_to_rec709(opened.path, primaries)
+    if matrix is None:
+        return opened
+    return replace(opened, open_blocks=lambda: converted_blocks(opened.path, opened.open_blocks(), matrix, clip))
+
+
+def open_linear(path: str | os.PathLike[str]) -> tuple[ImageRows, Primaries | None]:
+    """Open an image with its own primaries, and return what it says about them; raises as `open_image`."""
     suffix = Path(path).suffix.lower()
-    if suffix == ".exr" and (exr := open_exr_rows(existing(path))) is not None:
-        return ImageRows(path, exr.height, exr.width, exr.blocks, exr.cube)
-    if suffix == ".hdr" and not (hdr := open_rgbe_rows(existing(path))).upward:
-        return ImageRows(path, hdr.height, hdr.width, hdr.blocks)
-    return rows_of(read_image(path), path)
+    if suffix == ".exr":
+        exr = open_exr_rows(existing(path))
+        blocks = exr.blocks if exr.in_rows else rows_of(read_colour(exr.colour)).open_blocks
+        colour = exr.colour
+        return ImageRows(path, exr.height, exr.width, blocks, exr.cube, colour.label, colour.others), colour.primaries
+    if suffix == ".hdr":
+        hdr = open_rgbe_rows(existing(path))
+        header = hdr.header
+        blocks = rows_of(np.concatenate(list(hdr.blocks()))[::-1]).open_blocks if header.upward else hdr.blocks
+        return ImageRows(path, header.height, header.width, blocks), header.primaries
+    image, primaries = read_linear(path)
+    return rows_of(image, path), primaries
 
 
 def rows_of(image: NDArray[np.floating[Any]], name: str | os.PathLike[str] = "image", rows: int = _ROWS) -> ImageRows:

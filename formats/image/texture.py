@@ -5,12 +5,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import SceneError
-from formats.image.files import read_image, read_levels
+from formats.errors import SceneError, warn
+from formats.image.files import read_levels
+from formats.image.rows import open_image
+
+_LOSS = 1e-3
+"""How far lossy compression takes values out of their range."""
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
-    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: the first channel, without the sRGB curve for PNG.
+    """Read GGX alphas float64 [H,W] from 0 to 1, row 0 on top: the first channel as data, without the sRGB curve.
 
     Args:
         scene_path: the scene file; `name` is relative to its folder.
@@ -29,14 +33,19 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
     """Read linear reflectances float64 [H,W,3] from 0 to 1, row 0 on top; `.png` and `.jpg` are decoded from sRGB.
 
+    Colours outside Rec.709 are clipped to it, of which a warning tells.
+
     Arguments and errors as `read_roughness_texture`.
     """
     path = scene_path.parent / name
-    return _check_range(scene_path, key, path, read_image(path).astype(np.float64))
+    return _check_range(scene_path, key, path, open_image(path, clip=True).read().astype(np.float64))
 
 
 def _check_range(scene_path: Path, key: str, path: Path, texture: NDArray[np.float64]) -> NDArray[np.float64]:
     invalid = ~((texture >= 0) & (texture <= 1))
+    if invalid.any() and ((texture > -_LOSS) & (texture < 1 + _LOSS)).all():
+        warn(f"{path}: {invalid.sum()} values are outside 0 to 1, by less than {_LOSS:g}, and are clipped")
+        return np.clip(texture, 0.0, 1.0)
     if invalid.any():
         first = tuple(int(i) for i in np.argwhere(invalid)[0])
         raise SceneError(

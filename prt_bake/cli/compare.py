@@ -147,14 +147,13 @@ def _refuse_other_sizes(image: Path, pixels: Any, *others: Any) -> None:
 
 
 def _read_mask(path: Path) -> Any:
-    """Return the image's alpha as the mask, or its colour if it has no alpha."""
-    from formats.image import read_layers
+    """Return the image's alpha as the mask, or its stored values if it has no alpha."""
+    from formats.image import read_data, read_layers
     from prt_bake.comparison.alpha import alpha_of
 
-    layers = read_layers(path)
-    alpha = alpha_of(layers)
+    alpha = alpha_of(read_layers(path))
     if alpha is None:
-        return layers.image
+        return read_data(path)
     say(f"{path}: the alpha channel is used as the mask")
     return alpha
 

@@ -12,7 +12,7 @@ from formats.errors import FormatError, PrtbakeError
 
 SUFFIXES = {
     "mesh": (".ply", ".obj", ".stl", ".glb", ".gltf"),
-    "sky": (".exr", ".hdr", ".png"),
+    "sky": (".exr", ".hdr", ".png", ".jpg", ".jpeg"),
     "scene": (".toml",),
     "model": (".pt", ".safetensors"),
     "asset": (".h5", ".hdf5"),

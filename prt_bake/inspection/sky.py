@@ -1,29 +1,36 @@
-"""Description and faults of a lat-long sky, read in blocks of rows."""
+"""Description and faults of an image, most often a lat-long sky, read in blocks of rows."""
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from formats.image.rows import open_image
+from formats.errors import warn
+from formats.image.gamut import convert, matrix_to_rec709
+from formats.image.rows import open_linear
 from prt_bake.lights.skies.pixels import checked
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return the size, the mean and largest radiance, and counts of unusable values."""
-    opened = open_image(path)
+    """Return the layer of an `.exr`, the size, mean and largest radiance (Rec.709), and counts of unusable values."""
+    opened, primaries = open_linear(path)
+    matrix = matrix_to_rec709(path, primaries)
     largest, infinite, negative, total, count = 0.0, 0, 0, np.zeros(3), np.zeros(3, np.int64)
     for _, block in opened.blocks():
         finite = np.isfinite(block)
         total += block.sum(axis=(0, 1), dtype=np.float64, where=finite)
         count += finite.sum(axis=(0, 1))
-        largest = max(largest, float(block.max(where=finite, initial=0)))
+        shown = convert(block, matrix)
+        largest = max(largest, float(shown.max(where=np.isfinite(shown), initial=0)))
         infinite += int((~finite).sum())
         negative += int((block < 0).sum())
+    mean = total / np.maximum(count, 1)
+    layers = {"colours of": opened.layer, "other layers": list(opened.other_layers)} if opened.layer else {}
     return {
+        **layers,
         "width": opened.width,
         "height": opened.height,
-        "mean radiance": (total / np.maximum(count, 1)).tolist(),
+        "mean radiance": (mean if matrix is None else matrix @ mean).tolist(),
         "largest radiance": largest,
         "values not finite": infinite,
         "values negative": negative,
@@ -33,6 +40,8 @@ def describe(path: Path) -> dict[str, Any]:
 def find_faults(path: Path) -> list[str]:
     """Raise FormatError at the first block with pixels that are NaN, infinite or negative; else return no faults."""
     remedy = "repair the picture, or give --mend to `prtbake shade`, `view`, `render` or `light`"
-    for _ in checked(open_image(path), remedy).blocks():
+    opened, primaries = open_linear(path)
+    matrix_to_rec709(path, primaries)  # for its warning
+    for _ in checked(opened, remedy, lambda sentence: warn(f"{path}: {sentence}")).blocks():
         pass
     return []

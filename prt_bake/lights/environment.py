@@ -128,6 +128,8 @@ def read_environment(
 ) -> NDArray[np.float32]:
     """Read a lat-long picture: radiance, float32 [H, W, 3], finite and not negative.
 
+    Negative values that are tiny beside the median become 0, which `say` is called with, and those of colours outside
+    Rec.709, of which a warning tells.
     `mend` repairs bad pixels: NaN, negative values and −∞ become 0, +∞ becomes the largest finite value of the picture
     (0 if there is none). `say` is called with the changes. Without `mend` bad pixels raise ImageError. Raises as
     `open_environment` and `formats.image.read_image`.
@@ -138,7 +140,7 @@ def read_environment(
     >>> prt.read_environment(Path(shipped.__file__).parent / "sky.hdr").shape
     (256, 512, 3)
     """
-    return open_environment(path, mend, say).read()
+    return open_environment(path, mend, say, clip=True).read()
 
 
 def open_environment(
@@ -146,28 +148,37 @@ def open_environment(
     mend: bool = False,
     say: Callable[[str], None] = warnings.warn,
     remedy: str = pixels.REMEDY,
+    clip: bool = False,
 ) -> image_rows.ImageRows:
     """Open a lat-long picture that is read in blocks of rows, with the same radiance as `read_environment`.
 
-    `say` is called at once for a shape other than 2:1, and after the last block for repaired pixels and for a black
-    picture. Raises ImageError for cube maps. Blocks raise it for bad pixels, with `remedy` as advice.
+    Colours outside Rec.709 keep their negative channels unless `clip` is set, so that the light is exact. `say` is
+    called at once for a shape other than 2:1, and after the last block for repaired pixels, tiny negative values and a
+    black picture. Raises ImageError for cube maps. Blocks raise it for bad pixels, with `remedy` as advice.
     """
 
     @cache  # a picture that is read twice is reported once
     def report(sentence: str) -> None:
         say(f"{path}: {sentence}")
 
-    rows = image_rows.open_image(path)
+    rows, primaries = image_rows.open_linear(path)
     shape.refuse_cube_maps(rows)
     shape.report_stretching(rows, report)
-    usable = pixels.repaired(rows, report) if mend else pixels.checked(rows, remedy)
-    return pixels.reporting_black(usable, report)
+    # Pixels are judged as they are stored: the conversion of colours may make a sound channel negative.
+    usable = pixels.repaired(rows, report) if mend else pixels.checked(rows, remedy, report)
+    return pixels.reporting_black(image_rows.to_rec709(usable, primaries, clip), report)
 
 
 def check(image: NDArray[np.floating], path: str | Path) -> None:
     """Raise ImageError (number of bad pixels, first one) if `image` [H, W, 3], read from `path`, has bad pixels."""
     for _ in pixels.checked(image_rows.rows_of(_picture(image, path), path)).blocks():
         pass
+
+
+def check_finite(image: NDArray[np.floating], path: str | Path) -> None:
+    """Raise ImageError as `check`, but only for pixels that are not finite."""
+    if not np.isfinite(image).all():
+        raise pixels.bad_pixels_error(image_rows.rows_of(image, path), negative=True)
 
 
 def _picture(image: ArrayLike, source: str | Path = "image") -> NDArray[np.floating]:

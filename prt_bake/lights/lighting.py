@@ -183,9 +183,9 @@ def _read_sky(
         residual = (to_object @ residual) * factor
     # A factor of 1 is skipped, to save time on large skies.
     if not np.all(factor == 1.0):
-        with np.errstate(over="ignore"):  # `check` reports the overflow
+        with np.errstate(over="ignore"):  # `check_finite` reports the overflow
             image *= np.asarray(factor, np.float32)
-        environment.check(image, light.path)
+        environment.check_finite(image, light.path)
         if not np.any(factor):
             say(f"{light.path}: its exposure and tint make it black: it gives no light")
     return Sky(image, up, environment.rotation(light.rotate, up), residual)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from formats.image import write_image
 from tests.cli.command_line import Run
@@ -74,6 +75,15 @@ def test_all_pixels_of_fully_opaque_or_transparent_pictures_are_compared(
     values, message = figures(prtbake, *pair)
     assert values["pixels"] == OPAQUE.size
     assert ("is ignored" in message) == (not alpha.any())
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_a_mask_is_data(prtbake: Run, tmp_path: Path, suffix: str) -> None:
+    """Grey of code 150 is more than half white. As a colour in sRGB it would be 0.3."""
+    pair, mask = (save(tmp_path, "a.exr", 1.1), save(tmp_path, "b.exr", 1.0)), tmp_path / f"mask{suffix}"
+    codes = np.where(np.arange(SHAPE[1]) < 16, 150, 100).astype(np.uint8)
+    Image.fromarray(np.broadcast_to(codes, SHAPE)).save(mask)
+    assert figures(prtbake, *pair, "--mask", mask)[0]["pixels"] == SHAPE[0] * 16
 
 
 @pytest.mark.parametrize("suffix", [".png", ".exr"])

@@ -127,5 +127,5 @@ def test_an_invalid_image_keeps_the_old_file(tmp_path):
     path = tmp_path / "a.hdr"
     path.write_text("old")
     with pytest.raises(ImageError, match="row 0, column 1"):
-        write_image(path, np.array([[[1, 1, 1], [1, -1, 1]]], np.float32))
+        write_image(path, np.array([[[1, 1, 1], [1, np.inf, 1]]], np.float32))
     assert path.read_text() == "old"

@@ -11,18 +11,35 @@ from formats.errors import ImageError
 from formats.image.rows import Block, ImageRows
 
 REMEDY = "repair the picture"
+_LOSS = 1e-3
+"""Share of the median of a picture below which a negative value is a loss of compression, not a fault."""
 _INFINITE_HALF = 0x7C00
 """Bits of the float16 +∞. As integers, the bits of NaN and of all negative values are larger."""
+_INFINITE_FLOAT = 0x7F80
+"""The upper half of the bits of the float32 +∞."""
 
 
-def checked(rows: ImageRows, remedy: str = REMEDY) -> ImageRows:
-    """`rows` whose blocks raise ImageError (count, first bad pixel, `remedy`) if a pixel is not finite or negative."""
+def checked(rows: ImageRows, remedy: str = REMEDY, say: Callable[[str], None] | None = None) -> ImageRows:
+    """`rows` whose blocks raise ImageError (count, first bad pixel, `remedy`) if a pixel is not finite or negative.
+
+    Negative values down to a thousandth of the median, which lossy compression leaves, become 0. `say` is called
+    with their number after the last block. A picture with negative values is read twice.
+    """
 
     def blocks() -> Iterator[Block]:
+        tolerated, count = 0.0, 0
         for _, block in rows.blocks():
-            if not _is_radiance(block):
+            if _is_radiance(block):
+                yield block
+                continue
+            tolerated = tolerated or _LOSS * _median(rows)
+            negative = block < 0
+            if not (np.isfinite(block).all() and block.min() >= -tolerated):
                 raise bad_pixels_error(rows, remedy=remedy)
-            yield block
+            count += int(negative.sum())
+            yield np.where(negative, 0, block)
+        if count and say:
+            say(f"{count} values are negative, by less than {_LOSS:g} of the median, and are set to 0")
 
     return replace(rows, open_blocks=blocks)
 
@@ -98,6 +115,20 @@ def _is_radiance(block: Block) -> bool:
         return True
     # NaN propagates to min and max, and fails both comparisons.
     return bool(block.min() >= 0 and block.max() < np.inf)
+
+
+def _median(rows: ImageRows) -> float:
+    """The median of the positive finite values, to 0.4 % (rounded down); 0 if there are none.
+
+    Values are counted by the upper half of their float32 bits, so that the memory does not grow with the picture.
+    """
+    counts = np.zeros(_INFINITE_FLOAT, np.int64)
+    for _, block in rows.blocks():
+        bits = block[(block > 0) & (block < np.inf)].astype(np.float32).view(np.uint32) >> 16
+        counts += np.bincount(bits, minlength=_INFINITE_FLOAT)
+    below = np.cumsum(counts)
+    middle = np.searchsorted(below, (below[-1] + 1) // 2)
+    return float(np.uint32(middle << 16).view(np.float32)) if below[-1] else 0.0
 
 
 def _largest_finite(rows: ImageRows) -> float:

@@ -33,10 +33,13 @@ class SkyTable(NamedTuple):
 
 
 def sky_table(image: NDArray[np.float32], to_object: Array) -> SkyTable:
-    """Tables for drawing a pixel by its energy: the mean over channels times the sine of the row's zenith angle."""
+    """Tables for drawing a pixel by its energy: the mean over channels times the sine of the row's zenith angle.
+
+    Colours outside Rec.709 have negative channels, but hardly ever a negative mean; such a pixel is not drawn.
+    """
     height = len(image)
     sines = np.sin(np.pi * (np.arange(height) + 0.5) / height)
-    weights = image.mean(axis=2, dtype=np.float64) * sines[:, None]
+    weights = np.maximum(image.mean(axis=2, dtype=np.float64), 0.0) * sines[:, None]
     steps = 0.5 * (weights + np.roll(weights, -1, axis=1))
     along = np.concatenate([np.zeros((height, 1)), np.cumsum(steps, axis=1)], axis=1)
     rows = along[:, -1]

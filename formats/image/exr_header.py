@@ -1,0 +1,149 @@
+"""The headers of OpenEXR files, read with the official `OpenEXR` binding, and what it prints suppressed."""
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from formats.errors import ImageError
+from formats.image import gamut
+from formats.image.limits import refuse_size
+from formats.image.text import printable
+
+Window = tuple[int, int, int, int]
+"""Left, top, right and bottom, inclusive."""
+
+_MOST_EMPTY = 4096
+"""Largest ratio of the display window to the data window in an image of more than _SMALL pixels."""
+_SMALL = 1 << 24
+_INTEROP = {
+    "lin_rec709_scene": gamut.REC709,
+    "lin_rec2020_scene": gamut.REC2020,
+    "lin_p3d65_scene": gamut.P3_D65,
+    "lin_ap0_scene": gamut.ACES_AP0,
+    "lin_ap1_scene": gamut.ACES_AP1,
+    "lin_adobergb_scene": gamut.ADOBE_RGB,
+}
+"""The linear spaces of https://github.com/AcademySoftwareFoundation/ColorInterop."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of an OpenEXR file; most files have one.
+
+    Attributes:
+        number: from 0.
+        name: empty if it has none.
+        deep: whether its pixels have any number of samples.
+        sampling: distances of the stored columns and rows, (1, 1) if all are stored, by channel.
+        header: the attributes.
+    """
+
+    number: int
+    name: str
+    deep: bool
+    sampling: Mapping[str, tuple[int, int]]
+    header: Mapping[str, Any]
+
+    @property
+    def display(self) -> Window:
+        """The display window: the image."""
+        return _window(self.header["displayWindow"])
+
+    @property
+    def stored(self) -> Window:
+        """The data window: the stored pixels."""
+        return _window(self.header["dataWindow"])
+
+
+def read_parts(path: str | os.PathLike[str]) -> list[Part]:
+    """Read the headers of all parts. Raises ImageError if the file is not OpenEXR, or its header is damaged."""
+    import OpenEXR
+
+    _refuse_other_kinds(path)
+    deep = (OpenEXR.deepscanline, OpenEXR.deeptile)
+    with reading(path), OpenEXR.File(os.fspath(path), separate_channels=True, header_only=True) as picture:
+        parts = []
+        for number in range(len(picture.parts)):
+            header = dict(picture.header(number))
+            sampling = {channel.name: (channel.xSampling, channel.ySampling) for channel in header["channels"]}
+            parts.append(Part(number, str(header.get("name", "")), header["type"] in deep, sampling, header))
+    if not parts:
+        raise ImageError(f"{path}: the OpenEXR image has no parts: it is truncated or damaged; copy it again")
+    return parts
+
+
+def refuse_windows(path: str | os.PathLike[str], part: Part) -> None:
+    """Raise ImageError if the image is too large, or almost all of a large image has no stored pixels."""
+    (width, height), stored = _size(part.display), _size(part.stored)
+    refuse_size(path, width, height)
+    if width * height > max(_SMALL, _MOST_EMPTY * stored[0] * stored[1]):
+        raise ImageError(
+            f"{path}: is {width}x{height} pixels (display window), but only {stored[0]}x{stored[1]} are stored (data "
+            "window); save it without the empty frame"
+        )
+
+
+def primaries_of(part: Part) -> gamut.Primaries | None:
+    """What the header says about the primaries, or None."""
+    if (stored := part.header.get("chromaticities")) is not None:
+        # An attribute of another type than the standard's is no tuple.
+        numbers = tuple(float(number) for number in stored) if isinstance(stored, tuple) else ()
+        return gamut.Primaries("the attribute chromaticities", numbers)
+    name = part.header.get("colorInteropID")
+    if isinstance(name, str) and name not in ("unknown", "data"):
+        return gamut.Primaries(f"the attribute colorInteropID = {printable(name)}", _INTEROP.get(name, ()))
+    if part.header.get("acesImageContainerFlag") == 1:
+        return gamut.Primaries("the attribute acesImageContainerFlag", gamut.ACES_AP0)
+    return None
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike[str], place: str = "") -> Iterator[None]:
+    """Suppress what the library prints, and turn its exceptions into ImageError; `place` is where damage is."""
+    try:
+        with silenced():
+            yield
+    except (ImageError, MemoryError):
+        raise
+    except Exception as cause:  # the binding raises many kinds for damaged files
+        if place:
+            raise ImageError(f"{path}: the OpenEXR image is truncated or damaged in {place}; copy it again") from cause
+        raise ImageError(f"{path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again") from cause
+
+
+@contextlib.contextmanager
+def silenced() -> Iterator[None]:
+    """Suppress what the OpenEXR library prints to standard output and error."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    # The binding prints through Python's streams, the library through the file descriptors.
+    with open(os.devnull, "wb") as null, contextlib.redirect_stdout(io.StringIO()):
+        saved = [os.dup(stream) for stream in (1, 2)]
+        try:
+            for stream in (1, 2):
+                os.dup2(null.fileno(), stream)
+            yield
+        finally:
+            for stream, copy in zip((1, 2), saved, strict=True):
+                os.dup2(copy, stream)
+                os.close(copy)
+
+
+def _refuse_other_kinds(path: str | os.PathLike[str]) -> None:
+    with open(path, "rb") as file:
+        if (found := file.read(4)) != b"\x76\x2f\x31\x01":
+            start = found.hex(" ") or "nothing"
+            raise ImageError(f"{path}: is not an OpenEXR image: expected the magic number 76 2f 31 01, found {start}")
+
+
+def _window(corners: Any) -> Window:
+    (left, top), (right, bottom) = corners
+    return int(left), int(top), int(right), int(bottom)
+
+
+def _size(window: Window) -> tuple[int, int]:
+    return window[2] - window[0] + 1, window[3] - window[1] + 1

@@ -1,0 +1,163 @@
+"""The values that PNG and JPEG files store, read with Pillow, before they are taken as colours or as data."""
+
+import os
+import struct
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import ImageError
+from formats.image.limits import refuse_size
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
+"""Stored channels by the colour type of a PNG."""
+_MOST_DEFLATED = 1032
+"""Bytes that a byte of a zlib stream expands to, at most."""
+_MOST_JPEG = 1024
+"""Pixels of a byte of a JPEG, at most: blocks of 64 take at least a bit. What is missing would be read as grey."""
+_ORIENTATION = 0x0112
+_UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    2: lambda a: a[:, ::-1],
+    3: lambda a: a[::-1, ::-1],
+    4: lambda a: a[::-1],
+    5: lambda a: a.swapaxes(0, 1),
+    6: lambda a: a.swapaxes(0, 1)[:, ::-1],
+    7: lambda a: a.swapaxes(0, 1)[::-1, ::-1],
+    8: lambda a: a.swapaxes(0, 1)[::-1],
+}
+"""What turns a picture upright, by its EXIF orientation (CIPA DC-008-2023, tag Orientation)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """The stored values of a picture, upright.
+
+    Attributes:
+        values: uint8 or uint16 [H,W,C]: grey, grey and alpha, RGB or RGBA.
+        info: what Pillow read of the chunks: gamma, srgb, chromaticity, icc_profile.
+        cicp: the cICP chunk of a PNG, or None.
+        cmyk: whether the picture is stored in CMYK; the values are then an RGB without colour management.
+    """
+
+    values: NDArray[Any]
+    info: dict[Any, Any]
+    cicp: bytes | None
+    cmyk: bool
+
+    @property
+    def highest(self) -> int:
+        """The value of white: 255 or 65535."""
+        return int(np.iinfo(self.values.dtype).max)
+
+
+def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
+    """Read a picture of the `kind` "PNG" or "JPEG".
+
+    Raises:
+        ImageError: the file is of another kind, too large, truncated or damaged.
+    """
+    bits, cicp = _read_chunks(path) if kind == "PNG" else (8, None)
+    with _opened(path, kind) as picture:
+        width, height = picture.size
+        refuse_size(path, width, height)
+        if kind == "JPEG":
+            _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
+        values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
+        orientation, info, cmyk = _orientation(picture), dict(picture.info), picture.mode == "CMYK"
+    values = values if values.ndim == 3 else values[..., None]
+    upright = _UPRIGHT.get(orientation)
+    return Stored(values if upright is None else upright(values), info, cicp, cmyk)
+
+
+@contextmanager
+def _opened(path: str | os.PathLike[str], kind: str) -> "Iterator[Image.Image]":
+    """Open a picture; any exception of Pillow becomes an ImageError."""
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of large pictures, and of damaged metadata that is not read
+            with Image.open(path, formats=[kind]) as picture:
+                yield picture
+    except (ImageError, MemoryError):
+        raise
+    except Image.DecompressionBombError as cause:
+        raise ImageError(f"{path}: has too many pixels; reduce it, or save it as .exr") from cause
+    except Exception as cause:  # Pillow raises many kinds for damaged files
+        raise ImageError(
+            f"{path}: cannot be read as {kind}: it is truncated, damaged or of another kind; copy or save it again"
+        ) from cause
+
+
+def _read_chunks(path: str | os.PathLike[str]) -> tuple[int, bytes | None]:
+    """Return the bits of a channel and the cICP chunk of a PNG, which Pillow does not return.
+
+    Raises ImageError if the file is too short for its size.
+    """
+    bits, cicp = 8, None
+    with open(path, "rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8:
+            length, kind = struct.unpack(">I4s", head)
+            if kind in (b"IDAT", b"IEND"):
+                break
+            content = file.read(min(length, 64))
+            if kind == b"IHDR" and len(content) == 13:
+                width, height, bits, colour = struct.unpack(">IIBB", content[:10])
+                refuse_size(path, width, height)
+                row_bytes = width * bits * _CHANNELS.get(colour, 1) // 8
+                _refuse_short(path, width, height, height * row_bytes // _MOST_DEFLATED)
+            if kind == b"cICP" and length == 4:
+                cicp = content
+            file.seek(length - len(content) + 4, os.SEEK_CUR)
+    return bits, cicp
+
+
+def _refuse_short(path: str | os.PathLike[str], width: int, height: int, expected: int) -> None:
+    """Raise ImageError if a file has fewer bytes than `expected`."""
+    size = os.path.getsize(path)
+    if size < expected:
+        raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")
+
+
+def _orientation(picture: "Image.Image") -> int:
+    try:
+        return int(picture.getexif().get(_ORIENTATION, 1))
+    except Exception:  # damaged metadata does not make the picture unreadable
+        return 1
+
+
+def _mode(picture: "Image.Image") -> str:
+    """The mode of Pillow with the stored channels, 8 bits each."""
+    if "transparency" in picture.info:
+        return "RGBA"
+    other = {"1": "L", "P": "RGB", "PA": "RGBA", "CMYK": "RGB"}
+    return other.get(picture.mode, picture.mode)
+
+
+def _values_of_16_bits(path: str | os.PathLike[str], picture: "Image.Image") -> NDArray[Any]:
+    """Read all 16 bits of a PNG. Pillow reads them of grey, and one byte of two of other channels."""
+    if picture.mode.startswith("I"):
+        return np.asarray(picture).astype(np.uint16)
+    raw = str(picture.tile[0].args)  # type: ignore[attr-defined]
+    if raw == "LA;16B":
+        four_bytes = _decoded(path, "RGBA").astype(np.uint16)
+        return four_bytes[..., ::2] * np.uint16(256) + four_bytes[..., 1::2]
+    # The first byte of a big-endian number is the one that is kept, of a little-endian number it is the second.
+    high, low = (_decoded(path, order).astype(np.uint16) for order in (raw, raw.replace("16B", "16L")))
+    return high * np.uint16(256) + low
+
+
+def _decoded(path: str | os.PathLike[str], raw: str) -> NDArray[Any]:
+    """Decode a PNG as if its bytes were arranged as Pillow's raw mode `raw` says."""
+    with _opened(path, "PNG") as picture:
+        picture.tile = [tile._replace(args=raw) for tile in picture.tile]  # type: ignore[attr-defined]
+        return np.array(picture)
