@@ -8,7 +8,7 @@ others. Layers named after positions, normals, depths, motion or objects are dat
 
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 from formats.errors import ImageError, warn
@@ -63,7 +63,7 @@ class _Candidate:
     part: Part
     names: tuple[str, str, str]
     label: str
-    rank: int
+    rank: tuple[int, bool]
 
 
 def open_colour(path: str | os.PathLike[str]) -> ExrColour:
@@ -73,10 +73,7 @@ def open_colour(path: str | os.PathLike[str]) -> ExrColour:
         ImageError: the file is not OpenEXR or damaged; it has no colour, or several layers that are equally good.
     """
     parts = read_parts(path)
-    flat = [part for part in parts if not part.deep]
-    several = len(parts) > 1
-    candidates = [found for part in flat for found in _candidates(part, several, _rgb)]
-    candidates = candidates or [found for part in flat for found in _candidates(part, several, _luminance)]
+    candidates = [found for part in parts for found in _candidates(part, several=len(parts) > 1)]
     if not candidates:
         raise _no_colour(path, parts)
     highest = max(candidate.rank for candidate in candidates)
@@ -88,24 +85,23 @@ def open_colour(path: str | os.PathLike[str]) -> ExrColour:
         )
     chosen = best[0]
     others = tuple(candidate.label for candidate in candidates if candidate is not chosen)
-    if others and highest < _DEFAULT:
+    if others and highest[0] < _DEFAULT:
         warn(f"{path}: the colours are those of {chosen.label}; the file also has {_listed(others)}")
     refuse_windows(path, chosen.part)
     return ExrColour(path, chosen.part, chosen.names, chosen.label, others)
 
 
-def _candidates(
-    part: Part, several: bool, colours: Callable[[str, Collection[str]], tuple[str, str, str] | None]
-) -> Iterator[_Candidate]:
+def _candidates(part: Part, several: bool) -> Iterator[_Candidate]:
     """Yield the layers of colour of a part; `several` tells whether the file has other parts."""
     for layer in sorted({name.rpartition(".")[0] for name in part.sampling}):
-        names = colours(layer, part.sampling)
+        rgb = _rgb(layer, part.sampling)
+        names = rgb or _luminance(layer, part.sampling)
         title = layer or (part.name if several else "")
         word = re.sub(r"[^a-z]", "", title.rpartition(".")[2].lower())
-        if names is None or _DATA.fullmatch(word):
+        if names is None or part.deep or _DATA.fullmatch(word):
             continue
-        rank = _NAMED if word in _BEAUTY else _OTHER if layer else _WITHOUT_LAYER if several else _DEFAULT
-        yield _Candidate(part, names, _label(part, layer, names, several), rank)
+        level = _NAMED if word in _BEAUTY else _OTHER if layer else _WITHOUT_LAYER if several else _DEFAULT
+        yield _Candidate(part, names, _label(part, layer, names, several), (level, rgb is not None))
 
 
 def _rgb(layer: str, channels: Collection[str]) -> tuple[str, str, str] | None:

@@ -7,7 +7,7 @@ import OpenEXR
 import pytest
 
 from formats.errors import ImageError, InputWarning
-from formats.image import gamut, write_image
+from formats.image import gamut, read_image, write_image
 from formats.image.gamut import Primaries, matrix_to_rec709
 from prt_bake.inspection import sky as inspection
 from prt_bake.lights import environment
@@ -126,3 +126,27 @@ def test_jpegs_are_described_and_checked(prtbake: Run, tmp_path: Path, suffix: s
     Image.fromarray(np.full((8, 16, 3), 200, np.uint8)).save(tmp_path / f"a{suffix}")
     assert prtbake("check", tmp_path / f"a{suffix}").out.endswith("sound\n")
     assert "width" in prtbake("info", tmp_path / f"a{suffix}").out
+
+
+def test_a_sky_with_colours_outside_rec709_lights_pictures(prtbake: Run, tmp_path: Path) -> None:
+    sky = write(tmp_path / "a.exr", chromaticities=gamut.ACES_AP1)
+    shade = ("shade", "asset.h5", "--size", "16x12", "--light", sky, "-o", tmp_path / "b.hdr")
+    render = (
+        "render",
+        "scene.toml",
+        "sphere.ply",
+        "--size",
+        "8x6",
+        "--spp",
+        4,
+        "--light",
+        sky,
+        "-o",
+        tmp_path / "c.exr",
+    )
+    for command in (shade, render):
+        outcome = prtbake(*command)
+        assert outcome.code == 0, outcome.err
+        assert "converted to Rec.709" in outcome.err
+        assert (".hdr stores them as 0" in outcome.err) == (command is shade)
+        assert np.isfinite(read_image(command[-1])).all()

@@ -160,6 +160,14 @@ def test_a_damaged_part_is_not_replaced_by_another(tmp_path: Path) -> None:
             reader(path)
 
 
+def test_luminance_without_a_layer_comes_before_layers_of_colour(tmp_path: Path) -> None:
+    grey = np.repeat(IMAGE[..., :1], 3, axis=2)
+    assert_both(write(tmp_path / "a.exr", {"Y": IMAGE[..., 0].copy()} | planes("AO.")), grey)
+    # Of layers with the same rank those in colour come first.
+    with pytest.warns(InputWarning, match="those of layer sky; the file also has layer mask"):
+        assert_both(write(tmp_path / "b.exr", {"mask.Y": OTHER[..., 0].copy()} | planes("sky.", IMAGE)), IMAGE)
+
+
 def test_deep_pictures_are_refused_by_name(tmp_path: Path) -> None:
     deep = dict.fromkeys("RGBA", samples())
     header = {"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deepscanline}
@@ -270,7 +278,9 @@ def test_an_attribute_of_another_type_is_told(tmp_path: Path) -> None:
         assert_both(tmp_path / "a.exr", IMAGE)
 
 
-@pytest.mark.parametrize("display", [(0, 0, 299_999, 1), (0, 0, 99_999, 99_999), (0, -(1 << 29), 31, 1 << 29)])
+@pytest.mark.parametrize(
+    "display", [(0, 0, 299_999, 1), (0, 0, 9_999, 9_999), (0, 0, 99_999, 99_999), (0, -(1 << 29), 31, 1 << 29)]
+)
 def test_absurd_display_windows_are_refused(tmp_path: Path, display: tuple[int, ...]) -> None:
     content = write(tmp_path / "a.exr", planes("", IMAGE)).read_bytes()
     start = content.index(b"displayWindow\0box2i\0") + len(b"displayWindow\0box2i\0") + 4
