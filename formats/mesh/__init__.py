@@ -1,23 +1,24 @@
 """Triangle meshes: one record, read from PLY, OBJ, STL and glTF, written to PLY and OBJ.
 
-May import: the files at the top of `formats`. Begin with `record.py`; each file format has its own module.
+May import: the files at the top of `formats`. Begin with `record.py`, then `files.py`, which selects the format by
+suffix; each file format has its own module.
 """
 
 from formats.mesh.check import check_mesh, closedness_faults
+from formats.mesh.files import READABLE, read_mesh, write_mesh
 from formats.mesh.record import (
     Mesh,
     build_mesh,
     flipped,
     inconsistent_edges,
     open_edges,
-    read_mesh,
     refuse_inside_out,
     signed_volume,
-    write_mesh,
 )
 from formats.mesh.texture_coordinates import texture_fault, texture_remark
 
 __all__ = [
+    "READABLE",
     "Mesh",
     "build_mesh",
     "check_mesh",

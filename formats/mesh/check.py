@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from formats.errors import MeshError
 from formats.mesh.edges import doubled_faces, edges_of, overlapping, remedy
-from formats.mesh.record import Mesh, read_mesh, signed_volume
+from formats.mesh.files import read_mesh
+from formats.mesh.record import Mesh, signed_volume
 from formats.mesh.texture_coordinates import texture_fault
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
-from formats.mesh.soup import TriangleSoup
 from formats.mesh.triangulation import triangulate
 from formats.text import without_byte_order_mark
+from formats.triangle_soup import TriangleSoup
 
 _MISSING = -(2**31)  # a corner without texture coordinate or normal
 _READ = (b"v", b"vt", b"vn", b"f", b"fo")

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from formats.errors import MeshError, warn
 from formats.mesh.ply_body import Columns, Lists, PlyBody
 from formats.mesh.ply_header import read_header
-from formats.mesh.soup import TriangleSoup
 from formats.mesh.triangulation import triangulate
 from formats.text import without_byte_order_mark
+from formats.triangle_soup import TriangleSoup
 
 _INDEX_LISTS = ("vertex_indices", "vertex_index")
 _TEXTURE_NAMES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
-from formats.mesh.soup import TriangleSoup
 from formats.text import without_byte_order_mark
+from formats.triangle_soup import TriangleSoup
 
 _HEADER, _FACET = 84, 50  # bytes: 80 of text and the number of facets; 12 float32 and two bytes of attributes
 _BEGINNING = 1000  # bytes; in a binary file some of them are zeros

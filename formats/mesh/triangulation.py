@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
 from formats.mesh.geometry import MOST_COORDINATE, SLIVER, normalise
-from formats.mesh.soup import fan
+from formats.triangle_soup import fan
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

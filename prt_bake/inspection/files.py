@@ -7,12 +7,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from formats import image, mesh
 from formats.atomic import existing
 from formats.errors import FormatError, PrtbakeError
 
 SUFFIXES = {
-    "mesh": (".ply", ".obj", ".stl", ".glb", ".gltf"),
-    "sky": (".exr", ".hdr", ".png", ".jpg", ".jpeg"),
+    "mesh": mesh.READABLE,
+    "sky": image.READABLE,
     "scene": (".toml",),
     "model": (".pt", ".safetensors"),
     "asset": (".h5", ".hdf5"),

@@ -1,6 +1,6 @@
 """glTF 2.0 (https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html), `.glb` and `.gltf`: the triangles of a scene.
 
-May import: `formats.mesh.soup` and the files at the top of `formats`. Begin with `reader.py`.
+May import: `formats.triangle_soup` and the files at the top of `formats`. Begin with `reader.py`.
 
 Own reader on pydantic and NumPy: trimesh 5.2 drops sparse values, morph weights, skins, instances, visibility and fans,
 and reads required extensions that it does not know; pygltflib parses the JSON, but reads no accessor.
@@ -8,7 +8,7 @@ and reads required extensions that it does not know; pygltflib parses the JSON, 
 
 import os
 
-from formats.mesh.soup import TriangleSoup
+from formats.triangle_soup import TriangleSoup
 
 
 def read_gltf(path: str | os.PathLike[str]) -> TriangleSoup:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import warn
-from formats.mesh.soup import TriangleSoup
+from formats.triangle_soup import TriangleSoup
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from formats.mesh.gltf.part import Part, join, place
 from formats.mesh.gltf.primitives import read_primitive
 from formats.mesh.gltf.schema import Node, Primitive
 from formats.mesh.gltf.skins import joint_matrices, vertex_matrices
-from formats.mesh.soup import TriangleSoup
+from formats.triangle_soup import TriangleSoup
 
 # Instances take few bytes in the file. A file with more vertices and triangles than these and its bytes is damaged.
 _MOST_ELEMENTS = 10_000_000

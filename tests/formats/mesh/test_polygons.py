@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from formats.errors import InputWarning, MeshError
 from formats.mesh import check_mesh, open_edges, read_mesh, signed_volume
 from formats.mesh.edges import edges_of
-from formats.mesh.soup import fan
 from formats.mesh.triangulation import MOST_CORNERS, triangulate
+from formats.triangle_soup import fan
 
 L = np.array([(2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 0)], np.float64)
 PENTAGRAM = np.array([(np.cos(a), np.sin(a)) for a in np.arange(5) * 0.8 * np.pi])
