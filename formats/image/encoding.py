@@ -36,7 +36,7 @@ class Encoding(NamedTuple):
 
 
 def encoding_of(path: str | os.PathLike[str], stored: Stored) -> Encoding:
-    """Return what the values mean; warnings tell of everything but sRGB.
+    """Return what the values mean; everything but sRGB is a warning.
 
     Raises:
         ImageError: a curve that is not read, such as PQ and HLG.

@@ -67,7 +67,7 @@ class _Candidate:
 
 
 def open_colour(path: str | os.PathLike[str]) -> ExrColour:
-    """Read the headers and choose the colour; a warning tells which of several layers was chosen by its name.
+    """Read the headers and choose the colour; a warning names a layer that was chosen by its name.
 
     Raises:
         ImageError: the file is not OpenEXR or damaged; it has no colour, or several layers that are equally good.
@@ -92,7 +92,7 @@ def open_colour(path: str | os.PathLike[str]) -> ExrColour:
 
 
 def _candidates(part: Part, several: bool) -> Iterator[_Candidate]:
-    """Yield the layers of colour of a part; `several` tells whether the file has other parts."""
+    """Yield the layers of colour of a part; `several`: the file has other parts."""
     for layer in sorted({name.rpartition(".")[0] for name in part.sampling}):
         rgb = _rgb(layer, part.sampling)
         names = rgb or _luminance(layer, part.sampling)

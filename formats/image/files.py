@@ -28,7 +28,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read an image as linear float32 [H,W,3], Rec.709.
 
     PNG and JPEG are decoded from sRGB, unless their metadata names another curve. Colours with other primaries are
-    converted to Rec.709. A warning tells of either, and of everything else that can be read in more than one way. NaN,
+    converted to Rec.709. Both are warnings, as is everything else that can be read in more than one way. NaN,
     infinite and negative pixels of an `.exr` are returned unchanged; colours outside Rec.709 have a negative channel.
 
     Raises:

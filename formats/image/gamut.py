@@ -49,7 +49,7 @@ class Primaries(NamedTuple):
 
 
 def matrix_to_rec709(path: str | os.PathLike[str], primaries: Primaries | None) -> Matrix | None:
-    """Return the matrix [3,3] from linear RGB to Rec.709, or None if there is nothing to convert; a warning tells.
+    """Return the matrix [3,3] from linear RGB to Rec.709, or None if there is nothing to convert.
 
     Without primaries, or with those of Rec.709, there is no warning.
     """
@@ -82,8 +82,8 @@ def converted_blocks(
 ) -> Iterator[NDArray[np.float32]]:
     """Yield the blocks [R,W,3], converted.
 
-    With `clip`, channels that only the conversion made negative become 0. A warning after the last block tells how
-    many, and their share of the light.
+    With `clip`, channels that only the conversion made negative become 0. A warning after the last block has
+    their number and their share of the light.
     """
     clipped, pixels, removed, total = 0, 0, 0.0, 0.0
     for block in blocks:

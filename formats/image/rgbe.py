@@ -83,7 +83,7 @@ def open_rgbe_rows(path: str | os.PathLike[str]) -> RgbeRows:
 
 
 def refuse_unstorable(path: str | os.PathLike[str], image: NDArray[np.floating]) -> None:
-    """Raise ImageError for pixels that are not finite or above 1.7e38; a warning tells of negative ones."""
+    """Raise ImageError for pixels that are not finite or above 1.7e38; negative ones are a warning."""
     linear = np.asarray(image, np.float64)
     invalid = ~(np.abs(linear) <= _LARGEST).all(axis=2)
     if invalid.any():

@@ -51,7 +51,7 @@ class RgbeHeader:
 
 
 def read_header(path: str | os.PathLike[str]) -> RgbeHeader:
-    """Read the header; a warning tells of values that are divided by EXPOSURE or COLORCORR, and of lines ignored.
+    """Read the header; division by EXPOSURE or COLORCORR, and ignored lines, are warnings.
 
     Raises:
         ImageError: the file is not a Radiance image, is in XYZ colours, is stored by columns, or its header is damaged.

@@ -71,9 +71,9 @@ def open_image(path: str | os.PathLike[str], clip: bool = False) -> ImageRows:
 
 
 def to_rec709(opened: ImageRows, primaries: Primaries | None, clip: bool = False) -> ImageRows:
-    """`opened` with the colours of its blocks converted to Rec.709; a warning tells.
+    """`opened` with the colours of its blocks converted to Rec.709, with a warning.
 
-    Colours outside Rec.709 have a negative channel. With `clip` it becomes 0, which another warning tells after the
+    Colours outside Rec.709 have a negative channel. With `clip` it becomes 0, with another warning after the
     last block.
     """
     matrix = matrix_to_rec709(opened.path, primaries)

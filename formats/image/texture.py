@@ -33,7 +33,7 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
     """Read linear reflectances float64 [H,W,3] from 0 to 1, row 0 on top; `.png` and `.jpg` are decoded from sRGB.
 
-    Colours outside Rec.709 are clipped to it, of which a warning tells.
+    Colours outside Rec.709 are clipped to it, with a warning.
 
     Arguments and errors as `read_roughness_texture`.
     """

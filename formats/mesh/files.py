@@ -41,7 +41,7 @@ def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) ->
     Merges vertices at equal positions and removes unused ones (see `Mesh.source_vertex`), and triangulates polygons.
     Normals come from the file, averaged over merged vertices, or else are the angle-weighted mean of the face normals.
 
-    Three faults are mended with an InputWarning. Normals that contradict the faces are replaced by those of the faces
+    Three faults are repaired with an InputWarning. Normals that contradict the faces are replaced by those of the faces
     (`formats.mesh.normals`). Faces without area are dropped if no face loses its neighbour by that.
     Loose vertices within a rounding to float32 of one another are merged if that closes the surface.
 
@@ -76,7 +76,7 @@ def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) ->
     if merging is not None:
         target, distance = merging
         warn(
-            f"{path}: {(target != np.arange(len(target))).sum()} vertices at open edges lie within {distance:.2g} of "
+            f"{path}: {(target != np.arange(len(target))).sum()} vertices at open edges are within {distance:.2g} of "
             f"others, a rounding to float32; they were merged, which closes the surface"
         )
         faces, source_vertex = target[faces], target[source_vertex]

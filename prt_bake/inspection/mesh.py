@@ -8,7 +8,7 @@ from prt_bake.geometry.shells import ambiguity
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return sizes, bounds and topology; the open edges and the volume tell whether the mesh is closed."""
+    """Return sizes, bounds and topology; a closed mesh has no open edges and a volume."""
     mesh = read_mesh(path, drop_flat_faces=True)
     return {
         "vertices": len(mesh.positions),

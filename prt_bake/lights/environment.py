@@ -129,7 +129,7 @@ def read_environment(
     """Read a lat-long picture: radiance, float32 [H, W, 3], finite and not negative.
 
     Negative values that are tiny beside the median become 0, which `say` is called with, and those of colours outside
-    Rec.709, of which a warning tells.
+    Rec.709, with a warning.
     `mend` repairs bad pixels: NaN, negative values and −∞ become 0, +∞ becomes the largest finite value of the picture
     (0 if there is none). `say` is called with the changes. Without `mend` bad pixels raise ImageError. Raises as
     `open_environment` and `formats.image.read_image`.

@@ -29,7 +29,7 @@ from prt_bake.paper.times import as_json as times_json
 OnResult = Callable[[Result], None]
 _PICTURES = ("sheet.png", "everything.png", "training.png", "sigma.png", "layers.png", "times.png")
 FILES = ("tables.md", "tables.json", *_PICTURES, "layers.json", "times.json")
-"""The names of the tables and pictures of the report; each scene has a folder besides."""
+"""The names of the tables and pictures of the report; each scene also has a folder."""
 
 
 class PaperReport:

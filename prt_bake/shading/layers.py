@@ -1,4 +1,4 @@
-"""Layers of a picture besides its colour: geometry of the object, and parts of its radiance."""
+"""Layers of a picture beside its colour: geometry of the object, and parts of its radiance."""
 
 from collections.abc import Callable, Mapping
 

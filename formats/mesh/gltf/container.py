@@ -62,10 +62,10 @@ class GltfFile:
         return entries[index]
 
     def remark(self, where: str, sentence: str) -> None:
-        """Keep a remark on a primitive for `tell_remarks`."""
+        """Keep a remark on a primitive for `warn_of_remarks`."""
         self._remarks.setdefault(sentence, {})[where] = None
 
-    def tell_remarks(self) -> None:
+    def warn_of_remarks(self) -> None:
         """Warn once for each remark, with the number of primitives."""
         for sentence, places in self._remarks.items():
             others = f" and {len(places) - 1} more" if len(places) > 1 else ""

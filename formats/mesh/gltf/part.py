@@ -29,7 +29,7 @@ class Part:
 
 
 def place(part: Part, matrices: Array) -> Part:
-    """Transform a part; faces are turned round where a matrix mirrors, so that the front stays in front.
+    """Transform a part; the winding is reversed where a matrix mirrors, so that fronts stay fronts.
 
     Args:
         part: the part, of n vertices.

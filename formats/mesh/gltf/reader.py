@@ -35,7 +35,7 @@ def read_scene(path: str | os.PathLike[str]) -> TriangleSoup:
     file = open_gltf(path)
     with np.errstate(all="ignore"):  # `read_mesh` reports positions that are not finite
         parts = _Reader(file).parts()
-    file.tell_remarks()
+    file.warn_of_remarks()
     if not parts:
         raise MeshError(f"{path}: has no faces; expected triangles in its scene, export the object as a triangle mesh")
     return join(parts, os.fspath(path))

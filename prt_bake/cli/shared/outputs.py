@@ -118,7 +118,7 @@ def _create(folder: Path) -> None:
 
 
 def _refuse_closed_folders(paths: Iterable[Path]) -> None:
-    """Create and remove a file without a name in each folder, since permissions do not tell everything."""
+    """Create and remove a file without a name in each folder, since permissions alone do not decide."""
     tried = set[str]()
     for path in paths:
         folder = os.path.dirname(os.path.realpath(path))

@@ -110,7 +110,7 @@ def test_a_seam_within_a_rounding_is_welded(tmp_path: Path, suffix: str) -> None
     ball, torn = sphere_mesh(), halves(np.random.default_rng(0).uniform(-1, 1, (12, 3)) * 1e-7)
     assert open_edges(torn) == 24
     write_mesh(torn, tmp_path / f"torn{suffix}")
-    with pytest.warns(InputWarning, match=r"12 vertices at open edges lie within 1\.\de-07 of others.*were merged"):
+    with pytest.warns(InputWarning, match=r"12 vertices at open edges are within 1\.\de-07 of others.*were merged"):
         mesh = read_mesh(tmp_path / f"torn{suffix}")
     np.testing.assert_array_equal(mesh.faces, ball.faces)
     np.testing.assert_array_equal(mesh.positions, ball.positions)
