@@ -98,8 +98,8 @@ def error_sums(errors: Array, channels: int = 3) -> tuple[Array, Array]:
 
 
 def residual_sums(residuals: Array, products: Array) -> tuple[Array, Array]:
-    """The same sums [M,P] and [M,C] of each bin from the residuals [M,D,C] of its fit; `products` [D,P] belong to the
-    fit's weights.
+    """`error_sums` [M,P] and [M,C] of each bin, estimated from the residuals [M,D,C] of its fit; `products` [D,P] are
+    the `weight_products` of the fit.
     """
     squares = residuals**2
     return squares.sum(axis=2) @ products, squares.sum(axis=1)
@@ -153,7 +153,8 @@ def clustered(errors: ErrorCovariance, size: Array) -> ErrorCovariance:
         sums, total = sums + weight @ features, total + weight.sum(axis=1)
     used, row = np.unique(row, return_inverse=True)
     means = np.divide(sums, total[:, None], out=centres, where=total[:, None] > 0.0)[used]
-    covariance, channels, apart = np.split(means, np.cumsum(_widths(errors)), axis=1)
+    widths = errors.covariance.shape[1], errors.channels.shape[1]
+    covariance, channels, apart = np.split(means, np.cumsum(widths), axis=1)
     covariance = (covariance / _scale(errors)).astype(np.float32)
     return ErrorCovariance(covariance, channels.astype(np.float32), apart.astype(np.float32), row)
 
@@ -161,10 +162,6 @@ def clustered(errors: ErrorCovariance, size: Array) -> ErrorCovariance:
 def _features(errors: ErrorCovariance) -> Array:
     """Feature vectors for the clustering, a row per vertex."""
     return np.column_stack([errors.covariance * _scale(errors), errors.channels, errors.apart]).astype(np.float64)
-
-
-def _widths(errors: ErrorCovariance) -> tuple[int, int]:
-    return errors.covariance.shape[1], errors.channels.shape[1]
 
 
 def _scale(errors: ErrorCovariance) -> Array:

@@ -26,9 +26,7 @@ def vertex_faces(vertices: int, faces: NDArray[np.integer], face_normals: Array)
 
 
 def merged_vertex_faces(places: Array, faces: NDArray[np.integer], face_normals: Array) -> VertexFaces:
-    """The same where vertices with equal rows of `places` [V,m] are one point of a surface: each has all faces around
-    that point.
-    """
+    """As `vertex_faces`, but vertices with equal rows of `places` [V,m] count as one: each has the faces of all."""
     vertices = len(places)
     # Equal rows have equal sums, and sums are much faster to sort than rows.
     if len(np.unique((places * np.sqrt(2.0 + np.arange(places.shape[1]))).sum(axis=1))) == vertices:

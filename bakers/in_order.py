@@ -13,10 +13,7 @@ Result = TypeVar("Result")
 
 
 def in_order(
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int,
-    ahead: Callable[[], int] | None = None,
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int, ahead: Callable[[], int] | None = None
 ) -> Generator[Result, None, None]:
     """Yields work(item) for every item, in order, computed by `workers` threads ahead of the consumer: by as many items
     as there are threads, or as `ahead()` returns.

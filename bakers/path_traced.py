@@ -51,11 +51,7 @@ class WalkStatistics:
     def as_json(self) -> dict[str, float | int]:
         """Means over the bins, and the number of unreliable ones."""
         bins = max(1, self.bins)
-        return {
-            "unscattered": self.unscattered / bins,
-            "lost": self.lost / bins,
-            "unreliable_bins": self.unreliable,
-        }
+        return {"unscattered": self.unscattered / bins, "lost": self.lost / bins, "unreliable_bins": self.unreliable}
 
 
 def vertices_walked_at_once(bins: int, paths: int) -> int:

@@ -48,13 +48,20 @@ class BakePlan:
 
 
 def plan_bake(
-    vertices: int, bins: int, count: int, samples: int, bytes_each: int = 2, channels: int = 3, views: int | None = None
+    vertices: int,
+    bins: int,
+    coefficients: int,
+    samples: int,
+    bytes_each: int = 2,
+    channels: int = 3,
+    views: int | None = None,
 ) -> BakePlan:
-    """Sizes of a bake of `count` coefficients × channels at vertices × bins from `samples` directions each. The asset
+    """Sizes of a bake of `coefficients` (K) × channels at vertices × bins from `samples` directions each. The asset
     stores `views` of the bins, all by default.
     """
     queries, kept = vertices * bins, vertices * (bins if views is None else views)
-    return BakePlan(vertices, bins, count, samples, queries * samples, kept * count * channels * bytes_each, None)
+    raw_bytes = kept * coefficients * channels * bytes_each
+    return BakePlan(vertices, bins, coefficients, samples, queries * samples, raw_bytes, None)
 
 
 def vertices_at_once(bins: int, directions: int) -> int:

@@ -72,6 +72,14 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
             part.unlink(missing_ok=True)
 
 
+def create_folder(folder: Path) -> None:
+    """Create the folder of a command's output and those above it. Raises StorageError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as cause:
+        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another --out") from cause
+
+
 def remove_parts(folder: Path, name: str = "*") -> None:
     """Remove the temporary files that killed processes left in a folder while writing `name`, or any file."""
     for part in folder.glob(f".{name if name == '*' else glob.escape(name[:100])}.????????.part"):

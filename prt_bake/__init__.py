@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from prt_bake.rendering.scene import render_scene
     from prt_bake.shading.frames.frames import Frames
     from prt_bake.shading.picture import render_picture, shade
-    from prt_bake.shading.suns import suns_apart
+    from prt_bake.shading.sun_shading import suns_apart
     from prt_bake.tracer.estimate import estimate_coefficients, estimate_transport
     from prt_bake.trainer.train import train
 
@@ -113,7 +113,7 @@ _ORIGIN = {
     "sh": ("prt_bake.mathematics.sh", ""),
     "shade": ("prt_bake.shading.picture", "shade"),
     "sphere": ("prt_bake.mathematics.sphere", ""),
-    "suns_apart": ("prt_bake.shading.suns", "suns_apart"),
+    "suns_apart": ("prt_bake.shading.sun_shading", "suns_apart"),
     "train": ("prt_bake.trainer.train", "train"),
     "unpacked": ("prt_bake.baking.compress", "unpacked"),
     "write_asset": ("formats.asset", "write_asset"),

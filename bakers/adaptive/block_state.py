@@ -121,7 +121,9 @@ class BlockState:
         self.integrate(rows[noisy], bins[noisy], tolerated * self.scale[rows[noisy]])
 
     def evaluate(self, number: int, level: Level, places: Index, rows: Index, tolerated: float) -> None:
-        """Evaluates bins of a level: places [M] in the level and rows [M] of the vertices."""
+        """Evaluates bins of level `number`: places [M] in the level and rows [M] of the vertices. `tolerated` is the
+        variance that a coefficient may have, over the mean square coefficient of its vertex.
+        """
         self.integrate(rows, level.bins[places], tolerated * self.scale[rows])
 
     def noise_of_difference(self, rows: Index, bins: Index, predicted: Array, independent: Array) -> Array:
@@ -205,7 +207,7 @@ class BlockState:
         return self.settings.frames.in_view(self.vertices[rows], self.outgoing[rows, bins], coefficients)
 
     def view_matrices(self, rows: Index, bins: Index) -> Array:
-        """Matrices [M,K,K] of that rotation."""
+        """Matrices [M,K,K] of the rotation that `in_view` applies."""
         return self.settings.frames.matrices(self.vertices[rows], self.outgoing[rows, bins], self.lattice.count)
 
     def add_lattice_covariance(self) -> None:
@@ -297,7 +299,9 @@ def variance_factors(noise: LatticeNoise, shares: Sequence[float], sizes: Sequen
 
 
 def pool_variance_factors(noise: LatticeNoise, pools: Pools) -> Array:
-    """The same for pools. (YᵀY)⁻¹ of a lattice is 4π/D times the identity to a thousandth, so no pool is made."""
+    """`variance_factors` of the pools' lattices. Makes no pool: (YᵀY)⁻¹ of a lattice is 4π/D times the identity, to a
+    thousandth.
+    """
     return variance_factors(noise, [4.0 * np.pi / size for size in pools.sizes], pools.sizes)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.records import METHODS, SAMPLE_FIELDS, RefinedBlock, ValidationSamples, stored_name
+from bakers.adaptive.records import METHODS, SAMPLE_FIELDS, RefinedBlock, ValidationSamples
 from bakers.adaptive.vertex_scatter import UNKNOWN, Scatter, default_variance, error_quantiles, measured_scatter
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Tally:
         self.variance, self.signal = np.zeros((len(METHODS), vertices)), np.zeros(vertices)
         self.done, self.invalid = np.zeros(vertices, bool), np.zeros(vertices, bool)
         self.correlated = np.zeros(vertices)
-        self.evaluations = self.recalled = self.check_evaluations = self.evaluated_bins = self.bins = 0
+        self.evaluations = self.recalled = self.validation_evaluations = self.evaluated_bins = self.bins = 0
         self._samples: list[ValidationSamples] = []
 
     def add(self, rows: NDArray[np.int64], refined: RefinedBlock) -> None:
@@ -76,7 +76,7 @@ class Tally:
         self.evaluated_bins, self.bins = self.evaluated_bins + int(evaluated.sum()), self.bins + evaluated.size
         self.evaluations += refined.evaluations
         self.recalled += refined.recalled
-        self.check_evaluations += refined.validation.evaluations
+        self.validation_evaluations += refined.validation.evaluations
         self._samples.append(replace(refined.validation, rows=rows[refined.validation.rows]))
 
     @property
@@ -132,8 +132,8 @@ class Tally:
 
     def as_arrays(self) -> dict[str, NDArray[Any]]:
         """All totals as arrays for a checkpoint."""
-        sums = {stored_name(name): np.asarray(value) for name, value in vars(self).items() if name != "_samples"}
-        samples = {f"checks_{stored_name(name)}": self._all_samples(name) for name in _SAMPLE_TYPES}
+        sums = {name: np.asarray(value) for name, value in vars(self).items() if name != "_samples"}
+        samples = {f"samples_{name}": self._all_samples(name) for name in _SAMPLE_TYPES}
         return sums | samples
 
     @classmethod
@@ -142,11 +142,9 @@ class Tally:
         tally = cls(len(arrays["done"]))
         for name, was in list(vars(tally).items()):
             if name != "_samples":
-                stored = arrays[stored_name(name)]
-                setattr(tally, name, int(stored) if isinstance(was, int) else stored)
-        tally._samples = [
-            ValidationSamples(evaluations=0, **{name: arrays[f"checks_{stored_name(name)}"] for name in _SAMPLE_TYPES})
-        ]
+                setattr(tally, name, int(arrays[name]) if isinstance(was, int) else arrays[name])
+        samples = {name: arrays[f"samples_{name}"] for name in _SAMPLE_TYPES}
+        tally._samples = [ValidationSamples(evaluations=0, **samples)]
         return tally
 
     def _all_samples(self, name: str) -> NDArray[Any]:

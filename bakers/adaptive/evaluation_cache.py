@@ -30,8 +30,12 @@ class EvaluationCache:
     def get(
         self, name: Hashable, vertices: Index, bins: Index, evaluate: Callable[[Index], NDArray[Any]]
     ) -> tuple[NDArray[Any], int]:
-        """Rows [M,...] for bins [M] of vertices [M], and how many of them were cached. `evaluate` (places in M [m] →
-        [m,...]) computes the missing ones.
+        """Rows [M,...] for bins [M] of vertices [M], and how many of them were cached.
+
+        Args:
+            name: what the rows hold; rows of different names are kept apart.
+            vertices, bins: [M].
+            evaluate: called once, with the places [m] in `vertices` whose rows are missing; returns these rows [m,...].
         """
         here, keys = self._keys(vertices, bins)
         known, found = self._find(name, keys)

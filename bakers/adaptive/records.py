@@ -20,9 +20,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 METHODS = "foretold", "shared", "alone", "nearby"
-"""Names, in an asset's provenance, of the methods by which bins are computed: interpolation between bins, the vertex's
-shared lattices, the bin's own lattice, and interpolation between vertices.
+"""Keys, in an asset's provenance, of the methods by which bins are computed: interpolation between bins, the vertex's
+shared or learned lattices, the bin's own lattice, and interpolation between vertices.
 """
+FROM_VERTICES = METHODS.index("nearby")
 SAMPLE_FIELDS = "method", "stated", "squared", "noise"
 """Fields of a validation sample."""
 VERTEX_FIELDS = (
@@ -30,13 +31,7 @@ VERTEX_FIELDS = (
 )  # fmt: skip
 """Fields of a vertex."""
 MISSED_SHARE = 0.3
-_STORED_NAMES = {"standard_error": "deviation", "method": "way", "correlated": "together"}
 Lattices = Literal["own", "shared", "learned"]
-
-
-def stored_name(field: str) -> str:
-    """Name of a field in checkpoints."""
-    return _STORED_NAMES.get(field, field)
 
 
 @dataclass(frozen=True)
@@ -122,16 +117,11 @@ class ValidationSamples:
     def with_rows(self, rows: Index, other: "ValidationSamples") -> "ValidationSamples":
         """These samples, with those of the vertices `rows` [m] replaced by `other`."""
         kept = ~np.isin(self.rows, rows)
-        order = np.argsort(np.concatenate([self.rows[kept], rows[other.rows]]), kind="stable")
-        fields = [np.concatenate([getattr(self, name)[kept], getattr(other, name)])[order] for name in SAMPLE_FIELDS]
-        return ValidationSamples(
-            np.concatenate([self.rows[kept], rows[other.rows]])[order],
-            fields[0],
-            fields[1],
-            fields[2],
-            fields[3],
-            other.evaluations,
-        )
+        merged = np.concatenate([self.rows[kept], rows[other.rows]])
+        order = np.argsort(merged, kind="stable")
+        parts = {name: (getattr(self, name)[kept], getattr(other, name)) for name in SAMPLE_FIELDS}
+        fields = {name: np.concatenate(each)[order] for name, each in parts.items()}
+        return ValidationSamples(rows=merged[order], evaluations=other.evaluations, **fields)
 
 
 def validation_noise(rows: Index, one: Array, other: Array) -> Array:
@@ -185,16 +175,16 @@ class RefinedBlock:
 
     def as_arrays(self) -> dict[str, NDArray[Any]]:
         """All fields as arrays for a checkpoint."""
-        own = {stored_name(name): np.asarray(values) for name, values in vars(self).items() if name != "validation"}
-        samples = {f"checks_{stored_name(name)}": np.asarray(values) for name, values in vars(self.validation).items()}
+        own = {name: np.asarray(values) for name, values in vars(self).items() if name != "validation"}
+        samples = {f"validation_{name}": np.asarray(values) for name, values in vars(self.validation).items()}
         return own | samples
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> "RefinedBlock":
         """Inverse of `as_arrays`."""
-        own = {name: arrays[stored_name(name)] for name in VERTEX_FIELDS}
-        samples = {name: arrays[f"checks_{stored_name(name)}"] for name in ("rows", *SAMPLE_FIELDS)}
-        validation = ValidationSamples(evaluations=int(arrays["checks_evaluations"]), **samples)
+        own = {name: arrays[name] for name in VERTEX_FIELDS}
+        samples = {name: arrays[f"validation_{name}"] for name in ("rows", *SAMPLE_FIELDS)}
+        validation = ValidationSamples(evaluations=int(arrays["validation_evaluations"]), **samples)
         evaluations, recalled = int(arrays["evaluations"]), int(arrays["recalled"])
         return cls(**own, evaluations=evaluations, recalled=recalled, validation=validation)
 
@@ -226,10 +216,9 @@ def joined(count: int, parts: Sequence[tuple[Index, RefinedBlock]]) -> RefinedBl
         arrays[name] = merged
     rows = np.concatenate([rows[part.validation.rows] for rows, part in parts])
     order = np.argsort(rows, kind="stable")
-    fields = [
-        np.concatenate([getattr(part.validation, name) for _rows, part in parts])[order] for name in SAMPLE_FIELDS
-    ]
+    samples = {name: [getattr(part.validation, name) for _rows, part in parts] for name in SAMPLE_FIELDS}
+    fields = {name: np.concatenate(each)[order] for name, each in samples.items()}
     sample_evaluations = sum(part.validation.evaluations for _rows, part in parts)
-    validation = ValidationSamples(rows[order], fields[0], fields[1], fields[2], fields[3], sample_evaluations)
+    validation = ValidationSamples(rows=rows[order], evaluations=sample_evaluations, **fields)
     taken, recalled = (sum(getattr(part, name) for _rows, part in parts) for name in ("evaluations", "recalled"))
     return RefinedBlock(**arrays, evaluations=taken, recalled=recalled, validation=validation)

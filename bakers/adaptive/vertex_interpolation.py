@@ -122,16 +122,6 @@ def rotated_with_normal(vectors: Array, start: Array, end: Array) -> Array:
     return np.asarray(cosine * vectors + np.cross(axis, vectors) + along * axis)
 
 
-def rotated_sectors(values: NDArray[np.floating], angle: float) -> NDArray[np.floating]:
-    """Values [R,S,...] over rings and sectors, at azimuths larger by `angle`: cubic interpolation of four sectors."""
-    whole, taps = cubic_taps(angle, values.shape[1])
-    out = np.zeros_like(values)
-    for step, weight in enumerate(taps):
-        if weight != 0.0:
-            out += values.dtype.type(weight) * np.roll(values, -(whole + step - 1), axis=1)
-    return out
-
-
 def cubic_taps(angle: float, sectors: int) -> tuple[int, tuple[float, float, float, float]]:
     """An azimuth in sectors, rounded down, and the weights of the four sectors from one before it to two beyond."""
     shift = angle / (2.0 * np.pi) * sectors
@@ -139,19 +129,6 @@ def cubic_taps(angle: float, sectors: int) -> tuple[int, tuple[float, float, flo
     f = shift - whole
     before, at = -f * (f - 1.0) * (f - 2.0) / 6.0, (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0
     return whole, (before, at, -(f + 1.0) * f * (f - 2.0) / 2.0, (f + 1.0) * f * (f - 1.0) / 6.0)
-
-
-def interpolated(values: NDArray[np.floating], parents: Parents, row: int) -> tuple[Array, Array]:
-    """Values [B,C] of the vertex in that row and their variance [B] (mean over C), from the parents' shifted values
-    [P,B,C]. The variance is estimated from the residuals: the parents' noise, and what is not quadratic about them.
-    """
-    flat = values.reshape(len(values), -1).astype(np.float64)
-    function = parents.fit[row] @ flat
-    residuals = flat - parents.terms[row] @ function
-    residuals *= residuals
-    squared = (parents.fit_weights[row] @ residuals).reshape(values.shape[1:]).mean(axis=-1)
-    gain = (parents.weights[row] ** 2).sum() / parents.residual_freedom[row]
-    return function[0].reshape(values.shape[1:]), gain * squared
 
 
 def _quadratic(places: Array) -> Array:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bakers.adaptive.block_state import BlockState
 from bakers.adaptive.evaluation_cache import NO_CACHE
-from bakers.adaptive.records import METHODS, RefinementSettings, ValidationSamples
+from bakers.adaptive.records import FROM_VERTICES, RefinementSettings, ValidationSamples
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -50,7 +50,7 @@ def validation_samples(
     _probe_residuals(state, rows, bins)
     begun = state.evaluations
     samples = state.validate(variance, coefficients)
-    method = np.full(len(samples.rows), METHODS.index("nearby"), np.uint8)
+    method = np.full(len(samples.rows), FROM_VERTICES, np.uint8)
     return replace(samples, method=method, evaluations=samples.evaluations + begun)
 
 

@@ -95,15 +95,8 @@ def _with_matrices(bins: NDArray[np.int64], parents: NDArray[np.int64], weights:
     place[bins] = np.arange(len(bins))
     near = parents[:, :NEAREST]
     means = np.full(near.shape, 1.0 / max(1, near.shape[1]))
-    return Level(
-        bins,
-        parents,
-        weights,
-        place,
-        _matrix(weights, parents, width),
-        _matrix(weights**2, parents, width),
-        _matrix(means, near, width),
-    )
+    interpolation, squared = (_matrix(each, parents, width) for each in (weights, weights**2))
+    return Level(bins, parents, weights, place, interpolation, squared, _matrix(means, near, width))
 
 
 def _matrix(weights: Array, columns: NDArray[np.int64], width: int) -> csr_array:

@@ -1,8 +1,7 @@
 """Writes a chunked HDF5 dataset and compresses the chunks on several threads.
 
-HDF5 itself compresses in the writing thread, chunk by chunk, at 24 MB/s: 9.5 of the 106 seconds that a bake of spot to
-1 % takes on one core (docs/baking.md) would be serial. Complete chunks are shuffled and deflated here, as by HDF5's
-filters, and written directly; rows of incomplete chunks go through HDF5.
+HDF5 itself compresses in the writing thread, chunk by chunk, and a bake would wait for it. Complete chunks are shuffled
+and deflated here, as by HDF5's filters, and written directly; rows of incomplete chunks go through HDF5.
 """
 
 import os

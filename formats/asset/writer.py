@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.asset.asset_file import AssetFile, chunk_vertices
 from formats.asset.compact_file import write_compact
 from formats.asset.compact_record import CompactCoefficients
 from formats.asset.error_covariance import ErrorCovariance, write_covariance
-from formats.asset.file import AssetFile, chunk_vertices
 from formats.asset.head import FORMULAS
 from formats.asset.record import Asset, AssetHead, Storage
 from formats.atomic import replacing

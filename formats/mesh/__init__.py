@@ -1,28 +1,34 @@
-"""Triangle meshes: one record, read from PLY, OBJ and glTF, written to PLY and OBJ.
+"""Triangle meshes: one record, read from PLY, OBJ, STL and glTF, written to PLY and OBJ.
 
 May import: the files at the top of `formats`. Begin with `record.py`; each file format has its own module.
 """
 
+from formats.mesh.check import check_mesh, closedness_faults
 from formats.mesh.record import (
     Mesh,
     build_mesh,
-    check_mesh,
     flipped,
     inconsistent_edges,
     open_edges,
     read_mesh,
+    refuse_inside_out,
     signed_volume,
     write_mesh,
 )
+from formats.mesh.texture_coordinates import texture_fault, texture_remark
 
 __all__ = [
     "Mesh",
     "build_mesh",
     "check_mesh",
+    "closedness_faults",
     "flipped",
     "inconsistent_edges",
     "open_edges",
     "read_mesh",
+    "refuse_inside_out",
     "signed_volume",
+    "texture_fault",
+    "texture_remark",
     "write_mesh",
 ]

@@ -1,4 +1,4 @@
-"""Geometry of triangle arrays: areas, angles, normals, merged vertices, edges. Lengths are in the mesh's unit.
+"""Geometry of triangle arrays: areas, angles, normals, merged vertices. Lengths are in the mesh's unit.
 
 No library: trimesh merges vertices closer than 1e-8, and computes corner angles with arc cosines, which lose half of
 the digits near 0.
@@ -7,7 +7,10 @@ the digits near 0.
 import numpy as np
 from numpy.typing import NDArray
 
-_SLIVER = 1e-12  # twice the area over the longest edge squared; a smaller ratio is a line to float64
+SLIVER = 1e-12
+"""Twice the area of a triangle over its longest edge squared; a smaller ratio is a line to float64."""
+MOST_COORDINATE = 1e30
+"""Largest coordinate of a vertex, as in scene files."""
 
 
 def doubled_area_vectors(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> NDArray[np.float64]:
@@ -42,7 +45,7 @@ def faces_without_area(positions: NDArray[np.float64], faces: NDArray[np.integer
     corners = positions[faces]
     longest = np.square(corners - np.roll(corners, 1, axis=1)).sum(axis=2).max(axis=1)
     doubled = np.linalg.norm(doubled_area_vectors(positions, faces), axis=1)
-    flat: NDArray[np.bool_] = doubled <= _SLIVER * longest
+    flat: NDArray[np.bool_] = doubled <= SLIVER * longest
     return flat
 
 
@@ -92,18 +95,3 @@ def merge_positions(positions: NDArray[np.float64]) -> tuple[NDArray[np.int64], 
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     return first[order].astype(np.int64), rank[inverse.ravel()]
-
-
-def edge_uses(faces: NDArray[np.integer]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Count the faces at each undirected edge.
-
-    Returns:
-        For each edge the number of its faces [E], and the sum of the directions in which they traverse it [E]: +1 from
-        the lower index to the higher, -1 back. The sum is 0 on a closed surface of consistent winding.
-    """
-    start = faces.ravel().astype(np.int64)
-    end = np.roll(faces, -1, axis=1).ravel().astype(np.int64)
-    keys = np.minimum(start, end) * (int(faces.max()) + 1) + np.maximum(start, end)
-    _, edge = np.unique(keys, return_inverse=True)
-    directions = np.bincount(edge, np.where(start < end, 1.0, -1.0)).astype(np.int64)
-    return np.bincount(edge).astype(np.int64), directions

@@ -1,6 +1,7 @@
 """Wavefront OBJ (Advanced Visualizer manual, appendix B1: http://paulbourke.net/dataformats/obj/).
 
-Vertices, texture coordinates, normals and polygons are read; materials, groups and curves are ignored.
+Vertices, texture coordinates, normals and polygons are read; materials, groups, lines, curves and free-form surfaces
+are ignored.
 
 No library: trimesh reads a file with a damaged vertex as a point cloud, accepts index 0, fails at a comment after a
 face, names no line in its errors and writes 8 decimals.
@@ -8,14 +9,18 @@ face, names no line in its errors and writes 8 decimals.
 
 import os
 from array import array
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import MeshError
-from formats.mesh.soup import TriangleSoup, fan
+from formats.errors import MeshError, warn
+from formats.mesh.soup import TriangleSoup
+from formats.mesh.triangulation import triangulate
+from formats.text import without_byte_order_mark
 
 _MISSING = -(2**31)  # a corner without texture coordinate or normal
+_READ = (b"v", b"vt", b"vn", b"f", b"fo")
 
 
 class _Tables:
@@ -24,24 +29,25 @@ class _Tables:
     def __init__(self) -> None:
         self.v, self.vt, self.vn = array("d"), array("d"), array("d")
         self.corners = array("q")  # three indices per corner, from 0: position, texture coordinate, normal
-        self.sizes = array("q")
+        self.sizes, self.lines = array("q"), array("q")  # number of corners and line of each face
 
-    def add_line(self, words: list[str]) -> None:
-        """Add the words of one line; raises ValueError or IndexError if they are malformed."""
+    def add_statement(self, line: int, words: list[bytes]) -> None:
+        """Add the words of one statement; raises ValueError, IndexError or OverflowError if they are malformed."""
         match words[0]:
-            case "v":
+            case b"v":
                 self.v.extend((float(words[1]), float(words[2]), float(words[3])))
-            case "vn":
+            case b"vn":
                 self.vn.extend((float(words[1]), float(words[2]), float(words[3])))
-            case "vt":
+            case b"vt":
                 self.vt.extend((float(words[1]), float(words[2]) if len(words) > 2 else 0.0))
-            case "f":
+            case b"f" | b"fo":
                 for word in words[1:]:
                     self.corners.extend(self._corner(word))
                 self.sizes.append(len(words) - 1)
+                self.lines.append(line)
 
-    def _corner(self, word: str) -> tuple[int, int, int]:
-        parts = [*word.split("/"), "", ""]
+    def _corner(self, word: bytes) -> tuple[int, int, int]:
+        parts = [*word.split(b"/"), b"", b""]
         position = _index(parts[0], len(self.v) // 3)
         if position == _MISSING:
             raise ValueError
@@ -49,28 +55,45 @@ class _Tables:
 
 
 def read_obj(path: str | os.PathLike[str]) -> TriangleSoup:
-    """Read an OBJ file. Polygons become triangle fans; vertices keep the numbering of the file.
+    """Read an OBJ file. Polygons are triangulated; vertices keep the numbering of the file.
 
     Raises:
-        MeshError: the file is not text, or a line is malformed (the message names the line).
+        MeshError: the file is not text, a line is malformed, or a polygon crosses itself (the message names the line).
     """
     with open(path, "rb") as file:
-        content = file.read()
+        content = without_byte_order_mark(file.read(), path, MeshError)
     if b"\0" in content:
         raise MeshError(f"{path}: is not an OBJ file: expected text, found binary data; export it again")
     tables = _Tables()
-    lines = content.decode("utf-8", "replace").replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
-    for number, line in enumerate(lines, start=1):
-        words = line.split("#", 1)[0].split()
-        if not words:
-            continue
+    for number, words in _statements(content):
         try:
-            tables.add_line(words)
-        except (ValueError, IndexError) as cause:
+            tables.add_statement(number, words)
+        except (ValueError, IndexError, OverflowError) as cause:
+            found = b" ".join(words).decode("utf-8", "replace")[:80]
             raise MeshError(
-                f"{path}: line {number}: expected an OBJ statement, found {line.strip()[:80]!r}; export the mesh again"
+                f"{path}: line {number}: expected an OBJ statement, found {found!r}; export the mesh again"
             ) from cause
-    return _soup(tables)
+    return _soup(tables, path)
+
+
+def _statements(content: bytes) -> Iterator[tuple[int, list[bytes]]]:
+    """Yield the words of each statement that is read, and the number of its last line; a final backslash continues it.
+
+    Paths in other statements and comments may end in a backslash, too.
+    """
+    words: list[bytes] = []
+    number = 0
+    for number, line in enumerate(content.splitlines(), start=1):
+        words += line.split(b"#", 1)[0].split()
+        if not words or words[0] not in _READ:
+            words = []
+        elif words[-1].endswith(b"\\"):
+            words[-1:] = [words[-1][:-1]] if words[-1] != b"\\" else []
+        else:
+            yield number, words
+            words = []
+    if words:
+        yield number, words
 
 
 def write_obj(
@@ -109,7 +132,7 @@ def _index_uv(
     return pairs, index.reshape(-1, 3)
 
 
-def _index(word: str, count: int) -> int:
+def _index(word: bytes, count: int) -> int:
     """Convert the file's index, from 1 or backwards from -1, to one from 0."""
     if not word:
         return _MISSING
@@ -119,12 +142,29 @@ def _index(word: str, count: int) -> int:
     return index - 1 if index > 0 else count + index
 
 
-def _soup(tables: _Tables) -> TriangleSoup:
+def _soup(tables: _Tables, path: str | os.PathLike[str]) -> TriangleSoup:
     positions = np.array(tables.v, np.float64).reshape(-1, 3)
-    corners = np.array(tables.corners, np.int64).reshape(-1, 3)[fan(np.array(tables.sizes, np.int64))]
-    uv = _corner_values(np.array(tables.vt, np.float64).reshape(-1, 2), corners[..., 1])
-    normals = _corner_values(np.array(tables.vn, np.float64).reshape(-1, 3), corners[..., 2])
-    return TriangleSoup(positions, corners[..., 0], normals, uv)
+    corners = np.array(tables.corners, np.int64).reshape(-1, 3)
+    sizes = np.array(tables.sizes, np.int64)
+    triangles = triangulate(positions, corners[:, 0], sizes, lambda face: f"{path}: line {tables.lines[face]}")
+    pairs = np.array(tables.vt, np.float64).reshape(-1, 2)
+    _name_missing_pairs(tables, corners[:, 1], sizes, path)
+    uv = _corner_values(pairs, corners[triangles, 1])
+    normals = _corner_values(np.array(tables.vn, np.float64).reshape(-1, 3), corners[triangles, 2])
+    return TriangleSoup(positions, corners[triangles, 0], normals, uv)
+
+
+def _name_missing_pairs(
+    tables: _Tables, index: NDArray[np.int64], sizes: NDArray[np.int64], path: str | os.PathLike[str]
+) -> None:
+    """Warn if some corners have texture coordinates and others do not."""
+    missing = (index < 0) | (index >= len(tables.vt) // 2)
+    if missing.any() and (index != _MISSING).any():
+        face = int(np.searchsorted(np.cumsum(sizes), missing.argmax(), side="right"))
+        warn(
+            f"{path}: {missing.sum()} of {len(missing)} corners of faces have no texture coordinates, the first in "
+            f"line {tables.lines[face]}; the others' are not used, unwrap the whole mesh if a texture needs them"
+        )
 
 
 def _corner_values(rows: NDArray[np.float64], index: NDArray[np.int64]) -> NDArray[np.float64] | None:

@@ -1,8 +1,9 @@
 """PLY, ascii and binary (Greg Turk, "The PLY Polygon File Format", 1994: http://paulbourke.net/dataformats/ply/).
 
 Numbers keep their full precision. The reader uses the vertex properties x y z, nx ny nz and u v (or s t, texture_u
-texture_v), the face list vertex_indices (or vertex_index) and the face list texcoord (two numbers per corner, as
-MeshLab writes it). It ignores everything else.
+texture_v), the face list vertex_indices (or vertex_index), the face list texcoord (two numbers per corner, as MeshLab
+writes it), and the list vertex_indices of tristrips: triangle strips that end at −1, as in Stanford's models. It
+ignores everything else.
 
 No library: trimesh reads a truncated ASCII file without its last face, accepts lists of negative length and writes
 float32; plyfile is under the GPL.
@@ -14,29 +15,27 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import MeshError
-from formats.mesh.ply_body import Columns, Element, Lists, PlyBody, Property
-from formats.mesh.soup import TriangleSoup, fan
+from formats.errors import MeshError, warn
+from formats.mesh.ply_body import Columns, Lists, PlyBody
+from formats.mesh.ply_header import read_header
+from formats.mesh.soup import TriangleSoup
+from formats.mesh.triangulation import triangulate
+from formats.text import without_byte_order_mark
 
-_TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"},
-    **{"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float32": "f4", "float64": "f8"},
-}
-_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
-_FACE_LISTS = ("vertex_indices", "vertex_index")
+_INDEX_LISTS = ("vertex_indices", "vertex_index")
 _TEXTURE_NAMES = (("u", "v"), ("s", "t"), ("texture_u", "texture_v"))
+_RESTARTS = (-1, 2**32 - 1)  # end a triangle strip; the second is -1 as an unsigned integer
 
 
 def read_ply(path: str | os.PathLike[str]) -> TriangleSoup:
     """Read a PLY file.
 
     Raises:
-        MeshError: the file is not PLY, is truncated, or lacks vertices or faces.
+        MeshError: the file is not PLY, is truncated, or lacks vertices or faces; a polygon crosses itself.
     """
     with open(path, "rb") as file:
-        content = file.read()
-    byte_order, elements, start = _header(content, path)
+        content = without_byte_order_mark(file.read(), path, MeshError)
+    byte_order, elements, start = read_header(content, path)
     body = PlyBody(content[start:], byte_order, path)
     columns = {element.name: body.columns(element) for element in elements}
     return _soup(columns, path)
@@ -74,68 +73,76 @@ def write_ply(
         file.write(rows.tobytes())
 
 
-def _header(content: bytes, path: str | os.PathLike[str]) -> tuple[str, list[Element], int]:
-    """Return the byte order (empty for ascii), the elements in file order and the offset of the body."""
-    if content[:4] not in (b"ply\n", b"ply\r"):
-        raise MeshError(f"{path}: is not a PLY file: expected 'ply' in the first line, found {content[:4]!r}")
-    mark = content.find(b"end_header")
-    end = content.find(b"\n", mark)
-    if mark < 0 or end < 0:
-        raise MeshError(f"{path}: the PLY header has no line end_header; the file is truncated, export it again")
-    encoding: str | None = None
-    elements: list[Element] = []
-    for number, line in enumerate(content[:mark].decode("ascii", "replace").splitlines(), start=1):
-        try:
-            match line.split():
-                case ["format", name, *_]:
-                    encoding = _BYTE_ORDERS[name]
-                case ["element", name, rows]:
-                    elements.append(Element(name, int(rows)))
-                case ["property", "list", count_kind, kind, name]:
-                    elements[-1].properties.append(Property(name, _TYPES[kind], _TYPES[count_kind]))
-                case ["property", kind, name]:
-                    elements[-1].properties.append(Property(name, _TYPES[kind]))
-                case [] | ["ply" | "comment" | "obj_info", *_]:
-                    pass
-                case _:
-                    raise ValueError
-        except (ValueError, KeyError, IndexError) as cause:
-            raise MeshError(
-                f"{path}: line {number} of the PLY header: expected format, element or property, found {line.strip()!r}"
-            ) from cause
-    if encoding is None:
-        raise MeshError(f"{path}: the PLY header has no format line; expected ascii or binary")
-    if any(element.rows < 0 for element in elements):
-        raise MeshError(f"{path}: the PLY header has an element with a negative number of rows")
-    return encoding, elements, end + 1
-
-
 def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> TriangleSoup:
     vertices, faces = elements.get("vertex", {}), elements.get("face", {})
     positions = _stack_columns(vertices, ("x", "y", "z"))
     if positions is None:
         raise MeshError(f"{path}: the element vertex has no properties x, y and z; export the mesh again")
-    lists = next((column for name in _FACE_LISTS if isinstance(column := faces.get(name), Lists)), None)
-    if lists is None:
+    polygons, strips = _index_lists(faces, path), _index_lists(elements.get("tristrips", {}), path)
+    if polygons is None and strips is None:
         raise MeshError(f"{path}: has no faces (no list vertex_indices); expected a surface, not a point cloud")
-    if not np.array_equal(lists.values, np.floor(lists.values)) or not np.isfinite(lists.values).all():
-        raise MeshError(f"{path}: the face list vertex_indices has values that are not integers")
-    triangles = fan(lists.sizes)
-    corners = lists.values.astype(np.int64)[triangles]
+    triangles, corners, corner_uv = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), None
+    if polygons is not None:
+        indices = _as_indices(polygons.values)
+        triangles = triangulate(positions, indices, polygons.sizes, lambda row: f"{path}: face {row}")
+        corners = indices[triangles]
+    if strips is not None:
+        corners = np.concatenate([corners, _strip_triangles(_as_indices(strips.values), strips.sizes)])
+    elif polygons is not None:
+        corner_uv = _corner_uv(faces, polygons, triangles, path)
     # With an index out of range no attribute is read: `read_mesh` reports the index.
     in_range = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
     normals = _stack_columns(vertices, ("nx", "ny", "nz")) if in_range else None
-    corner_uv = _corner_uv(faces, lists, triangles)
     if corner_uv is None and in_range:
         uv = next((u for names in _TEXTURE_NAMES if (u := _stack_columns(vertices, names)) is not None), None)
         corner_uv = None if uv is None else uv[corners]
     return TriangleSoup(positions, corners, None if normals is None else normals[corners], corner_uv)
 
 
-def _corner_uv(faces: Columns, lists: Lists, triangles: NDArray[np.int64]) -> NDArray[np.float64] | None:
+def _index_lists(columns: Columns, path: str | os.PathLike[str]) -> Lists | None:
+    lists = next((column for name in _INDEX_LISTS if isinstance(column := columns.get(name), Lists)), None)
+    if lists is not None and not (np.isfinite(lists.values).all() and np.equal(lists.values % 1, 0).all()):
+        raise MeshError(f"{path}: the list vertex_indices has values that are not integers; export the mesh again")
+    return lists
+
+
+def _as_indices(values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Convert to integers; those that are too large for any mesh stay too large."""
+    return np.clip(values, -(2.0**53), 2.0**53).astype(np.int64)
+
+
+def _strip_triangles(indices: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the triangles [F,3] of strips: three vertices in a row each, every second one reversed.
+
+    Triangles with a repeated vertex only connect strips; they are left out.
+    """
+    number = np.arange(len(indices))
+    ends, begins = np.isin(indices, _RESTARTS), np.zeros(len(indices), bool)
+    begins[(np.cumsum(sizes) - sizes)[sizes > 0]] = True
+    begins[1:] |= ends[:-1]
+    place = number - np.maximum.accumulate(np.where(begins, number, 0))  # of each index in its strip
+    rows = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
+    turned = place[2:] % 2 == 1
+    rows[turned] = rows[turned][:, [1, 0, 2]]
+    distinct = (rows != np.roll(rows, 1, axis=1)).all(axis=1)
+    triangles: NDArray[np.int64] = rows[(place[2:] >= 2) & ~ends[2:] & distinct]
+    return triangles
+
+
+def _corner_uv(
+    faces: Columns, lists: Lists, triangles: NDArray[np.int64], path: str | os.PathLike[str]
+) -> NDArray[np.float64] | None:
     """Return the texture coordinates of the face list texcoord [F,3,2], or None."""
     pairs = faces.get("texcoord")
-    if not isinstance(pairs, Lists) or not np.array_equal(pairs.sizes, 2 * lists.sizes):
+    if not isinstance(pairs, Lists) or len(pairs.values) == 0:
+        return None
+    wrong = pairs.sizes != 2 * lists.sizes
+    if wrong.any():
+        warn(
+            f"{path}: {wrong.sum()} of {len(wrong)} faces do not have two texture coordinates at every corner, the "
+            f"first is face {wrong.argmax()}; the list texcoord is not used, unwrap the whole mesh if a texture needs "
+            f"it"
+        )
         return None
     return np.asarray(pairs.values, np.float64).reshape(-1, 2)[triangles]
 

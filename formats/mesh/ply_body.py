@@ -59,6 +59,8 @@ class PlyBody:
         Raises:
             MeshError: the body ends before the element's last row.
         """
+        if not element.properties:
+            return {}
         start = self._offset
         sizes = self._read_rows(element, min(element.rows, 1))[1]
         self._offset = start
@@ -76,18 +78,18 @@ class PlyBody:
 
     def _uniform_columns(self, element: Element, sizes: list[int]) -> Columns | None:
         fields: list[Any] = []
-        for entry, size in zip(element.properties, sizes, strict=True):
+        for i, (entry, size) in enumerate(zip(element.properties, sizes, strict=True)):
             if entry.count_kind:
-                fields.append((f"count of {entry.name}", self._type(entry.count_kind)))
-            fields.append((entry.name, self._type(entry.kind), (size if entry.count_kind else 1,)))
+                fields.append((f"count {i}", self._type(entry.count_kind)))
+            fields.append((f"values {i}", self._type(entry.kind), (size if entry.count_kind else 1,)))
         layout = np.dtype(fields)
         if self._offset + element.rows * layout.itemsize > len(self._bytes):
             return None
         table = np.frombuffer(self._bytes, layout, element.rows, self._offset)
         columns: Columns = {}
-        for entry, size in zip(element.properties, sizes, strict=True):
-            values = table[entry.name].astype(np.float64).ravel()
-            if entry.count_kind and (table[f"count of {entry.name}"] != size).any():
+        for i, (entry, size) in enumerate(zip(element.properties, sizes, strict=True)):
+            values = table[f"values {i}"].astype(np.float64).ravel()
+            if entry.count_kind and (table[f"count {i}"] != size).any():
                 return None
             columns[entry.name] = Lists(np.full(element.rows, size, np.int64), values) if entry.count_kind else values
         self._offset += element.rows * layout.itemsize
@@ -100,7 +102,7 @@ class PlyBody:
         for row in range(rows):
             for i, entry in enumerate(element.properties):
                 length = float(self._read_values(entry.count_kind, 1, element, row)[0]) if entry.count_kind else 1.0
-                if length < 0 or length != int(length):
+                if not (length >= 0 and length.is_integer()):
                     raise MeshError(
                         f"{self._path}: is damaged: row {row} of element {element.name} has a list of length {length:g}"
                     )

@@ -1,4 +1,4 @@
-"""The record of a triangle mesh, read from PLY, OBJ and glTF, written to PLY and OBJ.
+"""The record of a triangle mesh, read from PLY, OBJ, STL and glTF, written to PLY and OBJ.
 
 Vertices at bitwise equal positions are merged, even if a file splits them by normals or texture coordinates: a bake
 stores the light that leaves each point of the surface, once per point.
@@ -16,16 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import existing, replacing
-from formats.errors import MeshError
+from formats.errors import MeshError, warn
 from formats.mesh import geometry
+from formats.mesh.edges import edges_of, opens_edges, welded
 from formats.mesh.gltf import read_gltf
+from formats.mesh.normals import agreeing_normals, refuse_wrong_side
 from formats.mesh.obj import read_obj, write_obj
 from formats.mesh.ply import read_ply, write_ply
 from formats.mesh.soup import TriangleSoup
+from formats.mesh.stl import read_stl
 
 _READERS: dict[str, Callable[[Path], TriangleSoup]] = {
     ".ply": read_ply,
     ".obj": read_obj,
+    ".stl": read_stl,
     ".glb": read_gltf,
     ".gltf": read_gltf,
 }
@@ -126,18 +130,22 @@ class Mesh:
 
 
 def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) -> Mesh:
-    """Read a mesh from `.ply`, `.obj`, `.glb` or `.gltf`.
+    """Read a mesh from `.ply`, `.obj`, `.stl`, `.glb` or `.gltf`.
 
     Merges vertices at equal positions and removes unused ones (see `Mesh.source_vertex`), and triangulates polygons.
     Normals come from the file, averaged over merged vertices, or else are the angle-weighted mean of the face normals.
 
+    Three faults are mended with an InputWarning. Normals that contradict the faces are replaced by those of the faces
+    (`formats.mesh.normals`). Faces without area are dropped if no face loses its neighbour by that.
+    Loose vertices within a rounding to float32 of one another are merged if that closes the surface.
+
     Args:
         path: the file; its suffix selects the format.
-        drop_flat_faces: drop faces without area and count them in `Mesh.dropped_faces`, instead of raising MeshError.
+        drop_flat_faces: drop all faces without area, without a warning; `Mesh.dropped_faces` counts them.
 
     Raises:
-        MeshError: an unknown format, a truncated file, no faces; NaN or infinite vertices, indices out of range, faces
-            without area (the message has their count and the first).
+        MeshError: an unknown format, a truncated file, no faces; NaN, infinite or huge vertices, indices out of range,
+            faces without area between others, polygons that cross themselves (the message has the first).
         StorageError: the file is missing or cannot be opened.
 
     >>> from pathlib import Path
@@ -156,12 +164,17 @@ def read_mesh(path: str | os.PathLike[str], *, drop_flat_faces: bool = False) ->
     faces = source_vertex[soup.faces]
     positions = soup.positions[first]
     flat = geometry.faces_without_area(positions, faces)
-    if flat.all() or (flat.any() and not drop_flat_faces):
-        raise MeshError(
-            f"{path}: {flat.sum()} of {len(flat)} faces have no area, the first is face {flat.argmax()} with corners "
-            f"{soup.faces[flat.argmax()].tolist()}; remove them in a mesh editor (dissolve degenerate faces)"
+    if flat.any():
+        _accept_flat_faces(soup, faces, flat, path, drop_flat_faces)
+    merging = welded(positions, faces[~flat])
+    if merging is not None:
+        target, distance = merging
+        warn(
+            f"{path}: {(target != np.arange(len(target))).sum()} vertices at open edges lie within {distance:.2g} of "
+            f"others, a rounding to float32; they were merged, which closes the surface"
         )
-    return _assemble(soup, positions, faces, source_vertex, ~flat)
+        faces, source_vertex = target[faces], target[source_vertex]
+    return _assemble(path, soup, positions, faces, source_vertex, ~flat)
 
 
 def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:
@@ -193,15 +206,13 @@ def write_mesh(mesh: Mesh, path: str | os.PathLike[str]) -> None:
 
 
 def open_edges(mesh: Mesh) -> int:
-    """Return the number of edges that are not shared by exactly two faces; 0 on a closed surface."""
-    uses, _ = geometry.edge_uses(mesh.faces)
-    return int((uses != 2).sum())
+    """Return the number of edges with an odd number of faces; 0 on a closed surface."""
+    return int(edges_of(mesh.faces).open.sum())
 
 
 def inconsistent_edges(mesh: Mesh) -> int:
     """Return the number of edges between faces of opposite winding, where the inside meets the outside."""
-    uses, directions = geometry.edge_uses(mesh.faces)
-    return int(((uses == 2) & (directions != 0)).sum())
+    return int(edges_of(mesh.faces).inconsistent.sum())
 
 
 def signed_volume(mesh: Mesh) -> float:
@@ -210,38 +221,17 @@ def signed_volume(mesh: Mesh) -> float:
     return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
+def refuse_inside_out(mesh: Mesh) -> None:
+    """Raise MeshError if a closed mesh is wound inside out, or if its normals contradict its faces."""
+    if signed_volume(mesh) < 0.0 and open_edges(mesh) + inconsistent_edges(mesh) == 0:
+        raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
+    refuse_wrong_side(mesh, build_mesh(mesh.positions, mesh.faces).normals)
+
+
 def flipped(mesh: Mesh) -> Mesh:
     """Return the mesh with the winding of every face and every normal reversed."""
     corner_uv = None if mesh.corner_uv is None else mesh.corner_uv[:, ::-1]
     return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals, corner_uv=corner_uv)
-
-
-def check_mesh(path: str | os.PathLike[str]) -> list[str]:
-    """Return every fault of a mesh file, a sentence each; an empty list means a valid closed surface."""
-    faults = []
-    try:
-        mesh = read_mesh(path)
-    except MeshError as fault:
-        faults.append(str(fault))
-        try:
-            mesh = read_mesh(path, drop_flat_faces=True)
-        except MeshError:
-            return faults
-    if count := open_edges(mesh):
-        faults.append(f"{path}: {count} edges are not shared by exactly two faces; a closed surface has none")
-    if count := inconsistent_edges(mesh):
-        faults.append(f"{path}: {count} edges lie between faces of opposite winding; make the normals consistent")
-    elif not faults and signed_volume(mesh) < 0:
-        faults.append(f"{path}: the faces are wound inside out; flip the normals")
-    step = _float32_spacing(mesh)
-    edges = mesh.positions[mesh.faces] - mesh.positions[np.roll(mesh.faces, 1, axis=1)]
-    edge = float(np.median(np.linalg.norm(edges, axis=2)))
-    if step > 1e-3 * edge:
-        faults.append(
-            f"{path}: the positions were rounded to float32 far from the origin: steps of {step:.2g} on edges of "
-            f"{edge:.2g}; move the object to the origin and save it again"
-        )
-    return faults
 
 
 def _refuse_invalid(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
@@ -255,16 +245,31 @@ def _refuse_invalid(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
             f"{path}: {outside.sum()} of {len(soup.faces)} faces use vertices that do not exist, the first is face "
             f"{first} with corners {soup.faces[first].tolist()}; expected indices from 0 to {count - 1}"
         )
-    invalid = ~np.isfinite(soup.positions).all(axis=1)
+    invalid = ~(np.abs(soup.positions) <= geometry.MOST_COORDINATE).all(axis=1)
     if invalid.any():
         first = int(invalid.argmax())
         raise MeshError(
-            f"{path}: {invalid.sum()} of {count} vertices are NaN or infinite, the first is vertex {first} at "
-            f"{soup.positions[first].tolist()}; repair the mesh"
+            f"{path}: {invalid.sum()} of {count} vertices are NaN, infinite or beyond ±{geometry.MOST_COORDINATE:g}, "
+            f"the first is vertex {first} at {soup.positions[first].tolist()}; repair the mesh"
         )
 
 
+def _accept_flat_faces(
+    soup: TriangleSoup, faces: NDArray[np.int64], flat: NDArray[np.bool_], path: str | os.PathLike[str], silent: bool
+) -> None:
+    """Warn that the flat faces [F] are dropped, or raise MeshError if nothing is left or other faces need them."""
+    count, first = int(flat.sum()), int(flat.argmax())
+    found = f"{path}: {count} of {len(flat)} faces have no area, the first is face {first} with corners"
+    if flat.all() or (not silent and opens_edges(faces, flat)):
+        raise MeshError(
+            f"{found} {soup.faces[first].tolist()}; remove them in a mesh editor (dissolve degenerate faces)"
+        )
+    if not silent:
+        warn(f"{found} {soup.faces[first].tolist()}; they were dropped, since no other face needs them")
+
+
 def _assemble(
+    path: str | os.PathLike[str],
     soup: TriangleSoup,
     positions: NDArray[np.float64],
     faces: NDArray[np.int64],
@@ -282,7 +287,9 @@ def _assemble(
     return Mesh(
         positions=positions,
         faces=faces.astype(np.int32),
-        normals=geometry.vertex_normals(centred, faces, _valid_normals(soup, kept_faces)),
+        normals=agreeing_normals(
+            path, _given_normals(soup, kept_faces, centred, faces), geometry.vertex_normals(centred, faces)
+        ),
         uv=None if corner_uv is None else corner_uv.reshape(-1, 2)[first_corner],
         corner_uv=corner_uv,
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
@@ -290,16 +297,14 @@ def _assemble(
     )
 
 
-def _valid_normals(soup: TriangleSoup, kept_faces: NDArray[np.bool_]) -> NDArray[np.float64] | None:
-    """Return the file's corner normals, normalised, or None if any is missing, zero or not finite."""
-    if soup.corner_normals is None or not np.isfinite(soup.corner_normals[kept_faces]).all():
+def _given_normals(
+    soup: TriangleSoup, kept_faces: NDArray[np.bool_], positions: NDArray[np.float64], faces: NDArray[np.int64]
+) -> NDArray[np.float64] | None:
+    """The file's normals averaged at the vertices [V,3], NaN where one is zero or not finite; None if it has none."""
+    if soup.corner_normals is None:
         return None
-    normals = geometry.normalise(soup.corner_normals[kept_faces])
-    return normals if np.abs(normals).max(axis=2).all() else None
-
-
-def _float32_spacing(mesh: Mesh) -> float:
-    """Return the spacing of float32 at the largest coordinate, or 0 if the positions have more precision."""
-    if not np.array_equal(mesh.positions, mesh.positions.astype(np.float32)):
-        return 0.0
-    return float(np.spacing(np.float32(np.abs(mesh.positions).max())))
+    at_corners = geometry.normalise(soup.corner_normals[kept_faces])
+    missing = ~(np.abs(at_corners).max(axis=2) > 0.0)
+    normals = geometry.vertex_normals(positions, faces, np.where(missing[..., None], 0.0, at_corners))
+    normals[faces[missing]] = np.nan
+    return normals

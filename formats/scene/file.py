@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from formats.atomic import existing
 from formats.errors import PrtbakeError, SceneError
 from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
+from formats.text import without_byte_order_mark
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -77,7 +78,7 @@ def find_table_faults(path: Path) -> list[str]:
 
 def _read_tables(path: Path) -> dict[str, Any]:
     try:
-        tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
+        tables = tomllib.loads(without_byte_order_mark(existing(path).read_bytes(), path, SceneError).decode("utf-8"))
     except UnicodeDecodeError as cause:
         raise SceneError(f"{path}: is not a scene file: expected UTF-8 text, found binary data") from cause
     except tomllib.TOMLDecodeError as cause:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from formats.atomic import existing
 from formats.errors import LightError
+from formats.text import without_byte_order_mark
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _Irradiance = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -130,7 +131,7 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
     """
     path = Path(path)
     try:
-        tables = tomllib.loads(existing(path).read_bytes().decode("utf-8"))
+        tables = tomllib.loads(without_byte_order_mark(existing(path).read_bytes(), path, LightError).decode("utf-8"))
     except UnicodeDecodeError as cause:
         raise LightError(f"{path}: is not a lights file: expected UTF-8 text, found binary data") from cause
     except tomllib.TOMLDecodeError as cause:

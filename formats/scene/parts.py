@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from formats.errors import SceneError
 from formats.image.texture import read_reflectance_texture, read_roughness_texture
-from formats.mesh import Mesh, flipped, inconsistent_edges, open_edges, read_mesh, signed_volume
+from formats.mesh import Mesh, closedness_faults, flipped, read_mesh, signed_volume, texture_fault
 from formats.scene.file import errors_at
 from formats.scene.medium import Medium, MediumContext, clear_medium, read_medium
 from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
@@ -154,16 +154,8 @@ def _parents(inside: tuple[InsideTable, ...], path: Path) -> list[int]:
 def _closed_mesh(mesh_path: Path, path: Path, key: str) -> tuple[Mesh, bool]:
     with errors_at(path, key):
         mesh = read_mesh(mesh_path)
-    if count := open_edges(mesh):
-        raise SceneError(
-            f"{path}: {key}: {mesh_path} is not closed: {count} edges are not shared by exactly two faces; "
-            f"close the holes, or separate parts that touch"
-        )
-    if count := inconsistent_edges(mesh):
-        raise SceneError(
-            f"{path}: {key}: {mesh_path} has {count} edges between faces of opposite winding; make its normals "
-            f"consistent"
-        )
+    if faults := closedness_faults(mesh):
+        raise SceneError(f"{path}: {key}: {mesh_path} does not bound a solid: {faults[0]}")
     return (flipped(mesh), True) if signed_volume(mesh) < 0 else (mesh, False)
 
 
@@ -199,6 +191,8 @@ def _reflectance(table: InsideTable, mesh: Mesh, path: Path, key: str) -> NDArra
 def _require_uv(mesh: Mesh, where: str) -> None:
     if mesh.corner_uv is None:
         raise SceneError(
-            f"{where}: an image needs texture coordinates, but the mesh has none; unwrap the mesh in an editor, or "
-            f"give a number"
+            f"{where}: an image needs texture coordinates, but the mesh has none, or not at every corner; unwrap the "
+            f"mesh in an editor, or give a number"
         )
+    if fault := texture_fault(mesh):
+        raise SceneError(f"{where}: an image needs texture coordinates, but {fault}")

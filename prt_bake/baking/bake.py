@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, transport_property, up_to
+from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads, Workers
 from formats.asset import Asset
 from formats.atomic import refuse_unwritable
@@ -23,9 +23,11 @@ from prt_bake.baking.adaptive.run import Run, bake_to_error
 from prt_bake.baking.fixed_samples import bake_by_samples
 from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.identity import identity_of
+from prt_bake.baking.job.provenance import known_before
 from prt_bake.baking.job.pruning_record import Light
+from prt_bake.baking.job.views import warn_of_clamped_views
 from prt_bake.baking.job.work import Progress, Work
-from prt_bake.baking.output.checkpoint import CheckpointStore, open_checkpoint_store
+from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
 from prt_bake.baking.output.pruned_sink import WronglyPruned
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.plan import plan
@@ -34,6 +36,9 @@ from prt_bake.jit.limits import limited_threads
 from prt_bake.mathematics import sphere
 
 __all__ = ["ITEMS", "Light", "Progress", "bake", "plan"]
+
+JOURNAL_VERSION = 2
+"""Changes with the names of the checkpoints and of their arrays."""
 
 
 def bake(
@@ -138,6 +143,7 @@ def bake(
     if out is not None:
         refuse_unwritable(out)
     refuse_foreign(transport, mesh)
+    warn_of_clamped_views(mesh, rings, sectors)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     walks = transport_kind(transport) == "coefficients"
     adaptive = directions == "fibonacci" and not walks
@@ -167,10 +173,10 @@ def bake(
     # An adaptive bake chooses its own directions.
     arguments |= {"minutes": minutes} if adaptive else {"directions": directions, "samples": samples}
     transport_hash, evaluations = ("", 0) if out is None else identity_of(transport, mesh, provenance or {})
-    identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash}
+    identity = {**arguments, "mesh": mesh.content_hash, "transport": transport_hash, "journal_version": JOURNAL_VERSION}
     tangents = sphere.tangent_frame(mesh.normals)
     head = asset_head(mesh, tangents, rings, sectors, degree, transport)
-    report = _provenance(transport, mesh, arguments, workers) | (provenance or {})
+    report = known_before(transport, mesh, arguments, workers) | (provenance or {})
     with (
         limited_threads(transport, workers),
         closing(open_checkpoint_store(out, identity, resume)) as store,
@@ -179,16 +185,7 @@ def bake(
         prunable = set(leave_out) - _items_needed(store)
         while True:
             pruning = choose_pruning(
-                transport,
-                mesh,
-                degree,
-                rings,
-                sectors,
-                error=error,
-                seed=seed,
-                leave_out=prunable,
-                light=light,
-                eye=eye,
+                transport, mesh, degree, rings, sectors, error=error, seed=seed, prunable=prunable, light=light, eye=eye
             )
             evaluations += pruning.evaluations
             work = Work(
@@ -225,19 +222,3 @@ def _items_needed(store: CheckpointStore) -> set[str]:
     """Items that an earlier run could not prune."""
     arrays = store.read("needed")
     return set() if arrays is None else set(arrays["items"].tolist())
-
-
-def _provenance(transport: Any, mesh: Mesh, arguments: dict[str, Any], workers: int) -> dict[str, Any]:
-    """Provenance that is known before the bake."""
-    settings = {name: value for name, value in arguments.items() if name not in ("seed", "device")}
-    roughness = transport_property(transport, "roughness", None)
-    return {
-        "settings": {**settings, "workers": workers},
-        "seed": arguments["seed"],
-        "device": arguments["device"],
-        "mesh_sha256": mesh.content_hash,
-        "transport": type(transport).__name__,
-        "eta": float(transport_property(transport, "eta", 1.0)),
-        **({} if roughness is None else {"roughness": float(np.mean(roughness))}),
-        "model": dict(getattr(transport, "metadata", None) or {}),
-    }

@@ -4,7 +4,7 @@ import dataclasses
 import math
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,30 +12,33 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.compression import Trial, candidate_bases, identity_bases, quantised, tried_bases
-from bakers.error_covariance import added_covariance, clustered, error_sums
+from bakers.compression import Trial, candidate_bases, tried_bases
+from bakers.error_covariance import added_covariance, clustered
 from formats.asset import Asset, read_asset
-from formats.asset.compact_file import SparseCodes, join_sparse, round_up, to_sparse, write_compact
-from formats.asset.compact_record import AddedError, CompactCoefficients
-from formats.asset.error_covariance import ErrorCovariance, pairs
+from formats.asset.compact_file import round_up, write_compact
+from formats.asset.compact_record import CompactCoefficients
+from formats.asset.error_covariance import ErrorCovariance
 from formats.atomic import replacing
 from formats.errors import QueryError, refuse_path
+from prt_bake.baking.compact_encoding import (
+    AT_ONCE,
+    Encoded,
+    Progress,
+    encoded_within,
+    product_dtype,
+    read_valid,
+    untransformed,
+)
 from prt_bake.mathematics import sphere
-from prt_bake.mathematics.view_frames import ViewFrames
 from prt_bake.shading.reconstruction import reconstruct
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 LEAST_ERROR = 1e-6
 SAMPLE_BYTES = 2**28
 """Size of the sample of coefficients to which forms are fitted."""
-SINGLE_PRECISION = 1e-3
-"""Smallest error for which float32 is exact enough for products with bases."""
 LEAST_SAMPLE = 64
 """Fewest vertices of the sample."""
-AT_ONCE, _AROUND = 64, 8
-_PASSES = 6
 
 
 class Tried(NamedTuple):
@@ -59,18 +62,6 @@ class Outcome(NamedTuple):
     before: int
     after: int
     seconds: float
-
-
-class Encoded(NamedTuple):
-    """All vertices in one form: parts of the compact codes, squares of the error [V] and of the original [V], and sums
-    of products of the errors of two harmonics [V,P], and of each channel [V,C].
-    """
-
-    parts: list[SparseCodes]
-    lost: Array
-    original: Array
-    covariance: Array
-    of_channels: Array
 
 
 def compress(asset: Asset, error: float, progress: Progress | None = None) -> Asset:
@@ -107,14 +98,14 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
     trials, table = _trials(asset, sample, error**2 * squares, error, squares, report)
     share = int(np.count_nonzero(asset.valid)) / max(1, len(sample))
     if not trials:
-        trials.append(_untransformed(asset, error))
+        trials.append(untransformed(asset, error))
     best = min(trials, key=lambda trial: share * trial.size + trial.basis)
     table += [*_trade(best, sample, error, squares, share)]
     del sample
-    found = _within(asset, best, error, report)
+    found = encoded_within(asset, best, error, report)
     if found is None:  # vertices outside the sample differ from all vertices in it
-        best = _untransformed(asset, error)
-        found = _within(asset, best, error, report)
+        best = untransformed(asset, error)
+        found = encoded_within(asset, best, error, report)
     if found is None:
         raise QueryError(f"error: {error:g} is smaller than codes of 32 bits can represent; request a larger error")
     compact, encoded = found
@@ -202,11 +193,6 @@ def raw_bytes(asset: Asset) -> int:
     return 4 * int(math.prod(asset.coefficients.shape))
 
 
-def product_dtype(error: float) -> Any:
-    """The dtype in which products of coefficients and bases are exact enough for the error."""
-    return np.float32 if error >= SINGLE_PRECISION else np.float64
-
-
 def _sample(asset: Asset, numbers: int) -> NDArray[np.float32]:
     """Coefficients of evenly spaced valid vertices, about `numbers` in total."""
     shape = asset.coefficients.shape
@@ -215,17 +201,7 @@ def _sample(asset: Asset, numbers: int) -> NDArray[np.float32]:
         raise QueryError("asset: expected at least one valid vertex, found none; bake it again")
     count = min(len(valid), max(LEAST_SAMPLE, numbers // math.prod(shape[1:])))
     chosen = valid[np.linspace(0, len(valid) - 1, count).round().astype(np.int64)]
-    return np.concatenate([_read(asset, chosen[i : i + AT_ONCE]) for i in range(0, count, AT_ONCE)])
-
-
-def _read(asset: Asset, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-    """Coefficients of vertices in ascending order, 0 for those that are not valid."""
-    span = np.asarray(asset.coefficients[int(rows[0]) : int(rows[-1]) + 1])
-    block = np.where(asset.valid[rows, None, None, None], span[rows - rows[0]], 0.0).astype(np.float32)
-    wrong = ~np.isfinite(block).all(axis=(1, 2, 3))
-    if wrong.any():
-        raise QueryError(f"asset: coefficients of vertex {rows[wrong.argmax()]} are not finite; bake it again")
-    return block
+    return np.concatenate([read_valid(asset, chosen[i : i + AT_ONCE]) for i in range(0, count, AT_ONCE)])
 
 
 def _trials(
@@ -268,105 +244,6 @@ def _error_covariance(asset: Asset, own: Array, encoded: Encoded) -> ErrorCovari
     sums = encoded.covariance / (bins * channels), encoded.of_channels / (bins * terms)
     whole = added_covariance(asset.error_covariance.at_vertices(np.arange(len(own))), own, *sums)
     return clustered(whole, np.where(asset.valid, own + sums[1].mean(axis=1), 0.0))
-
-
-def _within(asset: Asset, trial: Trial, error: float, report: Progress) -> tuple[CompactCoefficients, Encoded] | None:
-    """All vertices in the form, with smaller quantisation steps until the error is met; None if the components that the
-    form omits exceed the error.
-    """
-    step = trial.step
-    for attempt in range(_PASSES):
-        encoded = _encoded(asset, trial, step, error, lambda done: report(0.5 + 0.5 * done, "encoding"))
-        lost, original = float(encoded.lost.sum()), float(encoded.original.sum())
-        if lost <= error**2 * original:
-            return _compact(asset, trial, step, error, encoded), encoded
-        step *= 0.998 * (error**2 * original / lost) ** (1.0 + attempt)
-    return None
-
-
-def _untransformed(asset: Asset, error: float) -> Trial:
-    """Coefficients without a transform, with a step that meets the error for any distribution."""
-    _, bins, terms, channels = asset.coefficients.shape
-    rings, sectors = (asset.rings, asset.sectors) if bins > 1 else (1, 1)
-    squares = count = 0.0
-    for first in range(0, len(asset.valid), AT_ONCE):
-        rows = np.arange(first, min(first + AT_ONCE, len(asset.valid)))
-        squares += float(np.square(_read(asset, rows), dtype=np.float64).sum())
-        count += float(asset.valid[rows].sum()) * bins * terms * channels
-    bases = identity_bases(rings, sectors, terms, channels)
-    channel, view = (part.ravel() for part in np.mgrid[: terms * channels, :bins])
-    return Trial(bases, view, channel, error * math.sqrt(2.0 * squares / count) or 1.0, 0.0, 0, 0)
-
-
-def _encoded(asset: Asset, trial: Trial, step: float, error: float, report: Callable[[float], None]) -> Encoded:
-    kind = product_dtype(error)
-    bases = trial.bases
-    analysis = bases.analysis(kind)
-    at = trial.view_component, trial.channel_component
-    views, channels = bases.views.matrix.T.astype(kind), bases.channels.reshape(len(bases.channels), -1).astype(kind)
-    vertices, (terms, colours) = len(asset.valid), asset.coefficients.shape[2:]
-    parts, lost, original = [], np.zeros(vertices), np.zeros(vertices)
-    covariance, of_channels = np.zeros((vertices, pairs(terms))), np.zeros((vertices, colours))
-    for first in range(0, vertices, AT_ONCE):
-        rows = np.arange(first, min(first + AT_ONCE, vertices))
-        if not asset.valid[rows].any():
-            parts.append(to_sparse(np.zeros((1, len(rows)), np.int32)))
-            continue
-        block = _read(asset, rows)
-        numbers = bases.components(block, analysis)
-        codes = quantised(numbers[:, at[0], at[1]].T.astype(np.float64), step)
-        parts.append(to_sparse(codes))
-        numbers[:] = 0.0
-        numbers[:, at[0], at[1]] = codes.T * step
-        decoded = np.matmul(views, numbers @ channels)
-        flat = block.reshape(decoded.shape)
-        errors = decoded - flat
-        if asset.error_covariance is not None:
-            covariance[rows], of_channels[rows] = _covariance_sums(asset, rows, errors.reshape(block.shape))
-        lost[rows] = np.square(errors, dtype=np.float64).sum(axis=(1, 2))
-        original[rows] = np.square(flat, dtype=np.float64).sum(axis=(1, 2))
-        report((first + len(rows)) / vertices)
-    return Encoded(parts, lost, original, covariance, of_channels)
-
-
-def _covariance_sums(asset: Asset, vertices: NDArray[np.int64], errors: NDArray[np.floating]) -> tuple[Array, Array]:
-    """Sums [n,P], [n,C] for the covariance of errors [n,B,K,C] of these vertices, in the view frames."""
-    n, bins, terms, channels = errors.shape
-    normals, tangents = (np.asarray(each, np.float64) for each in (asset.mesh.normals, asset.tangents))
-    frames = ViewFrames(normals, tangents)
-    # A single view represents views all around.
-    local = asset.directions if bins == len(asset.directions) else sphere.view_bins(1, _AROUND)
-    outgoing = sphere.to_world(local, normals[vertices, None], tangents[vertices, None])
-    views = outgoing.shape[1]
-    each = np.broadcast_to(errors, (n, views, terms, channels)).astype(np.float64)
-    each = each.reshape(n * views, terms, channels)
-    in_view = frames.in_view(np.repeat(vertices, views), outgoing.reshape(-1, 3), each)
-    covariance, of_channels = error_sums(in_view.reshape(n, views, terms, channels), channels)
-    return covariance * (bins / views), of_channels * (bins / views)
-
-
-def _compact(asset: Asset, trial: Trial, step: float, error: float, encoded: Encoded) -> CompactCoefficients:
-    lost, original, valid = encoded.lost, encoded.original, np.asarray(asset.valid, np.bool_)
-    ratios = np.sqrt(lost[valid] / np.where(original[valid] > 0.0, original[valid], 1.0))
-    starts, components, values = join_sparse(encoded.parts, len(trial.view_component))
-    total = float(original.sum())
-    return CompactCoefficients(
-        step=step,
-        views=trial.bases.views,
-        channels=trial.bases.channels,
-        view_component=trial.view_component,
-        channel_component=trial.channel_component,
-        starts=starts,
-        components=components,
-        values=values,
-        added=AddedError(
-            requested=error,
-            total=math.sqrt(float(lost.sum()) / total) if total > 0.0 else 0.0,
-            percentile_95=float(np.percentile(ratios, 95)),
-            worst=float(ratios.max()),
-            per_vertex=round_up(np.sqrt(lost / math.prod(asset.coefficients.shape[1:]))),
-        ),
-    )
 
 
 def _selftest(asset: Asset, compact: CompactCoefficients) -> dict[str, NDArray[Any]]:

@@ -1,6 +1,6 @@
 """Bakes with the same number of directions, or of random walks, at every view bin.
 
-Finished blocks are kept beside the asset until it is complete (`prt_bake.baking.output.checkpoint_store`).
+Finished blocks are kept beside the asset until it is complete (`prt_bake.baking.output.block_checkpoints`).
 """
 
 from collections.abc import Iterator
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from bakers.baker import Block, bake_block
 from bakers.path_traced import Walks, WalkStatistics
 from formats.asset import Asset
-from formats.errors import QueryError
 from prt_bake.baking.job.forecast import BakeStatus, Forecast
 from prt_bake.baking.job.job import Job, resolve
+from prt_bake.baking.job.provenance import not_finite, nothing_done, outcome
 from prt_bake.baking.job.running_error import ErrorMeter
 from prt_bake.baking.job.sample_pilot import choose_samples
 from prt_bake.baking.job.work import Work
-from prt_bake.baking.output.checkpoint import CheckpointStore
-from prt_bake.baking.output.checkpoint_store import BlockCheckpoints, Cut
+from prt_bake.baking.output.block_checkpoints import BlockCheckpoints, Cut
+from prt_bake.baking.output.checkpoint_store import CheckpointStore
 from prt_bake.baking.output.pruned_sink import open_pruned_sink
 from prt_bake.baking.output.sink import Sink
 
@@ -53,7 +53,7 @@ def bake_by_samples(work: Work, store: CheckpointStore, directions: str, samples
 def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Asset:
     """Bakes into the sink and finishes the asset, complete or partial."""
     vertices, per_vertex = len(work.pruning.vertices), job.task.bins * job.resolved.samples
-    meter, rows, invalid, account = ErrorMeter(), list[tuple[float, float, float]](), list[int](), WalkStatistics()
+    meter, rows, invalid, statistics = ErrorMeter(), list[tuple[float, float, float]](), list[int](), WalkStatistics()
     done = clamped = 0
 
     def bake_cut(cut: Cut) -> Block:
@@ -72,7 +72,7 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
             sink.write(block)
             done, clamped = done + len(block.valid), clamped + block.clamped
             invalid += (block.first_vertex + np.flatnonzero(~block.valid)).tolist()
-            account += block.statistics or WalkStatistics()
+            statistics += block.statistics or WalkStatistics()
             meter.add(block)
             row = (work.seconds, float(work.evaluations), meter.total)
             if not rows or done * ROWS // vertices > len(rows) or done == vertices:
@@ -84,26 +84,18 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
     finally:
         blocks.close()
     if done == 0:
-        raise QueryError("the bake was stopped before its first vertex was done; nothing was written")
+        raise nothing_done()
     if len(invalid) == done:
-        raise QueryError(
-            f"{type(work.transport).__name__}: expected finite values, found NaN or infinite ones at all "
-            f"{done} vertices that were baked"
-        )
+        raise not_finite(work.transport, f"{done} vertices that were baked")
     settings = work.report["settings"] | {"directions": job.resolved.directions, "samples": job.resolved.samples}
     report = work.report | {
         "settings": settings,
         "error_estimate": job.resolved.error_estimate,
         "condition_number": job.resolved.condition,
-        "evaluations": work.evaluations,
-        "seconds": work.seconds,
-        "estimated_relative_rmse": {"total": meter.total, "percentile_95_over_vertices": meter.percentile_95},
-        "bins_bent_to_the_horizon": clamped,
-        "vertices_not_finite": {"count": len(invalid), "first": invalid[:16]},
-        "vertices_baked": done,
+        **outcome(work, meter.total, meter.percentile_95, clamped, invalid, done),
     }
     if isinstance(job.resolved.sampling, Walks):
-        report["walks"] = account.as_json()
+        report["walks"] = statistics.as_json()
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
 
 

@@ -15,8 +15,9 @@ from bakers.plan import BakePlan, plan_bake
 from bakers.transport import on_mesh, prepared, refuse_foreign, transport_kind, up_to
 from bakers.workers import Threads, Workers
 from formats.mesh import Mesh
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob, vertices_at_once
 from prt_bake.baking.adaptive.checkpoints import as_arrays as pass_checkpoint
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement, refuse_out_of_reach, vertices_at_once
+from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
 from prt_bake.baking.adaptive.pass_settings import uncalibrated
 from prt_bake.baking.adaptive.pilot_pass import run_pilot_pass
 from prt_bake.baking.adaptive.run import COARSE, coarse_first
@@ -26,7 +27,8 @@ from prt_bake.baking.job.arguments import as_light, as_point, refuse_unusable
 from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.pruning_record import Light, Pruning
 from prt_bake.baking.job.sample_pilot import choose_samples
-from prt_bake.baking.output.checkpoint_store import as_arrays as block_checkpoint
+from prt_bake.baking.job.views import warn_of_clamped_views
+from prt_bake.baking.output.block_checkpoints import as_arrays as block_checkpoint
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.output.writing_time import checkpoint_time, writing_time
 from prt_bake.baking.pruning.pruning import choose_pruning
@@ -90,13 +92,14 @@ def plan(
         workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
     )  # fmt: skip
     refuse_foreign(transport, mesh)
+    warn_of_clamped_views(mesh, rings, sectors)
     transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
     light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
     walks = transport_kind(transport) == "coefficients"
     pool = Threads(1 if walks else workers)
     with limited_threads(transport, workers):
         pruning = choose_pruning(
-            transport, mesh, degree, rings, sectors, error=error, seed=seed, leave_out=leave_out, light=light, eye=eye
+            transport, mesh, degree, rings, sectors, error=error, seed=seed, prunable=leave_out, light=light, eye=eye
         )
         if error is not None and directions == "fibonacci" and not walks:
             grid = (rings, sectors) if pruning.views == "all" else None
@@ -118,7 +121,7 @@ def plan(
     low, high = (seconds + writing for seconds in cost.between)
     return replace(
         sizes,
-        left_out=pruning.left_out,
+        left_out=pruning.pruned,
         kept=pruning.kept,
         evaluations=round(cost.evaluations),
         seconds=cost.seconds + writing,

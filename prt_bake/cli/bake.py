@@ -73,10 +73,7 @@ def bake(
     ] = None,
     dry_run: Annotated[
         bool,
-        typer.Option(
-            "--dry-run",
-            help="Print size, time and pruning of the bake without baking; JSON when piped.",
-        ),
+        typer.Option("--dry-run", help="Print size, time and pruning of the bake without baking; JSON when piped."),
     ] = False,
     keep: Annotated[
         list[str] | None,
@@ -118,24 +115,17 @@ def bake(
         path_traced = source.suffix.lower() == ".toml" and scheduler is None
         workers = (os.cpu_count() or 1) if path_traced else 1
     sampling = (degree, rings, sectors, directions, samples)
-    pruning: Any = {
+    shared: Any = {
+        "precision": precision,
+        "storage": storage,
+        "workers": workers,
+        "device": device,
         "leave_out": _prunable_except(keep or [], baking.ITEMS),
         "for_light": None if for_light is None else _light(for_light, degree, transport_property(transport, "up", "y")),
         "for_eye": for_eye,
     }
     if dry_run:
-        plan = baking.plan(
-            transport,
-            surface,
-            *sampling,
-            seed,
-            error=error,
-            precision=precision,
-            storage=storage,
-            workers=workers,
-            device=device,
-            **pruning,
-        )
+        plan = baking.plan(transport, surface, *sampling, seed, error=error, **shared)
         print("\n".join(plan_lines(plan)) if sys.stdout.isatty() else json.dumps(plan.as_json(), indent=2))
         return
     assert output is not None
@@ -150,15 +140,11 @@ def bake(
             seed,
             minutes=minutes,
             out=output,
-            precision=precision,
-            storage=storage,
-            workers=workers,
             scheduler=scheduler,
-            device=device,
             progress=bake_progress(show),
             stop=stop,
             resume=resume,
-            **pruning,
+            **shared,
             provenance={"command": context.obj, "mesh": mesh.name, **origin(source)},
         )
         if asset.complete and not stop():
@@ -215,12 +201,12 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
         yield f"pruned: {item['item']} ({item['reason']}); {item['saving']}"
     if "walks" not in summary:
         return
-    paths = summary["walks"]
-    if paths["unscattered"] >= 0.001:
-        yield f"unscattered transmission, {paths['unscattered']:.1%} of the view on average, is not in the coefficients"
-    if paths["lost"] > 0:
-        yield f"{paths['lost']:.2g} of the light was lost in truncated paths"
-    if paths["unreliable_bins"]:
+    walks = summary["walks"]
+    if walks["unscattered"] >= 0.001:
+        yield f"unscattered transmission, {walks['unscattered']:.1%} of the view on average, is not in the coefficients"
+    if walks["lost"] > 0:
+        yield f"{walks['lost']:.2g} of the light was lost in truncated paths"
+    if walks["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
-        share = paths["unreliable_bins"] / bins
+        share = walks["unreliable_bins"] / bins
         yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"

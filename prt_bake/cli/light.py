@@ -34,7 +34,7 @@ def light(
     """
     from prt_bake.lights.harmonics import project_lighting
     from prt_bake.lights.lighting import read_lighting
-    from prt_bake.lights.suns import split_suns
+    from prt_bake.lights.sun_detection import split_suns
 
     axis = up or "y"
     # Suns of a larger sky are found in a downsampled copy, made while its coefficients are summed.

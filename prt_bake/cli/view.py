@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from formats.asset import Asset
     from prt_bake.geometry.camera import Camera
     from prt_bake.preview.state import Preview
-    from prt_bake.shading.suns import SunTreatment
+    from prt_bake.shading.sun_shading import SunTreatment
 
 DEFAULT_SIZE = Size(960, 720)
 _WITHOUT_DISPLAY = "there is no display for the window; --screenshot F.png writes the picture without one"

@@ -1,6 +1,6 @@
 """Comparison of pictures: MSE, SSIM and FLIP, also corrected for noise, and comparison sheets.
 
-May import: `prt_bake.rendering`, `prt_bake.mathematics` and `formats`. Begin with `metrics.py`.
+May import: `prt_bake.mathematics` and `formats`. Begin with `metrics.py`.
 """
 
 from prt_bake.comparison.metrics import Comparison, compare

@@ -284,7 +284,7 @@ def _block_estimates(
 def _overall_estimates(
     mean: float, doubled: Array, floor: Array, transform: _Transform
 ) -> Iterator[tuple[float, float, float]]:
-    """The same for the means over all pixels."""
+    """As `_block_estimates`, for the means over all pixels."""
     single, twice, alone = (transform.forward(part) for part in (np.array([mean]), doubled, floor))
     uncertainty = np.hypot(_FLOOR_UNCERTAINTY * alone.mean(), _QUANTILE * twice.std(ddof=1))
     for bias in (twice - single, alone):

@@ -14,11 +14,20 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.image.exr import Layers
 from prt_bake.comparison.metrics import Comparison, compare
-from prt_bake.rendering.half_buffers import TracedPicture
 
 MIDDLE_GREY = 0.18
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Luminance of linear Rec.709."""
+
+
+@dataclass(frozen=True)
+class TracedPicture:
+    """A reference: image, standard_error and noise [H,W,3] (e of `prt_bake.rendering.half_buffers`), coverage [H,W]."""
+
+    image: NDArray[np.float32]
+    standard_error: NDArray[np.float32]
+    noise: NDArray[np.float32]
+    coverage: NDArray[np.float32]
 
 
 @dataclass(frozen=True)

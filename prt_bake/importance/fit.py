@@ -161,7 +161,7 @@ def descend(module: ImportanceModule, targets: TargetTensors, steps: int, seed: 
 
 
 def best_constant(settings: ImportanceSettings, targets: TargetTensors) -> float:
-    """The σ of one lobe about the normal for the whole object with the lowest divergence on the first block."""
+    """The σ of one lobe about the normal, equal for the whole object, with the least divergence on the first block."""
     block = targets.first(QUERIES_PER_BLOCK)
     fits = {
         float(sigma): assess_constant(float(sigma), settings.shape, settings.uniform_share, block).divergence

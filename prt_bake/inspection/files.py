@@ -11,7 +11,7 @@ from formats.atomic import existing
 from formats.errors import FormatError, PrtbakeError
 
 SUFFIXES = {
-    "mesh": (".ply", ".obj", ".glb", ".gltf"),
+    "mesh": (".ply", ".obj", ".stl", ".glb", ".gltf"),
     "sky": (".exr", ".hdr", ".png", ".jpg", ".jpeg"),
     "scene": (".toml",),
     "model": (".pt", ".safetensors"),
@@ -64,16 +64,16 @@ def find_faults(path: str | Path) -> list[str]:
 
 
 def find_remarks(path: str | Path) -> list[str]:
-    """Return remarks on a sound file as sentences; only scenes have some (`prt_bake.inspection.scene.find_remarks`).
+    """Return remarks on a sound file as sentences; only meshes and scenes have some.
 
     Raises:
         PrtbakeError: the file cannot be read as the kind that its suffix names.
     """
-    if kind_of(path) != "scene":
+    kind = kind_of(path)
+    if kind not in ("mesh", "scene"):
         return []
-    from prt_bake.inspection import scene
-
-    return scene.find_remarks(path)
+    remarks: list[str] = _module(kind).find_remarks(path)
+    return remarks
 
 
 def _is_samples(path: str | Path) -> bool:

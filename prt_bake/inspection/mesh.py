@@ -1,9 +1,9 @@
-"""Description and faults of a mesh."""
+"""Description, faults and remarks of a mesh."""
 
 from pathlib import Path
 from typing import Any
 
-from formats.mesh import check_mesh, open_edges, read_mesh, signed_volume
+from formats.mesh import check_mesh, open_edges, read_mesh, signed_volume, texture_remark
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -26,3 +26,9 @@ def describe(path: Path) -> dict[str, Any]:
 def find_faults(path: Path) -> list[str]:
     """Return the faults of a mesh, as `formats.mesh.check_mesh`."""
     return check_mesh(path)
+
+
+def find_remarks(path: str | Path) -> list[str]:
+    """Return a remark on texture coordinates outside the image, if there are any."""
+    remark = texture_remark(read_mesh(path))
+    return [f"{path}: {remark}"] if remark else []

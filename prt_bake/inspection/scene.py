@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from formats.mesh import texture_remark
 from formats.scene import read_scene
 from formats.scene.file import find_table_faults
 from formats.scene.materials import find_material
@@ -47,14 +48,14 @@ def find_remarks(path: str | Path) -> list[str]:
     """Return remarks on a sound scene as sentences.
 
     They name parts that stick out of their parents, grids beside their parts, the energy that rough boundaries lose to
-    single scattering, and scenes that networks learn badly.
+    single scattering, images that repeat, and scenes that networks learn badly.
     """
     from prt_bake.geometry.nesting import protruding_parts
     from prt_bake.trainer.scene_warnings import training_warning
 
     scene = read_scene(path)
     parts, warning = scene.parts, training_warning(scene)
-    remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts)]
+    remarks = [*protruding_parts(parts), *_misplaced_grids(parts), *_energy_losses(parts), *_repeated_images(parts)]
     return [f"{path}: {remark}" for remark in (*remarks, *([warning] if warning else []))]
 
 
@@ -113,6 +114,16 @@ def _misplaced_grids(parts: tuple[Part, ...]) -> list[str]:
                 f"{part.name!r}: the grids' box {box.tolist()} does not overlap the part's box "
                 f"{part.mesh.bounds.tolist()}: the part is filled with the grids' border values"
             )
+    return sentences
+
+
+def _repeated_images(parts: tuple[Part, ...]) -> list[str]:
+    """Return a sentence per textured part whose texture coordinates leave the image."""
+    sentences = []
+    for part in parts:
+        textured = isinstance(part.roughness, np.ndarray) or (part.diffuse is not None and part.diffuse.ndim == 3)
+        if textured and (remark := texture_remark(part.mesh)):
+            sentences.append(f"{part.name!r}: {remark}")
     return sentences
 
 

@@ -1,4 +1,4 @@
 """How numba kernels are compiled, cached and run on several threads, and the LLVM instructions that numba lacks.
 
-May import: `bakers.transport`. Begin with `compilation.py`.
+May import: nothing else of the product. Begin with `compilation.py`.
 """

@@ -17,4 +17,4 @@ from prt_bake.jit.compilation import compiled
 called_function = partial(compiled, _nrt=False)
 """Decorator, called without arguments or with numba's options; for functions that create no array."""
 inlined_function = partial(called_function, forceinline=True)
-"""The same for functions that are inlined wherever they are called."""
+"""As `called_function`, for functions that are inlined wherever they are called."""

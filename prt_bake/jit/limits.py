@@ -5,17 +5,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from bakers.transport import transport_kind
-
 
 @contextmanager
 def limited_threads(transport: Any, workers: int) -> Iterator[None]:
     """Limits numba to `workers` threads for path-traced transports, and torch to one thread per call if it is loaded.
 
-    More threads would compete with the workers.
+    More threads would compete with the workers. Path-traced transports estimate coefficients themselves.
     """
     with ExitStack() as restore:
-        if transport_kind(transport) == "coefficients":
+        if hasattr(transport, "estimate_coefficients"):
             import numba
 
             settings: Any = numba.config

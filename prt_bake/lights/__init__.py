@@ -1,7 +1,7 @@
 """Distant light: environments, suns, directional and sphere lights are read, projected on harmonics, and sampled.
 
-`skies` handles the sky pictures. May import: `prt_bake.tracer`, `prt_bake.geometry`, `prt_bake.mathematics`,
-`prt_bake.jit`, `bakers` and `formats`. Begin with `environment.py` (one sky) and `lighting.py` (several lights).
+`skies` handles the sky pictures. May import: `prt_bake.geometry`, `prt_bake.mathematics`, `prt_bake.jit`,
+`bakers` and `formats`. Begin with `environment.py` (one sky) and `lighting.py` (several lights).
 """
 
 from prt_bake.lights.environment import project, read_environment, rotate_light

@@ -6,7 +6,7 @@ that leave the object. The bright part above the level is sampled in proportion 
 
 import math
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.lighting import Lighting, Sky, in_disc, solid_angle
 from prt_bake.lights.skies.sampling import draw_directions, look_up, sky_table
-from prt_bake.tracer.light_samples import Connections
 
 Array = NDArray[np.float64]
 
@@ -152,6 +151,17 @@ class LightPlan:
     suns: tuple[DirectionalLight, ...]
 
 
+class Connections(NamedTuple):
+    """Efficiency of a path tracer's connections to one direction of incidence.
+
+    variance: of one walk's light sample, over its squared mean. cost: of such a walk, over that of a walk without
+    connections.
+    """
+
+    variance: float
+    cost: float
+
+
 def plan_light(lighting: Lighting, connections: Connections | None) -> LightPlan:
     """Connect to all directional lights, and to the bright parts of skies that are worth it.
 
@@ -194,17 +204,18 @@ def _level(grey: Array, connections: Connections) -> float | None:
     mean, largest = float(area @ value), float(value.max())
     if not largest > mean > 0.0:
         return None
-    variance = float(area @ value**2) - mean**2
+    deviation = value - mean
+    variance = float(area @ deviation**2)
     lowest = min(mean, max(float(np.median(value)), _MIN_LEVEL * mean))
     levels = np.geomspace(lowest, largest, _LEVELS, endpoint=False)
     below = np.searchsorted(levels, value, side="right")  # the number of levels below each pixel
     share, first, second = (
         np.cumsum(np.bincount(below, weights, _LEVELS + 1))[:_LEVELS]
-        for weights in (area, area * value, area * value**2)
+        for weights in (area, area * deviation, area * deviation**2)
     )
-    clipped = first + levels * (1.0 - share)
-    rest_variance = second + levels**2 * (1.0 - share) - clipped**2
-    variances = rest_variance + connections.variance * (mean - clipped) ** 2
+    clipped = first + (levels - mean) * (1.0 - share)  # mean of the rest minus mean of the sky
+    rest_variance = second + (levels - mean) ** 2 * (1.0 - share) - clipped**2
+    variances = rest_variance + connections.variance * clipped**2
     best = int(np.argmin(variances))
     return float(levels[best]) if (1.0 + connections.cost) * variances[best] < variance else None
 

@@ -118,7 +118,9 @@ def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
     value = float(a.sum() / b.sum()) if count and b.sum() > 0.0 else np.nan
     if count < _FEWEST or not np.isfinite(value):
         return Interval(value, np.nan, np.nan)
-    powers = np.stack([a, b, a * a, a * b, b * b], axis=1)
+    # Residuals have the spread of the ratio itself, so that no digits cancel where it is nearly constant.
+    rest = a - value * b
+    powers = np.stack([rest, b, rest * rest, rest * b, b * b], axis=1)
     own, error = _studentised(powers.sum(axis=0), count)
     resampled, errors = _studentised(_multiplicities(count, seed) @ powers, count)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -127,7 +129,7 @@ def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
     if not t.size:
         return Interval(value, value, value)
     low, high = np.quantile(t, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
-    return Interval(value, float(own - high * error), float(own - low * error))
+    return Interval(value, float(value - high * error), float(value - low * error))
 
 
 def percentile_over(error: Array, value: Array, seed: int, share: float = 0.95) -> tuple[Interval, float]:

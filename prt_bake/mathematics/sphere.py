@@ -74,6 +74,10 @@ def bin_coordinates(local: ArrayLike, rings: int, sectors: int) -> BinCoordinate
     Bilinear in (cosθ, φ), periodic in φ. Between the normal and the centre of ring 0 the value is interpolated linearly
     in 1 − cosθ from the mean of ring 0 to ring 0 (`pole_weight`). Beyond the centre of the last ring, and below the
     horizon, it is clamped. Raises QueryError as `view_bins`, or if the last axis is not 3.
+
+    `prt_bake.shading.frames.batches` computes them for real-time frames. Where they are applied: `bin_weights`,
+    `prt_bake.preview.radiance`, and in `prt_bake.shading` `reconstruction`, `compact_reconstruction`, `frames.kernels`
+    and `frames.holding`.
     """
     _require_bins(rings, sectors)
     directions = _vectors(local, "local directions")

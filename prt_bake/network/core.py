@@ -19,6 +19,7 @@ from prt_bake.network.features.interior import Interior
 from prt_bake.network.features.view_features import ViewEncoding, ViewFeatures
 from prt_bake.network.lobes import LOBE_PARAMETERS, Lobes, decode_lobes, evaluate_lobes
 from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
+from prt_bake.network.surface_check import OwnSurface
 
 ROWS_PER_BATCH = 8192
 _LOBE_WEIGHT_SPREAD = 0.02
@@ -170,6 +171,13 @@ class NetworkCore(nn.Module):
         if self.view is None:
             return None
         return self.view.encode(self.relative_positions(positions), outgoing, self.mesh_normals(positions, outgoing))
+
+    def refuse_foreign(self, mesh: Mesh) -> None:
+        """Raise QueryError if most vertices of the mesh are off the surface that the network was trained on, and warn
+        if some are. A network without an interior does not know its surface.
+        """
+        if self.view is not None:
+            OwnSurface(self.view.interior, self.box_min.cpu().numpy(), self.box_side).refuse_foreign(mesh)
 
     def on(self, mesh: Mesh) -> Self:
         """The same network, weights shared, that takes its normals from the object's mesh.

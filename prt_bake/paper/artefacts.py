@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from formats.atomic import replacing, sha256
-from formats.errors import PrtbakeError, StorageError
+from formats.atomic import create_folder, replacing, sha256
+from formats.errors import PrtbakeError
 
 Facts = dict[str, Any]
 Say = Callable[[str], None]
@@ -37,7 +37,7 @@ class Artefacts:
     def __init__(self, folder: Path, say: Say, stop: Callable[[], bool] = lambda: False) -> None:
         """Create the folder if it is missing; raises StorageError if that fails."""
         self.folder, self.say, self._stop = folder, say, stop
-        _make_folder(folder)
+        create_folder(folder)
 
     def make(self, name: str, inputs: Facts, build: Callable[[Path], Facts | None]) -> Artefact:
         """Return the file `name`, built by `build(path)` unless it exists with the same `inputs` (plain JSON values).
@@ -49,7 +49,7 @@ class Artefacts:
         if found is not None:
             return found
         self.check()
-        _make_folder(path.parent)
+        create_folder(path.parent)
         self.say(f"{name}: {self._reason(name, inputs)}")
         start = time.perf_counter()
         facts = dict(build(path) or {})
@@ -108,10 +108,3 @@ def _plain(values: Facts) -> Facts:
     """Return the values as JSON stores them: tuples become lists."""
     plain: Facts = json.loads(json.dumps(values))
     return plain
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another --out") from cause

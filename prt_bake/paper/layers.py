@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from formats.scene import Scene
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings
@@ -53,7 +52,7 @@ def ablation(
             progress(label, share, text)
 
         model = train_once(artefacts, file, scene, minutes, device, report, settings)
-        errors[network] = _mse(model.facts)
+        errors[network] = float(model.facts["relative_rmse"]["transport"]) ** 2
     return relative(errors)
 
 
@@ -61,7 +60,3 @@ def relative(errors: dict[str, float]) -> dict[str, float]:
     """Return the errors relative to 7 layers with skips; nan if that error is 0."""
     standard = errors[_STANDARD]
     return {network: error / standard if standard > 0.0 else float("nan") for network, error in errors.items()}
-
-
-def _mse(facts: dict[str, Any]) -> float:
-    return float(facts["relative_rmse"]["transport"]) ** 2

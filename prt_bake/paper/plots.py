@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from formats.atomic import replacing
-from formats.errors import PrtbakeError
+from formats.errors import requires_matplotlib
 from prt_bake.paper.results import BARS
 from prt_bake.paper.times import Trained, power_law
 
@@ -91,11 +91,8 @@ def plot_times(scenes: Mapping[str, Sequence[Trained]], path: Path) -> None:
 
 
 def _figure() -> tuple[Any, Any]:
-    try:
+    with requires_matplotlib("report"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
-
     figure = Figure(figsize=(7.0, 4.5), layout="constrained")
     return figure, figure.add_subplot()
 

@@ -16,11 +16,12 @@ import numpy as np
 from formats.atomic import replacing
 from formats.image import read_layers, write_image
 from formats.scene import Scene
+from prt_bake.comparison.object_figures import TracedPicture
 from prt_bake.geometry.camera import Camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.mathematics.random import hashed
 from prt_bake.paper.artefacts import Artefact, Artefacts, Facts, Stopped
-from prt_bake.rendering.half_buffers import HalfBuffers, TracedPicture
+from prt_bake.rendering.half_buffers import HalfBuffers
 from prt_bake.rendering.scene import Rendering, render_scene
 
 Trace = Callable[[int, int, Path], Rendering]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from formats.atomic import replacing
-from formats.errors import PrtbakeError
+from formats.errors import requires_matplotlib
 from formats.image.png import to_srgb
 
 CELL = 192
@@ -69,11 +69,8 @@ def encoded(image: NDArray[np.floating], stops: float) -> NDArray[np.uint8]:
 
 def coloured(values: NDArray[np.floating], largest: float = 1.0, name: str = "magma") -> NDArray[np.uint8]:
     """Return values [H,W] from 0 to `largest` in a colour map of matplotlib, [H,W,3]."""
-    try:
+    with requires_matplotlib("report"):
         from matplotlib import colormaps
-    except ImportError:
-        raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
-
     colours = colormaps[name](np.clip(np.asarray(values, np.float64) / largest, 0.0, 1.0))
     return np.rint(255.0 * colours[..., :3]).astype(np.uint8)
 

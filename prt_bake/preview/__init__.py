@@ -3,5 +3,5 @@
 `state.py` computes what is shown without a window; `view.py` draws it; `window.py` handles the user's input. Nothing is
 re-exported: VTK loads only when a window opens.
 
-May import: `prt_bake.shading`, `prt_bake.lights` and the rooms below. Start at `state.py`.
+May import: `prt_bake.shading` and the rooms below it in `pyproject.toml`. Start at `state.py`.
 """

@@ -5,7 +5,7 @@ import textwrap
 from numpy.typing import ArrayLike
 
 from prt_bake.preview.state import Mode, Preview
-from prt_bake.shading.suns import SunTreatment
+from prt_bake.shading.sun_shading import SunTreatment
 
 _LETTER = 8
 """Approximate width of a letter in pixels."""

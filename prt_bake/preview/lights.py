@@ -16,7 +16,7 @@ from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
 from prt_bake.mathematics import sh
 from prt_bake.preview.mirrored import resampled_sky
-from prt_bake.shading.suns import SunsApart, SunTreatment, suns_apart
+from prt_bake.shading.sun_shading import SunsApart, SunTreatment, suns_apart
 
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512

@@ -1,4 +1,4 @@
-"""Progressive refinement: suns are shaded separately (`prt_bake.shading.suns`) once the eye and the light rest.
+"""Progressive refinement: suns are shaded separately (`prt_bake.shading.sun_shading`) once the eye and the light rest.
 
 This takes 0.1 to 0.2 ms per vertex, too long for a frame. The vertices that the eye may see are shaded in slices,
 between the window's events.
@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.mesh import Mesh
 from prt_bake.lights import environment
-from prt_bake.shading.suns import SunsApart
+from prt_bake.shading.sun_shading import SunsApart
 
 Draw = Callable[[ArrayLike], NDArray[np.float32]]
 
@@ -110,7 +110,7 @@ class Refinement:
 
     def _shade(self, rows: slice) -> None:
         from prt_bake.shading.reconstruction import reconstruct
-        from prt_bake.shading.suns import sun_radiance
+        from prt_bake.shading.sun_shading import sun_radiance
 
         vertices, bins = self._vertices[rows], type(self._bins)._make(field[rows] for field in self._bins)
         asset = self._asset

@@ -21,7 +21,7 @@ from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import prefiltered_sky
 from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.preview.refinement import Refiner
-from prt_bake.shading.suns import SunsApart, SunTreatment
+from prt_bake.shading.sun_shading import SunsApart, SunTreatment
 
 MOST_EXPOSURE = 10.0
 _SAME_INDEX = 1e-9

@@ -1,8 +1,8 @@
 """Reflection at the microsurface of a dielectric, in NumPy.
 
-The model is that of the walk's interface (`prt_bake.tracer.surface.interface`): GGX, separable Smith masking, single
-scattering (Walter et al. 2007), sampling of visible microfacets (Heitz 2018). The light reflected here, the light that
-walks let in and the loss of single scattering therefore sum to 1.
+The model is that of the walk's interface, which is compiled (`prt_bake.tracer.surface.interface`): GGX, separable Smith
+masking, single scattering (Walter et al. 2007), sampling of visible microfacets (Heitz 2018). The light reflected here,
+the light that walks let in and the loss of single scattering therefore sum to 1.
 
 All functions work in the local frame whose z axis is the interface's normal. `alpha` is the GGX roughness, `eta` the
 index inside over the index outside. Rows are independent.

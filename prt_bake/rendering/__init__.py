@@ -1,8 +1,8 @@
 """Monte Carlo pictures: of scenes by path tracing, of networks by importance sampling.
 
-May import: `prt_bake.importance`, `prt_bake.network`, `prt_bake.reflection`, `prt_bake.lights`, `prt_bake.tracer` and
-the rooms below. Begin with `scene.py` and `network.py`; `loop.py` runs the passes. Names load when they are used, so
-that `scene` loads without torch.
+May import: `prt_bake.importance`, `prt_bake.reflection` and the rooms below these in `pyproject.toml`. Begin with
+`scene.py` and `network.py`; `loop.py` runs the passes. Names load when they are used, so that `scene` loads without
+torch.
 """
 
 import lazy_loader

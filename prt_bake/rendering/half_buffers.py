@@ -16,16 +16,6 @@ from prt_bake.rendering.loop import Rendering
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class TracedPicture:
-    """A reference: image, standard_error and noise [H,W,3] (e in the module's docstring), coverage [H,W]."""
-
-    image: NDArray[np.float32]
-    standard_error: NDArray[np.float32]
-    noise: NDArray[np.float32]
-    coverage: NDArray[np.float32]
-
-
 @dataclass
 class HalfBuffers:
     """Sums over passes: radiance in half buffers [2,H,W,3], squared errors [H,W,3], coverage [H,W]; and the cost."""
@@ -72,8 +62,3 @@ class HalfBuffers:
         first, second = self.passes
         difference = self.radiance[0] / first - self.radiance[1] / second
         return np.asarray(difference * math.sqrt(first * second) / (first + second))
-
-    def picture(self) -> TracedPicture:
-        """The reference of all passes."""
-        parts = self.image, self.standard_error, self.noise, self.coverage / sum(self.passes)
-        return TracedPicture(*(part.astype(np.float32) for part in parts))

@@ -19,18 +19,19 @@ from formats.errors import FormatError
 Array = NDArray[np.float64]
 
 
-_ARRAYS = ("radiance", "square", "coverage")
+_ARRAYS = ("radiance", "squares", "coverage")
 
 
 @dataclass
 class Sums:
-    """Sums over passes of radiance [H,W,3], of its squares, and of coverage [H,W]; and the cost.
+    """Sums over passes of radiance [H,W,3], of its squared deviations from the mean, and of coverage [H,W]; and the
+    cost.
 
     history: rows (seconds, walks, relative noise), after passes 2, 4, 8, … and after the last.
     """
 
     radiance: Array
-    square: Array
+    squares: Array
     coverage: Array
     passes: int = 0
     walks: int = 0
@@ -43,9 +44,11 @@ class Sums:
         return cls(np.zeros((height, width, 3)), np.zeros((height, width, 3)), np.zeros((height, width)))
 
     def add(self, rows: slice, radiance: Array, coverage: Array) -> None:
-        """Add some rows of a pass."""
+        """Add some rows of pass number `passes`, each row once (Welford 1962)."""
+        if self.passes:
+            deviation = radiance - self.radiance[rows] / self.passes
+            self.squares[rows] += deviation**2 * (self.passes / (self.passes + 1))
         self.radiance[rows] += radiance
-        self.square[rows] += radiance * radiance
         self.coverage[rows] += coverage
 
     def mean(self) -> Array:
@@ -56,9 +59,7 @@ class Sums:
         """The standard error of the picture [H,W,3]; infinite after a single pass."""
         if self.passes < 2:
             return np.full_like(self.radiance, np.inf)
-        mean = self.mean()
-        variance = np.maximum(self.square / self.passes - mean * mean, 0.0)
-        return np.sqrt(variance / (self.passes - 1))
+        return np.sqrt(self.squares / (self.passes * (self.passes - 1)))
 
     def mean_coverage(self) -> Array:
         """The object's share of each pixel [H,W]."""
@@ -147,11 +148,11 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
     try:
         with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
             head = json.loads(str(file["head"]))
-            radiance, square, coverage = (np.asarray(file[name], np.float64) for name in _ARRAYS)
+            radiance, squares, coverage = (np.asarray(file[name], np.float64) for name in _ARRAYS)
         found, numbers = dict(head["identity"]), head["numbers"]
         history = [(float(a), float(b), float(c)) for a, b, c in numbers["history"]]
         counts = int(numbers["passes"]), int(numbers["walks"]), float(numbers["seconds"])
-        sums = Sums(radiance, square, coverage, *counts, history)
+        sums = Sums(radiance, squares, coverage, *counts, history)
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
         kind = type(fault).__name__
         raise FormatError(f"{path}: not a readable checkpoint of a picture ({kind}); render without --resume") from None

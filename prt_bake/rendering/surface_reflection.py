@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import QueryError
-from formats.mesh import Mesh
+from formats.mesh import Mesh, texture_fault
 from prt_bake.geometry.camera import Visibility
 from prt_bake.lights.lighting import Lighting
 from prt_bake.reflection.finish import surface_points
@@ -30,10 +30,12 @@ class SurfaceReflection:
     ) -> None:
         """`roughness` is the GGX alpha, a number or a texture [H,W]; `interpolated`: the interface has vertex normals.
 
-        Raises QueryError for a texture on a mesh without texture coordinates.
+        Raises QueryError for a texture on a mesh without texture coordinates, or with unusable ones.
         """
         if isinstance(roughness, np.ndarray) and mesh.corner_uv is None:
             raise QueryError("reflection: roughness is a texture, but the mesh has no texture coordinates")
+        if isinstance(roughness, np.ndarray) and (fault := texture_fault(mesh)):
+            raise QueryError(f"reflection: roughness is a texture, but {fault}")
         self._mesh, self._roughness = mesh, np.asarray(roughness, np.float64)
         self._normals: Literal["face", "vertex"] = "vertex" if interpolated else "face"
         self._reflector = Reflector(mesh, lighting, eta, visibility)

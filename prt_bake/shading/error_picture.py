@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.atomic import replacing
-from formats.errors import PrtbakeError
+from formats.errors import requires_matplotlib
 from prt_bake.shading.picture import Picture
 
 Array = NDArray[np.float64]
@@ -47,11 +47,8 @@ def write_error_picture(path: str | Path, picture: Picture) -> None:
 
 def error_figure(picture: Picture) -> Any:
     """The matplotlib figure that `write_error_picture` writes. Raises PrtbakeError without matplotlib."""
-    try:
+    with requires_matplotlib("error picture"):
         from matplotlib.figure import Figure
-    except ImportError:
-        raise PrtbakeError("error picture: matplotlib is not installed; install prt-bake[evaluate]") from None
-
     percent = 100.0 * relative_errors(picture, np.asarray(picture.layers["radiance"], np.float64))
     height, width = percent.shape
     total_width, total_height = max(width + _BESIDE, _MIN_WIDTH), max(height + _ABOVE, _MIN_HEIGHT)

@@ -17,7 +17,7 @@ from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_obj
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.shading.layers import make_layers
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
-from prt_bake.shading.suns import SunTreatment, suns_apart
+from prt_bake.shading.sun_shading import SunTreatment, suns_apart
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
 from prt_bake.shading.vertices import Shading, corner_weights, light_coefficients, shade, shade_vertices
 from prt_bake.shading.visible_points import PixelMeans, VisiblePoints, find_visible_points, grid_offsets, row_blocks
@@ -86,7 +86,7 @@ def render_picture(
         reflection: adds the light reflected at the surface, unless the object's index is that of its surroundings.
         roughness: GGX alpha in place of the asset's, a number or a texture [H,W] in the mesh's texture coordinates.
         layers: names of `prt_bake.shading.layers.LAYERS` to compute.
-        suns: how suns are shaded (`prt_bake.shading.suns`); their reflection is always exact.
+        suns: how suns are shaded (`prt_bake.shading.sun_shading`); their reflection is always exact.
 
     Raises QueryError if no vertex is valid, the camera misses the object, the eye is inside it, or the roughness of a
     reflection is unknown.

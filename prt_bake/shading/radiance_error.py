@@ -10,8 +10,8 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.sphere import BinCoordinates
 from prt_bake.mathematics.view_frames import ViewFrames
-from prt_bake.shading.suns import sun_gradient
-from prt_bake.shading.vertices import bin_coordinates, eye_directions, light_coefficients
+from prt_bake.shading.sun_shading import sun_gradient
+from prt_bake.shading.vertices import bin_coordinates_at_vertices, eye_directions, light_coefficients
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ def radiance_error(
     weights = light_coefficients(asset, light)
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
     outgoing = eye_directions(asset, eye, vertices)
-    at = bin_coordinates(asset, outgoing, vertices)
+    at = bin_coordinates_at_vertices(asset, outgoing, vertices)
     error = np.zeros((len(asset.valid), 3))
     lights = np.broadcast_to(weights, (len(vertices), *weights.shape))
     if suns:

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError
+from formats.mesh import texture_fault
 from formats.scene.lights import DirectionalLight
 from prt_bake.geometry.camera import Visibility
 from prt_bake.lights.emitters import frame_across
 from prt_bake.lights.lighting import Lighting
 from prt_bake.lights.skies import prefiltered
-from prt_bake.lights.suns import split_lighting
+from prt_bake.lights.sun_detection import split_lighting
 from prt_bake.mathematics.sphere import to_world
 from prt_bake.reflection.finish import SurfacePoints, surface_points
 from prt_bake.reflection.microfacet import mirrored, reflection_density, visible_facets
@@ -206,6 +207,8 @@ def _finish_of(asset: Asset, roughness: float | Array | None) -> _Finish:
         raise QueryError(
             "reflection: roughness is a texture, and the asset's mesh has no texture coordinates; give one number"
         )
+    if alpha.ndim == 2 and (fault := texture_fault(asset.mesh)):
+        raise QueryError(f"reflection: roughness is a texture, but {fault}, or give one number")
     smooth = asset.provenance.get("model", {}).get("normals") == "vertex"
     return _Finish(alpha, max(float(alpha.min()), SMOOTHEST), "vertex" if smooth else "face")
 

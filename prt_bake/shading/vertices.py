@@ -12,7 +12,7 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.geometry.camera import refuse_eye_in_object
 from prt_bake.mathematics import sh, sphere
 from prt_bake.shading.reconstruction import reconstruct
-from prt_bake.shading.suns import sun_radiance
+from prt_bake.shading.sun_shading import sun_radiance
 
 Array = NDArray[np.float64]
 
@@ -103,9 +103,7 @@ def surface_radiance(
     # Sorted by vertex, so that each chunk of a file is read once.
     used = used[np.argsort(corners.ravel()[used], kind="stable")]
     vertices = corners.ravel()[used]
-    tangents = np.asarray(asset.tangents, np.float64)[vertices]
-    local = sphere.to_local(outgoing[used // 3], asset.mesh.normals[vertices], tangents)
-    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    at = bin_coordinates_at_vertices(asset, outgoing[used // 3], vertices)
     sent = np.maximum(reconstruct(asset.coefficients, vertices, at, asset.sectors, weights), 0.0)
     radiance = np.zeros((len(faces), 3))
     np.add.at(radiance, used // 3, shares.ravel()[used, None] * sent)
@@ -122,11 +120,11 @@ def corner_weights(asset: Asset, corners: NDArray[np.integer], barycentric: Arra
 
 def eye_bin_coordinates(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
     """Coordinates between the view bins of the directions from `vertices` [n] to the eye; raises as `shade`."""
-    return bin_coordinates(asset, eye_directions(asset, eye, vertices), vertices)
+    return bin_coordinates_at_vertices(asset, eye_directions(asset, eye, vertices), vertices)
 
 
-def bin_coordinates(asset: Asset, outgoing: Array, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
-    """Coordinates between the view bins of `vertices` [n] of directions outgoing [n,3]."""
+def bin_coordinates_at_vertices(asset: Asset, outgoing: Array, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
+    """Coordinates of directions outgoing [n,3] between the view bins of `vertices` [n] (`sphere.bin_coordinates`)."""
     local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
     return sphere.bin_coordinates(local, asset.rings, asset.sectors)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset import Asset
-from formats.errors import StorageError
+from formats.atomic import create_folder
 from formats.image import read_image, write_image
 from formats.json_report import write_report
 from formats.mesh import read_mesh
@@ -85,7 +85,7 @@ def demonstrate(
 
     Raises StorageError if `folder` cannot be written.
     """
-    _create(folder)
+    create_folder(folder)
     asset = _bake(folder / "spot.h5", settings, workers, progress, stop)
     reference_report = json.loads(REFERENCE_REPORT.read_text(encoding="utf-8"))
     reflecting = _relight(asset, reference_report, settings.magnification, reflection=True)
@@ -115,13 +115,6 @@ def demonstrate(
     return Demonstration(
         asset, tuple(folder / name for name in names), whole, inside, reference_report["noise_mse"], ladder
     )
-
-
-def _create(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as cause:
-        raise StorageError(f"{folder}: cannot be created: {cause.strerror}; choose another --out") from cause
 
 
 def _bake(

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.jit.threads import in_threads
+from prt_bake.mathematics.moments import SUMS, Moments, from_sums, merged
 from prt_bake.tracer.prepared import KernelQueries, PreparedScene, has_dielectric_inside, prepare, smooth_part
 from prt_bake.tracer.surface.boundary import SMOOTHEST
 from prt_bake.tracer.surface.interface import ROUGH
@@ -44,6 +45,8 @@ fewer, stronger paths. Next-event estimation finds most of these; the rest count
 _MISSED = 0.1
 _CONNECTIONS = 8
 _BOUND = 1.96
+_ROUNDING = 1e-14
+"""Walks that differ by less than this, relative to their mean, carry the same."""
 _TINY_VARIANCE = 1e-140
 """Below this, fourth powers underflow and the kurtosis is set to infinity."""
 
@@ -234,7 +237,7 @@ def _place(
 def _blocks(count: int, paths: int, numbers: int) -> Iterator[tuple[slice, NDArray[np.int64]]]:
     """Slices of queries whose sums fit in memory, with their chunks (query, first path, paths)."""
     per_query = -(-paths // _PATHS_PER_CHUNK)
-    size = max(1, _NUMBERS_AT_ONCE // (numbers * 4 * per_query))
+    size = max(1, _NUMBERS_AT_ONCE // (numbers * SUMS * per_query))
     first = np.arange(0, paths, _PATHS_PER_CHUNK)
     length = np.minimum(_PATHS_PER_CHUNK, paths - first)
     for begin in range(0, count, size):
@@ -260,41 +263,38 @@ def _estimate(
     if paths < 2:
         raise QueryError(f"paths: expected at least 2 for an error estimate, found {paths}")
     begun = time.perf_counter()
-    numbers = rows * 3 + 4
-    powers = np.zeros((count, 4, numbers))
-    for chosen, chunks in _blocks(count, paths, numbers):
-        sums = np.zeros((len(chunks), 4, numbers))
-        run(chosen, chunks, sums)
-        powers[chosen] = sums.reshape(chosen.stop - chosen.start, -1, 4, numbers).sum(axis=1)
-    mean, error, kurtosis = _central(powers / paths, paths)
-    values = slice(0, rows * 3)
-    touched = np.any(powers[:, 1, values].reshape(count, rows, 3) > 0.0, axis=2)
-    trusted = np.repeat(touched, 3, axis=1) & (kurtosis[:, values] <= paths * _KURTOSIS_PER_PATH)
-    error[:, values], dark = _widened_for_dark_values(
-        mean[:, values], error[:, values], powers[..., values], ~trusted, paths, strong
-    )
+    sampled = _moments(run, count, paths, rows * 3 + 4)
+    values = Moments(*(part[:, : rows * 3] for part in sampled))
+    error, kurtosis = _error_and_kurtosis(values, paths)
+    second, third, fourth = values.raw()
+    touched = np.any(second.reshape(count, rows, 3) > 0.0, axis=2)
+    trusted = np.repeat(touched, 3, axis=1) & (kurtosis <= paths * _KURTOSIS_PER_PATH)
+    seen = np.divide(fourth, third, out=np.zeros_like(third), where=third > 0.0)
+    wide = error + _RULE_OF_THREE / paths * np.maximum(strong, seen) / _BOUND
+    dark = ~trusted & (values.mean + _BOUND * wide <= _DARK)
     return Estimate(
-        mean=mean[:, values].reshape(count, *shape, 3),
-        standard_error=error[:, values].reshape(count, *shape, 3),
-        unscattered=_merged_if_equal(mean[:, -4:-1]),
+        mean=values.mean.reshape(count, *shape, 3),
+        standard_error=np.where(dark, wide, error).reshape(count, *shape, 3),
+        unscattered=_merged_if_equal(sampled.mean[:, -4:-1]),
         reliable=np.all(trusted | dark, axis=1) & (paths >= least_paths),
-        lost=mean[:, -1],
+        lost=sampled.mean[:, -1],
         paths=paths,
         seconds=time.perf_counter() - begun,
     )
 
 
-def _widened_for_dark_values(
-    mean: Array, error: Array, powers: Array, doubtful: NDArray[np.bool_], paths: int, strong: float
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Errors [N,M] widened by the possible contribution of unsampled paths, for values that are doubtful but dark, and
-    the mask [N,M] of these values.
-    """
-    third, fourth = powers[:, 2], powers[:, 3]
-    seen = np.divide(fourth, third, out=np.zeros_like(third), where=third > 0.0)
-    wide = error + _RULE_OF_THREE / paths * np.maximum(strong, seen) / _BOUND
-    dark = doubtful & (mean + _BOUND * wide <= _DARK)
-    return np.where(dark, wide, error), dark
+def _moments(run: Callable[[slice, NDArray[np.int64], Array], None], count: int, paths: int, numbers: int) -> Moments:
+    """Moments [count, numbers] over all paths of each query, from the sums of its chunks."""
+    moments = Moments(*np.zeros((4, count, numbers)))
+    for chosen, chunks in _blocks(count, paths, numbers):
+        sums = np.zeros((len(chunks), SUMS, numbers))
+        run(chosen, chunks, sums)
+        queries = chosen.stop - chosen.start
+        walks = chunks[:, 2].reshape(queries, -1, 1)
+        parts = from_sums(sums.reshape(queries, -1, SUMS, numbers).transpose(2, 0, 1, 3), walks)
+        for every, some in zip(moments, merged(parts, walks, axis=1), strict=True):
+            every[chosen] = some
+    return moments
 
 
 def _merged_if_equal(shares: Array) -> Array:
@@ -302,20 +302,15 @@ def _merged_if_equal(shares: Array) -> Array:
     return shares[:, 0] if np.array_equal(shares, np.broadcast_to(shares[:, :1], shares.shape)) else shares
 
 
-def _central(raw: Array, paths: int) -> tuple[Array, Array, Array]:
-    """Mean, standard error of the mean, and kurtosis from raw moments [N,4,M].
-
-    The kurtosis is 1 for constant samples and inf if it is out of float64's range.
-    """
-    mean, second, third, fourth = (raw[:, k] for k in range(4))
-    variance = np.maximum(second - mean**2, 0.0)
-    variance[variance < 1e-14 * second] = 0.0
+def _error_and_kurtosis(moments: Moments, paths: int) -> tuple[Array, Array]:
+    """Standard error of the mean, and kurtosis: 1 for constant samples, inf if it is out of float64's range."""
+    rounding = (_ROUNDING * moments.mean) ** 2
+    variance = np.where(moments.variance > rounding, moments.variance, 0.0)
     varies = variance > _TINY_VARIANCE
     unit = np.where(varies, variance, 1.0)
-    skewness = np.where(varies, (third - 3 * mean * second + 2 * mean**3) / unit**1.5, 0.0)
-    central = np.maximum(fourth - 4 * mean * third + 6 * mean**2 * second - 3 * mean**4, 0.0)
-    kurtosis = np.where(varies, central / unit**2, np.where(variance > 0.0, np.inf, 1.0))
-    return mean, np.sqrt(variance / (paths - 1)) * _widened(skewness, kurtosis, paths), kurtosis
+    skewness = np.where(varies, moments.third / unit**1.5, 0.0)
+    kurtosis = np.where(varies, moments.fourth / unit**2, np.where(variance > 0.0, np.inf, 1.0))
+    return np.sqrt(variance / (paths - 1)) * _widened(skewness, kurtosis, paths), kurtosis
 
 
 def _widened(skewness: Array, kurtosis: Array, paths: int) -> Array:

@@ -1,6 +1,7 @@
 """Compiled loops of the estimators over slices of queries, for `in_threads`. Results do not depend on the thread count.
 
-Sums hold the powers 1 to 4 of every value.
+Sums [SUMS] of a value are those of `prt_bake.mathematics.moments`: the first value and powers of deviations from it.
+Raw powers would lose the variance of walks that all carry nearly the same.
 """
 
 from typing import Any
@@ -70,15 +71,17 @@ def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
 
 
 @inlined_function()
-def _add_powers(value: Any, sums: Any) -> None:
+def _add_powers(value: Any, first: Any, sums: Any) -> None:
     for j in range(value.shape[0]):
-        x = value[j]
+        if first:
+            sums[0, j] = value[j]
+        x = value[j] - sums[0, j]
         if x != 0.0:
             square = x * x
-            sums[0, j] += x
-            sums[1, j] += square
-            sums[2, j] += square * x
-            sums[3, j] += square * square
+            sums[1, j] += x
+            sums[2, j] += square
+            sums[3, j] += square * x
+            sums[4, j] += square * square
 
 
 @called_function()
@@ -182,7 +185,7 @@ def sum_transport(
     seed: Any,
     sums: Any,
 ) -> None:
-    """Power sums [chunks, 4, D·3 + 4] of Ŝ for incident [N,D,3], of the unscattered transmittance, and of what was
+    """Power sums [chunks, 5, D·3 + 4] of Ŝ for incident [N,D,3], of the unscattered transmittance, and of what was
     lost.
 
     chunks int64 [., 3]: (query, first path, paths).
@@ -202,7 +205,7 @@ def sum_transport(
         crosses = boundary.kind == MATCHED
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
-            value[:] = 0.0
+            value[:-4] = 0.0
             begin(
                 boundary, state, counts, positions[n], outgoing[n], faces[n], barycentric[n, 0], barycentric[n, 1], mask
             )
@@ -227,12 +230,9 @@ def sum_transport(
                 alive = enter(boundary, state, counts, stream)
                 state[CLEARANCE] = clearance
                 if crosses:
-                    # In a homogeneous medium the transmittance is exact: the first path counts for all.
+                    # In a homogeneous medium the transmittance is exact: that of the first path is kept for all.
                     crosses = is_heterogeneous(media)
                     unscattered(boundary, media, state, counts, ray, stream, value[-4:-1])
-                    if not crosses:
-                        for c in range(3):
-                            value[c - 4] *= chunks[i, 2]
             while alive:
                 event = advance(boundary, media, state, counts, ray, stream)
                 if event == SKY:
@@ -252,7 +252,7 @@ def sum_transport(
                     received,
                 ) and survives_roulette(boundary, state, counts, stream)
             value[-1] = state[LOST]
-            _add_powers(value, sums[i])
+            _add_powers(value, path == chunks[i, 1], sums[i])
 
 
 @inlined_function()
@@ -272,7 +272,7 @@ def walk_out(boundary: Any, media: Any, state: Any, counts: Any, ray: Any, strea
 def sum_coefficients(
     start: Any, stop: Any, boundary: Any, media: Any, queries: Any, chunks: Any, degree: Any, seed: Any, sums: Any
 ) -> None:
-    """Power sums [chunks, 4, K·3 + 4] of throughput · Y_lm(exit), of the unscattered throughput, and of what was
+    """Power sums [chunks, 5, K·3 + 4] of throughput · Y_lm(exit), of the unscattered throughput, and of what was
     lost.
     """
     keys, positions, outgoing, faces, barycentric = queries
@@ -300,7 +300,7 @@ def sum_coefficients(
                         for c in range(3):
                             value[3 * k + c] = state[THROUGHPUT + c] * basis[k]
             value[-1] = state[LOST]
-            _add_powers(value, sums[i])
+            _add_powers(value, path == chunks[i, 1], sums[i])
 
 
 @compiled(nogil=True)

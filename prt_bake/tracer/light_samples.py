@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from formats.scene import Scene
 from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
-from prt_bake.tracer.prepared import interface_kind, prepare, smooth_part
-from prt_bake.tracer.surface.interface import MATCHED
+from prt_bake.mathematics.moments import SUMS, from_sums
+from prt_bake.tracer.prepared import prepare
 
 Array = NDArray[np.float64]
 
@@ -32,30 +32,6 @@ class Exits(NamedTuple):
     unscattered: NDArray[np.bool_]
 
 
-class Connections(NamedTuple):
-    """Efficiency of connections to one direction of incidence.
-
-    variance: of one walk's light sample, over its squared mean. cost: of such a walk, over that of a walk without
-    connections.
-    """
-
-    variance: float
-    cost: float
-
-
-def connections(scene: Scene) -> Connections | None:
-    """Efficiency of connections in a scene; None behind a smooth interface, which allows none (`smooth_part`).
-
-    The figures are rough fits to measurements on a lumpy ball of 4 to 15 mean free paths, alpha 0.02 to 0.3.
-    """
-    if smooth_part(scene) is not None:
-        return None
-    if interface_kind(scene) == MATCHED:
-        return Connections(variance=0.8, cost=1.5)
-    alpha = float(np.mean(scene.roughness))
-    return Connections(variance=0.6 + 0.03 / alpha**1.7, cost=4.0)
-
-
 def sample_transport(
     scene: Scene,
     faces: NDArray[np.int64],
@@ -65,11 +41,12 @@ def sample_transport(
     incident: Array,
     paths: int,
     seed: int,
-) -> tuple[Array, Array]:
-    """Ŝ [N,D,3] [1/sr] of N points for incident [D,3] or [N,D,3]: mean of `paths` walks, and mean of their squares.
+) -> Array:
+    """Ŝ [N,D,3] [1/sr] of N points for incident [D,3] or [N,D,3]: mean of `paths` walks.
 
     faces [N] and barycentric (u, v) [N,2] locate the points, outgoing [N,3] points to the eye, keys [N] select the
-    random numbers. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). Requires `connections`.
+    random numbers. Under a directional light of unit irradiance from ωi the radiance is Ŝ(ωi). Requires that
+    `smooth_part` is None.
     """
     from prt_bake.tracer.kernels import sum_transport
 
@@ -77,14 +54,14 @@ def sample_transport(
     count, directions = len(faces), np.shape(incident)[-2]
     towards = np.broadcast_to(np.asarray(incident, np.float64), (count, directions, 3))
     queries = prepared.queries(_location(faces, barycentric), np.asarray(outgoing, np.float64), keys)
-    means, squares = np.zeros((count, directions, 3)), np.zeros((count, directions, 3))
+    means = np.zeros((count, directions, 3))
     numbers = directions * 3 + 4  # after the directions: unscattered transmittance [3] and lost throughput
-    step = max(1, _NUMBERS_AT_ONCE // (4 * numbers))
+    step = max(1, _NUMBERS_AT_ONCE // (SUMS * numbers))
     for begin in range(0, count, step):
         chosen = slice(begin, min(begin + step, count))
         rows = chosen.stop - begin
         chunks = np.stack([np.arange(rows), np.zeros(rows, np.int64), np.full(rows, paths)], axis=1)
-        sums = np.zeros((rows, 4, numbers))
+        sums = np.zeros((rows, SUMS, numbers))
         in_threads(
             sum_transport,
             rows,
@@ -99,9 +76,9 @@ def sample_transport(
             seed,
             sums,
         )
-        powers = sums[:, :, : directions * 3].reshape(rows, 4, directions, 3) / paths
-        means[chosen], squares[chosen] = powers[:, 0], powers[:, 1]
-    return means, squares
+        mean = from_sums(sums.transpose(1, 0, 2), paths).mean
+        means[chosen] = mean[:, : directions * 3].reshape(rows, directions, 3)
+    return means
 
 
 def sample_exits(

@@ -2,6 +2,6 @@
 
 `samples` draws queries and path traces training rows; `report` measures a trained model. `report` may import this
 folder's modules and `samples`, this folder's modules may import `samples`, and `samples` imports neither. May import
-`prt_bake.rendering`, `prt_bake.comparison`, `prt_bake.network`, `prt_bake.tracer` and the rooms below.
-Begin with `train.py`, then `learner.py`.
+`prt_bake.comparison`, `prt_bake.rendering` and the rooms below these in `pyproject.toml`. Begin with `train.py`, then
+`learner.py`.
 """

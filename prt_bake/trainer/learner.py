@@ -3,7 +3,7 @@
 import copy
 import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -76,11 +76,11 @@ class LearningSettings:
         valid = {
             "batch": (self.batch >= 1, "1 or more"),
             "rate": (self.rate > 0.0, "a number above 0"),
-            "schedule": (self.schedule in ("cosine", "constant", "exponential"), "cosine, constant or exponential"),
+            "schedule": (self.schedule in get_args(Schedule), "cosine, constant or exponential"),
             "last_rate": (0.0 < self.last_rate <= 1.0, "above 0 and at most 1"),
             "warm_up": (0.0 <= self.warm_up <= 1.0, "0 to 1"),
             "decay": (self.decay >= 0.0, "0 or more"),
-            "loss": (self.loss in ("l2", "relative"), "l2 or relative"),
+            "loss": (self.loss in get_args(Loss), "l2 or relative"),
             "floor": (self.floor > 0.0, "a number above 0"),
             "average_length": (0.0 < self.average_length <= 0.5, "above 0 and at most 0.5"),
             "spread": (self.spread >= 1, "1 or more"),

@@ -58,6 +58,7 @@ def train(
     """Train a neural BSSRDF of a scene for `minutes`, or for `steps` if given.
 
     Args:
+        scene: the scene to path trace.
         minutes, steps: length of the complete run, including earlier parts that are resumed.
         seed: seed of the queries, the walks and the network's initial weights.
         settings: the network; by default the preset "measured" with `seed`. `PRESETS["paper"]` is the paper's.

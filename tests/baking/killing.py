@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import bakers.baker
-import prt_bake.baking.adaptive.noise_pilot
+import prt_bake.baking.adaptive.adaptive_job
 from prt_bake import bake
 from tests.bakers.transports import Array, Incoherent, icosphere
 
@@ -44,7 +44,7 @@ def process(out: Path, kind: str, workers: int, block: int, subdivisions: int = 
     child = os.fork()
     if child:
         return child
-    prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE = block * 32
+    prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE = block * 32
     bakers.baker.vertices_at_once = lambda bins, directions: block
     mesh = icosphere(subdivisions)
     bake(Slow(pause), mesh, rings=2, sectors=16, **KINDS[kind], out=out, workers=workers, resume=True)

@@ -104,6 +104,15 @@ def test_two_bakes_of_one_output_do_not_mix(tmp_path: Path) -> None:
     assert not journal_folder(out).exists()
 
 
+def test_a_journal_of_an_older_version_is_not_resumed(tmp_path: Path) -> None:
+    out = tmp_path / "a.h5"
+    with Journal(out, {"seed": 0}, resume=False) as journal:
+        journal.write("block-0-12", {"bent": np.zeros(1)})
+    with pytest.raises(StorageError, match=r"journal_version was None and is 2; .* start again without resuming"):
+        bake.bake(Incoherent(), icosphere(0), **SMALL, out=out, resume=True)
+    assert bake.bake(Incoherent(), icosphere(0), **SMALL, out=out).complete
+
+
 @pytest.mark.parametrize("directions", ["uniform", "sobol", "fibonacci"])
 def test_an_error_out_of_reach_leaves_no_files(tmp_path: Path, directions: str) -> None:
     with pytest.raises(PrtbakeError, match=r"out of reach; .* request a larger error"):

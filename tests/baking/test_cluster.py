@@ -106,7 +106,7 @@ def assert_equal(one: Asset, other: Asset) -> None:
 def test_a_cluster_with_a_killed_worker_bakes_the_same_bits(
     cluster: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 32)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 32)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 5)
     mesh = icosphere(1)
     for kind in ({"error": 0.08}, {"samples": 32}):

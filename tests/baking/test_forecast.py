@@ -69,7 +69,7 @@ def test_one_pass_gives_the_default_exponent() -> None:
 def test_a_bake_reports_the_time_left_until_its_end(
     arguments: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     reported: list[tuple[int, BakeStatus]] = []
     bake(
         Incoherent(),

@@ -9,7 +9,8 @@ from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Threads
 from prt_bake import bake
 from prt_bake.baking.adaptive import pilot_pass
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.pass_settings import PassSettings
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, pilot_vertices
@@ -71,7 +72,7 @@ def test_a_pilot_pass_bakes_vertices_until_their_mean_cost_is_known(monkeypatch:
 
     original = pilot_pass.refined_block
     monkeypatch.setattr(pilot_pass, "refined_block", block)
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 16 * job.bins)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 16 * job.bins)
     monkeypatch.setattr(pilot_pass, "MOST", 0.5)
     how = first_refinement(job)[0].with_full_levels(0.1, 0.1)
     found = pilot_pass.run_pilot_pass(job, how, Threads(1))

@@ -1,5 +1,6 @@
 """Pruning removes redundant parts of a bake, reports them, and checks them at every vertex."""
 
+import inspect
 import json
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from formats.mesh import Mesh
 from prt_bake import bake, read_asset, shade
 from prt_bake.baking import bake as baking
 from prt_bake.baking.pruning.hidden_vertices import seen_from_eye, seen_from_outside
+from prt_bake.cli.bake import bake as command
 from prt_bake.mathematics import sh, sphere
 from tests.bakers.transports import Array, Counting, Edged, Lobed, exact, icosphere
 from tests.baking.prunable_scenes import Flat, Grey, nested, soup
@@ -26,6 +28,13 @@ SMALL = {"rings": 8, "sectors": 32}
 
 def relative(difference: Array, reference: Array) -> float:
     return float(np.sqrt((difference**2).sum() / (reference**2).sum()))
+
+
+def test_every_item_is_named_where_users_look() -> None:
+    keep = inspect.signature(command).parameters["keep"].annotation.__metadata__[0]
+    for item in baking.ITEMS:
+        assert item in keep.help
+        assert f'"{item}"' in str(bake.__doc__)
 
 
 @pytest.mark.parametrize("arguments", [{"error": 0.03}, {"samples": 32}])

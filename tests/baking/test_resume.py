@@ -119,7 +119,7 @@ def test_a_kill_while_finished_blocks_are_removed(
 ) -> None:
     # Two passes, the second of which needs the blocks of the first: a mixture of both cannot be resumed.
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 32)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 32)
     out, whole, left = tmp_path / "a.h5", tmp_path / "whole.h5", [removed]
     unlink, glob = Path.unlink, Path.glob
     arguments = {**SMALL, "error": 0.03}
@@ -192,7 +192,7 @@ def test_a_disk_too_full_for_the_asset_loses_no_block(tmp_path: Path, monkeypatc
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as during:
-        during.setattr("formats.asset.file.AssetFile.close", full)
+        during.setattr("formats.asset.asset_file.AssetFile.close", full)
         with pytest.raises(StorageError, match="disk is full"):
             bake(Incoherent(), icosphere(0), **SMALL, out=out)
     baked: list[int] = []
@@ -206,7 +206,7 @@ def test_resuming_with_another_transport_of_the_same_class_raises(
     tmp_path: Path, arguments: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("bakers.baker.block_size", lambda task: 8)
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 8 * 32)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 8 * 32)
     out, calls = tmp_path / "mixed.h5", iter([False] * 2 + [True] * 100)
     stopped = bake(Lobed(8.0), icosphere(1), **SMALL, **arguments, out=out, stop=lambda: next(calls))  # type: ignore[arg-type]
     assert not stopped.complete
@@ -220,7 +220,7 @@ def test_a_stopped_finer_pass_keeps_its_blocks(tmp_path: Path, monkeypatch: pyte
     """A complete coarse asset exists by then, but its error is larger than requested."""
     out, whole, arguments = tmp_path / "a.h5", tmp_path / "whole.h5", {"rings": 4, "sectors": 16, "error": 0.05}
     bake(Incoherent(), icosphere(1), **arguments, out=whole).close()
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     monkeypatch.setattr("prt_bake.baking.adaptive.run.MANY", 1)
 
     def kept(stage: str) -> int:

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
-import prt_bake.baking.adaptive.noise_pilot
+import prt_bake.baking.adaptive.adaptive_job
 from formats.errors import ClusterError, StorageError
 from prt_bake import bake
 from tests.bakers.transports import icosphere
@@ -28,7 +28,7 @@ from tests.baking.test_cluster import Processes, after_first_block
 from tests.baking.test_resume import GROUPS, contents
 
 SMALL = {"rings": 2, "sectors": 16}
-FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset.file.AssetFile.close"}
+FULL = {"for a block": "formats.journal.np.savez", "for the asset": "formats.asset.asset_file.AssetFile.close"}
 """The function that fails on a full disk."""
 SUBDIVISIONS, PAUSE = 2, 5e-7
 """Subdivisions of the mesh (162 vertices), and least seconds of an evaluation."""
@@ -107,7 +107,7 @@ def _finished(out: Path, kind: str, block: int) -> float:
 def small_blocks() -> Iterator[None]:
     """Blocks of five vertices."""
     with (
-        mock.patch.object(prt_bake.baking.adaptive.noise_pilot, "BINS_AT_ONCE", 5 * 32),
+        mock.patch.object(prt_bake.baking.adaptive.adaptive_job, "BINS_AT_ONCE", 5 * 32),
         mock.patch("bakers.baker.vertices_at_once", return_value=5),
     ):
         yield

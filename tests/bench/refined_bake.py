@@ -22,7 +22,8 @@ from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.transport import on_mesh, prepared, up_to
 from formats.mesh import read_mesh
 from prt_bake import bake
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.pass_settings import refined_block
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot

@@ -76,7 +76,7 @@ def main() -> None:
     measure("tolerances", prt_bake.baking.adaptive.run, "settings_for_error")
     measure("packing", formats.asset.chunk_writer, "_compress")
     measure("journal", Journal, "write")
-    measure("asset written", prt_bake.baking.adaptive.run, "_write")
+    measure("asset written", prt_bake.baking.adaptive.run, "write_asset")
     mesh = read_mesh(args.mesh)
     transport = open_source(args.model, mesh, "cpu", None)
     with tempfile.TemporaryDirectory() as folder, timed("total"):

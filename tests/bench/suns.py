@@ -26,12 +26,12 @@ from prt_bake.geometry import camera
 from prt_bake.lights.deringing import windowed
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
-from prt_bake.lights.suns import split_lighting
+from prt_bake.lights.sun_detection import split_lighting
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.directions import fibonacci
 from prt_bake.shading import vertices
 from prt_bake.shading.maximum_entropy import fit_maximum_entropy
-from prt_bake.shading.suns import interpolated_coefficients
+from prt_bake.shading.sun_shading import interpolated_coefficients
 from prt_bake.shipped.demonstration import SHIPPED
 
 Array = NDArray[np.float64]

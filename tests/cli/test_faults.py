@@ -49,7 +49,9 @@ def _nan_vertices(folder: Path, path: Path) -> None:
 
 
 def _flat_faces(folder: Path, path: Path) -> None:
-    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\nf 1 2 2\n")
+    """The last face closes the gap between the first, along the edge 1 2, and two that meet in its middle."""
+    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 0.5 0 0\n"
+    path.write_text(vertices + "f 1 3 2\nf 1 5 4\nf 5 2 4\nf 1 4 3\nf 2 3 4\nf 1 2 5\n")
 
 
 def _image_with(value: float) -> Write:
@@ -90,6 +92,7 @@ BAD: dict[str, tuple[str, Write]] = {
     "truncated mesh": ("mesh.ply", _truncated("sphere.ply")),
     "not a mesh": ("mesh.ply", _text),
     "not a glTF": ("mesh.glb", _text),
+    "not an STL": ("mesh.stl", _text),
     "NaN pixel": ("sky.exr", _image_with(np.nan)),
     "infinite pixel": ("sky.exr", _image_with(np.inf)),
     "negative pixel": ("sky.exr", _image_with(-1.0)),
@@ -105,7 +108,7 @@ BAD: dict[str, tuple[str, Write]] = {
     "not an asset": ("asset.h5", _text),
     **{
         f"empty {suffix}": (f"empty{suffix}", _empty)
-        for suffix in (".toml", ".ply", ".obj", ".exr", ".hdr", ".pt", ".h5")
+        for suffix in (".toml", ".ply", ".obj", ".stl", ".exr", ".hdr", ".pt", ".h5")
     },
     **{f"missing {suffix}": (f"none{suffix}", _nothing) for suffix in (".toml", ".ply", ".exr", ".hdr", ".pt", ".h5")},
     **{f"folder {suffix}": (f"dir{suffix}", _folder) for suffix in (".toml", ".ply", ".exr", ".hdr", ".pt", ".h5")},
@@ -115,6 +118,7 @@ COMMAND_OF_SUFFIX = {
     ".toml": ["bake", "BAD", "sphere.ply", "-o", "OLD"],
     ".ply": ["bake", "model.pt", "BAD", "-o", "OLD"],
     ".obj": ["bake", "model.pt", "BAD", "-o", "OLD"],
+    ".stl": ["bake", "model.pt", "BAD", "-o", "OLD"],
     ".glb": ["bake", "model.pt", "BAD", "-o", "OLD"],
     ".exr": ["shade", "asset.h5", "--light", "BAD", "-o", "OLD"],
     ".hdr": ["shade", "asset.h5", "--light", "BAD", "-o", "OLD"],

@@ -25,7 +25,7 @@ sys.path[:0] = {path!r}
 import os, signal
 from prt_bake import bake
 from formats.journal import Journal
-from prt_bake.baking.adaptive import noise_pilot, run
+from prt_bake.baking.adaptive import adaptive_job, run
 from tests.bakers.transports import Incoherent, icosphere
 from tests.baking.loose_pilot import loose_settings
 write, remaining = Journal.write, [{blocks}]
@@ -35,7 +35,7 @@ def write_or_die(self, name, arrays):
     if remaining[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
 Journal.write = write_or_die
-noise_pilot.BINS_AT_ONCE = 5 * 64
+adaptive_job.BINS_AT_ONCE = 5 * 64
 run.settings_for_error = loose_settings
 bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.05, out={out!r})
 """
@@ -58,7 +58,7 @@ def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndar
     """The contents of an uninterrupted bake of two passes."""
     out = tmp_path_factory.mktemp("uninterrupted") / "asset.h5"
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+        patched.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
         patched.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
         with bake(Incoherent(), icosphere(1), **BLOCKS, out=out, workers=2) as asset:
             assert asset.provenance["refinement"]["passes"] == 2
@@ -76,7 +76,7 @@ def test_a_killed_and_resumed_bake_equals_an_uninterrupted_one(
     assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     journal = tmp_path / "killed.h5.journal"
     assert sum(not path.name.startswith("aim") for path in journal.glob("*.npz")) == blocks
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     evaluated: list[int] = []
 
@@ -97,7 +97,7 @@ def test_a_killed_and_resumed_bake_equals_an_uninterrupted_one(
 
 def test_a_bake_with_changed_settings_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = tmp_path / "asset.h5"
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     calls = iter([False] * 2 + [True] * 100)
     part = bake(Incoherent(), icosphere(1), **BLOCKS, out=out, stop=lambda: next(calls))
     assert not part.complete
@@ -114,7 +114,7 @@ def test_a_full_disk_is_reported_and_loses_no_block(tmp_path: Path, monkeypatch:
     out = tmp_path / "asset.h5"
     bake(Incoherent(), icosphere(1), rings=4, sectors=16, error=0.2, out=out)
     before = out.read_bytes()
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     save, left = np.savez, [4]
 
     def full(file: object, **arrays: object) -> None:

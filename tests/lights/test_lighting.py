@@ -10,10 +10,9 @@ from formats.errors import ImageError, LightError, QueryError, StorageError
 from formats.image import write_image
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights import environment
-from prt_bake.lights.emitters import BrightSky, Disc, LightSampler, plan_light, split_sky
+from prt_bake.lights.emitters import BrightSky, Connections, Disc, LightSampler, plan_light, split_sky
 from prt_bake.lights.lighting import Lighting, Sky, in_disc, radiance, read_lighting, solid_angle
 from prt_bake.mathematics.random import uniforms
-from prt_bake.tracer.light_samples import Connections
 from tests.mathematics.sampling import SphereCells, assert_counts_follow, assert_mean_is
 
 WORTH = Connections(variance=0.8, cost=1.5)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from formats.scene.lights import DirectionalLight
-from prt_bake.lights import environment, suns
+from prt_bake.lights import environment, sun_detection
 from prt_bake.lights.lighting import Lighting, Sky
 from prt_bake.lights.skies.bright_sources import find_bright_sources
-from prt_bake.lights.suns import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
+from prt_bake.lights.sun_detection import MOST_SUNS, WIDEST, SplitSky, split_lighting, split_suns
 from prt_bake.mathematics import sphere
 
 TURN = sphere.random_rotations(1, 8)[0]
@@ -70,7 +70,7 @@ def test_cells_are_means_over_solid_angle(shape: tuple[int, int]) -> None:
     rows, columns = (np.arange(n + 1).astype(np.longdouble) / n for n in (min(shape[0], 128), min(shape[1], 256)))
     down = overlaps(np.sin(height * np.pi / 2) ** 2, np.sin(rows * np.pi / 2) ** 2)
     expected = down @ image.mean(axis=2, dtype=np.longdouble) @ overlaps(width, columns).T
-    np.testing.assert_allclose(suns._grid_of(image).grey, expected.astype(np.float64), rtol=1e-12)
+    np.testing.assert_allclose(sun_detection._grid_of(image).grey, expected.astype(np.float64), rtol=1e-12)
 
 
 @pytest.mark.parametrize("shape", [(512, 1024), (256, 512), (200, 300), (90, 777)])

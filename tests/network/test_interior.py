@@ -293,7 +293,10 @@ def test_a_network_on_its_mesh_uses_the_normals_of_the_mesh(kind: str) -> None:
 
 def test_a_bake_uses_the_normals_of_its_mesh() -> None:
     mesh = ball(1)
-    network = NeuralBSSRDF(RAY_SETTINGS, (-1.0,) * 3, 2.0, 0.1, {"eta": 1.3}, half_space(eta=1.3))
+    nodes = np.linalg.norm(np.indices((31, 31, 31)) * 0.04 - 0.6, axis=0)  # in box sides, as the spacing of 0.04
+    levels = np.clip(np.rint((0.5 - nodes) * LEVELS / (REACH * 0.04)), -LEVELS, LEVELS)
+    inside = Interior(levels[None].astype(np.int8), (-0.1, -0.1, -0.1), 0.04, (3.0,), 1.3)
+    network = NeuralBSSRDF(RAY_SETTINGS, (-1.0,) * 3, 2.0, 0.1, {"eta": 1.3}, inside)
     asset = bake(network, mesh, rings=2, sectors=4, samples=16)
     bound = bake(network.on(mesh), mesh, rings=2, sectors=4, samples=16)
     np.testing.assert_array_equal(asset.coefficients, bound.coefficients)

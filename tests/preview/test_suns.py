@@ -17,7 +17,7 @@ from prt_bake.preview.lights import LightSource
 from prt_bake.preview.refinement import facing, is_closed
 from prt_bake.preview.state import Mode, Preview
 from prt_bake.shading.picture import shade
-from prt_bake.shading.suns import suns_apart
+from prt_bake.shading.sun_shading import suns_apart
 from prt_bake.shading.vertices import shade_vertices
 from tests.preview.windows import bare_picture, drag, open_window, press, slide, write_sky
 from tests.shading.test_picture import make_asset, painted_sky

@@ -101,7 +101,7 @@ def test_the_centre_of_a_bin_gives_that_bin() -> None:
 @pytest.mark.parametrize("storage", ["float32", "float16"])
 def test_an_open_file_is_shaded_like_the_array_in_it(tmp_path, monkeypatch, storage) -> None:
     """With small chunks, few chunks at a time, and vertices in some of them."""
-    monkeypatch.setattr("formats.asset.file._CHUNK_BYTES", 8_000)
+    monkeypatch.setattr("formats.asset.asset_file._CHUNK_BYTES", 8_000)
     monkeypatch.setattr("prt_bake.shading.reconstruction._BYTES_AT_ONCE", 30_000)
     asset = make_asset(ball(2), storage=storage, valid=np.arange(66) % 7 != 0)
     write_asset(asset, tmp_path / "asset.h5")

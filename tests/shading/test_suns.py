@@ -14,13 +14,13 @@ from formats.errors import QueryError
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, Sky
-from prt_bake.lights.suns import WIDEST
+from prt_bake.lights.sun_detection import WIDEST
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.view_frames import ViewFrames
 from prt_bake.shading import vertices as vertex_shading
 from prt_bake.shading.picture import render_picture, shade, shade_vertices
 from prt_bake.shading.radiance_error import radiance_error
-from prt_bake.shading.suns import interpolated_coefficients, sun_gradient, sun_radiance, suns_apart
+from prt_bake.shading.sun_shading import interpolated_coefficients, sun_gradient, sun_radiance, suns_apart
 from tests.lights.test_suns import SUNNY, TURN, clouds, disc
 from tests.shading.test_picture import front, make_asset
 from tests.shapes import ball
@@ -203,7 +203,7 @@ def test_coefficients_are_interpolated_equally_from_memory_and_files(tmp_path, m
     vertices = np.array([3, 4, 20, 65])
     at = vertex_shading.eye_bin_coordinates(asset, EYE, vertices)
     inside = interpolated_coefficients(asset, vertices, at)
-    monkeypatch.setattr("prt_bake.shading.suns._BYTES_AT_ONCE", 20_000)
+    monkeypatch.setattr("prt_bake.shading.sun_shading._BYTES_AT_ONCE", 20_000)
     np.testing.assert_array_equal(interpolated_coefficients(opened, vertices, at), inside)
     light = np.random.default_rng(1).random((9, 3))
     expected = shade(asset, light, EYE)[vertices]

@@ -18,7 +18,7 @@ from prt_bake.reflection.finish import SurfacePoints
 from prt_bake.reflection.microfacet import fresnel, mirrored
 from prt_bake.reflection.reflector import Reflector
 from prt_bake.shading.picture import render_picture, shade
-from prt_bake.shading.suns import SunTreatment
+from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
 from prt_bake.shading.visible_points import VisiblePoints
 from tests.shading.test_picture import constant, front, make_asset
@@ -283,6 +283,11 @@ def test_roughness_of_a_texture_is_local() -> None:
     assert equal[1][:, 22:].all()
     with pytest.raises(QueryError, match="no texture coordinates"):
         render_picture(glossy(ring()), constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
+    unusable = np.where(left[:, None], np.nan, mesh.uv)
+    damaged = glossy(dataclasses.replace(mesh, uv=unusable, corner_uv=None))
+    with pytest.raises(QueryError, match="corners of faces have texture coordinates that are not finite"):
+        render_picture(damaged, constant(), front(), reflection=True, roughness=np.array([[0.2, 0.6]]))
+    assert render_picture(damaged, constant(), front(), reflection=True, roughness=0.2).reflects
 
 
 @pytest.mark.parametrize("suns", ["split", "window", "plain"])

@@ -245,3 +245,13 @@ class TestRefusedArguments:
             estimate_transport(scene, positions[:2], outgoing, outgoing, paths=10)
         with pytest.raises(QueryError, match="paths"):
             estimate_coefficients(scene, positions, outgoing, paths=1)
+
+
+def test_walks_that_all_carry_the_same_leave_no_error(tmp_path):
+    """Every walk leaves a white polished ball; it carries the share that was refracted at the first interface."""
+    scene = make_scene(tmp_path, sphere(2), eta=2.5, albedo=1.0, sigma_t=50.0)
+    positions, outgoing, _ = queries(scene.mesh, 24, seed=1)
+    found = estimate_coefficients(scene, positions, outgoing, 0, paths=300, seed=3)
+    assert np.ptp(found.mean, axis=2).max() == 0.0
+    assert found.standard_error.max() < 1e-6 * found.mean.min()
+    assert found.reliable.all()

@@ -148,14 +148,21 @@ def test_duplicate_vertices_are_merged(tmp_path: Path) -> None:
 
 def test_broken_meshes_are_refused_with_a_reason(tmp_path: Path) -> None:
     ball = sphere(1)
-    flat = build_mesh(ball.positions, np.concatenate([ball.faces, [[0, 1, 0]]]))
+    flat = _with_sliver(ball)
     doubled = build_mesh(ball.positions, np.concatenate([ball.faces, ball.faces[:2]]))
     twice = build_mesh(np.tile(ball.positions, (2, 1)), np.concatenate([ball.faces, ball.faces + len(ball.positions)]))
     torn = build_mesh(ball.positions, np.concatenate([ball.faces[1:], ball.faces[:1, ::-1]]))
-    _refused(tmp_path / "flat", flat, MeshError, "1 of 81 faces have no area, the first is face 80")
-    _refused(tmp_path / "doubled", doubled, SceneError, "not closed: 6 edges are not shared by exactly two faces")
-    _refused(tmp_path / "twice", twice, SceneError, "not closed: 120 edges are not shared by exactly two faces")
-    _refused(tmp_path / "torn", torn, SceneError, "3 edges between faces of opposite winding")
+    _refused(tmp_path / "flat", flat, MeshError, "1 of 82 faces have no area, the first is face 81")
+    _refused(tmp_path / "doubled", doubled, SceneError, "does not bound a solid: 2 faces lie on other faces")
+    _refused(tmp_path / "twice", twice, SceneError, "does not bound a solid: 80 faces lie on other faces")
+    _refused(tmp_path / "torn", torn, SceneError, "3 edges lie between faces of opposite winding")
+
+
+def _with_sliver(mesh: Mesh) -> Mesh:
+    """A face divided at the middle of its first edge, and a face without area between it and its neighbour."""
+    (a, b, c), middle = mesh.faces[0], len(mesh.positions)
+    positions = np.concatenate([mesh.positions, 0.5 * (mesh.positions[[a]] + mesh.positions[[b]])])
+    return build_mesh(positions, np.concatenate([mesh.faces[1:], [[a, middle, c], [middle, b, c], [a, b, middle]]]))
 
 
 def _refused(folder: Path, mesh: Mesh, error: type[Exception], message: str) -> None:
@@ -169,3 +176,22 @@ def test_inverted_object_is_flipped(tmp_path: Path) -> None:
     scene: Scene = make_scene(tmp_path, build_mesh(ball.positions, ball.faces[:, ::-1]), albedo=1.0)
     assert scene.flipped
     assert_furnace(scene, *queries(ball, 6, 3)[:2], paths=32)
+
+
+def test_cubes_that_touch_along_an_edge_are_traced_as_two(tmp_path: Path) -> None:
+    """Unscattered light through one of them, and close to the shared edge through both and the gap between them."""
+    cube = slab(1.0)
+    other = moved(cube, 1.0, [1.0, 1.0, 0.0])
+    both = build_mesh(
+        np.concatenate([cube.positions, other.positions]),
+        np.concatenate([cube.faces, other.faces + len(cube.positions)]),
+    )
+    scene = make_scene(tmp_path, both, sigma_t=0.7, albedo=1.0)
+    assert len(scene.mesh.positions) == 14
+    right, diagonal = [1.0, 0.0, 0.0], [np.sqrt(0.5), np.sqrt(0.5), 0.0]
+    positions = [[0.5, 0.1, 0.2], [1.5, 0.9, 0.1], [1.5, 0.51, -0.3], [1.5, 1.4, 0.1], [1.5, 1.5 - 1e-3, 0.1]]
+    outgoing = np.array([right, right, right, diagonal, diagonal])
+    estimate = estimate_transport(scene, positions, outgoing, outgoing, 64, 1)
+    lengths = np.array([1.0, 1.0, 1.0, 2 * np.sqrt(2.0) * 0.9, 2 * np.sqrt(2.0) * 0.999])
+    np.testing.assert_allclose(estimate.unscattered, np.exp(-0.7 * lengths), rtol=1e-5)
+    assert_furnace(scene, np.array(positions), outgoing, paths=64)

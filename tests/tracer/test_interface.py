@@ -17,7 +17,7 @@ from prt_bake.tracer.surface.interface import (
     SMOOTH,
     fresnel,
     masking,
-    microfacet_density,
+    microfacet_distribution,
     microfacet_transport,
     rough_density,
     sample_interface,
@@ -80,7 +80,7 @@ def microfacet_densities(alpha, i, m):
     for n in range(len(m)):
         cosine = i[0] * m[n, 0] + i[1] * m[n, 1] + i[2] * m[n, 2]
         result = max(0.0, cosine) if m[n, 2] > 0.0 else 0.0
-        values[n] = masking(i[2], alpha) * result * microfacet_density(m[n, 2], alpha) / i[2]
+        values[n] = masking(i[2], alpha) * result * microfacet_distribution(m[n, 2], alpha) / i[2]
     return values
 
 
@@ -174,7 +174,7 @@ def test_microfacets_project_to_the_plane(alpha):
     def integrand(s):
         slope = alpha**2 * math.expm1(s)
         cosine = 1 / math.sqrt(1 + slope)
-        return math.pi * microfacet_density(cosine, alpha) * cosine**4 * alpha**2 * math.exp(s)
+        return math.pi * microfacet_distribution(cosine, alpha) * cosine**4 * alpha**2 * math.exp(s)
 
     assert quad(integrand, 0.0, 40.0, epsabs=1e-13)[0] == pytest.approx(1.0, abs=1e-10)
 

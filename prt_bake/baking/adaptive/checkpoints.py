@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinedBlock
 from prt_bake.baking.adaptive.pass_settings import LATTICES, PassSettings
-from prt_bake.baking.output.checkpoint import CheckpointStore
+from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
 ClampedBlock = tuple[RefinedBlock, int]
 """A block and the number of its bins that were clamped to the horizon."""
@@ -39,14 +39,14 @@ class PassCheckpoints:
         ]
         if interpolation is not None:
             values += [interpolation.spacing, float(interpolation.bins)]
-        tolerances, name = np.array(values, np.float64), f"aim-{self.number:02d}"
+        tolerances, name = np.array(values, np.float64), f"settings-{self.number:02d}"
         known = self.store.read(name)
         if known is not None and np.array_equal(known["tolerances"], tolerances):
             return
         self.forget_blocks()
         self.forget_evaluated()
         self.store.forget(f"done-{self.number:02d}")
-        self.store.write(name, {"tolerances": tolerances, "at_once": np.asarray(block_vertices)})
+        self.store.write(name, {"tolerances": tolerances, "block_vertices": np.asarray(block_vertices)})
 
     def write(self, first: int, block: RefinedBlock, clamped: int) -> None:
         """Stores a block."""
@@ -104,7 +104,7 @@ class PassCheckpoints:
 
     def _read(self, name: str) -> ClampedBlock | None:
         arrays = self.store.read(name)
-        return None if arrays is None else (RefinedBlock.from_arrays(arrays), int(arrays["bent"]))
+        return None if arrays is None else (RefinedBlock.from_arrays(arrays), int(arrays["clamped"]))
 
     def _firsts(self, kind: str) -> list[int]:
         prefix = kind + self._name("")
@@ -113,4 +113,4 @@ class PassCheckpoints:
 
 def as_arrays(block: RefinedBlock, clamped: int) -> dict[str, NDArray[Any]]:
     """The arrays that a checkpoint of the block holds."""
-    return block.as_arrays() | {"bent": np.asarray(clamped)}
+    return block.as_arrays() | {"clamped": np.asarray(clamped)}

@@ -11,16 +11,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bakers.adaptive.records import METHODS, RefinedBlock, RefinementSettings, ValidationSamples, joined
+from bakers.adaptive.records import FROM_VERTICES, RefinedBlock, RefinementSettings, ValidationSamples, joined
 from bakers.adaptive.refinement import refine
 from bakers.adaptive.vertex_interpolation import Parents
 from bakers.adaptive.vertex_validation import validation_errors, validation_samples
 from bakers.error_covariance import concatenated
 from bakers.workers import Workers
 from formats.asset.error_covariance import ErrorCovariance
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import Interpolation, tested_bins
 
 Array = NDArray[np.float64]
@@ -39,11 +39,7 @@ class EvaluatedVertices:
     """The evaluated vertices of all blocks, read from the checkpoints when they are needed."""
 
     def __init__(
-        self,
-        job: AdaptiveJob,
-        interpolation: Interpolation,
-        checkpoints: PassCheckpoints,
-        most_bytes: int = 1 << 28,
+        self, job: AdaptiveJob, interpolation: Interpolation, checkpoints: PassCheckpoints, most_bytes: int = 1 << 28
     ) -> None:
         """Keeps at most `most_bytes` of coefficients in memory."""
         self._checkpoints, self._lock, self._most_bytes = checkpoints, Lock(), most_bytes
@@ -175,7 +171,7 @@ def _as_block(
         coefficients.astype(np.float32),
         np.sqrt(variance).astype(np.float32),
         np.zeros(variance.shape, np.uint16),
-        np.full(variance.shape, METHODS.index("nearby"), np.uint8),
+        np.full(variance.shape, FROM_VERTICES, np.uint8),
         np.ones(len(variance), np.float32),
         covariance.covariance,
         covariance.channels,

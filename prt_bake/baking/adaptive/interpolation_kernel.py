@@ -1,4 +1,4 @@
-"""Kernel for vertex interpolation, equivalent to `bakers.adaptive.vertex_interpolation.interpolated`."""
+"""Kernel for the interpolation of vertices (`bakers.adaptive.vertex_interpolation`)."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ Array = NDArray[np.float64]
 def interpolated_from(
     known: NDArray[np.float32], indices: NDArray[np.int64], parents: Parents, row: int
 ) -> tuple[Array, Array]:
-    """Interpolated values [R·S,C] of the vertex in that row of `parents`, and their variance [R·S].
+    """Interpolated values [R·S,C] of the vertex in that row of `parents`, and their variance [R·S], mean over C.
 
+    The variance is estimated from the residuals of the fit: the parents' noise, and what is not quadratic about them.
     known: [G,R,S,C] over rings and sectors. indices: [P] of the vertex's parents in `known`.
     """
     rings, sectors, width = known.shape[1:]

@@ -1,8 +1,7 @@
-"""The job of an adaptive bake, and a first pilot: the noise of fits over direction lattices, and what these miss."""
+"""First pilot of an adaptive bake: the noise of fits over direction lattices, and the detail that these miss."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,16 +9,23 @@ from numpy.typing import NDArray
 from bakers.adaptive.lattice_noise import DEFAULT_SLOPE, LatticeNoise, fit_lattice_noise
 from bakers.adaptive.lattice_pools import Pools
 from bakers.adaptive.nested_lattice import NestedLattice
-from bakers.adaptive.principal_components import PROBE_STAGES
 from bakers.adaptive.records import RefinementSettings
-from bakers.adaptive.view_levels import Level, view_levels
-from bakers.adaptive.view_survey import FULL_LEVELS, ViewSurvey
+from bakers.adaptive.view_levels import view_levels
+from bakers.adaptive.view_survey import FULL_LEVELS
 from bakers.evaluation import values_at
 from bakers.workers import SINGLE_THREAD, Workers
 from formats.errors import QueryError
-from formats.mesh import Mesh
-from prt_bake.baking.job.lattices import drawn, lattice_for, pair_turns, pools_for, validation_bins, vertex_turns
-from prt_bake.baking.job.views import Views
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.survey import survey_views
+from prt_bake.baking.job.lattices import (
+    lattice_for,
+    pair_rotations,
+    pools_for,
+    sample_without_replacement,
+    validation_bins,
+    vertex_rotations,
+)
+from prt_bake.baking.job.provenance import not_finite
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.view_frames import mesh_view_frames
 
@@ -33,15 +39,7 @@ DARK = 0.01
 """Share of the root mean square coefficient of the object, or of its median vertex if that is less. Errors of darker
 vertices are relative to this value.
 """
-BINS_AT_ONCE, FEWEST_AT_ONCE, MOST_AT_ONCE = 1 << 15, 1 << 12, 1024
-"""Most and fewest bins of a block, the latter with many workers; and most vertices of a block."""
-BLOCKS_PER_WORKER = 4
-"""Least number of blocks per worker, so that workers finish at about the same time."""
-MANY = 1 << 18
-"""Bins of an object for which a pilot is a small part of the cost."""
 VALIDATION_SHARE, FEWEST_VALIDATION_BINS, MOST_VALIDATION_BINS = 0.008, 64, 4096
-SURVEY_SHARE, MOST_SURVEYED = 10, 32
-"""The survey evaluates all bins of one in `SURVEY_SHARE` vertices, and of at most `MOST_SURVEYED`."""
 HOPELESS = 4.0
 """The error is out of reach if the largest number of directions leaves more than this many times as much."""
 FLOAT32_RANGE = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
@@ -51,70 +49,20 @@ MISSED = 20.0
 """Squared error over its stated variance above which bins miss detail of the light."""
 
 
-@dataclass(frozen=True)
-class AdaptiveJob:
-    """Transport, vertices, view bins and degree of an adaptive bake."""
-
-    transport: Any
-    mesh: Mesh
-    vertices: Index
-    """Indices of the vertices that are baked."""
-    views: Views
-    local: Array
-    """View bins [B,3] in the local frame."""
-    degree: int
-    seed: int
-    grid: tuple[int, int] | None = None
-    """Rings and sectors, if `local` holds all of their bins."""
-    at_once: int | None = None
-    """Vertices of a block; None: as `vertices_at_once` chooses."""
-
-    @property
-    def bins(self) -> int:
-        """View bins of a vertex."""
-        return len(self.local)
-
-    @property
-    def many(self) -> int:
-        """View bins of all vertices."""
-        return self.bins * len(self.vertices)
-
-    @property
-    def block_vertices(self) -> int:
-        """Vertices of a block."""
-        return self.at_once or vertices_at_once(len(self.vertices), self.bins, 1)
-
-    @property
-    def blocks(self) -> range:
-        """Index into `vertices` of the first vertex of each block."""
-        return range(0, len(self.vertices), self.block_vertices)
-
-    def block(self, first: int) -> Index:
-        """The vertices of a block."""
-        return self.vertices[first : first + self.block_vertices]
-
-
-def vertices_at_once(vertices: int, bins: int, workers: int) -> int:
-    """Vertices of a block: large blocks, but enough of them for all workers."""
-    largest = int(np.clip(BINS_AT_ONCE // bins, 1, MOST_AT_ONCE))
-    fair = -(-vertices // (BLOCKS_PER_WORKER * workers)) if workers > 1 else largest
-    return min(largest, max(fair, FEWEST_AT_ONCE // bins, 1))
-
-
 def first_refinement(job: AdaptiveJob, workers: Workers = SINGLE_THREAD) -> tuple[RefinementSettings, int]:
     """Refinement settings without tolerances, from the measured noise of fits; and the evaluations of this pilot."""
-    lattice, pools = lattice_for(job.degree), pools_for(job.degree, job.seed)
+    lattice, pools, levels = lattice_for(job.degree), pools_for(job.degree, job.seed), view_levels(job.local)
     noise, pool_noise, squares, residual, noise_cost = _measure_noise(job, lattice, pools)
     missed, finest, missed_cost = _measure_missed_detail(job, lattice, noise)
-    levels = view_levels(job.local)
     usual = float(np.sqrt(squares.mean()))
-    survey, squares, survey_cost = _survey(job, lattice, levels, squares, workers)
+    survey, by_vertex, survey_cost = survey_views(job, lattice, levels, DARK * usual, workers)
+    squares = by_vertex if len(by_vertex) else squares
     # If a few vertices outshine all others, nearly all vertices are dark compared with the mean.
     typical = float(np.sqrt(np.median(squares[squares > 0.0]))) if squares.any() else 0.0
     return RefinementSettings(
         levels=levels,
         lattice=lattice,
-        rotations=vertex_turns(job.seed),
+        rotations=vertex_rotations(job.seed),
         rotate=partial(sh.rotations, degree=job.degree),
         noise=noise,
         pools=pools,
@@ -148,16 +96,13 @@ def _measure_noise(
     residual of the fits, and evaluations. Random bins are fitted over two lattices each of several sizes.
     """
     few = int(np.clip(job.many // 2048, FEWEST_NOISE_BINS, MOST_NOISE_BINS))
-    bins = drawn(job.seed + 2, job.many, min(few, job.many))
+    bins = sample_without_replacement(job.seed + 2, job.many, min(few, job.many))
     shared = [_pair(job, lattice, size, bins) for size in lattice.sizes[:2]]
     pooled = [_pooled_pair(job, pools, size, bins) for size in pools.sizes[2:7:2]]
     parts = [np.array([pair[part] for pair in shared + pooled]) for part in (1, 2)]
     finite = np.isfinite(parts).all(axis=(0, 1))
     if not finite.any():
-        raise QueryError(
-            f"{type(job.transport).__name__}: expected finite values, found NaN or infinite ones at all "
-            f"{len(bins)} view bins of a pilot"
-        )
+        raise not_finite(job.transport, f"{len(bins)} view bins of a pilot")
     residuals, squared = (part[:, finite] for part in parts)
     sizes = tuple(pools.sizes[2:7:2])
     pool_noise = fit_lattice_noise([4.0 * np.pi / size for size in sizes], sizes, residuals[2:], squared[2:])
@@ -182,16 +127,16 @@ Pair = tuple[Array, Array, Array]
 def _pair(job: AdaptiveJob, lattice: NestedLattice, size: int, bins: Index) -> Pair:
     fits = []
     for which in (0, 1):
-        turns = pair_turns(job.seed, size, which, bins)
-        values = _values_at_bins(job, lattice.directions[:size], turns, bins)
+        rotations = pair_rotations(job.seed, size, which, bins)
+        values = job.values_at_bins(lattice.directions[:size], rotations, bins)
         own, residual = lattice.fitted(values, lattice.sizes.index(size))
-        fits.append((sh.rotations(turns, job.degree) @ own.reshape(len(bins), -1, 3), residual))
+        fits.append((sh.rotations(rotations, job.degree) @ own.reshape(len(bins), -1, 3), residual))
     return _mean_of(fits)
 
 
 def _pooled_pair(job: AdaptiveJob, pools: Pools, size: int, bins: Index) -> Pair:
     fits, pool = [], pools.of(size)
-    vertices, outgoing = _vertices_and_views(job, bins)
+    vertices, outgoing = job.vertices_and_views(bins)
     for which in (1, 2):
         copies = pools.copies(size, vertices, bins, which)
         values = values_at(job.transport, pool.incident, copies, job.mesh.positions[vertices], outgoing)
@@ -213,7 +158,7 @@ def refuse_out_of_reach(job: AdaptiveJob, refinement: RefinementSettings, error:
     if refinement.finest_error <= error:
         return 0
     size = refinement.pools.sizes[-1]
-    bins = drawn(job.seed + 5, job.many, min(REFERENCE_BINS, job.many))
+    bins = sample_without_replacement(job.seed + 5, job.many, min(REFERENCE_BINS, job.many))
     coefficients, _residual, squared = _pooled_pair(job, refinement.pools, size, bins)
     signal = _finite_mean(coefficients**2)
     left = float(np.sqrt(_finite_mean(squared) / signal)) if signal > 0.0 else 0.0
@@ -236,10 +181,10 @@ def _measure_missed_detail(job: AdaptiveJob, lattice: NestedLattice, noise: Latt
     relative error of the largest size; and evaluations. Compares with a few bins in many directions, because the
     residual of a fit does not show what its lattice missed.
     """
-    bins = drawn(job.seed + 3, job.many, min(REFERENCE_BINS, job.many))
+    bins = sample_without_replacement(job.seed + 3, job.many, min(REFERENCE_BINS, job.many))
     step = next((s for s, size in enumerate(lattice.sizes) if size >= REFERENCE_DIRECTIONS), len(lattice.sizes) - 1)
-    values = _values_at_bins(
-        job, lattice.directions[: lattice.sizes[step]], pair_turns(job.seed, REFERENCE_DIRECTIONS, 2, bins), bins
+    values = job.values_at_bins(
+        lattice.directions[: lattice.sizes[step]], pair_rotations(job.seed, REFERENCE_DIRECTIONS, 2, bins), bins
     )
     reference, _residual = lattice.fitted(values, step)
     missed, finest, signal = np.zeros(len(lattice.sizes)), 0.0, _finite_mean(reference**2)
@@ -257,57 +202,3 @@ def _finite_mean(values: Array) -> float:
     """The mean of the finite values; nan if there are none."""
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else float("nan")
-
-
-def _survey(
-    job: AdaptiveJob, lattice: NestedLattice, levels: list[Level], squares: Array, workers: Workers
-) -> tuple[ViewSurvey | None, Array, int]:
-    """Evaluates all bins of a few vertices in few directions, if bins will be interpolated. Returns the survey, mean
-    square coefficients of these vertices (without a survey, `squares`), and evaluations.
-    """
-    if len(levels) <= FULL_LEVELS + 1:
-        return None, squares, 0
-    count = int(np.clip(len(job.vertices) // SURVEY_SHARE, 1, MOST_SURVEYED))
-    chosen = np.sort(drawn(job.seed + 4, len(job.vertices), count))
-    results = list(workers.in_order(lambda place: workers.do(_survey_vertex, (job, lattice), int(place)), chosen))
-    coefficients = np.stack([each for each, _energies in results], axis=1)
-    finite = np.isfinite(coefficients).all(axis=(0, 2))
-    energies = np.stack([each for _coefficients, each in results])[finite].sum(axis=0)
-    left = max(float(energies[PROBE_STAGES[0][1] :].sum() / energies.sum()), 0.0) if energies.sum() > 0.0 else 0.0
-    floor = DARK * float(np.sqrt(squares.mean()))
-    survey = ViewSurvey.of(levels, job.local, coefficients[:, finite], floor, left)
-    by_vertex = (coefficients[:, finite] ** 2).mean(axis=(0, 2))
-    return survey, by_vertex if finite.any() else squares, coefficients[..., 0].size * (lattice.sizes[0] // 2)
-
-
-@NOT_FINITE
-def _survey_vertex(job: AdaptiveJob, lattice: NestedLattice, place: int) -> tuple[Array, Array]:
-    """Coefficients [B,K·3] at all bins of one vertex, from half of the smallest lattice; and the energies of the
-    principal components of its values over directions, the largest first.
-    """
-    few = lattice.sizes[0] // 2
-    bins = place * job.bins + np.arange(job.bins)
-    turns = np.broadcast_to(pair_turns(job.seed, few, 3, bins[:1]), (job.bins, 3, 3))
-    values = _values_at_bins(job, lattice.directions[:few], turns, bins).astype(np.float64)
-    by_light = values.transpose(1, 0, 2).reshape(few, -1)
-    gram = by_light @ by_light.T
-    energies = np.full(few, np.nan)
-    if np.isfinite(gram).all():
-        energies[:] = np.linalg.eigvalsh(gram)[::-1]
-    return np.asarray(np.linalg.pinv(lattice.harmonics[:few]) @ values).reshape(job.bins, -1), energies
-
-
-def _values_at_bins(job: AdaptiveJob, directions: Array, turns: Array, bins: Index) -> NDArray[np.floating]:
-    """Ŝ [M,D,3] at bins [M], counted over all baked vertices, in directions [D,3] rotated by turns [M,3,3]."""
-    vertices, outgoing = _vertices_and_views(job, bins)
-    incident = directions @ turns.transpose(0, 2, 1)
-    return values_at(job.transport, incident, np.arange(len(bins)), job.mesh.positions[vertices], outgoing)
-
-
-def _vertices_and_views(job: AdaptiveJob, bins: Index) -> tuple[Index, Array]:
-    """The vertices of bins [M], counted over all baked vertices, and their directions to the eye [M,3]."""
-    rows, local = np.divmod(bins, job.bins)
-    vertices = job.vertices[rows]
-    distinct, inverse = np.unique(vertices, return_inverse=True)
-    views = [job.views(int(vertex), int(vertex) + 1)[0][0] for vertex in distinct]
-    return vertices, np.stack([views[row][b] for row, b in zip(inverse, local, strict=True)])

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from bakers.adaptive.records import RefinementSettings
 from bakers.adaptive.vertex_interpolation import PARENTS, Parents, VertexInterpolator, one_per_cell, rotated_with_normal
 from bakers.evaluation import values_at
-from prt_bake.baking.adaptive.noise_pilot import MANY, AdaptiveJob
-from prt_bake.baking.job.lattices import drawn
+from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
+from prt_bake.baking.job.lattices import sample_without_replacement
 from prt_bake.mathematics import sphere
 from prt_bake.mathematics.random import hashed
 
@@ -140,7 +140,7 @@ def _vertex_distance(job: AdaptiveJob) -> float:
     from scipy.spatial import cKDTree
 
     positions = job.mesh.positions[job.vertices]
-    chosen = drawn(job.seed + 6, len(positions), 256)
+    chosen = sample_without_replacement(job.seed + 6, len(positions), 256)
     return float(np.median(cKDTree(positions).query(positions[chosen], 2)[0][:, 1]))
 
 
@@ -151,7 +151,7 @@ def _trial(
     accurate at other bins too; and evaluations.
     """
     rest = job.vertices[~interpolation.evaluated]
-    chosen = rest[drawn(job.seed + 7, len(rest), min(TRIAL_VERTICES, len(rest)))]
+    chosen = rest[sample_without_replacement(job.seed + 7, len(rest), min(TRIAL_VERTICES, len(rest)))]
     parents = interpolation.parents(job, chosen)
     errors, evaluations = _interpolation_errors(job, refinement, interpolation, parents, chosen, directions)
     passing = (errors[:, : interpolation.bins] ** 2).mean(axis=1) <= (TRIAL_TOLERANCE * interpolation.error) ** 2

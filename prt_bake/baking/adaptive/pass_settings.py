@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Correction
 from bakers.adaptive.records import Lattices, RefinedBlock, RefinementSettings
 from bakers.adaptive.refinement import refine
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import Interpolation
 from prt_bake.baking.adaptive.pilot_cost import PilotCost
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinedBlock
 from bakers.workers import Workers
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.checkpoints import ClampedBlock, PassCheckpoints
 from prt_bake.baking.adaptive.interpolation import EvaluatedVertices, interpolated_block
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import Interpolation
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block, worst_of
 from prt_bake.baking.adaptive.trials import TARGET

@@ -14,13 +14,13 @@ from bakers.adaptive.calibration import Tally
 from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import Workers
-from prt_bake.baking.adaptive.noise_pilot import MANY, AdaptiveJob
+from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
 from prt_bake.baking.adaptive.parent_vertices import INTERPOLATION_TIME
 from prt_bake.baking.adaptive.pass_settings import PassSettings, refined_block
 from prt_bake.baking.adaptive.passes import Pass, tighter
 from prt_bake.baking.adaptive.trials import PILOT_VALIDATION_BINS
 from prt_bake.baking.job.forecast import COST_EXPONENT
-from prt_bake.baking.job.lattices import drawn
+from prt_bake.baking.job.lattices import sample_without_replacement
 
 ENOUGH, MOST, LARGEST = 0.06, 0.06, 0.25
 """Blocks are baked until the standard error of the mean cost of a vertex is below `ENOUGH`, or until they are a share
@@ -75,7 +75,7 @@ def run_pilot_pass(job: AdaptiveJob, refinement: RefinementSettings, workers: Wo
     """Bakes blocks of random vertices, one for each worker at a time, without the cache of the pilot."""
     refinement, count = replace(refinement, cache=NO_CACHE), len(job.vertices)
     size = max(1, min(job.block_vertices, int(LARGEST * count)))
-    order = job.vertices[drawn(job.seed + 6, count, count)]
+    order = job.vertices[sample_without_replacement(job.seed + 6, count, count)]
     seconds, done, blocks, tally = 0.0, 0, list[RefinedBlock](), Tally(len(job.mesh.positions))
     shared = job, refinement
     while done < count:

@@ -5,31 +5,25 @@ An asset is written after each pass.
 
 import math
 import time
-from dataclasses import replace
 
 import numpy as np
 
 from bakers.adaptive.calibration import Tally
-from bakers.adaptive.records import METHODS, RefinementSettings
-from bakers.baker import Block
+from bakers.adaptive.records import RefinementSettings
 from formats.asset import Asset
 from formats.errors import QueryError
+from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob, vertices_at_once
 from prt_bake.baking.adaptive.checkpoints import EVALUATED, PassCheckpoints
-from prt_bake.baking.adaptive.noise_pilot import (
-    MANY,
-    AdaptiveJob,
-    first_refinement,
-    refuse_out_of_reach,
-    vertices_at_once,
-)
+from prt_bake.baking.adaptive.noise_pilot import first_refinement, refuse_out_of_reach
+from prt_bake.baking.adaptive.pass_asset import write_asset
 from prt_bake.baking.adaptive.pass_settings import PassSettings, uncalibrated
 from prt_bake.baking.adaptive.passes import Pass, one_pass, tighter
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot, PilotStopped
 from prt_bake.baking.job.forecast import COST_EXPONENT, BakeStatus, Forecast, error_exponent
+from prt_bake.baking.job.provenance import not_finite, nothing_done
 from prt_bake.baking.job.work import Work
-from prt_bake.baking.output.checkpoint import CheckpointStore
-from prt_bake.baking.output.pruned_sink import open_pruned_sink
+from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
 COARSE = 0.3
 """Error of a first coarse pass, which gives an asset soon."""
@@ -42,8 +36,6 @@ runs until it is stopped.
 """
 UNINTERRUPTED = 5.0
 """Seconds from the start during which a pilot ignores a stop, as a block does."""
-FROM_VERTICES = METHODS.index("nearby")
-NOTHING_DONE = "the bake was stopped before its first vertex was done; nothing was written"
 TIME_TO_USE = 0.75
 """Largest predicted time of a pass over the time left."""
 
@@ -56,10 +48,10 @@ class Run:
         pruning = work.pruning
         self.work, self.store, self.deadline = work, store, deadline
         self.error = None if error is None else pruning.left_for_projection(error)
-        earlier = [arrays for name in store.names("aim-") if (arrays := store.read(name)) is not None]
+        earlier = [arrays for name in store.names("settings-") if (arrays := store.read(name)) is not None]
         at_once = vertices_at_once(len(pruning.vertices), len(pruning.local), work.workers.count)
         if earlier:
-            at_once = int(earlier[0]["at_once"])
+            at_once = int(earlier[0]["block_vertices"])
         self.job = AdaptiveJob(
             transport=work.transport,
             mesh=work.mesh,
@@ -200,15 +192,12 @@ def _pass(run: Run, settings: PassSettings) -> Pass | None:
         if run.asset is None:
             if not run.store.names(f"{checkpoints.number:02d}-") + run.store.names(EVALUATED):
                 run.store.remove()
-            raise QueryError(NOTHING_DONE)
+            raise nothing_done()
         return None
     if done.tally.invalid[done.tally.done].all():
-        raise QueryError(
-            f"{type(run.job.transport).__name__}: expected finite values, found NaN or infinite ones at all "
-            f"{int(done.tally.done.sum())} vertices that were baked"
-        )
+        raise not_finite(run.job.transport, f"{int(done.tally.done.sum())} vertices that were baked")
     if checkpoints.read(0) is not None and (done.complete or run.asset is None):
-        _write(run, checkpoints, settings, done)
+        run.asset = write_asset(run.work, run.job, checkpoints, settings, done, run.passes, run.rows)
     if done.complete and checkpoints.number:
         checkpoints.forget_previous()
     return done if done.complete else None
@@ -245,64 +234,12 @@ def _earlier_result(settings: PassSettings, checkpoints: PassCheckpoints) -> Pas
     return Pass(tally, correction, *tally.relative(correction), True)
 
 
-def _write(run: Run, checkpoints: PassCheckpoints, settings: PassSettings, done: Pass) -> None:
-    """Writes the asset of a pass, with standard errors corrected by the validation samples."""
-    clamped, interpolated, histogram = 0, 0, dict[int, int]()
-    job = run.job
-    with open_pruned_sink(run.work.out, run.work.head, run.work.storage, run.work.pruning) as sink:
-        for first in job.blocks:
-            kept, vertices = checkpoints.read(first), job.block(first)
-            if kept is None or not done.tally.done[vertices[0]]:
-                break
-            refined, clamped = kept[0], clamped + kept[1]
-            interpolated += int((refined.method == FROM_VERTICES).all(axis=1).sum())
-            valid = refined.valid
-            for size, count in zip(*np.unique(refined.directions, return_counts=True), strict=True):
-                histogram[int(size)] = histogram.get(int(size), 0) + int(count)
-            corrected = done.correction.standard_error(refined.standard_error, refined.method)
-            coefficients = np.where(valid[:, None, None, None], refined.coefficients, np.float32(0.0))
-            standard_error = np.where(valid[:, None], corrected, 0.0).astype(np.float32)
-            for rows in np.split(np.arange(len(vertices)), np.flatnonzero(np.diff(vertices) > 1) + 1):
-                parts = coefficients[rows], standard_error[rows], valid[rows]
-                shape = refined.error_covariance.at_vertices(rows)
-                block = Block(
-                    int(vertices[rows[0]]), *parts, 0, correlated=refined.correlated[rows], error_covariance=shape
-                )
-                sink.write(replace(block, bound=done.correction.bound))
-        invalid = np.flatnonzero(done.tally.invalid)
-        figures = {
-            "evaluations": run.work.evaluations,
-            "seconds": run.work.seconds,
-            "estimated_relative_rmse": {"total": done.total, "percentile_95_over_vertices": done.percentile_95},
-            "bins_bent_to_the_horizon": clamped,
-            "vertices_not_finite": {"count": len(invalid), "first": invalid[:16].tolist()},
-            "vertices_baked": int(done.tally.done.sum()),
-            "refinement": {
-                "passes": run.passes,
-                "bins_by_directions": {str(size): histogram[size] for size in sorted(histogram)},
-                "bins_foretold": 1.0 - done.tally.evaluated_bins / max(1, done.tally.bins),
-                "vertices_foretold": interpolated,
-                "bins_checked": done.tally.validated_bins,
-                "checked_over_stated_variance": {
-                    name: float(factor) for name, factor in zip(METHODS, done.correction.factors, strict=True)
-                },
-                "bound_factor": done.correction.bound,
-                "lattice_gain": {
-                    "shared": vars(settings.refinement.noise),
-                    "alone": vars(settings.refinement.pool_noise),
-                },
-            },
-        }
-        error_vs_time = np.array(run.rows).reshape(-1, 3)
-        run.asset = sink.finish(run.work.report | figures, error_vs_time, complete=done.complete)
-
-
 def _finish(run: Run, keep_checkpoints: bool = False) -> Asset:
     """The asset of the last complete pass, or the partial one. `keep_checkpoints` keeps the blocks of a finer pass that
     was stopped, so that the bake can resume.
     """
     if run.asset is None:
-        raise QueryError(NOTHING_DONE)
+        raise nothing_done()
     if run.asset.complete and not keep_checkpoints:
         run.store.remove()
     return run.asset

@@ -6,10 +6,10 @@ import numpy as np
 
 from bakers.adaptive.evaluation_cache import EvaluationCache
 from bakers.adaptive.records import Lattices, RefinementSettings
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
 from prt_bake.baking.adaptive.noise_pilot import (
     FEWEST_VALIDATION_BINS,
     MOST_VALIDATION_BINS,
-    AdaptiveJob,
     fewest_validation_bins,
     out_of_reach,
 )
@@ -68,7 +68,8 @@ def settings_for_error(pilot: Pilot, refinement: RefinementSettings, error: floa
     candidates, costs = list[PassSettings](), list[PilotCost]()
     if learnable:
         candidates.append(calibrated(pilot, replace(refinement, lattices="learned"), LEARNED_TARGET * error, costs))
-    if not candidates or not _is_good(candidates[0], error, CHEAP * pilot.job.bins):
+    learned = candidates[0] if candidates else None
+    if learned is None or learned.error > error or learned.evaluations_per_vertex > CHEAP * pilot.job.bins:
         lattices: Lattices = "shared" if _sharing_pays(pilot, refinement, error, costs) else "own"
         candidates.append(calibrated(pilot, replace(refinement, lattices=lattices), error, costs))
     best = min(candidates, key=lambda settings: penalised_cost(settings, error))
@@ -81,10 +82,6 @@ def settings_for_error(pilot: Pilot, refinement: RefinementSettings, error: floa
     if interpolation is not None:
         best = _with_interpolation(best, interpolation, error)
     return _with_validation(pilot.job, best, error, seconds_per_evaluation(costs))
-
-
-def _is_good(settings: PassSettings, error: float, evaluations: float) -> bool:
-    return settings.error <= error and settings.evaluations_per_vertex <= evaluations
 
 
 def _with_interpolation(settings: PassSettings, interpolation: Interpolation, error: float) -> PassSettings:

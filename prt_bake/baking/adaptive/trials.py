@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from bakers.workers import SINGLE_THREAD, Workers, split_evenly
-from prt_bake.baking.adaptive.noise_pilot import FEWEST_VALIDATION_BINS, MANY, MISSED, AdaptiveJob
+from prt_bake.baking.adaptive.adaptive_job import MANY, AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import FEWEST_VALIDATION_BINS, MISSED
 from prt_bake.baking.adaptive.pass_settings import (
     VALIDATION_NOISE,
     VIEW_OVER_LIGHT,
@@ -20,7 +21,7 @@ from prt_bake.baking.adaptive.pass_settings import (
     worst_of,
 )
 from prt_bake.baking.adaptive.pilot_cost import PilotCost
-from prt_bake.baking.job.lattices import drawn, validation_bins
+from prt_bake.baking.job.lattices import sample_without_replacement, validation_bins
 
 Index = NDArray[np.int64]
 
@@ -84,7 +85,7 @@ class Pilot:
 def pilot_vertices(job: AdaptiveJob) -> Index:
     """The vertices [P] of the pilot."""
     count = int(np.clip(len(job.vertices) // PILOT_SHARE, 1, PILOT_VERTICES))
-    return job.vertices[np.sort(drawn(job.seed, len(job.vertices), count))]
+    return job.vertices[np.sort(sample_without_replacement(job.seed, len(job.vertices), count))]
 
 
 def calibrated(pilot: Pilot, refinement: RefinementSettings, error: float, costs: list[PilotCost]) -> PassSettings:
@@ -117,21 +118,18 @@ def calibrated(pilot: Pilot, refinement: RefinementSettings, error: float, costs
         if learned and settings.error > error and not cheap:
             break
         missed = max(settings.correction.shared_lattice, settings.correction.own_lattice) > MISSED
+        far_off = len(trials) == MOST_TRIALS and min(each.error for each in trials) > OUT_OF_REACH * error
         more = min(tuning.initial_sizes + 2, most)
         if missed and tuning.initial_sizes < most:
             # Most bins miss detail that a few see, so their stated errors mean nothing.
             tuning, trials = tuning.starting_with(more), []
-        elif len(trials) == MOST_TRIALS and tuning.initial_sizes < most and not learned and _all_far_off(trials, error):
+        elif far_off and tuning.initial_sizes < most and not learned:
             # The errors stated by so few directions do not lead to the requested error.
             tuning, trials = initial.starting_with(more), []
         else:
             tuning = tuning.updated(tally, settings)
         before = tally
     return min(trials, key=lambda settings: penalised_cost(settings, error))
-
-
-def _all_far_off(trials: list[PassSettings], error: float) -> bool:
-    return min(trial.error for trial in trials) > OUT_OF_REACH * error
 
 
 def penalised_cost(settings: PassSettings, error: float) -> float:
@@ -197,8 +195,8 @@ def trial(pilot: Pilot, refinement: RefinementSettings, error: float, bins: floa
         cost += piece_cost
     correction = tally.correction(Correction())
     reached = worst_of(*tally.relative(correction))
-    per_vertex = (tally.evaluations - tally.check_evaluations) / len(vertices)
-    per_bin = tally.check_evaluations / max(1, tally.validated_bins)
+    per_vertex = (tally.evaluations - tally.validation_evaluations) / len(vertices)
+    per_bin = tally.validation_evaluations / max(1, tally.validated_bins)
     return PassSettings(refinement, correction, reached, 0.0, cost, per_vertex, per_bin), tally
 
 

@@ -42,7 +42,7 @@ def lattice_for(degree: int) -> NestedLattice:
     return nested_lattice(directions, sh.evaluate(directions, degree), sizes)
 
 
-def vertex_turns(seed: int) -> Callable[[Index], NDArray[np.float64]]:
+def vertex_rotations(seed: int) -> Callable[[Index], NDArray[np.float64]]:
     """Vertices [n] → rotations [n,3,3], uniform on SO(3)."""
     return lambda vertices: rotations(uniforms((_TURN_STREAM, seed, vertices), 3))
 
@@ -69,7 +69,7 @@ def pools_for(degree: int, seed: int) -> Pools:
     return Pools(sizes, make_pool, copy_of_bin)
 
 
-def pair_turns(seed: int, size: int, which: int, bins: Index) -> NDArray[np.float64]:
+def pair_rotations(seed: int, size: int, which: int, bins: Index) -> NDArray[np.float64]:
     """Rotations [M,3,3] of one of the two lattices of `size` directions whose difference measures a bin's noise."""
     return rotations(uniforms((_PAIR_STREAM, seed, size, which, bins), 3))
 
@@ -89,6 +89,6 @@ def validation_bins(seed: int, bins: int, share: float) -> Callable[[Index], NDA
     return chosen
 
 
-def drawn(seed: int, many: int, count: int) -> Index:
+def sample_without_replacement(seed: int, many: int, count: int) -> Index:
     """`count` of the numbers 0 … many − 1, drawn without replacement, in the order drawn."""
     return np.argsort(hashed(_PILOT_STREAM, seed, np.arange(many)), kind="stable")[:count]

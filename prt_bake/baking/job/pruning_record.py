@@ -51,7 +51,7 @@ class Pruning:
     signal: float = 0.0
     """Mean square coefficient in the pilot."""
     evaluations: int = 0
-    left_out: list[PrunableItem] = field(default_factory=list)
+    pruned: list[PrunableItem] = field(default_factory=list)
     kept: list[PrunableItem] = field(default_factory=list)
     rounding: float = 0.0
     """Relative RMSE that the precision of the transport's arithmetic adds."""

@@ -1,82 +1,66 @@
-"""Checkpoints of a bake with fixed samples: finished blocks, from which a stopped or killed bake resumes."""
+"""Stores for the finished blocks of a bake in progress: a journal beside the asset, or memory."""
 
-from dataclasses import astuple
-from typing import Any
+from pathlib import Path
+from typing import Any, Protocol
 
-import numpy as np
 from numpy.typing import NDArray
 
-from bakers.baker import Block, Task, cuts
-from bakers.path_traced import WalkStatistics
-from formats.asset.error_covariance import ErrorCovariance
-from prt_bake.baking.output.checkpoint import CheckpointStore
-
-Cut = tuple[int, int]
-"""The first vertex of a block, and the one after its last."""
-
-_STAGE = "block-"
+from formats.journal import Journal
 
 
-class BlockCheckpoints:
-    """Blocks by their vertices; without a store nothing is kept."""
+class CheckpointStore(Protocol):
+    """Stores groups of arrays by name; `formats.journal.Journal` is one."""
 
-    def __init__(self, store: CheckpointStore | None) -> None:
-        self._store = store
+    def read(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """The arrays of that name; None if there are none, or they are damaged."""
 
-    @property
-    def finished(self) -> list[Cut]:
-        """The blocks of an earlier run."""
-        return [] if self._store is None else [_cut(name) for name in self._store.names(_STAGE)]
+    def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Stores arrays under a name."""
 
-    def cuts(self, task: Task, vertices: NDArray[np.int64]) -> list[Cut]:
-        """The finished blocks of these vertices and blocks of all others, in order."""
-        finished = self.finished
-        done = [vertices[(vertices >= first) & (vertices < last)] for first, last in finished]
-        missing = np.setdiff1d(vertices, np.concatenate([vertices[:0], *done]))
-        return sorted(finished + cuts(task, missing))
+    def names(self, stage: str) -> list[str]:
+        """The names that begin with the prefix."""
 
-    def write(self, block: Block) -> None:
-        """Stores a block."""
-        if self._store is not None:
-            name = _name(block.first_vertex, block.first_vertex + len(block.valid))
-            self._store.write(name, as_arrays(block))
+    def forget(self, stage: str) -> None:
+        """Deletes all arrays whose names begin with the prefix."""
 
-    def read(self, cut: Cut) -> Block | None:
-        """A finished block; None if it is missing or damaged."""
-        arrays = None if self._store is None else self._store.read(_name(*cut))
-        if arrays is None:
-            return None
-        parts = arrays["coefficients"], arrays["standard_error"], arrays["valid"], int(arrays["bent"])
-        account = _account(arrays["account"]) if "account" in arrays else None
-        shape = ErrorCovariance(arrays["covariance"], arrays["channels"], arrays["apart"])
-        return Block(cut[0], *parts, account, int(arrays["more"]), error_covariance=shape)
+    def remove(self) -> None:
+        """Deletes everything."""
+
+    def close(self) -> None:
+        """Releases the store."""
 
 
-def as_arrays(block: Block) -> dict[str, NDArray[Any]]:
-    """The arrays that a checkpoint of the block holds."""
-    arrays: dict[str, NDArray[Any]] = {
-        "coefficients": block.coefficients,
-        "standard_error": block.standard_error,
-        "valid": block.valid,
-        "bent": np.asarray(block.clamped),
-        "more": np.asarray(block.extra_evaluations),
-    }
-    if block.error_covariance is not None:
-        arrays |= {name: getattr(block.error_covariance, name) for name in ("covariance", "channels", "apart")}
-    if block.statistics is not None:
-        arrays["account"] = np.array(astuple(block.statistics), np.float64)
-    return arrays
+class MemoryStore:
+    """A store in memory."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, dict[str, NDArray[Any]]] = {}
+
+    def read(self, name: str) -> dict[str, NDArray[Any]] | None:
+        """The arrays of that name."""
+        return self._arrays.get(name)
+
+    def write(self, name: str, arrays: dict[str, NDArray[Any]]) -> None:
+        """Stores arrays under a name."""
+        self._arrays[name] = arrays
+
+    def names(self, stage: str) -> list[str]:
+        """The names that begin with the prefix."""
+        return sorted(name for name in self._arrays if name.startswith(stage))
+
+    def forget(self, stage: str) -> None:
+        """Deletes all arrays whose names begin with the prefix."""
+        for name in self.names(stage):
+            del self._arrays[name]
+
+    def remove(self) -> None:
+        """Deletes everything."""
+        self._arrays.clear()
+
+    def close(self) -> None:
+        """Nothing to do."""
 
 
-def _account(numbers: NDArray[np.float64]) -> WalkStatistics:
-    bins, clamped, unreliable = (int(number) for number in numbers[:3])
-    return WalkStatistics(bins, clamped, unreliable, *(float(number) for number in numbers[3:]))
-
-
-def _name(first: int, last: int) -> str:
-    return f"{_STAGE}{first}-{last}"
-
-
-def _cut(name: str) -> Cut:
-    first, last = name.removeprefix(_STAGE).split("-")
-    return int(first), int(last)
+def open_checkpoint_store(out: str | Path | None, identity: dict[str, Any], resume: bool) -> CheckpointStore:
+    """A journal beside the asset `out`, or memory for a bake without a file."""
+    return MemoryStore() if out is None else Journal(out, identity, resume)

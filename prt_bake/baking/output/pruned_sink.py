@@ -43,7 +43,7 @@ def pruned_head(head: AssetHead, pruning: Pruning) -> AssetHead:
         head,
         degree=degree,
         check_values=head.check_values[:, : sh.count(degree)],
-        left_out=[item.as_json() for item in pruning.left_out],
+        left_out=[item.as_json() for item in pruning.pruned],
     )
     if pruning.light is None:
         return head
@@ -97,7 +97,7 @@ class PrunedSink:
         self._sink.__exit__(kind, fault, trace)
 
     @property
-    def left_out(self) -> float:
+    def pruning_error(self) -> float:
         """Relative RMSE that pruning has added so far."""
         return float(np.sqrt(max(self.squared[0], 0.0) / self.squared[1])) if self.squared[1] > 0.0 else 0.0
 
@@ -117,12 +117,12 @@ class PrunedSink:
                 self._sink.write(Block(copy, *parts, 0, error_covariance=shape))
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset, complete or partial. Its error figures include pruning and rounding."""
+        """Ends the writing and returns the asset, whose error figures include pruning and rounding."""
         if self._pruning.light is not None:
             # The predicted errors are of coefficients; under a light they have other weights.
             measured = {"total": self._meter.total, "percentile_95_over_vertices": self._meter.percentile_95}
             return self._sink.finish(provenance | {"estimated_relative_rmse": measured}, error_vs_time, complete)
-        parts = {"left_out": self.left_out, "rounding": self._pruning.rounding}
+        parts = {"left_out": self.pruning_error, "rounding": self._pruning.rounding}
         parts = {name: value for name, value in parts.items() if value > 0.0}
         if parts or self._pruning.views == "one":
             smaller = math.sqrt(self._averaged[1] / self._averaged[0]) if self._averaged[0] > 0.0 else 1.0

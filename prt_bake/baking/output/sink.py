@@ -45,7 +45,7 @@ class Sink(Protocol):
         """Takes the valid vertices of a block."""
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset, complete or partial."""
+        """Ends the writing and returns the asset, complete or partial."""
 
 
 def open_sink(
@@ -117,7 +117,7 @@ class ArraySink:
         self._covariances.add(block)
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset."""
+        """Returns the asset, in memory."""
         first = int(self._valid.argmax())
         return Asset(
             **vars(self._head),
@@ -178,7 +178,7 @@ class FileSink:
             self._first = block.first_vertex + int(good[0]), block.coefficients[good[0]].copy()
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
-        """The asset."""
+        """Closes the file and returns the asset, read back; raises StorageError if it cannot be written."""
         check: dict[str, NDArray[Any]] = {}
         if self._first is not None:
             vertex, coefficients = self._first

@@ -36,6 +36,9 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 ITEMS = ("unseen", "duplicates", "views", "bands", "channels")
+"""A further item also needs a field in `Pruning`, and a step in `PrunedSink` that prunes and checks it; a test requires
+its name in the help of `--keep` and in the docstring of `bake`.
+"""
 ALWAYS_TOLERATED = 2.0**-12
 """Relative error that an item may add if no error is requested: half of the rounding of float16."""
 PILOT_SHARE, USUAL_DIRECTIONS = 0.1, 64
@@ -46,17 +49,17 @@ PILOT_SHARE, USUAL_DIRECTIONS = 0.1, 64
 class _Decisions:
     """Items that may be pruned, and the decision about each."""
 
-    candidates: Collection[str]
-    left_out: list[PrunableItem] = field(default_factory=list)
+    prunable: Collection[str]
+    pruned: list[PrunableItem] = field(default_factory=list)
     kept: list[PrunableItem] = field(default_factory=list)
 
     def prune(self, name: str, redundant: bool, reason: str, saving: str, cost: str) -> bool:
         """Records the item; true if it is redundant and may be pruned."""
-        allowed = name in self.candidates
+        allowed = name in self.prunable
         if redundant and not allowed:
             reason = f"{reason}; switched off"
         pruned = allowed and redundant
-        (self.left_out if pruned else self.kept).append(PrunableItem(name, reason, saving if pruned else "", cost))
+        (self.pruned if pruned else self.kept).append(PrunableItem(name, reason, saving if pruned else "", cost))
         return pruned
 
 
@@ -69,21 +72,21 @@ def choose_pruning(
     *,
     error: float | None,
     seed: int,
-    leave_out: Collection[str],
+    prunable: Collection[str],
     light: Light | None = None,
     eye: Array | None = None,
 ) -> Pruning:
-    """What the bake of `mesh` evaluates if the items `leave_out` may be pruned.
+    """What the bake of `mesh` evaluates if the items `prunable` may be pruned.
 
     Raises QueryError for unknown items, and for an eye that is on the object, inside it or sees nothing of it.
     """
-    unknown = sorted(set(leave_out) - set(ITEMS))
+    unknown = sorted(set(prunable) - set(ITEMS))
     if unknown:
         raise QueryError(f"leave_out: expected items of {', '.join(ITEMS)}, found {', '.join(unknown)}")
     tolerated = ALWAYS_TOLERATED if error is None else SHARE_OF_ERROR * error
-    decisions = _Decisions(leave_out)
+    decisions = _Decisions(prunable)
     vertices = _vertices(mesh, eye, decisions)
-    copies = _copies(mesh, vertices, decisions) if "duplicates" in leave_out else np.zeros((0, 2), np.int64)
+    copies = _copies(mesh, vertices, decisions) if "duplicates" in prunable else np.zeros((0, 2), np.int64)
     vertices = np.setdiff1d(vertices, copies[:, 0])
     all_views = views_of(mesh, rings, sectors)[1]
     views, local, outgoing = "all", sphere.view_bins(rings, sectors), all_views
@@ -91,42 +94,22 @@ def choose_pruning(
     if eye is not None:
         views, local, outgoing = "eye", np.array([[0.0, 0.0, 1.0]]), _towards(mesh, eye)
         reason = f"requested for the eye at {eye.tolist()} alone"
-        decisions.left_out.append(PrunableItem("other views", reason, _smaller(rings * sectors), "nothing"))
+        decisions.pruned.append(PrunableItem("other views", reason, _smaller(rings * sectors), "nothing"))
     bins = pilot_bins(local)
-    pilot_cost = pilot_size(vertices) * len(bins) * directions_for(degree)
-    bake_cost = len(vertices) * len(local) * USUAL_DIRECTIONS
-    wanted = {"views", "bands", "channels"} & set(leave_out)
-    if wanted and light is None and pilot_cost > PILOT_SHARE * bake_cost:
-        decisions.kept.append(
-            PrunableItem("views, bands, channels", "the bake is too small for a pilot", "", "nothing")
-        )
-    elif (wanted or light is not None) and transport_kind(transport) != "coefficients":
+    if _pilot_runs(transport, vertices, len(local), bins, degree, light, decisions):
         found = measure_redundancy(transport, mesh, vertices, degree, outgoing, bins, seed)
         signal, evaluations, cost = found.signal, found.evaluations, f"{found.evaluations:,} evaluations"
-        if views == "all" and rings * sectors > VIEWS:
-            difference, worst = found.views
-            reason = f"views differ by {difference:.2g} of the coefficients, {worst:.2g} at the worst vertex of a pilot"
-            saving, added = _smaller(rings * sectors), f"{cost}; adds {difference:.2g}"
-            if decisions.prune("views", found.views.within(tolerated), reason, saving, added):
-                views, local, outgoing = "one", local[bins], _subset(outgoing, bins)
+        several = views == "all" and len(local) > VIEWS
+        if several and _views_are_equal(found, tolerated, len(local), decisions):
+            views, local, outgoing = "one", local[bins], _subset(outgoing, bins)
         if light is not None:
             kept_degree = _degree_for(light, found, degree, tolerated)
             saving = f"{_smaller(sh.count(degree))} in bytes; harmonics of degree {kept_degree} of {degree}"
-            decisions.left_out.append(PrunableItem("other lights", f"requested for {light.name} alone", saving, cost))
+            decisions.pruned.append(PrunableItem("other lights", f"requested for {light.name} alone", saving, cost))
             degree = kept_degree
         else:
-            kept_degree = _bands(found, degree, tolerated, cost, decisions)
-        difference, worst = found.channels
-        reason = f"channels differ by {difference:.2g} of the coefficients, {worst:.2g} at the worst vertex of a pilot"
-        grey_light = light is None or bool(
-            np.ptp(light.coefficients, axis=1).max() <= tolerated * np.abs(light.coefficients).max()
-        )
-        redundant, added = found.channels.within(tolerated) and grey_light, f"{cost}; adds {difference:.2g}"
-        channels = 1 if decisions.prune("channels", redundant, reason, _smaller(3), added) else 3
-    elif wanted:
-        decisions.kept.append(
-            PrunableItem("views, bands, channels", "random walks are too noisy for a pilot", "", "nothing")
-        )
+            kept_degree = _bands(found, degree, tolerated, decisions)
+        channels = _channels(found, light, tolerated, decisions)
     rounding, more = measure_rounding(transport, mesh, all_views, rings * sectors, degree, seed)
     return Pruning(
         vertices=vertices,
@@ -141,7 +124,7 @@ def choose_pruning(
         tolerated=tolerated,
         signal=signal,
         evaluations=evaluations + more,
-        left_out=decisions.left_out,
+        pruned=decisions.pruned,
         kept=decisions.kept,
         rounding=rounding,
     )
@@ -153,7 +136,7 @@ def _vertices(mesh: Mesh, eye: Array | None, decisions: _Decisions) -> Index:
     if eye is not None:
         refuse_eye_in_object(mesh, eye)
         seen = seen_from_eye(mesh, eye)
-    elif "unseen" in decisions.candidates:
+    elif "unseen" in decisions.prunable:
         seen = seen_from_outside(mesh)
     else:
         return everything
@@ -182,14 +165,50 @@ def _copies(mesh: Mesh, vertices: Index, decisions: _Decisions) -> NDArray[np.in
     return np.stack([vertices[twice], vertices[same[twice]]], axis=1)
 
 
-def _bands(found: Redundancy, degree: int, tolerated: float, cost: str, decisions: _Decisions) -> int:
+def _pilot_runs(
+    transport: Any, vertices: Index, views: int, bins: Index, degree: int, light: Light | None, decisions: _Decisions
+) -> bool:
+    """Whether a pilot measures `bins` of the `views`: if something needs it, and it is not too expensive or noisy."""
+    wanted = {"views", "bands", "channels"} & set(decisions.prunable)
+    if not wanted and light is None:
+        return False
+    pilot_cost = pilot_size(vertices) * len(bins) * directions_for(degree)
+    if light is None and pilot_cost > PILOT_SHARE * len(vertices) * views * USUAL_DIRECTIONS:
+        reason = "the bake is too small for a pilot"
+    elif transport_kind(transport) == "coefficients":
+        reason = "random walks are too noisy for a pilot"
+    else:
+        return True
+    if wanted:
+        decisions.kept.append(PrunableItem("views, bands, channels", reason, "", "nothing"))
+    return False
+
+
+def _views_are_equal(found: Redundancy, tolerated: float, bins: int, decisions: _Decisions) -> bool:
+    """Whether one view may replace the `bins` of each vertex."""
+    reason, cost = found.views.reason("views"), f"{found.evaluations:,} evaluations; adds {found.views.total:.2g}"
+    return decisions.prune("views", found.views.within(tolerated), reason, _smaller(bins), cost)
+
+
+def _channels(found: Redundancy, light: Light | None, tolerated: float, decisions: _Decisions) -> int:
+    """Number of channels: 1 if all are equal, under a grey light if there is one."""
+    grey_light = light is None or bool(
+        np.ptp(light.coefficients, axis=1).max() <= tolerated * np.abs(light.coefficients).max()
+    )
+    redundant, reason = found.channels.within(tolerated) and grey_light, found.channels.reason("channels")
+    cost = f"{found.evaluations:,} evaluations; adds {found.channels.total:.2g}"
+    return 1 if decisions.prune("channels", redundant, reason, _smaller(3), cost) else 3
+
+
+def _bands(found: Redundancy, degree: int, tolerated: float, decisions: _Decisions) -> int:
     """The lowest degree above which all bands are negligible."""
     lowest = min([*(d for d, deviation in enumerate(found.bands) if deviation.within(tolerated)), degree])
     shown = lowest if lowest < degree else max(0, degree - 1)
     share = found.bands[shown].total
     reason = f"bands above degree {shown} hold {share:.2g} of the coefficients"
     saving = f"{1.0 - sh.count(lowest) / sh.count(degree):.0%} of the bytes"
-    pruned = decisions.prune("bands", lowest < degree, reason, saving, f"{cost}; adds {share:.2g}")
+    cost = f"{found.evaluations:,} evaluations; adds {share:.2g}"
+    pruned = decisions.prune("bands", lowest < degree, reason, saving, cost)
     return lowest if pruned else degree
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from bakers.adaptive.view_levels import view_levels
 from bakers.evaluation import values_at
 from formats.mesh import Mesh
-from prt_bake.baking.job.lattices import drawn, pair_turns
+from prt_bake.baking.job.lattices import pair_rotations, sample_without_replacement
 from prt_bake.baking.job.views import Views
 from prt_bake.mathematics import sh, sphere
 
@@ -33,6 +33,10 @@ class Deviation(NamedTuple):
     def within(self, tolerated: float) -> bool:
         """Whether coefficients that differ by this may be merged."""
         return self.total <= tolerated and self.worst <= WORST * tolerated
+
+    def reason(self, what: str) -> str:
+        """The measurement in words, for differences between `what`."""
+        return f"{what} differ by {self.total:.2g} of the coefficients, {self.worst:.2g} at the worst vertex of a pilot"
 
 
 @dataclass(frozen=True)
@@ -58,12 +62,12 @@ def measure_redundancy(
 ) -> Redundancy:
     """Projects Ŝ at a few of `vertices` and at the view bins `bins` [b]; bins of a vertex use the same directions."""
     size = directions_for(degree)
-    chosen = vertices[np.sort(drawn(seed + 4, len(vertices), pilot_size(vertices)))]
+    chosen = vertices[np.sort(sample_without_replacement(seed + 4, len(vertices), pilot_size(vertices)))]
     towards = np.stack([outgoing(int(v), int(v) + 1)[0][0, bins] for v in chosen])
     directions = sphere.fibonacci(size)
     harmonics = sh.evaluate(directions, degree)
     fit = np.linalg.solve(harmonics.T @ harmonics, harmonics.T)
-    incident = directions @ pair_turns(seed, size, _PILOT_STREAM, chosen).transpose(0, 2, 1)
+    incident = directions @ pair_rotations(seed, size, _PILOT_STREAM, chosen).transpose(0, 2, 1)
     rows = np.repeat(np.arange(len(chosen)), len(bins))
     values = values_at(transport, incident, rows, mesh.positions[chosen][rows], towards.reshape(-1, 3))
     a = (fit @ values.astype(np.float64)).reshape(len(chosen), len(bins), -1, 3)

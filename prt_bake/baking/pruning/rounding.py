@@ -6,7 +6,7 @@ import numpy as np
 
 from bakers.evaluation import values_at
 from formats.mesh import Mesh
-from prt_bake.baking.job.lattices import drawn
+from prt_bake.baking.job.lattices import sample_without_replacement
 from prt_bake.baking.job.views import Views
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import rotations
@@ -24,7 +24,7 @@ def measure_rounding(transport: Any, mesh: Mesh, views: Views, bins: int, degree
     """
     if not hasattr(transport, "exact") or transport.precision == "float32":
         return 0.0, 0
-    chosen = drawn(seed + 4, len(mesh.positions) * bins, min(BINS, len(mesh.positions) * bins))
+    chosen = sample_without_replacement(seed + 4, len(mesh.positions) * bins, min(BINS, len(mesh.positions) * bins))
     vertices, local = np.divmod(chosen, bins)
     outgoing = np.stack([views(int(v), int(v) + 1)[0][0, b] for v, b in zip(vertices, local, strict=True)])
     lattice = sphere.fibonacci(max(DIRECTIONS, 3 * sh.count(degree)))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from bakers.evaluation import values_at
 from formats.mesh import Mesh
-from prt_bake.baking.job.lattices import drawn
+from prt_bake.baking.job.lattices import sample_without_replacement
 from prt_bake.baking.job.views import views_of
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import rotations
@@ -41,7 +41,7 @@ class Bins:
 
 def drawn_bins(mesh: Mesh, rings: int, sectors: int, degree: int, vertices: int, seed: int) -> Bins:
     """One ring at each of `vertices` random vertices; all rings are equally frequent."""
-    chosen = drawn(seed, len(mesh.positions), min(vertices, len(mesh.positions)))
+    chosen = sample_without_replacement(seed, len(mesh.positions), min(vertices, len(mesh.positions)))
     ring = np.arange(len(chosen)) * rings // len(chosen)
     bins = ring[:, None] * sectors + np.arange(sectors)
     views = views_of(mesh, rings, sectors)[1]

@@ -13,7 +13,8 @@ from bakers.adaptive.evaluation_cache import NO_CACHE
 from bakers.baker import Task, bake_block
 from bakers.path_traced import Walks
 from formats.errors import QueryError
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, PassSettings, refined_block
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot
@@ -170,7 +171,7 @@ def _refined_to(job: AdaptiveJob, settings: PassSettings, bins: Bins, reference:
     began, tally, found = time.monotonic(), Tally(len(job.mesh.positions)), []
     for first in range(0, len(bins.vertices), job.block_vertices):
         some = bins.vertices[first : first + job.block_vertices]
-        refined, _bent = refined_block(job, settings.refinement, some)
+        refined, _clamped = refined_block(job, settings.refinement, some)
         tally.add(some, refined)
         own = bins.bins[first : first + job.block_vertices]
         found.append(np.take_along_axis(refined.coefficients, own[:, :, None, None], axis=1))

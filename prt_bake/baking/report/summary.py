@@ -8,17 +8,18 @@ from numpy.typing import NDArray
 
 from formats.asset import Asset
 from formats.atomic import replacing
-from formats.errors import PrtbakeError
+from formats.errors import requires_matplotlib
 
 REACHED = 1.02
 """Times the requested error that still counts as reached."""
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
-    """Provenance, completeness and error against time of a bake, as plain JSON values.
+    """The asset's provenance, all keys of it, and six more, as plain JSON values; docs/baking.md explains every key.
 
     `model_error`: error of the coefficients of the baked network after its training, if it is known.
     `error_reached`: whether the object and 95 % of its vertices have the requested error, if one was requested.
+    `complete`, `vertices`, `left_out` and `error_vs_time` are those of the asset.
     """
     trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
     requested, rmse = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
@@ -44,12 +45,9 @@ def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: st
 
     Raises PrtbakeError if the extra `evaluate` is not installed, StorageError if `path` cannot be written.
     """
-    try:
+    with requires_matplotlib("report"):
         from matplotlib.figure import Figure
         from matplotlib.ticker import LogLocator, NullFormatter
-    except ImportError:
-        raise PrtbakeError("report: matplotlib is not installed; install prt-bake[evaluate]") from None
-
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     axes.loglog(

@@ -18,7 +18,8 @@ from torch import Tensor
 
 from prt_bake.network.core import NetworkCore
 from prt_bake.network.inference.cuda_views import MIN_TILE, PairColumns, RecordedGraph, ViewTerms, stream
-from prt_bake.network.inference.fused import FusedNetwork, LightTable, table_bounds
+from prt_bake.network.inference.fused import FusedNetwork
+from prt_bake.network.inference.light_tables import LightTable, table_bounds
 from prt_bake.network.lobes import Bands, Lobes, lobe_bands
 from prt_bake.network.settings import NetworkSettings
 

@@ -8,12 +8,9 @@ Rows are computed in tiles of one fixed size that stay in cache. The rounding of
 matrix product; with fixed tiles a result does not depend on how the vertices are cut into blocks.
 """
 
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from copy import deepcopy
-from itertools import pairwise
-from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,6 +21,7 @@ from formats.errors import QueryError
 from prt_bake.network.core import NetworkCore, float64_tensor
 from prt_bake.network.features.fourier import encode_directions
 from prt_bake.network.inference.late_layers import LateLayers
+from prt_bake.network.inference.light_tables import CachedTables, LightTable, table_bounds
 from prt_bake.network.inference.linear import linear_for
 from prt_bake.network.inference.product_kernel import product_rows
 from prt_bake.network.lobes import Bands, Lobes, evaluate_bands, evaluate_lobes, lobe_bands
@@ -34,22 +32,8 @@ VIEWS_PER_BATCH = {"cpu": 256, "cuda": 1024}
 """Views whose features are computed together: they stay in cache; a GPU takes as long for a few as for many."""
 LIGHTS_PER_BATCH = 1024
 """Incident directions whose features are computed together, in matrix products of one shape."""
-TABLES = 12
-"""Light tables that are cached, those of the incident arrays used last."""
 TABLE_ROWS = 1 << 14
 """Maximum of (rotation, direction) rows in a table: 32 MiB with 256 frequencies."""
-
-
-class LightTable(NamedTuple):
-    """Precomputed values of R sets of D incident directions.
-
-    Attributes:
-        table: cosines and sines of their phases [R,D,2F], or their contributions to late layers [layers,R,D,width].
-        directions: [R,D,3], float32.
-    """
-
-    table: Tensor
-    directions: Tensor
 
 
 class FusedNetwork:
@@ -74,8 +58,7 @@ class FusedNetwork:
         self._biases = [layer.bias.detach().to(self._dtype) for layer in layers]
         self._linear = linear_for(self._weights[-1])
         self._late = LateLayers(self.network, self._dtype, self._linear) if settings.trunk else None
-        self._lock = Lock()
-        self._tables: OrderedDict[int, tuple[ArrayLike, LightTable]] = OrderedDict()
+        self._tables = CachedTables()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the network and the settings; a copy in another process is rebuilt for its processor."""
@@ -265,16 +248,9 @@ class FusedNetwork:
 
     def _light_table(self, key: ArrayLike, light: NDArray[Any], complete: bool) -> LightTable:
         """The table of incident directions [R,D,3], cached by the array object `key` if `complete`."""
-        if not complete:
-            return self._new_light_table(light)
-        with self._lock:
-            # The array is kept beside its table, so that no other array can get its id meanwhile.
-            if id(key) not in self._tables:
-                self._tables[id(key)] = key, self._new_light_table(light)
-                if len(self._tables) > TABLES:
-                    self._tables.popitem(last=False)
-            self._tables.move_to_end(id(key))
-            return self._tables[id(key)][1]
+        if complete:
+            return self._tables.find(key, lambda: self._new_light_table(light))
+        return self._new_light_table(light)
 
     def _new_light_table(self, light: NDArray[Any]) -> LightTable:
         incident = _float32(light, self._device)
@@ -290,13 +266,6 @@ class FusedNetwork:
             table = self._late.light_table(self.network.light_features(batch))
             parts.append(table[:, : last - first])
         return LightTable(torch.cat(parts, dim=1).view(-1, *directions.shape[:-1], parts[0].shape[-1]), incident)
-
-
-def table_bounds(light: NDArray[Any], max_rows: int) -> Iterator[tuple[int, int]]:
-    """(first, last) of ranges of the D directions of light [R,D,3], of nearly `max_rows` (rotation, direction) rows."""
-    copies, directions = light.shape[:2]
-    step = -(-directions // -(-directions // max(1, max_rows // copies)))
-    return pairwise([*range(0, directions, step), directions])
 
 
 def _concatenated(parts: Sequence[Iterable[Tensor]], padding: int) -> Iterator[Tensor]:

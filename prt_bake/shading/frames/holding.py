@@ -88,7 +88,7 @@ def hold_compact(
     held: Any,
     threads: Any,
 ) -> None:
-    """The same for compact coefficients: interpolated values of the channel functions."""
+    """Set held, flat, `size` numbers per vertex: interpolated channel functions of compact coefficients."""
     table, poles, dense, size, runs, which, channel, values = codes
     lanes = scene[1].shape[0]
     for t in prange(threads):

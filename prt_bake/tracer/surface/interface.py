@@ -6,6 +6,8 @@ separable Smith masking. Visible normals are sampled (Heitz 2018, "Sampling the 
 
 All functions use a local frame whose z axis is the normal on the side of `i`, the direction back along the path. They
 omit the squared index ratio: paths begin and end outside, so that the product of all ratios is 1.
+
+`prt_bake.reflection.microfacet` has the same model in NumPy, for light reflected at the points that the eye sees.
 """
 
 import math
@@ -39,7 +41,7 @@ def masking(cosine: Any, alpha: Any) -> Any:
 
 
 @inlined_function()
-def microfacet_density(cosine: Any, alpha: Any) -> Any:
+def microfacet_distribution(cosine: Any, alpha: Any) -> Any:
     """GGX distribution D (Walter 2007, eq. 33), in a form that is accurate for small alpha."""
     squared = cosine * cosine
     root = (1.0 - squared) + alpha * alpha * squared
@@ -147,7 +149,7 @@ def microfacet_transport(alpha: Any, eta: Any, ix: Any, iy: Any, iz: Any, ox: An
     to_o = ox * hx + oy * hy + oz * hz
     if from_i <= 0.0 or to_o * oz <= 0.0:
         return 0.0, 0.0
-    visible = microfacet_density(hz, alpha) * masking(iz, alpha) / iz
+    visible = microfacet_distribution(hz, alpha) * masking(iz, alpha) / iz
     reflectance = fresnel(from_i, eta)
     if oz > 0.0:
         return 0.25 * visible, reflectance

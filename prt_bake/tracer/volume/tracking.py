@@ -2,7 +2,8 @@
 
 Free flights use delta tracking (Woodcock 1965), transmittances residual ratio tracking (Novák et al. 2014). Both use
 the majorant of each block that the ray crosses; the block's least extinction is the control, whose transmittance is
-exact. Blocks that would need too many tentative collisions are tracked cell by cell (`prt_bake.tracer.volume.cells`).
+exact. Blocks that would need too many tentative collisions are tracked cell by cell (`prt_bake.tracer.volume.cells`),
+except by flights in extinction that differs between channels.
 
 If extinction differs between channels, collisions are sampled from the mean of the channels weighted by their
 throughputs, which is the balance heuristic over channels (Kutz et al. 2017, "Spectral and decomposition tracking").

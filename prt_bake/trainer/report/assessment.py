@@ -51,6 +51,8 @@ def assess(
     """Compare a network with the path tracer, and return the report's content as plain values.
 
     Args:
+        network, scene, prepared: the network, bound to its mesh; its scene, as read and prepared for the path tracer.
+        seed: seed of the queries, the vertices and the walks.
         queries, vertices: fresh queries over the surface, and vertices of the mesh that are evaluated from 8 sides.
         walks: initial walks per query (four times as many for coefficients). They are doubled until the noise is a
             third of the measured error.

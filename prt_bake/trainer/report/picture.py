@@ -18,6 +18,7 @@ from formats.image.png import to_srgb
 from formats.scene import Scene
 from formats.scene.lights import DirectionalLight
 from prt_bake.comparison.object_figures import (
+    TracedPicture,
     error_without_noise,
     exposure,
     flip_without_noise,
@@ -28,7 +29,7 @@ from prt_bake.comparison.object_figures import (
 from prt_bake.geometry import camera
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.mathematics.noise_free import Interval
-from prt_bake.rendering.half_buffers import HalfBuffers, TracedPicture
+from prt_bake.rendering.half_buffers import HalfBuffers
 from prt_bake.rendering.network import render_network
 from prt_bake.rendering.scene import render_scene
 from prt_bake.rendering.state import relative_noise
@@ -65,7 +66,8 @@ def picture_error(network: Any, scene: Scene, sun: str, seconds: float, seed: in
     lighting = sun_and_sky(scene, sun)
     view = camera.fit(scene.mesh, SIZE, SIZE, up=scene.up)
     halves = _traced(scene, lighting, view, seconds, seed)
-    reference = halves.picture()
+    parts = halves.image, halves.standard_error, halves.noise, halves.coverage / sum(halves.passes)
+    reference = TracedPicture(*(part.astype(np.float32) for part in parts))
     ours = render_network(network, scene.mesh, lighting, view, _SPP, seed, sampling="light", background=False)
     mask = object_mask(reference.coverage)
     stops = exposure(reference.image, mask)

@@ -20,6 +20,7 @@ from formats.errors import QueryError
 from formats.scene import Scene
 from prt_bake.geometry.surface import Location
 from prt_bake.jit.threads import in_threads
+from prt_bake.mathematics.moments import SUMS, from_sums
 from prt_bake.tracer.light_samples import Exits
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, smooth_part
 from prt_bake.trainer.samples.queries import EDGE_SHARE, Queries, QuerySource
@@ -245,7 +246,7 @@ def trace_values(
 
     count, directions = queries.incident.shape[:2]
     chunks = np.stack([np.arange(count), np.zeros(count, int), np.full(count, walks)], axis=1)
-    sums = np.zeros((count, 4, directions * 3 + 4))
+    sums = np.zeros((count, SUMS, directions * 3 + 4))
     kernel_queries: tuple[Any, ...] = source.for_kernel(queries)
     in_threads(
         sum_transport,
@@ -260,11 +261,8 @@ def trace_values(
         seed,
         sums,
     )
-    mean = sums[:, 0, :-4] / walks
-    with np.errstate(invalid="ignore", divide="ignore"):
-        error = (
-            np.sqrt(np.maximum(sums[:, 1, :-4] / walks - mean**2, 0.0) / (walks - 1)) if walks > 1 else mean * np.nan
-        )
+    mean, variance, _, _ = from_sums(sums[..., :-4].transpose(1, 0, 2), walks)
+    error = np.sqrt(variance / (walks - 1)) if walks > 1 else np.full_like(mean, np.nan)
     return mean.reshape(count, directions, 3), error.reshape(count, directions, 3)
 
 

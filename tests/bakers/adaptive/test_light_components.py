@@ -9,7 +9,8 @@ from bakers.adaptive.lattice_pools import Pool
 from bakers.adaptive.principal_components import PROBE_STAGES, LightComponents
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from prt_bake import bake
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.pass_settings import refined_block, uncalibrated
 from prt_bake.baking.job.lattices import pools_for
 from prt_bake.baking.job.views import views_of

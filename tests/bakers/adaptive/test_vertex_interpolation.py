@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from bakers.adaptive.vertex_interpolation import (
+    Parents,
     VertexInterpolator,
-    interpolated,
+    cubic_taps,
     one_per_cell,
-    rotated_sectors,
     rotated_with_normal,
 )
 from prt_bake.baking.adaptive.interpolation_kernel import interpolated_from
@@ -26,6 +26,29 @@ def plane(count: int, seed: int = 0) -> tuple[Array, Array, Array]:
     zero = np.zeros(count)
     tangents = np.stack([np.cos(angle), np.sin(angle), zero], axis=1)
     return np.column_stack([flat, zero]), np.tile([0.0, 0.0, 1.0], (count, 1)), tangents
+
+
+def rotated_sectors(values: Array, angle: float) -> Array:
+    """Values [R,S,...] over rings and sectors, at azimuths larger by `angle`: cubic interpolation of four sectors."""
+    whole, taps = cubic_taps(angle, values.shape[1])
+    out = np.zeros_like(values)
+    for step, weight in enumerate(taps):
+        if weight != 0.0:
+            out += values.dtype.type(weight) * np.roll(values, -(whole + step - 1), axis=1)
+    return out
+
+
+def interpolated(values: Array, parents: Parents, row: int) -> tuple[Array, Array]:
+    """Values [B,C] of the vertex in that row and their variance [B] (mean over C), from the parents' shifted values
+    [P,B,C]. The variance is estimated from the residuals: the parents' noise, and what is not quadratic about them.
+    """
+    flat = values.reshape(len(values), -1).astype(np.float64)
+    function = parents.fit[row] @ flat
+    residuals = flat - parents.terms[row] @ function
+    residuals *= residuals
+    squared = (parents.fit_weights[row] @ residuals).reshape(values.shape[1:]).mean(axis=-1)
+    gain = (parents.weights[row] ** 2).sum() / parents.residual_freedom[row]
+    return function[0].reshape(values.shape[1:]), gain * squared
 
 
 def test_quadratic_functions_on_a_plane_are_interpolated_exactly() -> None:

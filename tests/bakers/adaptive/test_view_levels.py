@@ -9,7 +9,13 @@ from bakers.adaptive.calibration import Correction, Tally
 from bakers.adaptive.lattice_noise import LatticeNoise, fit_lattice_noise
 from bakers.adaptive.records import validation_noise
 from bakers.adaptive.view_levels import view_levels
-from prt_bake.baking.job.lattices import drawn, lattice_for, pools_for, validation_bins, vertex_turns
+from prt_bake.baking.job.lattices import (
+    lattice_for,
+    pools_for,
+    sample_without_replacement,
+    validation_bins,
+    vertex_rotations,
+)
 from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import extensible_lattice
 from tests.bakers.transports import Lobed
@@ -69,11 +75,11 @@ def test_fits_reproduce_band_limited_functions_and_estimate_residuals(degree: in
 
 
 def test_rotations_depend_on_the_vertex_alone() -> None:
-    turns = vertex_turns(3)(np.arange(2000))
+    turns = vertex_rotations(3)(np.arange(2000))
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
     # Uniform on SO(3): the image of any axis has mean 0 and a third of its length in each direction.
     assert np.abs(turns.mean(axis=0)).max() < 5.0 / np.sqrt(3.0 * 2000)
-    np.testing.assert_array_equal(vertex_turns(3)(np.array([7])), turns[7:8])
+    np.testing.assert_array_equal(vertex_rotations(3)(np.array([7])), turns[7:8])
     np.testing.assert_allclose(sh.rotations(turns[:5], 3), [sh.rotation(turn, 3) for turn in turns[:5]], atol=1e-12)
 
 
@@ -83,7 +89,7 @@ def test_bins_are_drawn_by_the_seed_with_their_share() -> None:
     np.testing.assert_array_equal(validation_bins(1, 1024, 0.02)(np.array([7])), some[7:8])
     assert validation_bins(1, 8, 1.0)(np.arange(9)).all()
     assert not validation_bins(1, 8, 0.0)(np.arange(9)).any()
-    assert len(set(drawn(1, 100, 30).tolist())) == 30
+    assert len(set(sample_without_replacement(1, 100, 30).tolist())) == 30
 
 
 @pytest.mark.parametrize("share", [0.3 / 1024, 0.003, 0.02])
@@ -174,7 +180,7 @@ def test_a_correction_without_samples_is_the_prior() -> None:
 
 def test_the_lattices_error_falls_faster_than_a_root() -> None:
     lattice, transport = lattice_for(2), Lobed()
-    turns = vertex_turns(5)(np.arange(200))
+    turns = vertex_rotations(5)(np.arange(200))
     x = np.array([[0.0, 0.0, 1.0]])
     off = []
     for step, size in enumerate(lattice.sizes[:4]):

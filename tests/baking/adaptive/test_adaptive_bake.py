@@ -11,7 +11,8 @@ from bakers.adaptive.calibration import Correction, Tally
 from formats.errors import QueryError
 from formats.mesh import Mesh, build_mesh, read_mesh
 from prt_bake import bake
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.pass_settings import uncalibrated
 from prt_bake.baking.adaptive.passes import Pass, tighter
 from prt_bake.baking.job.views import views_of
@@ -221,7 +222,7 @@ def test_results_do_not_depend_on_workers_or_block_size(monkeypatch: pytest.Monk
     mesh = icosphere(1)
     whole = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     threads = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05, workers=3)
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 5 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     cut = bake(Incoherent(), mesh, rings=4, sectors=16, error=0.05)
     for other in (threads, cut):
         np.testing.assert_array_equal(other.coefficients, whole.coefficients)
@@ -237,7 +238,7 @@ def test_network_bakes_do_not_depend_on_workers_or_block_size(precision: str, mo
     network = load_model(SHIPPED / "spot.pt")
     arguments = {"rings": 4, "sectors": 8, "error": 0.1, "precision": precision}
     whole = bake(network, mesh, **arguments)
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 3 * 32)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 3 * 32)
     cut = bake(network, mesh, **arguments, workers=2)
     np.testing.assert_array_equal(cut.coefficients, whole.coefficients)
     np.testing.assert_array_equal(cut.standard_error, whole.standard_error)

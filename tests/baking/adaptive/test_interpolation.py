@@ -12,7 +12,8 @@ import pytest
 from bakers.adaptive.vertex_validation import validation_errors
 from formats.asset import Asset
 from prt_bake import bake
-from prt_bake.baking.adaptive.noise_pilot import AdaptiveJob, first_refinement
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import first_refinement
 from prt_bake.baking.adaptive.parent_vertices import Interpolation, cell_interpolation
 from prt_bake.baking.adaptive.tolerances import settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot

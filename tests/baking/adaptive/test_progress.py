@@ -17,7 +17,7 @@ Shown = list[tuple[float | None, str, float | None]]
 
 def shown(monkeypatch: pytest.MonkeyPatch, **arguments: Any) -> tuple[Shown, list[BakeStatus]]:
     """The progress of a bake in small blocks, as shown and as reported."""
-    monkeypatch.setattr("prt_bake.baking.adaptive.noise_pilot.BINS_AT_ONCE", 4 * 64)
+    monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 4 * 64)
     seen, statuses = Shown(), list[BakeStatus]()
     show = bake_progress(lambda share, words, left=None: seen.append((share, words, left)))
 

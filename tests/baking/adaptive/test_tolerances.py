@@ -9,12 +9,8 @@ from bakers.adaptive.calibration import Tally
 from bakers.adaptive.records import RefinedBlock, RefinementSettings
 from formats.errors import QueryError
 from prt_bake.baking.adaptive import trials
-from prt_bake.baking.adaptive.noise_pilot import (
-    MOST_VALIDATION_BINS,
-    AdaptiveJob,
-    fewest_validation_bins,
-    first_refinement,
-)
+from prt_bake.baking.adaptive.adaptive_job import AdaptiveJob
+from prt_bake.baking.adaptive.noise_pilot import MOST_VALIDATION_BINS, fewest_validation_bins, first_refinement
 from prt_bake.baking.adaptive.pass_settings import VALIDATION_NOISE, PassSettings, refined_block, uncalibrated
 from prt_bake.baking.adaptive.tolerances import VALIDATION_BINS_PER_VERTEX, VALIDATION_COST, settings_for_error
 from prt_bake.baking.adaptive.trials import Pilot

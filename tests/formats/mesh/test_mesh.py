@@ -287,10 +287,10 @@ DAMAGED = {
     "infinite": (ascii_ply(TETRAHEDRON_VERTICES.replace("0 0 1", "0 0 inf"), TETRAHEDRON_ROWS), "vertex 3"),
     "index": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS.replace("1 2 3", "1 2 4")), "face 3.*from 0 to 3"),
     "negative": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS.replace("1 2 3", "1 2 -1")), "face 3"),
-    "flat": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS + "\n3 0 1 1"), "1 of 5 faces have no area.*face 4"),
+    "flat": (ascii_ply(TETRAHEDRON_VERTICES, "3 0 1 1"), "1 of 1 faces have no area.*face 0"),
     "collinear": (
-        ascii_ply(TETRAHEDRON_VERTICES + "\n0.1 0.1 0.1\n0.3 0.3 0.3", TETRAHEDRON_ROWS + "\n3 0 4 5", "double"),
-        "1 of 5 faces have no area",
+        ascii_ply(TETRAHEDRON_VERTICES + "\n0.5 0 0", "3 0 2 1\n3 0 4 3\n3 4 1 3\n3 0 3 2\n3 1 2 3\n3 0 1 4"),
+        "1 of 6 faces have no area.*face 5",
     ),
     "cloud": (ascii_ply(TETRAHEDRON_VERTICES, ""), "no faces"),
     "cut in a row": (ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS)[:-4], "truncated.*row 3 of element face"),
@@ -341,7 +341,7 @@ def test_other_formats_are_refused(tmp_path):
     with pytest.raises(MeshError, match="glTF"):
         read_mesh(tmp_path / "bad.glb")
     with pytest.raises(MeshError, match=r"expected \.ply"):
-        read_mesh(tmp_path / "mesh.stl")
+        read_mesh(tmp_path / "mesh.fbx")
     with pytest.raises(MeshError, match=r"expected \.ply or \.obj"):
         write_mesh(tetrahedron(), tmp_path / "mesh.stl")
     with pytest.raises(StorageError, match="no such file"):
@@ -349,7 +349,7 @@ def test_other_formats_are_refused(tmp_path):
 
 
 def test_flat_faces_can_be_dropped_and_are_counted(tmp_path):
-    (tmp_path / "t.ply").write_text(DAMAGED["flat"][0])
+    (tmp_path / "t.ply").write_text(ascii_ply(TETRAHEDRON_VERTICES, TETRAHEDRON_ROWS + "\n3 0 1 1"))
     mesh = read_mesh(tmp_path / "t.ply", drop_flat_faces=True)
     assert (mesh.dropped_faces, len(mesh.faces), open_edges(mesh)) == (1, 4, 0)
 

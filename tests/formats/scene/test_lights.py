@@ -1,5 +1,7 @@
 """Lights files and lights in one word: their values, and the messages for invalid ones."""
 
+import codecs
+
 import numpy as np
 import pytest
 
@@ -91,8 +93,17 @@ def test_an_invalid_lights_file_is_refused_in_one_sentence(tmp_path, text, sente
 
 
 def test_binary_and_missing_files_are_refused(tmp_path):
-    (tmp_path / "a.toml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "a.toml").write_bytes(b"\x89PNG\xff")
     with pytest.raises(LightError, match="expected UTF-8 text"):
         read_lights(tmp_path / "a.toml")
     with pytest.raises(StorageError, match="no such file"):
         read_lights(tmp_path / "b.toml")
+
+
+def test_a_byte_order_mark_changes_nothing_and_other_encodings_are_named(tmp_path):
+    text = "[[directional]]\ndirection = [0, 0, 1]\nirradiance = [1, 2, 3]\n"
+    (tmp_path / "a.toml").write_bytes(codecs.BOM_UTF8 + text.encode())
+    assert read_lights(tmp_path / "a.toml")[0].irradiance.tolist() == [1, 2, 3]
+    (tmp_path / "a.toml").write_bytes(text.encode("utf-16"))
+    with pytest.raises(LightError, match=r"a\.toml: expected text in UTF-8, found UTF-16"):
+        read_lights(tmp_path / "a.toml")

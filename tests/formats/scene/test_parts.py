@@ -1,5 +1,7 @@
 """Scenes of several parts: nesting, boundaries, textures, and errors that name the key."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +10,9 @@ from PIL import Image
 
 from formats.errors import ImageError, SceneError
 from formats.image import write_image
-from formats.mesh import Mesh, write_mesh
+from formats.mesh import Mesh, read_mesh, write_mesh
 from formats.scene import read_scene
+from prt_bake.inspection.files import find_faults, find_remarks
 from tests.tracer.scenes import moved, sphere
 
 OUTER = '[object]\nmesh = "glass.ply"\n[interface]\neta = 1.5\n[medium]\nsigma_t = 0\nalbedo = 1\n'
@@ -187,3 +190,33 @@ def test_a_texture_that_is_no_image_is_named(folder):
 def test_twelve_parts_are_read(folder):
     inside = "".join(PLAIN.replace("plain", f"plain {i}") for i in range(11))
     assert len(scene(folder, OUTER + inside).parts) == 12
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
+def test_textures_need_usable_texture_coordinates(folder, value):
+    mesh = read_mesh(folder / "unwrapped.ply")
+    pairs = mesh.uv.copy()
+    pairs[7, 1] = value
+    write_mesh(dataclasses.replace(mesh, uv=pairs, corner_uv=None), folder / "bad_uv.ply")
+    plain = PLAIN.replace("seed.ply", "bad_uv.ply")
+    assert len(scene(folder, OUTER + plain).parts) == 2
+    diffuse = SEED.replace("seed.ply", "bad_uv.ply").replace('in = "liquid"', "").replace("0.5", '"colour.png"')
+    for inside, key in (
+        (plain + '[inside.interface]\nroughness = "alpha.png"\n', "inside.0.interface.roughness"),
+        (diffuse, "inside.0.reflectance"),
+    ):
+        sentence = rf"{key}: an image needs .* but \d of 240 corners of faces have .* the first at vertex 7 "
+        with pytest.raises(SceneError, match=sentence):
+            scene(folder, OUTER + inside)
+        assert find_faults(folder / "scene.toml")[0].count("the first at vertex 7") == 1
+
+
+def test_images_that_repeat_are_a_remark(folder):
+    """The texture coordinates of the ball reach from −0.2 to 0.2."""
+    rough = PLAIN.replace("seed.ply", "unwrapped.ply") + '[inside.interface]\nroughness = "alpha.png"\n'
+    (folder / "scene.toml").write_text(OUTER + rough)
+    assert any(
+        "'plain': the texture coordinates go from (-0.2" in remark for remark in find_remarks(folder / "scene.toml")
+    )
+    (folder / "scene.toml").write_text(OUTER + PLAIN.replace("seed.ply", "unwrapped.ply"))
+    assert not any("texture coordinates" in remark for remark in find_remarks(folder / "scene.toml"))

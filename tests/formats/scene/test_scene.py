@@ -1,5 +1,7 @@
 """Scene files: their values, their files, and errors that name the key."""
 
+import codecs
+
 import numpy as np
 import pytest
 
@@ -143,11 +145,11 @@ FAULTS = [
     ),
     ("[1, 1, 2]", "[1, 1, 1e300]", "medium.bounds: expected two corners"),
     ("= 12.0", "= = 12", "is not TOML"),
-    ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply is not closed: 3 edges"),
+    ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply does not bound a solid: 3 edges are open"),
     (
         'mesh = "ball.ply"',
         'mesh = "one_flipped.ply"',
-        "object.mesh: .*flipped.ply has 3 edges between faces of opposite",
+        "object.mesh: .*flipped.ply does not bound a solid: 3 edges lie between faces of opposite winding",
     ),
     ("0.25", '"alpha.png"', "interface.roughness: an image needs texture coordinates, but the mesh has none"),
     ("0.25", '0.25\nenergy_compensation = "yes"', "interface.energy_compensation: expected true or false"),
@@ -244,6 +246,30 @@ def test_missing_and_damaged_files_are_named(folder):
         read_scene(folder / "nowhere.toml")
     with pytest.raises(MeshError, match=r"grid\.npy"):
         scene(folder, "ball.ply", "grid.npy")
-    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    (folder / "binary.toml").write_bytes(b"\x89PNG\xff")
     with pytest.raises(SceneError, match="expected UTF-8 text"):
         read_scene(folder / "binary.toml")
+
+
+def test_a_byte_order_mark_changes_nothing_and_other_encodings_are_named(folder):
+    (folder / "plain.toml").write_text(SCENE)
+    (folder / "marked.toml").write_bytes(codecs.BOM_UTF8 + SCENE.encode())
+    assert read_scene(folder / "marked.toml").content_hash == read_scene(folder / "plain.toml").content_hash
+    for encoding in ("UTF-16", "UTF-32"):
+        (folder / "wide.toml").write_bytes(SCENE.encode(encoding))
+        with pytest.raises(SceneError, match=f"wide.toml: expected text in UTF-8, found {encoding}"):
+            read_scene(folder / "wide.toml")
+
+
+def test_a_mesh_of_cubes_that_touch_along_an_edge_is_read(folder):
+    quads = np.array([(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
+    cube = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+    faces = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    for offset, fault in (((1, 1, 0), None), ((1, 0, 0), "2 faces lie on other faces"), ((0, 0, 0), "12 faces lie on")):
+        twins = build_mesh(np.concatenate([cube, cube + offset]).astype(float), np.concatenate([faces, faces + 8]))
+        write_mesh(twins, folder / "twins.ply")
+        if fault is None:
+            assert len(scene(folder, "ball.ply", "twins.ply").mesh.positions) == 14
+        else:
+            with pytest.raises(SceneError, match=f"object.mesh: .*twins.ply does not bound a solid: {fault}"):
+                scene(folder, "ball.ply", "twins.ply")

@@ -2,8 +2,8 @@
 
 An asset stores a few harmonics of its transport. Under a sun their sum rings: vertices that the sun does not reach glow
 or become negative. Damping the harmonics of the light would blur the sun. Suns are therefore taken out of the skies
-(`prt_bake.lights.suns`) and shaded by the maximum-entropy reconstruction with the same harmonics (`maximum_entropy`).
-Directional lights up to the width of a sun are shaded in the same way.
+(`prt_bake.lights.sun_detection`) and shaded by the maximum-entropy reconstruction with the same harmonics
+(`maximum_entropy`). Directional lights up to the width of a sun are shaded in the same way.
 
 Radiance is linear in the scale of the light and additive in suns. It is additive in skies if the same suns are found in
 their sum. It is not linear in the asset's coefficients.
@@ -24,7 +24,7 @@ from formats.scene.lights import DirectionalLight
 from prt_bake.lights.deringing import windowed
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, solid_angle
-from prt_bake.lights.suns import WIDEST, split_lighting
+from prt_bake.lights.sun_detection import WIDEST, split_lighting
 from prt_bake.mathematics.sphere import BinCoordinates, tangent_frame, to_world
 
 Array = NDArray[np.float64]

@@ -1,0 +1,77 @@
+"""One rule for vertex normals: they must agree with the faces around them.
+
+Exporters write normals that point inwards, that are all (0, 0, 1), or that are zero. A bake would then cover the wrong
+hemisphere at each vertex. Normals that are smoothed or weighted differ from those of the faces by far less.
+"""
+
+import os
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from formats.errors import MeshError, warn
+
+if TYPE_CHECKING:
+    from formats.mesh.record import Mesh
+
+Array = NDArray[np.float64]
+
+_FEW = 0.01
+"""Share of contradicting normals up to which only these are replaced."""
+_LEAST_COSINE = 0.5
+"""Least median of the cosines between the normals of a file and those of the faces."""
+_INSTEAD = "normals computed from the faces are used"
+_REMEDY = "compute them from the faces, as formats.mesh.build_mesh does"
+
+
+def agreeing_normals(path: str | os.PathLike[str], given: Array | None, of_faces: Array) -> Array:
+    """The normals [V,3] of a file if they agree with those of the faces; otherwise those of the faces, with a warning.
+
+    Args:
+        path: the file, for the warning.
+        given: unit vertex normals of the file [V,3], NaN where they are missing; or None.
+        of_faces: angle-weighted mean normals of the faces around each vertex [V,3].
+    """
+    if given is None:
+        return of_faces
+    cosines = np.einsum("vi,vi->v", given, of_faces)
+    if _agree(-cosines):
+        warn(f"{path}: the vertex normals point inwards; they were reversed")
+        given, cosines = -given, -cosines
+    contradicting = ~(cosines > 0.0)
+    found = f"{path}: {contradicting.sum()} of {len(given)} vertex normals are missing or point away from the faces"
+    if not _agree(cosines):
+        warn(f"{found}, the median angle being {_median_angle(cosines):.0f} degrees; {_INSTEAD}")
+        return of_faces
+    if contradicting.any():
+        warn(f"{found}; there, {_INSTEAD}")
+    return np.where(contradicting[:, None], of_faces, given)
+
+
+def _agree(cosines: Array) -> bool:
+    """Whether all normals but a few are within 90 degrees of the faces', and half of them within 60."""
+    return bool((~(cosines > 0.0)).mean() <= _FEW and np.nanmedian(cosines) >= _LEAST_COSINE)
+
+
+def refuse_wrong_side(mesh: "Mesh", of_faces: Array) -> None:
+    """Raise MeshError if the normals of a mesh are not of unit length or contradict those of the faces [V,3]."""
+    lengths = np.linalg.norm(mesh.normals, axis=1)
+    wrong = ~(np.abs(lengths - 1.0) < 1e-3)
+    if wrong.any():
+        first = int(wrong.argmax())
+        raise MeshError(
+            f"mesh: {wrong.sum()} of {len(wrong)} normals are not unit vectors, the first is that of vertex {first}, "
+            f"of length {lengths[first]:.3g}; {_REMEDY}"
+        )
+    cosines = np.einsum("vi,vi->v", mesh.normals, of_faces)
+    if not _agree(cosines):
+        raise MeshError(
+            f"mesh: {(cosines <= 0.0).sum()} of {len(cosines)} vertex normals point away from the faces, the median "
+            f"angle being {_median_angle(cosines):.0f} degrees; {_REMEDY}"
+        )
+
+
+def _median_angle(cosines: Array) -> float:
+    """In degrees; missing normals count as opposite ones."""
+    return float(np.degrees(np.arccos(np.clip(np.median(np.nan_to_num(cosines, nan=-1.0)), -1.0, 1.0))))

@@ -1,0 +1,79 @@
+"""A network is only evaluated on the surface that it was trained on; other meshes are refused, with their cause."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from formats.errors import InputWarning, QueryError
+from formats.mesh import Mesh, build_mesh, read_mesh
+from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
+from prt_bake.shipped.demonstration import SHIPPED
+
+
+@pytest.fixture(scope="module")
+def network() -> NeuralBSSRDF:
+    return load_model(SHIPPED / "spot.pt")
+
+
+@pytest.fixture(scope="module")
+def spot() -> Mesh:
+    return read_mesh(SHIPPED / "spot.obj")
+
+
+def piece(mesh: Mesh) -> Mesh:
+    chosen = mesh.faces[(mesh.positions[mesh.faces][..., 2] < -0.3).all(axis=1)]
+    used, faces = np.unique(chosen, return_inverse=True)
+    return build_mesh(mesh.positions[used], faces.reshape(-1, 3))
+
+
+def subdivided(mesh: Mesh) -> Mesh:
+    return build_mesh(*trimesh.remesh.subdivide(mesh.positions, mesh.faces))
+
+
+def simplified(mesh: Mesh) -> Mesh:
+    """Every second vertex, collapsed to the next kept one: coarser, with all vertices on the surface."""
+    kept = np.arange(len(mesh.positions)) // 2 * 2
+    faces = kept[mesh.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return build_mesh(mesh.positions[used], renumbered.reshape(-1, 3))
+
+
+@pytest.mark.parametrize("variant", [lambda mesh: mesh, subdivided, simplified, piece])
+def test_meshes_of_the_same_surface_pass(network, spot, variant):
+    network.refuse_foreign(variant(spot))
+
+
+MIDDLE = np.array([0.0, 0.12, 0.19])
+WRONG = {
+    "0.5 times as large": lambda x: MIDDLE + 0.5 * (x - MIDDLE),
+    r"0.01 times as large \(metres in place of centimetres\)": lambda x: 0.01 * x,
+    r"0.0254 times as large \(metres in place of inches\)": lambda x: 0.0254 * x,
+    r"1000 times as large \(millimetres in place of metres\)": lambda x: 1000.0 * x,
+    "1.7[0-9]* times as large": lambda x: 1.71 * x,
+    r"axes are swapped \(the object's x, y, z are its x, z, -y\)": lambda x: x[:, [0, 2, 1]] * [1.0, -1.0, 1.0],
+    "it is moved": lambda x: np.add(x, [0.0, 0.9, 0.0]),
+    "bake the mesh of the model's own scene": lambda x: (
+        x @ trimesh.transformations.rotation_matrix(0.3, [1, 2, 3])[:3, :3]
+    ),
+}
+
+
+@pytest.mark.parametrize("cause", WRONG)
+def test_the_cause_is_named(network, spot, cause):
+    foreign = build_mesh(WRONG[cause](spot.positions), spot.faces)
+    with pytest.raises(QueryError, match=f"of 2930 vertices are not on the surface .* scene units away; .*{cause}"):
+        network.refuse_foreign(foreign)
+
+
+def test_another_object_inside_is_refused(network):
+    box = trimesh.creation.box((0.2, 0.2, 0.2))
+    with pytest.raises(QueryError, match="8 of 8 vertices are not on the surface"):
+        network.refuse_foreign(build_mesh(box.vertices, box.faces))
+
+
+def test_a_few_vertices_off_the_surface_are_warned_about(network, spot):
+    positions = spot.positions.copy()
+    positions[:100] *= 0.9
+    with pytest.warns(InputWarning, match="of 2930 vertices are not on the surface .* the result is wrong there"):
+        network.refuse_foreign(build_mesh(positions, spot.faces))
