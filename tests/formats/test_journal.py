@@ -31,7 +31,7 @@ from tests.baking.loose_pilot import loose_settings
 write, remaining = Journal.write, [{blocks}]
 def write_or_die(self, name, arrays):
     write(self, name, arrays)
-    remaining[0] -= not name.startswith("aim")
+    remaining[0] -= not name.startswith("settings")
     if remaining[0] == 0:
         os.kill(os.getpid(), signal.SIGKILL)
 Journal.write = write_or_die
@@ -75,7 +75,7 @@ def test_a_killed_and_resumed_bake_equals_an_uninterrupted_one(
     killed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=False)
     assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
     journal = tmp_path / "killed.h5.journal"
-    assert sum(not path.name.startswith("aim") for path in journal.glob("*.npz")) == blocks
+    assert sum(not path.name.startswith("settings") for path in journal.glob("*.npz")) == blocks
     monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 64)
     monkeypatch.setattr("prt_bake.baking.adaptive.run.settings_for_error", loose_settings)
     evaluated: list[int] = []
