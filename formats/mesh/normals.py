@@ -57,8 +57,8 @@ def refuse_wrong_side(normals: Array, of_faces: Array) -> None:
     if wrong.any():
         first = int(wrong.argmax())
         raise MeshError(
-            f"mesh: {wrong.sum()} of {len(wrong)} normals are not unit vectors, the first is that of vertex {first}, "
-            f"of length {lengths[first]:.3g}; {_REMEDY}"
+            f"mesh: {wrong.sum()} of {len(wrong)} normals are not unit vectors, the first of these has "
+            f"length {lengths[first]:.3g}; {_REMEDY}"
         )
     cosines = np.einsum("vi,vi->v", normals, of_faces)
     if not _agree(cosines):

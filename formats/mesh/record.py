@@ -134,7 +134,9 @@ def refuse_inside_out(mesh: Mesh) -> None:
     """Raise MeshError if a closed mesh is wound inside out, or if its normals contradict its faces."""
     if signed_volume(mesh) < 0.0 and open_edges(mesh) + inconsistent_edges(mesh) == 0:
         raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
-    refuse_wrong_side(mesh.normals, build_mesh(mesh.positions, mesh.faces).normals)
+    used = np.unique(mesh.faces)  # a vertex of no face may face anywhere
+    if len(used):
+        refuse_wrong_side(mesh.normals[used], build_mesh(mesh.positions, mesh.faces).normals[used])
 
 
 def flipped(mesh: Mesh) -> Mesh:

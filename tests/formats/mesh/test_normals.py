@@ -93,3 +93,12 @@ def test_bakes_refuse_meshes_in_memory_that_face_the_wrong_side(kind: str) -> No
 def test_an_open_mesh_may_face_either_side() -> None:
     mesh = ball()
     refuse_foreign(object(), flipped(build_mesh(mesh.positions, mesh.faces[:600])))
+
+
+def test_vertices_of_no_face_may_face_anywhere() -> None:
+    mesh = ball()
+    positions, normals = (np.concatenate([rows, [[9.0, 0.0, 0.0]] * 99]) for rows in (mesh.positions, -mesh.normals))
+    normals[: len(mesh.normals)] *= -1.0
+    normals[len(mesh.normals) :] /= 9.0
+    refuse_foreign(object(), Mesh(positions, mesh.faces, normals))
+    refuse_foreign(object(), Mesh(positions[:1], np.zeros((0, 3), np.int32), normals[:1]))
