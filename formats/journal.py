@@ -9,7 +9,6 @@ No library: caches such as joblib's and diskcache unpickle what they read, and d
 import contextlib
 import json
 import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from threading import Lock
@@ -21,7 +20,8 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from formats.atomic import refuse_unwritable, remove_parts, replacing, storage_error
-from formats.errors import StorageError
+from formats.errors import FormatError, StorageError
+from formats.npz import read_arrays
 
 _IDENTITY, _LOCK = "identity.json", "lock"
 
@@ -90,9 +90,8 @@ class Journal:
     def read(self, name: str) -> dict[str, NDArray[Any]] | None:
         """Return the block of that name, or None if there is none or it is damaged."""
         try:
-            with open(self.folder / f"{name}.npz", "rb") as file, np.load(file, allow_pickle=False) as arrays:
-                return {key: arrays[key] for key in arrays.files}
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            return read_arrays(self.folder / f"{name}.npz")
+        except FormatError:
             return None
 
     def write(self, name: str, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -82,8 +82,8 @@ def _report(crossing: Indices, folded: Indices, sizes: Indices, place: Callable[
 def _unfilled(positions: Array, corners: Indices, sizes: Indices) -> Indices:
     """Return the polygons that have area and that their fan about the first corner does not fill."""
     large, starts = np.flatnonzero(sizes > 3), np.cumsum(sizes) - sizes
-    if len(large) == 0:
-        return large
+    if len(large) == 0 or len(positions) == 0:  # `read_mesh` reports vertices that do not exist
+        return large[:0]
     blocks = np.array_split(large, int(sizes[large].sum()) // _BLOCK + 1)
     found = [
         block[_fan_fails(positions, corners[_members(starts[block], sizes[block])], sizes[block])]

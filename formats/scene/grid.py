@@ -29,7 +29,7 @@ def read_grid(scene_path: Path, key: str, name: str, highest: float) -> NDArray[
     path = existing(scene_path.parent / name)
     try:
         grid = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as cause:
+    except Exception as cause:  # damaged headers raise errors of many classes, tokenize.TokenError among them
         raise SceneError(f"{scene_path}: {key}: {path} is not an .npy array, or is truncated; save it again") from cause
     if not isinstance(grid, np.ndarray) or grid.dtype.kind not in "fiu":
         raise SceneError(f"{scene_path}: {key}: {path} does not hold real numbers; expected one .npy array of floats")

@@ -6,7 +6,6 @@ The renderings are summed in two half buffers, which estimate the effect of the 
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 
 from formats.atomic import replacing
 from formats.image import read_layers, write_image
+from formats.npz import read_arrays
 from formats.scene import Scene
 from prt_bake.comparison.object_figures import TracedPicture
 from prt_bake.geometry.camera import Camera
@@ -152,10 +152,10 @@ def _write(path: Path, halves: HalfBuffers, identity: str) -> None:
 def _read(path: Path, identity: str) -> HalfBuffers | None:
     """Return the saved sums of the same picture; None if there are none or they cannot be read."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            head = json.loads(str(file["head"]))
-            if head["identity"] != identity:
-                return None
-            return HalfBuffers(file["radiance"], file["variance"], file["coverage"], **head["numbers"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        arrays = read_arrays(path)
+        head = json.loads(str(arrays["head"]))
+        if head["identity"] != identity:
+            return None
+        return HalfBuffers(arrays["radiance"], arrays["variance"], arrays["coverage"], **head["numbers"])
+    except (ValueError, KeyError, TypeError):
         return None

@@ -5,7 +5,6 @@ of rays within a pixel.
 """
 
 import json
-import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from formats.atomic import replacing
 from formats.errors import FormatError
+from formats.npz import read_arrays
 
 Array = NDArray[np.float64]
 
@@ -131,9 +131,8 @@ def stored_limits(path: Path) -> dict[str, Any]:
 
 def _read_head(path: Path, part: str) -> dict[str, Any]:
     try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            return dict(json.loads(str(file["head"]))[part])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return dict(json.loads(str(read_arrays(path)["head"]))[part])
+    except (ValueError, KeyError, TypeError):
         return {}
 
 
@@ -146,14 +145,14 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
     if not path.is_file():
         raise FormatError(f"{path}: not found; there is nothing to resume, render without --resume")
     try:
-        with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
-            head = json.loads(str(file["head"]))
-            radiance, squares, coverage = (np.asarray(file[name], np.float64) for name in _ARRAYS)
+        arrays = read_arrays(path)
+        head = json.loads(str(arrays["head"]))
+        radiance, squares, coverage = (np.asarray(arrays[name], np.float64) for name in _ARRAYS)
         found, numbers = dict(head["identity"]), head["numbers"]
         history = [(float(a), float(b), float(c)) for a, b, c in numbers["history"]]
         counts = int(numbers["passes"]), int(numbers["walks"]), float(numbers["seconds"])
         sums = Sums(radiance, squares, coverage, *counts, history)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as fault:
+    except (ValueError, KeyError, TypeError) as fault:
         kind = type(fault).__name__
         raise FormatError(f"{path}: not a readable checkpoint of a picture ({kind}); render without --resume") from None
     differing = [name for name in identity if found.get(name) != identity[name]]

@@ -227,3 +227,9 @@ def test_polygons_with_unusable_vertices_are_left_to_the_reader(tmp_path: Path) 
         (tmp_path / "t.obj").write_text(f"v 0 0 0\nv {huge}\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
         with pytest.raises(MeshError, match="beyond"):
             read_mesh(tmp_path / "t.obj")
+
+
+def test_polygons_without_any_vertex_are_refused(tmp_path):
+    (tmp_path / "mesh.obj").write_text("f 1 2 3 4\nf 2 3 4\n")
+    with pytest.raises(MeshError, match="faces use vertices that do not exist"):
+        read_mesh(tmp_path / "mesh.obj")
