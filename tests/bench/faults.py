@@ -9,6 +9,7 @@ read of more than five seconds, memory, a process that dies. The files of faults
 
 import argparse
 import multiprocessing
+import queue
 import random
 import resource
 import shutil
@@ -126,7 +127,7 @@ def _follow(process: Any, results: Any, outcomes: Counter[str], faults: Counter[
     while True:
         try:
             found, what = results.get(timeout=60.0 if not path else 4.0 * SECONDS)
-        except Exception:  # the queue is empty
+        except queue.Empty:
             found, what = "fault", "hangs" if process.is_alive() else f"dies with {process.exitcode}"
             if not path:
                 raise RuntimeError("the process did not start") from None

@@ -102,8 +102,8 @@ def test_info_names_the_layer_and_light_is_that_of_the_layer(prtbake: Run, tmp_p
     light, info, check = (prtbake(command, path) for command in ("light", "info", "check"))
     assert [outcome.code for outcome in (light, info, check)] == [0, 0, 0]
     assert light.out == prtbake("light", alone).out
-    told = f"prtbake: warning: {path}: the colours are those of layer V.Combined; the file also has layer V.AO\n"
-    assert [outcome.err for outcome in (light, info, check)] == [told] * 3
+    warning = f"prtbake: warning: {path}: the colours are those of layer V.Combined; the file also has layer V.AO\n"
+    assert [outcome.err for outcome in (light, info, check)] == [warning] * 3
     lines = [line.split(maxsplit=2) for line in info.out.splitlines()]
     assert ["colours", "of", "layer V.Combined"] in lines
     assert ["other", "layers", "['layer V.AO']"] in lines

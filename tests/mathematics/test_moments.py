@@ -29,11 +29,11 @@ def sums_of(values: Array) -> Array:
     return sums
 
 
-def exact(values: Array) -> tuple[float, float, float, float]:
+def exact(values: Array) -> list[float]:
     """Mean and central moments by rational arithmetic."""
     rational = [Fraction(float(value)) for value in values]
     mean = sum(rational) / len(rational)
-    return float(mean), *(float(sum((x - mean) ** k for x in rational) / len(rational)) for k in (2, 3, 4))  # type: ignore[return-value]
+    return [float(mean), *(float(sum((x - mean) ** k for x in rational) / len(rational)) for k in (2, 3, 4))]
 
 
 @pytest.mark.parametrize("deviations", [0.0, 1.0, 1e3, 1e6, 1e9, 1e12])

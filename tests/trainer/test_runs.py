@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from formats.errors import ModelError, QueryError, StorageError
+from formats.errors import ModelError, QueryError
 from prt_bake.network.bssrdf import load_model
 from prt_bake.network.file_names import state_path
 from prt_bake.tracer.prepared import prepare
@@ -303,17 +303,6 @@ def test_a_model_keeps_every_tenth_progress_report_the_first_and_the_last(rough_
     assert len(training["validation_vs_time"]) == 3
     assert training["validation_vs_time"][-1][0] == training["seconds"]
     assert training["validation_of"] == "coefficients"
-
-
-def test_an_output_that_cannot_be_written_is_refused_before_anything_is_traced(scene, tmp_path):
-    def refuse_steps(sentence: str) -> None:
-        pytest.fail(f"the training began: {sentence}")
-
-    with pytest.raises(StorageError, match="none does not exist"):
-        train_small(scene, 10, output=tmp_path / "none" / "m.pt", say=refuse_steps)
-    state_path(tmp_path / "m.pt").mkdir()
-    with pytest.raises(StorageError, match=r"m\.train\.pt: cannot be written: it is a folder"):
-        train_small(scene, 10, output=tmp_path / "m.pt", say=refuse_steps)
 
 
 def test_resuming_needs_an_intact_checkpoint_of_the_same_run(scene, tmp_path):

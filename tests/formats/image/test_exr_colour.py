@@ -62,7 +62,7 @@ def assert_both(path: Path, expected: np.ndarray) -> None:
         (planes("diffuse.", letters=("red", "green", "blue")) | planes("rgba.", IMAGE), "layer rgba", "diffuse"),
     ],
 )
-def test_a_layer_named_as_the_picture_is_taken_and_told(
+def test_a_layer_named_as_the_picture_is_taken_with_a_warning(
     tmp_path: Path, channels: dict[str, np.ndarray], layer: str, other: str
 ) -> None:
     path = write(tmp_path / "a.exr", channels)
@@ -271,7 +271,7 @@ def test_rec709_is_left_as_it_is(tmp_path: Path, header: dict[str, object]) -> N
     assert_both(write(tmp_path / "a.exr", planes("", IMAGE), **header), IMAGE)
 
 
-def test_an_attribute_of_another_type_is_told(tmp_path: Path) -> None:
+def test_an_attribute_of_another_type_is_reported(tmp_path: Path) -> None:
     content = write(tmp_path / "a.exr", planes("", IMAGE), chromaticities=AP1).read_bytes()
     (tmp_path / "a.exr").write_bytes(content.replace(b"chromaticities\0chroma", b"chromaticities\0chrome"))
     with pytest.warns(InputWarning, match="chromaticities is not understood"):

@@ -62,7 +62,7 @@ def test_blocks_are_converted_as_the_complete_image() -> None:
         (0.64, 0.33, 0.3),
     ],
 )
-def test_unusable_numbers_are_told_and_ignored(numbers: tuple[float, ...]) -> None:
+def test_unusable_numbers_are_ignored_with_a_warning(numbers: tuple[float, ...]) -> None:
     with pytest.warns(InputWarning, match=r"a.hdr: PRIMARIES is not understood; the colours are taken as linear"):
         assert matrix_to_rec709(Path("a.hdr"), Primaries("PRIMARIES", numbers)) is None
 

@@ -94,7 +94,7 @@ def test_files_that_say_srgb_are_read_without_a_word(tmp_path: Path, chunks: tup
     np.testing.assert_array_equal(read_image(write(tmp_path / "a.png", *chunks)), SRGB)
 
 
-def test_a_gamma_of_zero_is_told_and_ignored(tmp_path: Path) -> None:
+def test_a_gamma_of_zero_is_ignored_with_a_warning(tmp_path: Path) -> None:
     with pytest.warns(InputWarning, match="gAMA chunk of 0 is ignored"):
         np.testing.assert_array_equal(read_image(write(tmp_path / "a.png", chunk(b"gAMA", numbers(0.0)))), SRGB)
 
@@ -122,7 +122,7 @@ def test_a_cicp_chunk_comes_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_another_colour_profile_is_told(tmp_path: Path, suffix: str) -> None:
+def test_another_colour_profile_is_reported(tmp_path: Path, suffix: str) -> None:
     path, picture = tmp_path / f"a{suffix}", Image.fromarray(CODES)
     picture.save(path, icc_profile=SRGB_PROFILE)
     srgb = read_image(path)
@@ -192,7 +192,7 @@ def test_roughness_is_the_same_from_png_and_jpeg(tmp_path: Path) -> None:
         np.testing.assert_allclose(read_levels(tmp_path / f"a{suffix}"), 128 / 255)
 
 
-def test_cmyk_is_told_as_colour_and_refused_as_data(tmp_path: Path) -> None:
+def test_cmyk_is_a_warning_as_colour_and_refused_as_data(tmp_path: Path) -> None:
     Image.fromarray(CODES).convert("CMYK").save(tmp_path / "a.jpg")
     with pytest.warns(InputWarning, match="stores CMYK; it is converted to RGB without a colour profile"):
         assert read_image(tmp_path / "a.jpg").shape == (7, 9, 3)

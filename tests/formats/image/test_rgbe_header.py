@@ -51,7 +51,7 @@ def test_factors_of_one_and_those_of_earlier_pictures_do_nothing(tmp_path: Path)
 
 
 @pytest.mark.parametrize("line", ["EXPOSURE=0", "EXPOSURE=-1", "EXPOSURE=bright", "EXPOSURE=nan", "COLORCORR=1 2"])
-def test_factors_that_are_no_positive_numbers_are_told_and_ignored(tmp_path: Path, line: str) -> None:
+def test_factors_that_are_no_positive_numbers_are_ignored_with_a_warning(tmp_path: Path, line: str) -> None:
     plain = rewritten(tmp_path / "a.hdr", line)
     with pytest.warns(InputWarning, match=f"{line} is ignored: expected positive numbers"):
         assert_both(tmp_path / "a.hdr", plain)
@@ -63,7 +63,7 @@ def test_absurd_factors_are_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "a.hdr")
 
 
-def test_a_gamma_is_told_and_ignored(tmp_path: Path) -> None:
+def test_a_gamma_is_ignored_with_a_warning(tmp_path: Path) -> None:
     plain = rewritten(tmp_path / "a.hdr", "GAMMA=2.2")
     with pytest.warns(InputWarning, match="GAMMA=2.2 is ignored: the values are taken as linear"):
         assert_both(tmp_path / "a.hdr", plain)
@@ -92,7 +92,7 @@ def test_primaries_that_mean_the_same_as_none(tmp_path: Path, primaries: str) ->
     assert_both(tmp_path / "a.hdr", rewritten(tmp_path / "a.hdr", f"PRIMARIES={primaries}"))
 
 
-def test_primaries_that_are_not_eight_numbers_are_told(tmp_path: Path) -> None:
+def test_primaries_that_are_not_eight_numbers_are_reported(tmp_path: Path) -> None:
     plain = rewritten(tmp_path / "a.hdr", "PRIMARIES=Rec.2020")
     with pytest.warns(InputWarning, match="PRIMARIES is not understood"):
         assert_both(tmp_path / "a.hdr", plain)
@@ -119,7 +119,7 @@ def test_absurd_sizes_are_refused(tmp_path: Path, resolution: str) -> None:
             reader(tmp_path / "a.hdr")
 
 
-def test_negative_values_are_written_as_black_and_told(tmp_path: Path) -> None:
+def test_negative_values_are_written_as_black_with_a_warning(tmp_path: Path) -> None:
     image = IMAGE.copy()
     image[0, 0] = -0.5, 1.0, 2.0
     with pytest.warns(InputWarning, match=r"a.hdr: 1 pixels are negative, down to -0.5; .hdr stores them as 0"):

@@ -45,8 +45,8 @@ def test_reflectances_outside_rec709_are_clipped_to_it(tmp_path: Path) -> None:
     image[0, 0] = 0.0, 0.5, 0.0
     channels = {name: np.ascontiguousarray(image[..., i]) for i, name in enumerate("RGB")}
     OpenEXR.File({**HEADER, "chromaticities": gamut.ACES_AP1}, channels).write(str(tmp_path / "a.exr"))
-    told = pytest.warns(InputWarning, match="1 of 16 pixels are outside Rec.709")
-    with pytest.warns(InputWarning, match="converted"), told:
+    clipped = pytest.warns(InputWarning, match="1 of 16 pixels are outside Rec.709")
+    with pytest.warns(InputWarning, match="converted"), clipped:
         texture = read_reflectance_texture(tmp_path / SCENE, "reflectance", "a.exr")
     assert texture[0, 0, 0] == texture[0, 0, 2] == 0.0
     np.testing.assert_allclose(texture[1:], 0.25, rtol=1e-5)

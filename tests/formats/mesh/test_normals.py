@@ -21,6 +21,13 @@ def ball() -> Mesh:
     return build_mesh(made.vertices * [1.0, 0.7, 1.3], made.faces)
 
 
+def tilted(n: Array) -> Array:
+    """By 75 degrees: no normal points away from its faces."""
+    across = np.cross(n, [0.3, 0.5, 0.8])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.asarray(np.cos(np.radians(75.0)) * n + np.sin(np.radians(75.0)) * across)
+
+
 def first(count: int, value: float) -> Change:
     """Multiply the first normals."""
     return lambda n: np.where(np.arange(len(n))[:, None] < count, value, 1.0) * n
@@ -32,6 +39,7 @@ FILES: dict[str, tuple[Change, str]] = {
         lambda n: np.broadcast_to([0.0, 0.0, 1.0], n.shape),
         "[0-9]+ of 642 vertex normals are missing or point away .* are used",
     ),
+    "tilted": (tilted, "0 of 642 vertex normals are missing .* median angle being 75 degrees; normals computed"),
     "zero": (lambda n: 0.0 * n, "642 of 642 vertex normals are missing .* are used"),
     "not finite at one": (first(1, np.nan), "1 of 642 vertex normals are missing .*; there, normals computed"),
     "zero at one": (first(1, 0.0), "1 of 642 vertex normals are missing .*; there, normals computed"),
