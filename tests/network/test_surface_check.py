@@ -77,3 +77,10 @@ def test_a_few_vertices_off_the_surface_are_warned_about(network, spot):
     positions[:100] *= 0.9
     with pytest.warns(InputWarning, match="of 2930 vertices are not on the surface .* the result is wrong there"):
         network.refuse_foreign(build_mesh(positions, spot.faces))
+
+
+def test_an_object_that_shrinks_to_a_point_of_the_surface_has_no_known_cause(network, spot):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    foreign = build_mesh(ball.vertices + 1000.0 * spot.positions[7], ball.faces)
+    with pytest.raises(QueryError, match="162 of 162 vertices .*; bake the mesh of the model's own scene"):
+        network.refuse_foreign(foreign)
