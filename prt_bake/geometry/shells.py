@@ -124,9 +124,8 @@ def _hits_along(mesh: Mesh, edges: NDArray[np.int64]) -> Iterator[tuple[NDArray[
 
 
 def _passes_through(mesh: Mesh, edges: NDArray[np.int64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Whether edges [N,2] cross the inside of faces [N]."""
+    """Whether edges [N,2] cross the inside of faces [N]. The volume with a vertex that they share is exactly 0."""
     corners = mesh.faces[faces].astype(np.int64)
-    apart = (corners[:, :, None] != edges[:, None, :]).all(axis=(1, 2))
     (p, q), (a, b, c) = (np.moveaxis(mesh.positions[index] - mesh.center, 1, 0) for index in (edges, corners))
 
     def volume(*four: Array) -> Array:
@@ -138,4 +137,4 @@ def _passes_through(mesh: Mesh, edges: NDArray[np.int64], faces: NDArray[np.int6
     sides = volume(a, b, c, p) * volume(a, b, c, q) < 0.0
     turns = np.stack([np.sign(volume(p, q, *pair)) for pair in ((a, b), (b, c), (c, a))])
     # Of mirrored shells an edge may pass through the edge of a face: one turn is 0.
-    return np.asarray(apart & sides & (turns.any(axis=0)) & ((turns >= 0.0).all(axis=0) | (turns <= 0.0).all(axis=0)))
+    return np.asarray(sides & turns.any(axis=0) & ((turns >= 0.0).all(axis=0) | (turns <= 0.0).all(axis=0)))

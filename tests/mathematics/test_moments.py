@@ -52,9 +52,9 @@ def test_a_sample_that_begins_with_its_outlier_keeps_its_moments() -> None:
 
 
 def test_equal_values_have_no_variance() -> None:
-    of_parts = from_sums(np.stack([sums_of(np.full(count, 0.1)) for count in LENGTHS], axis=1), np.array(LENGTHS))
+    of_parts = from_sums(np.stack([sums_of(np.full(count, 1.0 / 3.0)) for count in LENGTHS], axis=1), np.array(LENGTHS))
     mean, *central = merged(of_parts, np.array(LENGTHS), axis=0)
-    assert mean == 0.1
+    assert mean == 1.0 / 3.0
     np.testing.assert_array_equal(central, 0.0)
 
 

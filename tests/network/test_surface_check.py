@@ -82,5 +82,5 @@ def test_a_few_vertices_off_the_surface_are_warned_about(network, spot):
 def test_an_object_that_shrinks_to_a_point_of_the_surface_has_no_known_cause(network, spot):
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     foreign = build_mesh(ball.vertices + 1000.0 * spot.positions[7], ball.faces)
-    with pytest.raises(QueryError, match="162 of 162 vertices .*; bake the mesh of the model's own scene"):
+    with pytest.raises(QueryError, match=r"162 of 162 vertices .*; bake the mesh of the model's own scene"):
         network.refuse_foreign(foreign)
