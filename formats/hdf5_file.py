@@ -5,6 +5,7 @@ Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html, rea
 
 import os
 import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,11 @@ HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, Attribute
 _EXPECTED_SIZE = re.compile(r"stored_eof = (\d+)")
 """The size that HDF5 expects of a truncated file, in its message."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_HEAP = struct.Struct("<8sQ")
+_HEAP_SIGNATURE = b"GCOL\x01\0\0\0"
+_HEAP_OBJECT = struct.Struct("<HHIQ")
+_SEARCHED = 2**26
+"""Bytes at the beginning and at the end of a file that are searched for heaps: prtbake writes its strings there."""
 
 
 class DamagedDataError(OSError):
@@ -43,6 +49,8 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
         raise error(f"{path}: is empty; expected an HDF5 file; copy or {remedy} again")
     if signature != _SIGNATURE:
         raise error(f"{path}: {is_not}: expected an HDF5 file, found a file that begins with {signature!r}")
+    if _has_endless_heap(path):
+        raise error(f"{path}: is damaged: a part of it cannot be read; copy or {remedy} again")
     try:
         return h5py.File(path, "r")
     except HDF5_ERRORS as cause:
@@ -53,6 +61,32 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
         if isinstance(cause, OSError) and cause.errno is not None:
             raise error(f"{path}: {describe_damage(cause)}; copy or {remedy} again") from cause
         raise error(f"{path}: is damaged or truncated, {size} bytes long; copy or {remedy} again") from cause
+
+
+def _has_endless_heap(path: str | os.PathLike[str]) -> bool:
+    """Return whether a heap of strings holds an object that occupies no byte, since HDF5 2.0 loops for ever there.
+
+    A heap is a signature, its size, and objects: index, count, reserved, size, and the content in multiples of 8 bytes.
+    The object of index 0 is the free rest, whose size includes its head.
+    """
+    with open(path, "rb") as file:
+        parts = [file.read(_SEARCHED)]
+        file.seek(max(file.tell(), os.fstat(file.fileno()).st_size - _SEARCHED))
+        parts.append(file.read())
+    return any(_is_endless(part, heap.start()) for part in parts for heap in re.finditer(_HEAP_SIGNATURE, part))
+
+
+def _is_endless(content: bytes, start: int) -> bool:
+    """Return whether the heap at `start` has an object that occupies no byte; those that are too long end it."""
+    end = min(start + _HEAP.unpack_from(content, start)[1], len(content)) if start + _HEAP.size <= len(content) else 0
+    at = start + _HEAP.size
+    while at + _HEAP_OBJECT.size <= end:
+        index, _, _, size = _HEAP_OBJECT.unpack_from(content, at)
+        step = (_HEAP_OBJECT.size + (size + 7) // 8 * 8 if index else size) % 2**64
+        if step == 0:
+            return True
+        at += step
+    return False
 
 
 def describe_damage(cause: BaseException) -> str:

@@ -1,5 +1,29 @@
-"""`python -m prt_bake.cli` is the same as `prtbake`."""
+"""The console script `prtbake`; `python -m prt_bake.cli` is the same."""
 
-from prt_bake.cli.main import run
+import signal
+import sys
 
-run()
+
+def run() -> None:
+    """Run the command line. After Ctrl-C, errors of libraries whose import it broke off are not shown."""
+    received: list[int] = []
+
+    def interrupt(number: int, _: object) -> None:
+        received.append(number)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        from prt_bake.cli.main import main
+
+        code = main()
+    except BaseException:
+        if not received:
+            raise
+        print("prtbake: stopped by Ctrl-C before it was finished", file=sys.stderr)
+        code = 1
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    run()

@@ -78,14 +78,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
         return _fail(reason if error.filename is None else f"{error.filename}: {reason}")
+    except ValueError as error:
+        if "threading layer" not in str(error).lower():  # numba, at the first kernel
+            raise
+        layer = os.environ.get("NUMBA_THREADING_LAYER")
+        return _fail(f"NUMBA_THREADING_LAYER is {layer}, which numba cannot load here; unset it, or `pip install tbb`")
     except MemoryError:
         return _fail("out of memory: try a smaller mesh, fewer --workers or a smaller --size")
     return 0
-
-
-def run() -> None:
-    """Run the console script."""
-    sys.exit(main())
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from prt_bake.network.core import NetworkCore
 from prt_bake.network.features.interior import Interior
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.prepared import prepared_for
+from prt_bake.network.lobes import LOBE_PARAMETERS
 from prt_bake.network.settings import PRESETS, NetworkSettings
 
 __all__ = ["PRESETS", "NetworkSettings", "NeuralBSSRDF", "load_model", "save_model"]
@@ -129,8 +130,10 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
                 "or train one"
             )
         packed = tensors.pop(INTERIOR, None)
+        settings = NetworkSettings.from_json(head["settings"])
+        _check_size(settings, sum(tensor.numel() for tensor in tensors.values()))
         network = NeuralBSSRDF(
-            NetworkSettings.from_json(head["settings"]),
+            settings,
             head["box_min"],
             head["box_side"],
             head["output_scale"],
@@ -149,6 +152,15 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
         raise ModelError(f"{fault}; copy the file again, or train the model again") from None
     network.load_state_dict(tensors)
     return network.to(device).eval()
+
+
+def _check_size(settings: NetworkSettings, stored: int) -> None:
+    """Refuse settings of a larger network than the `stored` numbers, before any memory is reserved for it."""
+    if settings.layers <= stored:
+        lobes = LOBE_PARAMETERS * settings.lobes * settings.width
+        if lobes + sum(outputs * inputs for outputs, inputs in settings.layer_shapes) <= stored:
+            return
+    raise ModelError(f"its settings describe a larger network than its {stored} numbers; copy the file again")
 
 
 def _shapes(tensors: dict[str, Tensor]) -> dict[str, tuple[int, ...]]:

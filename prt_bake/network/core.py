@@ -3,7 +3,9 @@
 `NetworkCore` is all that `inference` needs to know of a network. `bssrdf.NeuralBSSRDF` adds the frozen forms to it.
 """
 
+import os
 from copy import copy
+from functools import partial
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -24,6 +26,10 @@ from prt_bake.network.surface_check import OwnSurface
 ROWS_PER_BATCH = 8192
 _LOBE_WEIGHT_SPREAD = 0.02
 """Standard deviation of the initial weights of lobes: small, so that all lobes start nearly alike, but not equal."""
+
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    # torch waits for ever for its threads, which a forked process lacks.
+    os.register_at_fork(after_in_child=partial(torch.set_num_threads, 1))
 
 
 class NetworkCore(nn.Module):

@@ -70,7 +70,7 @@ class VertexRadiance:
         """Return the radiance [V,3] to the eye [3], as `Frames.draw`, in an array that every call reuses."""
         if self._frames is None:
             return self._draw_with_numpy(np.asarray(eye, np.float64))
-        from numba import get_num_threads, set_num_threads
+        from prt_bake.jit.threads import using_threads
 
         relit = not self._light_is_set and self._asset.quantity == "transfer"
         if relit:
@@ -79,13 +79,9 @@ class VertexRadiance:
         self._light_is_set = True
         # All but the largest objects take one thread about 1 ms. Waiting for a second thread takes longer if others,
         # such as those of VTK, are busy.
-        most = get_num_threads()
-        set_num_threads(min(most, 1 + len(self._radiance) // _VERTICES_PER_THREAD))
-        try:
+        with using_threads(1 + len(self._radiance) // _VERTICES_PER_THREAD):
             self._hold_resting_eye(self._frames, tuple(np.asarray(eye, np.float64).tolist()), relit)
             return self._frames.draw(eye)
-        finally:
-            set_num_threads(most)
 
     def _hold_resting_eye(self, frames: "Frames", eye: tuple[float, ...], relit: bool) -> None:
         """Interpolate between view bins once if the light moves and the eye rests."""

@@ -6,22 +6,23 @@ float16 on a CPU). Sums are float64.
 
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, prange, set_num_threads
+from numba import prange
 from numpy.typing import NDArray
 
 from formats.asset.compact_record import CompactCoefficients
 from prt_bake.jit.compilation import compiled
+from prt_bake.jit.threads import using_threads
 from prt_bake.mathematics.sphere import BinCoordinates
 from prt_bake.shading.compact_reconstruction import reconstruct_compact
 
 _BYTES_AT_ONCE = 64 << 20
 _VERTICES_A_THREAD = 1 << 14
 _COMPACT_VERTICES_A_THREAD = 1 << 13
+"""Vertices that justify another thread; waiting for a thread on a busy machine costs milliseconds."""
 
 
 def reconstruct(
@@ -37,26 +38,15 @@ def reconstruct(
     places = BinCoordinates._make(np.ascontiguousarray(field) for field in at)
     light = np.ascontiguousarray(light, np.float64)
     if isinstance(coefficients, CompactCoefficients):
-        with _threads_for(len(vertices), _COMPACT_VERTICES_A_THREAD):
+        with using_threads(1 + len(vertices) // _COMPACT_VERTICES_A_THREAD):
             reconstruct_compact(coefficients, vertices, places, sectors, light, radiance)
         return radiance
-    with _threads_for(len(vertices), _VERTICES_A_THREAD):
+    with using_threads(1 + len(vertices) // _VERTICES_A_THREAD):
         for part, block, rows in _blocks(coefficients, vertices):
             half = block.dtype == np.float16
             bits, table = (block.view(np.uint16), _half_table()) if half else (block, None)
             _reconstruct(bits, table, rows, tuple(field[part] for field in places), sectors, light, radiance[part])
     return radiance
-
-
-@contextmanager
-def _threads_for(vertices: int, a_thread: int) -> Iterator[None]:
-    """Use only as many numba threads as have enough work; waiting for a thread on a busy machine costs milliseconds."""
-    most = get_num_threads()
-    set_num_threads(min(most, 1 + vertices // a_thread))
-    try:
-        yield
-    finally:
-        set_num_threads(most)
 
 
 def _blocks(coefficients: Any, vertices: NDArray[np.int64]) -> Iterator[tuple[slice, NDArray[Any], NDArray[np.int64]]]:

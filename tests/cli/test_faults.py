@@ -12,6 +12,7 @@ import pytest
 
 from formats.asset import read_asset
 from formats.image import write_image
+from prt_bake.cli.__main__ import run
 from tests.cli.command_line import SCENE, Outcome, Run
 
 Write = Callable[[Path, Path], object]
@@ -218,3 +219,42 @@ def test_sample_refuses_a_smooth_scene_at_once(prtbake: Run, folder: Path, tmp_p
     _scene(SCENE.replace("eta = 1.0", "eta = 1.3\nroughness = 0.0"))(folder, path)
     _assert_one_sentence(prtbake("sample", path, "-o", tmp_path / "s.h5", "--count", 1), path)
     assert not (tmp_path / "s.h5").exists()
+
+
+def test_a_threading_layer_that_cannot_be_loaded_is_one_sentence(folder: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "prt_bake.cli", "render", "scene.toml", "sphere.ply", "--light", "sky.exr"]
+    ran = subprocess.run(
+        [*command, "-o", tmp_path / "a.png", "--size", "8x8", "--spp", "2"],
+        cwd=folder,
+        env=os.environ | {"NUMBA_THREADING_LAYER": "nonsense"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ran.returncode, ran.stderr.splitlines()[-1].split(",")[0]) == (
+        1,
+        "prtbake: NUMBA_THREADING_LAYER is nonsense",
+    )
+    assert "Traceback" not in ran.stderr
+
+
+def test_an_error_after_ctrl_c_is_the_sentence_of_ctrl_c(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Some imports turn an interrupt into another error."""
+
+    def broken() -> int:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise RuntimeError("a broken import") from None
+        return 0
+
+    monkeypatch.setattr("prt_bake.cli.main.main", broken)
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        with pytest.raises(SystemExit, match="1"):
+            run()
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert capsys.readouterr().err == "prtbake: stopped by Ctrl-C before it was finished\n"

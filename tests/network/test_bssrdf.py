@@ -291,6 +291,18 @@ def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, o
         load_model(damaged(tmp_path, change))
 
 
+@pytest.mark.parametrize("setting", ["width", "layers", "features", "light_features", "ray_samples", "lobes"])
+def test_settings_of_a_larger_network_than_the_file_are_refused(tmp_path: Path, setting: str) -> None:
+    path = tmp_path / "model.pt"
+    save_model(NeuralBSSRDF(PRESETS["measured"], interior=rough_interior(8)), path)
+    content = torch.load(path, weights_only=True)
+    head = json.loads(content["prtbake"])
+    head["settings"][setting] = 10**9
+    torch.save(content | {"prtbake": json.dumps(head)}, path)
+    with pytest.raises(ModelError, match=r"model\.pt: its settings describe a larger network than its \d+ numbers"):
+        load_model(path)
+
+
 @pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
 def test_other_files_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"model{suffix}"

@@ -123,6 +123,9 @@ def _parse(kind: type[Entry], text: bytes, path: str | os.PathLike[str]) -> Entr
             raise MeshError(f"{path}: is not glTF, or its JSON is damaged: {error['msg']}; export it again") from cause
         if error["type"] == "missing":
             raise MeshError(f"{path}: {place}: is missing; export the glTF file again") from cause
+        if error["type"] == "too_long":
+            most = error["ctx"]["max_length"]
+            raise MeshError(f"{path}: {place}: expected at most {most} entries, found more; export less") from cause
         expected = (
             "0 or more" if error["type"] == "greater_than_equal" else error["msg"].replace("Input should be ", "")
         )

@@ -193,7 +193,7 @@ class Gltf(Record):
 
     scene: Index | None = None
     scenes: Many[Scene] = ()
-    nodes: Many[Node] = ()
+    nodes: Annotated[Many[Node], Field(max_length=100_000)] = ()
     skins: Many[Skin] = ()
     meshes: Many[Mesh] = ()
     materials: Many[Material] = ()

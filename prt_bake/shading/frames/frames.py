@@ -1,18 +1,17 @@
 """Real-time drawing of an asset: radiance at its vertices for each frame, at memory bandwidth. Never loads torch."""
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numba import get_num_threads, set_num_threads
+from numba import get_num_threads
 from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.asset.compact_record import CompactCoefficients
 from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
+from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
 from prt_bake.lights.environment import rotate_light
 from prt_bake.shading.frames import codes, holding, kernels
@@ -125,12 +124,13 @@ class Frames:
             # Colours are read as four numbers.
             self._pairs = np.zeros(vertices * bins * 6 + 1, np.float32)
         compact = self._asset.coefficients
-        if isinstance(compact, CompactCoefficients):
-            for some, radiance in codes.radiance_at_bins(compact, self._flat_light.astype(np.float64)):
-                kernels.pair_up(radiance, self._grid, some, self._pairs)
-        else:
-            size = self._terms * self._channels
-            kernels.fold_rows(self._stored[0], size, self._kernel_light, self._grid, self._valid, self._pairs)
+        with using_threads(len(self._sums)):
+            if isinstance(compact, CompactCoefficients):
+                for some, radiance in codes.radiance_at_bins(compact, self._flat_light.astype(np.float64)):
+                    kernels.pair_up(radiance, self._grid, some, self._pairs)
+            else:
+                size = self._terms * self._channels
+                kernels.fold_rows(self._stored[0], size, self._kernel_light, self._grid, self._valid, self._pairs)
         ring_0 = self._pairs[:-1].reshape(vertices, bins, 6)[:, : self._grid[1], :3]
         self._folded = self._pairs, ring_0.mean(axis=1, dtype=np.float64).astype(np.float32)
 
@@ -144,7 +144,7 @@ class Frames:
         size = self._codes.size if self._is_compact else self._terms * self._channels
         if self._held is None:
             self._held = np.zeros(len(self._valid) * size, np.float32)
-        with _using_threads(self._threads(self._is_compact)) as threads:
+        with using_threads(self._threads(self._is_compact)) as threads:
             view = self._scene, self._eye, bool(cull), self._grid, self._scratch
             if self._is_compact:
                 holding.hold_compact(tuple(self._codes), *view, self._views, self._radiance, self._held, threads)
@@ -168,7 +168,7 @@ class Frames:
         self._required_light()
         self._set_view(eye, visible)
         held = self._held if self._holds(bool(cull)) else None
-        with _using_threads(self._threads(self._is_compact and held is None and self._folded is None)) as threads:
+        with using_threads(self._threads(self._is_compact and held is None and self._folded is None)) as threads:
             sums = self._sums[threads - 1]
             sums[:] = 0.0
             self._draw(sums, bool(cull), held)
@@ -258,17 +258,6 @@ class Frames:
         )
         sums = np.zeros((threads, 8))
         self._sums = [sums[:n] for n in range(1, threads + 1)]
-
-
-@contextmanager
-def _using_threads(count: int) -> Iterator[int]:
-    """Set the number of numba threads."""
-    most = int(get_num_threads())
-    set_num_threads(count)
-    try:
-        yield count
-    finally:
-        set_num_threads(most)
 
 
 def _flat_rows(coefficients: Any, sectors: int) -> tuple[NDArray[Any], NDArray[np.float32]]:

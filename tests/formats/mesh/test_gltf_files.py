@@ -81,6 +81,7 @@ def test_containers_that_are_no_gltf_are_refused(tmp_path):
     cases = {
         b"": "is not glTF, or its JSON is damaged",
         b'{"asset": {"version": "2.0"}, "nodes": [' + b"1," * 10**5 + b"1]}": r"nodes\[0\]: expected an object",
+        b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 10**5 + b"{}]}": "nodes: expected at most 100000",
         b"[]": "is not glTF, or its JSON is damaged",
         b"PK\3\4": "is not glTF",
         b"[" * 9999: "is not glTF",

@@ -1,0 +1,50 @@
+"""Strings in damaged HDF5 files: those on which the library would loop for ever are refused."""
+
+import struct
+from pathlib import Path
+
+import h5py
+import pytest
+
+from formats.errors import AssetError
+from formats.hdf5_file import open_hdf5
+
+HEAP = b"GCOL\x01\0\0\0"
+
+
+@pytest.fixture
+def strings(tmp_path: Path) -> Path:
+    """A file with three strings as attributes, all in one heap."""
+    with h5py.File(path := tmp_path / "strings.h5", "w") as file:
+        file.attrs.update(format="prtbake", version="1.0", note="three")
+    return path
+
+
+def open_it(path: Path) -> None:
+    open_hdf5(path, AssetError, "is not an asset", "bake it").close()
+
+
+@pytest.mark.parametrize("size", [2**64 - 16, 2**64 - 17, 2**64 - 23])
+@pytest.mark.parametrize("string", [0, 1, 2])
+def test_a_string_whose_length_wraps_to_nothing_is_refused(strings: Path, string: int, size: int) -> None:
+    content = bytearray(strings.read_bytes())
+    # Every object has 16 bytes of head and 8 of content: its size stands in the last 8 of the head.
+    struct.pack_into("<Q", content, content.index(HEAP) + 16 + 24 * string + 8, size)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match=r"strings\.h5: is damaged.*copy or bake it again"):
+        open_it(strings)
+
+
+def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
+    content = bytearray(strings.read_bytes())
+    struct.pack_into("<HHIQ", content, content.index(HEAP) + 16, 0, 0, 0, 0)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
+def test_long_strings_and_cut_heaps_open(strings: Path) -> None:
+    with h5py.File(strings, "r+") as file:
+        file.attrs.update(long="x" * 5000, empty="")
+        file.create_dataset("picture of a heap", data=list(HEAP))
+    open_it(strings)
