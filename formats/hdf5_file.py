@@ -89,6 +89,12 @@ def _is_endless(content: bytes, start: int) -> bool:
     return False
 
 
+def first_fault(faults: list[str], remedy: str) -> str:
+    """Return the first of some faults, the number of the others, and the remedy if the fault names none."""
+    more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
+    return f"{faults[0]}{more}" if ";" in faults[0] else f"{faults[0]}{more}; {remedy}"
+
+
 def describe_damage(cause: BaseException) -> str:
     """Return what is wrong with a file as the end of a sentence, without the wording of h5py."""
     if isinstance(cause, DamagedDataError):

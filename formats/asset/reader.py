@@ -17,7 +17,7 @@ from formats.asset.head import mesh_digest
 from formats.asset.layout import layout_faults, transfer_group
 from formats.asset.record import Asset
 from formats.errors import AssetError
-from formats.hdf5_file import HDF5_ERRORS, DamagedDataError, describe_damage, open_hdf5
+from formats.hdf5_file import HDF5_ERRORS, DamagedDataError, describe_damage, first_fault, open_hdf5
 from formats.mesh import Mesh
 
 _BLOCK_BYTES = 2**26
@@ -55,8 +55,7 @@ def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
     try:
         faults = list(_faults(file))
         if faults:
-            more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
-            raise AssetError(f"{path}: {faults[0]}{more}")
+            raise AssetError(f"{path}: {first_fault(faults, 'copy or bake it again')}")
         asset = _asset(file, load)
     except HDF5_ERRORS as cause:
         file.close()

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SamplesError
-from formats.hdf5_file import HDF5_ERRORS, describe_damage, open_hdf5
+from formats.hdf5_file import HDF5_ERRORS, describe_damage, first_fault, open_hdf5
 
 FORMAT = "prtbake samples"
 FORMAT_VERSION = "1.0"
@@ -93,8 +93,7 @@ def read_samples(path: str | os.PathLike[str]) -> Samples:
     if samples is not None:
         faults = list(_value_faults(samples))
     if samples is None or faults:
-        more = f" (and {len(faults) - 1} more faults)" if len(faults) > 1 else ""
-        raise SamplesError(f"{path}: {faults[0]}{more}")
+        raise SamplesError(f"{path}: {first_fault(faults, 'copy or sample it again')}")
     return samples
 
 

@@ -82,7 +82,7 @@ def _read_tables(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as cause:
         raise SceneError(f"{path}: is not a scene file: expected UTF-8 text, found binary data") from cause
     except tomllib.TOMLDecodeError as cause:
-        advice = "" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
+        advice = "; correct the line" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
         raise SceneError(f"{path}: is not TOML: {cause}{advice}") from cause
     if "object" not in tables and ("directional" in tables or "sky" in tables):
         raise SceneError(f"{path}: is a lights file; expected a scene, with [object]; give lights to render as --light")

@@ -135,7 +135,7 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
     except UnicodeDecodeError as cause:
         raise LightError(f"{path}: is not a lights file: expected UTF-8 text, found binary data") from cause
     except tomllib.TOMLDecodeError as cause:
-        raise LightError(f"{path}: is not TOML: {cause}") from cause
+        raise LightError(f"{path}: is not TOML: {cause}; correct the line") from cause
     try:
         lights = _LightsFile.model_validate(tables)
     except ValidationError as cause:

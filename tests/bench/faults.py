@@ -1,18 +1,23 @@
 """Every reader under damaged files: no traceback, no hang, no memory beyond 20 times the file and 200 MB.
 
-    python -m tests.bench.faults [--inputs 100000] [--seed 0] [--only obj ply …] [--keep FOLDER]
+    python -m tests.bench.faults [--inputs 100000] [--seed 0] [--only obj ply …] [--keep FOLDER] [--corpus FOLDER]
 
 Valid small files of each kind are mutated: bits, bytes, numbers and lengths changed, parts repeated, removed or taken
-from another file. A reader may return, warn, or raise a PrtbakeError. Everything else is a fault: another exception, a
-read of more than five seconds, memory, a process that dies. The files of faults are kept in FOLDER, if it is given.
+from another file. A mutated file that reaches lines of the readers which no file has reached is mutated further
+(`lines` counts them); the corpus of such files is kept in a folder, if it is given, and a later run begins with it.
+
+A reader may return, warn, or raise a PrtbakeError. Everything else is a fault: another exception, a read of more than
+five seconds, memory, a process that dies. The files of faults are kept in FOLDER, if it is given.
 """
 
 import argparse
+import hashlib
 import multiprocessing
 import queue
 import random
 import resource
 import shutil
+import sys
 import tempfile
 import time
 import warnings
@@ -27,6 +32,8 @@ SECONDS = 5.0
 MEGABYTES, TIMES = 200, 20
 _NUMBERS = (b"0", b"-1", b"nan", b"1e999", b"4294967295", b"-2147483649", b"99999999999999999999", b"1e-320")
 _WORDS = (b"\xff\xff\xff\xff", b"\x00\x00\x00\x00", b"\xff\xff\xff\x7f", b"\x00\x00\x00\x80", b"\x01", b"\xff" * 8)
+
+_PRODUCT = tuple(str(Path(__file__).parents[2] / room) for room in ("formats", "prt_bake"))
 
 Report = tuple[str, str]
 """The outcome of a read and, for faults, its description."""
@@ -68,6 +75,26 @@ def _change_number(data: bytearray, at: int, draw: random.Random) -> None:
     data[at:end] = draw.choice(_NUMBERS)
 
 
+class Lines:
+    """The lines of the product that have run in a `with` block, in this thread."""
+
+    def __init__(self) -> None:
+        self.seen = set[tuple[Any, int]]()
+
+    def __enter__(self) -> None:
+        sys.settrace(self._enter)
+
+    def __exit__(self, *_: object) -> None:
+        sys.settrace(None)
+
+    def _enter(self, frame: Any, event: str, argument: object) -> Any:
+        return self._line if frame.f_code.co_filename.startswith(_PRODUCT) else None
+
+    def _line(self, frame: Any, event: str, argument: object) -> Any:
+        self.seen.add((frame.f_code, frame.f_lineno))
+        return self._line
+
+
 def outcome(read: Read, path: Path) -> Report:
     """Read a file and classify what happens."""
     before, began = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
@@ -89,31 +116,43 @@ def outcome(read: Read, path: Path) -> Report:
     return found, ""
 
 
-def work(kind: str, seed: int, inputs: int, folder: str, results: Any) -> None:
+def work(kind: str, seed: int, inputs: int, folder: str, corpus: Path | None, results: Any) -> None:
     """Read mutated files of one kind; each path is announced before it is read, so that a death has a culprit."""
     make, read = KINDS[kind]
-    valid = [path.read_bytes() for path in make(Path(folder))]
+    parents = [path.read_bytes() for path in make(Path(folder))]
+    parents += [path.read_bytes() for path in sorted(corpus.iterdir())] if corpus and corpus.is_dir() else []
     draw = random.Random(f"{kind} {seed}")
     suffix = "".join(next(iter(make(Path(folder)))).suffixes)
+    lines = Lines()
     for number in range(inputs):
         path = Path(folder) / f"input{number % 2}{suffix}"
-        path.write_bytes(mutated(draw.choice(valid), draw.choice(valid), draw))
+        content = mutated(draw.choice(parents), draw.choice(parents), draw)
+        path.write_bytes(content)
         results.put(("begins", str(path)))
-        found, what = outcome(read, path)
+        before = len(lines.seen)
+        with lines:
+            found, what = outcome(read, path)
         if found == "fault":
             results.put(("begins", shutil.copy(path, path.with_stem(f"fault{number}"))))
+        elif len(lines.seen) > before:
+            parents.append(content)
+            if corpus:
+                corpus.mkdir(parents=True, exist_ok=True)
+                (corpus / hashlib.sha256(content).hexdigest()[:16]).write_bytes(content)
         results.put((found, what))
-    results.put(("ended", ""))
+    results.put(("ended", str(len(lines.seen))))
 
 
-def tested(kind: str, seed: int, inputs: int, keep: Path | None) -> tuple[Counter[str], Counter[str]]:
+def tested(
+    kind: str, seed: int, inputs: int, keep: Path | None, corpus: Path | None
+) -> tuple[Counter[str], Counter[str]]:
     """Outcomes, and faults by description, of mutated files of one kind; a dead or hanging process is replaced."""
     outcomes, faults, done = Counter[str](), Counter[str](), 0
     context = multiprocessing.get_context("spawn")
     while done < inputs:
         with tempfile.TemporaryDirectory() as folder:
             results = context.Queue()
-            process = context.Process(target=work, args=(kind, seed + done, inputs - done, folder, results))
+            process = context.Process(target=work, args=(kind, seed + done, inputs - done, folder, corpus, results))
             process.start()
             done += _follow(process, results, outcomes, faults, keep)
             process.kill()
@@ -132,6 +171,7 @@ def _follow(process: Any, results: Any, outcomes: Counter[str], faults: Counter[
             if not path:
                 raise RuntimeError("the process did not start") from None
         if found == "ended":
+            outcomes["lines"] = int(what)
             return done
         if found == "begins":
             path = what
@@ -154,12 +194,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", nargs="+", choices=sorted(KINDS), default=list(KINDS))
     parser.add_argument("--keep", type=Path, help="folder for the files of faults")
+    parser.add_argument("--corpus", type=Path, help="folder for the files that reach new lines")
     args = parser.parse_args()
-    print(f"{'kind':14}{'inputs':>9}{'read':>9}{'refused':>9}{'faults':>9}{'seconds':>9}")
+    print(f"{'kind':14}{'inputs':>9}{'read':>9}{'refused':>9}{'faults':>9}{'lines':>9}{'seconds':>9}")
     for kind in args.only:
         began = time.perf_counter()
-        outcomes, faults = tested(kind, args.seed, args.inputs, args.keep)
-        counts = "".join(f"{outcomes[name]:>9,}" for name in ("read", "refused", "fault"))
+        corpus = args.corpus / kind if args.corpus else None
+        outcomes, faults = tested(kind, args.seed, args.inputs, args.keep, corpus)
+        counts = "".join(f"{outcomes[name]:>9,}" for name in ("read", "refused", "fault", "lines"))
         print(f"{kind:14}{args.inputs:>9,}{counts}{time.perf_counter() - began:>9.0f}", flush=True)
         for what, count in faults.most_common():
             print(f"    {count:,} times: {what}", flush=True)
