@@ -3,7 +3,7 @@
     python -m tests.bench.training [SCENE.toml] [--minutes 1] [--only WORDS] [--out bench/training.json]
 
 Prints the relative RMSE of Ŝ and of a_lm on fresh queries, and of a_lm over vertices as in a bake, all corrected for
-the reference's noise; the walks, the steps, and the size of the model file. `--only` selects variants whose names
+the reference's noise; the paths, the steps, and the size of the model file. `--only` selects variants whose names
 contain one of the words. The paper's network is one of the variants.
 
 `train` removes inputs that are useless for a scene: variants of lobes and of the refracted ray differ from the default
@@ -83,16 +83,16 @@ VARIANTS: dict[str, Variant] = {
     "1 lobe": network(lobes=1),
     "4 lobes": network(lobes=4),
     "no grid": network(grid_places=0),
-    "grid of 24 points": network(grid_places=24),
-    "grid of 48 points": network(grid_places=48),
-    "4 features per grid point": network(grid_numbers=4),
-    "16 features per grid point": network(grid_numbers=16),
+    "grid of 24 nodes": network(grid_places=24),
+    "grid of 48 nodes": network(grid_places=48),
+    "4 features per node": network(grid_numbers=4),
+    "16 features per node": network(grid_numbers=16),
     "96 Fourier features": network(features=96),
     "no shape": network(shape_places=0),
     "shape at x alone": network(shape_places=1),
-    "no samples towards the light": network(light_places=0),
-    "8 samples towards the light": network(light_places=8),
-    "24 samples towards the light": network(light_places=24),
+    "no occupancy towards the light": network(light_places=0),
+    "8 places towards the light": network(light_places=8),
+    "24 places towards the light": network(light_places=24),
     "no cosines to the light": network(light_cosines=False),
     "no angle": network(angle_powers=0),
     "4 powers of the angle": network(angle_powers=4),
@@ -110,8 +110,8 @@ VARIANTS: dict[str, Variant] = {
     **{f"depth {layers}": deep(layers, True) for layers in (4, 6, 7)},
     **{f"depth {layers} without skips": deep(layers, False) for layers in (3, 4, 5, 6, 7)},
     "loss relative": learning(loss="relative"),
-    "no decay of weights": learning(decay=0.0),
-    "decay of weights 0.1": learning(decay=0.1),
+    "no weight decay": learning(decay=0.0),
+    "weight decay 0.1": learning(decay=0.1),
     "rate 0.001": learning(rate=1e-3),
     "rate 0.002": learning(rate=2e-3),
     "rate 0.008": learning(rate=8e-3),
@@ -121,8 +121,8 @@ VARIANTS: dict[str, Variant] = {
     "float32": learning(bfloat16=False),
     "batch 256": learning(batch=256),
     "batch 1024": learning(batch=1024),
-    "6 samples of the view ray": network(ray_samples=6),
-    "24 samples of the view ray": network(ray_samples=24),
+    "6 samples of the ray": network(ray_samples=6),
+    "24 samples of the ray": network(ray_samples=24),
     "no ray, light enters first, narrow spread": plain(**EARLY, feature_spread=0.09),
     "view ray not refracted inside": network(ray_turns=0),
     "values": stream(rays="values", walks=1, connections=4),
@@ -130,19 +130,19 @@ VARIANTS: dict[str, Variant] = {
     "queries by area alone": stream(face_share=0.0),
     "rows used twice": stream(reuse=2),
     "a learner that never waits": stream(reuse=1000),
-    "4 walks, 8 uniform directions": Variant(
+    "4 paths per query, 8 directions in addition": Variant(
         stream=replace(STREAM, exits=4, kept=4), learning=replace(LEARNING, spread=8, coarse_steps=0)
     ),
-    "8 walks per query": stream(exits=8, kept=8),
-    "at most 64 walks per query": stream(exits=64),
-    "32 walks per query, each a ray": stream(least_exits=32, kept=32),
+    "8 paths per query": stream(exits=8, kept=8),
+    "at most 64 paths per query": stream(exits=64),
+    "32 paths per query, each a ray": stream(least_exits=32, kept=32),
     "6 rays per query": stream(kept=6),
     "no coarse steps": learning(coarse_steps=0),
     "3000 coarse steps": learning(coarse_steps=3000),
-    "8 uniform directions": learning(spread=8),
-    "48 uniform directions": learning(spread=48),
-    "1 walk per value": stream(walks=1),
-    "4 walks per value": stream(walks=4),
+    "8 directions in addition to the exits": learning(spread=8),
+    "48 directions in addition to the exits": learning(spread=48),
+    "1 path per value": stream(walks=1),
+    "4 paths per value": stream(walks=4),
 }
 
 
@@ -194,7 +194,7 @@ def main() -> None:
     args = parser.parse_args()
     scene = read_scene(args.scene)
     truth = Truth(scene)
-    head = f"{'variant':36}{'error of S':>11}{'of a_lm':>9}{'vertices':>10}{'walks':>12}{'steps':>8}{'KiB':>6}"
+    head = f"{'variant':46}{'error of S':>11}{'of a_lm':>9}{'vertices':>10}{'paths':>12}{'steps':>8}{'KiB':>6}"
     print(f"{head}   ({args.minutes:g} minutes)")
     rows = {}
     for name, variant in VARIANTS.items():
@@ -203,7 +203,7 @@ def main() -> None:
         row = rows[name] = trained(scene, variant, args.minutes, truth)
         transport = "" if row["transport"] is None else f"{row['transport']:.4f}"
         print(
-            f"{name:36}{transport:>11}{row['coefficients']:9.4f}{row['vertices']:10.4f}"
+            f"{name:46}{transport:>11}{row['coefficients']:9.4f}{row['vertices']:10.4f}"
             f"{row['walks']:12,}{row['steps']:8,}{row['kib']:6.0f}",
             flush=True,
         )
