@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import SamplesError
+from formats.errors import PrtbakeError, SamplesError
 from formats.hdf5_file import HDF5_ERRORS, describe_damage, first_fault, open_hdf5
 
 FORMAT = "prtbake samples"
@@ -119,9 +119,9 @@ def check_samples(path: str | os.PathLike[str]) -> list[str]:
 def is_samples(path: str | os.PathLike[str]) -> bool:
     """Whether a file has the format attribute of sample files."""
     try:
-        with h5py.File(path, "r") as file:
+        with _opened(path) as file:
             return _text(file, "format") == FORMAT
-    except HDF5_ERRORS:
+    except (*HDF5_ERRORS, PrtbakeError):
         return False
 
 
