@@ -6,6 +6,7 @@ Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html, rea
 import os
 import re
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _HEAP = struct.Struct("<8sQ")
 _HEAP_SIGNATURE = b"GCOL\x01\0\0\0"
 _HEAP_OBJECT = struct.Struct("<HHIQ")
-_SEARCHED = 2**26
+_REFERENCE = struct.Struct("<IQI")
+_SEARCHED = 2**24
 """Bytes at the beginning and at the end of a file that are searched for heaps: prtbake writes its strings there."""
 
 
@@ -49,7 +51,7 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
         raise error(f"{path}: is empty; expected an HDF5 file; copy or {remedy} again")
     if signature != _SIGNATURE:
         raise error(f"{path}: {is_not}: expected an HDF5 file, found a file that begins with {signature!r}")
-    if _has_endless_heap(path):
+    if _has_damaged_strings(path):
         raise error(f"{path}: is damaged: a part of it cannot be read; copy or {remedy} again")
     try:
         return h5py.File(path, "r")
@@ -63,21 +65,33 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
         raise error(f"{path}: is damaged or truncated, {size} bytes long; copy or {remedy} again") from cause
 
 
-def _has_endless_heap(path: str | os.PathLike[str]) -> bool:
-    """Return whether a heap of strings holds an object that occupies no byte, since HDF5 2.0 loops for ever there.
+def _has_damaged_strings(path: str | os.PathLike[str]) -> bool:
+    """Return whether HDF5 2.0 would loop for ever or reserve gigabytes for a string.
 
-    A heap is a signature, its size, and objects: index, count, reserved, size, and the content in multiples of 8 bytes.
-    The object of index 0 is the free rest, whose size includes its head.
+    Strings lie in heaps: a signature, the heap's size, and objects: index, count, reserved, size, and the content in
+    multiples of 8 bytes. The object of index 0 is the free rest, whose size includes its head. Attributes refer to
+    strings by length, address of the heap, and index.
     """
+    size = os.path.getsize(path)
     with open(path, "rb") as file:
-        parts = [file.read(_SEARCHED)]
-        file.seek(max(file.tell(), os.fstat(file.fileno()).st_size - _SEARCHED))
-        parts.append(file.read())
-    return any(_is_endless(part, heap.start()) for part in parts for heap in re.finditer(_HEAP_SIGNATURE, part))
+        parts = [(0, file.read(_SEARCHED))]
+        parts.append((file.seek(max(file.tell(), size - _SEARCHED)), file.read()))
+    for offset, part in parts:
+        for heap in _places(part, _HEAP_SIGNATURE):
+            if _is_endless(part, heap) or _too_long(part, offset + heap, size):
+                return True
+    return False
+
+
+def _places(content: bytes, pattern: bytes) -> Iterator[int]:
+    place = content.find(pattern)
+    while place >= 0:
+        yield place
+        place = content.find(pattern, place + 1)
 
 
 def _is_endless(content: bytes, start: int) -> bool:
-    """Return whether the heap at `start` has an object that occupies no byte; those that are too long end it."""
+    """Return whether the heap at `start` has an object that occupies no byte; one that is too long ends it."""
     end = min(start + _HEAP.unpack_from(content, start)[1], len(content)) if start + _HEAP.size <= len(content) else 0
     at = start + _HEAP.size
     while at + _HEAP_OBJECT.size <= end:
@@ -86,6 +100,15 @@ def _is_endless(content: bytes, start: int) -> bool:
         if step == 0:
             return True
         at += step
+    return False
+
+
+def _too_long(content: bytes, address: int, size: int) -> bool:
+    """Return whether a string in the heap at `address` is longer than the whole file, according to a reference."""
+    for place in _places(content[:-4], address.to_bytes(8, "little")):
+        length, _, index = _REFERENCE.unpack_from(content, max(0, place - 4))
+        if length > size and 0 < index < 2**16:
+            return True
     return False
 
 

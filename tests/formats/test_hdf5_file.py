@@ -43,6 +43,18 @@ def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
         open_it(strings)
 
 
+@pytest.mark.parametrize("length", [2**31 - 1, 2**32 - 1])
+@pytest.mark.parametrize("string", [0, 1, 2])
+def test_a_string_longer_than_the_file_is_refused(strings: Path, string: int, length: int) -> None:
+    content = bytearray(strings.read_bytes())
+    address = content.index(HEAP).to_bytes(8, "little")
+    reference = content.index(address + struct.pack("<I", 1 + string))
+    struct.pack_into("<I", content, reference - 4, length)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
 def test_long_strings_and_cut_heaps_open(strings: Path) -> None:
     with h5py.File(strings, "r+") as file:
         file.attrs.update(long="x" * 5000, empty="")
