@@ -39,12 +39,15 @@ def describe(path: Path) -> dict[str, Any]:
 
 def find_faults(path: Path) -> list[str]:
     """Return the faults of the tables; if there are none, raise the error of the meshes and grids, if any."""
+    from prt_bake.geometry.nesting import refuse_outside
     from prt_bake.geometry.shells import refuse_ambiguous
 
     faults = find_table_faults(path)
     if not faults:
-        for part in read_scene(path).parts:
+        parts = read_scene(path).parts
+        for part in parts:
             refuse_ambiguous(part.mesh, part.mesh_path)
+        refuse_outside(parts)
     return faults
 
 
