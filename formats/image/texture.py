@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SceneError, warn
-from formats.image.files import read_levels
+from formats.image.files import read_data
 from formats.image.rows import open_image
 
+_GREY = 0.02
+"""How far the channels of a grey image may differ, after lossy compression."""
 _LOSS = 1e-3
 """How far lossy compression takes values out of their range."""
 
@@ -27,7 +29,20 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
         StorageError: the file is missing.
     """
     path = scene_path.parent / name
-    return _check_range(scene_path, key, path, read_levels(path))
+    return _check_range(scene_path, key, path, read_roughness(path))
+
+
+def read_roughness(path: Path) -> NDArray[np.float64]:
+    """Read the first channel of an image as data, float64 [H,W], and warn if the others differ."""
+    image = read_data(path)
+    with np.errstate(invalid="ignore"):  # differences of infinite values
+        difference = float(np.ptp(image, axis=2).max())
+    if difference > _GREY:
+        warn(
+            f"{path}: the channels differ, by up to {difference:.2g}; the first, red, is read as roughness (glTF "
+            f"stores it in green); save it as a grey image"
+        )
+    return np.ascontiguousarray(image[..., 0])
 
 
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:

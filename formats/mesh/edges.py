@@ -128,7 +128,8 @@ def welded(positions: Array, faces: Indices) -> tuple[Indices, float] | None:
     target = _merged(positions, faces, loose_vertices(edges), reach)
     if target is None:
         return None
-    return target, float(np.linalg.norm(positions - positions[target], axis=1).max())
+    moved = target != np.arange(len(target))
+    return target, float(np.linalg.norm(positions[moved] - positions[target[moved]], axis=1).max())
 
 
 def loose_vertices(edges: Edges) -> Indices:

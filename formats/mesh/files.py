@@ -115,7 +115,8 @@ def _refuse_invalid(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
             f"{path}: {outside.sum()} of {len(soup.faces)} faces use vertices that do not exist, the first is face "
             f"{first} with corners {soup.faces[first].tolist()}; expected indices from 0 to {count - 1}"
         )
-    invalid = ~(np.abs(soup.positions) <= geometry.MOST_COORDINATE).all(axis=1)
+    invalid = np.asarray(~(np.abs(soup.positions) <= geometry.MOST_COORDINATE).all(axis=1))
+    invalid[np.setdiff1d(np.arange(count), soup.faces)] = False  # vertices of no face are removed
     if invalid.any():
         first = int(invalid.argmax())
         raise MeshError(

@@ -20,6 +20,7 @@ from formats.text import without_byte_order_mark
 from formats.triangle_soup import TriangleSoup
 
 _MISSING = -(2**31)  # a corner without texture coordinate or normal
+_UNWRAP = "the others' are not used, unwrap the whole mesh if a texture needs them"
 _READ = (b"v", b"vt", b"vn", b"f", b"fo")
 
 
@@ -148,22 +149,30 @@ def _soup(tables: _Tables, path: str | os.PathLike[str]) -> TriangleSoup:
     sizes = np.array(tables.sizes, np.int64)
     triangles = triangulate(positions, corners[:, 0], sizes, lambda face: f"{path}: line {tables.lines[face]}")
     pairs = np.array(tables.vt, np.float64).reshape(-1, 2)
-    _name_missing_pairs(tables, corners[:, 1], sizes, path)
+    _name_missing(tables, corners[:, 1], sizes, len(pairs), path, "texture coordinates", _UNWRAP)
     uv = _corner_values(pairs, corners[triangles, 1])
-    normals = _corner_values(np.array(tables.vn, np.float64).reshape(-1, 3), corners[triangles, 2])
+    vectors = np.array(tables.vn, np.float64).reshape(-1, 3)
+    _name_missing(tables, corners[:, 2], sizes, len(vectors), path, "normals", "those of the faces are used")
+    normals = _corner_values(vectors, corners[triangles, 2])
     return TriangleSoup(positions, corners[triangles, 0], normals, uv)
 
 
-def _name_missing_pairs(
-    tables: _Tables, index: NDArray[np.int64], sizes: NDArray[np.int64], path: str | os.PathLike[str]
+def _name_missing(
+    tables: _Tables,
+    index: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    rows: int,
+    path: str | os.PathLike[str],
+    what: str,
+    instead: str,
 ) -> None:
-    """Warn if some corners have texture coordinates and others do not."""
-    missing = (index < 0) | (index >= len(tables.vt) // 2)
+    """Warn if some corners have values and others have none, or values that do not exist."""
+    missing = (index < 0) | (index >= rows)
     if missing.any() and (index != _MISSING).any():
         face = int(np.searchsorted(np.cumsum(sizes), missing.argmax(), side="right"))
         warn(
-            f"{path}: {missing.sum()} of {len(missing)} corners of faces have no texture coordinates, the first in "
-            f"line {tables.lines[face]}; the others' are not used, unwrap the whole mesh if a texture needs them"
+            f"{path}: {missing.sum()} of {len(missing)} corners of faces have no {what}, the first in line "
+            f"{tables.lines[face]}; {instead}"
         )
 
 

@@ -38,6 +38,11 @@ def read_ply(path: str | os.PathLike[str]) -> TriangleSoup:
     byte_order, elements, start = read_header(content, path)
     body = PlyBody(content[start:], byte_order, path)
     columns = {element.name: body.columns(element) for element in elements}
+    if body.surplus:
+        warn(
+            f"{path}: {body.surplus} {'bytes' if byte_order else 'numbers'} follow the last row that the header "
+            f"counts, and are ignored; if faces are missing, export the mesh again"
+        )
     return _soup(columns, path)
 
 

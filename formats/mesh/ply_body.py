@@ -76,6 +76,12 @@ class PlyBody:
             for i, entry in enumerate(element.properties)
         }
 
+    @property
+    def surplus(self) -> int:
+        """Bytes after the last element that was read, or numbers of an ascii file; white space does not count."""
+        rest = self._bytes[self._offset :]
+        return len(rest) // 8 if self._text else len(rest.strip())
+
     def _uniform_columns(self, element: Element, sizes: list[int]) -> Columns | None:
         fields: list[Any] = []
         for i, (entry, size) in enumerate(zip(element.properties, sizes, strict=True)):

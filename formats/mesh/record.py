@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import MeshError
+from formats.errors import MeshError, warn
 from formats.mesh import geometry
 from formats.mesh.edges import edges_of
 from formats.mesh.normals import refuse_wrong_side
@@ -131,12 +131,21 @@ def signed_volume(mesh: Mesh) -> float:
 
 
 def refuse_inside_out(mesh: Mesh) -> None:
-    """Raise MeshError if a closed mesh is wound inside out, or if its normals contradict its faces."""
-    if signed_volume(mesh) < 0.0 and open_edges(mesh) + inconsistent_edges(mesh) == 0:
-        raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
+    """Raise MeshError if a closed mesh is wound inside out, or if its normals contradict its faces.
+
+    Warns of edges between faces of opposite winding: some of the normals there point inwards.
+    """
     used = np.unique(mesh.faces)  # a vertex of no face may face anywhere
-    if len(used):
-        refuse_wrong_side(mesh.normals[used], build_mesh(mesh.positions, mesh.faces).normals[used])
+    if not len(used):
+        return
+    if inconsistent := inconsistent_edges(mesh):
+        warn(
+            f"mesh: {inconsistent} edges lie between faces of opposite winding; normals of some faces point inwards: "
+            f"make them consistent in a mesh editor (recalculate outside)"
+        )
+    elif signed_volume(mesh) < 0.0 and open_edges(mesh) == 0:
+        raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
+    refuse_wrong_side(mesh.normals[used], build_mesh(mesh.positions, mesh.faces).normals[used])
 
 
 def flipped(mesh: Mesh) -> Mesh:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import SceneError
+from formats.errors import SceneError, warn
 from formats.image.texture import read_reflectance_texture, read_roughness_texture
 from formats.mesh import Mesh, closedness_faults, flipped, read_mesh, signed_volume, texture_fault
 from formats.scene.file import errors_at
@@ -17,6 +17,8 @@ from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
 
 MOST_PARTS = 12
 """Parts of a scene, the outermost included."""
+_MOST_SIZE = 10.0
+"""Diagonal of a part over that of its parent, beyond which the unit is probably wrong."""
 OUTERMOST = "object"
 """The name of the outermost part."""
 
@@ -165,6 +167,11 @@ def _refuse_outside(mesh: Mesh, parent: Part, where: str) -> None:
         raise SceneError(
             f"{where} lies completely outside {parent.name!r}: its box is {_box(mesh)}, expected one that overlaps "
             f"{_box(parent.mesh)}; move it, or check the unit of length"
+        )
+    if mesh.diagonal > _MOST_SIZE * parent.mesh.diagonal:
+        warn(
+            f"{where} is {mesh.diagonal / parent.mesh.diagonal:.3g} times as large as {parent.name!r}, which it may "
+            f"fill; check the unit of length"
         )
 
 

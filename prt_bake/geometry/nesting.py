@@ -9,11 +9,15 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.errors import SceneError
 from formats.mesh import Mesh
+from formats.mesh.geometry import face_normals
 from formats.scene.parts import Part
 
 TOLERANCE = 1e-4
 """Tolerated protrusion of a part from its parent, in diagonals of the parent."""
+_BEHIND = 1e-5  # distance behind a face, in diagonals
+_GROUPS = 64  # of faces tested one after the other: usually the first face decides
 _PAIRS = 1_000_000  # points times faces in memory at once
 _MOST_PAIRS = 100_000_000  # points times faces tested in total
 
@@ -36,6 +40,25 @@ def protruding_parts(parts: tuple[Part, ...]) -> list[str]:
                 f"{len(tested)} vertices lie outside); what sticks out is cut off"
             )
     return remarks
+
+
+def refuse_outside(parts: tuple[Part, ...]) -> None:
+    """Raise SceneError if a part has no volume inside its parent, whose cavities are outside of it."""
+    for part in parts[1:]:
+        parent = parts[part.parent]
+        if not (_reaches_into(part.mesh, parent.mesh) or _reaches_into(parent.mesh, part.mesh)):
+            raise SceneError(
+                f"{part.mesh_path}: {part.name!r} has no volume inside {parent.name!r}: it lies beside it, or in a "
+                f"cavity of it; move it, or remove the cavity from {parent.mesh_path}"
+            )
+
+
+def _reaches_into(mesh: Mesh, other: Mesh) -> bool:
+    """Whether any point just behind a face is inside the other mesh; of large meshes a subset is tested."""
+    faces = mesh.faces[:: max(1, -(-len(mesh.faces) * len(other.faces) // _MOST_PAIRS))]
+    normals = face_normals(mesh.positions - mesh.center, faces)
+    behind = mesh.positions[faces].mean(axis=1) - _BEHIND * mesh.diagonal * normals
+    return any((winding_numbers(other, behind[k::_GROUPS]) > 0.5).any() for k in range(min(_GROUPS, len(behind))))
 
 
 def winding_numbers(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:

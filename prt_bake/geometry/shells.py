@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
 from formats.mesh import Mesh
+from formats.mesh.edges import edges_of
 from prt_bake.geometry.nesting import winding_numbers
 
 Array = NDArray[np.float64]
 
+_UNITE = "unite its shells in a mesh editor (boolean union)"
 _ROUNDS = 16
 """Most hits that are followed along an edge."""
 _STEP = 1e-5
@@ -26,7 +28,7 @@ _BEHIND = 1e-5
 
 
 def ambiguity(mesh: Mesh) -> tuple[str, bool]:
-    """What makes the inside of a closed mesh ambiguous, without a subject, and whether part of its volume is.
+    """What makes the inside of a closed mesh ambiguous and how to mend it, and whether part of its volume is.
 
     ("", False) if no faces cross and shells are nested as cavities are. Of faces that merely cross, in folds narrower
     than a face, the volume is negligible.
@@ -35,36 +37,41 @@ def ambiguity(mesh: Mesh) -> tuple[str, bool]:
     edges, faces = crossings(mesh)
     if not len(edges) and shell.max() == 0:
         return "", False
-    tested, inside_twice = _winding_behind_faces(mesh, shell)
+    tested, winding = _winding_behind_faces(mesh, shell)
+    wrong = np.abs(winding - 1.0) > 0.5
     if len(edges):
-        apart = (shell[edges[:, 0]] != shell[mesh.faces[faces, 0]]).any()
+        of_vertex = np.zeros(len(mesh.positions), np.int64)
+        of_vertex[mesh.faces] = shell[:, None]
+        apart = (of_vertex[edges[:, 0]] != shell[faces]).any()
         what = f"some of its {shell.max() + 1} shells overlap" if apart else "its surface crosses itself"
         number, where = len(np.unique(edges, axis=0)), mesh.positions[edges[0]].mean(axis=0)
-        return f"{what}: {number} edges pass through faces, the first at {_point(where)}", bool(inside_twice.any())
-    if not inside_twice.any():
+        return f"{what}: {number} edges pass through faces, the first at {_point(where)}; {_UNITE}", bool(wrong.any())
+    if not wrong.any():
         return "", False
-    where = mesh.positions[mesh.faces[tested[inside_twice.argmax()], 0]]
-    return f"one of its {shell.max() + 1} shells, at {_point(where)}, is in another and not wound as a cavity", True
+    first = int(wrong.argmax())
+    found = f"one of its {shell.max() + 1} shells, at {_point(mesh.positions[mesh.faces[tested[first], 0]])},"
+    if winding[first] < 1.0:
+        return f"{found} is wound inside out and in no other; flip its faces", True
+    return f"{found} is in another and not wound as a cavity; {_UNITE}", True
 
 
 def refuse_ambiguous(mesh: Mesh, path: str | os.PathLike[str]) -> None:
     """Raise MeshError if part of a closed mesh's volume is ambiguous, and warn if only faces cross."""
     what, volume = ambiguity(mesh)
     if volume:
-        raise MeshError(f"{path}: {what}; unite its shells in a mesh editor (boolean union)")
+        raise MeshError(f"{path}: {what}")
     if what:
         warn(f"{path}: {what}; light may be wrong there")
 
 
-def _winding_behind_faces(mesh: Mesh, shell: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Some faces, at least one of each shell, and whether the winding number just behind them is not 1."""
+def _winding_behind_faces(mesh: Mesh, shell: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """Some faces, at least one of each shell, and the winding numbers just behind them."""
     number = int(np.clip(_MOST_PAIRS // len(mesh.faces), 32, _TESTED))
     spread = np.linspace(0, len(mesh.faces) - 1, number).astype(np.int64)
-    one_each = np.unique(shell[mesh.faces[:, 0]], return_index=True)[1]
+    one_each = np.unique(shell, return_index=True)[1]
     tested = np.unique(np.concatenate([spread, one_each]))
     centres = mesh.positions[mesh.faces[tested]].mean(axis=1)
-    behind = centres - _BEHIND * mesh.diagonal * mesh.face_normals[tested]
-    return tested, np.abs(winding_numbers(mesh, behind) - 1.0) > 0.5
+    return tested, winding_numbers(mesh, centres - _BEHIND * mesh.diagonal * mesh.face_normals[tested])
 
 
 def _point(position: Array) -> str:
@@ -72,13 +79,15 @@ def _point(position: Array) -> str:
 
 
 def shells(mesh: Mesh) -> NDArray[np.int64]:
-    """The connected part [V] that each vertex belongs to, counted from 0."""
+    """The connected part [F] that each face belongs to, counted from 0. Shells may touch at vertices."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    start, end = mesh.faces.ravel(), np.roll(mesh.faces, -1, axis=1).ravel()
-    graph = coo_array((np.ones(len(start), np.int8), (start, end)), (len(mesh.positions),) * 2)
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
+    edges, faces = edges_of(mesh.faces), np.arange(len(mesh.faces))
+    nodes = len(faces) + len(edges.ends)  # of a graph of faces, then edges
+    start, end = np.repeat(faces, 3), len(faces) + edges.of_side.ravel()
+    graph = coo_array((np.ones(len(start), np.int8), (start, end)), (nodes, nodes))
+    return np.asarray(connected_components(graph, directed=False)[1][: len(faces)], np.int64)
 
 
 def crossings(mesh: Mesh) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -29,7 +29,7 @@ def find_faults(path: Path) -> list[str]:
     if faults := check_mesh(path):
         return faults
     what, _volume = ambiguity(read_mesh(path))
-    return [f"{path}: {what}; unite its shells in a mesh editor (boolean union)"] if what else []
+    return [f"{path}: {what}"] if what else []
 
 
 def find_remarks(path: str | Path) -> list[str]:

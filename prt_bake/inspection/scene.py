@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from formats.mesh import texture_remark
 from formats.scene import read_scene
@@ -38,12 +39,15 @@ def describe(path: Path) -> dict[str, Any]:
 
 def find_faults(path: Path) -> list[str]:
     """Return the faults of the tables; if there are none, raise the error of the meshes and grids, if any."""
+    from prt_bake.geometry.nesting import refuse_outside
     from prt_bake.geometry.shells import refuse_ambiguous
 
     faults = find_table_faults(path)
     if not faults:
-        for part in read_scene(path).parts:
+        parts = read_scene(path).parts
+        for part in parts:
             refuse_ambiguous(part.mesh, part.mesh_path)
+        refuse_outside(parts)
     return faults
 
 
@@ -105,19 +109,43 @@ def _constant_or_array(quantity: Any, kind: str) -> Any:
 
 
 def _misplaced_grids(parts: tuple[Part, ...]) -> list[str]:
-    """Return a sentence per part that its grids do not overlap. The usual cause is a wrong unit of length."""
+    """Return a sentence per part whose grids are probably elsewhere, of another size, or of another order of axes."""
     sentences = []
     for part in parts:
-        box = None if part.medium is None else part.medium.bounds
-        if box is None:
+        if part.medium is None or part.medium.bounds is None:
             continue
-        low, high = np.maximum(box[0], part.mesh.bounds[0]), np.minimum(box[1], part.mesh.bounds[1])
-        if (low >= high).any():
-            sentences.append(
-                f"{part.name!r}: the grids' box {box.tolist()} does not overlap the part's box "
-                f"{part.mesh.bounds.tolist()}: the part is filled with the grids' border values"
-            )
+        grids = [grid for grid in (part.medium.sigma_t, part.medium.albedo) if grid.ndim > 2]
+        remarks = [_axis_order(grid.shape[:3], part.medium.bounds) for grid in grids]
+        remarks.append(_misplacement(part, part.medium.bounds, grids))
+        sentences += [f"{part.name!r}: {remark}" for remark in dict.fromkeys(remarks) if remark]
     return sentences
+
+
+def _misplacement(part: Part, box: NDArray[np.float64], grids: list[NDArray[np.float64]]) -> str:
+    """Compare the box of grids [2,3] with that of their part. The usual cause of a mismatch is a wrong unit."""
+    bounds = part.mesh.bounds
+    common = np.minimum(box[1], bounds[1]) - np.maximum(box[0], bounds[0])
+    where = f"the grids' box {box.tolist()}"
+    if (common <= 0).any():
+        return (
+            f"{where} does not overlap the part's box {bounds.tolist()}: the part is filled with the grids' border "
+            f"values"
+        )
+    size = bounds[1] - bounds[0]
+    if (common < 0.1 * size).all():
+        return f"{where} is less than a tenth of the part's, {bounds.tolist()}: the rest is filled with border values"
+    if all(((box[1] - box[0]) / grid.shape[2::-1] > size).all() for grid in grids):
+        return f"{where} is so large that the part's, {bounds.tolist()}, is smaller than a cell of the grids"
+    return ""
+
+
+def _axis_order(shape: tuple[int, ...], box: NDArray[np.float64]) -> str:
+    """Notice a grid [X,Y,Z]: its cells would be cubes, but as [Z,Y,X] they are not."""
+    cells, reversed_cells = (box[1] - box[0]) / shape[::-1], (box[1] - box[0]) / shape
+    if np.ptp(reversed_cells) > 0.05 * reversed_cells.max() or cells.max() < 1.5 * cells.min():
+        return ""
+    sides = " by ".join(f"{side:.3g}" for side in cells)
+    return f"the cells of a grid {list(shape)} are {sides}; as [X,Y,Z] they would be cubes, but grids are [Z,Y,X]"
 
 
 def _repeated_images(parts: tuple[Part, ...]) -> list[str]:

@@ -74,8 +74,11 @@ class OwnSurface:
 
     def distances(self, positions: Array) -> Array:
         """Distances [N] of positions [N,3] to the surface, in spacings, at most REACH."""
-        signed = self._levels((positions - self.corner) / self.side)
-        return np.asarray(np.abs(signed) * (REACH / LEVELS))
+        return np.abs(self._signed(positions))
+
+    def _signed(self, positions: Array) -> Array:
+        """Signed distances [N], positive inside, in spacings, at most REACH."""
+        return np.asarray(self._levels((positions - self.corner) / self.side) * (REACH / LEVELS))
 
     def bounds(self) -> Array:
         """The bounding box [2,3], to half a spacing, in scene units."""
@@ -84,22 +87,38 @@ class OwnSurface:
         return np.asarray(self.corner + self.side * (self.interior.corner + self.interior.spacing * nodes))
 
     def refuse_foreign(self, mesh: Mesh) -> None:
-        """Raise QueryError if most vertices are off the surface, warn if some are: their number, distance and cause."""
+        """Raise QueryError if most vertices are off the surface, or face its inside; warn if some are off.
+
+        The sentence has their number, the farthest distance and the cause.
+        """
         distances = self.distances(mesh.positions)
         off = distances > TOLERANCE
-        if off.mean() <= FEW_OFF:
-            return
         farthest = float(distances.max())
-        reach = "more than " if farthest >= REACH - 1e-6 else ""
+        beyond = farthest >= REACH - 1e-6
+        if off.mean() <= FEW_OFF and not beyond:
+            self._refuse_inward(mesh)
+            return
+        reach = "more than " if beyond else ""
         found = (
             f"mesh: {off.sum()} of {len(off)} vertices are not on the surface that the model was trained on; "
             f"the farthest is {reach}{farthest * self.spacing:.3g} scene units away"
         )
         if off.mean() <= MOST_OFF:
             warn(f"{found}; the result is wrong there: train a model on this mesh")
+            self._refuse_inward(mesh)
             return
         cause = self._cause(mesh.positions)
         raise QueryError(f"{found}; {cause or _UNKNOWN}")
+
+    def _refuse_inward(self, mesh: Mesh) -> None:
+        """Raise QueryError if most normals point into the object: those of an open mesh may agree with its faces."""
+        ahead, behind = (self._signed(mesh.positions + side * self.spacing * mesh.normals) for side in (1.0, -1.0))
+        inward = ahead > behind
+        if inward.mean() > 0.5:
+            raise QueryError(
+                f"mesh: {inward.sum()} of {len(inward)} vertex normals point into the object that the model was "
+                f"trained on: the faces are wound inside out; flip the mesh's normals in an editor, and save it again"
+            )
 
     def _cause(self, positions: Array) -> str:
         """The transformation that brings the vertices onto the surface, as a sentence; empty if none is found."""

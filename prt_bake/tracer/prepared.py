@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.scene import Part, Scene
+from prt_bake.geometry.nesting import refuse_outside
 from prt_bake.geometry.shells import refuse_ambiguous
 from prt_bake.geometry.surface import Location, Surface
 from prt_bake.tracer.next_event import NextEventSampling, next_event_sampling
@@ -265,7 +266,11 @@ def _face_normals(positions: Array, faces: NDArray[np.int64], fallback: Array) -
 
 @lru_cache(maxsize=4)
 def prepare(scene: Scene) -> PreparedScene:
-    """The prepared scene; the four last used ones are cached. Raises MeshError for overlapping shells."""
+    """The prepared scene; the four last used ones are cached.
+
+    Raises MeshError for overlapping shells, SceneError for parts outside of their parents.
+    """
     for part in scene.parts:
         refuse_ambiguous(part.mesh, part.mesh_path)
+    refuse_outside(scene.parts)
     return PreparedScene(scene)

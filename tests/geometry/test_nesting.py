@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from formats.mesh import build_mesh, write_mesh
+from formats.errors import SceneError
+from formats.mesh import build_mesh, flipped, write_mesh
 from formats.scene import read_scene
-from prt_bake.geometry.nesting import distances, winding_numbers
+from prt_bake.geometry.nesting import distances, refuse_outside, winding_numbers
 from prt_bake.inspection.files import describe, find_faults, find_remarks
 from tests.tracer.scenes import moved, sphere, unit_directions
 
@@ -74,3 +75,26 @@ def test_every_part_is_described(tmp_path):
     described = describe(write_pair(tmp_path, 0.5, 0.0))
     assert (described["parts"], described["seed: in"], described["seed: reflectance"]) == (2, "object", [0.1, 0.2, 0.3])
     assert (described["eta"], described["sigma_t"]) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize(("radius", "offset", "outside"), [(0.5, 0.4, False), (0.2, 0.78, True), (0.8, 0.0, True)])
+def test_a_part_without_volume_in_its_parent_is_refused(tmp_path, radius, offset, outside):
+    """The parent has a cavity of radius 0.8: a part in it, or beside the parent, would be cut off as a whole."""
+    write_pair(tmp_path, radius, 0.0)
+    hollow = [sphere(2), flipped(moved(sphere(2), 0.8))] if radius == 0.8 else [sphere(2)]
+    counts = np.cumsum([0, *(len(mesh.positions) for mesh in hollow)])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(hollow, counts, strict=False)])
+    write_mesh(build_mesh(np.concatenate([mesh.positions for mesh in hollow]), faces), tmp_path / "outer.ply")
+    write_mesh(moved(sphere(2), radius, [offset, offset, offset]), tmp_path / "inner.ply")
+    parts = read_scene(tmp_path / "scene.toml").parts
+    if not outside:
+        refuse_outside(parts)
+        return
+    with pytest.raises(SceneError, match=r"inner\.ply: 'seed' has no volume inside 'object'.* or in a cavity"):
+        refuse_outside(parts)
+    assert "has no volume inside" in find_faults(tmp_path / "scene.toml")[0]
+
+
+def test_a_part_around_its_parent_fills_it(tmp_path):
+    write_pair(tmp_path, 3.0, 0.0)
+    refuse_outside(read_scene(tmp_path / "scene.toml").parts)

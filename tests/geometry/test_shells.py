@@ -49,10 +49,21 @@ def tube_through_itself() -> Mesh:
     return build_mesh(positions, faces if made.volume > 0 else faces[:, ::-1])
 
 
+def coarse_copy_inside() -> Mesh:
+    """A ball and a coarser one of every fourth of its vertices, as levels of detail are: they touch at these."""
+    fine, coarse = ball(), trimesh.creation.icosphere(subdivisions=1)
+    nearest = np.linalg.norm(fine.vertices - coarse.vertices[:, None], axis=2).argmin(axis=1)
+    return build_mesh(fine.vertices, np.concatenate([fine.faces, nearest[coarse.faces]]))
+
+
 AMBIGUOUS = {
     "overlapping": (united(ball(), ball(1.0)), "some of its 2 shells overlap: [0-9]+ edges pass through faces"),
     "mirrored": (united(box(-0.25), box(0.25)), "some of its 2 shells overlap"),
     "nested": (united(ball(), ball(radius=0.5)), "one of its 2 shells, at .* is in another and not wound as a cavity"),
+    "touching at vertices": (
+        coarse_copy_inside(),
+        "one of its 2 shells, at .* is in another and not wound as a cavity",
+    ),
     "self-crossing": (tube_through_itself(), "its surface crosses itself"),
     "one of three": (united(ball(5.0), ball(), ball(1.0)), "some of its 3 shells overlap"),
 }
@@ -72,6 +83,11 @@ def test_an_ambiguous_inside_is_refused(name: str, scale: float) -> None:
     moved = build_mesh(scale * np.add(mesh.positions, [3.0, 0.0, -7.0]), mesh.faces)
     with pytest.raises(MeshError, match=rf"^file: {expected}.*; unite its shells"):
         refuse_ambiguous(moved, "file")
+
+
+def test_a_shell_that_is_wound_inside_out_is_named() -> None:
+    with pytest.raises(MeshError, match=r"one of its 2 shells, at .* is wound inside out and in no other; flip its"):
+        refuse_ambiguous(united(ball(), ball(3.0, radius=0.5, inwards=True)), "file")
 
 
 @pytest.mark.parametrize("name", SOUND)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from formats.errors import InputWarning, QueryError
-from formats.mesh import Mesh, build_mesh, read_mesh
+from formats.mesh import Mesh, build_mesh, flipped, read_mesh
 from prt_bake.network.bssrdf import NeuralBSSRDF, load_model
 from prt_bake.shipped.demonstration import SHIPPED
 
@@ -70,6 +70,20 @@ def test_another_object_inside_is_refused(network):
     box = trimesh.creation.box((0.2, 0.2, 0.2))
     with pytest.raises(QueryError, match="8 of 8 vertices are not on the surface"):
         network.refuse_foreign(build_mesh(box.vertices, box.faces))
+
+
+def test_an_open_piece_that_is_wound_inside_out_is_refused(network, spot):
+    """Its normals agree with its faces, so only the model knows that they point inwards."""
+    with pytest.raises(QueryError, match=r"vertex normals point into the object .* wound inside out; flip"):
+        network.refuse_foreign(flipped(piece(spot)))
+
+
+def test_a_single_part_elsewhere_is_warned_about(network, spot):
+    """Its 8 vertices are less than a hundredth of all."""
+    box = trimesh.creation.box((0.2, 0.2, 0.2))
+    faces = np.concatenate([spot.faces, box.faces + len(spot.positions)])
+    with pytest.warns(InputWarning, match="8 of 2938 vertices are not on the surface"):
+        network.refuse_foreign(build_mesh(np.concatenate([spot.positions, box.vertices]), faces))
 
 
 def test_a_few_vertices_off_the_surface_are_warned_about(network, spot):

@@ -20,12 +20,14 @@ class Part:
         faces: int64 [F,3], indices into positions.
         normals: float64 [n,3], of any length, or None.
         uv: float64 [n,2], v upwards, or None.
+        uv_name: the attribute that they are from.
     """
 
     positions: Array
     faces: NDArray[np.int64]
     normals: Array | None
     uv: Array | None
+    uv_name: str = ""
 
 
 def place(part: Part, matrices: Array) -> Part:
@@ -42,11 +44,14 @@ def place(part: Part, matrices: Array) -> Part:
     faces = np.where(turned[..., None], part.faces[:, ::-1], part.faces) + count * np.arange(copies)[:, None, None]
     normals = None if part.normals is None else _product(_normal_matrices(matrices), part.normals).reshape(-1, 3)
     uv = None if part.uv is None else np.tile(part.uv, (copies, 1))
-    return Part(positions.reshape(-1, 3), faces.reshape(-1, 3), normals, uv)
+    return Part(positions.reshape(-1, 3), faces.reshape(-1, 3), normals, uv, part.uv_name)
 
 
 def join(parts: list[Part], path: str) -> TriangleSoup:
     """Return all parts as one soup. Warn if only some have normals or texture coordinates; then all lose them."""
+    sets = sorted({part.uv_name for part in parts if part.uv is not None})
+    if len(sets) > 1:
+        warn(f"{path}: parts have texture coordinates of different sets, as their materials use: {', '.join(sets)}")
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
     return TriangleSoup(
         np.concatenate([part.positions for part in parts]),

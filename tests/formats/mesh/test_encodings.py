@@ -105,3 +105,13 @@ def test_texture_coordinates_that_some_corners_lack_are_named(tmp_path: Path) ->
     assert read_mesh(tmp_path / "t.obj").corner_uv is not None
     (tmp_path / "t.obj").write_text(pairs + OBJ)
     assert read_mesh(tmp_path / "t.obj").corner_uv is None
+
+
+@pytest.mark.parametrize("last", ["f 2 3 4\n", "f 2//2 3//3 4//9\n"])
+def test_normals_that_some_corners_lack_are_named(tmp_path: Path, last: str) -> None:
+    corners = "f 1//1 3//3 2//2\nf 1//1 2//2 4//4\nf 1//1 4//4 3//3\n" + last
+    rows = "vn -1 -1 -1\nvn 1 0 0\nvn 0 1 0\nvn 0 0 1\n"
+    (tmp_path / "t.obj").write_text(OBJ.removesuffix(FACES) + rows + corners)
+    count = 3 if last == "f 2 3 4\n" else 1
+    with pytest.warns(InputWarning, match=f"{count} of 12 corners of faces have no normals, .* those of the faces are"):
+        read_mesh(tmp_path / "t.obj")

@@ -369,3 +369,13 @@ def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
     builder.node(root=False, mesh=mesh)
     builder.json["scenes"][0]["nodes"] = chain[:1]
     assert read_gltf(builder.write(tmp_path / "chain.glb")).positions[:, 0].tolist() == [1500, 1501, 1500, 1500]
+
+
+def test_texture_coordinates_of_different_sets_are_named(tmp_path):
+    builder = GltfBuilder()
+    sets = {f"TEXCOORD_{k}": builder.accessor(np.full((4, 2), k / 4)) for k in range(2)}
+    parts = [{**builder.solid(TETRAHEDRON + 5 * k, **sets), "material": k} for k in range(2)]
+    builder.json["materials"] = [{"emissiveTexture": {"index": 0, "texCoord": k}} for k in range(2)]
+    builder.node(mesh=builder.mesh(*parts))
+    with pytest.warns(InputWarning, match="texture coordinates of different sets, .*: TEXCOORD_0, TEXCOORD_1"):
+        read_gltf(builder.write(tmp_path / "sets.glb"))

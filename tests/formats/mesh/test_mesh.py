@@ -370,3 +370,17 @@ def test_check_mesh_reports_holes_winding_and_lost_precision(tmp_path):
 def test_wrong_shapes_are_refused():
     with pytest.raises(MeshError, match=r"normals: expected shape \[4, 3\], found \[3, 3\]"):
         Mesh(TETRAHEDRON, TETRAHEDRON_FACES, np.zeros((3, 3)))
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "1e300"])
+def test_unused_vertices_may_be_anywhere(tmp_path, value):
+    """Scanners mark missing points by NaN."""
+    rows = "3 1 3 2\n3 1 2 4\n3 1 4 3\n3 2 3 4"
+    (tmp_path / "t.ply").write_text(ascii_ply(f"{value} 0 {value}\n{TETRAHEDRON_VERTICES}", rows))
+    mesh = read_mesh(tmp_path / "t.ply")
+    np.testing.assert_array_equal(mesh.positions, TETRAHEDRON)
+    assert mesh.source_vertex is not None
+    assert mesh.source_vertex.tolist() == [-1, 0, 1, 2, 3]
+    (tmp_path / "t.ply").write_text(ascii_ply(f"{value} 0 {value}\n{TETRAHEDRON_VERTICES}", "3 0 3 2\n" + rows[8:]))
+    with pytest.raises(MeshError, match=r"1 of 5 vertices are NaN, infinite or beyond .* the first is vertex 0"):
+        read_mesh(tmp_path / "t.ply")

@@ -110,3 +110,12 @@ def test_vertices_of_no_face_may_face_anywhere() -> None:
     normals[len(mesh.normals) :] /= 9.0
     refuse_foreign(object(), Mesh(positions, mesh.faces, normals))
     refuse_foreign(object(), Mesh(positions[:1], np.zeros((0, 3), np.int32), normals[:1]))
+
+
+@pytest.mark.parametrize("faces", [512, 300])
+def test_faces_of_opposite_winding_are_a_warning(faces: int) -> None:
+    """Normals computed from such faces agree with them, and point inwards."""
+    mixed = ball().faces[:faces].copy()
+    mixed[:100] = mixed[:100, ::-1]
+    with pytest.warns(InputWarning, match="edges lie between faces of opposite winding"):
+        refuse_foreign(object(), build_mesh(ball().positions, mixed))

@@ -165,3 +165,14 @@ def test_texture_coordinates_that_some_faces_lack_are_named(tmp_path: Path) -> N
     (tmp_path / "t.ply").write_text(text.replace("end_header", "property list uchar float texcoord\nend_header"))
     with pytest.warns(InputWarning, match="1 of 4 faces do not have two texture .*first is face 2"):
         assert read_mesh(tmp_path / "t.ply").corner_uv is None
+
+
+@pytest.mark.parametrize("order", ["", "<"])
+def test_faces_that_the_header_does_not_count_are_named(tmp_path: Path, order: str) -> None:
+    content = tetrahedron_ply("uchar int", order)
+    (tmp_path / "t.ply").write_bytes(content + b"\n\n")
+    read_mesh(tmp_path / "t.ply")
+    (tmp_path / "t.ply").write_bytes(content.replace(b"element face 4", b"element face 3"))
+    found = "13 bytes" if order else "4 numbers"
+    with pytest.warns(InputWarning, match=f"{found} follow the last row that the header counts, and are ignored"):
+        assert len(read_mesh(tmp_path / "t.ply").faces) == 3

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from formats.errors import ImageError, SceneError
+from formats.errors import ImageError, InputWarning, SceneError
 from formats.image import write_image
 from formats.mesh import Mesh, read_mesh, write_mesh
 from formats.scene import read_scene
@@ -220,3 +220,19 @@ def test_images_that_repeat_are_a_remark(folder):
     )
     (folder / "scene.toml").write_text(OUTER + PLAIN.replace("seed.ply", "unwrapped.ply"))
     assert not any("texture coordinates" in remark for remark in find_remarks(folder / "scene.toml"))
+
+
+def test_a_roughness_image_whose_channels_differ_is_a_warning(folder):
+    """glTF packs occlusion, roughness and metalness in red, green and blue."""
+    packed = np.array([[[255, 51, 0], [255, 102, 0]]], np.uint8)
+    Image.fromarray(packed).save(folder / "packed.png")
+    rough = PLAIN.replace("seed.ply", "unwrapped.ply") + '[inside.interface]\nroughness = "packed.png"\n'
+    with pytest.warns(InputWarning, match=r"packed\.png: the channels differ, by up to 1; the first, red, is read"):
+        read = scene(folder, OUTER + rough)
+    assert (read.parts[1].roughness == 1.0).all()
+
+
+def test_a_part_of_another_unit_is_a_warning(folder):
+    write_mesh(moved(sphere(1), 800.0), folder / "millimetres.ply")
+    with pytest.warns(InputWarning, match=r"millimetres\.ply is 800 times as large as 'object'.* the unit of length"):
+        scene(folder, OUTER + PLAIN.replace("seed.ply", "millimetres.ply"))

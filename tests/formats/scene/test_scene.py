@@ -273,3 +273,22 @@ def test_a_mesh_of_cubes_that_touch_along_an_edge_is_read(folder):
         else:
             with pytest.raises(SceneError, match=f"object.mesh: .*twins.ply does not bound a solid: {fault}"):
                 scene(folder, "ball.ply", "twins.ply")
+
+
+@pytest.mark.parametrize(
+    ("shape", "bounds", "remark"),
+    [
+        ((8, 6, 4), "[[-4, -3, -2], [4, 3, 2]]", "are 2 by 1 by 0.5; as [X,Y,Z] they would be cubes"),
+        ((4, 6, 8), "[[-4, -3, -2], [4, 3, 2]]", None),
+        ((4, 4, 4), "[[-1, -1, -1], [1, 1, 1]]", None),
+        ((4, 6, 8), "[[-4000, -3000, -2000], [4000, 3000, 2000]]", "is smaller than a cell of the grids"),
+        ((4, 6, 8), "[[0, 0, 0], [0.08, 0.06, 0.04]]", "the rest is filled with border values"),
+    ],
+)
+def test_grids_of_another_order_or_unit_give_a_remark(folder, shape, bounds, remark):
+    np.save(folder / "grid.npy", np.ones(shape))
+    text = SCENE.replace("12.0", '"grid.npy"').replace("[[-1, -1, -1], [1, 1, 2]]", bounds)
+    (folder / "scene.toml").write_text(text)
+    found = [one for one in find_remarks(folder / "scene.toml") if "'object': the " in one]
+    assert len(found) == (remark is not None)
+    assert not remark or remark in found[0]
