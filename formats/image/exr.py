@@ -29,7 +29,8 @@ class Layers:
     Attributes:
         image: the colour that `read_exr` returns, [H,W,3].
         layers: the other layers by name: [H,W,3] from channels R, G and B (`error`) or X, Y and Z (`normal`), [H,W]
-            from Y (`coverage`). Any other channel is [H,W], under its full name.
+            from Y (`coverage`), and `A`, the alpha of the colour's own layer. Any other channel is [H,W], under its
+            full name.
         attributes: the texts in the header of the image's part, by name.
     """
 
@@ -64,6 +65,8 @@ def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
     colour = open_colour(path)
     part, channels = colour.part, _read_channels(colour)
     rest = {name: pixels for name, pixels in channels.items() if name not in colour.names}
+    if colour.alpha in rest:
+        rest["A"] = rest.pop(colour.alpha)
     layers = {}
     for prefix in {name.rpartition(".")[0] for name in rest} - {""}:
         for letters in ("RGB", "XYZ"):
