@@ -1,16 +1,19 @@
 """Surface textures: images of roughness or of reflectance, mapped by texture coordinates."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SceneError, warn
-from formats.image.files import read_levels
+from formats.image.files import read_data
 from formats.image.rows import open_image
 
 _LOSS = 1e-3
 """How far lossy compression takes values out of their range."""
+_GREY = 0.02
+"""Largest difference between the channels of a grey image: a JPEG is off by a few codes of 255."""
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
@@ -27,7 +30,21 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
         StorageError: the file is missing.
     """
     path = scene_path.parent / name
-    return _check_range(scene_path, key, path, read_levels(path))
+    return _check_range(scene_path, key, path, read_roughness(path))
+
+
+def read_roughness(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read the first channel of an image as data, float64 [H,W]; raises as `formats.image.read_data`.
+
+    Channels that differ are a warning: textures for glTF, for example, have the roughness in green.
+    """
+    data = read_data(path)
+    levels = np.ascontiguousarray(data[..., 0])
+    with np.errstate(invalid="ignore"):  # values that are not finite are refused by those who use them
+        different = any((np.abs(data[..., other] - levels) > _GREY).any() for other in (1, 2))
+    if different:
+        warn(f"{path}: its channels differ, and red is read; if another one is meant, save that alone, in grey")
+    return levels
 
 
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:

@@ -240,12 +240,12 @@ def _refuse_ineffective(
 
 def _read_roughness(text: str) -> Any:
     """Return the number, or the levels of the image that `text` names."""
-    from formats.image import read_levels
+    from formats.image.texture import read_roughness
 
     try:
         alpha = float(text)
     except ValueError:
-        return read_levels(text)
+        return read_roughness(text)
     if not 0.0 <= alpha <= 1.0:
         raise typer.BadParameter(f"--roughness: expected a GGX alpha from 0 to 1 or an image, found {alpha:g}")
     return alpha
