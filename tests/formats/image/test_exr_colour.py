@@ -127,6 +127,10 @@ def test_parts_without_choice(tmp_path: Path) -> None:
         planes("Normals."),
         planes("ViewLayer.CryptoObject00.", letters="rgb"),
         planes("uCryptoAsset00."),
+        planes("N_world."),
+        planes("MotionVec."),
+        planes("VRayObjectID."),
+        planes("displacement."),
     ],
 )
 def test_data_are_no_picture(tmp_path: Path, channels: dict[str, np.ndarray]) -> None:
