@@ -154,7 +154,12 @@ def test_luminance_beside_depth_is_grey(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("prefix", "letters", "alpha"),
-    [("", "RGB", "A"), ("ViewLayer.Combined.", "RGB", "A"), ("", "rgb", "a"), ("rgba.", ("red", "green", "blue"), "alpha")],
+    [
+        ("", "RGB", "A"),
+        ("ViewLayer.Combined.", "RGB", "A"),
+        ("", "rgb", "a"),
+        ("rgba.", ("red", "green", "blue"), "alpha"),
+    ],
 )
 def test_the_alpha_of_the_colour_is_known(tmp_path: Path, prefix: str, letters: tuple[str, ...], alpha: str) -> None:
     channels = planes(prefix, IMAGE, letters) | {prefix + alpha: OTHER[..., 0].copy(), "x.A": IMAGE[..., 0].copy()}

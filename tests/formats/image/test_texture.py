@@ -28,8 +28,10 @@ def test_roughness_is_the_stored_value_and_reflectance_is_not(tmp_path: Path, su
 
 def test_statements_about_colour_do_not_concern_roughness(tmp_path: Path) -> None:
     stored = np.full((4, 4), 0.5, np.float32)
-    OpenEXR.File({**HEADER, "chromaticities": gamut.ACES_AP0}, dict.fromkeys("RGB", stored)).write(str(tmp_path / "a.exr"))
-    np.testing.assert_array_equal(read_roughness_texture(tmp_path / SCENE, "roughness", "a.exr"), stored)
+    channels = {"R": stored, "G": np.zeros_like(stored), "B": np.zeros_like(stored)}
+    OpenEXR.File({**HEADER, "chromaticities": gamut.ACES_AP0}, channels).write(str(tmp_path / "a.exr"))
+    with pytest.warns(InputWarning, match="channels differ"):
+        np.testing.assert_array_equal(read_roughness_texture(tmp_path / SCENE, "roughness", "a.exr"), stored)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".exr"])
