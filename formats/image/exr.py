@@ -57,6 +57,15 @@ def read_colour(colour: ExrColour) -> NDArray[np.float32]:
     return _to_display_window(_stack(_read_channels(colour), colour.names), colour.part)
 
 
+def read_exr_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
+    """Read the alpha [H,W] of the colour that `read_exr` reads, as stored, or None; raises as `read_exr`."""
+    colour = open_colour(path)
+    channels = _read_channels(colour)
+    if colour.alpha not in channels:
+        return None
+    return _to_display_window(_stack(channels, (colour.alpha,)), colour.part)[..., 0]
+
+
 def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
     """Read an OpenEXR image with the further layers and texts of its part; raises as `read_exr`.
 
