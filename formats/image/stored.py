@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import ImageError
+from formats.errors import ImageError, warn
 from formats.image.limits import refuse_size
 
 if TYPE_CHECKING:
@@ -74,6 +74,8 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
     with _opened(path, kind) as picture:
         width, height = picture.size
         refuse_size(path, width, height)
+        if kind == "PNG" and getattr(picture, "n_frames", 1) > 1:
+            warn(f"{path}: is an animation; its first picture is read")
         if kind == "JPEG":
             _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
         values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
