@@ -74,13 +74,14 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
     with _opened(path, kind) as picture:
         width, height = picture.size
         refuse_size(path, width, height)
-        if kind == "PNG" and getattr(picture, "n_frames", 1) > 1:
-            warn(f"{path}: is an animation; its first picture is read")
         if kind == "JPEG":
             _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
         values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
         orientation, adobe_rgb, gain_map = _orientation(picture), _is_adobe_rgb(picture), _has_gain_map(picture)
         info, cmyk = dict(picture.info), picture.mode == "CMYK"
+        animated = kind == "PNG" and getattr(picture, "n_frames", 1) > 1
+    if animated:
+        warn(f"{path}: is an animation; its first picture is read")
     values = values if values.ndim == 3 else values[..., None]
     if clear is not None:
         values = _with_alpha(values, clear, bits)
