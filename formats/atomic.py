@@ -123,3 +123,5 @@ def existing(path: str | os.PathLike[str]) -> Path:
         raise StorageError(f"{path}: is a folder; give the name of a file") from cause
     except OSError as cause:
         raise StorageError(f"{path}: cannot be read: {cause.strerror}; check its permissions and its disk") from cause
+    except ValueError as cause:  # a null character, or one that the file system has no code for
+        raise StorageError(f"{os.fspath(path)!r} is no name of a file: {cause}; correct the name") from cause

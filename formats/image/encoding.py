@@ -19,6 +19,8 @@ from formats.image.text import printable
 
 _SRGB_GAMMA = 0.45455
 """The gAMA of files in sRGB, whose curve is meant then (https://www.w3.org/TR/png-3/#11sRGB)."""
+_ADOBE_GAMMA = 256 / 563
+"""Adobe RGB (1998) Color Image Encoding, version 2005-05, 4.3.4.2."""
 _NEARLY = 0.01
 _CICP_GAMMAS: dict[int, float | None] = {13: None, 8: 1.0, 4: 1 / 2.2, 5: 1 / 2.8}
 """By transfer characteristics (ITU-T H.273, table 3): sRGB, linear, gamma 2.2 and 2.8."""
@@ -43,12 +45,16 @@ def encoding_of(path: str | os.PathLike[str], stored: Stored) -> Encoding:
     """
     if stored.cmyk:
         warn(f"{path}: stores CMYK; it is converted to RGB without a colour profile: save it in sRGB")
+    if stored.gain_map:
+        warn(f"{path}: its gain map for HDR displays is ignored, so that highlights end at white; save it as .exr")
     if stored.cicp is not None:
         return _of_cicp(path, stored.cicp)
     if (profile := stored.info.get("icc_profile")) and not stored.cmyk:
         if (name := _other_than_srgb(profile)) is None:
             return Encoding(None, None)
         warn(f"{path}: its colour profile ({name}) is not sRGB and is ignored; convert it to sRGB")
+    elif stored.adobe_rgb and not stored.cmyk:
+        return Encoding(_ADOBE_GAMMA, Primaries("its EXIF (R03)", gamut.ADOBE_RGB))
     if "srgb" in stored.info:
         return Encoding(None, None)
     return Encoding(_gamma(path, stored.info.get("gamma")), _primaries(stored.info.get("chromaticity")))

@@ -29,7 +29,8 @@ class Layers:
     Attributes:
         image: the colour that `read_exr` returns, [H,W,3].
         layers: the other layers by name: [H,W,3] from channels R, G and B (`error`) or X, Y and Z (`normal`), [H,W]
-            from Y (`coverage`). Any other channel is [H,W], under its full name.
+            from Y (`coverage`), and `A`, the alpha of the colour's own layer. Any other channel is [H,W], under its
+            full name.
         attributes: the texts in the header of the image's part, by name.
     """
 
@@ -56,6 +57,15 @@ def read_colour(colour: ExrColour) -> NDArray[np.float32]:
     return _to_display_window(_stack(_read_channels(colour), colour.names), colour.part)
 
 
+def read_exr_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
+    """Read the alpha [H,W] of the colour that `read_exr` reads, as stored, or None; raises as `read_exr`."""
+    colour = open_colour(path)
+    channels = _read_channels(colour)
+    if colour.alpha not in channels:
+        return None
+    return _to_display_window(_stack(channels, (colour.alpha,)), colour.part)[..., 0]
+
+
 def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
     """Read an OpenEXR image with the further layers and texts of its part; raises as `read_exr`.
 
@@ -64,6 +74,8 @@ def read_exr_layers(path: str | os.PathLike[str]) -> Layers:
     colour = open_colour(path)
     part, channels = colour.part, _read_channels(colour)
     rest = {name: pixels for name, pixels in channels.items() if name not in colour.names}
+    if colour.alpha in rest:
+        rest["A"] = rest.pop(colour.alpha)
     layers = {}
     for prefix in {name.rpartition(".")[0] for name in rest} - {""}:
         for letters in ("RGB", "XYZ"):

@@ -19,8 +19,9 @@ from formats.image.text import printable
 _LETTERS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"))
 _BEAUTY = {"beauty", "combined", "rgba", "rgb", "color", "colour", "c", "ci", "main", "final", "finalimage"}
 _DATA = re.compile(
-    r"n|ng|ns|p|pref|pworld|z|st|uvs?|vectors?|motion|mist|id|objectid|materialid|indexob|indexma|coverage"
-    r"|crypto.*|.*(normals?|positions?|depth|velocity|motionvectors?)"
+    r"[np](world|cam(era)?|obj(ect)?)?|ng|ns|pref|z|st|stmap|uvs?|vectors?|motion|mist|id|indexob|indexma|coverage"
+    r"|.*crypto.*|.*(normals?|positions?|depth|velocity|motionvec(tor)?s?|displacement|multimatte)"
+    r"|.*(object|material|render|node|instance|prim)id"
 )
 """Names of layers that hold no colour, in lower case and letters only."""
 _NOT_LUMINANCE = {"X", "U", "V", "RY", "BY"}
@@ -51,6 +52,12 @@ class ExrColour:
     def subsampled(self) -> bool:
         """Whether any channel of the part stores fewer pixels than there are."""
         return any(distances != (1, 1) for distances in self.part.sampling.values())
+
+    @property
+    def alpha(self) -> str:
+        """The name of the channel that is the alpha of the colour, if the part has it."""
+        layer, _, letter = self.names[0].rpartition(".")
+        return _joined(layer, {"r": "a", "red": "alpha"}.get(letter, "A"))
 
     @property
     def primaries(self) -> gamut.Primaries | None:

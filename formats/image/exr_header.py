@@ -28,6 +28,10 @@ _INTEROP = {
     "lin_adobergb_scene": gamut.ADOBE_RGB,
 }
 """The linear spaces of https://github.com/AcademySoftwareFoundation/ColorInterop."""
+_OIIO = {"acescg": gamut.ACES_AP1, "lin_ap1": gamut.ACES_AP1, "aces2065-1": gamut.ACES_AP0, "lin_ap0": gamut.ACES_AP0}
+"""Names of OpenColorIO's configurations, in lower case, that OpenImageIO writes."""
+_OIIO_UNSAID = ("linear", "scene_linear", "lin_rec709", "lin_srgb", "raw", "data", "unknown", "")
+"""Names that OpenImageIO gives to linear Rec.709, and to a file that says nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +102,10 @@ def primaries_of(part: Part) -> gamut.Primaries | None:
         return gamut.Primaries(f"the attribute colorInteropID = {printable(name)}", _INTEROP.get(name, ()))
     if part.header.get("acesImageContainerFlag") == 1:
         return gamut.Primaries("the attribute acesImageContainerFlag", gamut.ACES_AP0)
+    name = part.header.get("oiio:ColorSpace")
+    if isinstance(name, str) and name.lower() not in _OIIO_UNSAID:
+        known = _INTEROP | _OIIO
+        return gamut.Primaries(f"the attribute oiio:ColorSpace = {printable(name)}", known.get(name.lower(), ()))
     return None
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from formats.atomic import existing, replacing
 from formats.errors import ImageError
-from formats.image.exr import Layers, read_exr, read_exr_layers, write_exr
+from formats.image.exr import Layers, read_exr, read_exr_alpha, read_exr_layers, write_exr
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
 from formats.image.png import read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
 from formats.image.rgbe import read_rgbe, refuse_unstorable, write_rgbe
@@ -73,6 +73,17 @@ def read_layers(path: str | os.PathLike[str]) -> Layers:
         return read_exr_layers(existing(path))
     alpha = read_png_alpha(existing(path)) if suffix == ".png" else None
     return Layers(read_image(path), {} if alpha is None else {"A": alpha}, {})
+
+
+def read_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
+    """Read the alpha of an image as stored, float32 [H,W], or None if it has none; raises as `read_image`.
+
+    What the file says about its colours has no effect.
+    """
+    suffix = _suffix(path, "read", READABLE)
+    if suffix == ".exr":
+        return read_exr_alpha(existing(path))
+    return read_png_alpha(existing(path)) if suffix == ".png" else None
 
 
 def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from formats.image.gamut import Primaries, are_equal
 from formats.image.text import printable
 
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\n|\r)")
-_RESOLUTION = re.compile(rb"([+-])Y (\d{1,18}) ([+-])X (\d{1,18})")
+_RESOLUTION = re.compile(rb"([+-])Y +(\d{1,18}) +([+-])X +(\d{1,18})")
 _LONGEST_HEADER = 1 << 20
 _SMALLEST = 1e-30
 """The least product of EXPOSURE lines."""
@@ -62,7 +62,7 @@ def read_header(path: str | os.PathLike[str]) -> RgbeHeader:
         raise ImageError(f"{path}: is not a Radiance image: expected '#?' at its start, found {content[:2]!r}")
     lines, at = list[str](), 0
     while (match := _LINE.match(content, at)) is not None and match[1]:
-        lines.append(match[1].decode("latin-1"))
+        lines.append(_as_specified(match[1].decode("latin-1")))
         at = match.end()
     resolution = _LINE.match(content, match.end()) if match else None
     if resolution is None:
@@ -72,6 +72,12 @@ def read_header(path: str | os.PathLike[str]) -> RgbeHeader:
     return RgbeHeader(
         height, width, upward, leftward, _divisors(path, lines), _primaries(path, lines), resolution.end()
     )
+
+
+def _as_specified(line: str) -> str:
+    """Return a line with its key in capitals and without spaces before the equals sign, as some writers leave them."""
+    key, equals, value = line.partition("=")
+    return f"{key.rstrip().upper()}{equals}{value}" if equals else line
 
 
 def _refuse_other_formats(path: str | os.PathLike[str], lines: list[str]) -> None:

@@ -6,12 +6,12 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.errors import ImageError
+from formats.errors import ImageError, warn
 from formats.image.limits import refuse_size
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ _MOST_DEFLATED = 1032
 _MOST_JPEG = 1024
 """Pixels of a byte of a JPEG, at most: blocks of 64 take at least a bit. What is missing would be read as grey."""
 _ORIENTATION = 0x0112
+_INTEROPERABILITY = 0xA005
+_GAIN_MAPS = (b"ns.adobe.com/hdr-gain-map/", b"urn:iso:std:iso:ts:21496")
 _UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     2: lambda a: a[:, ::-1],
     3: lambda a: a[::-1, ::-1],
@@ -45,12 +47,16 @@ class Stored:
         info: what Pillow read of the chunks: gamma, srgb, chromaticity, icc_profile.
         cicp: the cICP chunk of a PNG, or None.
         cmyk: whether the picture is stored in CMYK; the values are then an RGB without colour management.
+        adobe_rgb: whether the EXIF says Adobe RGB, as cameras do that add no profile.
+        gain_map: whether a JPEG has a gain map, which HDR displays multiply the values with.
     """
 
     values: NDArray[Any]
     info: dict[Any, Any]
     cicp: bytes | None
     cmyk: bool
+    adobe_rgb: bool
+    gain_map: bool
 
     @property
     def highest(self) -> int:
@@ -64,17 +70,23 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
     Raises:
         ImageError: the file is of another kind, too large, truncated or damaged.
     """
-    bits, cicp = _read_chunks(path) if kind == "PNG" else (8, None)
+    bits, cicp, clear = _read_chunks(path) if kind == "PNG" else _Chunks()
     with _opened(path, kind) as picture:
         width, height = picture.size
         refuse_size(path, width, height)
         if kind == "JPEG":
             _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
         values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
-        orientation, info, cmyk = _orientation(picture), dict(picture.info), picture.mode == "CMYK"
+        orientation, adobe_rgb, gain_map = _orientation(picture), _is_adobe_rgb(picture), _has_gain_map(picture)
+        info, cmyk = dict(picture.info), picture.mode == "CMYK"
+        animated = kind == "PNG" and getattr(picture, "n_frames", 1) > 1
+    if animated:
+        warn(f"{path}: is an animation; its first picture is read")
     values = values if values.ndim == 3 else values[..., None]
+    if clear is not None:
+        values = _with_alpha(values, clear, bits)
     upright = _UPRIGHT.get(orientation)
-    return Stored(values if upright is None else upright(values), info, cicp, cmyk)
+    return Stored(values if upright is None else upright(values), info, cicp, cmyk, adobe_rgb, gain_map)
 
 
 @contextmanager
@@ -97,12 +109,20 @@ def _opened(path: str | os.PathLike[str], kind: str) -> "Iterator[Image.Image]":
         ) from cause
 
 
-def _read_chunks(path: str | os.PathLike[str]) -> tuple[int, bytes | None]:
-    """Return the bits of a channel and the cICP chunk of a PNG, which Pillow does not return.
+class _Chunks(NamedTuple):
+    """What Pillow does not return of a PNG, or not in its stored bits.
 
-    Raises ImageError if the file is too short for its size.
+    bits: of a channel. cicp: the cICP chunk. clear: the grey or RGB that is transparent (tRNS), in `bits`.
     """
-    bits, cicp = 8, None
+
+    bits: int = 8
+    cicp: bytes | None = None
+    clear: tuple[int, ...] | None = None
+
+
+def _read_chunks(path: str | os.PathLike[str]) -> _Chunks:
+    """Read the chunks before the pixels. Raises ImageError if the file is too short for its size."""
+    bits, colour, cicp, clear = 8, 0, None, None
     with open(path, "rb") as file:
         file.seek(8)
         while len(head := file.read(8)) == 8:
@@ -117,8 +137,17 @@ def _read_chunks(path: str | os.PathLike[str]) -> tuple[int, bytes | None]:
                 _refuse_short(path, width, height, height * row_bytes // _MOST_DEFLATED)
             if kind == b"cICP" and length == 4:
                 cicp = content
+            if kind == b"tRNS" and (colour, length) in ((0, 2), (2, 6)):
+                clear = struct.unpack(f">{length // 2}H", content)
             file.seek(length - len(content) + 4, os.SEEK_CUR)
-    return bits, cicp
+    return _Chunks(bits, cicp, clear)
+
+
+def _with_alpha(values: NDArray[Any], clear: tuple[int, ...], bits: int) -> NDArray[Any]:
+    """Append an alpha to grey or RGB values [H,W,C]: 0 at the colour `clear`, else that of white."""
+    white = int(np.iinfo(values.dtype).max)
+    opaque = (values != np.array(clear) * (white // (2**bits - 1))).any(axis=2, keepdims=True)
+    return np.concatenate([values, np.where(opaque, white, 0).astype(values.dtype)], axis=2)
 
 
 def _refuse_short(path: str | os.PathLike[str], width: int, height: int, expected: int) -> None:
@@ -135,11 +164,23 @@ def _orientation(picture: "Image.Image") -> int:
         return 1
 
 
+def _is_adobe_rgb(picture: "Image.Image") -> bool:
+    """Whether the EXIF marks a DCF option file (CIPA DC-009, Interoperability index R03), whose space is Adobe RGB."""
+    try:
+        return str(picture.getexif().get_ifd(_INTEROPERABILITY).get(1, "")).startswith("R03")
+    except Exception:  # as for the orientation
+        return False
+
+
+def _has_gain_map(picture: "Image.Image") -> bool:
+    """Whether a segment of a JPEG names a gain map: that of Adobe and Android (XMP), or that of ISO 21496-1."""
+    segments = (bytes(content) for _, content in getattr(picture, "applist", ()))
+    return any(name in content for content in segments for name in _GAIN_MAPS)
+
+
 def _mode(picture: "Image.Image") -> str:
     """The mode of Pillow with the stored channels, 8 bits each."""
-    if "transparency" in picture.info:
-        return "RGBA"
-    other = {"1": "L", "P": "RGB", "PA": "RGBA", "CMYK": "RGB"}
+    other = {"1": "L", "P": "RGBA" if "transparency" in picture.info else "RGB", "PA": "RGBA", "CMYK": "RGB"}
     return other.get(picture.mode, picture.mode)
 
 

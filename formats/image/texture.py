@@ -1,5 +1,6 @@
 """Surface textures: images of roughness or of reflectance, mapped by texture coordinates."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,10 @@ from formats.errors import SceneError, warn
 from formats.image.files import read_data
 from formats.image.rows import open_image
 
-_GREY = 0.02
-"""How far the channels of a grey image may differ, after lossy compression."""
 _LOSS = 1e-3
 """How far lossy compression takes values out of their range."""
+_GREY = 0.02
+"""Largest difference between the channels of a grey image: a JPEG is off by a few codes of 255."""
 
 
 def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:
@@ -32,17 +33,18 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
     return _check_range(scene_path, key, path, read_roughness(path))
 
 
-def read_roughness(path: Path) -> NDArray[np.float64]:
-    """Read the first channel of an image as data, float64 [H,W], and warn if the others differ."""
-    image = read_data(path)
-    with np.errstate(invalid="ignore"):  # differences of infinite values
-        difference = float(np.ptp(image, axis=2).max())
-    if difference > _GREY:
-        warn(
-            f"{path}: the channels differ, by up to {difference:.2g}; the first, red, is read as roughness (glTF "
-            f"stores it in green); save it as a grey image"
-        )
-    return np.ascontiguousarray(image[..., 0])
+def read_roughness(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read the first channel of an image as data, float64 [H,W]; raises as `formats.image.read_data`.
+
+    Channels that differ are a warning: textures for glTF, for example, have the roughness in green.
+    """
+    data = read_data(path)
+    levels = np.ascontiguousarray(data[..., 0])
+    with np.errstate(invalid="ignore"):  # values that are not finite are refused by those who use them
+        different = any((np.abs(data[..., other] - levels) > _GREY).any() for other in (1, 2))
+    if different:
+        warn(f"{path}: its channels differ, and red is read; if another one is meant, save that alone, in grey")
+    return levels
 
 
 def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[np.float64]:

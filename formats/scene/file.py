@@ -81,7 +81,9 @@ def _read_tables(path: Path) -> dict[str, Any]:
         tables = tomllib.loads(without_byte_order_mark(existing(path).read_bytes(), path, SceneError).decode("utf-8"))
     except UnicodeDecodeError as cause:
         raise SceneError(f"{path}: is not a scene file: expected UTF-8 text, found binary data") from cause
-    except tomllib.TOMLDecodeError as cause:
+    except SceneError:
+        raise
+    except (ValueError, RecursionError) as cause:  # tomllib also raises them for long numbers and deep nesting
         advice = "; correct the line" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
         raise SceneError(f"{path}: is not TOML: {cause}{advice}") from cause
     if "object" not in tables and ("directional" in tables or "sky" in tables):

@@ -20,7 +20,9 @@ from formats.errors import LightError
 from formats.text import without_byte_order_mark
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
-_Irradiance = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+_BRIGHTEST = 1e30
+"""Brighter lights would overflow the float32 of pictures."""
+_Irradiance = Annotated[float, Field(ge=0, le=_BRIGHTEST, allow_inf_nan=False)]
 _Vector = Annotated[tuple[_Number, _Number, _Number], Strict(False)]
 _Colour = Annotated[tuple[_Irradiance, _Irradiance, _Irradiance], Strict(False)]
 
@@ -29,15 +31,15 @@ _EXPECTED = {
     "sphere": "tables [[sphere]]",
     "sky": "tables [[sky]]",
     "direction": "three finite numbers [x, y, z], not all 0, that point to the light",
-    "irradiance": "three finite numbers [r, g, b] of 0 or more",
+    "irradiance": "three numbers [r, g, b] from 0 to 1e30",
     "angular_diameter": "degrees from 0 to 180",
     "position": "three finite numbers [x, y, z] in scene units",
     "radius": "a number above 0, in scene units",
-    "radiance": "three finite numbers [r, g, b] of 0 or more",
+    "radiance": "three numbers [r, g, b] from 0 to 1e30",
     "file": "the name of a lat-long image",
     "rotate": "degrees",
     "exposure": "stops from -64 to 64",
-    "tint": "three finite numbers [r, g, b] of 0 or more",
+    "tint": "three numbers [r, g, b] from 0 to 1e30",
 }
 SUN_SYNTAX = "sun:x,y,z[:r,g,b][:degrees]"
 SPHERE_SYNTAX = "sphere:x,y,z:radius[:r,g,b]"
@@ -134,7 +136,9 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
         tables = tomllib.loads(without_byte_order_mark(existing(path).read_bytes(), path, LightError).decode("utf-8"))
     except UnicodeDecodeError as cause:
         raise LightError(f"{path}: is not a lights file: expected UTF-8 text, found binary data") from cause
-    except tomllib.TOMLDecodeError as cause:
+    except LightError:
+        raise
+    except (ValueError, RecursionError) as cause:  # tomllib also raises them for long numbers and deep nesting
         raise LightError(f"{path}: is not TOML: {cause}; correct the line") from cause
     try:
         lights = _LightsFile.model_validate(tables)
@@ -164,7 +168,7 @@ def parse_sun(text: str) -> DirectionalLight:
         raise LightError(f"--light {text}: expected {SUN_SYNTAX}, such as sun:0,1,0.5:3,3,2.8:0.53")
     irradiance = numbers[1] if len(numbers) > 1 and len(numbers[1]) == 3 else [1.0, 1.0, 1.0]
     diameter = numbers[-1][0] if len(numbers[-1]) == 1 else 0.0
-    if not all(value >= 0 and math.isfinite(value) for value in irradiance):
+    if not all(0 <= value <= _BRIGHTEST for value in irradiance):
         raise LightError(f"--light {text}: irradiance: expected {_EXPECTED['irradiance']}, found {irradiance}")
     if not 0 <= diameter <= 180:
         raise LightError(f"--light {text}: angular diameter: expected degrees from 0 to 180, found {diameter:g}")
@@ -185,7 +189,7 @@ def parse_sphere(text: str) -> SphereLight:
         raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")
     if not (radius > 0 and math.isfinite(radius)):
         raise LightError(f"--light {text}: radius: expected {_EXPECTED['radius']}, found {radius:g}")
-    if not all(value >= 0 and math.isfinite(value) for value in radiance):
+    if not all(0 <= value <= _BRIGHTEST for value in radiance):
         raise LightError(f"--light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")
     return SphereLight(np.array(position), radius, np.array(radiance))
 

@@ -148,11 +148,10 @@ def _refuse_other_sizes(image: Path, pixels: Any, *others: Any) -> None:
 
 def _read_mask(path: Path) -> Any:
     """Return the image's alpha as the mask, or its stored values if it has no alpha."""
-    from formats.image import read_data, read_layers
-    from prt_bake.comparison.alpha import alpha_of
+    from formats.image import read_alpha, read_data
 
-    alpha = alpha_of(read_layers(path))
-    if alpha is None:
+    alpha = read_alpha(path)
+    if alpha is None or (alpha >= 1.0).all():
         return read_data(path)
     say(f"{path}: the alpha channel is used as the mask")
     return alpha

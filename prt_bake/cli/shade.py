@@ -245,7 +245,7 @@ def _read_roughness(text: str) -> Any:
     try:
         alpha = float(text)
     except ValueError:
-        return read_roughness(Path(text))
+        return read_roughness(text)
     if not 0.0 <= alpha <= 1.0:
         raise typer.BadParameter(f"--roughness: expected a GGX alpha from 0 to 1 or an image, found {alpha:g}")
     return alpha

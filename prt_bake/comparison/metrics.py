@@ -185,6 +185,8 @@ def _chosen(mask: ArrayLike, image: Array, name: str) -> NDArray[np.bool_]:
         raise QueryError(
             f"compare: expected {name} of the pictures' shape {list(image.shape[:2])}, found {list(values.shape)}"
         )
+    if np.isnan(values).any():
+        raise QueryError(f"compare: {name} is NaN at {np.isnan(values).sum()} of {values.size} pixels; repair it")
     chosen = values > 0.5
     if not chosen.any():
         raise QueryError(f"compare: {name} chooses no pixel; chosen pixels are white, above 0.5")

@@ -9,6 +9,7 @@ from formats.errors import warn
 from formats.image.gamut import convert, matrix_to_rec709
 from formats.image.rows import open_linear
 from prt_bake.lights.skies.pixels import checked
+from prt_bake.lights.skies.shape import refuse_cube_maps
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -38,9 +39,14 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def find_faults(path: Path) -> list[str]:
-    """Raise FormatError at the first block with pixels that are NaN, infinite or negative; else return no faults."""
+    """Raise FormatError for a cube map by its header, or for pixels that are NaN, infinite or negative (first block).
+
+    Else return no faults.
+    """
     remedy = "repair the picture, or give --mend to `prtbake shade`, `view`, `render` or `light`"
     opened, primaries = open_linear(path)
+    if opened.cube:  # not by its shape, which a texture may have
+        refuse_cube_maps(opened)
     matrix_to_rec709(path, primaries)  # for its warning
     for _ in checked(opened, remedy, lambda sentence: warn(f"{path}: {sentence}")).blocks():
         pass

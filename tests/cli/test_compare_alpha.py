@@ -4,8 +4,10 @@ import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from formats.image import write_image
 from tests.cli.command_line import Run
@@ -84,6 +86,25 @@ def test_a_mask_is_data(prtbake: Run, tmp_path: Path, suffix: str) -> None:
     codes = np.where(np.arange(SHAPE[1]) < 16, 150, 100).astype(np.uint8)
     Image.fromarray(np.broadcast_to(codes, SHAPE)).save(mask)
     assert figures(prtbake, *pair, "--mask", mask)[0]["pixels"] == SHAPE[0] * 16
+
+
+@pytest.mark.parametrize("kind", ["gamma.png", "linear.exr"])
+@pytest.mark.parametrize("with_alpha", [True, False])
+def test_what_a_mask_says_about_colours_is_no_remark(prtbake: Run, tmp_path: Path, kind: str, with_alpha: bool) -> None:
+    pair, mask = (save(tmp_path, "a.exr", 1.1), save(tmp_path, "b.exr", 1.0)), tmp_path / kind
+    if mask.suffix == ".png":
+        chosen = np.uint8(255 * OPAQUE)
+        gamma = PngInfo()
+        gamma.add(b"gAMA", (100_000).to_bytes(4, "big"))
+        grey = Image.fromarray(np.stack([chosen, chosen], axis=2), "LA") if with_alpha else Image.fromarray(chosen)
+        grey.save(mask, pnginfo=gamma)
+    else:
+        ap0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
+        channels = dict.fromkeys("RGBA" if with_alpha else "RGB", np.float32(OPAQUE))
+        OpenEXR.File({"chromaticities": ap0, "type": OpenEXR.scanlineimage}, channels).write(str(mask))
+    values, message = figures(prtbake, *pair, "--mask", mask)
+    assert values["pixels"] == OPAQUE.sum()
+    assert message == (f"prtbake: {mask}: the alpha channel is used as the mask\n" if with_alpha else "")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".exr"])

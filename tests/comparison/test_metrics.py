@@ -154,6 +154,7 @@ def broken(value: float) -> np.ndarray:
         (picture(), broken(-np.inf), None, "1 of 3072 pixels of the reference"),
         (picture(), picture(), np.ones((4, 4)), r"the mask of the pictures' shape \[48, 64\], found \[4, 4\]"),
         (picture(), picture(), np.full((48, 64), 0.5), "chooses no pixel"),
+        (picture(), picture(), np.full((48, 64), np.nan), "is NaN at 3072 of 3072 pixels"),
     ],
 )
 def test_invalid_pictures_and_masks_are_refused(image, reference, mask, expected):

@@ -87,6 +87,8 @@ def test_missing_files_and_folders_cannot_be_read(tmp_path):
         existing(tmp_path / "a")
     with pytest.raises(StorageError, match="is a folder"):
         existing(tmp_path)
+    with pytest.raises(StorageError, match=r"'a\\x00b' is no name of a file: embedded null byte"):
+        existing("a\0b")
 
 
 def test_sha256_of_known_bytes(tmp_path):

@@ -117,8 +117,9 @@ def test_a_file_whose_header_says_cube_map_is_refused(prtbake: Run, tmp_path: Pa
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     for envmap, code in ((OpenEXR.ENVMAP_CUBE, 1), (OpenEXR.ENVMAP_LATLONG, 0)):
         OpenEXR.File({**header, "envmap": envmap}, dict.fromkeys("RGB", pixels)).write(str(tmp_path / "sky.exr"))
-        outcome = prtbake("light", tmp_path / "sky.exr")
-        assert (outcome.code, "is a cube map" in outcome.err) == (code, code == 1)
+        for command in ("light", "check"):
+            outcome = prtbake(command, tmp_path / "sky.exr")
+            assert (outcome.code, "is a cube map" in outcome.out + outcome.err) == (code, code == 1)
 
 
 @pytest.mark.parametrize("light", ["sky.exr", "lights.toml", "sun:0,1,0:0,0,0", "sphere:0,9,0:1:0,0,0"])

@@ -126,6 +126,11 @@ def test_parts_without_choice(tmp_path: Path) -> None:
         planes("coverage.", letters="Y"),
         planes("Normals."),
         planes("ViewLayer.CryptoObject00.", letters="rgb"),
+        planes("uCryptoAsset00."),
+        planes("N_world."),
+        planes("MotionVec."),
+        planes("VRayObjectID."),
+        planes("displacement."),
     ],
 )
 def test_data_are_no_picture(tmp_path: Path, channels: dict[str, np.ndarray]) -> None:
@@ -145,6 +150,22 @@ def test_names_are_shown_in_one_short_line(tmp_path: Path) -> None:
 def test_luminance_beside_depth_is_grey(tmp_path: Path) -> None:
     path = write(tmp_path / "a.exr", {"Y": IMAGE[..., 0].copy(), "Z": OTHER[..., 0].copy()}, chromaticities=AP1)
     assert_both(path, np.repeat(IMAGE[..., :1], 3, axis=2))
+
+
+@pytest.mark.parametrize(
+    ("prefix", "letters", "alpha"),
+    [
+        ("", "RGB", "A"),
+        ("ViewLayer.Combined.", "RGB", "A"),
+        ("", "rgb", "a"),
+        ("rgba.", ("red", "green", "blue"), "alpha"),
+    ],
+)
+def test_the_alpha_of_the_colour_is_known(tmp_path: Path, prefix: str, letters: tuple[str, ...], alpha: str) -> None:
+    channels = planes(prefix, IMAGE, letters) | {prefix + alpha: OTHER[..., 0].copy(), "x.A": IMAGE[..., 0].copy()}
+    layers = read_layers(write(tmp_path / "a.exr", channels)).layers
+    assert layers.keys() == {"A", "x.A"}
+    np.testing.assert_array_equal(layers["A"], OTHER[..., 0])
 
 
 def test_a_damaged_part_is_not_replaced_by_another(tmp_path: Path) -> None:
@@ -251,6 +272,9 @@ def test_clipped_colours_are_counted(tmp_path: Path) -> None:
         ({"colorInteropID": "srgb_rec709_scene"}, "srgb_rec709_scene is not understood; the colours are taken as"),
         ({"chromaticities": (0.0,) * 8}, "chromaticities is not understood"),
         ({"acesImageContainerFlag": 1}, "means ACES AP0"),
+        ({"oiio:ColorSpace": "ACEScg"}, "oiio:ColorSpace = ACEScg means ACES AP1"),
+        ({"oiio:ColorSpace": "lin_rec2020_scene"}, "means Rec.2020"),
+        ({"oiio:ColorSpace": "sRGB"}, "oiio:ColorSpace = sRGB is not understood; the colours are taken as linear"),
         ({"chromaticities": (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.314, 0.351)}, r"red \(0.68, 0.32\), green"),
     ],
 )
@@ -265,6 +289,9 @@ def test_other_statements_about_primaries(tmp_path: Path, header: dict[str, obje
         {"chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.31271, 0.32902)},
         {"colorInteropID": "lin_rec709_scene"},
         {"colorInteropID": "data"},
+        {"oiio:ColorSpace": "Linear"},
+        {"oiio:ColorSpace": "scene_linear"},
+        {"oiio:ColorSpace": "lin_rec709_scene"},
     ],
 )
 def test_rec709_is_left_as_it_is(tmp_path: Path, header: dict[str, object]) -> None:

@@ -200,6 +200,52 @@ def test_cmyk_is_a_warning_as_colour_and_refused_as_data(tmp_path: Path) -> None
         read_levels(tmp_path / "a.jpg")
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_adobe_rgb_of_cameras_is_converted(tmp_path: Path, suffix: str) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 1
+    exif.get_ifd(0x8769).update({0xA001: 65535, 0xA005: {1: "R03"}})
+    path = tmp_path / f"a{suffix}"
+    Image.fromarray(CODES).save(path, exif=exif)
+    linear = (np.asarray(Image.open(path)) / 255.0) ** (563 / 256)
+    matrix = [[1.39836, -0.39836, 0.0], [0.0, 1.0, 0.0], [0.0, -0.04293, 1.04293]]
+    with pytest.warns(InputWarning, match=r"its EXIF \(R03\) means Adobe RGB; the colours are converted to Rec.709"):
+        np.testing.assert_allclose(read_image(path), linear @ np.transpose(matrix), atol=1e-4)
+    np.testing.assert_array_equal(read_levels(path), np.asarray(Image.open(path))[..., 0] / 255.0)
+
+
+@pytest.mark.parametrize("segment", [b"http://ns.adobe.com/hdr-gain-map/1.0/", b"urn:iso:std:iso:ts:21496:-1\0"])
+def test_a_gain_map_is_reported(tmp_path: Path, segment: bytes) -> None:
+    path = tmp_path / "a.jpg"
+    Image.fromarray(CODES).save(path)
+    expected, content = read_image(path), path.read_bytes()
+    path.write_bytes(content[:2] + b"\xff\xe2" + struct.pack(">H", len(segment) + 2) + segment + content[2:])
+    with pytest.warns(InputWarning, match="its gain map for HDR displays is ignored, so that highlights end at white"):
+        np.testing.assert_array_equal(read_image(path), expected)
+    read_levels(path)
+
+
+@pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_one_transparent_colour(tmp_path: Path, bits: int, channels: int) -> None:
+    if channels == 3 and bits < 8:
+        return
+    path, white = tmp_path / "a.png", 2**bits - 1
+    stored = DEEP[:, :8, :channels] >> (16 - bits)
+    if bits < 8:
+        rows = np.packbits((stored >> np.arange(bits)[::-1]) & 1, axis=None).reshape(7, -1)
+    else:
+        rows = stored.astype(">u2" if bits == 16 else ">u1").reshape(7, -1).view(np.uint8)
+    header = struct.pack(">IIBBBBB", 8, 7, bits, channels - 1, 0, 0, 0)
+    clear = chunk(b"tRNS", stored[3, 4].astype(">u2").tobytes())
+    pixels = chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows)))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + clear + pixels + chunk(b"IEND", b""))
+    layers = read_layers(path)
+    np.testing.assert_array_equal(layers.layers["A"], (stored != stored[3, 4]).any(axis=2))
+    np.testing.assert_allclose(layers.image, np.broadcast_to(to_linear(stored / white), (7, 8, 3)), rtol=1e-6)
+    np.testing.assert_array_equal(read_levels(path), stored[..., 0] / white)
+
+
 def test_a_palette_with_alpha(tmp_path: Path) -> None:
     palette = Image.fromarray(CODES).quantize(4)
     palette.save(tmp_path / "a.png", transparency=bytes([0, 64, 128, 255]))

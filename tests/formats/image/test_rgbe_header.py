@@ -45,6 +45,16 @@ def test_values_are_divided_by_exposure_and_colour_correction(tmp_path: Path, re
         np.testing.assert_array_equal(read_levels(path), plain[..., 0] / 4)
 
 
+@pytest.mark.parametrize("line", ["EXPOSURE = 4", "exposure=4", "Exposure =4.0"])
+def test_keys_may_be_spelt_in_other_ways(tmp_path: Path, line: str) -> None:
+    plain = rewritten(tmp_path / "a.hdr", line, resolution="-Y  20   +X  40")
+    with pytest.warns(InputWarning, match="the values are divided by 4"):
+        assert_both(tmp_path / "a.hdr", plain / np.float32(4))
+    rewritten(tmp_path / "a.hdr", "Format = 32-bit_rle_xyze")
+    with pytest.raises(ImageError, match="found FORMAT= 32-bit_rle_xyze; convert the image to RGB"):
+        read_image(tmp_path / "a.hdr")
+
+
 def test_factors_of_one_and_those_of_earlier_pictures_do_nothing(tmp_path: Path) -> None:
     lines = "EXPOSURE=1.0000", "COLORCORR=1 1 1", "\tEXPOSURE=8", "GAMMA=1", "PIXASPECT=1", "SOFTWARE=x"
     assert_both(tmp_path / "a.hdr", rewritten(tmp_path / "a.hdr", *lines))

@@ -30,8 +30,29 @@ def test_statements_about_colour_do_not_concern_roughness(tmp_path: Path) -> Non
     stored = np.full((4, 4), 0.5, np.float32)
     channels = {"R": stored, "G": np.zeros_like(stored), "B": np.zeros_like(stored)}
     OpenEXR.File({**HEADER, "chromaticities": gamut.ACES_AP0}, channels).write(str(tmp_path / "a.exr"))
-    with pytest.warns(InputWarning, match="the channels differ, by up to 0.5; the first, red, is read"):
+    with pytest.warns(InputWarning, match="channels differ"):
         np.testing.assert_array_equal(read_roughness_texture(tmp_path / SCENE, "roughness", "a.exr"), stored)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".exr"])
+def test_channels_that_differ_are_reported(tmp_path: Path, suffix: str) -> None:
+    packed = np.empty((16, 16, 3), np.uint8)
+    packed[:] = 255, 128, 0
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".exr":
+        channels = {name: np.float32(packed[..., i] / 255) for i, name in enumerate("RGB")}
+        OpenEXR.File(dict(HEADER), channels).write(str(path))
+    else:
+        Image.fromarray(packed).save(path, quality=100)
+    with pytest.warns(InputWarning, match="its channels differ, and red is read; if another one is meant"):
+        roughness = read_roughness_texture(tmp_path / SCENE, "roughness", path.name)
+    np.testing.assert_allclose(roughness, 1.0, atol=0.01)
+
+
+def test_a_grey_jpeg_of_three_channels_is_grey(tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).integers(0, 256, (32, 32), np.uint8)
+    Image.fromarray(noise).convert("RGB").save(tmp_path / "a.jpg", quality=20)
+    assert read_roughness_texture(tmp_path / SCENE, "roughness", "a.jpg").shape == (32, 32)
 
 
 def test_normals_are_no_roughness(tmp_path: Path) -> None:

@@ -145,6 +145,7 @@ FAULTS = [
     ),
     ("[1, 1, 2]", "[1, 1, 1e300]", "medium.bounds: expected two corners"),
     ("= 12.0", "= = 12", "is not TOML"),
+    ("= 12.0", "= " + 5000 * "9", "is not TOML"),
     ('mesh = "ball.ply"', 'mesh = "open.ply"', "object.mesh: .*open.ply does not bound a solid: 3 edges are open"),
     (
         'mesh = "ball.ply"',
