@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from bakers.error_covariance import ViewFrames, error_sums, normalised_covariance
 from bakers.error_estimate import (
+    ROUNDING,
     Estimator,
     half_buffer_variance,
     neighbour_errors,
@@ -117,7 +118,8 @@ def bake_block(task: Task, first: int, last: int) -> Block:
         rounded = coefficients.astype(np.float32)
     valid = np.asarray(np.isfinite(rounded).all(axis=(1, 2, 3)) & np.isfinite(variance).all(axis=1))
     rounded[~valid] = 0.0
-    standard_error = np.sqrt(np.where(valid[:, None], variance, 0.0)).astype(np.float32)
+    least = ROUNDING**2 * np.square(rounded, dtype=np.float64).mean(axis=(2, 3))
+    standard_error = np.sqrt(np.where(valid[:, None], np.maximum(variance, least), 0.0)).astype(np.float32)
     error_covariance = None
     if sums is not None:
         error_covariance = normalised_covariance(*sums, np.ones(len(valid)), coefficients.shape[2])

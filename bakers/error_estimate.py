@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Estimator = Literal["neighbours", "halves", "residual"]
 
+ROUNDING = 2.0**-23
+"""Least relative error of a coefficient: values and coefficients are stored in float32."""
 FEWEST_SECTORS = 32
 LEAST_DIRECTIONS_PER_COEFFICIENT = 1.5
 """Least directions per coefficient in each half-size set."""

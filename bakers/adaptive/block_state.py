@@ -16,6 +16,7 @@ from bakers.adaptive.records import RefinedBlock, RefinementSettings, Validation
 from bakers.adaptive.view_levels import Level
 from bakers.adaptive.view_survey import DECAY, FULL_LEVELS
 from bakers.error_covariance import residual_sums, rotated
+from bakers.error_estimate import ROUNDING
 from bakers.evaluation import values_at
 from formats.asset.error_covariance import ErrorCovariance, pairs
 
@@ -32,8 +33,6 @@ LEVEL_SHARES = (0.4, 0.5, 0.6, 0.75, 0.9, 1.0)
 """Fraction of the tolerated variance that may be used at each level: errors of coarse levels propagate to all finer
 ones.
 """
-ROUNDING = 2.0**-23
-"""Least relative error of a coefficient: values and coefficients are stored in float32."""
 LEAST_OWN_SHARE = 0.15
 """Fraction of the tolerated variance that a bin's own noise may always use."""
 
@@ -180,7 +179,7 @@ class BlockState:
             np.sqrt(variance).astype(np.float32),
             self.directions_used.T.astype(np.uint16),
             self._methods().T,
-            (shared / variance.sum(axis=1)).astype(np.float32),
+            _fraction(shared, variance.sum(axis=1)).astype(np.float32),
             errors.covariance,
             errors.channels,
             errors.apart,
@@ -195,7 +194,7 @@ class BlockState:
         """
         self.add_lattice_covariance()
         predicted = self.directions_used == 0
-        independent = np.where(predicted, 0.0, self.independent_noise).sum(axis=0) / variance.sum(axis=1)
+        independent = _fraction(np.where(predicted, 0.0, self.independent_noise).sum(axis=0), variance.sum(axis=1))
         shared, own = (np.where(self.own_lattice == which, self.noise, 0.0) for which in (False, True))
         shared, own = (np.where(predicted, 0.0, each).sum(axis=0) for each in (shared, own))
         carried = self.noise.sum(axis=0) / np.maximum(shared + own, 1e-300)
@@ -291,6 +290,11 @@ class BlockState:
         self.noise[level.bins] = common + level.squared_weights @ self.independent_noise
         self.prediction_variance[level.bins] = self.decay * (near @ self.prediction_variance)
         self.residual_variance[level.bins] = near @ self.residual_variance
+
+
+def _fraction(part: Array | float, total: Array) -> Array:
+    """part / total [n]; 0 at vertices without any error, such as black ones."""
+    return np.asarray(np.divide(part, total, out=np.zeros_like(total), where=total > 0.0))
 
 
 def variance_factors(noise: LatticeNoise, shares: Sequence[float], sizes: Sequence[int]) -> Array:

@@ -86,11 +86,6 @@ def read_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
     return read_png_alpha(existing(path)) if suffix == ".png" else None
 
 
-def read_levels(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read the first channel of an image as data, float64 [H,W]; as `read_data`."""
-    return np.ascontiguousarray(read_data(path)[..., 0])
-
-
 def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Read an image as data, float64 [H,W,3], row 0 on top: a roughness or a mask, for example.
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from formats.atomic import existing
 from formats.errors import LightError
+from formats.mesh.geometry import MOST_COORDINATE
 from formats.text import without_byte_order_mark
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -24,6 +25,8 @@ _BRIGHTEST = 1e30
 """Brighter lights would overflow the float32 of pictures."""
 _Irradiance = Annotated[float, Field(ge=0, le=_BRIGHTEST, allow_inf_nan=False)]
 _Vector = Annotated[tuple[_Number, _Number, _Number], Strict(False)]
+_Coordinate = Annotated[float, Field(ge=-MOST_COORDINATE, le=MOST_COORDINATE)]
+_Position = Annotated[tuple[_Coordinate, _Coordinate, _Coordinate], Strict(False)]
 _Colour = Annotated[tuple[_Irradiance, _Irradiance, _Irradiance], Strict(False)]
 
 _EXPECTED = {
@@ -33,8 +36,8 @@ _EXPECTED = {
     "direction": "three finite numbers [x, y, z], not all 0, that point to the light",
     "irradiance": "three numbers [r, g, b] from 0 to 1e30",
     "angular_diameter": "degrees from 0 to 180",
-    "position": "three finite numbers [x, y, z] in scene units",
-    "radius": "a number above 0, in scene units",
+    "position": "three numbers [x, y, z] within ±1e30, in scene units",
+    "radius": "a number above 0 and up to 1e30, in scene units",
     "radiance": "three numbers [r, g, b] from 0 to 1e30",
     "file": "the name of a lat-long image",
     "rotate": "degrees",
@@ -96,8 +99,8 @@ class _DirectionalTable(_Table):
 
 
 class _SphereTable(_Table):
-    position: _Vector
-    radius: float = Field(gt=0, allow_inf_nan=False)
+    position: _Position
+    radius: float = Field(gt=0, le=MOST_COORDINATE)
     radiance: _Colour = (1.0, 1.0, 1.0)
 
 
@@ -185,9 +188,9 @@ def parse_sphere(text: str) -> SphereLight:
     if [len(field) for field in numbers] not in ([3, 1], [3, 1, 3]):
         raise LightError(f"--light {text}: expected {SPHERE_SYNTAX}, such as sphere:0,3,1:0.25:40,36,30")
     position, (radius,), radiance = numbers if len(numbers) == 3 else (*numbers, [1.0, 1.0, 1.0])
-    if not all(math.isfinite(value) for value in position):
+    if not all(abs(value) <= MOST_COORDINATE for value in position):
         raise LightError(f"--light {text}: position: expected {_EXPECTED['position']}, found {position}")
-    if not (radius > 0 and math.isfinite(radius)):
+    if not 0 < radius <= MOST_COORDINATE:
         raise LightError(f"--light {text}: radius: expected {_EXPECTED['radius']}, found {radius:g}")
     if not all(0 <= value <= _BRIGHTEST for value in radiance):
         raise LightError(f"--light {text}: radiance: expected {_EXPECTED['radiance']}, found {radiance}")

@@ -23,6 +23,8 @@ Progress = Callable[[float, str], None]
 
 SINGLE_PRECISION = 1e-3
 """Smallest error for which float32 is exact enough for products with bases."""
+LARGEST = 1e15
+"""Largest coefficient that is compressed: sums of squares over 64 vertices, their bins and harmonics fit float32."""
 AT_ONCE, _AROUND = 64, 8
 _PASSES = 6
 
@@ -147,6 +149,12 @@ def read_valid(asset: Asset, rows: NDArray[np.int64]) -> NDArray[np.float32]:
     wrong = ~np.isfinite(block).all(axis=(1, 2, 3))
     if wrong.any():
         raise QueryError(f"asset: coefficients of vertex {rows[wrong.argmax()]} are not finite; bake it again")
+    largest = np.abs(block).max(axis=(1, 2, 3), initial=0.0)
+    if (largest > LARGEST).any():
+        raise QueryError(
+            f"asset: expected coefficients within ±{LARGEST:g}, whose products float32 holds, found "
+            f"{largest.max():.4g} at vertex {rows[largest.argmax()]}; scale the transport"
+        )
     return block
 
 

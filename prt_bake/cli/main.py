@@ -66,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Every error that a user can cause is printed as one line. Any other exception is a defect and keeps its traceback.
     """
     command_line = sys.argv[1:] if arguments is None else list(arguments)
+    if strange := [text for text in command_line if not _is_utf_8(text)]:
+        return _fail(f"expected names in UTF-8, which OpenEXR and HDF5 require, found {strange[0]!a}; rename the file")
     try:
         with _printed_warnings():
             app(args=command_line, prog_name="prtbake", obj=shlex.join(["prtbake", *command_line]))
@@ -105,6 +107,11 @@ def _printed_warnings() -> Iterator[None]:
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = show_once
         yield
+
+
+def _is_utf_8(text: str) -> bool:
+    """Return whether no byte of an argument was outside UTF-8; Python keeps such bytes as surrogates."""
+    return not any("\ud800" <= letter <= "\udfff" for letter in text)
 
 
 def _print_line(message: str) -> None:

@@ -190,6 +190,8 @@ def render(
         checkpoint.unlink(missing_ok=True)
     if picture.negative > 0.001:
         say(f"{output}: {picture.negative:.1%} of the object's radiance is negative, as predicted by the network")
+    if not picture.coverage.any():
+        say(f"{output}: the camera sees nothing of the object; turn it to the object, or bring it nearer")
     if picture.black:
         say(f"{output}: the object is black; if it should receive light, render more {_unit(is_scene)}")
     if report is not None:

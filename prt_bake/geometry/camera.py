@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
 from formats.mesh import Mesh
+from formats.mesh.geometry import MOST_COORDINATE
 
 Array = NDArray[np.float64]
 
@@ -67,8 +68,10 @@ class Camera:
             raise QueryError(f"camera: expected at least 1x1 pixels, found {self.width}x{self.height}")
         if not 0.0 < self.fov < 180.0:
             raise QueryError(f"camera: expected a field of view between 0 and 180 degrees, found {self.fov:g}")
-        if self.extent is not None and not 0.0 < self.extent < np.inf:
-            raise QueryError(f"camera: expected a finite extent above 0 scene units, found {self.extent:g}")
+        if self.extent is not None and not 0.0 < self.extent <= MOST_COORDINATE:
+            raise QueryError(
+                f"camera: expected an extent above 0 and up to {MOST_COORDINATE:g} scene units, found {self.extent:g}"
+            )
 
     @property
     def forward(self) -> Array:
@@ -235,6 +238,11 @@ def _point(value: ArrayLike, name: str) -> Array:
     point = np.array(value, np.float64)
     if point.shape != (3,) or not np.isfinite(point).all():
         raise QueryError(f"camera: expected three finite numbers for {name}, found {point.tolist()}")
+    if np.abs(point).max() > MOST_COORDINATE:
+        raise QueryError(
+            f"camera: expected three numbers within ±{MOST_COORDINATE:g} for {name}, found {point.tolist()}; bring it "
+            "nearer, or widen the field of view that placed it there"
+        )
     return point
 
 

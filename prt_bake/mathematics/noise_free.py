@@ -19,11 +19,13 @@ LEVEL = 0.95
 _RESAMPLES = 1000
 _FEWEST = 8
 """Fewer clusters than this give no interval."""
+_ROUNDING = 1e-14
+"""A variance below this share of the sums that it is a difference of is 0."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure and its 95 % confidence interval, which is NaN for too few clusters."""
+    """A figure and its 95 % confidence interval, which is NaN for too few clusters, or if one of them is all of it."""
 
     value: float
     low: float
@@ -103,15 +105,17 @@ def relative_rmse(clusters: Sums, seed: int) -> Interval:
 
 
 def relative_noise(clusters: Sums) -> float:
-    """sqrt(Σ noise / Σ value): relative noise of the reference."""
-    return float(np.sqrt(clusters.noise.sum() / max(float(clusters.value.sum()), 1e-300)))
+    """sqrt(Σ noise / Σ value): relative noise of the reference; NaN if its values are no larger than their noise."""
+    value = float(clusters.value.sum())
+    return float(np.sqrt(clusters.noise.sum() / value)) if value > 0.0 else np.nan
 
 
 def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
     """Σ numerator / Σ denominator over N independent clusters.
 
     The interval is that of the studentised bootstrap (Efron and Tibshirani 1993, section 12.5). It is asymmetric for
-    skewed errors, for which plain intervals miss the truth twice as often as stated.
+    skewed errors, for which plain intervals miss the truth twice as often as stated. It has no bounds if a resample
+    without a few clusters has no spread left.
     """
     a, b = np.asarray(numerator, np.float64), np.asarray(denominator, np.float64)
     count = len(a)
@@ -122,13 +126,14 @@ def ratio(numerator: Array, denominator: Array, seed: int) -> Interval:
     rest = a - value * b
     powers = np.stack([rest, b, rest * rest, rest * b, b * b], axis=1)
     own, error = _studentised(powers.sum(axis=0), count)
+    if not error > 0.0:
+        return Interval(value, value, value)
     resampled, errors = _studentised(_multiplicities(count, seed) @ powers, count)
     with np.errstate(invalid="ignore", divide="ignore"):
         t = (resampled - own) / errors
-    t = t[np.isfinite(t)]
-    if not t.size:
-        return Interval(value, value, value)
-    low, high = np.quantile(t, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+        low, high = np.quantile(t[~np.isnan(t)], [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return Interval(value, np.nan, np.nan)
     return Interval(value, float(value - high * error), float(value - low * error))
 
 
@@ -137,12 +142,14 @@ def percentile_over(error: Array, value: Array, seed: int, share: float = 0.95) 
 
     error, value: [P,B], from B independent samples per position, unbiased but noisy. This noise widens the distribution
     over positions. The squared ratios are therefore contracted towards their mean until their variance is that of the
-    positions alone (Louis 1984, constrained empirical Bayes).
+    positions alone (Louis 1984, constrained empirical Bayes). NaN if a position's value is no larger than its noise.
     """
     samples = error.shape[1]
     if samples < 2:
         raise QueryError(f"percentile over positions: expected at least 2 samples per position, found {samples}")
     mean = value.mean(axis=1)
+    if not (mean > 0.0).all():
+        return Interval(np.nan, np.nan, np.nan), np.nan
     squared = error.mean(axis=1) / mean
     variance = ((error - squared[:, None] * value) ** 2).sum(axis=1) / (samples * (samples - 1)) / mean**2
 
@@ -205,7 +212,8 @@ def _studentised(totals: Array, count: int) -> tuple[Any, Any]:
     """Ratio Σa / Σb and its standard error from Σ (a, b, a², ab, b²) [...,5]."""
     a, b, aa, ab, bb = np.moveaxis(totals, -1, 0)
     value = a / b
-    variance = np.maximum(aa - 2.0 * value * ab + value**2 * bb, 0.0)
+    variance = aa - 2.0 * value * ab + value**2 * bb
+    variance = np.where(variance > _ROUNDING * (aa + value**2 * bb), variance, 0.0)
     return value, np.sqrt(variance * count / (count - 1)) / b
 
 

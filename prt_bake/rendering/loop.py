@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import QueryError
+from formats.image.single import single_precision
 from prt_bake.geometry.camera import Camera
 from prt_bake.lights.lighting import Lighting
 from prt_bake.rendering.passes import pass_seed
@@ -180,7 +181,7 @@ def accumulate(
 
 def _picture(sums: Sums, tracer: Tracer, complete: bool) -> Rendering:
     return Rendering(
-        sums.mean().astype(np.float32),
+        single_precision(sums.mean(), "picture"),
         sums.standard_error().astype(np.float32),
         sums.mean_coverage().astype(np.float32),
         sums.walks,

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from formats.asset import Asset
 from formats.errors import QueryError, refuse_path
+from formats.image.single import single_precision
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.shading.layers import make_layers
@@ -132,13 +133,13 @@ def render_picture(
         picture = picture.copy()
         _add_background(picture, 1.0 - coverage, lighting, camera, samples)
     return Picture(
-        picture.astype(np.float32),
+        single_precision(picture, "picture"),
         coverage.astype(np.float32),
         shading.clamped,
         shading.shaded,
         float((weights.sum(axis=1) <= 0.0).mean()),
         time.perf_counter() - start,
-        errors.astype(np.float32),
+        single_precision(errors, "picture: standard error"),
         math.sqrt(float((errors**2).sum()) / signal) if signal > 0.0 else 0.0,
         made,
         reflecting,

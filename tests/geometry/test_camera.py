@@ -140,6 +140,10 @@ def test_view_along_the_up_axis_works():
     [
         ({"eye": (np.nan, 0, 0)}, "three finite numbers"),
         ({"eye": (1, 2)}, "three finite numbers"),
+        ({"eye": (0, 0, 1e300)}, r"within ±1e\+30 for eye"),
+        ({"target": (0, 0, -2e30)}, r"within ±1e\+30 for target"),
+        ({"eye": None, "fov": 1e-300}, r"within ±1e\+30 for eye"),
+        ({"extent": 1e300}, r"up to 1e\+30 scene units"),
         ({"eye": (0, 0, 0)}, "off the target"),
         ({"width": 0}, "found 0x8"),
         ({"fov": 180.0}, "between 0 and 180 degrees, found 180"),

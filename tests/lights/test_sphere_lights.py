@@ -124,9 +124,11 @@ def test_a_lights_file_and_an_argument_are_equivalent(tmp_path: Path) -> None:
         ("sphere:1,2:3", "expected sphere:x,y,z:radius"),
         ("sphere:1,2,3:x", "expected sphere:x,y,z:radius"),
         ("sphere:1,2,3:1:1", "expected sphere:x,y,z:radius"),
-        ("sphere:1,nan,3:1", "position: expected three finite"),
+        ("sphere:1,nan,3:1", "position: expected three numbers"),
+        ("sphere:1,2e30,3:1", r"position: expected three numbers \[x, y, z\] within ±1e30"),
         ("sphere:1,2,3:0", "radius: expected a number above 0"),
         ("sphere:1,2,3:inf", "radius: expected a number above 0"),
+        ("sphere:1,2,3:2e30", "radius: expected a number above 0 and up to 1e30"),
         ("sphere:1,2,3:1:1,-1,1", "radiance: expected three"),
     ],
 )
@@ -141,8 +143,13 @@ def test_an_invalid_sphere_argument_is_refused_in_one_sentence(text: str, senten
     [
         ("radius = 1", "sphere.0.position: is missing"),
         ("position = [0, 1, 0]", "sphere.0.radius: is missing; expected a number above 0"),
-        ("position = [0, 1, 0]\nradius = 0", "sphere.0.radius: expected a number above 0, in scene units, found 0"),
-        ("position = [0, 1]\nradius = 1", "sphere.0.position: expected three finite numbers"),
+        (
+            "position = [0, 1, 0]\nradius = 0",
+            "radius: expected a number above 0 and up to 1e30, in scene units, found 0",
+        ),
+        ("position = [0, 1, 0]\nradius = 2e30", "sphere.0.radius: expected a number above 0 and up to 1e30"),
+        ("position = [0, 1]\nradius = 1", "sphere.0.position: expected three numbers"),
+        ("position = [0, 1, -2e30]\nradius = 1", "sphere.0.position: expected three numbers"),
         ("position = [0, 1, 0]\nradius = 1\npower = 3", "sphere.0.power: unknown key; expected position"),
         ("position = [0, 1, 0]\nradius = 1\nradiance = [1, -1, 1]", "radiance: expected three numbers"),
     ],

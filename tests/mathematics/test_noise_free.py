@@ -162,3 +162,28 @@ def test_exact_ratio_has_an_interval_of_no_width() -> None:
     values = np.arange(1.0, 33.0)
     interval = ratio(0.25 * values, values, 0)
     assert (interval.low, interval.high) == pytest.approx((0.25, 0.25), rel=1e-6)
+
+
+def test_a_reference_without_signal_gives_no_relative_figures() -> None:
+    none, noise = np.zeros((9, 2)), np.full((9, 2), 1e-3)
+    for value in (none, -noise):
+        clusters = Sums(noise.sum(axis=1), value.sum(axis=1), noise.sum(axis=1))
+        assert np.isnan(relative_noise(clusters))
+        assert np.isnan(relative_rmse(clusters, 0).value)
+        interval, uncorrected = percentile_over(noise, value, 0)
+        assert np.isnan([interval.value, interval.low, interval.high, uncorrected]).all()
+
+
+@pytest.mark.parametrize("size", [1e-60, 1.0, 1e57])
+def test_one_cluster_with_all_of_the_error_gives_no_interval(size: float) -> None:
+    error = np.zeros(256)
+    error[77] = size
+    interval = ratio(error, np.ones(256), 0)
+    assert interval.value == pytest.approx(size / 256, rel=1e-12)
+    assert np.isnan([interval.low, interval.high]).all()
+
+
+@pytest.mark.parametrize("value", [1.0, 0.1, 1e-60, 1e60, 0.0])
+def test_equal_clusters_give_an_interval_without_width(value: float) -> None:
+    interval = ratio(np.full(100, value), np.full(100, 0.3), 0)
+    assert interval.low == interval.value == interval.high == pytest.approx(value / 0.3, rel=1e-12)

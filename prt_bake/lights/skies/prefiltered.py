@@ -48,8 +48,8 @@ def prefilter(image: NDArray[np.float32], to_object: Array, finest: float = 0.0)
     in_threads(_average, size, _reduced(image, size), texels)
     levels = [texels]
     while len(levels[-1]) > 1:
-        last = levels[-1]
-        levels.append(0.25 * (last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2]))
+        last = 0.25 * levels[-1]  # before the sum, which may exceed float32
+        levels.append(last[::2, ::2] + last[1::2, ::2] + last[::2, 1::2] + last[1::2, 1::2])
     return PrefilteredSky(tuple(levels), to_object.T)
 
 

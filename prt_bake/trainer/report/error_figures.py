@@ -83,6 +83,7 @@ def white_sky(evaluation: Evaluation, seed: int) -> dict[str, Any]:
     # Views are drawn independently: their scatter includes the noise of the walks.
     scatter = difference.var(axis=1, ddof=1) / VIEWS
     length = np.sqrt((total**2).sum(axis=1, keepdims=True))
+    length = np.where(length > 0.0, length, np.nan)  # no relative error at a black vertex
     of_vertices, uncorrected = percentile_of_length(mean / length, scatter / length**2, seed)
     by_view, by_view_uncorrected = percentile_over(
         ((difference**2) - variance).sum(axis=2), (measured**2 - variance).sum(axis=2), seed

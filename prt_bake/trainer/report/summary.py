@@ -62,6 +62,8 @@ def is_homogeneous(scene: Scene) -> bool:
 
 def percent(figure: dict[str, float]) -> str:
     """A figure with its interval as text, in percent."""
+    if not np.isfinite(figure["value"]):
+        return "unknown (the reference is no brighter than its noise)"
     if not np.isfinite(figure["low"]):
         return f"{figure['value']:.2%} (too few positions for an interval)"
     if figure["value"] == 0.0 and figure["high"] > 0.0:

@@ -8,7 +8,7 @@ import OpenEXR
 import pytest
 
 from formats.errors import ImageError, InputWarning
-from formats.image import read_image, read_layers, read_levels
+from formats.image import read_data, read_image, read_layers
 from formats.image.rows import open_image
 from tests.formats.image.handmade import spread, thinned, write_levels, write_subsampled
 
@@ -135,7 +135,7 @@ def test_parts_without_choice(tmp_path: Path) -> None:
 )
 def test_data_are_no_picture(tmp_path: Path, channels: dict[str, np.ndarray]) -> None:
     path = write(tmp_path / "a.exr", channels)
-    for reader in (read_image, open_image, read_levels):
+    for reader in (read_image, open_image, read_data):
         with pytest.raises(ImageError, match=f"has no colour: .*found {', '.join(sorted(channels))}; positions"):
             reader(path)
 
@@ -249,7 +249,7 @@ def test_chromaticities_are_converted_to_rec709(tmp_path: Path) -> None:
     with pytest.warns(InputWarning):
         np.testing.assert_array_equal(read_layers(path).image, found)
     # Data is no colour.
-    np.testing.assert_array_equal(read_levels(path), IMAGE[..., 0])
+    np.testing.assert_array_equal(read_data(path)[..., 0], IMAGE[..., 0])
 
 
 def test_clipped_colours_are_counted(tmp_path: Path) -> None:

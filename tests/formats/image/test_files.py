@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as npst
 from PIL import Image
 
 from formats.errors import ImageError
-from formats.image import read_image, read_layers, read_levels, write_image
+from formats.image import read_data, read_image, read_layers, write_image
 from formats.image.png import to_linear, to_srgb
 
 HEADER = b"#?RADIANCE\n# by hand\nFORMAT=32-bit_rle_rgbe\n\n"
@@ -298,7 +298,7 @@ def test_invalid_pixels_and_shapes_are_refused(tmp_path):
 def test_levels_of_a_png_are_its_stored_first_channel(tmp_path, mode, stored, expected):
     array = np.array(stored, np.uint16 if mode == "I;16" else np.uint8)
     Image.fromarray(array).save(tmp_path / "a.png")
-    levels = read_levels(tmp_path / "a.png")
+    levels = read_data(tmp_path / "a.png")[..., 0]
     assert (levels.dtype, levels.shape) == (np.float64, (1, 3))
     np.testing.assert_allclose(levels[0], expected, atol=1e-15)
 
@@ -307,7 +307,7 @@ def test_levels_of_linear_images_are_their_first_channel(tmp_path):
     picture = np.array([[[0.25, 9, 9], [0.5, 0, 0]]], np.float32)
     for suffix in (".exr", ".hdr"):
         write_image(tmp_path / f"a{suffix}", picture)
-        np.testing.assert_allclose(read_levels(tmp_path / f"a{suffix}"), [[0.25, 0.5]], atol=0.04)
+        np.testing.assert_allclose(read_data(tmp_path / f"a{suffix}")[..., 0], [[0.25, 0.5]], atol=0.04)
 
 
 def test_a_jpeg_is_decoded_as_srgb(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageCms
 
 from formats.errors import ImageError, InputWarning
-from formats.image import gamut, read_image, read_layers, read_levels
+from formats.image import gamut, read_data, read_image, read_layers
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
 from formats.image.png import to_linear
 
@@ -60,7 +60,7 @@ def test_a_gamma_chunk_is_the_curve(tmp_path: Path, gamma: float) -> None:
     with pytest.warns(InputWarning, match="gAMA chunk says that the values are"):
         found = read_image(path)
     np.testing.assert_allclose(found, (CODES / 255.0) ** (1.0 / gamma), rtol=1e-6)
-    np.testing.assert_array_equal(read_levels(path), CODES[..., 0] / 255.0)
+    np.testing.assert_array_equal(read_data(path)[..., 0], CODES[..., 0] / 255.0)
 
 
 def test_linear_and_encoded_pictures_of_one_sky_are_equal(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_primaries_of_a_png_are_converted(tmp_path: Path) -> None:
     with pytest.warns(InputWarning):
         matrix = matrix_to_rec709("", Primaries("", gamut.P3_D65))
     np.testing.assert_array_equal(found, convert(SRGB, matrix))
-    np.testing.assert_array_equal(read_levels(path), CODES[..., 0] / 255.0)
+    np.testing.assert_array_equal(read_data(path)[..., 0], CODES[..., 0] / 255.0)
 
 
 def test_a_cicp_chunk_comes_first(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_a_cicp_chunk_comes_first(tmp_path: Path) -> None:
         write(path, chunk(b"cICP", bytes(colours)))
         with pytest.raises(ImageError, match=f"primaries {colours[0]}, transfer {colours[1]} .*save it as sRGB"):
             read_image(path)
-        np.testing.assert_array_equal(read_levels(path), CODES[..., 0] / 255.0)
+        np.testing.assert_array_equal(read_data(path)[..., 0], CODES[..., 0] / 255.0)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
@@ -132,7 +132,7 @@ def test_another_colour_profile_is_reported(tmp_path: Path, suffix: str) -> None
     picture.save(path, icc_profile=b"damaged")
     with pytest.warns(InputWarning, match=r"its colour profile \(damaged\)"):
         np.testing.assert_array_equal(read_image(path), srgb)
-    np.testing.assert_array_equal(read_levels(path), np.asarray(Image.open(path))[..., 0] / 255.0)
+    np.testing.assert_array_equal(read_data(path)[..., 0], np.asarray(Image.open(path))[..., 0] / 255.0)
 
 
 def swapped_profile() -> bytes:
@@ -144,7 +144,7 @@ def swapped_profile() -> bytes:
 @pytest.mark.parametrize("interlaced", [False, True])
 def test_all_of_16_bits_are_read(tmp_path: Path, channels: int, interlaced: bool) -> None:
     path = write_deep(tmp_path / "a.png", channels, interlaced)
-    np.testing.assert_allclose(read_levels(path), DEEP[..., 0] / 65535.0, rtol=1e-15)
+    np.testing.assert_allclose(read_data(path)[..., 0], DEEP[..., 0] / 65535.0, rtol=1e-15)
     shown = DEEP[..., :3] if channels > 2 else DEEP[..., :1].repeat(3, axis=2)
     np.testing.assert_allclose(read_image(path), to_linear(shown / 65535.0), rtol=1e-6)
     alpha = read_layers(path).layers.get("A")
@@ -174,7 +174,7 @@ def test_pictures_are_turned_upright(tmp_path: Path, orientation: int, suffix: s
     with Image.open(path) as picture:
         upright = np.asarray(ImageOps.exif_transpose(picture))
     np.testing.assert_array_equal(read_image(path), to_linear(upright / 255.0).astype(np.float32))
-    np.testing.assert_array_equal(read_levels(path), upright[..., 0] / 255.0)
+    np.testing.assert_array_equal(read_data(path)[..., 0], upright[..., 0] / 255.0)
 
 
 def test_16_bits_are_turned_upright_too(tmp_path: Path) -> None:
@@ -183,13 +183,13 @@ def test_16_bits_are_turned_upright_too(tmp_path: Path) -> None:
     path = write_deep(tmp_path / "a.png", 3)
     content = path.read_bytes()
     path.write_bytes(content[:33] + chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0")) + content[33:])
-    np.testing.assert_allclose(read_levels(path), np.rot90(DEEP[..., 0], -1) / 65535.0, rtol=1e-15)
+    np.testing.assert_allclose(read_data(path)[..., 0], np.rot90(DEEP[..., 0], -1) / 65535.0, rtol=1e-15)
 
 
 def test_roughness_is_the_same_from_png_and_jpeg(tmp_path: Path) -> None:
     for suffix in (".png", ".jpg", ".jpeg"):
         Image.fromarray(np.full((16, 16), 128, np.uint8)).save(tmp_path / f"a{suffix}")
-        np.testing.assert_allclose(read_levels(tmp_path / f"a{suffix}"), 128 / 255)
+        np.testing.assert_allclose(read_data(tmp_path / f"a{suffix}")[..., 0], 128 / 255)
 
 
 def test_cmyk_is_a_warning_as_colour_and_refused_as_data(tmp_path: Path) -> None:
@@ -197,7 +197,7 @@ def test_cmyk_is_a_warning_as_colour_and_refused_as_data(tmp_path: Path) -> None
     with pytest.warns(InputWarning, match="stores CMYK; it is converted to RGB without a colour profile"):
         assert read_image(tmp_path / "a.jpg").shape == (7, 9, 3)
     with pytest.raises(ImageError, match="stores CMYK, of which no channel is data"):
-        read_levels(tmp_path / "a.jpg")
+        read_data(tmp_path / "a.jpg")[..., 0]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
@@ -211,7 +211,7 @@ def test_adobe_rgb_of_cameras_is_converted(tmp_path: Path, suffix: str) -> None:
     matrix = [[1.39836, -0.39836, 0.0], [0.0, 1.0, 0.0], [0.0, -0.04293, 1.04293]]
     with pytest.warns(InputWarning, match=r"its EXIF \(R03\) means Adobe RGB; the colours are converted to Rec.709"):
         np.testing.assert_allclose(read_image(path), linear @ np.transpose(matrix), atol=1e-4)
-    np.testing.assert_array_equal(read_levels(path), np.asarray(Image.open(path))[..., 0] / 255.0)
+    np.testing.assert_array_equal(read_data(path)[..., 0], np.asarray(Image.open(path))[..., 0] / 255.0)
 
 
 @pytest.mark.parametrize("segment", [b"http://ns.adobe.com/hdr-gain-map/1.0/", b"urn:iso:std:iso:ts:21496:-1\0"])
@@ -222,7 +222,7 @@ def test_a_gain_map_is_reported(tmp_path: Path, segment: bytes) -> None:
     path.write_bytes(content[:2] + b"\xff\xe2" + struct.pack(">H", len(segment) + 2) + segment + content[2:])
     with pytest.warns(InputWarning, match="its gain map for HDR displays is ignored, so that highlights end at white"):
         np.testing.assert_array_equal(read_image(path), expected)
-    read_levels(path)
+    read_data(path)[..., 0]
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4, 8, 16])
@@ -243,7 +243,7 @@ def test_one_transparent_colour(tmp_path: Path, bits: int, channels: int) -> Non
     layers = read_layers(path)
     np.testing.assert_array_equal(layers.layers["A"], (stored != stored[3, 4]).any(axis=2))
     np.testing.assert_allclose(layers.image, np.broadcast_to(to_linear(stored / white), (7, 8, 3)), rtol=1e-6)
-    np.testing.assert_array_equal(read_levels(path), stored[..., 0] / white)
+    np.testing.assert_array_equal(read_data(path)[..., 0], stored[..., 0] / white)
 
 
 def test_a_palette_with_alpha(tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_a_palette_with_alpha(tmp_path: Path) -> None:
     ("width", "height", "sentence"),
     [(40_000, 40_000, "is truncated: .* cannot hold 40000x40000"), (1 << 30, 1, "at most 262144"), (0, 5, "empty")],
 )
-@pytest.mark.parametrize("reader", [read_image, read_levels, read_layers])
+@pytest.mark.parametrize("reader", [read_image, read_data, read_layers])
 def test_absurd_sizes_are_refused(
     tmp_path: Path, width: int, height: int, sentence: str, reader: Callable[[Path], object]
 ) -> None:

@@ -99,3 +99,9 @@ def test_a_picture_finer_than_the_texels_is_averaged_first() -> None:
     reduced = prefiltered._reduced(stripes, 64)
     np.testing.assert_allclose(reduced, 0.5)
     assert prefiltered._reduced(stripes[:, :128], 64).shape[1] == 128
+
+
+def test_the_largest_float32_is_averaged_without_overflow() -> None:
+    largest = np.finfo(np.float32).max
+    for level in prefilter(sky_of(np.full((8, 16, 3), largest))).levels:
+        np.testing.assert_allclose(level, largest, rtol=1e-6)
