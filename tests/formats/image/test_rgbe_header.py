@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from formats.errors import ImageError, InputWarning
-from formats.image import gamut, read_image, read_levels, write_image
+from formats.image import gamut, read_data, read_image, write_image
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
 from formats.image.rows import open_image
 
@@ -42,7 +42,7 @@ def test_values_are_divided_by_exposure_and_colour_correction(tmp_path: Path, re
     with pytest.warns(InputWarning, match=r"a.hdr: the values are divided by 4, 2, 1, the EXPOSURE and COLORCORR"):
         assert_both(path, plain / np.array([4, 2, 1], np.float32))
     with pytest.warns(InputWarning):
-        np.testing.assert_array_equal(read_levels(path), plain[..., 0] / 4)
+        np.testing.assert_array_equal(read_data(path)[..., 0], plain[..., 0] / 4)
 
 
 @pytest.mark.parametrize("line", ["EXPOSURE = 4", "exposure=4", "Exposure =4.0"])
@@ -87,7 +87,7 @@ def test_primaries_are_converted_to_rec709(tmp_path: Path) -> None:
     with pytest.warns(InputWarning, match="PRIMARIES means Rec.2020; the colours are converted to Rec.709"):
         assert_both(path, expected)
     # Data is no colour.
-    np.testing.assert_array_equal(read_levels(path), plain[..., 0])
+    np.testing.assert_array_equal(read_data(path)[..., 0], plain[..., 0])
 
 
 @pytest.mark.parametrize(
