@@ -3,15 +3,19 @@
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from formats.image import write_image
 from tests.cli.command_line import Run
 
 
 @pytest.mark.parametrize("command", [["shade", "asset.h5", "--samples", "1"], ["render", "scene.toml", "sphere.ply"]])
 def test_radiance_beyond_float32_is_refused(prtbake: Run, tmp_path: Path, command: list[str]) -> None:
-    output = tmp_path / "picture.exr"
-    outcome = prtbake(*command, "--light", "sun:0,1,0.3:1e42,1e42,1e42", "--size", "8x8", "-o", output)
+    output, lights = tmp_path / "picture.exr", tmp_path / "lights.toml"
+    write_image(tmp_path / "sky.exr", np.full((16, 32, 3), 3e38))
+    lights.write_text('[[sky]]\nfile = "sky.exr"\n' * 8)
+    outcome = prtbake(*command, "--light", lights, "--size", "8x8", "-o", output)
     assert (outcome.code, outcome.err.count("\n"), output.exists()) == (1, 1, False)
     assert "picture: expected radiance within ±3.403e+38, which float32 holds, found" in outcome.err
 
