@@ -115,14 +115,10 @@ def network_coefficients(network: Any, positions: Array, outgoing: Array, direct
 
 
 def noise_free_ratio(predicted: ArrayLike, mean: Array, error: Array) -> float:
-    """The relative RMSE of `predicted` against a noisy reference, whose variance is subtracted from both sums.
-
-    NaN if the reference is black, or no larger than its noise.
-    """
+    """The relative RMSE of `predicted` against a noisy reference, whose variance is subtracted from both sums."""
     noise = float(np.sum(error**2))
     difference = float(np.sum((np.asarray(predicted, np.float64) - mean) ** 2)) - noise
-    signal = float(np.sum(mean**2)) - noise
-    return float(np.sqrt(max(0.0, difference) / signal)) if signal > 0.0 else np.nan
+    return float(np.sqrt(max(0.0, difference) / max(float(np.sum(mean**2)) - noise, 1e-300)))
 
 
 @dataclass(frozen=True)
@@ -157,6 +153,5 @@ def final_errors(
 
 
 def relative_noise(reference: HeldOut | HeldOutCoefficients) -> float:
-    """The root mean square standard error of a reference over that of its values; NaN if it is black."""
-    signal = float(np.sum(reference.mean**2))
-    return float(np.sqrt(np.sum(reference.standard_error**2) / signal)) if signal > 0.0 else np.nan
+    """The root mean square standard error of a reference over the root mean square of its values."""
+    return float(np.sqrt(np.sum(reference.standard_error**2) / max(float(np.sum(reference.mean**2)), 1e-300)))

@@ -137,8 +137,6 @@ def test_the_reference_s_noise_is_subtracted():
     ratio = noise_free_ratio(answer, truth + generator.normal(0, error), error)
     assert abs(ratio - 0.05) < 0.01
     assert noise_free_ratio(truth, truth + generator.normal(0, error), error) < 0.02
-    assert np.isnan(noise_free_ratio(answer, 0.0 * truth, 0.0 * error))
-    assert np.isnan(noise_free_ratio(answer, 0.1 * error, error))
 
 
 def test_a_network_learns_a_scene(scene, tmp_path):
