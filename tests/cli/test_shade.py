@@ -1,5 +1,6 @@
 """`prtbake shade`: pictures, layers, cameras, turntables and error pictures."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,17 @@ def test_turntables_frame_a_long_object_in_every_view(prtbake: Run, tmp_path: Pa
         shown = read_image(tmp_path / f"t_{number}.exr").max(axis=2) > 0.0
         assert shown[12, 12]
         assert not np.concatenate([shown[[0, -1]].ravel(), shown[:, [0, -1]].ravel()]).any()
+
+
+def test_a_roughness_image_whose_channels_differ_is_a_warning(prtbake: Run, tmp_path: Path) -> None:
+    flat = glossy(ball(2))
+    uv = 0.5 + 0.25 * flat.mesh.positions[:, :2]
+    write_asset(replace(flat, mesh=replace(flat.mesh, uv=uv)), tmp_path / "unwrapped.h5")
+    Image.fromarray(np.array([[[255, 51, 0], [255, 102, 0]]], np.uint8)).save(tmp_path / "packed.png")
+    options = ["--light", "sky.exr", "--size", "8x8", "--reflection", "--roughness", tmp_path / "packed.png"]
+    outcome = prtbake("shade", tmp_path / "unwrapped.h5", *options, "-o", tmp_path / "x.exr")
+    assert outcome.code == 0
+    assert "packed.png: its channels differ, and red is read" in outcome.err
 
 
 @pytest.mark.parametrize(

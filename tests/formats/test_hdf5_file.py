@@ -4,10 +4,12 @@ import struct
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
+from formats import hdf5_file
 from formats.errors import AssetError
-from formats.hdf5_file import open_hdf5
+from formats.hdf5_file import first_fault, open_hdf5
 
 HEAP = b"GCOL\x01\0\0\0"
 
@@ -60,3 +62,31 @@ def test_long_strings_and_cut_heaps_open(strings: Path) -> None:
         file.attrs.update(long="x" * 5000, empty="")
         file.create_dataset("picture of a heap", data=list(HEAP))
     open_it(strings)
+
+
+@pytest.mark.parametrize("length", [5, 2**32 - 1])
+@pytest.mark.parametrize("size", [5, 2**64 - 16])
+def test_strings_at_the_end_of_a_file_are_searched_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int, size: int
+) -> None:
+    with h5py.File(path := tmp_path / "long.h5", "w") as file:
+        file["numbers"] = np.arange(10**5)
+        file.create_group("end").attrs["note"] = "words"
+    content = bytearray(path.read_bytes())
+    heap = content.index(HEAP)
+    reference = content.index(struct.pack("<IQI", 5, heap, 1))
+    monkeypatch.setattr(hdf5_file, "_SEARCHED", len(content) - min(heap, reference))
+    assert min(heap, reference) > len(content) // 2
+    struct.pack_into("<Q", content, heap + 24, size)
+    struct.pack_into("<I", content, reference, length)
+    path.write_bytes(content)
+    if (length, size) == (5, 5):
+        open_it(path)
+        return
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(path)
+
+
+def test_a_fault_without_a_remedy_gets_one() -> None:
+    assert first_fault(["/mesh is missing"], "bake it again") == "/mesh is missing; bake it again"
+    assert first_fault(["x; make y", "z"], "bake it again") == "x; make y (and 1 more faults)"

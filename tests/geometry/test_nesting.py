@@ -9,6 +9,7 @@ from formats.mesh import build_mesh, flipped, write_mesh
 from formats.scene import read_scene
 from prt_bake.geometry.nesting import distances, refuse_outside, winding_numbers
 from prt_bake.inspection.files import describe, find_faults, find_remarks
+from prt_bake.tracer.prepared import prepare
 from tests.tracer.scenes import moved, sphere, unit_directions
 
 
@@ -92,6 +93,8 @@ def test_a_part_without_volume_in_its_parent_is_refused(tmp_path, radius, offset
         return
     with pytest.raises(SceneError, match=r"inner\.ply: 'seed' has no volume inside 'object'.* or in a cavity"):
         refuse_outside(parts)
+    with pytest.raises(SceneError, match="has no volume inside"):
+        prepare(read_scene(tmp_path / "scene.toml"))
     assert "has no volume inside" in find_faults(tmp_path / "scene.toml")[0]
 
 

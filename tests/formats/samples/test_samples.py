@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import struct
 
 import h5py
 import numpy as np
@@ -117,6 +118,15 @@ def test_other_files_are_refused(tmp_path):
     assert not is_samples(tmp_path / "b.h5")
     with pytest.raises(StorageError, match="no such file"):
         read_samples(tmp_path / "missing.h5")
+
+
+def test_a_file_whose_strings_are_damaged_is_no_sample_file(tmp_path):
+    """Reading the attribute would take for ever."""
+    with h5py.File(path := tmp_path / "a.h5", "w") as file:
+        file.attrs["format"] = "words"
+    endless = struct.pack("<Q", 2**64 - 16) + b"words"
+    path.write_bytes(path.read_bytes().replace(struct.pack("<Q", 5) + b"words", endless))
+    assert not is_samples(path)
 
 
 def put(file, name, values):
