@@ -77,7 +77,7 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
         if kind == "JPEG":
             _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
         values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
-        orientation, adobe_rgb, gain_map = _orientation(picture), _is_adobe_rgb(picture), _has_gain_map(picture)
+        (orientation, adobe_rgb), gain_map = _read_exif(picture), _has_gain_map(picture)
         info, cmyk = dict(picture.info), picture.mode == "CMYK"
         animated = kind == "PNG" and getattr(picture, "n_frames", 1) > 1
     if animated:
@@ -157,19 +157,14 @@ def _refuse_short(path: str | os.PathLike[str], width: int, height: int, expecte
         raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")
 
 
-def _orientation(picture: "Image.Image") -> int:
+def _read_exif(picture: "Image.Image") -> tuple[int, bool]:
+    """Read the orientation, and whether the colours are Adobe RGB (CIPA DC-009, Interoperability index R03)."""
     try:
-        return int(picture.getexif().get(_ORIENTATION, 1))
-    except Exception:  # damaged metadata does not make the picture unreadable
-        return 1
-
-
-def _is_adobe_rgb(picture: "Image.Image") -> bool:
-    """Whether the EXIF marks a DCF option file (CIPA DC-009, Interoperability index R03), whose space is Adobe RGB."""
-    try:
-        return str(picture.getexif().get_ifd(_INTEROPERABILITY).get(1, "")).startswith("R03")
-    except Exception:  # as for the orientation
-        return False
+        exif = picture.getexif()
+        orientation, index = int(exif.get(_ORIENTATION, 1)), exif.get_ifd(_INTEROPERABILITY).get(1, "")
+    except Exception:  # Pillow raises many kinds for damaged metadata, which does not make the picture unreadable
+        return 1, False
+    return orientation, str(index).startswith("R03")
 
 
 def _has_gain_map(picture: "Image.Image") -> bool:

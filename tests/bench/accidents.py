@@ -204,7 +204,7 @@ class Bench:
         if self.output.exists() and self.output.read_bytes() != self.folder.older:
             try:
                 self.command.read(self.output)
-            except Exception as fault:
+            except Exception as fault:  # whatever a reader raises, the output is broken
                 faults.append(f"a broken output: {fault!r:.100}")
         elif code == 0:
             faults.append("exit code 0 without an output")
