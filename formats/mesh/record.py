@@ -13,6 +13,9 @@ from formats.mesh import geometry
 from formats.mesh.edges import edges_of
 from formats.mesh.normals import refuse_wrong_side
 
+_LEAST_VOLUME = 1e-12
+"""In cubed diagonals. A sheet with two sides has a volume of 0, and the rounding of that has either sign."""
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -143,7 +146,7 @@ def refuse_inside_out(mesh: Mesh) -> None:
             f"mesh: {inconsistent} edges lie between faces of opposite winding; normals of some faces point inwards: "
             f"make them consistent in a mesh editor (recalculate outside)"
         )
-    elif signed_volume(mesh) < 0.0 and open_edges(mesh) == 0:
+    elif signed_volume(mesh) < -_LEAST_VOLUME * mesh.diagonal**3 and open_edges(mesh) == 0:
         raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
     refuse_wrong_side(mesh.normals[used], build_mesh(mesh.positions, mesh.faces).normals[used])
 

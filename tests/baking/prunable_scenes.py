@@ -88,8 +88,7 @@ def finned() -> tuple[Mesh, NDArray[np.bool_]]:
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], *around, [3.0, 0.0, 0.0], [3.0, 1.0, 0.0], [9.0, 9.0, 9.0]])
     sheets = [[0, 1, 2 * n + 3] for n in (0, 1, 2)] + [[0, 2 * n + 3, 2 * n + 2] for n in (0, 1, 2)]
     faces = np.array([*sheets, [2, 8, 9], [0, 0, 1]])
-    normals = np.array([0.6, 0.0, 0.8]) * np.ones((len(points), 1))
-    return Mesh(points, faces.astype(np.int32), normals), np.zeros(len(points), bool)
+    return build_mesh(points, faces), np.zeros(len(points), bool)
 
 
 def two_skinned() -> tuple[Mesh, NDArray[np.bool_]]:

@@ -6,6 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from formats.mesh import refuse_inside_out
+from tests.bench import pruning
+
 BENCH = Path(__file__).parent
 MODULES = [path for path in sorted(BENCH.glob("*.py")) if not path.name.startswith("test_")]
 SCRIPTS = [path for path in MODULES if "__main__" in path.read_text(encoding="utf-8")]
@@ -23,3 +26,9 @@ def test_prints_its_help(script: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
 def test_the_readme_lists_every_benchmark() -> None:
     table = (BENCH / "README.md").read_text(encoding="utf-8")
     assert [path.stem for path in SCRIPTS if f"`{path.stem}`" not in table] == []
+
+
+@pytest.mark.filterwarnings("ignore::formats.errors.InputWarning")
+def test_pruning_measures_meshes_that_a_bake_accepts() -> None:
+    for scene in pruning.scenes(0.01).values():
+        refuse_inside_out(scene.mesh)

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from bakers.transport import refuse_foreign
 from formats.errors import InputWarning, MeshError
-from formats.mesh import Mesh, build_mesh, flipped, read_mesh, write_mesh
+from formats.mesh import Mesh, build_mesh, flipped, read_mesh, signed_volume, write_mesh
 
 Array = np.ndarray
 Change = Callable[[Array], Array]
@@ -101,6 +102,19 @@ def test_bakes_refuse_meshes_in_memory_that_face_the_wrong_side(kind: str) -> No
 def test_an_open_mesh_may_face_either_side() -> None:
     mesh = ball()
     refuse_foreign(object(), flipped(build_mesh(mesh.positions, mesh.faces[:600])))
+
+
+def test_sheets_with_two_sides_are_neither_way_round() -> None:
+    """Their volume is 0, and its rounding has either sign."""
+    one_side = ball()
+    both = np.concatenate([one_side.faces, one_side.faces[:, ::-1] + len(one_side.positions)])
+    volumes = []
+    for turn in Rotation.random(10, np.random.default_rng(3)):
+        positions = turn.apply(one_side.positions)
+        sheet = build_mesh(np.concatenate([positions, positions]), both)
+        refuse_foreign(object(), sheet)
+        volumes.append(signed_volume(sheet))
+    assert min(volumes) < 0.0
 
 
 def test_vertices_of_no_face_may_face_anywhere() -> None:
