@@ -59,7 +59,8 @@ def main() -> None:
     for side in args.side:
         for effort in ("samples", "error"):
             settings = ["--samples", str(args.samples), "--error", str(args.error), "--workers", str(args.workers)]
-            subprocess.run([sys.executable, __file__, "--one", effort, "--side", str(side), *settings], check=True)
+            alone = [sys.executable, "-m", "tests.bench.many_vertices", "--one", effort, "--side", str(side)]
+            subprocess.run([*alone, *settings], check=True)
 
 
 if __name__ == "__main__":
