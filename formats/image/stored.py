@@ -4,7 +4,7 @@ import os
 import struct
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -159,12 +159,13 @@ def _refuse_short(path: str | os.PathLike[str], width: int, height: int, expecte
 
 def _read_exif(picture: "Image.Image") -> tuple[int, bool]:
     """Read the orientation, and whether the colours are Adobe RGB (CIPA DC-009, Interoperability index R03)."""
-    try:
+    orientation, index = 1, ""
+    # Pillow raises many kinds for damaged metadata, which does not make a picture unreadable; 11.0 for a missing index.
+    with suppress(Exception):
         exif = picture.getexif()
-        orientation, index = int(exif.get(_ORIENTATION, 1)), exif.get_ifd(_INTEROPERABILITY).get(1, "")
-    except Exception:  # Pillow raises many kinds for damaged metadata, which does not make the picture unreadable
-        return 1, False
-    return orientation, str(index).startswith("R03")
+        orientation = int(exif.get(_ORIENTATION, 1))
+        index = str(exif.get_ifd(_INTEROPERABILITY).get(1, ""))
+    return orientation, index.startswith("R03")
 
 
 def _has_gain_map(picture: "Image.Image") -> bool:

@@ -200,13 +200,25 @@ def test_cmyk_is_a_warning_as_colour_and_refused_as_data(tmp_path: Path) -> None
         read_data(tmp_path / "a.jpg")[..., 0]
 
 
+def exif_of_a_camera(orientation: int) -> bytes:
+    """EXIF with an orientation and, at the offset 56, the Interoperability index R03."""
+    image = struct.pack("<HHHIIHHIII", 2, 0x0112, 3, 1, orientation, 0x8769, 4, 1, 38, 0)
+    exif = struct.pack("<HHHIII", 1, 0xA005, 4, 1, 56, 0)
+    index = struct.pack("<HHHI4sI", 1, 1, 2, 4, b"R03", 0)
+    return b"Exif\0\0II*\0\x08\0\0\0" + image + exif + index
+
+
+def test_an_unreadable_index_does_not_hide_the_orientation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pillow 11.0 raises KeyError if there is none."""
+    Image.fromarray(CODES).save(tmp_path / "a.png", exif=exif_of_a_camera(3))
+    monkeypatch.setattr(Image.Exif, "get_ifd", lambda exif, tag: {}[tag])
+    np.testing.assert_array_equal(read_data(tmp_path / "a.png")[::-1, ::-1], CODES / 255.0)
+
+
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
 def test_adobe_rgb_of_cameras_is_converted(tmp_path: Path, suffix: str) -> None:
-    exif = Image.Exif()
-    exif[0x0112] = 1
-    exif.get_ifd(0x8769).update({0xA001: 65535, 0xA005: {1: "R03"}})
     path = tmp_path / f"a{suffix}"
-    Image.fromarray(CODES).save(path, exif=exif)
+    Image.fromarray(CODES).save(path, exif=exif_of_a_camera(1))
     linear = (np.asarray(Image.open(path)) / 255.0) ** (563 / 256)
     matrix = [[1.39836, -0.39836, 0.0], [0.0, 1.0, 0.0], [0.0, -0.04293, 1.04293]]
     with pytest.warns(InputWarning, match=r"its EXIF \(R03\) means Adobe RGB; the colours are converted to Rec.709"):
