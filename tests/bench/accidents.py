@@ -30,7 +30,7 @@ from formats.asset import read_asset
 from formats.image import read_layers, write_image
 from formats.mesh import write_mesh
 from formats.samples import read_samples
-from prt_bake.cli.main import main as prtbake
+from prt_bake.cli.__main__ import run as prtbake
 from prt_bake.network.bssrdf import load_model
 from tests.shapes import ball
 
@@ -123,17 +123,20 @@ class Folder:
         printed = os.open("printed.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(printed, 1)
         os.dup2(printed, 2)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # until prtbake takes over
+        sys.argv = ["prtbake", *line.split()]
         if limit:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+        code: object = 1
         try:
-            code = prtbake(line.split())
+            prtbake()
+        except SystemExit as end:
+            code = end.code
         except BaseException:
             traceback.print_exc()
-            code = 1
         finally:
             sys.stderr.flush()
-            os._exit(code)
+            os._exit(int(str(code)))
 
     def clear(self) -> list[str]:
         """Remove everything but the inputs; returns the names."""
@@ -188,16 +191,17 @@ class Bench:
     def _accident(self, name: str) -> tuple[list[str], bool]:
         """Cause an accident: returns its faults, and whether it struck a running command."""
         moment, limit = self.draw.uniform(0.0, 1.05) * self.seconds, 0
+        number = {"killed": signal.SIGKILL, "Ctrl-C": signal.SIGINT}.get(name, 0)
         if name == "disk full":
             limit = self.draw.randint(1, self.size)
 
         def strike(child: int) -> None:
             time.sleep(moment)
-            os.kill(child, signal.SIGKILL if name == "killed" else signal.SIGINT)
+            os.kill(child, number)
 
         code = self.folder.run(self.line, strike if not limit else lambda _: None, limit)
         faults = []
-        if code not in (0, 1) and (name, code) != ("killed", -signal.SIGKILL):
+        if code not in (0, 1, -number):
             faults.append(f"exit code {code}")
         if code == 1 and (fault := self.folder.sentence()):
             faults.append(fault)
