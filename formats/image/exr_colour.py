@@ -116,10 +116,12 @@ def _candidates(part: Part, several: bool) -> Iterator[_Candidate]:
 
 
 def _only_channel(parts: list[Part]) -> list[_Candidate]:
-    """The only channel of the only part; an empty list if there are more."""
+    """The only channel of the only part; an empty list if there are more, or if it is a depth."""
     if len(parts) > 1 or parts[0].deep or len(parts[0].sampling) != 1:
         return []
     (name,) = parts[0].sampling
+    if name.rpartition(".")[2] == "Z":
+        return []
     return [_Candidate(parts[0], (name, name, name), f"the channel {printable(name)}", (_DEFAULT, False))]
 
 

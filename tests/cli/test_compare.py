@@ -270,8 +270,8 @@ def test_negative_radiance_is_reported_and_shown_as_black(prtbake: Run, tmp_path
     ("name", "content", "message"),
     [
         ("missing.exr", None, "missing.exr: there is no such file"),
-        ("text.exr", b"not a picture", "text.exr: is not an OpenEXR image"),
-        ("text.png", b"not a picture", "text.png: cannot be read as PNG"),
+        ("text.exr", b"not a picture", "text.exr: is not OpenEXR: expected"),
+        ("text.png", b"not a picture", "text.png: is not PNG: expected"),
         ("empty.hdr", b"", "empty.hdr: "),
         ("picture.tif", b"II*\0", "picture.tif: the image cannot be read"),
     ],
