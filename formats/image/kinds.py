@@ -25,7 +25,10 @@ _STARTS = (
     (0, b"\xabKTX", "KTX"),
 )
 """Offset, bytes and kind."""
-_TEXTS = ((b"version https://git-lfs", "a pointer of Git LFS; run `git lfs pull`"), (b"<", "a web page; download it again"))
+_TEXTS = (
+    (b"version https://git-lfs", "a pointer of Git LFS; run `git lfs pull`"),
+    (b"<", "a web page; download it again"),
+)
 
 
 def refuse_other_kinds(path: str | os.PathLike[str], expected: str) -> None:
@@ -47,6 +50,5 @@ def refuse_other_kinds(path: str | os.PathLike[str], expected: str) -> None:
         if start.lstrip().startswith(begin):
             raise ImageError(f"{path}: is not {expected}, but {what}")
     magic = next(magic for _, magic, kind in _STARTS if kind == expected)
-    raise ImageError(
-        f"{path}: is not {expected}: expected {magic!r} at its start, found {start[: len(magic)]!r}; copy or save it again"
-    )
+    begin = start[: len(magic)]
+    raise ImageError(f"{path}: is not {expected}: expected {magic!r} at its start, found {begin!r}; copy it again")

@@ -108,8 +108,8 @@ def _opened(path: str | os.PathLike[str], kind: str) -> "Iterator[Image.Image]":
         raise ImageError(f"{path}: has too many pixels; reduce it, or save it as .exr") from cause
     except Exception as cause:  # Pillow raises many kinds for damaged files
         raise ImageError(
-            f"{path}: cannot be read as {kind}: it is truncated, damaged or of a rare sort; copy it again, or save it with "
-            "8 bits a channel"
+            f"{path}: cannot be read as {kind}: it is truncated, damaged or of a rare sort; copy it again, or save it "
+            "with 8 bits a channel"
         ) from cause
 
 

@@ -213,5 +213,7 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
         yield f"{walks['lost']:.2g} of the light was lost in truncated paths"
     if walks["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
+        if rmse["total"] == 0.0:
+            yield "no path carried light: the object is black, or its error is unknown"
         share = walks["unreliable_bins"] / bins
         yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"
