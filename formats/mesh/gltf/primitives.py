@@ -97,14 +97,16 @@ def _triangulate(corners: NDArray[np.int64], mode: int, positions: Array) -> NDA
 def _texture_coordinates(file: GltfFile, primitive: Primitive, where: str) -> tuple[str, TextureTransform]:
     """Return the attribute of the texture coordinates that the material uses, and their transform.
 
-    They are those of the base colour, else of the roughness, else of another texture, else TEXCOORD_0.
+    They are those of the base colour, else of the roughness, else of another core texture, else of a texture of an
+    extension, else TEXCOORD_0.
     """
     if primitive.material is None:
         return "TEXCOORD_0", TextureTransform()
     material = file.entry("material", file.records.materials, primitive.material, f"{where}.material")
     model = material.pbrMetallicRoughness
     textures = [texture for texture in (model.baseColorTexture, model.metallicRoughnessTexture) if texture]
-    others = (material.normalTexture, material.emissiveTexture, material.occlusionTexture)
+    others = [material.normalTexture, material.emissiveTexture, material.occlusionTexture]
+    others += [texture for extension in material.extensions.values() for texture in extension.values()]
     uses = [_use(texture) for texture in textures or others if texture]
     if not uses:
         return "TEXCOORD_0", TextureTransform()

@@ -1,5 +1,6 @@
 """glTF: the same triangles by different features of the format, and by trimesh where it reads them."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from formats.errors import InputWarning
 from formats.mesh import open_edges, read_mesh, signed_volume
 from formats.mesh.gltf import read_gltf
-from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, corners, tetrahedron
+from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, corners, refused, tetrahedron
 from tests.formats.mesh.test_mesh import sphere_mesh
 
 TURN = [0.1, 0.2, 0.3, float(np.sqrt(0.86))]
@@ -360,6 +361,46 @@ def test_textures_are_used_with_their_coordinates(tmp_path):
     u, v = first.T
     assert soup.corner_uv is not None
     np.testing.assert_allclose(soup.corner_uv, np.stack([v / 2, u / 2], axis=1)[FACES], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("core", "keys", "read"),
+    [
+        ({}, {"KHR_materials_volume": ["thicknessTexture"]}, "in the extension"),
+        (
+            {},
+            {"KHR_materials_transmission": [], "KHR_materials_pbrSpecularGlossiness": ["diffuseTexture"]},
+            "extension",
+        ),
+        ({"occlusionTexture": {"index": 0}}, {"KHR_materials_sheen": ["sheenColorTexture"]}, "core, with a warning"),
+        ({"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 0}}}, {"ACME": ["aTexture"]}, "core"),
+        ({}, {"ACME": ["colour", "textures"]}, "none"),
+    ],
+)
+def test_textures_of_extensions_follow_those_of_the_core(tmp_path, core, keys, read):
+    builder = GltfBuilder()
+    uv = np.arange(8).reshape(4, 2) / 8
+    sets = {f"TEXCOORD_{k}": builder.accessor(uv + k) for k in range(2)}
+    builder.node(mesh=builder.mesh({**builder.solid(**sets), "material": 0}))
+    texture = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {"offset": [0, 0], "scale": [16, 1]}}}
+    factors = {"thicknessFactor": 1, "textures": 3, "emptyTexture": 0}
+    extensions = {name: {**factors, **dict.fromkeys(names, texture)} for name, names in keys.items()}
+    builder.json["materials"] = [{**core, "extensions": extensions}]
+    path = builder.write(tmp_path / "extension.glb")
+    warned = {"core": "", "none": "", "core, with a warning": "different coordinates, the first one's are read"}
+    sentence = warned.get(read, "KHR_texture_transform is applied to the texture coordinates")
+    with pytest.warns(InputWarning, match=sentence) if sentence else contextlib.nullcontext():
+        soup = read_gltf(path)
+    moved = (uv + 1) * [16, 1] if "extension" in read else uv
+    assert soup.corner_uv is not None
+    np.testing.assert_allclose(soup.corner_uv, (moved * [1, -1] + [0, 1])[FACES], atol=1e-15)
+
+
+def test_a_damaged_texture_of_an_extension_is_named(tmp_path):
+    builder = tetrahedron()
+    builder.json["materials"] = [{"extensions": {"KHR_materials_volume": {"thicknessTexture": {"texCoord": -1}}}}]
+    place = "materials[0].extensions.KHR_materials_volume.thicknessTexture.texCoord: expected 0 or more, found -1"
+    assert place in refused(builder.write(tmp_path / "damaged.glb"))
 
 
 def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
