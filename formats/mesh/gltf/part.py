@@ -21,6 +21,7 @@ class Part:
         normals: float64 [n,3], of any length, or None.
         uv: float64 [n,2], v upwards, or None.
         uv_name: the attribute that they are from.
+        rows: int64 [n], the vertices of the primitive that these are, ascending; None if they are all of them.
     """
 
     positions: Array
@@ -28,6 +29,7 @@ class Part:
     normals: Array | None
     uv: Array | None
     uv_name: str = ""
+    rows: NDArray[np.int64] | None = None
 
 
 def place(part: Part, matrices: Array) -> Part:

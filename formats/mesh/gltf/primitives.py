@@ -16,11 +16,12 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 def read_primitive(
-    file: GltfFile, accessors: Accessors, primitive: Primitive, where: str, weights: Sequence[float]
+    file: GltfFile, accessors: Accessors, primitive: Primitive, where: str, weights: Sequence[float], shared: bool
 ) -> Part | None:
     """Return the triangles of a primitive, with its morph targets added by their weights; None if it has no triangle.
 
-    Points and lines are left out with a remark.
+    Points and lines are left out with a remark. Of vertices that it shares with other primitives (`shared`), as
+    where one mesh has many materials, only those that it uses are read.
 
     Raises:
         MeshError: an accessor does not fit, is compressed or out of range, or the mode is unknown.
@@ -38,18 +39,22 @@ def read_primitive(
     if primitive.targets and len(weights) not in (0, len(primitive.targets)):
         raise file.fault(where, f"has {len(primitive.targets)} morph targets, but the mesh has {len(weights)} weights")
     count = accessors.record(attributes["POSITION"], f"{where}.attributes.POSITION").count
+    corners = None if primitive.indices is None else accessors.indices(primitive.indices, f"{where}.indices", count)
+    rows = None
+    if shared and corners is not None:
+        rows, corners = np.unique(corners, return_inverse=True)
 
     def read(name: str, shape: str) -> Array:
-        values = accessors.floats(attributes[name], shape, f"{where}.attributes.{name}", count)
+        values = accessors.floats(attributes[name], shape, f"{where}.attributes.{name}", count, rows)
         for number, (target, weight) in enumerate(zip(primitive.targets, weights, strict=False)):
             if weight and name in target:
-                values += weight * accessors.floats(target[name], shape, f"{where}.targets[{number}].{name}", count)
+                place = f"{where}.targets[{number}].{name}"
+                values += weight * accessors.floats(target[name], shape, place, count, rows)
         return values
 
     positions = read("POSITION", "VEC3")
-    corners = np.arange(count)
-    if primitive.indices is not None:
-        corners = accessors.indices(primitive.indices, f"{where}.indices", count)
+    if corners is None:
+        corners = np.arange(count)
     if primitive.mode == _TRIANGLES and len(corners) % 3:
         raise file.fault(where, f"expected three corners for each triangle, found {len(corners)} corners in all")
     faces = _triangulate(corners, primitive.mode, positions)
@@ -58,7 +63,7 @@ def read_primitive(
     normals = read("NORMAL", "VEC3") if "NORMAL" in attributes else None
     name, transform = _texture_coordinates(file, primitive, where)
     uv = _upwards(read(name, "VEC2"), transform) if name in attributes else None
-    return Part(positions, faces, normals, uv, name)
+    return Part(positions, faces, normals, uv, name, rows)
 
 
 def _refuse_missing_data(file: GltfFile, accessors: Accessors, primitive: Primitive, where: str) -> None:

@@ -278,6 +278,48 @@ def test_instances_are_copies(tmp_path, bytes_of_rotations):
     assert volume == pytest.approx(2 * (1 + 6 + 1) / 6, rel=1e-12)
 
 
+def groups(shared: bool, skin: bool) -> GltfBuilder:
+    """Two spheres, the second of them morphed, as primitives that share their vertices or have each its own."""
+    builder, ball = GltfBuilder(), sphere_mesh(8, 12)
+    count = len(ball.positions)
+    rng = np.random.default_rng(4)
+    positions = np.vstack([ball.positions, 3 + ball.positions]).astype("<f4")
+    values = {
+        "POSITION": (positions, "f4"),
+        "NORMAL": (np.vstack([ball.positions] * 2), "f4"),
+        "TEXCOORD_0": (rng.uniform(size=(2 * count, 2)), "f4"),
+    }
+    if skin:
+        values |= {"JOINTS_0": (rng.integers(0, 2, (2 * count, 4)), "u1")}
+        values |= {"WEIGHTS_0": (rng.uniform(size=(2 * count, 4)) + 0.1, "f4")}
+    moved = rng.normal(size=(count, 3)) / 64
+    whole = builder.view(positions.tobytes())
+    every = {name: builder.accessor(rows, kind) for name, (rows, kind) in values.items()}
+    every["POSITION"] = builder.sparse(2 * count, [5], positions[5:6], bufferView=whole)
+    target = builder.sparse(2 * count, np.arange(count, 2 * count), moved)
+    primitives = []
+    for part in range(2):
+        attributes, targets, faces = every, [{"POSITION": target}], ball.faces + part * count
+        if not shared:
+            own = slice(part * count, (part + 1) * count)
+            attributes = {name: builder.accessor(rows[own], kind) for name, (rows, kind) in values.items()}
+            targets, faces = [{"POSITION": builder.accessor(part * moved)}], ball.faces
+        indices = builder.accessor(faces.ravel(), "u2")
+        primitives.append({"attributes": attributes, "targets": targets, "indices": indices})
+    builder.node(mesh=builder.mesh(*primitives, weights=[0.5]), **({"skin": 0} if skin else {}))
+    joints = [builder.node(translation=[1, 0, 0]), builder.node(rotation=TURN, scale=[2, 2, 3])]
+    builder.json["skins"] = [{"joints": joints}]
+    return builder
+
+
+@pytest.mark.parametrize("skin", [False, True])
+def test_primitives_that_share_vertices_read_those_that_they_use(tmp_path, skin):
+    shared = read_gltf(groups(True, skin).write(tmp_path / "shared.glb"))
+    apart = read_gltf(groups(False, skin).write(tmp_path / "apart.glb"))
+    for name in ("positions", "faces", "corner_normals", "corner_uv"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(apart, name))
+
+
 def test_hidden_nodes_hide_their_children(tmp_path):
     builder = tetrahedron()
     child = builder.node(root=False, mesh=0, extensions={"KHR_node_visibility": {"visible": True}})

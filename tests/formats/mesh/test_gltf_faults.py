@@ -2,6 +2,7 @@
 
 import copy
 import random
+import re
 import tracemalloc
 import warnings
 from typing import Any
@@ -12,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formats.errors import InputWarning, MeshError
-from formats.mesh.gltf import read_gltf
+from formats.mesh.gltf import read_gltf, reader
 from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, refused, tetrahedron
 from tests.formats.mesh.test_gltf import skinned, textured, triangulated
 
@@ -146,13 +147,30 @@ def test_absurd_counts_allocate_nothing(tmp_path):
     for builder, sentence in (
         (few, "more than the file has bytes"),
         (copies, "more than"),
-        (many, "16000000 vertices"),
+        (many, "with 2000 copies of mesh 0 the scene has 16000000 vertices"),
     ):
         path = builder.write(tmp_path / "absurd.glb")
         tracemalloc.start()
         assert sentence in refused(path)
         assert tracemalloc.get_traced_memory()[1] < 20_000_000
         tracemalloc.stop()
+
+
+def test_copies_that_are_too_many_are_named_by_their_cause(tmp_path, monkeypatch):
+    monkeypatch.setattr(reader, "_MOST_ELEMENTS", 0)
+    builder = textured()
+    mesh = builder.json["meshes"][0]
+    mesh["primitives"] *= 100
+    sentence = refused(builder.write(tmp_path / "primitives.glb"))
+    assert re.match(
+        r"meshes\[0\].primitives\[\d+\]: with primitives that share their accessors the scene has", sentence
+    )
+    assert "in so small a file; export primitives with indices of their own" in sentence
+    mesh["primitives"] = mesh["primitives"][:1]
+    for _ in range(99):
+        builder.node(mesh=0)
+    sentence = refused(builder.write(tmp_path / "nodes.glb"))
+    assert "with a copy of mesh 0 the scene has" in sentence
 
 
 def _seeds() -> list[GltfBuilder]:
