@@ -9,6 +9,7 @@ from typing import TypeVar
 from pydantic import BaseModel, ValidationError
 
 from formats.errors import MeshError, warn
+from formats.mesh.gltf.names import json_bytes
 from formats.mesh.gltf.schema import Gltf, Head
 
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -81,7 +82,7 @@ def open_gltf(path: str | os.PathLike[str]) -> GltfFile:
     with open(path, "rb") as file:
         content = file.read()
     text, binary = _chunks(content, path) if content[:4] == b"glTF" else (content, None)
-    text = text.removeprefix(b"\xef\xbb\xbf").rstrip(b"\0")  # some writers add a byte order mark, or pad with zeros
+    text = json_bytes(text)
     _refuse_other_versions(_parse(Head, text, path), path)
     return GltfFile(path, _parse(Gltf, text, path), binary, len(content))
 
