@@ -62,6 +62,11 @@ class GltfFile:
             raise self.fault(where, f"{name} {index} does not exist, the file has {len(entries)}")
         return entries[index]
 
+    def node(self, index: int) -> str:
+        """Return the place of a node and its name, if it has one."""
+        name = self.records.nodes[index].name
+        return f"nodes[{index}] ({name!r:.80})" if isinstance(name, str) and name else f"nodes[{index}]"
+
     def remark(self, where: str, sentence: str) -> None:
         """Keep a remark on a primitive for `warn_of_remarks`."""
         self._remarks.setdefault(sentence, {})[where] = None

@@ -9,7 +9,8 @@ import numpy as np
 from formats.errors import MeshError
 from formats.mesh.gltf.accessors import Accessors
 from formats.mesh.gltf.container import GltfFile, open_gltf
-from formats.mesh.gltf.nodes import instance_matrices, read_forest, visible_nodes
+from formats.mesh.gltf.nodes import Forest, instance_matrices, read_forest, visible_nodes
+from formats.mesh.gltf.nothing import why_nothing_is_shown
 from formats.mesh.gltf.part import Part, join, place
 from formats.mesh.gltf.primitives import read_primitive
 from formats.mesh.gltf.schema import Node, Primitive
@@ -35,30 +36,32 @@ def read_scene(path: str | os.PathLike[str]) -> TriangleSoup:
             in the JSON.
     """
     file = open_gltf(path)
+    forest = read_forest(file)
+    visible = visible_nodes(file, forest)
     with np.errstate(all="ignore"):  # `read_mesh` reports positions that are not finite
-        parts = _Reader(file).parts()
+        parts = _Reader(file, forest).parts(visible)
     file.warn_of_remarks()
     if not parts:
-        raise MeshError(f"{path}: has no faces; expected triangles in its scene, export the object as a triangle mesh")
+        raise MeshError(f"{path}: {why_nothing_is_shown(file, forest, visible)}")
     return join(parts, os.fspath(path))
 
 
 class _Reader:
     """Places the meshes of all visible nodes. A mesh that several nodes use is decoded once."""
 
-    def __init__(self, file: GltfFile) -> None:
+    def __init__(self, file: GltfFile, forest: Forest) -> None:
         self._file = file
         self._accessors = Accessors(file)
-        self._forest = read_forest(file)
+        self._forest = forest
         self._meshes: dict[tuple[int, tuple[float, ...]], list[tuple[str, Primitive, Part]]] = {}
         primitives = [primitive for mesh in file.records.meshes for primitive in mesh.primitives]
         self._uses = Counter(primitive.attributes.get("POSITION") for primitive in primitives)
         self._read, self._made = 0, 0  # numbers of vertices and faces
 
-    def parts(self) -> list[Part]:
-        """Return all parts in the coordinates of the scene, without those that have no triangle."""
+    def parts(self, nodes: list[int]) -> list[Part]:
+        """Return the parts of nodes in the coordinates of the scene, without those that have no triangle."""
         parts = []
-        for index in visible_nodes(self._file, self._forest):
+        for index in nodes:
             node = self._file.records.nodes[index]
             if node.mesh is not None:
                 parts += self._placed(index, node, node.mesh)

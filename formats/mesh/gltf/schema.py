@@ -171,6 +171,7 @@ class NodeExtensions(Record):
 class Node(Record):
     """A node of the scene's tree: a transform, and perhaps a mesh."""
 
+    name: Any = None
     children: Many[Index] = ()
     matrix: Many[Number] | None = None
     translation: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)

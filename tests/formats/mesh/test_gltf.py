@@ -328,6 +328,27 @@ def test_hidden_nodes_hide_their_children(tmp_path):
     assert len(read_gltf(builder.write(tmp_path / "hidden.glb")).faces) == 4
 
 
+def test_a_file_that_shows_no_mesh_says_why(tmp_path):
+    builder = tetrahedron(name="Cow", extensions={"KHR_node_visibility": {"visible": False}})
+    path = tmp_path / "nothing.glb"
+    found = "nodes[0] ('Cow'), the only node with a mesh, is hidden by KHR_node_visibility; make the object visible"
+    assert refused(builder.write(path)).startswith(found)
+    builder.node(root=False, mesh=0)
+    builder.json["nodes"][0]["children"] = [1]
+    found = "all 2 nodes with meshes, the first is nodes[0] ('Cow'), are hidden by KHR_node_visibility; make the object"
+    assert refused(builder.write(path)).startswith(found)
+    del builder.json["nodes"][0]["extensions"], builder.json["nodes"][0]["mesh"]
+    builder.json["scenes"] = [{"nodes": []}, {"nodes": [0]}]
+    found = "the default scene shows no mesh, but nodes[1] in scenes[1] has one; add the object to the default scene"
+    assert refused(builder.write(path)).startswith(found)
+    builder.json["scenes"] = [{}]
+    assert "nodes[1] in no scene has one" in refused(builder.write(path))
+    del builder.json["nodes"][1]["mesh"]
+    assert refused(builder.write(path)).startswith("no node shows one of the 1 meshes; add the object to the scene")
+    builder.json["meshes"] = []
+    assert refused(builder.write(path)).startswith("has no faces; expected triangles in its scene")
+
+
 @pytest.mark.parametrize("scale", [(1, 2, 3), (-1, 2, 3), (-1, -2, -3)])
 def test_normals_are_perpendicular_to_the_scaled_surface(tmp_path, scale):
     soup = read_gltf(textured(rotation=TURN, scale=scale, translation=[1, 2, 3]).write(tmp_path / "ball.glb"))
