@@ -63,7 +63,7 @@ def read_primitive(
     normals = read("NORMAL", "VEC3") if "NORMAL" in attributes else None
     name, transform = _texture_coordinates(file, primitive, where)
     uv = _upwards(read(name, "VEC2"), transform) if name in attributes else None
-    return Part(positions, faces, normals, uv, name, rows)
+    return Part(positions, faces, normals, uv, name, rows, where)
 
 
 def _refuse_missing_data(file: GltfFile, accessors: Accessors, primitive: Primitive, where: str) -> None:

@@ -53,7 +53,7 @@ class _Reader:
         self._file = file
         self._accessors = Accessors(file)
         self._forest = forest
-        self._meshes: dict[tuple[int, tuple[float, ...]], list[tuple[str, Primitive, Part]]] = {}
+        self._meshes: dict[tuple[int, tuple[float, ...]], list[tuple[Primitive, Part]]] = {}
         primitives = [primitive for mesh in file.records.meshes for primitive in mesh.primitives]
         self._uses = Counter(primitive.attributes.get("POSITION") for primitive in primitives)
         self._read, self._made = 0, 0  # numbers of vertices and faces
@@ -72,26 +72,25 @@ class _Reader:
         where = f"nodes[{index}]"
         primitives = self._primitives(mesh, node.weights, f"{where}.mesh")
         instances = instance_matrices(self._accessors, self._file, index)
-        self._made += len(instances) * sum(_size(part) for _, _, part in primitives)
+        self._made += len(instances) * sum(_size(part) for _, part in primitives)
         copies = f"{len(instances)} copies" if len(instances) > 1 else "a copy"
         remedy = "export fewer copies, or each as a mesh of its own"
         self._refuse_too_many(self._made, where, f"{copies} of mesh {mesh}", remedy)
         if node.skin is None:
             matrices = self._forest.matrices[index] @ instances
-            return [place(part, matrices[:, None]) for _, _, part in primitives]
+            return [place(part, matrices[:, None], self._file.node(index)) for _, part in primitives]
         if node.extensions.EXT_mesh_gpu_instancing is not None:
             remedy = "apply the skin and export it again"
             raise self._file.fault(where, "has a skin and EXT_mesh_gpu_instancing, which are not read together", remedy)
         joints = joint_matrices(self._file, self._accessors, self._forest, node.skin, f"{where}.skin")
-        return [
-            place(part, vertex_matrices(self._file, self._accessors, primitive, place_of, joints, part.rows)[None])
-            for place_of, primitive, part in primitives
-        ]
+        placed = []
+        for primitive, part in primitives:
+            matrices = vertex_matrices(self._file, self._accessors, primitive, part.place, joints, part.rows)
+            placed.append(place(part, matrices[None], self._file.node(index)))
+        return placed
 
-    def _primitives(
-        self, index: int, node_weights: Sequence[float] | None, where: str
-    ) -> list[tuple[str, Primitive, Part]]:
-        """Return the primitives of a mesh that have triangles: their places in the file, records and triangles."""
+    def _primitives(self, index: int, node_weights: Sequence[float] | None, where: str) -> list[tuple[Primitive, Part]]:
+        """Return the primitives of a mesh that have triangles: their records and triangles."""
         mesh = self._file.entry("mesh", self._file.records.meshes, index, where)
         weights = mesh.weights or [] if node_weights is None else node_weights
         key = (index, tuple(weights))
@@ -105,7 +104,7 @@ class _Reader:
                     self._read += _size(part)
                     remedy = "export primitives with indices of their own"
                     self._refuse_too_many(self._read, place_of, "primitives that share their accessors", remedy)
-                    self._meshes[key].append((place_of, primitive, part))
+                    self._meshes[key].append((primitive, part))
         return self._meshes[key]
 
     def _refuse_too_many(self, elements: int, where: str, cause: str, remedy: str) -> None:
