@@ -70,7 +70,7 @@ class Buffers:
         """Return the content of a data URI, base64 or percent-encoded."""
         head, _, body = uri.partition(",")
         content = unquote_to_bytes(body)
-        if not head.lower().endswith(";base64"):
+        if not head.lower().replace(" ", "").endswith(";base64"):
             return content
         compact = b"".join(content.split()).rstrip(b"=")
         try:

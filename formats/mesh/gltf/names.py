@@ -24,18 +24,13 @@ def named_files(path: str | os.PathLike[str]) -> list[Path]:
         is_binary = content[:4] == b"glTF" and len(content) == 20  # a header, then the size and type of the JSON
         size = min(struct.unpack_from("<I", content, 12)[0], os.path.getsize(path)) if is_binary else -1
         content = file.read(size) if is_binary else content + file.read()
-    tables = json.loads(json_bytes(content))
+    tables = json.loads(content.rstrip(b"\0"))
     uris = [entry["uri"] for kind in ("buffers", "images") for entry in tables.get(kind, []) if "uri" in entry]
     files = []
     for uri in uris:
         with contextlib.suppress(OSError, ValueError):  # a name that no file can have
             files.append(None if uri[:5].lower() == "data:" else find_file(path, uri))
     return [file for file in files if file is not None]
-
-
-def json_bytes(content: bytes) -> bytes:
-    """Return the JSON without a byte order mark, which some writers add, and without zeros, with which some pad it."""
-    return content.removeprefix(b"\xef\xbb\xbf").rstrip(b"\0")
 
 
 def find_file(path: str | os.PathLike[str], uri: str) -> Path | None:
