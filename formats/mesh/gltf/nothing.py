@@ -13,7 +13,9 @@ def why_nothing_is_shown(file: GltfFile, forest: Forest, visible: Collection[int
     if not meshes or set(with_mesh) & set(visible):
         return "has no faces; expected triangles in its scene, export the object as a triangle mesh"
     if not with_mesh:
-        return f"no node shows one of the {len(meshes)} meshes; add the object to the scene, and export the file again"
+        return (
+            f"no node shows a mesh, though the file has {len(meshes)}; add the object to the scene, and export it again"
+        )
     hidden = _hidden(file)
     others = [index for index in with_mesh if index not in hidden]
     if not others:

@@ -344,7 +344,7 @@ def test_a_file_that_shows_no_mesh_says_why(tmp_path):
     builder.json["scenes"] = [{}]
     assert "nodes[1] in no scene has one" in refused(builder.write(path))
     del builder.json["nodes"][1]["mesh"]
-    assert refused(builder.write(path)).startswith("no node shows one of the 1 meshes; add the object to the scene")
+    assert refused(builder.write(path)).startswith("no node shows a mesh, though the file has 1; add the object")
     builder.json["meshes"] = []
     assert refused(builder.write(path)).startswith("has no faces; expected triangles in its scene")
 
