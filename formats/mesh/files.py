@@ -121,7 +121,7 @@ def _refuse_invalid(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
         first = int(invalid.argmax())
         raise MeshError(
             f"{path}: {invalid.sum()} of {count} vertices are NaN, infinite or beyond ±{geometry.MOST_COORDINATE:g}, "
-            f"the first is vertex {first} at {soup.positions[first].tolist()}; repair the mesh"
+            f"the first is {soup.vertex_in_file(first)} at {soup.positions[first].tolist()}; repair the mesh"
         )
 
 
@@ -130,13 +130,11 @@ def _accept_flat_faces(
 ) -> None:
     """Warn that the flat faces [F] are dropped, or raise MeshError if nothing is left or other faces need them."""
     count, first = int(flat.sum()), int(flat.argmax())
-    found = f"{path}: {count} of {len(flat)} faces have no area, the first is face {first} with corners"
+    found = f"{path}: {count} of {len(flat)} faces have no area, the first is {soup.face_in_file(first)}"
     if flat.all() or (not silent and opens_edges(faces, flat)):
-        raise MeshError(
-            f"{found} {soup.faces[first].tolist()}; remove them in a mesh editor (dissolve degenerate faces)"
-        )
+        raise MeshError(f"{found}; remove them in a mesh editor (dissolve degenerate faces)")
     if not silent:
-        warn(f"{found} {soup.faces[first].tolist()}; they were dropped, since no other face needs them")
+        warn(f"{found}; they were dropped, since no other face needs them")
 
 
 def _assemble(

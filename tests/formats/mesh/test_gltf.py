@@ -1,5 +1,6 @@
 """glTF: the same triangles by different features of the format, and by trimesh where it reads them."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from formats.errors import InputWarning
 from formats.mesh import open_edges, read_mesh, signed_volume
 from formats.mesh.gltf import read_gltf
-from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, corners, tetrahedron
+from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, corners, refused, tetrahedron
 from tests.formats.mesh.test_mesh import sphere_mesh
 
 TURN = [0.1, 0.2, 0.3, float(np.sqrt(0.86))]
@@ -277,12 +278,75 @@ def test_instances_are_copies(tmp_path, bytes_of_rotations):
     assert volume == pytest.approx(2 * (1 + 6 + 1) / 6, rel=1e-12)
 
 
+def groups(shared: bool, skin: bool) -> GltfBuilder:
+    """Two spheres, the second of them morphed, as primitives that share their vertices or have each its own."""
+    builder, ball = GltfBuilder(), sphere_mesh(8, 12)
+    count = len(ball.positions)
+    rng = np.random.default_rng(4)
+    positions = np.vstack([ball.positions, 3 + ball.positions]).astype("<f4")
+    values = {
+        "POSITION": (positions, "f4"),
+        "NORMAL": (np.vstack([ball.positions] * 2), "f4"),
+        "TEXCOORD_0": (rng.uniform(size=(2 * count, 2)), "f4"),
+    }
+    if skin:
+        values |= {"JOINTS_0": (rng.integers(0, 2, (2 * count, 4)), "u1")}
+        values |= {"WEIGHTS_0": (rng.uniform(size=(2 * count, 4)) + 0.1, "f4")}
+    moved = rng.normal(size=(count, 3)) / 64
+    whole = builder.view(positions.tobytes())
+    every = {name: builder.accessor(rows, kind) for name, (rows, kind) in values.items()}
+    every["POSITION"] = builder.sparse(2 * count, [5], positions[5:6], bufferView=whole)
+    target = builder.sparse(2 * count, np.arange(count, 2 * count), moved)
+    primitives = []
+    for part in range(2):
+        attributes, targets, faces = every, [{"POSITION": target}], ball.faces + part * count
+        if not shared:
+            own = slice(part * count, (part + 1) * count)
+            attributes = {name: builder.accessor(rows[own], kind) for name, (rows, kind) in values.items()}
+            targets, faces = [{"POSITION": builder.accessor(part * moved)}], ball.faces
+        indices = builder.accessor(faces.ravel(), "u2")
+        primitives.append({"attributes": attributes, "targets": targets, "indices": indices})
+    builder.node(mesh=builder.mesh(*primitives, weights=[0.5]), **({"skin": 0} if skin else {}))
+    joints = [builder.node(translation=[1, 0, 0]), builder.node(rotation=TURN, scale=[2, 2, 3])]
+    builder.json["skins"] = [{"joints": joints}]
+    return builder
+
+
+@pytest.mark.parametrize("skin", [False, True])
+def test_primitives_that_share_vertices_read_those_that_they_use(tmp_path, skin):
+    shared = read_gltf(groups(True, skin).write(tmp_path / "shared.glb"))
+    apart = read_gltf(groups(False, skin).write(tmp_path / "apart.glb"))
+    for name in ("positions", "faces", "corner_normals", "corner_uv"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(apart, name))
+
+
 def test_hidden_nodes_hide_their_children(tmp_path):
     builder = tetrahedron()
     child = builder.node(root=False, mesh=0, extensions={"KHR_node_visibility": {"visible": True}})
     middle = builder.node(root=False, mesh=0, children=[child])
     builder.node(mesh=0, children=[middle], extensions={"KHR_node_visibility": {"visible": False}})
     assert len(read_gltf(builder.write(tmp_path / "hidden.glb")).faces) == 4
+
+
+def test_a_file_that_shows_no_mesh_says_why(tmp_path):
+    builder = tetrahedron(name="Cow", extensions={"KHR_node_visibility": {"visible": False}})
+    path = tmp_path / "nothing.glb"
+    found = "nodes[0] ('Cow'), the only node with a mesh, is hidden by KHR_node_visibility; make the object visible"
+    assert refused(builder.write(path)).startswith(found)
+    builder.node(root=False, mesh=0)
+    builder.json["nodes"][0]["children"] = [1]
+    found = "all 2 nodes with meshes, the first is nodes[0] ('Cow'), are hidden by KHR_node_visibility; make the object"
+    assert refused(builder.write(path)).startswith(found)
+    del builder.json["nodes"][0]["extensions"], builder.json["nodes"][0]["mesh"]
+    builder.json["scenes"] = [{"nodes": []}, {"nodes": [0]}]
+    found = "the default scene shows no mesh, but nodes[1] in scenes[1] has one; add the object to the default scene"
+    assert refused(builder.write(path)).startswith(found)
+    builder.json["scenes"] = [{}]
+    assert "nodes[1] in no scene has one" in refused(builder.write(path))
+    del builder.json["nodes"][1]["mesh"]
+    assert refused(builder.write(path)).startswith("no node shows a mesh, though the file has 1; add the object")
+    builder.json["meshes"] = []
+    assert refused(builder.write(path)).startswith("has no faces; expected triangles in its scene")
 
 
 @pytest.mark.parametrize("scale", [(1, 2, 3), (-1, 2, 3), (-1, -2, -3)])
@@ -360,6 +424,46 @@ def test_textures_are_used_with_their_coordinates(tmp_path):
     u, v = first.T
     assert soup.corner_uv is not None
     np.testing.assert_allclose(soup.corner_uv, np.stack([v / 2, u / 2], axis=1)[FACES], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("core", "keys", "read"),
+    [
+        ({}, {"KHR_materials_volume": ["thicknessTexture"]}, "in the extension"),
+        (
+            {},
+            {"KHR_materials_transmission": [], "KHR_materials_pbrSpecularGlossiness": ["diffuseTexture"]},
+            "extension",
+        ),
+        ({"occlusionTexture": {"index": 0}}, {"KHR_materials_sheen": ["sheenColorTexture"]}, "core, with a warning"),
+        ({"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 0}}}, {"ACME": ["aTexture"]}, "core"),
+        ({}, {"ACME": ["colour", "textures"]}, "none"),
+    ],
+)
+def test_textures_of_extensions_follow_those_of_the_core(tmp_path, core, keys, read):
+    builder = GltfBuilder()
+    uv = np.arange(8).reshape(4, 2) / 8
+    sets = {f"TEXCOORD_{k}": builder.accessor(uv + k) for k in range(2)}
+    builder.node(mesh=builder.mesh({**builder.solid(**sets), "material": 0}))
+    texture = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {"offset": [0, 0], "scale": [16, 1]}}}
+    factors = {"thicknessFactor": 1, "textures": 3, "emptyTexture": 0}
+    extensions = {name: {**factors, **dict.fromkeys(names, texture)} for name, names in keys.items()}
+    builder.json["materials"] = [{**core, "extensions": extensions}]
+    path = builder.write(tmp_path / "extension.glb")
+    warned = {"core": "", "none": "", "core, with a warning": "different coordinates, the first one's are read"}
+    sentence = warned.get(read, "KHR_texture_transform is applied to the texture coordinates")
+    with pytest.warns(InputWarning, match=sentence) if sentence else contextlib.nullcontext():
+        soup = read_gltf(path)
+    moved = (uv + 1) * [16, 1] if "extension" in read else uv
+    assert soup.corner_uv is not None
+    np.testing.assert_allclose(soup.corner_uv, (moved * [1, -1] + [0, 1])[FACES], atol=1e-15)
+
+
+def test_a_damaged_texture_of_an_extension_is_named(tmp_path):
+    builder = tetrahedron()
+    builder.json["materials"] = [{"extensions": {"KHR_materials_volume": {"thicknessTexture": {"texCoord": -1}}}}]
+    place = "materials[0].extensions.KHR_materials_volume.thicknessTexture.texCoord: expected 0 or more, found -1"
+    assert place in refused(builder.write(tmp_path / "damaged.glb"))
 
 
 def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
