@@ -13,6 +13,7 @@ from formats.mesh.record import (
     inconsistent_edges,
     open_edges,
     refuse_inside_out,
+    refuse_two_sides,
     signed_volume,
 )
 from formats.mesh.texture_coordinates import texture_fault, texture_remark
@@ -28,6 +29,7 @@ __all__ = [
     "open_edges",
     "read_mesh",
     "refuse_inside_out",
+    "refuse_two_sides",
     "signed_volume",
     "texture_fault",
     "texture_remark",
