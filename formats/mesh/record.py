@@ -172,7 +172,7 @@ def refuse_two_sides(mesh: Mesh) -> None:
     count = len(np.unique(mesh.faces))
     nowhere = f"the normals of {mesh.cancelled_normals} of {count} vertices cancel out"
     if len(doubled):
-        place = ", ".join(f"{x:.6g}" for x in mesh.positions[mesh.faces[doubled[0], 0]])
+        place = _point(mesh.positions[mesh.faces[doubled[0], 0]])
         raise MeshError(
             f"mesh: {len(doubled)} of {len(mesh.faces)} faces lie on another one of the opposite winding, the first at "
             f"({place}): the mesh has two sides, and {nowhere}; {_ONE_SIDE}"
@@ -181,7 +181,20 @@ def refuse_two_sides(mesh: Mesh) -> None:
         raise MeshError(f"mesh: {nowhere}: the mesh has two sides; {_ONE_SIDE}")
 
 
+def inward_sentence(mesh: Mesh, vertices: NDArray[np.integer], of_what: str) -> str:
+    """Return the warning that the normals of some `vertices` point into the object `of_what`."""
+    return (
+        f"mesh: the normals of {len(vertices)} of {len(mesh.positions)} vertices point into the object {of_what}, the "
+        f"first at ({_point(mesh.positions[vertices[0]])}): some faces are wound inside out, and the result is wrong "
+        f"there; make the normals consistent in a mesh editor (recalculate outside)"
+    )
+
+
 def flipped(mesh: Mesh) -> Mesh:
     """Return the mesh with the winding of every face and every normal reversed."""
     corner_uv = None if mesh.corner_uv is None else mesh.corner_uv[:, ::-1]
     return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals, corner_uv=corner_uv)
+
+
+def _point(position: NDArray[np.float64]) -> str:
+    return ", ".join(f"{x:.6g}" for x in position)

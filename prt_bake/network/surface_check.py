@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import QueryError, warn
-from formats.mesh import Mesh
+from formats.mesh import Mesh, inward_sentence
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ class OwnSurface:
         return np.asarray(self.corner + self.side * (self.interior.corner + self.interior.spacing * nodes))
 
     def refuse_foreign(self, mesh: Mesh) -> None:
-        """Raise QueryError if most vertices are off the surface, or face its inside; warn if some are off.
+        """Raise QueryError if most vertices are off the surface, or face its inside; warn of some.
 
         The sentence has their number, the farthest distance and the cause.
         """
@@ -96,7 +96,7 @@ class OwnSurface:
         farthest = float(distances.max())
         beyond = farthest >= REACH - 1e-6
         if off.mean() <= FEW_OFF and not beyond:
-            self._refuse_inward(mesh)
+            self._refuse_inward(mesh, off)
             return
         reach = "more than " if beyond else ""
         found = (
@@ -105,13 +105,17 @@ class OwnSurface:
         )
         if off.mean() <= MOST_OFF:
             warn(f"{found}; the result is wrong there: train a model on this mesh")
-            self._refuse_inward(mesh)
+            self._refuse_inward(mesh, off)
             return
         cause = self._cause(mesh.positions)
         raise QueryError(f"{found}; {cause or _UNKNOWN}")
 
-    def _refuse_inward(self, mesh: Mesh) -> None:
-        """Raise QueryError if most normals point into the object: those of an open mesh may agree with its faces."""
+    def _refuse_inward(self, mesh: Mesh, off: NDArray[np.bool_]) -> None:
+        """Raise QueryError if most normals point into the object, and warn if more than a few on the surface do.
+
+        Those of an open mesh, or of a shell, may agree with its faces. Those of vertices `off` the surface [V] tell
+        nothing of its side.
+        """
         ahead, behind = (self._signed(mesh.positions + side * self.spacing * mesh.normals) for side in (1.0, -1.0))
         inward = ahead > behind
         if inward.mean() > 0.5:
@@ -119,6 +123,9 @@ class OwnSurface:
                 f"mesh: {inward.sum()} of {len(inward)} vertex normals point into the object that the model was "
                 f"trained on: the faces are wound inside out; flip the mesh's normals in an editor, and save it again"
             )
+        inward &= ~off
+        if inward.mean() > FEW_OFF:
+            warn(inward_sentence(mesh, np.flatnonzero(inward), "that the model was trained on"))
 
     def _cause(self, positions: Array) -> str:
         """The transformation that brings the vertices onto the surface, as a sentence; empty if none is found."""

@@ -31,12 +31,12 @@ def subdivided(mesh: Mesh) -> Mesh:
 
 
 def simplified(mesh: Mesh) -> Mesh:
-    """Every second vertex, collapsed to the next kept one: coarser, with all vertices on the surface."""
+    """Every second vertex, collapsed to the next kept one: coarser, with all vertices and normals on the surface."""
     kept = np.arange(len(mesh.positions)) // 2 * 2
     faces = kept[mesh.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     used, renumbered = np.unique(faces, return_inverse=True)
-    return build_mesh(mesh.positions[used], renumbered.reshape(-1, 3))
+    return Mesh(mesh.positions[used], renumbered.reshape(-1, 3), mesh.normals[used])
 
 
 @pytest.mark.parametrize("variant", [lambda mesh: mesh, subdivided, simplified, piece])
@@ -76,6 +76,16 @@ def test_an_open_piece_that_is_wound_inside_out_is_refused(network, spot):
     """Its normals agree with its faces, so only the model knows that they point inwards."""
     with pytest.raises(QueryError, match=r"vertex normals point into the object .* wound inside out; flip"):
         network.refuse_foreign(flipped(piece(spot)))
+
+
+def test_a_patch_that_is_wound_inside_out_is_warned_about(network, spot):
+    part = piece(spot)
+    used, faces = np.unique(spot.faces[(spot.positions[spot.faces][..., 2] > 0.9).all(axis=1)], return_inverse=True)
+    faces = len(part.positions) + faces.reshape(-1, 3)[:, ::-1]
+    both = build_mesh(np.concatenate([part.positions, spot.positions[used]]), np.concatenate([part.faces, faces]))
+    expected = f"the normals of {len(used)} of {len(both.positions)} vertices point into .* the first at .*; make"
+    with pytest.warns(InputWarning, match=expected):
+        network.refuse_foreign(both)
 
 
 def test_a_single_part_elsewhere_is_warned_about(network, spot):
