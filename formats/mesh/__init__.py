@@ -7,6 +7,7 @@ suffix; each file format has its own module.
 from formats.mesh.check import check_mesh, closedness_faults
 from formats.mesh.files import READABLE, read_mesh, write_mesh
 from formats.mesh.record import (
+    SPLIT_ANGLE,
     Mesh,
     build_mesh,
     flipped,
@@ -21,6 +22,7 @@ from formats.mesh.texture_coordinates import texture_fault, texture_remark
 
 __all__ = [
     "READABLE",
+    "SPLIT_ANGLE",
     "Mesh",
     "build_mesh",
     "check_mesh",

@@ -19,7 +19,7 @@ from formats.mesh.gltf import read_gltf
 from formats.mesh.normals import agreeing_normals
 from formats.mesh.obj import read_obj, write_obj
 from formats.mesh.ply import read_ply, write_ply
-from formats.mesh.record import Mesh
+from formats.mesh.record import SPLIT_ANGLE, Mesh
 from formats.mesh.stl import read_stl
 from formats.triangle_soup import TriangleSoup
 
@@ -167,6 +167,7 @@ def _assemble(
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
         dropped_faces=int((~kept_faces).sum()),
         cancelled_normals=int((cancelled & computed).sum()),
+        split_normals=int((_split_normals(soup, kept_faces, faces, first_corner) & ~computed).sum()),
     )
 
 
@@ -185,3 +186,15 @@ def _given_normals(
     normals[faces[missing]] = np.nan
     normals[cancelled] = np.nan
     return normals
+
+
+def _split_normals(
+    soup: TriangleSoup, kept_faces: NDArray[np.bool_], faces: NDArray[np.int64], first_corner: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Where the file's normals at a vertex differ from those at its first corner [V] by more than `SPLIT_ANGLE`."""
+    split = np.zeros(len(first_corner), np.bool_)
+    if soup.corner_normals is not None:
+        at_corners = geometry.normalise(soup.corner_normals[kept_faces])
+        cosines = np.einsum("fci,fci->fc", at_corners, at_corners.reshape(-1, 3)[first_corner[faces]])
+        split[faces[cosines < np.cos(np.radians(SPLIT_ANGLE))]] = True
+    return split

@@ -13,6 +13,8 @@ from formats.mesh import geometry
 from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
 
+SPLIT_ANGLE = 30.0
+"""In degrees. Normals of a file that differ by more at one vertex make a hard edge."""
 _MOST_CANCELLED = 0.5
 """Share of vertices without a normal from which a mesh has two sides. Where solids touch, normals may cancel, too."""
 _ONE_SIDE = "export it with one side, or remove the doubled faces in a mesh editor"
@@ -34,6 +36,8 @@ class Mesh:
         dropped_faces: number of faces without area that `read_mesh` dropped.
         cancelled_normals: number of vertices at which the normals of the faces cancel out and the file has no others;
             such a vertex has the normal of any of its faces.
+        split_normals: number of vertices at which the file's normals differ by more than `SPLIT_ANGLE`, as at hard
+            edges; such a vertex has their mean.
 
     >>> import prt_bake as prt
     >>> mesh = prt.Mesh(
@@ -53,6 +57,7 @@ class Mesh:
     source_vertex: NDArray[np.int64] | None = None
     dropped_faces: int = 0
     cancelled_normals: int = 0
+    split_normals: int = 0
 
     def __post_init__(self) -> None:
         count, triangles = len(self.positions), len(self.faces)

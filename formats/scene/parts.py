@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from formats.errors import SceneError, warn
 from formats.image.texture import read_reflectance_texture, read_roughness_texture
-from formats.mesh import Mesh, closedness_faults, flipped, read_mesh, signed_volume, texture_fault
+from formats.mesh import SPLIT_ANGLE, Mesh, closedness_faults, flipped, read_mesh, signed_volume, texture_fault
 from formats.scene.file import errors_at
 from formats.scene.medium import Medium, MediumContext, clear_medium, read_medium
 from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
@@ -75,6 +75,7 @@ def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:
 def _outermost(tables: SceneFile, path: Path) -> Part:
     mesh_path = path.parent / tables.object.mesh
     mesh, was_flipped = _closed_mesh(mesh_path, path, "object.mesh")
+    _name_rounded_edges(mesh, tables.interface, f"{path}: interface.normals: {mesh_path}")
     return Part(
         name=OUTERMOST,
         parent=-1,
@@ -101,6 +102,7 @@ def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path:
     mesh, was_flipped = _closed_mesh(mesh_path, path, f"{key}.mesh")
     _refuse_outside(mesh, parent, f"{path}: {key}.mesh: {mesh_path}")
     interface = table.interface or InterfaceTable()
+    _name_rounded_edges(mesh, interface, f"{path}: {key}.interface.normals: {mesh_path}")
     diffuse = _reflectance(table, mesh, path, key) if table.surface == "diffuse" else None
     context = MediumContext(path, f"{key}.medium", mesh.bounds, tables.object)
     medium = clear_medium() if table.medium is None else read_medium(table.medium, context)
@@ -172,6 +174,16 @@ def _refuse_outside(mesh: Mesh, parent: Part, where: str) -> None:
         warn(
             f"{where} is {mesh.diagonal / parent.mesh.diagonal:.3g} times as large as {parent.name!r}, which it may "
             f"fill; check the unit of length"
+        )
+
+
+def _name_rounded_edges(mesh: Mesh, interface: InterfaceTable, where: str) -> None:
+    """Warn if the boundary has vertex normals and the file has several at a vertex, of which a mesh has the mean."""
+    if interface.normals == "vertex" and mesh.split_normals:
+        warn(
+            f"{where} has hard edges: at {mesh.split_normals} of {len(mesh.positions)} vertices its normals differ by "
+            f'more than {SPLIT_ANGLE:g} degrees, and "vertex" takes their mean, which rounds the edges off; bevel the '
+            f'edges, or say normals = "face"'
         )
 
 
