@@ -15,8 +15,10 @@ from formats.mesh.normals import refuse_wrong_side
 
 SPLIT_ANGLE = 30.0
 """In degrees. Normals of a file that differ by more at one vertex make a hard edge."""
+_FEW_CANCELLED = 0.01
+"""Share of vertices without a normal up to which doubled faces are a few flaps, not a second side."""
 _MOST_CANCELLED = 0.5
-"""Share of vertices without a normal from which a mesh has two sides. Where solids touch, normals may cancel, too."""
+"""Share from which a mesh has two sides even if no face is doubled. Where solids touch, normals may cancel, too."""
 _ONE_SIDE = "export it with one side, or remove the doubled faces in a mesh editor"
 
 
@@ -168,22 +170,26 @@ def refuse_inside_out(mesh: Mesh) -> None:
 
 
 def refuse_two_sides(mesh: Mesh) -> None:
-    """Raise MeshError if vertices have no normal because the faces around them are doubled with opposite winding."""
+    """Raise MeshError if vertices have no normal because the faces around them are doubled with opposite winding.
+
+    A few of them are a warning.
+    """
     if mesh.cancelled_normals == 0:
         return
     cancelled = _normals_of_faces(mesh.positions, mesh.faces)[1]
     doubled = two_sided_faces(mesh.faces)
     doubled = doubled[cancelled[mesh.faces[doubled]].any(axis=1)]
     count = len(np.unique(mesh.faces))
-    nowhere = f"the normals of {mesh.cancelled_normals} of {count} vertices cancel out"
+    found = f"the normals of {mesh.cancelled_normals} of {count} vertices cancel out"
     if len(doubled):
-        place = _point(mesh.positions[mesh.faces[doubled[0], 0]])
-        raise MeshError(
-            f"mesh: {len(doubled)} of {len(mesh.faces)} faces lie on another one of the opposite winding, the first at "
-            f"({place}): the mesh has two sides, and {nowhere}; {_ONE_SIDE}"
+        found = (
+            f"{len(doubled)} of {len(mesh.faces)} faces lie on another one of the opposite winding, the first at "
+            f"({_point(mesh.positions[mesh.faces[doubled[0], 0]])}), and {found}"
         )
-    if mesh.cancelled_normals > _MOST_CANCELLED * count:
-        raise MeshError(f"mesh: {nowhere}: the mesh has two sides; {_ONE_SIDE}")
+    if mesh.cancelled_normals > (_FEW_CANCELLED if len(doubled) else _MOST_CANCELLED) * count:
+        raise MeshError(f"mesh: {found}: the mesh has two sides; {_ONE_SIDE}")
+    if len(doubled):
+        warn(f"mesh: {found}; the result is that of either side there; {_ONE_SIDE}")
 
 
 def inward_sentence(mesh: Mesh, vertices: NDArray[np.integer], of_what: str) -> str:

@@ -26,6 +26,10 @@ FEW_OFF = 0.01
 _MATCHES = 0.95
 """Share of vertices that a transformation must bring onto the surface to be named as the cause."""
 _UNKNOWN = "bake the mesh of the model's own scene, or train a model on this mesh"
+_ROUGHLY = (
+    "it follows that surface, but too roughly, as after simplifying it too far, smoothing it or turning it a little: "
+    "bake the model's own mesh, or one with more vertices"
+)
 _TESTED = 500
 _LEAST_SIZE = 10.0
 """Diagonal, in spacings, of a mesh that a cause makes smaller."""
@@ -108,7 +112,7 @@ class OwnSurface:
             self._refuse_inward(mesh, off)
             return
         cause = self._cause(mesh.positions)
-        raise QueryError(f"{found}; {cause or _UNKNOWN}")
+        raise QueryError(f"{found}; {cause or (_UNKNOWN if beyond else _ROUGHLY)}")
 
     def _refuse_inward(self, mesh: Mesh, off: NDArray[np.bool_]) -> None:
         """Raise QueryError if most normals point into the object, and warn if more than a few on the surface do.
@@ -179,6 +183,7 @@ def _axis_changes() -> list[_AxisChange]:
 
 
 def _sentence(axes: _AxisChange, factor: float, shifted: str) -> str:
+    """Say what differs; empty if nothing but a rounding of the size does."""
     causes = []
     if not np.isclose(factor, 1.0, rtol=2e-2):
         known = next((name for size, name in _FACTORS.items() if name and np.isclose(factor, size, rtol=2e-2)), "")
@@ -187,4 +192,6 @@ def _sentence(axes: _AxisChange, factor: float, shifted: str) -> str:
         causes.append(f"its axes are swapped (the object's x, y, z are its {axes})")
     if shifted == "moved":
         causes.append("it is moved")
+    if not causes:
+        return ""
     return f"{' and '.join(causes)}: export it with the size, axes and origin of the model's own mesh"

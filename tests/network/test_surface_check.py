@@ -66,6 +66,20 @@ def test_the_cause_is_named(network, spot, cause):
         network.refuse_foreign(foreign)
 
 
+ROUGH = {
+    "a little smaller": lambda spot: MIDDLE + 0.975 * (spot.positions - MIDDLE),  # the size alone fits, to 2 %
+    "every fifth vertex inset": lambda spot: (
+        spot.positions - 0.025 * spot.normals * (np.arange(2930) % 5 == 0)[:, None]
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ROUGH)
+def test_a_mesh_that_follows_the_surface_too_roughly_hears_so(network, spot, kind):
+    with pytest.raises(QueryError, match=r"scene units away; it follows that surface, but too roughly, .*: bake the"):
+        network.refuse_foreign(build_mesh(ROUGH[kind](spot), spot.faces))
+
+
 def test_another_object_inside_is_refused(network):
     box = trimesh.creation.box((0.2, 0.2, 0.2))
     with pytest.raises(QueryError, match="8 of 8 vertices are not on the surface"):
