@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from formats.errors import MeshError, warn
 from formats.mesh.ply_body import Columns, Lists, PlyBody
 from formats.mesh.ply_header import read_header
-from formats.mesh.triangulation import triangulate
+from formats.mesh.triangulation import refuse_absent, triangulate
 from formats.text import without_byte_order_mark
 from formats.triangle_soup import TriangleSoup
 
@@ -89,6 +89,7 @@ def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> Tria
     triangles, corners, corner_uv = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), None
     if polygons is not None:
         indices = _as_indices(polygons.values)
+        refuse_absent(indices, polygons.sizes, len(positions), path, lambda row: f"face {row}", base=0)
         triangles = triangulate(positions, indices, polygons.sizes, lambda row: f"{path}: face {row}")
         corners = indices[triangles]
     if strips is not None:
