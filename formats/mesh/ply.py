@@ -96,6 +96,8 @@ def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> Tria
         corners = np.concatenate([corners, _strip_triangles(_as_indices(strips.values), strips.sizes)])
     elif polygons is not None:
         corner_uv = _corner_uv(faces, polygons, triangles, path)
+        if corner_uv is not None:
+            _name_textures(faces.get("texnumber"), path)
     # With an index out of range no attribute is read: `read_mesh` reports the index.
     in_range = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
     normals = _stack_columns(vertices, ("nx", "ny", "nz")) if in_range else None
@@ -151,6 +153,15 @@ def _corner_uv(
         )
         return None
     return np.asarray(pairs.values, np.float64).reshape(-1, 2)[triangles]
+
+
+def _name_textures(numbers: NDArray[np.float64] | Lists | None, path: str | os.PathLike[str]) -> None:
+    """Warn if faces are mapped to several images, as MeshLab's property texnumber says."""
+    if isinstance(numbers, np.ndarray) and len(distinct := np.unique(numbers)) > 1:
+        warn(
+            f"{path}: its texture coordinates are those of {len(distinct)} images (texnumber), but a mesh has one; "
+            f"bake them into one image if a texture needs them"
+        )
 
 
 def _stack_columns(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64] | None:

@@ -11,6 +11,7 @@ from urllib.parse import unquote
 
 from formats.atomic import refuse_unwritable, storage_error
 from formats.errors import StorageError
+from formats.file_names import named_file
 
 Paths = Path | str | Iterable[Path | str] | None
 """The value of an option or argument; None and texts that name no file, such as sun:0,1,0, are left out."""
@@ -81,7 +82,7 @@ def _with_named(path: Path, source: str) -> Iterator[tuple[Path, str]]:
     """Yield the file and the files that it names, each with words for where it comes from."""
     yield path, source
     for name in _names_in(path):
-        named = path.parent / name
+        named = named_file(path, name)
         if named.suffix.lower() not in (".toml", path.suffix.lower()):  # files of one kind do not name one another
             yield from _with_named(named, f"named by {path}")
 

@@ -258,3 +258,10 @@ def test_hard_edges_that_vertex_normals_round_off_are_named(tmp_path, recwarn, n
     if warned:
         assert "interface.normals: " in found[0]
         assert "at 8 of 8 vertices its normals differ by more than 30 degrees" in found[0]
+
+
+@pytest.mark.parametrize(("size", "warned"), [(1e-3, 1), (0.01, 0)])
+def test_a_part_much_smaller_than_its_parent_is_named(folder, recwarn, size, warned):
+    write_mesh(moved(sphere(1), size), folder / "dot.ply")
+    scene(folder, OUTER + PLAIN.replace("seed.ply", "dot.ply"))
+    assert [str(warning.message).endswith("check the unit of length") for warning in recwarn] == [True] * warned
