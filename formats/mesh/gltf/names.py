@@ -7,9 +7,10 @@ import contextlib
 import json
 import os
 import struct
-import unicodedata
 from pathlib import Path
 from urllib.parse import unquote
+
+from formats.file_names import named_file
 
 
 def named_files(path: str | os.PathLike[str]) -> list[Path]:
@@ -39,12 +40,9 @@ def find_file(path: str | os.PathLike[str], uri: str) -> Path | None:
     Raises:
         OSError, ValueError: the name is too long, or has a zero byte.
     """
-    # Names are percent-encoded, but some writers do not encode them, or separate folders as Windows does. Archives
-    # and file systems may change letters with accents between one code point (NFC) and two (NFD).
-    spellings = (unquote(uri), uri, unquote(uri).replace("\\", "/"))
-    names = [unicodedata.normalize(form, name) for name in spellings for form in ("NFC", "NFD")]
-    for name in (*spellings, *names):
-        file = Path(path).parent / name
+    # Names are percent-encoded, but some writers do not encode them, or separate folders as Windows does.
+    for name in (unquote(uri), uri, unquote(uri).replace("\\", "/")):
+        file = named_file(path, name)
         if file.is_file():
             return file
     return None

@@ -9,6 +9,7 @@ from typing import Any
 
 from formats.atomic import refuse_unwritable, storage_error
 from formats.errors import StorageError
+from formats.file_names import named_file
 
 Paths = Path | str | Iterable[Path | str] | None
 """The value of an option or argument; None and texts that name no file, such as sun:0,1,0, are left out."""
@@ -89,7 +90,7 @@ def _named_in(path: Path) -> list[Path]:
     """Return the texts of a TOML file as paths, or the files that a glTF file names; none if it is damaged."""
     try:
         if path.suffix.lower() == ".toml":
-            return [path.parent / text for text in _texts(tomllib.loads(path.read_text(encoding="utf-8-sig")))]
+            return [named_file(path, text) for text in _texts(tomllib.loads(path.read_text(encoding="utf-8-sig")))]
         if path.suffix.lower() in (".gltf", ".glb"):
             from formats.mesh.gltf import named_files  # here, since meshes need NumPy
 
