@@ -112,6 +112,11 @@ def test_shallow_overlaps_are_refused(depth: float, turned: bool) -> None:
         refuse_ambiguous(moved(beside(-depth), 1.0, turned), "file")
 
 
+def test_a_shallow_overlap_that_holds_no_centre_of_a_face_is_refused() -> None:
+    with pytest.raises(MeshError, match="some of its 2 shells overlap"):
+        refuse_ambiguous(united(UNIT, box((1 - 5e-6, 0.97, 0.97), (2, 2, 2))), "file")
+
+
 def test_a_contact_that_was_rounded_on_export_is_refused() -> None:
     mesh = moved(COINCIDENT["a cylinder on a slab"], 1.0, turned=True)
     with pytest.raises(MeshError, match=r"some of its 2 shells overlap|lie on one another"):
