@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -283,12 +284,40 @@ def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
         ({"output.bias": None}, r"output\.bias is missing"),
         ({"extra": torch.zeros(2)}, r"extra is not part"),
         ({"output.bias": torch.zeros(3, dtype=torch.int32)}, r"output\.bias holds torch\.int32"),
+        ({"output.bias": torch.zeros(3, dtype=torch.float8_e4m3fn)}, r"output\.bias holds torch\.float8_e4m3fn"),
+        (
+            {"output.bias": torch.full((3,), 1e300, dtype=torch.float64)},
+            r"output\.bias holds 3 values that are not finite in float32",
+        ),
+        ({"output.bias": torch.empty(3, device="meta")}, r"output\.bias is sparse, nested, or without values"),
+        ({"output.bias": torch.zeros(3).to_sparse()}, r"output\.bias is sparse, nested, or without values"),
+        ({"output.bias": torch.zeros(1).expand(3)}, r"output\.bias is sparse, nested, or without values"),
         ({"output.bias": "words"}, r"'output\.bias' is not a named tensor"),
     ],
 )
 def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, object], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         load_model(damaged(tmp_path, change))
+
+
+def test_a_changed_byte_is_refused_by_entry(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
+    content = bytearray(path.read_bytes())
+    with zipfile.ZipFile(path) as archive:
+        largest = max(archive.infolist(), key=lambda entry: entry.file_size)
+    content[largest.header_offset + 200] ^= 1  # past the entry's header and padding
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=rf"model\.pt: the entry {largest.filename} is damaged: its checksum differs"):
+        load_model(path)
+
+
+def test_entries_that_unpack_to_far_more_than_the_file_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", pickle.dumps({}) + bytes(10**6))
+    with pytest.raises(ModelError, match=r"model\.pt: its entries unpack to 10000\d\d bytes from a file of \d+;"):
+        load_model(path)
 
 
 @pytest.mark.parametrize("setting", ["width", "layers", "features", "light_features", "ray_samples", "lobes"])
