@@ -50,7 +50,7 @@ def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
 
 
 def check_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
-    """Raises ModelError unless `tensors` have exactly the names and shapes of `shapes`, and floats that are finite in float32."""
+    """Raises ModelError unless `tensors` have exactly the names and `shapes`, and values finite in float32."""
     for name in sorted(shapes.keys() | tensors.keys()):
         if name not in tensors or name not in shapes:
             state = "missing" if name in shapes else "not part of this network"
@@ -66,9 +66,10 @@ def check_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]
 
 
 def check_entries(path: Path) -> None:
-    """Compare the entries of a `.pt` with their CRC-32, which `torch.load` does not; raises ModelError naming the entry.
+    """Compare the entries of a `.pt` with their CRC-32, which `torch.load` does not do.
 
-    Files without a zip's directory (older forms, truncated ones) pass; they are left to `torch.load`.
+    Raises ModelError naming the entry. Files without a zip's directory (older forms, truncated ones) are left to
+    `torch.load`.
     """
     try:
         if not zipfile.is_zipfile(path):
