@@ -36,5 +36,8 @@ def _is_text(value: Any) -> bool:
 
 TABLE: Check = is_table, "a table"
 TEXT: Check = _is_text, "text"
-REFRACTIVE_INDEX: Check = (lambda value: is_number(value) and value > 0.0), "an index of refraction, a number above 0"
-ROUGHNESS: Check = (lambda value: is_number(value) and value >= 0.0), "a GGX alpha, a number from 0 on"
+REFRACTIVE_INDEX: Check = (
+    (lambda value: is_number(value) and value > 0.0),
+    "an index of refraction, a finite number above 0",
+)
+ROUGHNESS: Check = (lambda value: is_number(value) and value >= 0.0), "a GGX alpha, a finite number from 0 on"

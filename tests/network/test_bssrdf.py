@@ -332,6 +332,41 @@ def test_settings_of_a_larger_network_than_the_file_are_refused(tmp_path: Path, 
         load_model(path)
 
 
+@pytest.mark.parametrize(
+    ("keys", "value", "message"),
+    [
+        (("metadata", "eta"), "x", "metadata.eta is 'x'; expected an index of refraction"),
+        (("metadata", "eta"), np.nan, "metadata.eta is nan; expected an index of refraction"),
+        (("metadata", "eta"), -1, "metadata.eta is -1; expected an index of refraction"),
+        (("metadata", "roughness"), "x", "metadata.roughness is 'x'; expected a GGX alpha"),
+        (("metadata", "roughness"), -1, "metadata.roughness is -1; expected a GGX alpha"),
+        (("metadata", "up"), "zzz", "metadata.up is 'zzz'; expected 'y' or 'z'"),
+        (("metadata", "normals"), "zzz", "metadata.normals is 'zzz'; expected 'face' or 'vertex'"),
+        (("metadata", "unit"), None, "metadata.unit is None; expected text"),
+        (("metadata", "training"), [1], "metadata.training is .1.; expected a table"),
+        (("metadata", "training"), {"relative_rmse": 1}, "metadata.training.relative_rmse is 1; expected a table"),
+        (("output_scale",), 1e300, "output_scale positive and finite in float32; found .*1e.300"),
+        (("box_side",), 1e300, "output_scale positive and finite in float32; found .*1e.300"),
+        (("settings", "position_spread"), np.nan, "position_spread must be finite in float32, found nan"),
+        (("interior", "spacing"), 1e300, "interior: corner and extent, in box sides, and eta must be at most 5"),
+    ],
+)
+def test_wrong_values_of_the_description_are_refused(
+    tmp_path: Path, keys: tuple[str, ...], value: object, message: str
+) -> None:
+    path = tmp_path / "model.pt"
+    metadata = {"up": "z", "unit": "cm", "eta": 1.3, "roughness": 0, "normals": "vertex", "training": {}}
+    save_model(NeuralBSSRDF(PRESETS["measured"], interior=rough_interior(8), metadata=metadata), path)
+    assert load_model(path).metadata == metadata
+    content = torch.load(path, weights_only=True)
+    head = json.loads(content["prtbake"])
+    table = head[keys[0]] if len(keys) == 2 else head
+    table[keys[-1]] = value
+    torch.save(content | {"prtbake": json.dumps(head)}, path)
+    with pytest.raises(ModelError, match=rf"model\.pt: .*{message}"):
+        load_model(path)
+
+
 @pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
 def test_other_files_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"model{suffix}"
