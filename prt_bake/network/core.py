@@ -56,7 +56,8 @@ class NetworkCore(nn.Module):
         networks that average features along the view ray (settings.ray_samples > 0). The weights follow He et al. 2015;
         they and G depend only on settings.seed.
 
-        Raises ModelError if the box or the output_scale is not finite in float32, or if an interior is missing or not used.
+        Raises ModelError if the box or output_scale is not finite in float32, or if an interior is missing or not
+        used.
         """
         super().__init__()
         self.settings = settings or NetworkSettings()

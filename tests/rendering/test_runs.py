@@ -163,6 +163,35 @@ def test_a_damaged_checkpoint_is_refused(scene: Scene, tmp_path: Path) -> None:
             read_checkpoint(path, {})
 
 
+WRONG_SUMS = {
+    "found passes 0": {"passes": 0},
+    "found passes -3": {"passes": -3},
+    "found passes 2, walks -1": {"walks": -1},
+    "seconds nan": {"seconds": float("nan")},
+    "coverage is up to 2; expected at most 1, the number of passes": {"passes": 1},
+    "radiance has values that are negative or not finite": {"radiance": np.full((8, 8, 3), np.nan)},
+    r"radiance has shape \[4, 8, 3\]": {"radiance": np.zeros((4, 8, 3))},
+    r"squares has shape \[8, 8\]": {"squares": np.zeros((8, 8))},
+    "squares has values that are negative or not finite": {"squares": np.full((8, 8, 3), -1.0)},
+    "coverage has values that are negative or not finite": {"coverage": np.full((8, 8), -1.0)},
+    r"coverage has shape \[8, 2\]; expected \[8, 8\]": {"coverage": np.zeros((8, 2))},
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG_SUMS)
+def test_sums_that_no_passes_have_are_refused(scene: Scene, tmp_path: Path, sentence: str) -> None:
+    path = tmp_path / "a.render.npz"
+    render(scene, checkpoint=path, stop=after(2))
+    with np.load(path) as file:
+        arrays = dict(file)
+    head = json.loads(str(arrays["head"]))
+    for name, value in WRONG_SUMS[sentence].items():
+        (arrays if isinstance(value, np.ndarray) else head["numbers"])[name] = value
+    np.savez(path, **arrays | {"head": np.array(json.dumps(head))})
+    with pytest.raises(FormatError, match=rf"a\.render\.npz: is damaged: .*{sentence}"):
+        render(scene, checkpoint=path, resume=True)
+
+
 COMMAND = ["render", "scene.toml", "sphere.ply", "--size", "12x10"]
 
 
