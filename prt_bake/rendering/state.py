@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from formats.atomic import replacing
 from formats.errors import FormatError
+from formats.json_values import is_number
 from formats.npz import read_arrays
 
 Array = NDArray[np.float64]
@@ -127,8 +128,18 @@ def stored_identity(path: Path) -> dict[str, Any]:
 
 
 def stored_limits(path: Path) -> dict[str, Any]:
-    """The limits (spp, error, minutes) of the checkpoint's last run; empty if the file cannot be read."""
-    return _read_head(path, "asked")
+    """The limits (spp, error, minutes) of the checkpoint's last run; empty if the file cannot be read.
+
+    Raises FormatError if one is not a number from 0 on.
+    """
+    limits = _read_head(path, "asked")
+    for name, value in limits.items():
+        if value is not None and not (is_number(value) and value >= 0.0):
+            raise FormatError(
+                f"{path}: is damaged: {name} of its last run is {value!r}; expected a number from 0 on; render without "
+                "--resume"
+            )
+    return limits
 
 
 def _read_head(path: Path, part: str) -> dict[str, Any]:
@@ -164,8 +175,8 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
             f"{path}: belongs to another picture: {differences}; repeat the original arguments, or render "
             "without --resume"
         )
-    for fault in _sum_faults(sums, identity.get("size", sums.coverage.shape[1::-1])):
-        raise FormatError(f"{path}: is damaged: {fault}; render without --resume")
+    for sentence in _sum_faults(sums, identity.get("size", sums.coverage.shape[1::-1])):
+        raise FormatError(f"{path}: is damaged: {sentence}; render without --resume")
     return sums
 
 

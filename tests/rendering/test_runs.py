@@ -16,7 +16,7 @@ from formats.scene import Scene, read_scene
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.lighting import Lighting
 from prt_bake.rendering.scene import SHOWS, Rendering, render_scene
-from prt_bake.rendering.state import checkpoint_path, read_checkpoint
+from prt_bake.rendering.state import Sums, checkpoint_path, read_checkpoint, stored_limits, write_checkpoint
 from tests.cli.command_line import Run
 from tests.rendering.pictures import WHITE, front, make_scene, uneven_sky
 
@@ -190,6 +190,15 @@ def test_sums_that_no_passes_have_are_refused(scene: Scene, tmp_path: Path, sent
     np.savez(path, **arrays | {"head": np.array(json.dumps(head))})
     with pytest.raises(FormatError, match=rf"a\.render\.npz: is damaged: .*{sentence}"):
         render(scene, checkpoint=path, resume=True)
+
+
+def test_a_limit_of_the_last_run_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.render.npz"
+    write_checkpoint(path, Sums.empty(2, 2), {}, {"spp": 8, "error": None})
+    assert stored_limits(path) == {"spp": 8, "error": None}
+    write_checkpoint(path, Sums.empty(2, 2), {}, {"spp": "x", "error": None})
+    with pytest.raises(FormatError, match=r"a\.render\.npz: is damaged: spp of its last run is 'x'"):
+        stored_limits(path)
 
 
 COMMAND = ["render", "scene.toml", "sphere.ply", "--size", "12x10"]
