@@ -25,10 +25,7 @@ _STARTS = (
     (0, b"\xabKTX", "KTX"),
 )
 """Offset, bytes and kind."""
-_TEXTS = (
-    (b"version https://git-lfs", "a pointer of Git LFS; run `git lfs pull`"),
-    (b"<", "a web page; download it again"),
-)
+_TEXTS = ((b"version https://git-lfs", "a pointer of Git LFS; run `git lfs pull`"), (b"<", "a web page; download it again"))
 
 
 def refuse_other_kinds(path: str | os.PathLike[str], expected: str) -> None:
