@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from formats.image import read_image, write_image
@@ -100,6 +101,22 @@ def test_an_invalid_error_layer_is_reported(prtbake: Run, tmp_path: Path, bad: f
     outcome = prtbake("compare", path, save(tmp_path, "b.exr", picture()), "--json")
     assert outcome.code == 0
     assert "n.exr: 3 of 2304 values of its error layer are negative or not finite" in outcome.err.replace("\n", " ")
+    assert "noise_free" not in json.loads(outcome.out)
+
+
+@pytest.mark.parametrize(
+    ("channels", "sentence"),
+    [("R", "error.R without error.G and error.B"), ("RG", "error.R and error.G without error.B")],
+)
+def test_an_error_layer_without_some_channels_is_reported(
+    prtbake: Run, tmp_path: Path, channels: str, sentence: str
+) -> None:
+    layers = {f"error.{channel}": np.full(SHAPE[:2], 0.1, np.float32) for channel in channels}
+    pixels = {"RGB": np.ascontiguousarray(picture(1), np.float32), **layers}
+    OpenEXR.File({"prtbake.passes": "8"}, pixels).write(str(tmp_path / "n.exr"))
+    outcome = prtbake("compare", tmp_path / "n.exr", save(tmp_path, "b.exr", picture()), "--json")
+    assert outcome.code == 0
+    assert f"n.exr: its error layer has {sentence}; the metrics" in outcome.err.replace("\n", " ")
     assert "noise_free" not in json.loads(outcome.out)
 
 
