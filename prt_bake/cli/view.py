@@ -97,18 +97,10 @@ def view(
         if screenshot is None and not canvas.on_display:
             raise QueryError(f"view: {_WITHOUT_DISPLAY}")
         canvas.open()
-        baked = reading.result()
-        _refuse_failed_selftest(baked, asset)
-        opened = _open(baked, options, screenshot is not None)
+        opened = _open(reading.result(), options, screenshot is not None)
     for remark in _remarks(opened.preview):
         say(f"{asset}: {remark}")
     _show(window, canvas, opened, asset.name, screenshot, compare)
-
-
-def _refuse_failed_selftest(baked: "Asset", path: Path) -> None:
-    from prt_bake.shading.selftest import refuse_failed_selftest
-
-    refuse_failed_selftest(baked, path)
 
 
 class _Options(NamedTuple):

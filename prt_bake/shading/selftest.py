@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from formats.asset import Asset
-from formats.errors import AssetError
+from formats.errors import warn
 from prt_bake.mathematics import sphere
 from prt_bake.shading.reconstruction import reconstruct
 
@@ -13,10 +13,10 @@ _TOLERANCE = 1e-3
 """Relative to the largest radiance of the self-test: directions are float32 and coefficients usually float16."""
 
 
-def refuse_failed_selftest(asset: Asset, path: str | Path) -> None:
-    """Raise AssetError if the self-test of the asset in the file `path` fails; assets without one pass."""
+def warn_of_failed_selftest(asset: Asset, path: str | Path) -> None:
+    """Warn if the self-test of the asset in the file `path` fails; assets without one pass."""
     if (fault := selftest_fault(asset)) is not None:
-        raise AssetError(f"{path}: {fault}")
+        warn(f"{path}: {fault}")
 
 
 def selftest_fault(asset: Asset) -> str | None:

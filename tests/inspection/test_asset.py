@@ -43,19 +43,17 @@ def test_inconsistent_contents_are_faults(prtbake: Run, baked: Path, change, sen
     assert str(baked) in printed
 
 
-@pytest.mark.parametrize("command", ["shade", "compress", "view"])
-def test_coefficients_in_another_order_are_refused(prtbake: Run, baked: Path, tmp_path: Path, command: str) -> None:
+@pytest.mark.parametrize("command", ["shade", "compress"])
+def test_coefficients_in_another_order_are_a_warning(prtbake: Run, baked: Path, tmp_path: Path, command: str) -> None:
     with h5py.File(baked, "r+") as file:
         file["transfer/coefficients"][...] = file["transfer/coefficients"][...][::-1]
     options = {
         "shade": ["--light", "sky.exr", "-o", tmp_path / "a.exr"],
         "compress": ["-o", tmp_path / "c.h5"],
-        "view": ["--screenshot", tmp_path / "a.png"],
     }
     outcome = prtbake(command, baked, *options[command])
-    assert outcome.code == 1
-    assert f"{baked}: /selftest: its radiance differs" in outcome.err
-    assert "Traceback" not in outcome.err
+    assert outcome.code == 0
+    assert f"prtbake: warning: {baked}: /selftest: its radiance differs" in outcome.err
 
 
 @pytest.mark.parametrize("part", ["mesh", "positions", "faces", "origin"])
