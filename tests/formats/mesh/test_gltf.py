@@ -1,6 +1,5 @@
 """glTF: the same triangles by different features of the format, and by trimesh where it reads them."""
 
-import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,7 @@ import pytest
 from formats.errors import InputWarning
 from formats.mesh import open_edges, read_mesh, signed_volume
 from formats.mesh.gltf import read_gltf
-from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, corners, refused, tetrahedron
+from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, corners, tetrahedron
 from tests.formats.mesh.test_mesh import sphere_mesh
 
 TURN = [0.1, 0.2, 0.3, float(np.sqrt(0.86))]
@@ -328,27 +327,6 @@ def test_hidden_nodes_hide_their_children(tmp_path):
     assert len(read_gltf(builder.write(tmp_path / "hidden.glb")).faces) == 4
 
 
-def test_a_file_that_shows_no_mesh_says_why(tmp_path):
-    builder = tetrahedron(name="Cow", extensions={"KHR_node_visibility": {"visible": False}})
-    path = tmp_path / "nothing.glb"
-    found = "nodes[0] ('Cow'), the only node with a mesh, is hidden by KHR_node_visibility; make the object visible"
-    assert refused(builder.write(path)).startswith(found)
-    builder.node(root=False, mesh=0)
-    builder.json["nodes"][0]["children"] = [1]
-    found = "all 2 nodes with meshes, the first is nodes[0] ('Cow'), are hidden by KHR_node_visibility; make the object"
-    assert refused(builder.write(path)).startswith(found)
-    del builder.json["nodes"][0]["extensions"], builder.json["nodes"][0]["mesh"]
-    builder.json["scenes"] = [{"nodes": []}, {"nodes": [0]}]
-    found = "the default scene shows no mesh, but nodes[1] in scenes[1] has one; add the object to the default scene"
-    assert refused(builder.write(path)).startswith(found)
-    builder.json["scenes"] = [{}]
-    assert "nodes[1] in no scene has one" in refused(builder.write(path))
-    del builder.json["nodes"][1]["mesh"]
-    assert refused(builder.write(path)).startswith("no node shows a mesh, though the file has 1; add the object")
-    builder.json["meshes"] = []
-    assert refused(builder.write(path)).startswith("has no faces; expected triangles in its scene")
-
-
 @pytest.mark.parametrize("scale", [(1, 2, 3), (-1, 2, 3), (-1, -2, -3)])
 def test_normals_are_perpendicular_to_the_scaled_surface(tmp_path, scale):
     soup = read_gltf(textured(rotation=TURN, scale=scale, translation=[1, 2, 3]).write(tmp_path / "ball.glb"))
@@ -406,66 +384,6 @@ def test_the_default_scene_is_read(tmp_path):
         assert len(read_gltf(builder.write(tmp_path / "all.glb")).faces) == 8
 
 
-def test_textures_are_used_with_their_coordinates(tmp_path):
-    builder = GltfBuilder()
-    first, second = np.arange(8).reshape(4, 2) / 8, np.arange(8)[::-1].reshape(4, 2) / 8
-    sets = {"TEXCOORD_0": builder.accessor(first), "TEXCOORD_1": builder.accessor(second)}
-    builder.node(mesh=builder.mesh({**builder.solid(**sets), "material": 0}))
-    quadrant = {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]}
-    builder.json["materials"] = [{"normalTexture": {"index": 0, "texCoord": 1}}]
-    soup = read_gltf(builder.write(tmp_path / "second.glb"))
-    assert soup.corner_uv is not None
-    np.testing.assert_allclose(soup.corner_uv, (second * [1, -1] + [0, 1])[FACES], atol=1e-15)
-    # The first example of the extension: the lower left quarter of the image, turned by a right angle.
-    texture = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {**quadrant, "texCoord": 0}}}
-    builder.json["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]
-    with pytest.warns(InputWarning, match="KHR_texture_transform is applied"):
-        soup = read_gltf(builder.write(tmp_path / "quarter.glb"))
-    u, v = first.T
-    assert soup.corner_uv is not None
-    np.testing.assert_allclose(soup.corner_uv, np.stack([v / 2, u / 2], axis=1)[FACES], atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    ("core", "keys", "read"),
-    [
-        ({}, {"KHR_materials_volume": ["thicknessTexture"]}, "in the extension"),
-        (
-            {},
-            {"KHR_materials_transmission": [], "KHR_materials_pbrSpecularGlossiness": ["diffuseTexture"]},
-            "extension",
-        ),
-        ({"occlusionTexture": {"index": 0}}, {"KHR_materials_sheen": ["sheenColorTexture"]}, "core, with a warning"),
-        ({"pbrMetallicRoughness": {"metallicRoughnessTexture": {"index": 0}}}, {"ACME": ["aTexture"]}, "core"),
-        ({}, {"ACME": ["colour", "textures"]}, "none"),
-    ],
-)
-def test_textures_of_extensions_follow_those_of_the_core(tmp_path, core, keys, read):
-    builder = GltfBuilder()
-    uv = np.arange(8).reshape(4, 2) / 8
-    sets = {f"TEXCOORD_{k}": builder.accessor(uv + k) for k in range(2)}
-    builder.node(mesh=builder.mesh({**builder.solid(**sets), "material": 0}))
-    texture = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {"offset": [0, 0], "scale": [16, 1]}}}
-    factors = {"thicknessFactor": 1, "textures": 3, "emptyTexture": 0}
-    extensions = {name: {**factors, **dict.fromkeys(names, texture)} for name, names in keys.items()}
-    builder.json["materials"] = [{**core, "extensions": extensions}]
-    path = builder.write(tmp_path / "extension.glb")
-    warned = {"core": "", "none": "", "core, with a warning": "different coordinates, the first one's are read"}
-    sentence = warned.get(read, "KHR_texture_transform is applied to the texture coordinates")
-    with pytest.warns(InputWarning, match=sentence) if sentence else contextlib.nullcontext():
-        soup = read_gltf(path)
-    moved = (uv + 1) * [16, 1] if "extension" in read else uv
-    assert soup.corner_uv is not None
-    np.testing.assert_allclose(soup.corner_uv, (moved * [1, -1] + [0, 1])[FACES], atol=1e-15)
-
-
-def test_a_damaged_texture_of_an_extension_is_named(tmp_path):
-    builder = tetrahedron()
-    builder.json["materials"] = [{"extensions": {"KHR_materials_volume": {"thicknessTexture": {"texCoord": -1}}}}]
-    place = "materials[0].extensions.KHR_materials_volume.thicknessTexture.texCoord: expected 0 or more, found -1"
-    assert place in refused(builder.write(tmp_path / "damaged.glb"))
-
-
 def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
     builder = GltfBuilder()
     mesh = builder.mesh(builder.solid())
@@ -473,13 +391,3 @@ def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
     builder.node(root=False, mesh=mesh)
     builder.json["scenes"][0]["nodes"] = chain[:1]
     assert read_gltf(builder.write(tmp_path / "chain.glb")).positions[:, 0].tolist() == [1500, 1501, 1500, 1500]
-
-
-def test_texture_coordinates_of_different_sets_are_named(tmp_path):
-    builder = GltfBuilder()
-    sets = {f"TEXCOORD_{k}": builder.accessor(np.full((4, 2), k / 4)) for k in range(2)}
-    parts = [{**builder.solid(TETRAHEDRON + 5 * k, **sets), "material": k} for k in range(2)]
-    builder.json["materials"] = [{"emissiveTexture": {"index": 0, "texCoord": k}} for k in range(2)]
-    builder.node(mesh=builder.mesh(*parts))
-    with pytest.warns(InputWarning, match="texture coordinates of different sets, .*: TEXCOORD_0, TEXCOORD_1"):
-        read_gltf(builder.write(tmp_path / "sets.glb"))

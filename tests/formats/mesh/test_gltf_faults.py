@@ -300,3 +300,24 @@ def test_damage_gives_a_mesh_or_one_sentence(tmp_path_factory, seed, random_seed
         else:
             assert soup.faces.min() >= 0
             assert soup.faces.max() < len(soup.positions)
+
+
+def test_a_file_that_shows_no_mesh_says_why(tmp_path):
+    builder = tetrahedron(name="Cow", extensions={"KHR_node_visibility": {"visible": False}})
+    path = tmp_path / "nothing.glb"
+    found = "nodes[0] ('Cow'), the only node with a mesh, is hidden by KHR_node_visibility; make the object visible"
+    assert refused(builder.write(path)).startswith(found)
+    builder.node(root=False, mesh=0)
+    builder.json["nodes"][0]["children"] = [1]
+    found = "all 2 nodes with meshes, the first is nodes[0] ('Cow'), are hidden by KHR_node_visibility; make the object"
+    assert refused(builder.write(path)).startswith(found)
+    del builder.json["nodes"][0]["extensions"], builder.json["nodes"][0]["mesh"]
+    builder.json["scenes"] = [{"nodes": []}, {"nodes": [0]}]
+    found = "the default scene shows no mesh, but nodes[1] in scenes[1] has one; add the object to the default scene"
+    assert refused(builder.write(path)).startswith(found)
+    builder.json["scenes"] = [{}]
+    assert "nodes[1] in no scene has one" in refused(builder.write(path))
+    del builder.json["nodes"][1]["mesh"]
+    assert refused(builder.write(path)).startswith("no node shows a mesh, though the file has 1; add the object")
+    builder.json["meshes"] = []
+    assert refused(builder.write(path)).startswith("has no faces; expected triangles in its scene")
