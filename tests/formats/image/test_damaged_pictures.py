@@ -49,8 +49,8 @@ def test_damaged_remarks_and_bytes_after_the_end_of_a_png_do_no_harm(tmp_path: P
 
 
 def coded(row: np.ndarray, width: int) -> bytes:
-    """A row [W,4] of bytes in literals of at most 128, under a marker of `width`."""
-    planes = (row[first : first + 128, channel].tobytes() for channel in range(4) for first in range(0, len(row), 128))
+    """A row [W,4] of bytes in literals of 16, under a marker of `width`."""
+    planes = (row[first : first + 16, channel].tobytes() for channel in range(4) for first in range(0, len(row), 16))
     return bytes([2, 2, width >> 8, width & 255]) + b"".join(bytes([len(plane)]) + plane for plane in planes)
 
 
