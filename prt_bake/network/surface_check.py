@@ -111,8 +111,12 @@ class OwnSurface:
             warn(f"{found}; the result is wrong there: train a model on this mesh")
             self._refuse_inward(mesh, off)
             return
-        cause = self._cause(mesh.positions)
-        raise QueryError(f"{found}; {cause or (_UNKNOWN if beyond else _ROUGHLY)}")
+        cause = self._cause(mesh.positions) or (_UNKNOWN if beyond else _ROUGHLY)
+        if cause is _ROUGHLY and off.mean() <= 0.5:
+            warn(f"{found}; {cause}")
+            self._refuse_inward(mesh, off)
+            return
+        raise QueryError(f"{found}; {cause}")
 
     def _refuse_inward(self, mesh: Mesh, off: NDArray[np.bool_]) -> None:
         """Raise QueryError if most normals point into the object, and warn if more than a few on the surface do.

@@ -76,8 +76,13 @@ ROUGH = {
 
 @pytest.mark.parametrize("kind", ROUGH)
 def test_a_mesh_that_follows_the_surface_too_roughly_hears_so(network, spot, kind):
-    with pytest.raises(QueryError, match=r"scene units away; it follows that surface, but too roughly, .*: bake the"):
+    with pytest.warns(InputWarning, match=r"scene units away; it follows that surface, but too roughly, .*: bake the"):
         network.refuse_foreign(build_mesh(ROUGH[kind](spot), spot.faces))
+
+
+def test_a_mesh_that_is_off_the_surface_everywhere_is_refused(network, spot):
+    with pytest.raises(QueryError, match=r"scene units away; it follows that surface, but too roughly, .*: bake the"):
+        network.refuse_foreign(build_mesh(spot.positions + 0.03 * spot.normals, spot.faces))
 
 
 def test_another_object_inside_is_refused(network):
