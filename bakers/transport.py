@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from formats.errors import QueryError
-from formats.mesh import Mesh, refuse_inside_out
+from formats.mesh import Mesh, refuse_inside_out, refuse_two_sides
 
 OUTSIDE = 0.01
 """How far a mesh may leave the model's box, in sides of the box."""
@@ -108,11 +108,12 @@ def transport_property(transport: Any, name: str, default: Any) -> Any:
 
 
 def refuse_foreign(transport: Any, mesh: Mesh) -> None:
-    """Raises MeshError if the mesh is inside out (`formats.mesh.refuse_inside_out`).
+    """Raises MeshError if the mesh is inside out, or has two sides and no normals (`formats.mesh`).
 
     Raises QueryError if the mesh is not the transport's own: if it leaves the box in which a network was trained, or
     if the transport's own method `refuse_foreign` refuses it. Outside its box a network's values are arbitrary.
     """
+    refuse_two_sides(mesh)
     if hasattr(transport, "refuse_foreign"):
         transport.refuse_foreign(mesh)
     refuse_inside_out(mesh)

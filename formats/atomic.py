@@ -118,7 +118,9 @@ def existing(path: str | os.PathLike[str]) -> Path:
         with open(path, "rb"):
             return Path(path)
     except FileNotFoundError as cause:
-        raise StorageError(f"{path}: there is no such file; check the name and the folder") from cause
+        windows = os.sep == "/" and "\\" in os.fsdecode(path)
+        advice = "write / in place of \\ between folders" if windows else "check the name and the folder"
+        raise StorageError(f"{path}: there is no such file; {advice}") from cause
     except IsADirectoryError as cause:
         raise StorageError(f"{path}: is a folder; give the name of a file") from cause
     except OSError as cause:

@@ -5,12 +5,15 @@ Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html, rea
 
 import os
 import re
+import reprlib
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from formats.atomic import existing
 from formats.errors import FormatError
@@ -30,6 +33,30 @@ _SEARCHED = 2**24
 
 class DamagedDataError(OSError):
     """A part of a file that cannot be decompressed; the message names the part."""
+
+
+def attribute(node: Any, name: str) -> Any:
+    """The attribute `name` of an open file, group or dataset.
+
+    An array of one value counts as the value, and bytes as UTF-8 text: other programs write both.
+    """
+    value = node.attrs[name]
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.item()
+    return value.decode(errors="replace") if isinstance(value, bytes) else value
+
+
+def as_float32(values: NDArray[np.floating]) -> NDArray[np.float32]:
+    """The values in float32; those beyond its range become infinite, without a warning."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32, copy=False)
+
+
+def found(value: Any) -> str:
+    """An attribute's value in words, for messages."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {list(value.shape)}"
+    return reprlib.repr(value.item() if isinstance(value, np.generic) else value)
 
 
 def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: str, remedy: str) -> Any:

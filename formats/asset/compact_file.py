@@ -15,6 +15,7 @@ from formats.asset.error_covariance import write_covariance
 from formats.asset.head import write_head
 from formats.asset.record import Asset
 from formats.atomic import replacing
+from formats.hdf5_file import attribute
 from formats.hdf5_sink import Sink
 from formats.interrupts import deferred
 
@@ -62,9 +63,8 @@ def write_compact(asset: Asset, path: str | os.PathLike[str]) -> int:
 def read_compact(group: Any) -> CompactCoefficients:
     """Return the coefficients of an open group /transfer_compact of valid layout."""
     starts, components, values = _read_codes(group)
-    attributes = group.attrs
     return CompactCoefficients(
-        step=float(attributes["step"]),
+        step=float(attribute(group, "step")),
         views=_views(group),
         channels=group["channel_basis"][...].astype(np.float32),
         view_component=group["view_component"][...].astype(np.int64),
@@ -73,10 +73,10 @@ def read_compact(group: Any) -> CompactCoefficients:
         components=components,
         values=values,
         added=AddedError(
-            requested=float(attributes["error_asked"]),
-            total=float(attributes["error"]),
-            percentile_95=float(attributes["error_percentile_95"]),
-            worst=float(attributes["error_worst"]),
+            requested=float(attribute(group, "error_asked")),
+            total=float(attribute(group, "error")),
+            percentile_95=float(attribute(group, "error_percentile_95")),
+            worst=float(attribute(group, "error_worst")),
             per_vertex=group["added_error"][...].astype(np.float32),
         ),
     )
@@ -142,7 +142,9 @@ def _write_transfer(group: Any, asset: Asset) -> None:
         _write_compressed(group, "sector_basis", compact.views.sectors.astype("<f4"))
     else:
         _write_compressed(group, "view_scale", compact.views.scale.astype("<f4"))
-        for d, plane in enumerate(digit_planes(compact.views.codes)):
+        view_planes = digit_planes(compact.views.codes)
+        group.attrs["view_digits"] = len(view_planes)
+        for d, plane in enumerate(view_planes):
             _write_plane(_digits(group, f"view_digits_{d}", plane.shape, plane.shape[1]), plane, 0)
     _write_digits(group, compact)
 
@@ -157,6 +159,7 @@ def _write_digits(group: Any, compact: CompactCoefficients) -> None:
             if d == len(planes):
                 planes.append(_digits(group, f"digits_{d}", shape, columns))
             _write_plane(planes[d], plane, first)
+    group.attrs["digits"] = len(planes)
 
 
 def _digits(group: Any, name: str, shape: tuple[int, int], columns: int) -> Any:

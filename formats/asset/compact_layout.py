@@ -1,9 +1,12 @@
 """The layout of /transfer_compact, and its check: attributes, datasets and values that can be decoded."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+
+from formats.hdf5_file import as_float32, attribute, found
 
 GROUP = "transfer_compact"
 MAX_DIGITS = 4
@@ -34,8 +37,23 @@ def datasets(group: Any) -> Kinds:
 
 
 def digit_names(group: Any, stem: str) -> list[str]:
-    """Return the names of the digit datasets, the lowest first: the lowest, and those in the group."""
-    return [f"{stem}_{d}" for d in range(MAX_DIGITS) if d == 0 or f"{stem}_{d}" in group]
+    """Return the names of the digit datasets, the lowest first, up to the highest in the group.
+
+    The attribute of the name `stem` is their number; files of older programs lack it.
+    """
+    highest = max((d for d in range(MAX_DIGITS) if f"{stem}_{d}" in group), default=0)
+    return [f"{stem}_{d}" for d in range(highest + 1)]
+
+
+def _digit_faults(group: Any, stem: str) -> Iterator[str]:
+    names, stated = digit_names(group, stem), attribute(group, stem) if stem in group.attrs else None
+    if f"{stem}_{MAX_DIGITS}" in group:
+        yield f"/{GROUP}/{stem}_{MAX_DIGITS}: expected at most {MAX_DIGITS} digits"
+    if stated is not None and (isinstance(stated, np.ndarray) or stated != len(names)):
+        yield (
+            f"/{GROUP}: has datasets {names[0]} to {names[-1]}; expected {found(stated)} of them, as its attribute "
+            f"{stem} says"
+        )
 
 
 def decoded_views(group: Any) -> int:
@@ -48,15 +66,15 @@ def decoded_views(group: Any) -> int:
 def value_faults(group: Any) -> Iterator[str]:
     """Yield a sentence for every invalid value in a group of valid layout."""
     for name in ATTRIBUTES[GROUP][2:]:
-        value = np.asarray(group.attrs[name])
+        value = np.asarray(attribute(group, name))
         if value.shape != () or value.dtype.kind != "f" or not (np.isfinite(value) and value >= 0.0):
-            yield f"/{GROUP}: the attribute {name} is {value}; expected a number from 0 on"
+            yield f"/{GROUP}: the attribute {name} is {found(value[()])}; expected a number from 0 on"
     for name in ("added_error", "channel_basis", "ring_basis", "sector_basis", "view_scale"):
-        if name in group and (wrong := ~np.isfinite(group[name][...])).any():
+        if name in group and (wrong := ~np.isfinite(as_float32(group[name][...]))).any():
             yield f"/{GROUP}/{name}: {wrong.sum()} of {wrong.size} values are not finite"
     learned = "view_scale" in group
     views = len(group["view_scale"]) if learned else len(group["ring_basis"]) * len(group["sector_basis"])
-    bins = int(np.prod([group.file["bins"].attrs[name] for name in ("rings", "sectors")]))
+    bins = math.prod(int(attribute(group.file["bins"], name)) for name in ("rings", "sectors"))
     decoded = decoded_views(group)
     if decoded not in (1, bins):
         yield f"/{GROUP}: the view basis has {decoded} bins; expected {bins} or 1"
@@ -74,6 +92,8 @@ def value_faults(group: Any) -> Iterator[str]:
     if descends.any():
         count = f"{descends.sum()} of {len(descends) + 1}"
         yield f"/{GROUP}/channel_component: {count} descend; expected components in ascending order"
+    for stem in ("digits", "view_digits") if learned else ("digits",):
+        yield from _digit_faults(group, stem)
     for name in digit_names(group, "digits") + (digit_names(group, "view_digits") if learned else []):
         if group[name].dtype.itemsize != 1:
             yield f"/{GROUP}/{name} has type {group[name].dtype}; expected digits in one byte, int8"

@@ -17,7 +17,6 @@ with valid = 0 were not baked: their chunks are not written and read as 0. A com
 of /transfer (`compact_file.py`, docs/compression.md).
 """
 
-import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -26,8 +25,9 @@ import numpy as np
 
 from formats.asset import compact_layout, error_covariance
 from formats.asset.head import BASIS, FORMAT, FORMULAS
+from formats.asset.provenance import provenance_faults, pruned_faults
+from formats.hdf5_file import attribute, found
 
-_MISSING = object()
 _ATTRIBUTES = {
     "": ("up", "handedness", "unit", "complete", "left_out"),
     "basis": ("kind", "degree", "order", "sign", "normalisation"),
@@ -62,18 +62,18 @@ _OPTIONAL_DATASETS: dict[str, tuple[str, tuple[str, ...]]] = {
 
 def layout_faults(file: Any) -> Iterator[str]:
     """Yield a sentence for every attribute or dataset of an open asset that is missing or invalid."""
-    if file.attrs.get("format") != FORMAT:
-        yield f"is not an asset of prtbake: expected the attribute format = '{FORMAT}'"
+    form, version = (
+        attribute(file, name) if name in file.attrs else "missing" for name in ("format", "format_version")
+    )
+    if not _is(form, FORMAT):
+        yield f"is not an asset of prtbake: expected the attribute format = '{FORMAT}', found {found(form)}"
         return
-    version = str(file.attrs.get("format_version", "missing"))
+    version = found(version) if isinstance(version, np.ndarray) else str(version)
     if version.split(".")[0] != "1":
         yield f"has format_version {version}; this program reads 1.x; use a newer version of prtbake"
         return
-    missing = list(_missing_attributes(file))
-    yield from missing
-    if not missing:
-        yield from _attribute_faults(file)
-        yield from _dataset_faults(file)
+    faults = list(_missing_attributes(file)) or list(_attribute_faults(file))
+    yield from faults or _dataset_faults(file)
 
 
 def transfer_group(file: Any) -> str:
@@ -95,30 +95,38 @@ def _missing_attributes(file: Any) -> Iterator[str]:
 
 def _attribute_faults(file: Any) -> Iterator[str]:
     for name, allowed in {"up": ("y", "z"), "handedness": ("right",), "complete": (0, 1)}.items():
-        if file.attrs[name] not in allowed:
-            yield f"the attribute {name} is {file.attrs[name]!r}; expected {' or '.join(map(repr, allowed))}"
+        value = attribute(file, name)
+        if not any(_is(value, choice) for choice in allowed):
+            yield f"the attribute {name} is {found(value)}; expected {' or '.join(map(repr, allowed))}"
     for name, expected in BASIS.items():
-        if (found := file["basis"].attrs[name]) != expected:
-            yield f"/basis: the attribute {name} is {str(found)!r}; expected {expected!r}; bake it again"
+        if not _is(value := attribute(file["basis"], name), expected):
+            yield f"/basis: the attribute {name} is {found(value)}; expected {expected!r}; bake it again"
     for group, name in (("basis", "degree"), ("bins", "rings"), ("bins", "sectors")):
-        value = np.asarray(file[group].attrs[name])
+        value = np.asarray(attribute(file[group], name))
         least = 0 if name == "degree" else 1
         if value.shape != () or value.dtype.kind not in "iu" or not least <= value <= 10**5:
-            yield f"/{group}: the attribute {name} is {value}; expected an integer from {least} on"
+            yield f"/{group}: the attribute {name} is {found(value[()])}; expected an integer from {least} on"
     group = transfer_group(file)
-    if file[group].attrs["quantity"] not in FORMULAS:
-        yield f"/{group}: quantity is {file[group].attrs['quantity']!r}; expected {' or '.join(FORMULAS)}"
-    if not isinstance(_json(file.attrs["left_out"]), list):
-        yield "the attribute left_out is not a JSON list"
+    if not any(_is(attribute(file[group], "quantity"), quantity) for quantity in FORMULAS):
+        yield f"/{group}: quantity is {found(attribute(file[group], 'quantity'))}; expected {' or '.join(FORMULAS)}"
+    for path, name in (("/", "unit"), (f"/{group}", "folded_in")):
+        if not isinstance(value := attribute(file[path], name), str):
+            yield f"{path}: the attribute {name} is {found(value)}; expected text"
+    yield from pruned_faults(attribute(file, "left_out"))
+
+
+def _is(value: Any, expected: str | int) -> bool:
+    """Whether an attribute has the value; arrays have not."""
+    return not isinstance(value, np.ndarray) and bool(value == expected)
 
 
 def _dataset_faults(file: Any) -> Iterator[str]:
     lengths = {
-        "K": (int(file["basis"].attrs["degree"]) + 1) ** 2,
-        "B": int(file["bins"].attrs["rings"]) * int(file["bins"].attrs["sectors"]),
-        "rings": int(file["bins"].attrs["rings"]),
-        "sectors": int(file["bins"].attrs["sectors"]),
+        "K": (int(attribute(file["basis"], "degree")) + 1) ** 2,
+        "rings": int(attribute(file["bins"], "rings")),
+        "sectors": int(attribute(file["bins"], "sectors")),
     }
+    lengths["B"] = lengths["rings"] * lengths["sectors"]
     selftest = {f"selftest/{name}" for name in file.get("selftest", ())}
     compact = transfer_group(file) == compact_layout.GROUP
     transfer = compact_layout.datasets(file[compact_layout.GROUP]) if compact else _PLAIN_DATASETS
@@ -139,8 +147,9 @@ def _dataset_faults(file: Any) -> Iterator[str]:
         if len(shape) != len(axes) or not all(_fits(axis, n, lengths) for axis, n in zip(axes, shape, strict=True)):
             expected = ", ".join(_describe_axis(axis, lengths) for axis in axes)
             yield f"/{name} has shape {list(shape or ())}; expected [{expected}]"
-    if isinstance(text := file.get("provenance/json"), h5py.Dataset) and not isinstance(_json(text[()]), dict):
-        yield "/provenance/json is not a JSON object"
+    text = file.get("provenance/json")
+    if isinstance(text, h5py.Dataset) and text.shape == ():
+        yield from provenance_faults(text[()])
 
 
 def _fits(axis: str, length: int, lengths: dict[str, int]) -> bool:
@@ -155,10 +164,3 @@ def _describe_axis(axis: str, lengths: dict[str, int]) -> str:
     return " or ".join(
         choice if choice.isdigit() else f"{choice} = {lengths.get(choice, 'any')}" for choice in axis.split("|")
     )
-
-
-def _json(text: Any) -> Any:
-    try:
-        return json.loads(text)
-    except (ValueError, TypeError):
-        return _MISSING

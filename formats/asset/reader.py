@@ -17,11 +17,19 @@ from formats.asset.head import mesh_digest
 from formats.asset.layout import layout_faults, transfer_group
 from formats.asset.record import Asset
 from formats.errors import AssetError
-from formats.hdf5_file import HDF5_ERRORS, DamagedDataError, describe_damage, first_fault, open_hdf5
+from formats.hdf5_file import (
+    HDF5_ERRORS,
+    DamagedDataError,
+    as_float32,
+    attribute,
+    describe_damage,
+    first_fault,
+    open_hdf5,
+)
 from formats.mesh import Mesh
 
 _BLOCK_BYTES = 2**26
-_UNIT_TOLERANCE = 1e-3  # accepts normals that another writer stored as float16
+_UNIT_TOLERANCE = 1e-3  # accepts unit vectors that another writer stored as float16
 
 
 def read_asset(path: str | os.PathLike[str], *, load: bool = True) -> Asset:
@@ -101,6 +109,7 @@ def _faults(file: Any) -> Iterator[str]:
         return
     for name in ("mesh/positions", "basis/check_directions", "basis/check_values", "bins/directions"):
         yield from _finite_faults(file, name)
+    yield from _bin_faults(file["bins"])
     origin = np.asarray(file["mesh/positions"].attrs.get("origin", np.zeros(3)))
     if origin.shape != (3,) or origin.dtype.kind != "f" or not np.isfinite(origin).all():
         yield "/mesh/positions: the attribute origin is not a finite point"
@@ -115,11 +124,13 @@ def _faults(file: Any) -> Iterator[str]:
     yield from _row_faults("mesh/faces", outside, "out of the range of vertices")
     group = transfer_group(file)
     valid = file[f"{group}/valid"][...].astype(bool)
-    errors = file[f"{group}/standard_error"][...]
-    yield from _row_faults(f"{group}/standard_error", valid & ~(errors >= 0).all(axis=1), "negative or NaN")
+    errors = as_float32(file[f"{group}/standard_error"][...])
+    wrong = valid & ~((errors >= 0) & np.isfinite(errors)).all(axis=1)
+    yield from _row_faults(f"{group}/standard_error", wrong, "negative or not finite")
     if group == GROUP:
         yield from value_faults(file[GROUP])
-    terms = 1 if file[group].attrs["quantity"] == "radiance" else (int(file["basis"].attrs["degree"]) + 1) ** 2
+    made_for_one_light = attribute(file[group], "quantity") == "radiance"
+    terms = 1 if made_for_one_light else (int(attribute(file["basis"], "degree")) + 1) ** 2
     yield from covariance_faults(file[group], vertices, terms)
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
@@ -128,10 +139,20 @@ def _faults(file: Any) -> Iterator[str]:
             yield from _finite_faults(file, name)
 
 
+def _bin_faults(group: Any) -> Iterator[str]:
+    """Compare the bins' directions with the centres in (cosθ, φ) that follow from rings and sectors."""
+    rings, sectors = int(attribute(group, "rings")), int(attribute(group, "sectors"))
+    cosine = np.repeat(1.0 - (np.arange(rings) + 0.5) / rings, sectors)
+    phi = np.tile(2.0 * np.pi * (np.arange(sectors) + 0.5) / sectors, rings)
+    sine = np.sqrt(1.0 - cosine**2)
+    centres = np.stack([sine * np.cos(phi), sine * np.sin(phi), cosine], axis=-1)
+    near = (np.abs(group["directions"][...] - centres) < _UNIT_TOLERANCE).all(axis=1)
+    yield from _row_faults("bins/directions", ~near, f"not the centres of {rings} rings of {sectors} sectors")
+
+
 def _mesh_faults(group: Any) -> Iterator[str]:
     """Check the hash of the mesh: coefficients on vertices in another order would give silently wrong pictures."""
-    stored = group.attrs.get("sha256")
-    if stored is not None and stored != mesh_digest(group):
+    if "sha256" in group.attrs and str(attribute(group, "sha256")) != mesh_digest(group):
         yield "/mesh: is not the mesh that was baked, or its vertices are in another order; bake it again"
 
 
@@ -172,15 +193,20 @@ def _coefficient_faults(file: Any) -> Iterator[str]:
     valid = transfer["valid"][...].astype(bool)
     wrong = np.zeros(len(valid), np.bool_)
     for rows, block in _blocks(transfer):
-        wrong[rows] = valid[rows] & ~_is_finite(block)
+        wrong[rows] = valid[rows] & ~_is_finite(_as_loaded(block))
     yield from _nan_faults(wrong)
+
+
+def _as_loaded(block: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Coefficients as they are in memory: in float16 if the file has them in 16 bits, else in float32."""
+    return block.astype(np.float16) if block.dtype.itemsize == 2 else as_float32(block)
 
 
 def _nan_faults(wrong: NDArray[np.bool_]) -> Iterator[str]:
     if wrong.any():
         yield (
-            f"/transfer/coefficients: {wrong.sum()} of {len(wrong)} vertices have NaN or infinite values, the first is "
-            f"vertex {wrong.argmax()}"
+            f"/transfer/coefficients: {wrong.sum()} of {len(wrong)} vertices have NaN or infinite values in float32, "
+            f"the first is vertex {wrong.argmax()}"
         )
 
 
@@ -202,22 +228,22 @@ def _asset(file: Any, load: bool) -> Asset:
     return Asset(
         mesh=_mesh(mesh),
         tangents=mesh["tangents"][...].astype(np.float64),
-        rings=int(file["bins"].attrs["rings"]),
-        sectors=int(file["bins"].attrs["sectors"]),
+        rings=int(attribute(file["bins"], "rings")),
+        sectors=int(attribute(file["bins"], "sectors")),
         directions=file["bins/directions"][...].astype(np.float64),
-        degree=int(file["basis"].attrs["degree"]),
+        degree=int(attribute(file["basis"], "degree")),
         check_directions=file["basis/check_directions"][...].astype(np.float64),
         check_values=file["basis/check_values"][...].astype(np.float64),
-        up=file.attrs["up"],
-        handedness=file.attrs["handedness"],
-        unit=file.attrs["unit"],
-        quantity=transfer.attrs["quantity"],
-        folded_in=transfer.attrs["folded_in"],
-        left_out=json.loads(file.attrs["left_out"]),
+        up=attribute(file, "up"),
+        handedness=attribute(file, "handedness"),
+        unit=attribute(file, "unit"),
+        quantity=attribute(transfer, "quantity"),
+        folded_in=attribute(transfer, "folded_in"),
+        left_out=json.loads(attribute(file, "left_out")),
         coefficients=coefficients,
         standard_error=transfer["standard_error"][...].astype(np.float32),
         valid=valid,
-        complete=bool(file.attrs["complete"]),
+        complete=bool(attribute(file, "complete")),
         provenance=json.loads(file["provenance/json"][()]),
         error_vs_time=file["provenance/error_vs_time"][...].astype(np.float64),
         selftest={name: selftest[name][...] for name in selftest},
@@ -245,18 +271,17 @@ def _mesh(group: Any) -> Mesh:
 
 def _load(path: str, transfer: Any, valid: NDArray[np.bool_]) -> NDArray[np.floating]:
     dataset = transfer["coefficients"]
-    kind = np.float16 if dataset.dtype.itemsize == 2 else np.float32
-    coefficients = np.zeros(dataset.shape, kind)
+    coefficients = np.zeros(dataset.shape, np.float16 if dataset.dtype.itemsize == 2 else np.float32)
     finite = np.ones(len(valid), np.bool_)
 
     def check(rows: slice) -> None:
         finite[rows] = _is_finite(coefficients[rows])
 
-    if can_read_chunks(dataset):
+    if dataset.dtype == coefficients.dtype and can_read_chunks(dataset):
         read_chunks(dataset, coefficients, check)
     else:
         for rows, block in _blocks(transfer):
-            coefficients[rows] = block
+            coefficients[rows] = _as_loaded(block)
             check(rows)
     for fault in _nan_faults(valid & ~finite):
         raise AssetError(f"{path}: {fault}")

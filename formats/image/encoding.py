@@ -47,6 +47,8 @@ def encoding_of(path: str | os.PathLike[str], stored: Stored) -> Encoding:
         warn(f"{path}: stores CMYK; it is converted to RGB without a colour profile: save it in sRGB")
     if stored.gain_map:
         warn(f"{path}: its gain map for HDR displays is ignored, so that highlights end at white; save it as .exr")
+    if (exposure := stored.info.get("exposure", "0 EV")) != "0 EV":
+        warn(f"{path}: was written with an exposure of {printable(str(exposure))}; its values are read as displayed")
     if stored.cicp is not None:
         return _of_cicp(path, stored.cicp)
     if (profile := stored.info.get("icc_profile")) and not stored.cmyk:

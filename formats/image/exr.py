@@ -57,9 +57,14 @@ def read_colour(colour: ExrColour) -> NDArray[np.float32]:
     return _to_display_window(_stack(_read_channels(colour), colour.names), colour.part)
 
 
+def read_exr_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Read an OpenEXR image as data, float64 [H,W,3]: as `read_exr`, or its only channel, whatever its name."""
+    return read_colour(open_colour(path, data=True)).astype(np.float64)
+
+
 def read_exr_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
-    """Read the alpha [H,W] of the colour that `read_exr` reads, as stored, or None; raises as `read_exr`."""
-    colour = open_colour(path)
+    """Read the alpha [H,W] of the colour that `read_exr_data` reads, as stored, or None; raises as `read_exr`."""
+    colour = open_colour(path, data=True)
     channels = _read_channels(colour)
     if colour.alpha not in channels:
         return None

@@ -73,14 +73,18 @@ class _Candidate:
     rank: tuple[int, bool]
 
 
-def open_colour(path: str | os.PathLike[str]) -> ExrColour:
+def open_colour(path: str | os.PathLike[str], data: bool = False) -> ExrColour:
     """Read the headers and choose the colour; a warning names a layer that was chosen by its name.
+
+    As `data`, the only channel of a file is read whatever its name, such as A.
 
     Raises:
         ImageError: the file is not OpenEXR or damaged; it has no colour, or several layers that are equally good.
     """
     parts = read_parts(path)
     candidates = [found for part in parts for found in _candidates(part, several=len(parts) > 1)]
+    if data and not candidates:
+        candidates = _only_channel(parts)
     if not candidates:
         raise _no_colour(path, parts)
     highest = max(candidate.rank for candidate in candidates)
@@ -109,6 +113,16 @@ def _candidates(part: Part, several: bool) -> Iterator[_Candidate]:
             continue
         level = _NAMED if word in _BEAUTY else _OTHER if layer else _WITHOUT_LAYER if several else _DEFAULT
         yield _Candidate(part, names, _label(part, layer, names, several), (level, rgb is not None))
+
+
+def _only_channel(parts: list[Part]) -> list[_Candidate]:
+    """The only channel of the only part; an empty list if there are more, or if it is a depth."""
+    if len(parts) > 1 or parts[0].deep or len(parts[0].sampling) != 1:
+        return []
+    (name,) = parts[0].sampling
+    if name.rpartition(".")[2] == "Z":
+        return []
+    return [_Candidate(parts[0], (name, name, name), f"the channel {printable(name)}", (_DEFAULT, False))]
 
 
 def _rgb(layer: str, channels: Collection[str]) -> tuple[str, str, str] | None:

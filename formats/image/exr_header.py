@@ -10,6 +10,7 @@ from typing import Any
 
 from formats.errors import ImageError
 from formats.image import gamut
+from formats.image.kinds import refuse_other_kinds
 from formats.image.limits import refuse_size
 from formats.image.text import printable
 
@@ -67,7 +68,7 @@ def read_parts(path: str | os.PathLike[str]) -> list[Part]:
     """Read the headers of all parts. Raises ImageError if the file is not OpenEXR, or its header is damaged."""
     import OpenEXR
 
-    _refuse_other_kinds(path)
+    refuse_other_kinds(path, "OpenEXR")
     deep = (OpenEXR.deepscanline, OpenEXR.deeptile)
     with reading(path), OpenEXR.File(os.fspath(path), separate_channels=True, header_only=True) as picture:
         parts = []
@@ -117,7 +118,14 @@ def reading(path: str | os.PathLike[str], place: str = "") -> Iterator[None]:
             yield
     except (ImageError, MemoryError):
         raise
+    except UnicodeDecodeError as cause:
+        raise ImageError(
+            f"{path}: a text or a name in the OpenEXR header is not UTF-8: {cause.object[:40]!r}; rename it, or remove "
+            "it, for example with oiiotool --eraseattrib"
+        ) from cause
     except Exception as cause:  # the binding raises many kinds for damaged files
+        if "unsupported attribute type" in str(cause):
+            raise ImageError(f"{path}: the OpenEXR header has an {cause}; save the picture without it") from cause
         if place:
             raise ImageError(f"{path}: the OpenEXR image is truncated or damaged in {place}; copy it again") from cause
         raise ImageError(f"{path}: cannot be read as OpenEXR: it is truncated or damaged; copy it again") from cause
@@ -139,13 +147,6 @@ def silenced() -> Iterator[None]:
             for stream, copy in zip((1, 2), saved, strict=True):
                 os.dup2(copy, stream)
                 os.close(copy)
-
-
-def _refuse_other_kinds(path: str | os.PathLike[str]) -> None:
-    with open(path, "rb") as file:
-        if (found := file.read(4)) != b"\x76\x2f\x31\x01":
-            start = found.hex(" ") or "nothing"
-            raise ImageError(f"{path}: is not an OpenEXR image: expected the magic number 76 2f 31 01, found {start}")
 
 
 def _window(corners: Any) -> Window:

@@ -38,8 +38,12 @@ class ExrRows:
 
     @property
     def in_rows(self) -> bool:
-        """Whether the binding reads rows of it: the colour is in the first part, and all its pixels are stored."""
-        return self.colour.part.number == 0 and not self.colour.subsampled
+        """Whether rows of it are read: the colour is in the first part, and all its pixels are stored.
+
+        The binding's reader of rows crashes on files with a preview.
+        """
+        part = self.colour.part
+        return part.number == 0 and not self.colour.subsampled and "preview" not in part.header
 
     @property
     def display(self) -> Window:

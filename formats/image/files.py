@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from formats.atomic import existing, replacing
 from formats.errors import ImageError
-from formats.image.exr import Layers, read_exr, read_exr_alpha, read_exr_layers, write_exr
+from formats.image.exr import Layers, read_exr, read_exr_alpha, read_exr_data, read_exr_layers, write_exr
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
 from formats.image.png import read_jpeg, read_jpeg_data, read_png, read_png_alpha, read_png_data, write_png
 from formats.image.rgbe import read_rgbe, refuse_unstorable, write_rgbe
@@ -18,7 +18,7 @@ _READERS: dict[str, Callable[[Path], tuple[NDArray[np.float32], Primaries | None
     **{".exr": read_exr, ".hdr": read_rgbe, ".png": read_png},
     **{".jpg": read_jpeg, ".jpeg": read_jpeg},
 }
-_DATA_READERS = {".png": read_png_data, ".jpg": read_jpeg_data, ".jpeg": read_jpeg_data}
+_DATA_READERS = {".exr": read_exr_data, ".png": read_png_data, ".jpg": read_jpeg_data, ".jpeg": read_jpeg_data}
 READABLE = tuple(_READERS)
 """The suffixes that `read_image` reads."""
 _WRITABLE = (".exr", ".hdr", ".png")
@@ -89,7 +89,8 @@ def read_alpha(path: str | os.PathLike[str]) -> NDArray[np.float32] | None:
 def read_data(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Read an image as data, float64 [H,W,3], row 0 on top: a roughness or a mask, for example.
 
-    Data is no colour: no curve and no conversion of primaries applies. A PNG or JPEG has values from 0 to 1.
+    Data is no colour: no curve and no conversion of primaries applies. A PNG or JPEG has values from 0 to 1. Of an
+    `.exr` without colour the only channel is read.
 
     Raises:
         ImageError, StorageError: as `read_image`.
@@ -125,7 +126,7 @@ def write_image(
     >>> import prt_bake as prt
     >>> image = np.full((2, 2, 3), 0.5)
     >>> prt.write_image("picture.exr", image, layers={"error": 0.1 * image}, attributes={"camera": "front"})
-    >>> prt.write_image("picture.png", image, exposure=1.0)
+    >>> prt.write_image("picture.png", 2.0 * image)
     >>> float(prt.read_image("picture.png").max())
     1.0
     """

@@ -119,11 +119,15 @@ def write_rgbe(path: str | os.PathLike[str], image: NDArray[np.floating]) -> Non
 def _decode_rows(content: bytes, pixels: NDArray[np.uint8], first: int, picture: RgbeRows) -> int:
     """Decode rows [R,W,4] of the image, starting with row `first`, and return the offset of their end."""
     width, at = picture.header.width, 0
-    marker = bytes([2, 2, width >> 8, width & 255]) if 8 <= width < 32768 else None
+    may_be_coded, coded = 8 <= width < 32768, False
     for row in range(len(pixels)):
         try:
-            if marker and content[at : at + 4] == marker:
-                at = _coded_row(content, at + 4, pixels[row])
+            if may_be_coded and content[at : at + 2] == b"\2\2" and content[at + 2] < 128:
+                if int.from_bytes(content[at + 2 : at + 4]) != width:
+                    raise ValueError
+                at, coded = _coded_row(content, at + 4, pixels[row]), True
+            elif coded and not any(content[at : at + 4 * width]):
+                raise ValueError  # rows of zeros between coded rows are what an interrupted copy leaves
             else:
                 at = _plain_row(content, at, pixels[row])
         except (IndexError, ValueError) as cause:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 from formats.errors import ImageError, warn
 from formats.image.gamut import Primaries, are_equal
+from formats.image.kinds import refuse_other_kinds
 from formats.image.text import printable
 
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\n|\r)")
@@ -58,8 +59,7 @@ def read_header(path: str | os.PathLike[str]) -> RgbeHeader:
     """
     with open(path, "rb") as file:
         content = file.read(_LONGEST_HEADER)
-    if not content.startswith(b"#?"):
-        raise ImageError(f"{path}: is not a Radiance image: expected '#?' at its start, found {content[:2]!r}")
+    refuse_other_kinds(path, "Radiance")
     lines, at = list[str](), 0
     while (match := _LINE.match(content, at)) is not None and match[1]:
         lines.append(_as_specified(match[1].decode("latin-1")))

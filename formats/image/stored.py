@@ -3,6 +3,7 @@
 import os
 import struct
 import warnings
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError, warn
+from formats.image.kinds import refuse_other_kinds
 from formats.image.limits import refuse_size
 
 if TYPE_CHECKING:
@@ -70,6 +72,7 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
     Raises:
         ImageError: the file is of another kind, too large, truncated or damaged.
     """
+    refuse_other_kinds(path, kind)
     bits, cicp, clear = _read_chunks(path) if kind == "PNG" else _Chunks()
     with _opened(path, kind) as picture:
         width, height = picture.size
@@ -105,7 +108,8 @@ def _opened(path: str | os.PathLike[str], kind: str) -> "Iterator[Image.Image]":
         raise ImageError(f"{path}: has too many pixels; reduce it, or save it as .exr") from cause
     except Exception as cause:  # Pillow raises many kinds for damaged files
         raise ImageError(
-            f"{path}: cannot be read as {kind}: it is truncated, damaged or of another kind; copy or save it again"
+            f"{path}: cannot be read as {kind}: it is truncated, damaged or of a rare sort; copy it again, or save it "
+            "with 8 bits a channel"
         ) from cause
 
 
@@ -121,26 +125,39 @@ class _Chunks(NamedTuple):
 
 
 def _read_chunks(path: str | os.PathLike[str]) -> _Chunks:
-    """Read the chunks before the pixels. Raises ImageError if the file is too short for its size."""
+    """Read the chunks. Raises ImageError if the file is damaged, or too short for its size."""
     bits, colour, cicp, clear = 8, 0, None, None
+    for kind, content in _chunks(path):
+        if kind == b"IHDR" and len(content) == 13:
+            width, height, bits, colour = struct.unpack(">IIBB", content[:10])
+            refuse_size(path, width, height)
+            row_bytes = width * bits * _CHANNELS.get(colour, 1) // 8
+            _refuse_short(path, width, height, height * row_bytes // _MOST_DEFLATED)
+        if kind == b"cICP" and len(content) == 4:
+            cicp = content
+        if kind == b"tRNS" and (colour, len(content)) in ((0, 2), (2, 6)):
+            clear = struct.unpack(f">{len(content) // 2}H", content)
+    return _Chunks(bits, cicp, clear)
+
+
+def _chunks(path: str | os.PathLike[str]) -> Iterator[tuple[bytes, bytes]]:
+    """Yield the kinds and contents of the chunks; those whose kind begins with a capital are critical.
+
+    Pillow compares no checksum of the pixels. Raises ImageError if that of a critical chunk is wrong, or the end is
+    missing.
+    """
     with open(path, "rb") as file:
-        file.seek(8)
+        file.seek(8)  # the signature
         while len(head := file.read(8)) == 8:
             length, kind = struct.unpack(">I4s", head)
-            if kind in (b"IDAT", b"IEND"):
-                break
-            content = file.read(min(length, 64))
-            if kind == b"IHDR" and len(content) == 13:
-                width, height, bits, colour = struct.unpack(">IIBB", content[:10])
-                refuse_size(path, width, height)
-                row_bytes = width * bits * _CHANNELS.get(colour, 1) // 8
-                _refuse_short(path, width, height, height * row_bytes // _MOST_DEFLATED)
-            if kind == b"cICP" and length == 4:
-                cicp = content
-            if kind == b"tRNS" and (colour, length) in ((0, 2), (2, 6)):
-                clear = struct.unpack(f">{length // 2}H", content)
-            file.seek(length - len(content) + 4, os.SEEK_CUR)
-    return _Chunks(bits, cicp, clear)
+            content, checksum = file.read(length), file.read(4)
+            if kind[:1].isupper() and checksum != struct.pack(">I", zlib.crc32(content, zlib.crc32(kind))):
+                place = f"the chunk {kind.decode('latin-1')!a} at byte {file.tell() - len(content) - 12}"
+                raise ImageError(f"{path}: is truncated or damaged in {place}: its checksum is wrong; copy it again")
+            yield kind, content
+            if kind == b"IEND":
+                return
+    raise ImageError(f"{path}: is truncated: its last chunk, IEND, is missing; copy it again")
 
 
 def _with_alpha(values: NDArray[Any], clear: tuple[int, ...], bits: int) -> NDArray[Any]:

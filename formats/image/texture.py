@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SceneError, warn
+from formats.file_names import named_file
 from formats.image.files import read_data
 from formats.image.rows import open_image
 
@@ -29,7 +30,7 @@ def read_roughness_texture(scene_path: Path, key: str, name: str) -> NDArray[np.
         ImageError: the image cannot be read.
         StorageError: the file is missing.
     """
-    path = scene_path.parent / name
+    path = named_file(scene_path, name)
     return _check_range(scene_path, key, path, read_roughness(path))
 
 
@@ -54,7 +55,7 @@ def read_reflectance_texture(scene_path: Path, key: str, name: str) -> NDArray[n
 
     Arguments and errors as `read_roughness_texture`.
     """
-    path = scene_path.parent / name
+    path = named_file(scene_path, name)
     return _check_range(scene_path, key, path, open_image(path, clip=True).read().astype(np.float64))
 
 

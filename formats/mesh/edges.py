@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.mesh.geometry import faces_without_area, normalise
+from formats.mesh.geometry import faces_without_area, normalise, signed_volume
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _MOST_NEIGHBOURS = 9  # vertices that a vertex is compared with when vertices are merged, itself included
 _SAME_ANGLE = 1e-6  # faces that leave an edge at angles nearer than this lie on one another, in radians
+_LEAST_VOLUME = 1e-12  # in cubed diagonals; a sheet with two sides has a volume of 0, the rounding of that either sign
 _ROUNDINGS = 4.0  # loose vertices are merged within so many steps of float32 at the largest coordinate,
 _MOST_OF_DIAGONAL = 1e-4  # and, far from the origin, within so many diagonals of the bounding box
 
@@ -86,6 +87,21 @@ def doubled_faces(faces: NDArray[np.integer]) -> Indices:
     order = np.lexsort(ordered.T)
     same = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
     return np.sort(order[1:][same])
+
+
+def two_sided_faces(faces: NDArray[np.integer]) -> Indices:
+    """Return the faces that have the vertices of another one in the opposite order, ascending."""
+    least = faces.argmin(axis=1)[:, None]
+    rows = np.take_along_axis(faces, (least + np.arange(3)) % 3, axis=1)
+    number = np.unique(np.concatenate([rows, rows[:, [0, 2, 1]]]), axis=0, return_inverse=True)[1].ravel()
+    return np.flatnonzero(np.isin(number[: len(faces)], number[len(faces) :]))
+
+
+def inside_out(positions: Array, faces: NDArray[np.integer]) -> bool:
+    """Return whether the surface is closed and encloses a negative volume."""
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    least = _LEAST_VOLUME * float(np.linalg.norm(high - low)) ** 3
+    return signed_volume(positions - (low + 0.5 * (high - low)), faces) < -least and edges_of(faces).closed
 
 
 def overlapping(positions: Array, faces: NDArray[np.integer], edges: Edges) -> Indices:

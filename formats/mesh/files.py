@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from formats.atomic import existing, replacing
 from formats.errors import MeshError, warn
 from formats.mesh import geometry
-from formats.mesh.edges import opens_edges, welded
+from formats.mesh.edges import inside_out, opens_edges, welded
 from formats.mesh.gltf import read_gltf
 from formats.mesh.normals import agreeing_normals
 from formats.mesh.obj import read_obj, write_obj
 from formats.mesh.ply import read_ply, write_ply
-from formats.mesh.record import Mesh
+from formats.mesh.record import SPLIT_ANGLE, Mesh
 from formats.mesh.stl import read_stl
 from formats.triangle_soup import TriangleSoup
 
@@ -121,7 +121,7 @@ def _refuse_invalid(soup: TriangleSoup, path: str | os.PathLike[str]) -> None:
         first = int(invalid.argmax())
         raise MeshError(
             f"{path}: {invalid.sum()} of {count} vertices are NaN, infinite or beyond ±{geometry.MOST_COORDINATE:g}, "
-            f"the first is vertex {first} at {soup.positions[first].tolist()}; repair the mesh"
+            f"the first is {soup.vertex_in_file(first)} at {soup.positions[first].tolist()}; repair the mesh"
         )
 
 
@@ -130,13 +130,11 @@ def _accept_flat_faces(
 ) -> None:
     """Warn that the flat faces [F] are dropped, or raise MeshError if nothing is left or other faces need them."""
     count, first = int(flat.sum()), int(flat.argmax())
-    found = f"{path}: {count} of {len(flat)} faces have no area, the first is face {first} with corners"
+    found = f"{path}: {count} of {len(flat)} faces have no area, the first is {soup.face_in_file(first)}"
     if flat.all() or (not silent and opens_edges(faces, flat)):
-        raise MeshError(
-            f"{found} {soup.faces[first].tolist()}; remove them in a mesh editor (dissolve degenerate faces)"
-        )
+        raise MeshError(f"{found}; remove them in a mesh editor (dissolve degenerate faces)")
     if not silent:
-        warn(f"{found} {soup.faces[first].tolist()}; they were dropped, since no other face needs them")
+        warn(f"{found}; they were dropped, since no other face needs them")
 
 
 def _assemble(
@@ -155,27 +153,46 @@ def _assemble(
     positions, faces, source_vertex = positions[used], new_index[faces], new_index[source_vertex]
     centred = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
     corner_uv = None if soup.corner_uv is None else soup.corner_uv[kept_faces]
+    of_faces, cancelled = geometry.vertex_normals(centred, faces)
+    given = _given_normals(soup, kept_faces, centred, faces)
+    normals, computed = agreeing_normals(path, given, of_faces, cancelled, lambda: inside_out(centred, faces))
     return Mesh(
         positions=positions,
         faces=faces.astype(np.int32),
-        normals=agreeing_normals(
-            path, _given_normals(soup, kept_faces, centred, faces), geometry.vertex_normals(centred, faces)
-        ),
+        normals=normals,
         uv=None if corner_uv is None else corner_uv.reshape(-1, 2)[first_corner],
         corner_uv=corner_uv,
         source_vertex=None if len(used) == len(soup.positions) else source_vertex,
         dropped_faces=int((~kept_faces).sum()),
+        cancelled_normals=int((cancelled & computed).sum()),
+        split_normals=int((_split_normals(soup, kept_faces, faces, first_corner) & ~computed).sum()),
     )
 
 
 def _given_normals(
     soup: TriangleSoup, kept_faces: NDArray[np.bool_], positions: NDArray[np.float64], faces: NDArray[np.int64]
 ) -> NDArray[np.float64] | None:
-    """The file's normals averaged at the vertices [V,3], NaN where one is zero or not finite; None if it has none."""
+    """The file's normals averaged at the vertices [V,3]; None if it has none.
+
+    NaN where one is zero or not finite, or where they cancel out.
+    """
     if soup.corner_normals is None:
         return None
     at_corners = geometry.normalise(soup.corner_normals[kept_faces])
     missing = ~(np.abs(at_corners).max(axis=2) > 0.0)
-    normals = geometry.vertex_normals(positions, faces, np.where(missing[..., None], 0.0, at_corners))
+    normals, cancelled = geometry.vertex_normals(positions, faces, np.where(missing[..., None], 0.0, at_corners))
     normals[faces[missing]] = np.nan
+    normals[cancelled] = np.nan
     return normals
+
+
+def _split_normals(
+    soup: TriangleSoup, kept_faces: NDArray[np.bool_], faces: NDArray[np.int64], first_corner: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """Where the file's normals at a vertex differ from those at its first corner [V] by more than `SPLIT_ANGLE`."""
+    split = np.zeros(len(first_corner), np.bool_)
+    if soup.corner_normals is not None:
+        at_corners = geometry.normalise(soup.corner_normals[kept_faces])
+        cosines = np.einsum("fci,fci->fc", at_corners, at_corners.reshape(-1, 3)[first_corner[faces]])
+        split[faces[cosines < np.cos(np.radians(SPLIT_ANGLE))]] = True
+    return split

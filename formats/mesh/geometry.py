@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 SLIVER = 1e-12
 """Twice the area of a triangle over its longest edge squared; a smaller ratio is a line to float64."""
+_CANCELLED = 1e-4
+"""Length of the sum of normals about a vertex over the sum of their weights, below which its direction is rounding."""
 MOST_COORDINATE = 1e30
 """Largest coordinate of a vertex, as in scene files."""
 
@@ -63,25 +65,38 @@ def corner_angles(positions: NDArray[np.float64], faces: NDArray[np.integer]) ->
 
 def vertex_normals(
     positions: NDArray[np.float64], faces: NDArray[np.integer], corner_normals: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return unit normals [V,3]: the mean over the corners that meet at each vertex, weighted by the corners' angles.
 
     Averages `corner_normals` [F,3,3] if given, else the face normals. The angle weights make the result independent of
     the triangulation (Thürmer and Wüthrich 1998). If the mean vanishes, the vertex gets the normal of its first face.
+
+    Returns:
+        The normals, and at which vertices [V] of faces the mean vanishes.
     """
     normals_of_faces = face_normals(positions, faces)
     at_corners = np.repeat(normals_of_faces[:, None], 3, axis=1) if corner_normals is None else corner_normals
-    weighted = corner_angles(positions, faces)[..., None] * at_corners
+    angles = corner_angles(positions, faces)
+    weighted = angles[..., None] * at_corners
     sums: NDArray[np.float64] = np.stack(
         [np.bincount(faces.ravel(), weighted[..., axis].ravel(), minlength=len(positions)) for axis in range(3)], axis=1
     )
-    cancelled = np.linalg.norm(sums, axis=1) < 1e-9
-    if cancelled.any():
-        used, first_corner = np.unique(faces.ravel(), return_index=True)
-        first_face = np.zeros(len(positions), np.int64)
-        first_face[used] = first_corner // 3
-        sums[cancelled] = normals_of_faces[first_face[cancelled]]
-    return normalise(sums)
+    weights = np.bincount(faces.ravel(), angles.ravel(), minlength=len(positions))
+    cancelled: NDArray[np.bool_] = np.linalg.norm(sums, axis=1) <= _CANCELLED * weights
+    used, first_corner = np.unique(faces.ravel(), return_index=True)
+    first_face = np.zeros(len(positions), np.int64)
+    first_face[used] = first_corner // 3
+    sums[cancelled] = normals_of_faces[first_face[cancelled]]
+    return normalise(sums), cancelled & (np.bincount(faces.ravel(), minlength=len(positions)) > 0)
+
+
+def signed_volume(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> float:
+    """Return the volume that a closed surface encloses, in cubed units; negative if its faces are wound inside out.
+
+    Positions far from the origin lose digits: centre them first.
+    """
+    a, b, c = (positions[faces[:, corner]] for corner in range(3))
+    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
 def merge_positions(positions: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

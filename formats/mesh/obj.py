@@ -15,13 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
-from formats.mesh.triangulation import triangulate
+from formats.mesh.text_numbers import number_remedy, with_plain_nan
+from formats.mesh.triangulation import refuse_absent, triangulate
 from formats.text import without_byte_order_mark
 from formats.triangle_soup import TriangleSoup
 
 _MISSING = -(2**31)  # a corner without texture coordinate or normal
 _UNWRAP = "the others' are not used, unwrap the whole mesh if a texture needs them"
 _READ = (b"v", b"vt", b"vn", b"f", b"fo")
+
+
+class _AbsentVertexError(IndexError):
+    """A vertex, counted backwards, that is before the first one; its argument is the number as written."""
 
 
 class _Tables:
@@ -52,6 +57,8 @@ class _Tables:
         position = _index(parts[0], len(self.v) // 3)
         if position == _MISSING:
             raise ValueError
+        if position < 0:
+            raise _AbsentVertexError(int(parts[0]))
         return position, _index(parts[1], len(self.vt) // 2), _index(parts[2], len(self.vn) // 3)
 
 
@@ -66,13 +73,18 @@ def read_obj(path: str | os.PathLike[str]) -> TriangleSoup:
     if b"\0" in content:
         raise MeshError(f"{path}: is not an OBJ file: expected text, found binary data; export it again")
     tables = _Tables()
-    for number, words in _statements(content):
+    for number, words in _statements(with_plain_nan(content)):
         try:
             tables.add_statement(number, words)
+        except _AbsentVertexError as cause:
+            raise MeshError(
+                f"{path}: line {number}: a face uses vertex {cause.args[0]}, but only {len(tables.v) // 3} vertices "
+                f"come before it; export the mesh again"
+            ) from cause
         except (ValueError, IndexError, OverflowError) as cause:
             found = b" ".join(words).decode("utf-8", "replace")[:80]
             raise MeshError(
-                f"{path}: line {number}: expected an OBJ statement, found {found!r}; export the mesh again"
+                f"{path}: line {number}: expected an OBJ statement, found {found!r}; {number_remedy(found.encode())}"
             ) from cause
     return _soup(tables, path)
 
@@ -147,6 +159,7 @@ def _soup(tables: _Tables, path: str | os.PathLike[str]) -> TriangleSoup:
     positions = np.array(tables.v, np.float64).reshape(-1, 3)
     corners = np.array(tables.corners, np.int64).reshape(-1, 3)
     sizes = np.array(tables.sizes, np.int64)
+    refuse_absent(corners[:, 0], sizes, len(positions), path, lambda face: f"line {tables.lines[face]}", base=1)
     triangles = triangulate(positions, corners[:, 0], sizes, lambda face: f"{path}: line {tables.lines[face]}")
     pairs = np.array(tables.vt, np.float64).reshape(-1, 2)
     _name_missing(tables, corners[:, 1], sizes, len(pairs), path, "texture coordinates", _UNWRAP)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from formats.errors import MeshError, warn
 from formats.mesh.ply_body import Columns, Lists, PlyBody
 from formats.mesh.ply_header import read_header
-from formats.mesh.triangulation import triangulate
+from formats.mesh.triangulation import refuse_absent, triangulate
 from formats.text import without_byte_order_mark
 from formats.triangle_soup import TriangleSoup
 
@@ -89,12 +89,15 @@ def _soup(elements: Mapping[str, Columns], path: str | os.PathLike[str]) -> Tria
     triangles, corners, corner_uv = np.zeros((0, 3), np.int64), np.zeros((0, 3), np.int64), None
     if polygons is not None:
         indices = _as_indices(polygons.values)
+        refuse_absent(indices, polygons.sizes, len(positions), path, lambda row: f"face {row}", base=0)
         triangles = triangulate(positions, indices, polygons.sizes, lambda row: f"{path}: face {row}")
         corners = indices[triangles]
     if strips is not None:
         corners = np.concatenate([corners, _strip_triangles(_as_indices(strips.values), strips.sizes)])
     elif polygons is not None:
         corner_uv = _corner_uv(faces, polygons, triangles, path)
+        if corner_uv is not None:
+            _name_textures(faces.get("texnumber"), path)
     # With an index out of range no attribute is read: `read_mesh` reports the index.
     in_range = len(corners) > 0 and corners.min() >= 0 and corners.max() < len(positions)
     normals = _stack_columns(vertices, ("nx", "ny", "nz")) if in_range else None
@@ -150,6 +153,15 @@ def _corner_uv(
         )
         return None
     return np.asarray(pairs.values, np.float64).reshape(-1, 2)[triangles]
+
+
+def _name_textures(numbers: NDArray[np.float64] | Lists | None, path: str | os.PathLike[str]) -> None:
+    """Warn if faces are mapped to several images, as MeshLab's property texnumber says."""
+    if isinstance(numbers, np.ndarray) and len(distinct := np.unique(numbers)) > 1:
+        warn(
+            f"{path}: its texture coordinates are those of {len(distinct)} images (texnumber), but a mesh has one; "
+            f"bake them into one image if a texture needs them"
+        )
 
 
 def _stack_columns(columns: Columns, names: tuple[str, ...]) -> NDArray[np.float64] | None:

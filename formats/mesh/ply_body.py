@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError
+from formats.mesh.text_numbers import number_remedy, with_plain_nan
 
 
 @dataclass(frozen=True)
@@ -134,9 +135,9 @@ class PlyBody:
 
 def _numbers(body: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]:
     try:
-        return np.array(body.split(), dtype=np.float64)
+        return np.array(with_plain_nan(body).split(), dtype=np.float64)
     except ValueError as cause:
-        raise MeshError(f"{path}: the PLY body is damaged: {cause}; export it again") from cause
+        raise MeshError(f"{path}: the PLY body is damaged: {cause}; {number_remedy(str(cause).encode())}") from cause
 
 
 def _concatenate(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:

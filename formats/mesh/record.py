@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
 from formats.mesh import geometry
-from formats.mesh.edges import edges_of
+from formats.mesh.edges import edges_of, inside_out, two_sided_faces
 from formats.mesh.normals import refuse_wrong_side
 
-_LEAST_VOLUME = 1e-12
-"""In cubed diagonals. A sheet with two sides has a volume of 0, and the rounding of that has either sign."""
+SPLIT_ANGLE = 30.0
+"""In degrees. Normals of a file that differ by more at one vertex make a hard edge."""
+_FEW_CANCELLED = 0.01
+"""Share of vertices without a normal up to which doubled faces are a few flaps, not a second side."""
+_MOST_CANCELLED = 0.5
+"""Share from which a mesh has two sides even if no face is doubled. Where solids touch, normals may cancel, too."""
+_ONE_SIDE = "export it with one side, or remove the doubled faces in a mesh editor"
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,10 @@ class Mesh:
         source_vertex: int64 [n], the vertex that each vertex of the file became (-1: used by no face), or None if the
             file's vertices are unchanged.
         dropped_faces: number of faces without area that `read_mesh` dropped.
+        cancelled_normals: number of vertices at which the normals of the faces cancel out and the file has no others;
+            such a vertex has the normal of any of its faces.
+        split_normals: number of vertices at which the file's normals differ by more than `SPLIT_ANGLE`, as at hard
+            edges; such a vertex has their mean.
 
     >>> import prt_bake as prt
     >>> mesh = prt.Mesh(
@@ -49,6 +58,8 @@ class Mesh:
     corner_uv: NDArray[np.float64] | None = None
     source_vertex: NDArray[np.int64] | None = None
     dropped_faces: int = 0
+    cancelled_normals: int = 0
+    split_normals: int = 0
 
     def __post_init__(self) -> None:
         count, triangles = len(self.positions), len(self.faces)
@@ -113,8 +124,15 @@ class Mesh:
 def build_mesh(positions: NDArray[np.float64], faces: NDArray[np.integer]) -> Mesh:
     """Return a mesh of these vertices [V,3] and triangles [F,3], unchanged, with angle-weighted vertex normals."""
     positions = np.ascontiguousarray(positions, np.float64)
+    normals, cancelled = _normals_of_faces(positions, faces)
+    return Mesh(positions, np.ascontiguousarray(faces, np.int32), normals, cancelled_normals=int(cancelled.sum()))
+
+
+def _normals_of_faces(
+    positions: NDArray[np.float64], faces: NDArray[np.integer]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     centred = positions - 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-    return Mesh(positions, np.ascontiguousarray(faces, np.int32), geometry.vertex_normals(centred, faces))
+    return geometry.vertex_normals(centred, faces)
 
 
 def open_edges(mesh: Mesh) -> int:
@@ -129,8 +147,7 @@ def inconsistent_edges(mesh: Mesh) -> int:
 
 def signed_volume(mesh: Mesh) -> float:
     """Return the enclosed volume, in cubed scene units; negative if the faces are wound inside out."""
-    a, b, c = (mesh.positions[mesh.faces[:, corner]] - mesh.center for corner in range(3))
-    return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
+    return geometry.signed_volume(mesh.positions - mesh.center, mesh.faces)
 
 
 def refuse_inside_out(mesh: Mesh) -> None:
@@ -146,12 +163,49 @@ def refuse_inside_out(mesh: Mesh) -> None:
             f"mesh: {inconsistent} edges lie between faces of opposite winding; normals of some faces point inwards: "
             f"make them consistent in a mesh editor (recalculate outside)"
         )
-    elif signed_volume(mesh) < -_LEAST_VOLUME * mesh.diagonal**3 and open_edges(mesh) == 0:
+    elif inside_out(mesh.positions, mesh.faces):
         raise MeshError("mesh: the faces are wound inside out; flip the mesh's normals in an editor, and save it again")
-    refuse_wrong_side(mesh.normals[used], build_mesh(mesh.positions, mesh.faces).normals[used])
+    of_faces, cancelled = _normals_of_faces(mesh.positions, mesh.faces)
+    refuse_wrong_side(mesh.normals[used], of_faces[used], cancelled[used])
+
+
+def refuse_two_sides(mesh: Mesh) -> None:
+    """Raise MeshError if vertices have no normal because the faces around them are doubled with opposite winding.
+
+    A few of them are a warning.
+    """
+    if mesh.cancelled_normals == 0:
+        return
+    cancelled = _normals_of_faces(mesh.positions, mesh.faces)[1]
+    doubled = two_sided_faces(mesh.faces)
+    doubled = doubled[cancelled[mesh.faces[doubled]].any(axis=1)]
+    count = len(np.unique(mesh.faces))
+    found = f"the normals of {mesh.cancelled_normals} of {count} vertices cancel out"
+    if len(doubled):
+        found = (
+            f"{len(doubled)} of {len(mesh.faces)} faces lie on another one of the opposite winding, the first at "
+            f"({_point(mesh.positions[mesh.faces[doubled[0], 0]])}), and {found}"
+        )
+    if mesh.cancelled_normals > (_FEW_CANCELLED if len(doubled) else _MOST_CANCELLED) * count:
+        raise MeshError(f"mesh: {found}: the mesh has two sides; {_ONE_SIDE}")
+    if len(doubled):
+        warn(f"mesh: {found}; the result is that of either side there; {_ONE_SIDE}")
+
+
+def inward_sentence(mesh: Mesh, vertices: NDArray[np.integer], of_what: str) -> str:
+    """Return the warning that the normals of some `vertices` point into the object `of_what`."""
+    return (
+        f"mesh: the normals of {len(vertices)} of {len(mesh.positions)} vertices point into the object {of_what}, the "
+        f"first at ({_point(mesh.positions[vertices[0]])}): some faces are wound inside out, and the result is wrong "
+        f"there; make the normals consistent in a mesh editor (recalculate outside)"
+    )
 
 
 def flipped(mesh: Mesh) -> Mesh:
     """Return the mesh with the winding of every face and every normal reversed."""
     corner_uv = None if mesh.corner_uv is None else mesh.corner_uv[:, ::-1]
     return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1], normals=-mesh.normals, corner_uv=corner_uv)
+
+
+def _point(position: NDArray[np.float64]) -> str:
+    return ", ".join(f"{x:.6g}" for x in position)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import MeshError, warn
+from formats.mesh.text_numbers import number_remedy, with_plain_nan
 from formats.text import without_byte_order_mark
 from formats.triangle_soup import TriangleSoup
 
@@ -63,7 +64,8 @@ def _binary(content: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]
 def _ascii(content: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]:
     numbers = array("d")
     facets, ended = 0, False
-    for line, statement in enumerate(without_byte_order_mark(content, path, MeshError).splitlines(), start=1):
+    text = with_plain_nan(without_byte_order_mark(content, path, MeshError))
+    for line, statement in enumerate(text.splitlines(), start=1):
         words = statement.split()
         try:
             match [word.lower() for word in words[:1]]:
@@ -81,7 +83,8 @@ def _ascii(content: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]:
         except ValueError as cause:
             found = statement.decode("utf-8", "replace").strip()[:80]
             raise MeshError(
-                f"{path}: line {line}: expected an STL facet of three vertices, found {found!r}; export the mesh again"
+                f"{path}: line {line}: expected an STL facet of three vertices, found {found!r}; "
+                f"{number_remedy(statement)}"
             ) from cause
     if not ended or len(numbers) != 9 * facets:
         raise MeshError(

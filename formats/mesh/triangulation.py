@@ -9,6 +9,7 @@ number of an outline is the sum of those of its triangles.
 No library: mapbox_earcut and Shapely leave collinear corners out, where neighbouring faces then come apart.
 """
 
+import os
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -28,6 +29,34 @@ _ROUNDING = 1e-5  # triangles of less negative quality are turned over by roundi
 _PLANAR = 1e-3  # height over width; the edges of flatter polygons meet in space where they meet in the projection
 _BLOCK = 200_000  # corners in memory at once
 _MOST_ENTRIES = 4_000_000  # of tables in memory at once
+
+
+def refuse_absent(
+    corners: Indices, sizes: Indices, count: int, path: str | os.PathLike[str], name: Callable[[int], str], base: int
+) -> None:
+    """Raise MeshError if corners [C] of polygons are none of `count` vertices.
+
+    Args:
+        corners: as for `triangulate`, from 0.
+        sizes: number of corners of each polygon [P].
+        count: number of vertices.
+        path: the file.
+        name: returns the line or row of the polygon with this index.
+        base: the number of the first vertex in the file's own counting, which the message uses.
+    """
+    absent = (corners < 0) | (corners >= count)
+    if not absent.any():
+        return
+    ends = np.cumsum(sizes)
+    wrong = np.unique(np.searchsorted(ends, np.flatnonzero(absent), side="right"))
+    first = int(wrong[0])
+    found = (corners[ends[first] - sizes[first] : ends[first]] + base).tolist()
+    shifted = base == 0 and corners.min() == 1 and corners.max() == count
+    advice = "the file seems to count from 1, PLY counts from 0" if shifted else "export the mesh again"
+    raise MeshError(
+        f"{path}: {len(wrong)} of {len(sizes)} faces use vertices that do not exist, the first is {name(first)} with "
+        f"corners {found}; expected numbers from {base} to {count - 1 + base}; {advice}"
+    )
 
 
 def triangulate(positions: Array, corners: Indices, sizes: Indices, place: Callable[[int], str]) -> Indices:

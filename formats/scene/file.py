@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from formats.atomic import existing
 from formats.errors import PrtbakeError, SceneError
+from formats.file_names import named_file
 from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
 from formats.text import without_byte_order_mark
 
@@ -50,6 +51,8 @@ _EXPECTED = {
     "surface": '"diffuse"',
     "reflectance": "a number from 0 to 1, three of them (RGB), or the name of an image",
 }
+_INSTEAD = "give the extinction sigma_t = sigma_s + sigma_a and the albedo = sigma_s / sigma_t"
+_COEFFICIENTS = {"sigma_s": _INSTEAD, "sigma_a": _INSTEAD}
 
 
 def parse_scene(path: Path) -> SceneFile:
@@ -105,6 +108,8 @@ def _sentence(error: "ErrorDetails", path: list[int | str], found: object) -> st
     kind, name = error["type"], str(path[-1])
     key = ".".join(str(part) for part in path)
     if kind == "extra_forbidden":
+        if name in _COEFFICIENTS:
+            return f"{key}: unknown key; {_COEFFICIENTS[name]}"
         known = _known_keys(path)
         close = difflib.get_close_matches(name, known, n=1)
         advice = f"did you mean '{close[0]}'?" if close else f"expected one of {', '.join(known)}"
@@ -120,6 +125,18 @@ def expected(key: str) -> str:
     """Describe the values that a key such as "medium.albedo" may have."""
     parts = key.split(".")
     return _EXPECTED.get(".".join(parts[-2:])) or _EXPECTED[parts[-1]]
+
+
+def refuse_quoted_number(path: Path, key: str, name: str) -> None:
+    """Raise SceneError if the name of a file is a number, and there is no such file."""
+    try:
+        float(name)
+    except ValueError:
+        return
+    if not named_file(path, name).exists():
+        raise SceneError(
+            f"{path}: {key}: there is no file {name!r}; a number has no quotes: {key.rsplit('.', 1)[-1]} = {name}"
+        )
 
 
 @contextmanager

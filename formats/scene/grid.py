@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from formats.atomic import existing
 from formats.errors import SceneError
+from formats.file_names import named_file
 
 
 def read_grid(scene_path: Path, key: str, name: str, highest: float) -> NDArray[np.float64]:
@@ -26,7 +27,7 @@ def read_grid(scene_path: Path, key: str, name: str, highest: float) -> NDArray[
             their count and the first).
         StorageError: the file is missing.
     """
-    path = existing(scene_path.parent / name)
+    path = existing(named_file(scene_path, name))
     try:
         grid = np.load(path, allow_pickle=False)
     except Exception as cause:  # damaged headers raise errors of many classes, tokenize.TokenError among them

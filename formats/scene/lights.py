@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from formats.atomic import existing
 from formats.errors import LightError
+from formats.file_names import named_file
 from formats.mesh.geometry import MOST_COORDINATE
 from formats.text import without_byte_order_mark
 
@@ -156,7 +157,7 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
     spheres = (
         SphereLight(np.array(sphere.position), sphere.radius, np.array(sphere.radiance)) for sphere in lights.sphere
     )
-    skies = (SkyLight(path.parent / sky.file, sky.rotate, sky.exposure, sky.tint) for sky in lights.sky)
+    skies = (SkyLight(named_file(path, sky.file), sky.rotate, sky.exposure, sky.tint) for sky in lights.sky)
     return (*directional, *spheres, *skies)
 
 

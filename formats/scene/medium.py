@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SceneError
-from formats.scene.file import errors_at, expected
+from formats.scene.file import errors_at, expected, refuse_quoted_number
 from formats.scene.grid import read_grid
 from formats.scene.materials import MILLIMETRES, Substance, find_material, single_scattering_albedo, to_scene_units
 from formats.scene.schema import MediumTable, MixTable, ObjectTable
@@ -104,6 +104,7 @@ def _refuse_opaque(medium: Medium, table: MediumTable, context: MediumContext) -
 
 def _quantity(given: object, context: MediumContext, name: str, highest: float) -> NDArray[np.float64]:
     if isinstance(given, str):
+        refuse_quoted_number(context.path, f"{context.key}.{name}", given)
         with errors_at(context.path, f"{context.key}.{name}"):
             return read_grid(context.path, f"{context.key}.{name}", given, highest)
     quantity = np.asarray(given, np.float64)

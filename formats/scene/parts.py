@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import SceneError, warn
+from formats.file_names import named_file
 from formats.image.texture import read_reflectance_texture, read_roughness_texture
-from formats.mesh import Mesh, closedness_faults, flipped, read_mesh, signed_volume, texture_fault
-from formats.scene.file import errors_at
+from formats.mesh import SPLIT_ANGLE, Mesh, closedness_faults, flipped, read_mesh, signed_volume, texture_fault
+from formats.scene.file import errors_at, refuse_quoted_number
 from formats.scene.medium import Medium, MediumContext, clear_medium, read_medium
 from formats.scene.schema import InsideTable, InterfaceTable, SceneFile
 
@@ -19,6 +20,8 @@ MOST_PARTS = 12
 """Parts of a scene, the outermost included."""
 _MOST_SIZE = 10.0
 """Diagonal of a part over that of its parent, beyond which the unit is probably wrong."""
+_LEAST_SIZE = 1.0 / 500.0
+"""Diagonal of a part over that of its parent, below which the unit is probably wrong; bubbles are larger."""
 OUTERMOST = "object"
 """The name of the outermost part."""
 
@@ -73,8 +76,9 @@ def read_parts(tables: SceneFile, path: Path) -> tuple[Part, ...]:
 
 
 def _outermost(tables: SceneFile, path: Path) -> Part:
-    mesh_path = path.parent / tables.object.mesh
+    mesh_path = named_file(path, tables.object.mesh)
     mesh, was_flipped = _closed_mesh(mesh_path, path, "object.mesh")
+    _name_rounded_edges(mesh, tables.interface, f"{path}: interface.normals: {mesh_path}")
     return Part(
         name=OUTERMOST,
         parent=-1,
@@ -97,10 +101,11 @@ def _inner(tables: SceneFile, index: int, parent_index: int, parent: Part, path:
             f"{path}: {key}.in: {table.name!r} lies in {parent.name!r}, which is diffuse and lets no light in; put it "
             f"into a dielectric"
         )
-    mesh_path = path.parent / table.mesh
+    mesh_path = named_file(path, table.mesh)
     mesh, was_flipped = _closed_mesh(mesh_path, path, f"{key}.mesh")
     _refuse_outside(mesh, parent, f"{path}: {key}.mesh: {mesh_path}")
     interface = table.interface or InterfaceTable()
+    _name_rounded_edges(mesh, interface, f"{path}: {key}.interface.normals: {mesh_path}")
     diffuse = _reflectance(table, mesh, path, key) if table.surface == "diffuse" else None
     context = MediumContext(path, f"{key}.medium", mesh.bounds, tables.object)
     medium = clear_medium() if table.medium is None else read_medium(table.medium, context)
@@ -173,6 +178,21 @@ def _refuse_outside(mesh: Mesh, parent: Part, where: str) -> None:
             f"{where} is {mesh.diagonal / parent.mesh.diagonal:.3g} times as large as {parent.name!r}, which it may "
             f"fill; check the unit of length"
         )
+    if mesh.diagonal < _LEAST_SIZE * parent.mesh.diagonal:
+        warn(
+            f"{where} is {parent.mesh.diagonal / mesh.diagonal:.3g} times smaller than {parent.name!r}; check the unit "
+            f"of length"
+        )
+
+
+def _name_rounded_edges(mesh: Mesh, interface: InterfaceTable, where: str) -> None:
+    """Warn if the boundary has vertex normals and the file has several at a vertex, of which a mesh has the mean."""
+    if interface.normals == "vertex" and mesh.split_normals:
+        warn(
+            f"{where} has hard edges: at {mesh.split_normals} of {len(mesh.positions)} vertices its normals differ by "
+            f'more than {SPLIT_ANGLE:g} degrees, and "vertex" takes their mean, which rounds the edges off; bevel the '
+            f'edges, or say normals = "face"'
+        )
 
 
 def _box(mesh: Mesh) -> str:
@@ -182,6 +202,7 @@ def _box(mesh: Mesh) -> str:
 def _roughness(interface: InterfaceTable, mesh: Mesh, path: Path, key: str) -> float | NDArray[np.float64]:
     if not isinstance(interface.roughness, str):
         return interface.roughness
+    refuse_quoted_number(path, f"{key}.roughness", interface.roughness)
     _require_uv(mesh, f"{path}: {key}.roughness")
     with errors_at(path, f"{key}.roughness"):
         return read_roughness_texture(path, f"{key}.roughness", interface.roughness)
@@ -189,6 +210,7 @@ def _roughness(interface: InterfaceTable, mesh: Mesh, path: Path, key: str) -> f
 
 def _reflectance(table: InsideTable, mesh: Mesh, path: Path, key: str) -> NDArray[np.float64]:
     if isinstance(table.reflectance, str):
+        refuse_quoted_number(path, f"{key}.reflectance", table.reflectance)
         _require_uv(mesh, f"{path}: {key}.reflectance")
         with errors_at(path, f"{key}.reflectance"):
             return read_reflectance_texture(path, f"{key}.reflectance", table.reflectance)

@@ -31,6 +31,7 @@ from prt_bake.baking.compact_encoding import (
 )
 from prt_bake.mathematics import sphere
 from prt_bake.shading.reconstruction import reconstruct
+from prt_bake.shading.selftest import warn_of_failed_selftest
 
 Array = NDArray[np.float64]
 
@@ -148,6 +149,7 @@ def compress_file(
     try:
         if isinstance(asset.coefficients, CompactCoefficients):
             raise QueryError(f"{path}: is compact already; compress the asset that it was made from")
+        warn_of_failed_selftest(asset, path)
         raw, before = raw_bytes(asset), stored_bytes(asset)
         made = compress(asset, error, progress)
     finally:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from bakers.path_traced import WalkStatistics
-from formats.errors import QueryError
-from formats.mesh import Mesh
+from formats.errors import QueryError, warn
+from formats.mesh import Mesh, inward_sentence
 from formats.scene import Scene
 from prt_bake.geometry.surface import clamp_to_horizon
 from prt_bake.mathematics.random import hashed
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from prt_bake.tracer.estimate import Estimate
 
 Array = NDArray[np.float64]
+
+_FEW_INWARD = 0.01
+"""Share of vertices whose normals may point inwards without a word, as at sharp creases."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +85,10 @@ class PathTraced:
         return BlockEstimate(estimate.mean.reshape(shape), estimate.standard_error.reshape(shape), statistics)
 
     def refuse_foreign(self, mesh: Mesh) -> None:
-        """Raises QueryError unless the vertices of `mesh` are on the scene's surface, their normals outward."""
+        """Raises QueryError unless the vertices of `mesh` are on the scene's surface, most normals outward.
+
+        Warns if more than a few normals point inwards.
+        """
         from prt_bake.tracer.prepared import prepare
 
         surface, scene = prepare(self.scene).surface, self.scene
@@ -101,6 +107,8 @@ class PathTraced:
                 f"mesh: the normals of {inward.size} of {len(faces)} vertices point into the object of {scene.path}; "
                 "its faces are wound inside out: flip the normals"
             )
+        if inward.size > _FEW_INWARD * len(faces):
+            warn(inward_sentence(mesh, inward, f"of {scene.path}"))
 
     def _clamped(self, positions: Array, outgoing: Array) -> tuple[Array, int]:
         """Directions [N,3], those below the scene's horizon clamped to it, and how many were."""

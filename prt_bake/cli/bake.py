@@ -11,12 +11,14 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Device, OnlyEye, ReportFile, Seed, output_option, within
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.plan import plan_lines
 from prt_bake.cli.shared.progress import bake_progress, reporting, say, stopping
 
 
+@naming_mesh
 def bake(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
@@ -211,5 +213,7 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
         yield f"{walks['lost']:.2g} of the light was lost in truncated paths"
     if walks["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
+        if rmse["total"] == 0.0:
+            yield "no path carried light: the object is black, or its error is unknown"
         share = walks["unreliable_bins"] / bins
         yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"

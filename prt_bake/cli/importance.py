@@ -7,12 +7,14 @@ import typer
 
 from formats.atomic import existing
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Device, Seed
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import reporting, stopping
 from prt_bake.network.file_names import importance_path
 
 
+@naming_mesh
 def importance(
     model: Annotated[Path, typer.Argument(metavar="MODEL.pt", help="Trained model.")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Object that the model was trained on.")],

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import (
     IMAGE_SUFFIXES,
     USUAL_FOV,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 _USUAL_SPP = {"scene": 64, "network": 256}
 
 
+@naming_mesh
 def render(
     context: typer.Context,
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (a network) or scene.toml (path traced).")],

@@ -110,8 +110,10 @@ def shade(
     from prt_bake.cli.shared.viewing import camera_for
     from prt_bake.lights.lighting import read_lighting
     from prt_bake.lights.skies.downsampled import rows_shown
+    from prt_bake.shading.selftest import warn_of_failed_selftest
 
     baked = read_asset(asset)
+    warn_of_failed_selftest(baked, asset)
     axis = up or baked.up
     turns = frames if turntable == "eye" else 1
     view = camera_for(baked.mesh, size, axis, eye, look_at, fov, orthographic, extent, turns)

@@ -122,9 +122,10 @@ def _figures(training: dict[str, Any]) -> list[str]:
         )
     rmse = training["relative_rmse"]
     names = {"transport": "of the transport function", "coefficients": "of the coefficients"}
-    if rmse["transport"] is None:
+    if rmse["transport_noise"] is None:
         del names["transport"]
-    errors = ", ".join(f"{name} {rmse[key]:.2%}" for key, name in names.items())
+    known = {key: "unknown" if rmse[key] is None else f"{rmse[key]:.2%}" for key in names}
+    errors = ", ".join(f"{name} {known[key]}" for key, name in names.items())
     noises = " and ".join(f"{rmse[key + '_noise']:.2%}" for key in names)
     sentences.append(f"relative RMSE on fresh queries {errors} (without the reference's noise, {noises})")
     return sentences

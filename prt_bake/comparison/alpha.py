@@ -35,5 +35,5 @@ def covered_in_either(first: Layers, second: Layers) -> NDArray[np.bool_] | None
     alphas = alpha_of(first), alpha_of(second)
     if alphas[0] is None or alphas[1] is None:
         return None
-    covered = (alphas[0] > 0.0) | (alphas[1] > 0.0)
+    covered = ~((alphas[0] <= 0.0) & (alphas[1] <= 0.0))  # NaN counts as covered
     return None if covered.all() or not covered.any() else np.asarray(covered)

@@ -52,7 +52,7 @@ def flip_map(image: Array, reference: Array) -> NDArray[np.float32]:
 def hdr_flip_map(image: Array, reference: Array, exposures: Exposures) -> NDArray[np.float32]:
     """HDR-FLIP [H,W] of linear pictures [H,W,3]; negative values count as black. Raises as `flip_map`."""
     start, stop, steps = exposures
-    largest = _MAX_RADIANCE * 2.0 ** -max(stop, 0.0)
+    largest = min(_MAX_RADIANCE * 2.0**-stop, float(np.finfo(np.float32).max))
     ours, theirs = (np.clip(part, 0.0, largest) for part in (image, reference))
     return _evaluated(ours, theirs, "HDR", {"startExposure": start, "stopExposure": stop, "numExposures": steps})
 

@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 
 _PASSES = "prtbake.passes"
 """The attribute of pictures that are means over independent passes."""
+_ERROR_CHANNELS = ("error.R", "error.G", "error.B")
 _WINDOW = 5
 """Side of the window in pixels over which variances are averaged; the variance of a single pixel is inaccurate."""
 _MIN_SAMPLES = 64
@@ -72,6 +73,13 @@ def errors_of(image: Layers, reference: Layers) -> PixelErrors | None:
 def unusable_reason(path: Path, picture: Layers) -> str | None:
     """Why a picture's error layer cannot be used; None if it can be used, or if there is none."""
     sigma = picture.layers.get("error")
+    found = [name for name in _ERROR_CHANNELS if name in picture.layers]  # complete ones are the layer "error"
+    if found:
+        missing = " and ".join(name for name in _ERROR_CHANNELS if name not in found)
+        return (
+            f"{path}: its error layer has {' and '.join(found)} without {missing}; the metrics are not corrected for "
+            "noise"
+        )
     if sigma is None:
         return None
     wrong = int((~np.isfinite(sigma) | (sigma < 0.0)).sum())

@@ -1,4 +1,4 @@
-"""Closed surfaces whose inside is ambiguous: faces that cross one another, and shells nested with the same winding."""
+"""Closed surfaces whose inside is ambiguous: faces that cross or coincide, and shells nested with the same winding."""
 
 import os
 from collections.abc import Iterator
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from formats.errors import MeshError, warn
 from formats.mesh import Mesh
 from formats.mesh.edges import edges_of
+from prt_bake.geometry.coincident_faces import common_points, near_faces
 from prt_bake.geometry.nesting import winding_numbers
 
 Array = NDArray[np.float64]
@@ -23,22 +24,29 @@ _TESTED = 400
 """Most faces behind which winding numbers are computed."""
 _MOST_PAIRS = 4_000_000
 """Tested faces times all faces, about a second."""
-_BEHIND = 1e-5
-"""Distance behind a face, in diagonals."""
+_BEHIND = 1e-8
+"""Distance behind a face, in diagonals: nearer than any other face but those that coincide with it."""
 
 
-def ambiguity(mesh: Mesh) -> tuple[str, bool]:
-    """What makes the inside of a closed mesh ambiguous and how to mend it, and whether part of its volume is.
+def ambiguity(mesh: Mesh, size: float | None = None) -> tuple[str, bool]:
+    """What makes the inside of a closed mesh ambiguous and how to mend it, and whether light in it is wrong.
 
-    ("", False) if no faces cross and shells are nested as cavities are. Of faces that merely cross, in folds narrower
-    than a face, the volume is negligible.
+    ("", False) if no faces cross or coincide and shells are nested as cavities are. Faces that merely cross, in folds
+    narrower than a face, change little light. `size`: longest side of the whole object, by default that of the mesh.
     """
     shell = shells(mesh)
     edges, faces = crossings(mesh)
-    if not len(edges) and shell.max() == 0:
+    near, coincide = near_faces(mesh, size or float(np.ptp(mesh.bounds, axis=0).max()))
+    if not len(edges) and not len(near) and shell.max() == 0:
         return "", False
-    tested, winding = _winding_behind_faces(mesh, shell)
+    tested, winding = _winding_behind_faces(mesh, shell, near[~coincide])
     wrong = np.abs(winding - 1.0) > 0.5
+    if coincide.any() and not (len(edges) and wrong.any()):
+        count, (where,) = len(np.unique(near[coincide])), common_points(mesh, near[coincide][:1])
+        return (
+            f"{count} of its faces lie on one another, within a millionth of its size, the first at {_point(where)}; "
+            f"{_UNITE}, or remove doubled faces and inner walls"
+        ), True
     if len(edges):
         of_vertex = np.zeros(len(mesh.positions), np.int64)
         of_vertex[mesh.faces] = shell[:, None]
@@ -55,23 +63,30 @@ def ambiguity(mesh: Mesh) -> tuple[str, bool]:
     return f"{found} is in another and not wound as a cavity; {_UNITE}", True
 
 
-def refuse_ambiguous(mesh: Mesh, path: str | os.PathLike[str]) -> None:
-    """Raise MeshError if part of a closed mesh's volume is ambiguous, and warn if only faces cross."""
-    what, volume = ambiguity(mesh)
+def refuse_ambiguous(mesh: Mesh, path: str | os.PathLike[str], size: float | None = None) -> None:
+    """Raise MeshError if light in a closed mesh is wrong, and warn if faces merely cross. `size` as in `ambiguity`."""
+    what, volume = ambiguity(mesh, size)
     if volume:
         raise MeshError(f"{path}: {what}")
     if what:
         warn(f"{path}: {what}; light may be wrong there")
 
 
-def _winding_behind_faces(mesh: Mesh, shell: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-    """Some faces, at least one of each shell, and the winding numbers just behind them."""
+def _winding_behind_faces(
+    mesh: Mesh, shell: NDArray[np.int64], near: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array]:
+    """Some faces, at least one of each shell, and the winding numbers just behind them.
+
+    Faces that are near others, pairs [N,2], are tested where they are.
+    """
     number = int(np.clip(_MOST_PAIRS // len(mesh.faces), 32, _TESTED))
     spread = np.linspace(0, len(mesh.faces) - 1, number).astype(np.int64)
     one_each = np.unique(shell, return_index=True)[1]
     tested = np.unique(np.concatenate([spread, one_each]))
-    centres = mesh.positions[mesh.faces[tested]].mean(axis=1)
-    return tested, winding_numbers(mesh, centres - _BEHIND * mesh.diagonal * mesh.face_normals[tested])
+    near = near[:: max(1, -(-len(near) // number))]
+    points = np.concatenate([mesh.positions[mesh.faces[tested]].mean(axis=1), common_points(mesh, near)])
+    tested = np.concatenate([tested, near[:, 1]])
+    return tested, winding_numbers(mesh, points - _BEHIND * mesh.diagonal * mesh.face_normals[tested])
 
 
 def _point(position: Array) -> str:
@@ -145,5 +160,6 @@ def _passes_through(mesh: Mesh, edges: NDArray[np.int64], faces: NDArray[np.int6
 
     sides = volume(a, b, c, p) * volume(a, b, c, q) < 0.0
     turns = np.stack([np.sign(volume(p, q, *pair)) for pair in ((a, b), (b, c), (c, a))])
-    # Of mirrored shells an edge may pass through the edge of a face: one turn is 0.
-    return np.asarray(sides & turns.any(axis=0) & ((turns >= 0.0).all(axis=0) | (turns <= 0.0).all(axis=0)))
+    # Of mirrored shells an edge may pass through the edge of a face: one turn is 0. Two are 0 at a vertex: they touch.
+    inside = (turns != 0.0).sum(axis=0) > 1
+    return np.asarray(sides & inside & ((turns >= 0.0).all(axis=0) | (turns <= 0.0).all(axis=0)))

@@ -9,12 +9,8 @@ import numpy as np
 from formats.asset import Asset, check_asset, read_asset
 from formats.asset.compact_record import CompactCoefficients
 from formats.errors import QueryError
-from prt_bake.mathematics import sphere
-from prt_bake.shading.reconstruction import reconstruct
+from prt_bake.shading.selftest import selftest_fault
 from prt_bake.shading.vertices import refuse_other_basis
-
-_TOLERANCE = 1e-3
-"""Relative to the largest radiance of the self-test: directions are float32 and coefficients usually float16."""
 
 
 def describe(path: Path) -> dict[str, Any]:
@@ -50,24 +46,8 @@ def soundness_faults(asset: Asset) -> Iterator[str]:
         yield str(error).removeprefix("asset: ")
     if not asset.valid.any():
         yield "no vertex is baked, so there is nothing to show; bake it again (--resume finishes a partial bake)"
-    elif asset.selftest and not (deviation := selftest_error(asset)) <= _TOLERANCE:
-        yield (
-            f"/selftest: its radiance differs from that of the coefficients by {deviation:.3g} of the largest; the "
-            "coefficients, the mesh or the self-test were changed; bake the asset again"
-        )
-
-
-def selftest_error(asset: Asset) -> float:
-    """Return the largest difference between the self-test's radiance and the asset's, relative to the largest value."""
-    vertices = np.asarray(asset.selftest["vertex"], np.int64)
-    tangents = np.asarray(asset.tangents, np.float64)[vertices]
-    local = sphere.to_local(asset.selftest["outgoing"], asset.mesh.normals[vertices], tangents)
-    bins = sphere.bin_coordinates(local, asset.rings, asset.sectors)
-    light = np.asarray(asset.selftest["light"], np.float64) if asset.quantity == "transfer" else np.ones((1, 3))
-    computed = reconstruct(asset.coefficients, vertices, bins, asset.sectors, light)
-    stored = np.asarray(asset.selftest["radiance"], np.float64)
-    largest = max(float(np.abs(computed).max()), float(np.abs(stored).max()))
-    return float(np.abs(computed - stored).max()) / largest if largest > 0.0 else 0.0
+    elif (fault := selftest_fault(asset)) is not None:
+        yield fault
 
 
 def _describe_compression(coefficients: Any) -> dict[str, Any]:

@@ -45,8 +45,9 @@ def find_faults(path: Path) -> list[str]:
     faults = find_table_faults(path)
     if not faults:
         parts = read_scene(path).parts
+        size = float(np.ptp(parts[0].mesh.bounds, axis=0).max())
         for part in parts:
-            refuse_ambiguous(part.mesh, part.mesh_path)
+            refuse_ambiguous(part.mesh, part.mesh_path, size)
         refuse_outside(parts)
     return faults
 

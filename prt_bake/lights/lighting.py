@@ -160,7 +160,7 @@ def read_lighting(
                     add(one, str(light))
         elif Path(light).suffix.lower() not in READABLE:
             raise LightError(
-                f"{light}: is not a light; expected a lat-long sky (.exr, .hdr or .png), a lights file (.toml), "
+                f"{light}: is not a light; expected a lat-long sky (.exr, .hdr, .png or .jpg), a lights file (.toml), "
                 f"{SUN_SYNTAX} or {SPHERE_SYNTAX}"
             )
         else:

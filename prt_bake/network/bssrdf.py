@@ -10,9 +10,10 @@ of ωi·ωo are appended to the inputs of the last layers. The optional features
 """
 
 import json
+from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import ModelError
+from formats.json_values import REFRACTIVE_INDEX, ROUGHNESS, TABLE, TEXT, Check, one_of, value_faults
 from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
 from prt_bake.network.core import NetworkCore
 from prt_bake.network.features.interior import Interior
@@ -34,6 +36,15 @@ FORMAT = "prtbake model"
 FORMAT_VERSION = 1
 INTERIOR = "interior"
 """Name of the checkpoint's tensor that holds the interior's grid."""
+_METADATA: Mapping[str, Check] = {
+    "up": one_of("y", "z"),
+    "unit": TEXT,
+    "eta": REFRACTIVE_INDEX,
+    "roughness": ROUGHNESS,
+    "normals": one_of("face", "vertex"),
+    "training": TABLE,
+}
+"""Entries of the metadata that bakes and pictures read; others are only handed on."""
 _MAX_FLOAT16 = float(torch.finfo(torch.float16).max)
 
 
@@ -129,6 +140,7 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
                 f"found {head['format']!r} version {head['format_version']!r}; give a network of this version, "
                 "or train one"
             )
+        _check_metadata(head["metadata"])
         packed = tensors.pop(INTERIOR, None)
         settings = NetworkSettings.from_json(head["settings"])
         _check_size(settings, sum(tensor.numel() for tensor in tensors.values()))
@@ -152,6 +164,14 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
         raise ModelError(f"{fault}; copy the file again, or train the model again") from None
     network.load_state_dict(tensors)
     return network.to(device).eval()
+
+
+def _check_metadata(metadata: dict[str, Any]) -> None:
+    """Raise ModelError naming a value of the metadata that bakes and pictures cannot use."""
+    for fault in value_faults(metadata, _METADATA, "metadata."):
+        raise ModelError(f"{fault}; copy the file again, or train the model again")
+    for fault in value_faults(metadata.get("training", {}), {"relative_rmse": TABLE}, "metadata.training."):
+        raise ModelError(f"{fault}; copy the file again, or train the model again")
 
 
 def _check_size(settings: NetworkSettings, stored: int) -> None:

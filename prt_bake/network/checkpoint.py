@@ -7,6 +7,7 @@ Neither form can run code when it is read: `.pt` goes through torch's restricted
 import io
 import pickle
 import warnings
+import zipfile
 from pathlib import Path
 
 import torch
@@ -16,6 +17,9 @@ from formats.atomic import replacing
 from formats.errors import ModelError
 
 HEAD = "prtbake"
+_FLOATS = (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+_MAX_RATIO = 20
+"""Most bytes that a `.pt` unpacks to, per byte of the file; torch stores the entries uncompressed."""
 
 
 def write_checkpoint(path: str | Path, head: str, tensors: dict[str, Tensor]) -> None:
@@ -46,7 +50,7 @@ def read_checkpoint(path: str | Path) -> tuple[str, dict[str, Tensor]]:
 
 
 def check_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]], path: str | Path) -> None:
-    """Raises ModelError unless `tensors` have exactly the names and shapes of `shapes`, and finite float values."""
+    """Raises ModelError unless `tensors` have exactly the names and `shapes`, and values finite in float32."""
     for name in sorted(shapes.keys() | tensors.keys()):
         if name not in tensors or name not in shapes:
             state = "missing" if name in shapes else "not part of this network"
@@ -54,14 +58,40 @@ def check_tensors(tensors: dict[str, Tensor], shapes: dict[str, tuple[int, ...]]
         found = tuple(tensors[name].shape)
         if found != shapes[name]:
             raise ModelError(f"{path}: tensor {name} has shape {found}, expected {shapes[name]}")
-        if not tensors[name].is_floating_point():
-            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected floats")
-        bad = int((~tensors[name].isfinite()).sum())
+        if tensors[name].dtype not in _FLOATS:
+            raise ModelError(f"{path}: tensor {name} holds {tensors[name].dtype}, expected floats of 16, 32 or 64 bits")
+        bad = int((~tensors[name].float().isfinite()).sum())
         if bad:
-            raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite")
+            raise ModelError(f"{path}: tensor {name} holds {bad} values that are not finite in float32")
+
+
+def check_entries(path: Path) -> None:
+    """Compare the entries of a `.pt` with their CRC-32, which `torch.load` does not do.
+
+    Raises ModelError naming the entry. Files without a zip's directory (older forms, truncated ones) are left to
+    `torch.load`.
+    """
+    try:
+        if not zipfile.is_zipfile(path):
+            return
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+            if unpacked > _MAX_RATIO * path.stat().st_size:
+                raise ModelError(
+                    f"{path}: its entries unpack to {unpacked} bytes from a file of {path.stat().st_size}; "
+                    "expected a model written by prtbake, which is not compressed"
+                )
+            damaged = archive.testzip()
+    except ModelError:
+        raise
+    except Exception as fault:  # zipfile raises errors of many classes on foreign and damaged files
+        raise ModelError(f"{path}: not a readable .pt file ({_first_line(fault)}); copy it again") from None
+    if damaged is not None:
+        raise ModelError(f"{path}: the entry {damaged} is damaged: its checksum differs; copy the file again")
 
 
 def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
+    check_entries(path)
     try:
         with warnings.catch_warnings():
             # Warnings about foreign pickles; unsound content is refused below.
@@ -75,7 +105,19 @@ def _read_pt(path: Path) -> tuple[str, dict[str, Tensor]]:
     for name, tensor in tensors.items():
         if not isinstance(name, str) or not isinstance(tensor, Tensor):
             raise ModelError(f"{path}: {name!r} is not a named tensor; expected a model written by prtbake")
+        if not _is_plain(tensor):
+            raise ModelError(
+                f"{path}: tensor {name} is sparse, nested, or without values of its own; expected a plain tensor; "
+                "train the model again"
+            )
     return head, tensors
+
+
+def _is_plain(tensor: Tensor) -> bool:
+    """Whether every value of a tensor is stored: no sparse, nested or repeated ones, and no mere shape ("meta")."""
+    if tensor.layout != torch.strided or tensor.is_nested or tensor.device.type != "cpu":
+        return False
+    return tensor.numel() * tensor.element_size() <= tensor.untyped_storage().nbytes()
 
 
 def _diagnosis(fault: Exception) -> str:

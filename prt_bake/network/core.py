@@ -24,6 +24,7 @@ from prt_bake.network.settings import EXIT_INPUTS, NetworkSettings
 from prt_bake.network.surface_check import OwnSurface
 
 ROWS_PER_BATCH = 8192
+_MAX_FLOAT32 = float(torch.finfo(torch.float32).max)
 _LOBE_WEIGHT_SPREAD = 0.02
 """Standard deviation of the initial weights of lobes: small, so that all lobes start nearly alike, but not equal."""
 
@@ -55,7 +56,8 @@ class NetworkCore(nn.Module):
         networks that average features along the view ray (settings.ray_samples > 0). The weights follow He et al. 2015;
         they and G depend only on settings.seed.
 
-        Raises ModelError if the box is not finite, or if an interior is missing or not used.
+        Raises ModelError if the box or output_scale is not finite in float32, or if an interior is missing or not
+        used.
         """
         super().__init__()
         self.settings = settings or NetworkSettings()
@@ -67,12 +69,11 @@ class NetworkCore(nn.Module):
         if (
             corner.shape != (3,)
             or not bool(corner.isfinite().all())
-            or not all(np.isfinite(scales))
-            or min(scales) <= 0
+            or not all(0.0 < scale < _MAX_FLOAT32 for scale in scales)
         ):
             raise ModelError(
-                f"network: box_min must be three finite numbers, box_side and output_scale finite and positive; "
-                f"found {corner.tolist()}, {self.box_side}, {self.output_scale}"
+                f"network: box_min must be three finite numbers, box_side and output_scale positive and finite in "
+                f"float32; found {corner.tolist()}, {self.box_side}, {self.output_scale}"
             )
         if (interior is None) != (self.settings.ray_samples == 0):
             raise ModelError(

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, cast
 
 from formats.errors import ModelError
+from formats.json_values import is_number
 
 Activation = Literal["relu", "silu"]
 DirectionForm = Literal["spherical", "cartesian"]
@@ -227,10 +228,12 @@ class NetworkSettings:
 
 
 def _scalar(name: str, value: Any, expected: type) -> int | float | str | bool:
-    if expected is float and isinstance(value, int) and not isinstance(value, bool):
+    if expected is float and isinstance(value, int) and is_number(value):
         return float(value)
     if type(value) is not expected:
         raise ModelError(f"network settings: {name} must be of type {expected.__name__}, found {value!r}")
+    if expected is float and not is_number(value):
+        raise ModelError(f"network settings: {name} must be finite in float32, found {value!r}")
     return cast(int | float | str | bool, value)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import QueryError, warn
-from formats.mesh import Mesh
+from formats.mesh import Mesh, inward_sentence
 from prt_bake.network.features.interior import LEVELS, REACH, Interior
 
 Array = NDArray[np.float64]
@@ -26,6 +26,10 @@ FEW_OFF = 0.01
 _MATCHES = 0.95
 """Share of vertices that a transformation must bring onto the surface to be named as the cause."""
 _UNKNOWN = "bake the mesh of the model's own scene, or train a model on this mesh"
+_ROUGHLY = (
+    "it follows that surface, but too roughly, as after simplifying it too far, smoothing it or turning it a little: "
+    "bake the model's own mesh, or one with more vertices"
+)
 _TESTED = 500
 _LEAST_SIZE = 10.0
 """Diagonal, in spacings, of a mesh that a cause makes smaller."""
@@ -87,7 +91,7 @@ class OwnSurface:
         return np.asarray(self.corner + self.side * (self.interior.corner + self.interior.spacing * nodes))
 
     def refuse_foreign(self, mesh: Mesh) -> None:
-        """Raise QueryError if most vertices are off the surface, or face its inside; warn if some are off.
+        """Raise QueryError if most vertices are off the surface, or face its inside; warn of some.
 
         The sentence has their number, the farthest distance and the cause.
         """
@@ -96,7 +100,7 @@ class OwnSurface:
         farthest = float(distances.max())
         beyond = farthest >= REACH - 1e-6
         if off.mean() <= FEW_OFF and not beyond:
-            self._refuse_inward(mesh)
+            self._refuse_inward(mesh, off)
             return
         reach = "more than " if beyond else ""
         found = (
@@ -105,13 +109,21 @@ class OwnSurface:
         )
         if off.mean() <= MOST_OFF:
             warn(f"{found}; the result is wrong there: train a model on this mesh")
-            self._refuse_inward(mesh)
+            self._refuse_inward(mesh, off)
             return
-        cause = self._cause(mesh.positions)
-        raise QueryError(f"{found}; {cause or _UNKNOWN}")
+        cause = self._cause(mesh.positions) or (_UNKNOWN if beyond else _ROUGHLY)
+        if cause is _ROUGHLY and off.mean() <= 0.5:
+            warn(f"{found}; {cause}")
+            self._refuse_inward(mesh, off)
+            return
+        raise QueryError(f"{found}; {cause}")
 
-    def _refuse_inward(self, mesh: Mesh) -> None:
-        """Raise QueryError if most normals point into the object: those of an open mesh may agree with its faces."""
+    def _refuse_inward(self, mesh: Mesh, off: NDArray[np.bool_]) -> None:
+        """Raise QueryError if most normals point into the object, and warn if more than a few on the surface do.
+
+        Those of an open mesh, or of a shell, may agree with its faces. Those of vertices `off` the surface [V] tell
+        nothing of its side.
+        """
         ahead, behind = (self._signed(mesh.positions + side * self.spacing * mesh.normals) for side in (1.0, -1.0))
         inward = ahead > behind
         if inward.mean() > 0.5:
@@ -119,6 +131,9 @@ class OwnSurface:
                 f"mesh: {inward.sum()} of {len(inward)} vertex normals point into the object that the model was "
                 f"trained on: the faces are wound inside out; flip the mesh's normals in an editor, and save it again"
             )
+        inward &= ~off
+        if inward.mean() > FEW_OFF:
+            warn(inward_sentence(mesh, np.flatnonzero(inward), "that the model was trained on"))
 
     def _cause(self, positions: Array) -> str:
         """The transformation that brings the vertices onto the surface, as a sentence; empty if none is found."""
@@ -172,6 +187,7 @@ def _axis_changes() -> list[_AxisChange]:
 
 
 def _sentence(axes: _AxisChange, factor: float, shifted: str) -> str:
+    """Say what differs; empty if nothing but a rounding of the size does."""
     causes = []
     if not np.isclose(factor, 1.0, rtol=2e-2):
         known = next((name for size, name in _FACTORS.items() if name and np.isclose(factor, size, rtol=2e-2)), "")
@@ -180,4 +196,6 @@ def _sentence(axes: _AxisChange, factor: float, shifted: str) -> str:
         causes.append(f"its axes are swapped (the object's x, y, z are its {axes})")
     if shifted == "moved":
         causes.append("it is moved")
+    if not causes:
+        return ""
     return f"{' and '.join(causes)}: export it with the size, axes and origin of the model's own mesh"

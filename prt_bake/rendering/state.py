@@ -5,6 +5,7 @@ of rays within a pixel.
 """
 
 import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 
 from formats.atomic import replacing
 from formats.errors import FormatError
+from formats.json_values import is_number
 from formats.npz import read_arrays
 
 Array = NDArray[np.float64]
 
 
 _ARRAYS = ("radiance", "squares", "coverage")
+_COVERAGE_ROUNDING = 1e-3
 
 
 @dataclass
@@ -125,8 +128,18 @@ def stored_identity(path: Path) -> dict[str, Any]:
 
 
 def stored_limits(path: Path) -> dict[str, Any]:
-    """The limits (spp, error, minutes) of the checkpoint's last run; empty if the file cannot be read."""
-    return _read_head(path, "asked")
+    """The limits (spp, error, minutes) of the checkpoint's last run; empty if the file cannot be read.
+
+    Raises FormatError if one is not a number from 0 on.
+    """
+    limits = _read_head(path, "asked")
+    for name, value in limits.items():
+        if value is not None and not (is_number(value) and value >= 0.0):
+            raise FormatError(
+                f"{path}: is damaged: {name} of its last run is {value!r}; expected a number from 0 on; render without "
+                "--resume"
+            )
+    return limits
 
 
 def _read_head(path: Path, part: str) -> dict[str, Any]:
@@ -152,7 +165,7 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
         history = [(float(a), float(b), float(c)) for a, b, c in numbers["history"]]
         counts = int(numbers["passes"]), int(numbers["walks"]), float(numbers["seconds"])
         sums = Sums(radiance, squares, coverage, *counts, history)
-    except (ValueError, KeyError, TypeError) as fault:
+    except (ValueError, KeyError, TypeError, OverflowError, AttributeError) as fault:
         kind = type(fault).__name__
         raise FormatError(f"{path}: not a readable checkpoint of a picture ({kind}); render without --resume") from None
     differing = [name for name in identity if found.get(name) != identity[name]]
@@ -162,7 +175,27 @@ def read_checkpoint(path: Path, identity: dict[str, Any]) -> Sums:
             f"{path}: belongs to another picture: {differences}; repeat the original arguments, or render "
             "without --resume"
         )
+    for sentence in _sum_faults(sums, identity.get("size", sums.coverage.shape[1::-1])):
+        raise FormatError(f"{path}: is damaged: {sentence}; render without --resume")
     return sums
+
+
+def _sum_faults(sums: Sums, size: Sequence[int]) -> Iterator[str]:
+    """Yield a sentence for every value that passes over a picture of `size`, width and height, cannot sum up to."""
+    if sums.passes < 1 or sums.walks < 0 or not 0.0 <= sums.seconds < np.inf:
+        yield (
+            f"expected at least 1 pass and counts that are not negative, found passes {sums.passes}, walks "
+            f"{sums.walks}, seconds {sums.seconds}"
+        )
+    pixels = tuple(size[::-1])
+    for name, shape in {"radiance": (*pixels, 3), "squares": (*pixels, 3), "coverage": pixels}.items():
+        values = getattr(sums, name)
+        if values.shape != shape:
+            yield f"{name} has shape {list(values.shape)}; expected {list(shape)}"
+        elif not np.isfinite(values).all() or (name != "radiance" and (values < 0.0).any()):
+            yield f"{name} has values that are negative or not finite"
+    if sums.passes < (most := sums.coverage.max(initial=0.0)) * (1.0 - _COVERAGE_ROUNDING):
+        yield f"coverage is up to {most:g}; expected at most {sums.passes}, the number of passes"
 
 
 def _difference(name: str, found: Any, expected: Any) -> str:

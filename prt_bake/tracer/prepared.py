@@ -268,9 +268,10 @@ def _face_normals(positions: Array, faces: NDArray[np.int64], fallback: Array) -
 def prepare(scene: Scene) -> PreparedScene:
     """The prepared scene; the four last used ones are cached.
 
-    Raises MeshError for overlapping shells, SceneError for parts outside of their parents.
+    Raises MeshError for overlapping shells and coincident faces, SceneError for parts outside of their parents.
     """
+    size = float(np.ptp(scene.mesh.bounds, axis=0).max())
     for part in scene.parts:
-        refuse_ambiguous(part.mesh, part.mesh_path)
+        refuse_ambiguous(part.mesh, part.mesh_path, size)
     refuse_outside(scene.parts)
     return PreparedScene(scene)

@@ -37,7 +37,10 @@ def read_state(output: str | Path, scene_hash: str, settings: dict[str, Any]) ->
     """
     import torch
 
+    from prt_bake.network.checkpoint import check_entries
+
     path = require_state(output)
+    check_entries(path)
     try:
         state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
         found, version = state["scene"], state.get("version")

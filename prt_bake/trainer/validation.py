@@ -125,12 +125,13 @@ def noise_free_ratio(predicted: ArrayLike, mean: Array, error: Array) -> float:
 class FinalErrors:
     """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the reference's relative noise.
 
-    None for Ŝ behind a smooth interface, where it has no point values.
+    An error is None if it is unknown, because the noise is as large as the values. Ŝ has neither behind a smooth
+    interface, where it has no point values.
     """
 
     transport: float | None
     transport_noise: float | None
-    coefficients: float
+    coefficients: float | None
     coefficients_noise: float
     queries: int
     walks: int
@@ -143,13 +144,18 @@ def final_errors(
     values = hold_out(prepared, queries, 8, walks, seed) if smooth_part(scene) is None else None
     reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS)
     return FinalErrors(
-        transport=None if values is None else values.relative_rmse(network),
+        transport=None if values is None else _known_error(values, network),
         transport_noise=None if values is None else relative_noise(values),
-        coefficients=reference.relative_rmse(network),
+        coefficients=_known_error(reference, network),
         coefficients_noise=relative_noise(reference),
         queries=queries,
         walks=walks,
     )
+
+
+def _known_error(reference: HeldOut | HeldOutCoefficients, network: Any) -> float | None:
+    """The error of a network; None if the reference is only noise, which a difference of squares would hide."""
+    return None if relative_noise(reference) >= 1.0 else reference.relative_rmse(network)
 
 
 def relative_noise(reference: HeldOut | HeldOutCoefficients) -> float:

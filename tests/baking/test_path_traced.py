@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from formats.asset import Asset
-from formats.errors import QueryError
+from formats.errors import InputWarning, QueryError
 from formats.mesh import Mesh, build_mesh, flipped
 from formats.scene import Scene
 from prt_bake.baking.bake import bake, plan
@@ -122,6 +122,18 @@ def test_a_mesh_slightly_off_the_surface_is_accepted_and_one_farther_off_raises(
             command(scene, far)
         with pytest.raises(QueryError, match="12 of 12 vertices point into the object"):
             command(scene, flipped(COARSE))
+
+
+def test_a_shell_that_is_wound_inside_out_is_warned_about(tmp_path: Path) -> None:
+    ball, small = FINE, moved(sphere(0), 0.3, [3.0, 0.0, 0.0])
+    positions = np.concatenate([ball.positions, small.positions])
+    faces = np.concatenate([ball.faces, small.faces + len(ball.positions)])
+    scene = make_scene(tmp_path, build_mesh(positions, faces), **MILK)
+    faces[len(ball.faces) :] = faces[len(ball.faces) :, ::-1]
+    with pytest.warns(
+        InputWarning, match=r"normals of 12 of 174 vertices point into .*scene\.toml, the first at .*; make"
+    ):
+        PathTraced(scene).refuse_foreign(build_mesh(positions, faces))
 
 
 def test_views_of_other_faces_are_clamped_to_the_horizon_of_the_scene(tmp_path: Path) -> None:

@@ -83,16 +83,22 @@ def _picture(path: Path) -> Bits:
 
 @dataclass(frozen=True)
 class Command:
-    """A command line without its output, the name of the output, how it is read, and whether there is --resume."""
+    """A command line without its output, the name of the output, how it is read, and whether there is --resume.
+
+    `beside` is what the command leaves beside its output.
+    """
 
     line: str
     output: str
     read: Callable[[Path], Bits]
     resumes: bool = False
+    beside: str = ""
 
 
 COMMANDS = {
-    "train": Command("train ball.toml --steps 10 --synchronous --no-report --no-importance", "m.pt", _model, True),
+    "train": Command(
+        "train ball.toml --steps 10 --synchronous --no-report --no-importance", "m.pt", _model, True, "m.train.pt"
+    ),
     "sample": Command("sample ball.toml --count 3000", "s.h5", _samples),
     "bake": Command("bake model.pt ball.ply --samples 512 --rings 4 --sectors 16", "b.h5", _asset, True),
     "compress": Command("compress asset.h5 --error 0.01", "c.h5", _asset),
@@ -226,8 +232,8 @@ class Bench:
         elif self.command.read(self.output) != self.bits:
             faults[f"the repeated command{resume} gives other bits"] += 1
         # `.part` is what a killed process was writing.
-        kept = (self.command.output, ".part")
-        remains = [name for name in self.folder.clear() if not name.endswith(kept)]
+        kept = (self.command.output, self.command.beside)
+        remains = [name for name in self.folder.clear() if name not in kept and not name.endswith(".part")]
         if remains and not code:
             faults[f"left after the repeated command: {remains}"] += 1
         return [".part" if name.endswith(".part") else name for name in left]

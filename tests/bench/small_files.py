@@ -10,6 +10,7 @@ from PIL import Image
 
 from formats.asset import read_asset, write_asset
 from formats.image import read_image, write_image
+from formats.image.rows import open_image
 from formats.journal import Journal
 from formats.mesh import build_mesh, read_mesh, write_mesh
 from formats.samples import read_samples
@@ -125,6 +126,11 @@ def _block(folder: Path) -> list[Path]:
     return [folder / "block.npz"]
 
 
+def _read_twice(path: Path) -> object:
+    """Read a picture in one piece, then in blocks of rows, as skies are."""
+    return read_image(path), open_image(path).read()
+
+
 def _read_block(path: Path) -> object:
     with Journal(path.parent / "out.h5", {"seed": 1}, resume=True) as journal:
         shutil.copy(path, journal.folder / "block.npz")
@@ -132,14 +138,16 @@ def _read_block(path: Path) -> object:
 
 
 def _render(folder: Path) -> list[Path]:
-    write_checkpoint(folder / "picture.render.npz", Sums.empty(4, 4), {"seed": 1}, {})
+    sums = Sums.empty(4, 4)
+    sums.passes = 2
+    write_checkpoint(folder / "picture.render.npz", sums, {"seed": 1}, {})
     return [folder / "picture.render.npz"]
 
 
 KINDS: dict[str, tuple[Make, Read]] = {
     **{suffix[1:]: (_meshes(suffix), read_mesh) for suffix in (".obj", ".ply", ".stl")},
     **{suffix[1:]: (_gltf(suffix), read_mesh) for suffix in (".glb", ".gltf")},
-    **{suffix[1:]: (_picture(suffix), read_image) for suffix in (".exr", ".hdr", ".png", ".jpg")},
+    **{suffix[1:]: (_picture(suffix), _read_twice) for suffix in (".exr", ".hdr", ".png", ".jpg")},
     "toml": (_scene, read_scene),
     "npy": (_grid, lambda path: read_grid(path.parent / "scene.toml", "sigma_t", path.name, 1e9)),
     "pt": (_model(".pt"), load_model),

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from formats.image import read_image, write_image
@@ -100,6 +101,22 @@ def test_an_invalid_error_layer_is_reported(prtbake: Run, tmp_path: Path, bad: f
     outcome = prtbake("compare", path, save(tmp_path, "b.exr", picture()), "--json")
     assert outcome.code == 0
     assert "n.exr: 3 of 2304 values of its error layer are negative or not finite" in outcome.err.replace("\n", " ")
+    assert "noise_free" not in json.loads(outcome.out)
+
+
+@pytest.mark.parametrize(
+    ("channels", "sentence"),
+    [("R", "error.R without error.G and error.B"), ("RG", "error.R and error.G without error.B")],
+)
+def test_an_error_layer_without_some_channels_is_reported(
+    prtbake: Run, tmp_path: Path, channels: str, sentence: str
+) -> None:
+    layers = {f"error.{channel}": np.full(SHAPE[:2], 0.1, np.float32) for channel in channels}
+    pixels = {"RGB": np.ascontiguousarray(picture(1), np.float32), **layers}
+    OpenEXR.File({"prtbake.passes": "8"}, pixels).write(str(tmp_path / "n.exr"))
+    outcome = prtbake("compare", tmp_path / "n.exr", save(tmp_path, "b.exr", picture()), "--json")
+    assert outcome.code == 0
+    assert f"n.exr: its error layer has {sentence}; the metrics" in outcome.err.replace("\n", " ")
     assert "noise_free" not in json.loads(outcome.out)
 
 
@@ -270,8 +287,8 @@ def test_negative_radiance_is_reported_and_shown_as_black(prtbake: Run, tmp_path
     ("name", "content", "message"),
     [
         ("missing.exr", None, "missing.exr: there is no such file"),
-        ("text.exr", b"not a picture", "text.exr: is not an OpenEXR image"),
-        ("text.png", b"not a picture", "text.png: cannot be read as PNG"),
+        ("text.exr", b"not a picture", "text.exr: is not OpenEXR: expected"),
+        ("text.png", b"not a picture", "text.png: is not PNG: expected"),
         ("empty.hdr", b"", "empty.hdr: "),
         ("picture.tif", b"II*\0", "picture.tif: the image cannot be read"),
     ],

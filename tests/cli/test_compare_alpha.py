@@ -32,6 +32,16 @@ def figures(prtbake: Run, *arguments: object) -> tuple[dict, str]:
     return json.loads(outcome.out), outcome.err
 
 
+def test_an_alpha_that_is_not_a_number_is_not_transparent(prtbake: Run, tmp_path: Path) -> None:
+    first = save(tmp_path, "a.exr", 1.1, OPAQUE)
+    channels = {name: channel.pixels for name, channel in OpenEXR.File(str(first)).channels().items()}
+    channels["RGBA"] = np.ascontiguousarray(channels["RGBA"])
+    channels["RGBA"][0, 0, 3] = np.nan
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(first))
+    values, _ = figures(prtbake, first, save(tmp_path, "b.exr", 1.0, OPAQUE))
+    assert values["pixels"] == OPAQUE.sum() + 1
+
+
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_pixels_transparent_in_both_are_ignored(prtbake: Run, tmp_path: Path, suffix: str) -> None:
     pair = [save(tmp_path, f"{name}{suffix}", factor, OPAQUE) for name, factor in (("a", 1.1), ("b", 1.0))]

@@ -1,6 +1,7 @@
 """Outputs that are inputs, or cannot be written, are refused before anything is read or computed."""
 
 import errno
+import json
 import os
 import tempfile
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from prt_bake.cli.main import main
 from prt_bake.export.mitsuba_xml import exported_files
 from prt_bake.shipped import demonstration
 from tests.cli.command_line import SCENE, Outcome, Run
+from tests.formats.mesh.gltf_files import pack
 
 NAMED = {
     "scene.toml": '[object]\nmesh = "mesh.gltf"\n[medium]\nsigma_t = "grid.npy"\n[[inside]]\nmesh = "core.ply"\n',
@@ -188,6 +190,31 @@ def test_every_name_of_an_input_is_found(run: Run, output: str, link: Callable[[
     assert_refused(run(f"shade asset.h5 --light sky.png -o {output}"), str(Path(output)), sentence)
 
 
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize(
+    ("uri", "output"),
+    [
+        ("a%23b/skin.png", "a#b/skin.png"),
+        ("a#b\\skin.png", "a#b/skin.png"),
+        ("a%23b\\skin.png", "a#b/skin.png"),
+        ("a%23b/caf%C3%A9.png", "a#b/cafe\u0301.png"),
+        ("a%23b/cafe%CC%81.png", "a#b/caf\u00e9.png"),
+    ],
+)
+def test_files_that_a_gltf_file_names_are_inputs_in_every_spelling(
+    run: Run, uri: str, output: str, binary: bool
+) -> None:
+    text = json.dumps({"buffers": [{"uri": "a" * 5000}], "images": [{"uri": "data:,"}, {"uri": uri}]}).encode()
+    mesh = Path("mesh.glb" if binary else "mesh.gltf")
+    mesh.write_bytes(pack(text, b"") if binary else text)
+    Path("scene.toml").write_text(f'[object]\nmesh = "{mesh}"\n')
+    Path("a#b").mkdir()
+    Path(output).write_text("an input")
+    outcome = run(f"render scene.toml mesh.ply --light sky.png -o {output}")
+    assert_refused(outcome, output, f"is also the input named by {mesh}; choose another name for the output")
+    assert Path(output).read_text() == "an input"
+
+
 def test_the_file_that_names_an_input_is_named(run: Run) -> None:
     write_inputs(f"{OF_LIGHTS} asset.h5")
     sentence = "is also the input named by lights.toml; choose another name for the output"
@@ -213,6 +240,9 @@ def test_files_that_are_damaged_or_name_themselves_are_left_to_the_reader(run: R
     for name, content in (("c.toml", b"= \xff"), ("d.gltf", b"[1, 2"), ("e.gltf", b'{"buffers": 3}')):
         Path(name).write_bytes(content)
         assert run(f"shade none.h5 --light {name} -o x.png").err.startswith("prtbake: none.h5: there is no such file")
+    Path("f.gltf").write_text('{"buffers": [{"uri": "g.glb"}]}')
+    Path("g.glb").write_text('{"images": [{"uri": "f.gltf"}]}')
+    assert run("shade none.h5 --light f.gltf -o x.png").err.startswith("prtbake: none.h5: there is no such file")
     assert run("shade none.h5 --light a.toml --light b.gltf -o x.png").err.startswith("prtbake: none.h5: there is no")
 
 

@@ -27,6 +27,7 @@ COMMAND = ["view", "asset.h5", "--light", "sky.exr"]
         ["--suns", "window"],
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*exposure of -1 EV")
 def test_a_screenshot_equals_the_picture_of_shade(prtbake: Run, tmp_path: Path, options: list[object]) -> None:
     sky = np.random.default_rng(1).random((64, 128, 3)).astype(np.float32)
     sky[15, 80] = 2000.0  # a sun

@@ -67,6 +67,14 @@ def test_exposure_shifts_the_range_and_keeps_the_value(stops: float, seed: int) 
     assert lifted.hdr_flip == pytest.approx(plain.hdr_flip, abs=1e-4)
 
 
+@pytest.mark.parametrize("scale", [1e-30, 1e14, 1e16, 1e30])
+def test_the_value_does_not_depend_on_the_scale_of_radiance(scale: float) -> None:
+    reference = np.random.default_rng(0).uniform(0.2, 0.9, (16, 16, 3))
+    expected = compare(1.1 * reference, reference, hdr=True).hdr_flip
+    assert expected > 0.05
+    assert compare(1.1 * scale * reference, scale * reference, hdr=True).hdr_flip == pytest.approx(expected, rel=1e-3)
+
+
 def test_a_wider_range_gives_no_smaller_value() -> None:
     image, reference = bright(3), bright(4)
     narrow, wide = (hdr_flip_map(image, reference, Exposures(-2.0 - more, 1.0 + more, 4 + 2 * more)) for more in (0, 2))

@@ -21,8 +21,8 @@ def ball(x: float = 0.0, radius: float = 1.0, inwards: bool = False) -> trimesh.
     return made
 
 
-def box(x: float = 0.0) -> trimesh.Trimesh:
-    return trimesh.creation.box().apply_translation([x, 0.0, 0.0])
+def box(x: float = 0.0, y: float = 0.0) -> trimesh.Trimesh:
+    return trimesh.creation.box().apply_translation([x, y, 0.0])
 
 
 def united(*solids: trimesh.Trimesh) -> Mesh:
@@ -72,7 +72,7 @@ SOUND = {
     "apart": united(ball(), ball(3.0)),
     "cavity": united(ball(), ball(radius=0.5, inwards=True)),
     "solid in a cavity": united(ball(radius=2.0), ball(radius=1.0, inwards=True), ball(radius=0.5)),
-    "touching in a face": united(box(), box(1.0)),
+    "touching along an edge": united(box(), box(1.0, 1.0)),
 }
 
 

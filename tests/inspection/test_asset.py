@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from formats.asset import write_asset
-from prt_bake.inspection.asset import selftest_error, soundness_faults
+from prt_bake.inspection.asset import soundness_faults
 from prt_bake.mathematics import sphere
+from prt_bake.shading.selftest import selftest_error
 from tests.cli.command_line import Run
 from tests.shading.test_picture import make_asset
 from tests.shapes import ball
@@ -40,6 +41,19 @@ def test_inconsistent_contents_are_faults(prtbake: Run, baked: Path, change, sen
     printed = outcome.out + outcome.err
     assert sentence in printed
     assert str(baked) in printed
+
+
+@pytest.mark.parametrize("command", ["shade", "compress"])
+def test_coefficients_in_another_order_are_a_warning(prtbake: Run, baked: Path, tmp_path: Path, command: str) -> None:
+    with h5py.File(baked, "r+") as file:
+        file["transfer/coefficients"][...] = file["transfer/coefficients"][...][::-1]
+    options = {
+        "shade": ["--light", "sky.exr", "-o", tmp_path / "a.exr"],
+        "compress": ["-o", tmp_path / "c.h5"],
+    }
+    outcome = prtbake(command, baked, *options[command])
+    assert outcome.code == 0
+    assert f"prtbake: warning: {baked}: /selftest: its radiance differs" in outcome.err
 
 
 @pytest.mark.parametrize("part", ["mesh", "positions", "faces", "origin"])

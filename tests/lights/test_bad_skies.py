@@ -45,7 +45,7 @@ def test_an_invalid_light_is_refused_with_the_accepted_forms(prtbake: Run, tmp_p
     ):
         outcome = prtbake(*command, "--light", light)
         assert outcome.code == 1
-        assert f"{light}: is not a light; expected a lat-long sky (.exr, .hdr or .png), a lights file" in outcome.err
+        assert f"{light}: is not a light; expected a lat-long sky (.exr, .hdr, .png or .jpg)" in outcome.err
         assert "sun:x,y,z[:r,g,b][:degrees] or sphere:x,y,z:radius[:r,g,b]" in outcome.err
 
 

@@ -1,7 +1,6 @@
 """Tests of the neural BSSRDF: its size, features, evaluation and files."""
 
 import json
-import pickle
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -237,91 +236,6 @@ def test_preparing_leaves_the_network_unchanged(network: NeuralBSSRDF) -> None:
     network.prepared("bfloat16")
     assert network.training
     assert network.output.weight.dtype is torch.float32
-
-
-class Hostile:
-    """Would write a file when unpickled."""
-
-    def __init__(self, target: Path) -> None:
-        self.target = target
-
-    def __reduce__(self) -> tuple[object, tuple[str, str]]:
-        return open, (str(self.target), "w")
-
-
-def test_a_hostile_pickle_is_refused_and_never_runs(tmp_path: Path) -> None:
-    target = tmp_path / "it ran"
-    torch.save({"prtbake": "{}", "tensors": Hostile(target)}, tmp_path / "model.pt")
-    with pytest.raises(ModelError, match=r"model\.pt.*refused"):
-        load_model(tmp_path / "model.pt")
-    (tmp_path / "bare.pt").write_bytes(pickle.dumps(Hostile(target)))
-    with pytest.raises(ModelError, match=r"bare\.pt"):
-        load_model(tmp_path / "bare.pt")
-    assert not target.exists()
-
-
-def damaged(tmp_path: Path, change: dict[str, object]) -> Path:
-    """The file of a small model with some tensors replaced (None: removed)."""
-    path = tmp_path / "model.pt"
-    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
-    content = torch.load(path, weights_only=True)
-    for name, tensor in change.items():
-        content["tensors"][name] = tensor
-    content["tensors"] = {name: tensor for name, tensor in content["tensors"].items() if tensor is not None}
-    torch.save(content, path)
-    return path
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"hidden.2.weight": torch.full((16, 32), torch.nan)},
-            r"hidden\.2\.weight holds 512 values that are not finite",
-        ),
-        ({"hidden.1.bias": torch.zeros(15)}, r"hidden\.1\.bias has shape \(15,\), expected \(16,\)"),
-        ({"output.bias": None}, r"output\.bias is missing"),
-        ({"extra": torch.zeros(2)}, r"extra is not part"),
-        ({"output.bias": torch.zeros(3, dtype=torch.int32)}, r"output\.bias holds torch\.int32"),
-        ({"output.bias": "words"}, r"'output\.bias' is not a named tensor"),
-    ],
-)
-def test_unsound_weights_are_refused_by_name(tmp_path: Path, change: dict[str, object], message: str) -> None:
-    with pytest.raises(ModelError, match=message):
-        load_model(damaged(tmp_path, change))
-
-
-@pytest.mark.parametrize("setting", ["width", "layers", "features", "light_features", "ray_samples", "lobes"])
-def test_settings_of_a_larger_network_than_the_file_are_refused(tmp_path: Path, setting: str) -> None:
-    path = tmp_path / "model.pt"
-    save_model(NeuralBSSRDF(PRESETS["measured"], interior=rough_interior(8)), path)
-    content = torch.load(path, weights_only=True)
-    head = json.loads(content["prtbake"])
-    head["settings"][setting] = 10**9
-    torch.save(content | {"prtbake": json.dumps(head)}, path)
-    with pytest.raises(ModelError, match=r"model\.pt: its settings describe a larger network than its \d+ numbers"):
-        load_model(path)
-
-
-@pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
-def test_other_files_are_refused_by_name(tmp_path: Path, suffix: str) -> None:
-    path = tmp_path / f"model{suffix}"
-    with pytest.raises(ModelError, match="no such file"):
-        load_model(path)
-    save_model(NeuralBSSRDF(NetworkSettings(**SMALL)), path)
-    complete = path.read_bytes()
-    for content in (b"", b"ply\nformat ascii 1.0\n", complete[: len(complete) // 2]):
-        path.write_bytes(content)
-        with pytest.raises(ModelError, match=f"model\\{suffix}: "):
-            load_model(path)
-    with pytest.raises(ModelError, match="ends in"):
-        load_model(tmp_path / "model.onnx")
-
-
-def test_a_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
-    torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
-    with pytest.raises(ModelError, match="a checkpoint of another program"):
-        load_model(tmp_path / "other.pt")
 
 
 @pytest.mark.parametrize(

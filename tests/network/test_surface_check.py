@@ -31,12 +31,12 @@ def subdivided(mesh: Mesh) -> Mesh:
 
 
 def simplified(mesh: Mesh) -> Mesh:
-    """Every second vertex, collapsed to the next kept one: coarser, with all vertices on the surface."""
+    """Every second vertex, collapsed to the next kept one: coarser, with all vertices and normals on the surface."""
     kept = np.arange(len(mesh.positions)) // 2 * 2
     faces = kept[mesh.faces]
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     used, renumbered = np.unique(faces, return_inverse=True)
-    return build_mesh(mesh.positions[used], renumbered.reshape(-1, 3))
+    return Mesh(mesh.positions[used], renumbered.reshape(-1, 3), mesh.normals[used])
 
 
 @pytest.mark.parametrize("variant", [lambda mesh: mesh, subdivided, simplified, piece])
@@ -66,6 +66,25 @@ def test_the_cause_is_named(network, spot, cause):
         network.refuse_foreign(foreign)
 
 
+ROUGH = {
+    "a little smaller": lambda spot: MIDDLE + 0.975 * (spot.positions - MIDDLE),  # the size alone fits, to 2 %
+    "every fifth vertex inset": lambda spot: (
+        spot.positions - 0.025 * spot.normals * (np.arange(2930) % 5 == 0)[:, None]
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", ROUGH)
+def test_a_mesh_that_follows_the_surface_too_roughly_hears_so(network, spot, kind):
+    with pytest.warns(InputWarning, match=r"scene units away; it follows that surface, but too roughly, .*: bake the"):
+        network.refuse_foreign(build_mesh(ROUGH[kind](spot), spot.faces))
+
+
+def test_a_mesh_that_is_off_the_surface_everywhere_is_refused(network, spot):
+    with pytest.raises(QueryError, match=r"scene units away; it follows that surface, but too roughly, .*: bake the"):
+        network.refuse_foreign(build_mesh(spot.positions + 0.03 * spot.normals, spot.faces))
+
+
 def test_another_object_inside_is_refused(network):
     box = trimesh.creation.box((0.2, 0.2, 0.2))
     with pytest.raises(QueryError, match="8 of 8 vertices are not on the surface"):
@@ -76,6 +95,16 @@ def test_an_open_piece_that_is_wound_inside_out_is_refused(network, spot):
     """Its normals agree with its faces, so only the model knows that they point inwards."""
     with pytest.raises(QueryError, match=r"vertex normals point into the object .* wound inside out; flip"):
         network.refuse_foreign(flipped(piece(spot)))
+
+
+def test_a_patch_that_is_wound_inside_out_is_warned_about(network, spot):
+    part = piece(spot)
+    used, faces = np.unique(spot.faces[(spot.positions[spot.faces][..., 2] > 0.9).all(axis=1)], return_inverse=True)
+    faces = len(part.positions) + faces.reshape(-1, 3)[:, ::-1]
+    both = build_mesh(np.concatenate([part.positions, spot.positions[used]]), np.concatenate([part.faces, faces]))
+    expected = f"the normals of {len(used)} of {len(both.positions)} vertices point into .* the first at .*; make"
+    with pytest.warns(InputWarning, match=expected):
+        network.refuse_foreign(both)
 
 
 def test_a_single_part_elsewhere_is_warned_about(network, spot):

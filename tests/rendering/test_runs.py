@@ -16,7 +16,7 @@ from formats.scene import Scene, read_scene
 from formats.scene.lights import DirectionalLight
 from prt_bake.lights.lighting import Lighting
 from prt_bake.rendering.scene import SHOWS, Rendering, render_scene
-from prt_bake.rendering.state import checkpoint_path, read_checkpoint
+from prt_bake.rendering.state import Sums, checkpoint_path, read_checkpoint, stored_limits, write_checkpoint
 from tests.cli.command_line import Run
 from tests.rendering.pictures import WHITE, front, make_scene, uneven_sky
 
@@ -161,6 +161,44 @@ def test_a_damaged_checkpoint_is_refused(scene: Scene, tmp_path: Path) -> None:
         np.savez(path, **arrays)
         with pytest.raises(FormatError, match="not a readable checkpoint of a picture"):
             read_checkpoint(path, {})
+
+
+WRONG_SUMS = {
+    "found passes 0": {"passes": 0},
+    "found passes -3": {"passes": -3},
+    "found passes 2, walks -1": {"walks": -1},
+    "seconds nan": {"seconds": float("nan")},
+    "coverage is up to 2; expected at most 1, the number of passes": {"passes": 1},
+    "radiance has values that are negative or not finite": {"radiance": np.full((8, 8, 3), np.nan)},
+    r"radiance has shape \[4, 8, 3\]": {"radiance": np.zeros((4, 8, 3))},
+    r"squares has shape \[8, 8\]": {"squares": np.zeros((8, 8))},
+    "squares has values that are negative or not finite": {"squares": np.full((8, 8, 3), -1.0)},
+    "coverage has values that are negative or not finite": {"coverage": np.full((8, 8), -1.0)},
+    r"coverage has shape \[8, 2\]; expected \[8, 8\]": {"coverage": np.zeros((8, 2))},
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG_SUMS)
+def test_sums_that_no_passes_have_are_refused(scene: Scene, tmp_path: Path, sentence: str) -> None:
+    path = tmp_path / "a.render.npz"
+    render(scene, checkpoint=path, stop=after(2))
+    with np.load(path) as file:
+        arrays = dict(file)
+    head = json.loads(str(arrays["head"]))
+    for name, value in WRONG_SUMS[sentence].items():
+        (arrays if isinstance(value, np.ndarray) else head["numbers"])[name] = value
+    np.savez(path, **arrays | {"head": np.array(json.dumps(head))})
+    with pytest.raises(FormatError, match=rf"a\.render\.npz: is damaged: .*{sentence}"):
+        render(scene, checkpoint=path, resume=True)
+
+
+def test_a_limit_of_the_last_run_that_is_no_number_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.render.npz"
+    write_checkpoint(path, Sums.empty(2, 2), {}, {"spp": 8, "error": None})
+    assert stored_limits(path) == {"spp": 8, "error": None}
+    write_checkpoint(path, Sums.empty(2, 2), {}, {"spp": "x", "error": None})
+    with pytest.raises(FormatError, match=r"a\.render\.npz: is damaged: spp of its last run is 'x'"):
+        stored_limits(path)
 
 
 COMMAND = ["render", "scene.toml", "sphere.ply", "--size", "12x10"]

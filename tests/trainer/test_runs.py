@@ -318,6 +318,9 @@ def test_resuming_needs_an_intact_checkpoint_of_the_same_run(scene, tmp_path):
     torch.save({"scene": scene.content_hash}, state_path(output))
     with pytest.raises(ModelError, match="has version None"):
         train_small(scene, 10, output=output, resume=True)
+    state_path(output).write_bytes(state_path(output).read_bytes().replace(b"scene", b"scenf"))
+    with pytest.raises(ModelError, match=r"m\.train\.pt: the entry .*data\.pkl is damaged"):
+        train_small(scene, 10, output=output, resume=True)
     with pytest.raises(QueryError, match="resume needs output"):
         train_small(scene, 10, resume=True)
     train_small(scene, 2, output=output, learning=EAGER)

@@ -8,6 +8,7 @@ and reads required extensions that it does not know; pygltflib parses the JSON, 
 
 import os
 
+from formats.mesh.gltf.names import named_files
 from formats.triangle_soup import TriangleSoup
 
 
@@ -18,4 +19,4 @@ def read_gltf(path: str | os.PathLike[str]) -> TriangleSoup:
     return read_scene(path)
 
 
-__all__ = ["read_gltf"]
+__all__ = ["named_files", "read_gltf"]

@@ -1,6 +1,6 @@
 """The arrays of a glTF file: accessors, also sparse, normalised and interleaved (glTF 2.0, section 3.6.2).
 
-Every range is checked against its buffer before memory is allocated.
+Every range is checked against its buffer before memory is allocated. `rows` are the elements to return, if not all.
 """
 
 from dataclasses import dataclass
@@ -18,6 +18,7 @@ _UNSIGNED: dict[int, np.dtype[Any]] = {5121: np.dtype("u1"), 5123: np.dtype("<u2
 _NUMBERS: dict[int, np.dtype[Any]] = {5120: np.dtype("i1"), 5122: np.dtype("<i2"), 5126: np.dtype("<f4"), **_UNSIGNED}
 
 Stored = NDArray[Any]  # of one of these types
+Rows = NDArray[np.int64] | None
 
 
 @dataclass(frozen=True)
@@ -49,23 +50,25 @@ class Accessors:
         """Return the record of an accessor; raises MeshError if it does not exist."""
         return self._file.entry("accessor", self._file.records.accessors, index, where)
 
-    def floats(self, index: int, shape: str, where: str, count: int | None = None) -> NDArray[np.float64]:
+    def floats(
+        self, index: int, shape: str, where: str, count: int | None = None, rows: Rows = None
+    ) -> NDArray[np.float64]:
         """Return `count` elements of type `shape` as rows [count,components]; normalised integers are scaled.
 
         Raises:
             MeshError: the accessor does not exist, has another type or count, or lies outside of its buffer.
         """
-        values = self._elements(index, shape, where, count)
+        values = self._elements(index, shape, where, count, rows)
         if values.dtype.kind == "f" or not self.record(index, where).normalized:
             return values.astype(np.float64)
         scaled: NDArray[np.float64] = np.maximum(values / np.float64(np.iinfo(values.dtype).max), -1.0)
         return scaled
 
     def integers(
-        self, index: int, shape: str, where: str, count: int | None = None, packed: bool = False
+        self, index: int, shape: str, where: str, count: int | None = None, rows: Rows = None, packed: bool = False
     ) -> NDArray[np.integer]:
         """Return elements of unsigned integers as rows [count,components]; raises as `floats`."""
-        values = self._elements(index, shape, where, count, packed)
+        values = self._elements(index, shape, where, count, rows, packed)
         if values.dtype.kind != "u" or self.record(index, where).normalized:
             raise self._file.fault(where, f"accessor {index} does not hold unsigned integers")
         return values
@@ -85,7 +88,9 @@ class Accessors:
             )
         return stored.astype(np.int64)
 
-    def _elements(self, index: int, shape: str, where: str, count: int | None, packed: bool = False) -> Stored:
+    def _elements(
+        self, index: int, shape: str, where: str, count: int | None, rows: Rows, packed: bool = False
+    ) -> Stored:
         """Return elements as they are stored, with sparse values replaced."""
         accessor = self.record(index, where)
         place = f"{where} (accessors[{index}])"
@@ -97,12 +102,12 @@ class Accessors:
         if count is not None and accessor.count != count:
             raise self._file.fault(place, f"expected {count} elements, found {accessor.count}")
         layout = _Layout(_NUMBERS[accessor.componentType], _COMPONENTS[shape], packed)
-        if accessor.sparse is None:
-            return self._base(accessor, layout, place)
-        chosen, replacements = self._sparse(accessor.sparse, accessor.count, layout, place)
-        values = self._base(accessor, layout, place).copy()
-        values[chosen] = replacements
-        return values
+        values = self._base(accessor, layout, place)
+        if accessor.sparse is not None:
+            chosen, replacements = self._sparse(accessor.sparse, accessor.count, layout, place)
+            values = values.copy()
+            values[chosen] = replacements
+        return values if rows is None else values[rows]
 
     def _base(self, accessor: Accessor, layout: _Layout, place: str) -> Stored:
         """Return the elements without sparse values: zeros if there is no buffer view."""

@@ -5,10 +5,10 @@ glTF 2.0, sections 2.8 (URIs) and 3.6.1 (buffers and buffer views).
 
 import base64
 import re
-from pathlib import Path
 from urllib.parse import unquote, unquote_to_bytes
 
 from formats.mesh.gltf.container import COMPRESSIONS, GltfFile
+from formats.mesh.gltf.names import find_file
 from formats.mesh.gltf.schema import Buffer, BufferView
 
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")  # at least two letters: C: is a drive
@@ -70,7 +70,7 @@ class Buffers:
         """Return the content of a data URI, base64 or percent-encoded."""
         head, _, body = uri.partition(",")
         content = unquote_to_bytes(body)
-        if not head.lower().endswith(";base64"):
+        if not head.lower().replace(" ", "").endswith(";base64"):
             return content
         compact = b"".join(content.split()).rstrip(b"=")
         try:
@@ -83,14 +83,12 @@ class Buffers:
         if _SCHEME.match(uri):
             remedy = "save it beside the glTF file, or export as .glb"
             raise self._file.fault(f"{where}.uri", f"expected the name of a file, found {uri[:80]!r}", remedy)
-        # Names are percent-encoded, but some writers do not encode them, or separate folders as Windows does.
-        names = (unquote(uri), uri, unquote(uri).replace("\\", "/"))
-        for path in (Path(self._file.path).parent / name for name in names):
-            try:
-                if path.is_file():
-                    with open(path, "rb") as file:
-                        return file.read(min(length, path.stat().st_size))
-            except (OSError, ValueError) as cause:  # ValueError: the name has a zero byte
-                raise self._file.fault(f"{where}.uri", f"cannot be read: {uri[:80]!r}: {cause}") from cause
+        try:
+            path = find_file(self._file.path, uri)
+            if path is not None:
+                with open(path, "rb") as file:
+                    return file.read(min(length, path.stat().st_size))
+        except (OSError, ValueError) as cause:  # ValueError: the name has a zero byte
+            raise self._file.fault(f"{where}.uri", f"cannot be read: {uri[:80]!r}: {cause}") from cause
         remedy = "copy it to its place beside the glTF file, or export as .glb"
-        raise self._file.fault(f"{where}.uri", f"there is no file {names[0][:80]!r}", remedy)
+        raise self._file.fault(f"{where}.uri", f"there is no file {unquote(uri)[:80]!r}", remedy)

@@ -1,5 +1,6 @@
 """Opens a glTF file: the chunks of GLB (glTF 2.0, chapter 4), the JSON, its version and its required extensions."""
 
+import json
 import os
 import struct
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from formats.errors import MeshError, warn
 from formats.mesh.gltf.schema import Gltf, Head
+from formats.text import without_byte_order_mark
 
 COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
 _UNDERSTOOD = ("EXT_mesh_gpu_instancing", "KHR_mesh_quantization", "KHR_node_visibility", "KHR_texture_transform")
@@ -61,6 +63,11 @@ class GltfFile:
             raise self.fault(where, f"{name} {index} does not exist, the file has {len(entries)}")
         return entries[index]
 
+    def node(self, index: int) -> str:
+        """Return the place of a node and its name, if it has one."""
+        name = self.records.nodes[index].name
+        return f"nodes[{index}] ({name!r:.80})" if isinstance(name, str) and name else f"nodes[{index}]"
+
     def remark(self, where: str, sentence: str) -> None:
         """Keep a remark on a primitive for `warn_of_remarks`."""
         self._remarks.setdefault(sentence, {})[where] = None
@@ -81,7 +88,7 @@ def open_gltf(path: str | os.PathLike[str]) -> GltfFile:
     with open(path, "rb") as file:
         content = file.read()
     text, binary = _chunks(content, path) if content[:4] == b"glTF" else (content, None)
-    text = text.removeprefix(b"\xef\xbb\xbf").rstrip(b"\0")  # some writers add a byte order mark, or pad with zeros
+    text = without_byte_order_mark(text, path, MeshError).rstrip(b"\0")  # some writers add a mark, or pad with zeros
     _refuse_other_versions(_parse(Head, text, path), path)
     return GltfFile(path, _parse(Gltf, text, path), binary, len(content))
 
@@ -96,14 +103,23 @@ def _chunks(content: bytes, path: str | os.PathLike[str]) -> tuple[bytes, memory
         raise MeshError(f"{path}: is binary glTF of version {version}; expected version 2; export it as glTF 2.0")
     if length > len(content):
         raise MeshError(f"{truncated} its header names {length}; copy or export it again")
+    wrong_header = f"{path}: the header of the binary glTF file names {length} bytes; expected {len(content)}, its size"
+    if length < min(20, len(content)):
+        raise MeshError(f"{wrong_header}; export it again")
     chunks: list[tuple[int, memoryview]] = []
     start = 12
     while start + 8 <= length:
         size, kind = struct.unpack_from("<II", content, start)
-        if start + 8 + size > length:
-            raise MeshError(f"{truncated} chunk {len(chunks)} ends at byte {start + 8 + size}; copy or export it again")
-        chunks.append((kind, memoryview(content)[start + 8 : start + 8 + size]))
-        start += 8 + size
+        end = start + 8 + size
+        if end > length and start % 4:  # the chunk before does not count its padding, so this is no start
+            found = f"the chunk before byte {start} of the binary glTF file has {len(chunks[-1][1])} bytes"
+            raise MeshError(f"{path}: {found}; expected a multiple of 4, with padding; export it again")
+        if length < end <= len(content):
+            raise MeshError(f"{wrong_header}; export it again")
+        if end > length:
+            raise MeshError(f"{truncated} chunk {len(chunks)} ends at byte {end}; copy or export it again")
+        chunks.append((kind, memoryview(content)[start + 8 : end]))
+        start = end
     if not chunks or chunks[0][0] != _JSON:
         raise MeshError(f"{path}: the first chunk of the binary glTF file is not JSON; export it again")
     binary = [chunk for kind, chunk in chunks if kind == _BINARY]
@@ -120,6 +136,7 @@ def _parse(kind: type[Entry], text: bytes, path: str | os.PathLike[str]) -> Entr
         keys = (f"[{part}]" if isinstance(part, int) else f".{part!r:.40}".replace("'", "") for part in error["loc"])
         place = "".join(keys).lstrip(".")
         if not place:
+            _refuse_other_encodings(text, path)
             raise MeshError(f"{path}: is not glTF, or its JSON is damaged: {error['msg']}; export it again") from cause
         if error["type"] == "missing":
             raise MeshError(f"{path}: {place}: is missing; export the glTF file again") from cause
@@ -131,6 +148,19 @@ def _parse(kind: type[Entry], text: bytes, path: str | os.PathLike[str]) -> Entr
         )
         found = f"expected {expected}, found {error['input']!r:.80}"
         raise MeshError(f"{path}: {place}: {found}; export the glTF file again") from cause
+
+
+def _refuse_other_encodings(text: bytes, path: str | os.PathLike[str]) -> None:
+    """Raise MeshError if the text is not UTF-8, but JSON with one byte for each letter."""
+    try:
+        text.decode("utf-8")
+    except UnicodeDecodeError as cause:
+        try:
+            json.loads(text.decode("latin-1"))
+        except (ValueError, RecursionError):
+            return
+        found = f"found the byte {text[cause.start]:#x} at byte {cause.start}, as in Latin-1"
+        raise MeshError(f"{path}: expected JSON in UTF-8, {found}; save it again with the encoding UTF-8") from cause
 
 
 def _refuse_other_versions(head: Head, path: str | os.PathLike[str]) -> None:

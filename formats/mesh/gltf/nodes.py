@@ -3,7 +3,6 @@
 Instances of EXT_mesh_gpu_instancing are read, and KHR_node_visibility is obeyed. Animations are not played.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,15 +61,17 @@ def read_forest(file: GltfFile) -> Forest:
     return Forest(parents, matrices)
 
 
-def visible_nodes(file: GltfFile, forest: Forest) -> Iterator[int]:
-    """Yield the visible nodes of the default scene, each before its children, the last of siblings first."""
+def visible_nodes(file: GltfFile, forest: Forest) -> list[int]:
+    """Return the visible nodes of the default scene, each before its children, the last of siblings first."""
+    visible = []
     pending = _roots(file, forest)  # from the end: hashes of meshes that were read earlier depend on the order
     while pending:
         index = pending.pop()
         node = file.records.nodes[index]
         if node.extensions.KHR_node_visibility.visible:
-            yield index
+            visible.append(index)
             pending += node.children
+    return visible
 
 
 def instance_matrices(accessors: Accessors, file: GltfFile, index: int) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import warn
-from formats.triangle_soup import TriangleSoup
+from formats.triangle_soup import SoupPart, TriangleSoup
 
 Array = NDArray[np.float64]
 
@@ -21,6 +21,9 @@ class Part:
         normals: float64 [n,3], of any length, or None.
         uv: float64 [n,2], v upwards, or None.
         uv_name: the attribute that they are from.
+        rows: the vertices of the primitive that a copy of it has [n / copies], ascending; None if it has all of them.
+        place: where the primitive is in the file, for errors.
+        copies: number of copies of the primitive.
     """
 
     positions: Array
@@ -28,14 +31,18 @@ class Part:
     normals: Array | None
     uv: Array | None
     uv_name: str = ""
+    rows: NDArray[np.int64] | None = None
+    place: str = ""
+    copies: int = 1
 
 
-def place(part: Part, matrices: Array) -> Part:
+def place(part: Part, matrices: Array, node: str) -> Part:
     """Transform a part; the winding is reversed where a matrix mirrors, so that fronts stay fronts.
 
     Args:
         part: the part, of n vertices.
         matrices: [I,1,4,4] for I copies of the part, or [1,n,4,4], one for each vertex.
+        node: the place of the node that shows it.
     """
     copies, count = len(matrices), len(part.positions)
     positions = _product(matrices[..., :3, :3], part.positions) + matrices[..., :3, 3]
@@ -44,7 +51,8 @@ def place(part: Part, matrices: Array) -> Part:
     faces = np.where(turned[..., None], part.faces[:, ::-1], part.faces) + count * np.arange(copies)[:, None, None]
     normals = None if part.normals is None else _product(_normal_matrices(matrices), part.normals).reshape(-1, 3)
     uv = None if part.uv is None else np.tile(part.uv, (copies, 1))
-    return Part(positions.reshape(-1, 3), faces.reshape(-1, 3), normals, uv, part.uv_name)
+    words = f"{node}, {part.place}"
+    return Part(positions.reshape(-1, 3), faces.reshape(-1, 3), normals, uv, part.uv_name, part.rows, words, copies)
 
 
 def join(parts: list[Part], path: str) -> TriangleSoup:
@@ -53,12 +61,20 @@ def join(parts: list[Part], path: str) -> TriangleSoup:
     if len(sets) > 1:
         warn(f"{path}: parts have texture coordinates of different sets, as their materials use: {', '.join(sets)}")
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
+    first_faces = np.cumsum([0, *(len(part.faces) for part in parts)])
     return TriangleSoup(
         np.concatenate([part.positions for part in parts]),
         np.concatenate([part.faces + start for part, start in zip(parts, starts, strict=False)]),
         _at_corners([(part.normals, part.faces) for part in parts], path, "normals"),
         _at_corners([(part.uv, part.faces) for part in parts], path, "texture coordinates"),
+        tuple(_named(part, vertex, face) for part, vertex, face in zip(parts, starts, first_faces, strict=False)),
     )
+
+
+def _named(part: Part, first_vertex: int, first_face: int) -> SoupPart:
+    """Return where a placed part is in the file and, from its first vertex and face, in the soup."""
+    numbers = range(len(part.positions) // part.copies) if part.rows is None else part.rows
+    return SoupPart(part.place, first_vertex, first_face, part.copies, len(part.faces) // part.copies, numbers)
 
 
 def _at_corners(parts: list[tuple[Array | None, NDArray[np.int64]]], path: str, name: str) -> Array | None:

@@ -16,11 +16,12 @@ _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
 def read_primitive(
-    file: GltfFile, accessors: Accessors, primitive: Primitive, where: str, weights: Sequence[float]
+    file: GltfFile, accessors: Accessors, primitive: Primitive, where: str, weights: Sequence[float], shared: bool
 ) -> Part | None:
     """Return the triangles of a primitive, with its morph targets added by their weights; None if it has no triangle.
 
-    Points and lines are left out with a remark.
+    Points and lines are left out with a remark. Of vertices that it shares with other primitives (`shared`), as
+    where one mesh has many materials, only those that it uses are read.
 
     Raises:
         MeshError: an accessor does not fit, is compressed or out of range, or the mode is unknown.
@@ -38,18 +39,22 @@ def read_primitive(
     if primitive.targets and len(weights) not in (0, len(primitive.targets)):
         raise file.fault(where, f"has {len(primitive.targets)} morph targets, but the mesh has {len(weights)} weights")
     count = accessors.record(attributes["POSITION"], f"{where}.attributes.POSITION").count
+    corners = None if primitive.indices is None else accessors.indices(primitive.indices, f"{where}.indices", count)
+    rows = None
+    if shared and corners is not None:
+        rows, corners = np.unique(corners, return_inverse=True)
 
     def read(name: str, shape: str) -> Array:
-        values = accessors.floats(attributes[name], shape, f"{where}.attributes.{name}", count)
+        values = accessors.floats(attributes[name], shape, f"{where}.attributes.{name}", count, rows)
         for number, (target, weight) in enumerate(zip(primitive.targets, weights, strict=False)):
             if weight and name in target:
-                values += weight * accessors.floats(target[name], shape, f"{where}.targets[{number}].{name}", count)
+                place = f"{where}.targets[{number}].{name}"
+                values += weight * accessors.floats(target[name], shape, place, count, rows)
         return values
 
     positions = read("POSITION", "VEC3")
-    corners = np.arange(count)
-    if primitive.indices is not None:
-        corners = accessors.indices(primitive.indices, f"{where}.indices", count)
+    if corners is None:
+        corners = np.arange(count)
     if primitive.mode == _TRIANGLES and len(corners) % 3:
         raise file.fault(where, f"expected three corners for each triangle, found {len(corners)} corners in all")
     faces = _triangulate(corners, primitive.mode, positions)
@@ -58,7 +63,7 @@ def read_primitive(
     normals = read("NORMAL", "VEC3") if "NORMAL" in attributes else None
     name, transform = _texture_coordinates(file, primitive, where)
     uv = _upwards(read(name, "VEC2"), transform) if name in attributes else None
-    return Part(positions, faces, normals, uv, name)
+    return Part(positions, faces, normals, uv, name, rows, where)
 
 
 def _refuse_missing_data(file: GltfFile, accessors: Accessors, primitive: Primitive, where: str) -> None:
@@ -97,14 +102,16 @@ def _triangulate(corners: NDArray[np.int64], mode: int, positions: Array) -> NDA
 def _texture_coordinates(file: GltfFile, primitive: Primitive, where: str) -> tuple[str, TextureTransform]:
     """Return the attribute of the texture coordinates that the material uses, and their transform.
 
-    They are those of the base colour, else of the roughness, else of another texture, else TEXCOORD_0.
+    They are those of the base colour, else of the roughness, else of another core texture, else of a texture of an
+    extension, else TEXCOORD_0.
     """
     if primitive.material is None:
         return "TEXCOORD_0", TextureTransform()
     material = file.entry("material", file.records.materials, primitive.material, f"{where}.material")
     model = material.pbrMetallicRoughness
     textures = [texture for texture in (model.baseColorTexture, model.metallicRoughnessTexture) if texture]
-    others = (material.normalTexture, material.emissiveTexture, material.occlusionTexture)
+    others = [material.normalTexture, material.emissiveTexture, material.occlusionTexture]
+    others += [texture for extension in material.extensions.values() for texture in extension.values()]
     uses = [_use(texture) for texture in textures or others if texture]
     if not uses:
         return "TEXCOORD_0", TextureTransform()

@@ -5,7 +5,7 @@ Names are those of the standard. Everything else in the file is skipped: cameras
 
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 Element = TypeVar("Element")
 Many = Annotated[tuple[Element, ...], Field(fail_fast=True)]  # one error is enough: a damaged file may have millions
@@ -115,13 +115,20 @@ class Roughness(Record):
     metallicRoughnessTexture: Texture | None = None
 
 
+def _textures(extension: Any) -> dict[str, Any]:
+    """Return the textures among the values of a material's extension: the objects whose keys end in "Texture"."""
+    values = extension.items() if isinstance(extension, dict) else ()
+    return {key: value for key, value in values if key.endswith("Texture") and isinstance(value, dict)}
+
+
 class Material(Record):
-    """The textures of a material."""
+    """The textures of a material; those of an extension by their keys, as in KHR_materials_volume: thicknessTexture."""
 
     pbrMetallicRoughness: Roughness = Roughness()
     normalTexture: Texture | None = None
     occlusionTexture: Texture | None = None
     emissiveTexture: Texture | None = None
+    extensions: dict[str, Annotated[dict[str, Texture], BeforeValidator(_textures)]] = {}
 
 
 class Primitive(Record):
@@ -164,6 +171,7 @@ class NodeExtensions(Record):
 class Node(Record):
     """A node of the scene's tree: a transform, and perhaps a mesh."""
 
+    name: Any = None
     children: Many[Index] = ()
     matrix: Many[Number] | None = None
     translation: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.mesh.gltf.accessors import Accessors
+from formats.mesh.gltf.accessors import Accessors, Rows
 from formats.mesh.gltf.container import GltfFile
 from formats.mesh.gltf.nodes import Forest, refuse_projection
 from formats.mesh.gltf.schema import Primitive
@@ -34,10 +34,12 @@ def joint_matrices(file: GltfFile, accessors: Accessors, forest: Forest, skin_in
     return moved
 
 
-def vertex_matrices(file: GltfFile, accessors: Accessors, primitive: Primitive, where: str, joints: Array) -> Array:
+def vertex_matrices(
+    file: GltfFile, accessors: Accessors, primitive: Primitive, where: str, joints: Array, rows: Rows
+) -> Array:
     """Return the matrix of each vertex [n,4,4], the mean of its joints' matrices [J,4,4] by weight.
 
-    Weights are divided by their sum, as viewers do.
+    Weights are divided by their sum, as viewers do. `rows` are the vertices of the primitive, if not all.
 
     Raises:
         MeshError: weights or joint numbers are missing, negative, zero or out of range.
@@ -48,11 +50,12 @@ def vertex_matrices(file: GltfFile, accessors: Accessors, primitive: Primitive, 
     if not sets or any(f"WEIGHTS_{number}" not in attributes for number in sets):
         raise file.fault(where, "expected JOINTS_0 and WEIGHTS_0, since the node has a skin")
     count = accessors.record(attributes["POSITION"], f"{where}.POSITION").count
-    total, matrices = np.zeros(count), np.zeros((count, 4, 4))
+    vertices = count if rows is None else len(rows)
+    total, matrices = np.zeros(vertices), np.zeros((vertices, 4, 4))
     for number in sets:
         place = f"{where}.JOINTS_{number}"
-        chosen = accessors.integers(attributes[f"JOINTS_{number}"], "VEC4", place, count)
-        weights = accessors.floats(attributes[f"WEIGHTS_{number}"], "VEC4", f"{where}.WEIGHTS_{number}", count)
+        chosen = accessors.integers(attributes[f"JOINTS_{number}"], "VEC4", place, count, rows)
+        weights = accessors.floats(attributes[f"WEIGHTS_{number}"], "VEC4", f"{where}.WEIGHTS_{number}", count, rows)
         if (weights < 0).any():
             raise file.fault(f"{where}.WEIGHTS_{number}", "has negative weights")
         chosen = np.where(weights > 0, chosen, 0)
@@ -62,6 +65,6 @@ def vertex_matrices(file: GltfFile, accessors: Accessors, primitive: Primitive, 
             matrices += weight[:, None, None] * joints[joint]
             total += weight
     if not (total > 0).all():
-        raise file.fault(where, f"{(~(total > 0)).sum()} of {count} vertices have no weight of any joint")
+        raise file.fault(where, f"{(~(total > 0)).sum()} of {vertices} vertices have no weight of any joint")
     matrices /= total[:, None, None]
     return matrices

@@ -25,7 +25,7 @@ def bake_report(asset: Asset) -> dict[str, Any]:
     requested, rmse = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
     worst = max(rmse["total"], rmse["percentile_95_over_vertices"])
     return {
-        **({"model_error": trained["coefficients"]} if "coefficients" in trained else {}),
+        **({} if trained.get("coefficients") is None else {"model_error": trained["coefficients"]}),
         **({} if requested is None else {"error_reached": asset.complete and worst <= REACHED * requested}),
         "complete": asset.complete,
         "vertices": len(asset.mesh.positions),

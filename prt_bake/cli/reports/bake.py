@@ -5,11 +5,13 @@ from typing import Annotated, Literal
 
 import typer
 
+from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Eye, Seed
 from prt_bake.cli.shared.outputs import check_outputs
 from prt_bake.cli.shared.progress import say
 
 
+@naming_mesh
 def bake(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="model.pt (neural) or scene.toml (path traced).")],
     mesh: Annotated[Path, typer.Argument(metavar="MESH", help="Mesh to bake.")],

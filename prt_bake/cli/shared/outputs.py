@@ -1,16 +1,15 @@
 """Checks of a command's outputs, before it computes anything: none is an input, and each can be written."""
 
-import json
 import os
 import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 from formats.atomic import refuse_unwritable, storage_error
 from formats.errors import StorageError
+from formats.file_names import named_file
 
 Paths = Path | str | Iterable[Path | str] | None
 """The value of an option or argument; None and texts that name no file, such as sun:0,1,0, are left out."""
@@ -80,21 +79,22 @@ def _identity(path: Path) -> tuple[int, int] | None:
 def _with_named(path: Path, source: str) -> Iterator[tuple[Path, str]]:
     """Yield the file and the files that it names, each with words for where it comes from."""
     yield path, source
-    for name in _names_in(path):
-        named = path.parent / name
-        if named.suffix.lower() not in (".toml", path.suffix.lower()):  # files of one kind do not name one another
+    # Scenes name meshes, and meshes name neither scenes nor meshes: so there are no circles.
+    others = (".toml",) if path.suffix.lower() == ".toml" else (".toml", ".gltf", ".glb")
+    for named in _named_in(path):
+        if named.suffix.lower() not in others:
             yield from _with_named(named, f"named by {path}")
 
 
-def _names_in(path: Path) -> list[str]:
-    """Return the texts of a TOML file, some of which name files, or the names in a glTF file; none if it is damaged."""
+def _named_in(path: Path) -> list[Path]:
+    """Return the texts of a TOML file as paths, or the files that a glTF file names; none if it is damaged."""
     try:
         if path.suffix.lower() == ".toml":
-            return list(_texts(tomllib.loads(path.read_text(encoding="utf-8-sig"))))
-        if path.suffix.lower() == ".gltf":
-            tables = json.loads(path.read_bytes())
-            uris = [entry["uri"] for kind in ("buffers", "images") for entry in tables.get(kind, []) if "uri" in entry]
-            return [unquote(uri) for uri in uris if not uri.startswith("data:")]
+            return [named_file(path, text) for text in _texts(tomllib.loads(path.read_text(encoding="utf-8-sig")))]
+        if path.suffix.lower() in (".gltf", ".glb"):
+            from formats.mesh.gltf import named_files  # here, since meshes need NumPy
+
+            return named_files(path)
     except (OSError, ValueError, AttributeError, TypeError, RecursionError):
         pass  # the reader reports it
     return []

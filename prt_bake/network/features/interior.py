@@ -21,6 +21,8 @@ LEVELS = 15
 REACH = 3.0
 """Distances are clipped to ±REACH spacings of the grid and stored in steps of REACH / LEVELS spacings."""
 MAX_NODES = 1 << 22
+MAX_EXTENT = 5.0
+"""Most box sides that the grid covers along an axis; it reaches little beyond the box. Also the largest eta."""
 _LZMA = ({"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME},)
 
 
@@ -107,7 +109,14 @@ class Interior:
         x, y, z = (float(n) for n in values["corner"])
         levels = np.frombuffer(content, np.int8).reshape(places)
         attenuation = tuple(float(n) for n in values["attenuation"])
-        return Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]))
+        interior = Interior(levels, (x, y, z), float(values["spacing"]), attenuation, float(values["eta"]))
+        extent = interior.spacing * max(places[1:])
+        if max(abs(x), abs(y), abs(z), extent, interior.eta) > MAX_EXTENT:
+            raise ModelError(
+                f"interior: corner and extent, in box sides, and eta must be at most {MAX_EXTENT:g}; found corner "
+                f"{[x, y, z]}, extent {extent:g}, eta {interior.eta:g}; train the model again"
+            )
+        return interior
 
 
 def _out_of_range(levels: NDArray[np.int8]) -> bool:

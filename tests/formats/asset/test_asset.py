@@ -12,6 +12,7 @@ from formats.asset import Asset, AssetWriter, check_asset, read_asset, write_ass
 from formats.asset.error_covariance import ErrorCovariance, triangle
 from formats.errors import AssetError
 from formats.mesh import Mesh
+from prt_bake.mathematics.sphere import view_bins
 
 
 def perpendicular(normals: np.ndarray) -> np.ndarray:
@@ -35,7 +36,7 @@ def make_asset(
         tangents=perpendicular(normals),
         rings=rings,
         sectors=sectors,
-        directions=rng.normal(size=(bins, 3)),
+        directions=view_bins(rings, sectors),
         degree=degree,
         check_directions=np.eye(3)[:2],
         check_values=rng.normal(size=(2, terms)),

@@ -198,6 +198,15 @@ CHANGES = {
     ),
     "/transfer_compact/digits_1 has type float64": lambda group: put(group, "digits_1", np.zeros((6, 5))),
     "/transfer_compact/digits_0 has type int16": lambda group: put(group, "digits_0", np.zeros((6, 5), np.int16)),
+    "/transfer_compact/digits_1 is missing": lambda group: group.__delitem__("digits_1"),
+    "has datasets digits_0 to digits_1; expected 3 of them, as its attribute digits says": lambda group: (
+        group.__delitem__("digits_2")
+    ),
+    "has datasets digits_0 to digits_3; expected 3 of them": lambda group: group.copy("digits_1", "digits_3"),
+    "has datasets view_digits_0 to view_digits_3; expected 3 of them": lambda group: group.copy(
+        "view_digits_0", "view_digits_3"
+    ),
+    "/transfer_compact/digits_4: expected at most 4 digits": lambda group: group.copy("digits_0", "digits_4"),
     r"/transfer_compact/channel_basis has shape \[4, 9, 3\]; expected \[J = 4, K = 4 or 1, 3 or 1\]": lambda group: put(
         group, "channel_basis", np.zeros((4, 9, 3), "f4")
     ),
@@ -231,6 +240,15 @@ def test_every_fault_is_named(tmp_path, sentence) -> None:
     assert any(re.search(sentence, fault) for fault in faults), faults
     with pytest.raises(AssetError):
         read_asset(tmp_path / "a.h5")
+
+
+def test_a_file_that_does_not_state_its_digits_is_read(tmp_path) -> None:
+    asset = compact_asset(largest=40_000)
+    write_asset(asset, tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        for name in ("digits", "view_digits"):
+            del file["transfer_compact"].attrs[name]
+    assert_same_compact(read_asset(tmp_path / "a.h5").coefficients, asset.coefficients)
 
 
 def test_a_damaged_chunk_is_refused(tmp_path) -> None:

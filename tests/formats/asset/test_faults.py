@@ -89,7 +89,7 @@ def test_coefficients_that_are_all_nan_are_one_fault(tmp_path, monkeypatch):
         file["transfer/valid"][7:] = 1
         file["transfer/coefficients"][...] = np.nan
         assert len(list(reader._blocks(file["transfer"]))) > 3
-    fault = "/transfer/coefficients: 23 of 30 vertices have NaN or infinite values, the first is vertex 7"
+    fault = "/transfer/coefficients: 23 of 30 vertices have NaN or infinite values in float32, the first is vertex 7"
     assert check_asset(tmp_path / "a.h5") == [f"{tmp_path / 'a.h5'}: {fault}"]
 
 
@@ -114,6 +114,7 @@ def changed(file, name, place, value):
     put(file, name, values)
 
 
+BEYOND_FLOAT32 = np.where(np.arange(5) == 3, 1e300, 0.0)[:, None, None, None]
 CHANGES = {
     r"format_version 2\.0": lambda file: file.attrs.__setitem__("format_version", "2.0"),
     "format_version missing": lambda file: file.attrs.__delitem__("format_version"),
@@ -144,8 +145,20 @@ CHANGES = {
     "/transfer/coefficients: 1 of 5 vertices have NaN .* vertex 2": lambda file: changed(
         file, "transfer/coefficients", (2, 1, 0, 0), np.nan
     ),
-    "/transfer/standard_error: 1 of 5 rows are negative or NaN, the first is row 4": lambda file: changed(
+    "/transfer/standard_error: 1 of 5 rows are negative or not finite, the first is row 4": lambda file: changed(
         file, "transfer/standard_error", (4, 0), np.nan
+    ),
+    "/transfer/standard_error: 1 of 5 rows are negative or not finite, the first is row 2": lambda file: changed(
+        file, "transfer/standard_error", (2, 1), np.inf
+    ),
+    "/transfer/coefficients: 1 of 5 vertices have NaN or infinite values in float32.* vertex 3": lambda file: put(
+        file, "transfer/coefficients", file["transfer/coefficients"][...] + BEYOND_FLOAT32
+    ),
+    "/bins/directions: 6 of 6 rows are not the centres of 2 rings of 3 sectors": lambda file: changed(
+        file, "bins/directions", slice(None), 0.0
+    ),
+    "/bins/directions: 6 of 6 rows are not the centres of 3 rings of 2 sectors": lambda file: file["bins"].attrs.update(
+        rings=3, sectors=2
     ),
     "/mesh/positions: 1 of 5 rows are not finite": lambda file: changed(file, "mesh/positions", (1, 0), np.inf),
     "/mesh/normals: 1 of 5 rows are not of length 1": lambda file: changed(file, "mesh/normals", 3, 0),
@@ -153,6 +166,35 @@ CHANGES = {
     "/mesh/faces: 1 of 5 rows are out of the range of vertices": lambda file: changed(file, "mesh/faces", (2, 1), 5),
     "origin is not a finite point": lambda file: file["mesh/positions"].attrs.__setitem__("origin", [0.0, np.nan, 0]),
     "/provenance/json is not a JSON object": lambda file: put(file, "provenance/json", "[1, 2"),
+    "/provenance/json is not a JSON object .NaN": lambda file: put(file, "provenance/json", '{"seed": NaN}'),
+    "/provenance/json: eta is 'x'; expected an index of refraction": lambda file: put(
+        file, "provenance/json", '{"eta": "x"}'
+    ),
+    "/provenance/json: roughness is -3; expected a GGX alpha": lambda file: put(
+        file, "provenance/json", '{"roughness": -3}'
+    ),
+    "/provenance/json: model.roughness is 'x'": lambda file: put(
+        file, "provenance/json", '{"model": {"roughness": "x"}}'
+    ),
+    "/provenance/json: model is 5; expected a table": lambda file: put(file, "provenance/json", '{"model": 5}'),
+    "/provenance/json: settings is .1.; expected a table": lambda file: put(
+        file, "provenance/json", '{"settings": [1]}'
+    ),
+    r"/provenance/json: settings.for_eye is .1.; expected a point": lambda file: put(
+        file, "provenance/json", '{"settings": {"for_eye": [1]}}'
+    ),
+    "left_out is not a JSON list of tables": lambda file: file.attrs.__setitem__("left_out", "[1]"),
+    r"format = 'prtbake', found an array of shape \[2\]": lambda file: file.attrs.__setitem__(
+        "format", [b"prtbake", b"x"]
+    ),
+    r"format_version an array of shape \[2\]": lambda file: file.attrs.__setitem__("format_version", [1, 0]),
+    r"attribute up is an array of shape \[2\]; expected 'y' or 'z'": lambda file: file.attrs.__setitem__(
+        "up", [b"y", b"z"]
+    ),
+    r"attribute complete is an array of shape \[2\]": lambda file: file.attrs.__setitem__("complete", [1, 1]),
+    r"attribute unit is an array of shape \[2\]": lambda file: file.attrs.__setitem__("unit", [b"m", b"m"]),
+    r"rings is an array of shape \[2\]": lambda file: file["bins"].attrs.__setitem__("rings", [2, 2]),
+    r"quantity is an array of shape \[2\]": lambda file: file["transfer"].attrs.__setitem__("quantity", [b"x", b"y"]),
     "/selftest/vertex is missing": lambda file: file.__delitem__("selftest/vertex"),
     "/selftest/vertex: 1 of 2 rows": lambda file: changed(file, "selftest/vertex", 1, 9),
     "quantity is 'colour'": lambda file: file["transfer"].attrs.__setitem__("quantity", "colour"),
@@ -190,6 +232,33 @@ def test_every_fault_is_named(tmp_path, sentence):
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         CHANGES[sentence](file)
     assert_refused(tmp_path / "a.h5", sentence)
+
+
+def test_attributes_of_one_value_in_an_array_and_bytes_are_read(tmp_path):
+    write_asset(asset := make_asset(), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        nodes = [file, file["basis"], file["bins"], file["transfer"]]
+        for node, name in [(each, name) for each in nodes for name in each.attrs]:
+            value = node.attrs[name]
+            node.attrs[name] = [value.encode() if isinstance(value, str) else value]
+    assert check_asset(tmp_path / "a.h5") == []
+    again = read_asset(tmp_path / "a.h5")
+    for name in ("up", "unit", "quantity", "folded_in", "rings", "sectors", "degree", "complete", "left_out"):
+        assert getattr(again, name) == getattr(asset, name)
+        assert type(getattr(again, name)) is type(getattr(asset, name))
+
+
+@pytest.mark.parametrize("kind", ["f8", "g", ">f4", ">f2"])
+@pytest.mark.parametrize("filters", [{}, {"compression": 4, "shuffle": True}])
+def test_other_types_of_coefficients_are_read_and_sound(tmp_path, kind, filters):
+    asset = make_asset(storage="float16")
+    write_asset(asset, tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        values = file["transfer/coefficients"][...].astype(kind)
+        del file["transfer/coefficients"]
+        file.create_dataset("transfer/coefficients", data=values, chunks=(2, *values.shape[1:]), **filters)
+    assert check_asset(tmp_path / "a.h5") == []
+    np.testing.assert_array_equal(read_asset(tmp_path / "a.h5").coefficients, asset.coefficients)
 
 
 def test_nan_in_unbaked_vertices_is_no_fault(tmp_path):

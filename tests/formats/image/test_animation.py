@@ -144,6 +144,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         write_animation(tmp_path / "none" / "turn.png", [np.zeros((4, 4, 3))])
 
 
+@pytest.mark.filterwarnings("ignore:.*exposure of -1 EV")
 @pytest.mark.parametrize("suffix", [".png", ".exr"])
 def test_a_sequence_is_numbered_from_0(tmp_path: Path, suffix: str) -> None:
     frames = np.random.default_rng(2).uniform(size=(3, 4, 5, 3)).astype(np.float32)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from PIL import Image
 
-from formats.errors import ImageError
+from formats.errors import ImageError, InputWarning
 from formats.image import read_data, read_image, read_layers, write_image
 from formats.image.png import to_linear, to_srgb
 
@@ -219,7 +219,8 @@ def test_png_survives_with_exposure_and_its_text(tmp_path):
         np.testing.assert_array_equal(np.asarray(picture), codes)
         assert picture.text == {"exposure": "2 EV"}
     write_image(tmp_path / "peak.png", np.full((1, 1, 3), [np.inf, -1, 0]), exposure=3)
-    assert read_image(tmp_path / "peak.png").tolist() == [[[1, 0, 0]]]
+    with pytest.warns(InputWarning, match="exposure of 3 EV"):
+        assert read_image(tmp_path / "peak.png").tolist() == [[[1, 0, 0]]]
 
 
 @pytest.mark.parametrize("mode", ["L", "LA", "RGBA", "P", "1"])

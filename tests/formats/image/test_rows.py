@@ -126,6 +126,7 @@ def test_run_length_coded_radiance(tmp_path: Path) -> None:
     assert_same(tmp_path / "a.hdr")
 
 
+@pytest.mark.filterwarnings("ignore:.*pixels are transparent")
 def test_png_and_jpeg(tmp_path: Path) -> None:
     pixels = (255 * DRAW.random((50, 20, 4))).astype(np.uint8)
     Image.fromarray(pixels, "RGBA").save(tmp_path / "a.png")

@@ -277,6 +277,48 @@ def test_instances_are_copies(tmp_path, bytes_of_rotations):
     assert volume == pytest.approx(2 * (1 + 6 + 1) / 6, rel=1e-12)
 
 
+def groups(shared: bool, skin: bool) -> GltfBuilder:
+    """Two spheres, the second of them morphed, as primitives that share their vertices or have each its own."""
+    builder, ball = GltfBuilder(), sphere_mesh(8, 12)
+    count = len(ball.positions)
+    rng = np.random.default_rng(4)
+    positions = np.vstack([ball.positions, 3 + ball.positions]).astype("<f4")
+    values = {
+        "POSITION": (positions, "f4"),
+        "NORMAL": (np.vstack([ball.positions] * 2), "f4"),
+        "TEXCOORD_0": (rng.uniform(size=(2 * count, 2)), "f4"),
+    }
+    if skin:
+        values |= {"JOINTS_0": (rng.integers(0, 2, (2 * count, 4)), "u1")}
+        values |= {"WEIGHTS_0": (rng.uniform(size=(2 * count, 4)) + 0.1, "f4")}
+    moved = rng.normal(size=(count, 3)) / 64
+    whole = builder.view(positions.tobytes())
+    every = {name: builder.accessor(rows, kind) for name, (rows, kind) in values.items()}
+    every["POSITION"] = builder.sparse(2 * count, [5], positions[5:6], bufferView=whole)
+    target = builder.sparse(2 * count, np.arange(count, 2 * count), moved)
+    primitives = []
+    for part in range(2):
+        attributes, targets, faces = every, [{"POSITION": target}], ball.faces + part * count
+        if not shared:
+            own = slice(part * count, (part + 1) * count)
+            attributes = {name: builder.accessor(rows[own], kind) for name, (rows, kind) in values.items()}
+            targets, faces = [{"POSITION": builder.accessor(part * moved)}], ball.faces
+        indices = builder.accessor(faces.ravel(), "u2")
+        primitives.append({"attributes": attributes, "targets": targets, "indices": indices})
+    builder.node(mesh=builder.mesh(*primitives, weights=[0.5]), **({"skin": 0} if skin else {}))
+    joints = [builder.node(translation=[1, 0, 0]), builder.node(rotation=TURN, scale=[2, 2, 3])]
+    builder.json["skins"] = [{"joints": joints}]
+    return builder
+
+
+@pytest.mark.parametrize("skin", [False, True])
+def test_primitives_that_share_vertices_read_those_that_they_use(tmp_path, skin):
+    shared = read_gltf(groups(True, skin).write(tmp_path / "shared.glb"))
+    apart = read_gltf(groups(False, skin).write(tmp_path / "apart.glb"))
+    for name in ("positions", "faces", "corner_normals", "corner_uv"):
+        np.testing.assert_array_equal(getattr(shared, name), getattr(apart, name))
+
+
 def test_hidden_nodes_hide_their_children(tmp_path):
     builder = tetrahedron()
     child = builder.node(root=False, mesh=0, extensions={"KHR_node_visibility": {"visible": True}})
@@ -342,26 +384,6 @@ def test_the_default_scene_is_read(tmp_path):
         assert len(read_gltf(builder.write(tmp_path / "all.glb")).faces) == 8
 
 
-def test_textures_are_used_with_their_coordinates(tmp_path):
-    builder = GltfBuilder()
-    first, second = np.arange(8).reshape(4, 2) / 8, np.arange(8)[::-1].reshape(4, 2) / 8
-    sets = {"TEXCOORD_0": builder.accessor(first), "TEXCOORD_1": builder.accessor(second)}
-    builder.node(mesh=builder.mesh({**builder.solid(**sets), "material": 0}))
-    quadrant = {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]}
-    builder.json["materials"] = [{"normalTexture": {"index": 0, "texCoord": 1}}]
-    soup = read_gltf(builder.write(tmp_path / "second.glb"))
-    assert soup.corner_uv is not None
-    np.testing.assert_allclose(soup.corner_uv, (second * [1, -1] + [0, 1])[FACES], atol=1e-15)
-    # The first example of the extension: the lower left quarter of the image, turned by a right angle.
-    texture = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {**quadrant, "texCoord": 0}}}
-    builder.json["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]
-    with pytest.warns(InputWarning, match="KHR_texture_transform is applied"):
-        soup = read_gltf(builder.write(tmp_path / "quarter.glb"))
-    u, v = first.T
-    assert soup.corner_uv is not None
-    np.testing.assert_allclose(soup.corner_uv, np.stack([v / 2, u / 2], axis=1)[FACES], atol=1e-15)
-
-
 def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
     builder = GltfBuilder()
     mesh = builder.mesh(builder.solid())
@@ -369,13 +391,3 @@ def test_a_long_chain_of_nodes_is_followed(tmp_path: Path):
     builder.node(root=False, mesh=mesh)
     builder.json["scenes"][0]["nodes"] = chain[:1]
     assert read_gltf(builder.write(tmp_path / "chain.glb")).positions[:, 0].tolist() == [1500, 1501, 1500, 1500]
-
-
-def test_texture_coordinates_of_different_sets_are_named(tmp_path):
-    builder = GltfBuilder()
-    sets = {f"TEXCOORD_{k}": builder.accessor(np.full((4, 2), k / 4)) for k in range(2)}
-    parts = [{**builder.solid(TETRAHEDRON + 5 * k, **sets), "material": k} for k in range(2)]
-    builder.json["materials"] = [{"emissiveTexture": {"index": 0, "texCoord": k}} for k in range(2)]
-    builder.node(mesh=builder.mesh(*parts))
-    with pytest.warns(InputWarning, match="texture coordinates of different sets, .*: TEXCOORD_0, TEXCOORD_1"):
-        read_gltf(builder.write(tmp_path / "sets.glb"))

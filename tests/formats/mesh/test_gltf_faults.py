@@ -2,6 +2,7 @@
 
 import copy
 import random
+import re
 import tracemalloc
 import warnings
 from typing import Any
@@ -12,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from formats.errors import InputWarning, MeshError
-from formats.mesh.gltf import read_gltf
+from formats.mesh import read_mesh
+from formats.mesh.gltf import read_gltf, reader
 from tests.formats.mesh.gltf_files import FACES, TETRAHEDRON, GltfBuilder, refused, tetrahedron
 from tests.formats.mesh.test_gltf import skinned, textured, triangulated
 
@@ -146,13 +148,64 @@ def test_absurd_counts_allocate_nothing(tmp_path):
     for builder, sentence in (
         (few, "more than the file has bytes"),
         (copies, "more than"),
-        (many, "16000000 vertices"),
+        (many, "with 2000 copies of mesh 0 the scene has 16000000 vertices"),
     ):
         path = builder.write(tmp_path / "absurd.glb")
         tracemalloc.start()
         assert sentence in refused(path)
         assert tracemalloc.get_traced_memory()[1] < 20_000_000
         tracemalloc.stop()
+
+
+def test_copies_that_are_too_many_are_named_by_their_cause(tmp_path, monkeypatch):
+    monkeypatch.setattr(reader, "_MOST_ELEMENTS", 0)
+    builder = textured()
+    mesh = builder.json["meshes"][0]
+    mesh["primitives"] *= 100
+    sentence = refused(builder.write(tmp_path / "primitives.glb"))
+    assert re.match(
+        r"meshes\[0\].primitives\[\d+\]: with primitives that share their accessors the scene has", sentence
+    )
+    assert "in so small a file; export primitives with indices of their own" in sentence
+    mesh["primitives"] = mesh["primitives"][:1]
+    for _ in range(99):
+        builder.node(mesh=0)
+    sentence = refused(builder.write(tmp_path / "nodes.glb"))
+    assert "with a copy of mesh 0 the scene has" in sentence
+
+
+@pytest.mark.parametrize("copies", [1, 3])
+@pytest.mark.parametrize("fault", ["NaN", "flat"])
+def test_faults_of_the_surface_are_named_by_node_and_primitive(tmp_path, fault, copies):
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(builder.solid(TETRAHEDRON - 9)))
+    positions = np.vstack([TETRAHEDRON, TETRAHEDRON + 5])
+    faces = np.vstack([FACES + 4, [[4, 4, 5]]])
+    if fault == "NaN":
+        positions[6] = np.nan
+    first, second = builder.solid(positions), builder.solid(faces=faces)
+    second["attributes"] = first["attributes"]
+    builder.node(name="Cow", mesh=builder.mesh(first, second))
+    if copies > 1:
+        attributes = {"TRANSLATION": builder.accessor(np.arange(9).reshape(3, 3) * 9)}
+        builder.json["nodes"][1]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    path = builder.write(tmp_path / "fault.glb")
+    place = "of nodes[1] ('Cow'), meshes[1].primitives[1]" + (", copy 0" if copies > 1 else "")
+    if fault == "flat":
+        with pytest.warns(InputWarning, match=re.escape(f"the first is face 4 {place} with corners [4, 4, 5]; they")):
+            read_mesh(path)
+    else:
+        with pytest.raises(MeshError, match=re.escape(f"the first is vertex 6 {place} at [nan, nan, nan]; repair")):
+            read_mesh(path)
+
+
+def test_a_copy_is_named_among_several(tmp_path):
+    builder = tetrahedron()
+    attributes = {"SCALE": builder.accessor([[1, 1, 1], [2, 2, 2], [0, 0, 0]])}
+    builder.json["nodes"][0]["extensions"] = {"EXT_mesh_gpu_instancing": {"attributes": attributes}}
+    place = "face 0 of nodes[0], meshes[0].primitives[0], copy 2 with corners [0, 2, 1]"
+    with pytest.warns(InputWarning, match=re.escape(f"4 of 12 faces have no area, the first is {place}")):
+        read_mesh(builder.write(tmp_path / "copy.glb"))
 
 
 def _seeds() -> list[GltfBuilder]:
@@ -247,3 +300,24 @@ def test_damage_gives_a_mesh_or_one_sentence(tmp_path_factory, seed, random_seed
         else:
             assert soup.faces.min() >= 0
             assert soup.faces.max() < len(soup.positions)
+
+
+def test_a_file_that_shows_no_mesh_says_why(tmp_path):
+    builder = tetrahedron(name="Cow", extensions={"KHR_node_visibility": {"visible": False}})
+    path = tmp_path / "nothing.glb"
+    found = "nodes[0] ('Cow'), the only node with a mesh, is hidden by KHR_node_visibility; make the object visible"
+    assert refused(builder.write(path)).startswith(found)
+    builder.node(root=False, mesh=0)
+    builder.json["nodes"][0]["children"] = [1]
+    found = "all 2 nodes with meshes, the first is nodes[0] ('Cow'), are hidden by KHR_node_visibility; make the object"
+    assert refused(builder.write(path)).startswith(found)
+    del builder.json["nodes"][0]["extensions"], builder.json["nodes"][0]["mesh"]
+    builder.json["scenes"] = [{"nodes": []}, {"nodes": [0]}]
+    found = "the default scene shows no mesh, but nodes[1] in scenes[1] has one; add the object to the default scene"
+    assert refused(builder.write(path)).startswith(found)
+    builder.json["scenes"] = [{}]
+    assert "nodes[1] in no scene has one" in refused(builder.write(path))
+    del builder.json["nodes"][1]["mesh"]
+    assert refused(builder.write(path)).startswith("no node shows a mesh, though the file has 1; add the object")
+    builder.json["meshes"] = []
+    assert refused(builder.write(path)).startswith("has no faces; expected triangles in its scene")

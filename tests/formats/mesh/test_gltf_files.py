@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+from unicodedata import normalize
 from urllib.parse import quote
 
 import pytest
@@ -42,7 +43,8 @@ def test_buffers_in_other_files_are_found_by_their_names(tmp_path):
     uris = [f"../{quote(name)}", f"../{name}", f"..\\{quote(name)}", str(tmp_path / name), quote(str(tmp_path / name))]
     encoded = base64.b64encode(builder.data).decode()
     uris += [f"data:;base64,{encoded.rstrip('=')}", f"data:application/gltf-buffer;base64,{quote(encoded)}"]
-    uris += [f"data:application/octet-stream,{quote(builder.data)}"]
+    uris += [f"data:application/octet-stream,{quote(builder.data)}", f"data:model/gltf-buffer; base64, {encoded}"]
+    uris += [f"../{quote(normalize('NFD', name))}", f"../{normalize('NFD', name)}"]
     for uri in uris:
         builder.json["buffers"] = [{"byteLength": len(builder.data), "uri": uri}]
         (tmp_path / "deep" / "mesh.gltf").write_text(json.dumps(builder.json))
@@ -78,6 +80,11 @@ def test_a_buffer_that_cannot_be_read_is_named(tmp_path, uri, sentence):
 def test_containers_that_are_no_gltf_are_refused(tmp_path):
     content = tetrahedron().glb()
     binary = struct.pack("<II4s", 4, 0x004E4942, b"more")
+    text = json.dumps({**tetrahedron().json, "scene": "Sphère"}, ensure_ascii=False)
+    size = struct.unpack_from("<I", content, 12)[0]
+    short = content[:8] + struct.pack("<I", len(content) - 8) + content[12:]
+    longer = content[:8] + struct.pack("<II", len(content) + 4, size + 1)  # the JSON has a byte more, and 3 of padding
+    unpadded = longer + content[16 : 20 + size] + b"    " + content[20 + size :]
     cases = {
         b"": "is not glTF, or its JSON is damaged",
         b'{"asset": {"version": "2.0"}, "nodes": [' + b"1," * 10**5 + b"1]}": r"nodes\[0\]: expected an object",
@@ -94,6 +101,11 @@ def test_containers_that_are_no_gltf_are_refused(tmp_path):
         content[:4] + b"\1" + content[5:]: "binary glTF of version 1",
         content.replace(b"JSON", b"json"): "the first chunk of the binary glTF file is not JSON",
         content[:14] + b"\xff" + content[15:]: "is truncated.*chunk 0 ends at",
+        content[:8] + b"\0\0\0\0" + content[12:]: f"header .* names 0 bytes; expected {len(content)}, its size; export",
+        short: f"names {len(content) - 8} bytes; expected {len(content)}, its size",
+        unpadded: f"the chunk before byte {21 + size} .* has {size + 1} bytes; expected a multiple of 4, with padding",
+        text.encode("utf-16"): "expected text in UTF-8, found UTF-16; save it again with the encoding UTF-8",
+        text.encode("latin-1"): "expected JSON in UTF-8, found the byte 0xe8 at byte .*, as in Latin-1; save it again",
         tetrahedron().glb(extra=binary): "has 2 binary chunks",
         pack(tetrahedron().glb()[20:], None): "is not glTF",
         b'{"asset": {"version": "2.0"}}': "",

@@ -328,7 +328,12 @@ def test_errors_in_obj_name_the_line(tmp_path):
         ("v 0 0 0\nv 1 0\n", "line 2"),
         ("v 0 0 0\nf 1 0 1\n", "line 2"),
         ("v 0 0 0\n", "no faces"),
-        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "do not exist"),
+        (
+            "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n",
+            r"1 of 1 faces .* do not exist, the first is line 4 with corners \[1, 2, 4\]; expected numbers from 1 to 3",
+        ),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 -4\n", "line 4: a face uses vertex -4, but only 3 vertices come before"),
+        ("v 0,5 0 0\n", "line 1: .* 'v 0,5 0 0'; its numbers have commas; export it again with decimal points"),
         ("\0\1", "not an OBJ"),
     ):
         (tmp_path / "bad.obj").write_text(text)

@@ -133,3 +133,87 @@ def test_faces_of_opposite_winding_are_a_warning(faces: int) -> None:
     mixed[:100] = mixed[:100, ::-1]
     with pytest.warns(InputWarning, match="edges lie between faces of opposite winding"):
         refuse_foreign(object(), build_mesh(ball().positions, mixed))
+
+
+def two_sided(kind: str) -> tuple[Array, Array, Array]:
+    """Positions, faces and corner normals of a ball each of whose faces is doubled with the opposite winding."""
+    mesh = ball()
+    order = (
+        np.random.default_rng(1).random(len(mesh.faces)) < {"front first": 0.0, "back first": 1.0, "mixed": 0.4}[kind]
+    )
+    front = np.where(order[:, None], mesh.faces[:, ::-1], mesh.faces)
+    sides = np.where(order[:, None, None], -1.0, 1.0) * mesh.normals[front]
+    faces = np.stack([front, front[:, ::-1]], axis=1).reshape(-1, 3)
+    return mesh.positions, faces, np.stack([sides, -sides[:, ::-1]], axis=1).reshape(-1, 3, 3)
+
+
+def written(path: Path, positions: Array, faces: Array, corner_normals: Array | None = None) -> Path:
+    rows = ["v {:.17g} {:.17g} {:.17g}".format(*row) for row in positions]
+    if corner_normals is not None:
+        rows += ["vn {:.6f} {:.6f} {:.6f}".format(*row) for row in corner_normals.reshape(-1, 3)]
+    corner = (lambda v, n: f"{v}") if corner_normals is None else (lambda v, n: f"{v}//{n}")
+    for face, row in enumerate(np.asarray(faces) + 1):
+        rows.append("f " + " ".join(corner(v, len(row) * face + k + 1) for k, v in enumerate(row)))
+    path.write_text("\n".join([*rows, ""]))
+    return path
+
+
+@pytest.mark.parametrize("with_normals", [False, True])
+@pytest.mark.parametrize("kind", ["front first", "back first", "mixed"])
+def test_bakes_refuse_two_sides_whose_normals_cancel(tmp_path: Path, kind: str, with_normals: bool) -> None:
+    positions, faces, normals = two_sided(kind)
+    mesh = read_mesh(written(tmp_path / "ball.obj", positions, faces, normals if with_normals else None))
+    assert mesh.cancelled_normals == 642
+    with pytest.raises(MeshError, match=r"^mesh: 2560 of 2560 faces lie on another .*: the mesh has two sides; export"):
+        refuse_foreign(object(), mesh)
+    with pytest.raises(MeshError, match="the mesh has two sides"):
+        refuse_foreign(object(), build_mesh(positions, faces))
+
+
+def test_bakes_refuse_two_sides_that_are_divided_along_other_diagonals(tmp_path: Path) -> None:
+    box = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 2.0) for x in (0.0, 3.0)])
+    quads = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]])
+    mesh = read_mesh(written(tmp_path / "box.obj", box, np.concatenate([quads, quads[:, ::-1]])))
+    with pytest.raises(MeshError, match="normals of 8 of 8 vertices cancel out: the mesh has two sides; export"):
+        refuse_foreign(object(), mesh)
+
+
+@pytest.mark.parametrize("kind", ["front first", "back first", "mixed"])
+def test_two_sides_are_baked_with_normals_of_the_file(tmp_path: Path, kind: str) -> None:
+    """One normal per vertex, for both sides."""
+    positions, faces, _ = two_sided(kind)
+    write_mesh(replace(build_mesh(positions, faces), normals=ball().normals), tmp_path / "ball.ply")
+    mesh = read_mesh(tmp_path / "ball.ply")
+    np.testing.assert_allclose(mesh.normals, ball().normals, atol=1e-12)
+    refuse_foreign(object(), mesh)
+
+
+def test_a_flap_is_a_warning() -> None:
+    mesh = ball()
+    tip = mesh.positions[mesh.faces[0, 0]] * 1.1
+    a, b = mesh.faces[0, :2]
+    positions, flap = np.concatenate([mesh.positions, [tip]]), [[a, b, 642], [b, a, 642]]
+    with pytest.warns(
+        InputWarning, match=r"^mesh: 2 of 1282 faces lie on another .* 1 of 643 vertices cancel out; the"
+    ):
+        refuse_foreign(object(), build_mesh(positions, np.concatenate([mesh.faces, flap])))
+
+
+def test_solids_that_touch_at_a_vertex_have_one_side() -> None:
+    """There the normals of their faces cancel out."""
+    tip = trimesh.creation.box((1.0, 1.0, 1.0))
+    positions = np.concatenate([tip.vertices + 0.5, tip.vertices - 0.5])
+    first, number = np.unique(positions, axis=0, return_inverse=True)
+    mesh = build_mesh(first, number.ravel()[np.concatenate([tip.faces, tip.faces + 8])])
+    assert mesh.cancelled_normals == 1
+    refuse_foreign(object(), mesh)
+
+
+def test_outward_normals_of_faces_inside_out_are_no_fault(tmp_path: Path) -> None:
+    """A mirrored mesh: bakes refuse its faces, scenes reverse both."""
+    mesh = ball()
+    write_mesh(replace(mesh, faces=mesh.faces[:, ::-1]), tmp_path / "ball.ply")
+    found = read_mesh(tmp_path / "ball.ply")
+    np.testing.assert_allclose(flipped(found).normals, mesh.normals, atol=1e-12)
+    with pytest.raises(MeshError, match="the faces are wound inside out"):
+        refuse_foreign(object(), found)

@@ -58,3 +58,14 @@ def test_those_outside_the_image_are_a_remark(tmp_path: Path) -> None:
     write_mesh(ball_with(inside()), tmp_path / "ball.ply")
     assert find_remarks(tmp_path / "ball.ply") == []
     assert read_mesh(tmp_path / "ball.ply").corner_uv is not None
+
+
+@pytest.mark.parametrize(("second", "warned"), [(1, 1), (0, 0)])
+def test_several_images_are_named(tmp_path: Path, recwarn: pytest.WarningsRecorder, second: int, warned: int) -> None:
+    """MeshLab writes the image of each face as texnumber."""
+    header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {name}\n" for name in "xyz")
+    header += "element face 2\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+    rows = ["0 0 0", "1 0 0", "1 1 0", "0 1 0", "3 0 1 2 6 0 0 1 0 1 1 0", f"3 0 2 3 6 0 0 1 1 0 1 {second}"]
+    (tmp_path / "square.ply").write_text("\n".join([header + "property int texnumber\nend_header", *rows]))
+    assert read_mesh(tmp_path / "square.ply").corner_uv is not None
+    assert ["those of 2 images (texnumber)" in str(warning.message) for warning in recwarn] == [True] * warned

@@ -236,3 +236,32 @@ def test_a_part_of_another_unit_is_a_warning(folder):
     write_mesh(moved(sphere(1), 800.0), folder / "millimetres.ply")
     with pytest.warns(InputWarning, match=r"millimetres\.ply is 800 times as large as 'object'.* the unit of length"):
         scene(folder, OUTER + PLAIN.replace("seed.ply", "millimetres.ply"))
+
+
+@pytest.mark.parametrize(("normals", "angle", "warned"), [("vertex", 90, 1), ("vertex", 20, 0), ("face", 90, 0)])
+def test_hard_edges_that_vertex_normals_round_off_are_named(tmp_path, recwarn, normals, angle, warned):
+    """A ring of flat sides, each with a normal of its own; caps with those of the nearest side."""
+    count = round(360 / angle)
+    turn = 2.0 * np.pi * np.arange(count) / count
+    rows = [f"v {np.cos(a)} {np.sin(a)} {z}" for z in (0.0, 1.0) for a in turn]
+    rows += [f"vn {np.cos(a + np.pi / count)} {np.sin(a + np.pi / count)} 0" for a in turn]
+    for side in range(count):
+        following = (side + 1) % count
+        corners = side, following, following + count, side + count
+        rows.append("f " + " ".join(f"{corner + 1}//{side + 1}" for corner in corners))
+    rows.append("f " + " ".join(f"{corner + 1}//{corner + 1}" for corner in range(count)[::-1]))
+    rows.append("f " + " ".join(f"{count + corner + 1}//{corner + 1}" for corner in range(count)))
+    (tmp_path / "prism.obj").write_text("\n".join([*rows, ""]))
+    scene(tmp_path, OUTER.replace("glass.ply", "prism.obj").replace("1.5", f'1.5\nnormals = "{normals}"'))
+    found = [str(warning.message) for warning in recwarn]
+    assert len(found) == warned
+    if warned:
+        assert "interface.normals: " in found[0]
+        assert "at 8 of 8 vertices its normals differ by more than 30 degrees" in found[0]
+
+
+@pytest.mark.parametrize(("size", "warned"), [(1e-3, 1), (0.01, 0)])
+def test_a_part_much_smaller_than_its_parent_is_named(folder, recwarn, size, warned):
+    write_mesh(moved(sphere(1), size), folder / "dot.ply")
+    scene(folder, OUTER + PLAIN.replace("seed.ply", "dot.ply"))
+    assert [str(warning.message).endswith("check the unit of length") for warning in recwarn] == [True] * warned

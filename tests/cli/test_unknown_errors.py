@@ -1,0 +1,28 @@
+"""An error that is a difference of noise and noise is unknown, not 0."""
+
+from pathlib import Path
+
+from prt_bake.network.bssrdf import load_model
+from tests.cli.command_line import SCENE, Run
+
+
+def test_a_reference_that_is_only_noise_gives_no_error(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+    (folder / "dim.toml").write_text(SCENE.replace("albedo = 0.9", "albedo = 1e-4"))
+    model = tmp_path / "m.pt"
+    options = ["--steps", 2, "--synchronous", "--no-report", "--no-importance"]
+    trained = prtbake("train", "dim.toml", "-o", model, *options)
+    assert trained.code == 0, trained.err
+    assert "of the coefficients unknown (without the reference's noise, " in trained.out
+    assert load_model(model).metadata["training"]["relative_rmse"]["coefficients"] is None
+    few = ["--rings", 1, "--sectors", 1, "--samples", 16]
+    baked = prtbake("bake", model, "sphere.ply", "-o", tmp_path / "a.h5", *few)
+    assert baked.code == 0, baked.err
+    assert "the model's own error" not in baked.out
+
+
+def test_a_path_traced_bake_that_no_path_lit_says_so(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+    (folder / "dark.toml").write_text(SCENE.replace("albedo = 0.9", "albedo = 1e-9"))
+    few = ["--rings", 1, "--sectors", 2, "--samples", 16]
+    baked = prtbake("bake", "dark.toml", "sphere.ply", "-o", tmp_path / "a.h5", *few)
+    assert baked.code == 0, baked.err
+    assert "no path carried light: the object is black, or its error is unknown" in baked.out
