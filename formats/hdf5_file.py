@@ -6,8 +6,6 @@ Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html, rea
 import os
 import re
 import reprlib
-import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,29 +15,27 @@ from numpy.typing import NDArray
 
 from formats.atomic import existing
 from formats.errors import FormatError
+from formats.hdf5_strings import DamagedDataError, has_damaged_strings
 
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
 """What h5py raises on damaged files."""
 _EXPECTED_SIZE = re.compile(r"stored_eof = (\d+)")
 """The size that HDF5 expects of a truncated file, in its message."""
+_VALUES = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.ENUM, h5py.h5t.STRING)
+"""The classes of attributes that are read; some others crash h5py if they are damaged."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_HEAP = struct.Struct("<8sQ")
-_HEAP_SIGNATURE = b"GCOL\x01\0\0\0"
-_HEAP_OBJECT = struct.Struct("<HHIQ")
-_REFERENCE = struct.Struct("<IQI")
-_SEARCHED = 2**24
-"""Bytes at the beginning and at the end of a file that are searched for heaps: prtbake writes its strings there."""
-
-
-class DamagedDataError(OSError):
-    """A part of a file that cannot be decompressed; the message names the part."""
 
 
 def attribute(node: Any, name: str) -> Any:
     """The attribute `name` of an open file, group or dataset.
 
     An array of one value counts as the value, and bytes as UTF-8 text: other programs write both.
+
+    Raises:
+        DamagedDataError: the attribute is neither a number nor text.
     """
+    if node.attrs.get_id(name).get_type().get_class() not in _VALUES:
+        raise DamagedDataError(f"the attribute {name} of {node.name} cannot be read")
     value = node.attrs[name]
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()
@@ -78,7 +74,7 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
         raise error(f"{path}: is empty; expected an HDF5 file; copy or {remedy} again")
     if signature != _SIGNATURE:
         raise error(f"{path}: {is_not}: expected an HDF5 file, found a file that begins with {signature!r}")
-    if _has_damaged_strings(path):
+    if has_damaged_strings(path):
         raise error(f"{path}: is damaged: a part of it cannot be read; copy or {remedy} again")
     try:
         return h5py.File(path, "r")
@@ -90,53 +86,6 @@ def open_hdf5(path: str | os.PathLike[str], error: type[FormatError], is_not: st
         if isinstance(cause, OSError) and cause.errno is not None:
             raise error(f"{path}: {describe_damage(cause)}; copy or {remedy} again") from cause
         raise error(f"{path}: is damaged or truncated, {size} bytes long; copy or {remedy} again") from cause
-
-
-def _has_damaged_strings(path: str | os.PathLike[str]) -> bool:
-    """Return whether HDF5 2.0 would loop for ever or reserve gigabytes for a string.
-
-    Strings lie in heaps: a signature, the heap's size, and objects: index, count, reserved, size, and the content in
-    multiples of 8 bytes. The object of index 0 is the free rest, whose size includes its head. Attributes refer to
-    strings by length, address of the heap, and index.
-    """
-    size = os.path.getsize(path)
-    with open(path, "rb") as file:
-        parts = [(0, file.read(_SEARCHED))]
-        parts.append((file.seek(max(file.tell(), size - _SEARCHED)), file.read()))
-    for offset, part in parts:
-        for heap in _places(part, _HEAP_SIGNATURE):
-            if _is_endless(part, heap) or _too_long(part, offset + heap, size):
-                return True
-    return False
-
-
-def _places(content: bytes, pattern: bytes) -> Iterator[int]:
-    place = content.find(pattern)
-    while place >= 0:
-        yield place
-        place = content.find(pattern, place + 1)
-
-
-def _is_endless(content: bytes, start: int) -> bool:
-    """Return whether the heap at `start` has an object that occupies no byte; one that is too long ends it."""
-    end = min(start + _HEAP.unpack_from(content, start)[1], len(content)) if start + _HEAP.size <= len(content) else 0
-    at = start + _HEAP.size
-    while at + _HEAP_OBJECT.size <= end:
-        index, _, _, size = _HEAP_OBJECT.unpack_from(content, at)
-        step = (_HEAP_OBJECT.size + (size + 7) // 8 * 8 if index else size) % 2**64
-        if step == 0:
-            return True
-        at += step
-    return False
-
-
-def _too_long(content: bytes, address: int, size: int) -> bool:
-    """Return whether a string in the heap at `address` is longer than the whole file, according to a reference."""
-    for place in _places(content[:-4], address.to_bytes(8, "little")):
-        length, _, index = _REFERENCE.unpack_from(content, max(0, place - 4))
-        if length > size and 0 < index < 2**16:
-            return True
-    return False
 
 
 def first_fault(faults: list[str], remedy: str) -> str:

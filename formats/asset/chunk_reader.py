@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.hdf5_file import DamagedDataError
+from formats.hdf5_strings import DamagedDataError
 
 _GZIP_AND_SHUFFLE = (1, 2)
 """The ids of HDF5's filters."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset.record import AssetHead
+from formats.hdf5_file import attribute
 
 FORMAT = "prtbake"
 FORMAT_VERSION = "1.0"
@@ -71,10 +72,16 @@ def _write_mesh(group: Any, head: AssetHead) -> None:
 
 def mesh_digest(group: Any) -> str:
     """Return the SHA-256 of the origin, positions, normals, tangents and faces in the group /mesh of an asset."""
-    digest = hashlib.sha256(_as(group["positions"].attrs.get("origin", np.zeros(3)), "<f8").tobytes())
+    digest = hashlib.sha256(_as(mesh_origin(group), "<f8").tobytes())
     for name in ("positions", "normals", "tangents", "faces"):
         digest.update(_as(group[name][...], "<u4" if name == "faces" else "<f4").tobytes())
     return digest.hexdigest()
+
+
+def mesh_origin(group: Any) -> Any:
+    """Return the position that the group /mesh of an asset counts its positions from."""
+    positions = group["positions"]
+    return attribute(positions, "origin") if "origin" in positions.attrs else np.zeros(3)
 
 
 def _as(values: NDArray[Any], kind: str) -> NDArray[Any]:

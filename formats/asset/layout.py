@@ -27,6 +27,7 @@ from formats.asset import compact_layout, error_covariance
 from formats.asset.head import BASIS, FORMAT, FORMULAS
 from formats.asset.provenance import provenance_faults, pruned_faults
 from formats.hdf5_file import attribute, found
+from formats.hdf5_strings import read_string
 
 _ATTRIBUTES = {
     "": ("up", "handedness", "unit", "complete", "left_out"),
@@ -149,7 +150,7 @@ def _dataset_faults(file: Any) -> Iterator[str]:
             yield f"/{name} has shape {list(shape or ())}; expected [{expected}]"
     text = file.get("provenance/json")
     if isinstance(text, h5py.Dataset) and text.shape == ():
-        yield from provenance_faults(text[()])
+        yield from provenance_faults(read_string(text))
 
 
 def _fits(axis: str, length: int, lengths: dict[str, int]) -> bool:

@@ -13,19 +13,19 @@ from formats.asset.chunk_reader import can_read_chunks, read_chunks
 from formats.asset.compact_file import read_compact
 from formats.asset.compact_layout import GROUP, value_faults
 from formats.asset.error_covariance import covariance_faults, read_covariance
-from formats.asset.head import mesh_digest
+from formats.asset.head import mesh_digest, mesh_origin
 from formats.asset.layout import layout_faults, transfer_group
 from formats.asset.record import Asset
 from formats.errors import AssetError
 from formats.hdf5_file import (
     HDF5_ERRORS,
-    DamagedDataError,
     as_float32,
     attribute,
     describe_damage,
     first_fault,
     open_hdf5,
 )
+from formats.hdf5_strings import DamagedDataError, read_string
 from formats.mesh import Mesh
 
 _BLOCK_BYTES = 2**26
@@ -110,7 +110,7 @@ def _faults(file: Any) -> Iterator[str]:
     for name in ("mesh/positions", "basis/check_directions", "basis/check_values", "bins/directions"):
         yield from _finite_faults(file, name)
     yield from _bin_faults(file["bins"])
-    origin = np.asarray(file["mesh/positions"].attrs.get("origin", np.zeros(3)))
+    origin = np.asarray(mesh_origin(file["mesh"]))
     if origin.shape != (3,) or origin.dtype.kind != "f" or not np.isfinite(origin).all():
         yield "/mesh/positions: the attribute origin is not a finite point"
     normals, tangents = file["mesh/normals"][...].astype(np.float64), file["mesh/tangents"][...].astype(np.float64)
@@ -244,7 +244,7 @@ def _asset(file: Any, load: bool) -> Asset:
         standard_error=transfer["standard_error"][...].astype(np.float32),
         valid=valid,
         complete=bool(attribute(file, "complete")),
-        provenance=json.loads(file["provenance/json"][()]),
+        provenance=json.loads(read_string(file["provenance/json"])),
         error_vs_time=file["provenance/error_vs_time"][...].astype(np.float64),
         selftest={name: selftest[name][...] for name in selftest},
         storage="float16" if coefficients.dtype.itemsize == 2 else "float32",
@@ -259,7 +259,7 @@ def _coefficients(file: Any, valid: NDArray[np.bool_], load: bool) -> Any:
 
 
 def _mesh(group: Any) -> Mesh:
-    origin = np.asarray(group["positions"].attrs.get("origin", np.zeros(3)), np.float64)
+    origin = np.asarray(mesh_origin(group), np.float64)
     return Mesh(
         positions=origin + group["positions"][...].astype(np.float64),
         faces=group["faces"][...].astype(np.int32),

@@ -10,8 +10,7 @@ from typing import Any
 
 from formats.errors import ImageError
 from formats.image import gamut
-from formats.image.kinds import refuse_other_kinds
-from formats.image.limits import refuse_size
+from formats.image.refusals import refuse_other_kinds, refuse_size
 from formats.image.text import printable
 
 Window = tuple[int, int, int, int]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from formats.errors import ImageError, warn
 from formats.image.gamut import Primaries
-from formats.image.limits import refuse_size
+from formats.image.refusals import refuse_size
 from formats.image.rgbe_header import RgbeHeader, read_header
 
 _ROWS = 32

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from formats.errors import ImageError, warn
 from formats.image.gamut import Primaries, are_equal
-from formats.image.kinds import refuse_other_kinds
+from formats.image.refusals import refuse_other_kinds
 from formats.image.text import printable
 
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\n|\r)")

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError, warn
-from formats.image.kinds import refuse_other_kinds
-from formats.image.limits import refuse_size
+from formats.image.refusals import refuse_other_kinds, refuse_size
 
 if TYPE_CHECKING:
     from PIL import Image

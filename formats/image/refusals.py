@@ -1,9 +1,11 @@
-"""Kinds of pictures by their first bytes, so that a file with the suffix of another kind is named as what it is."""
+"""Refusals before an image is decoded: files of another kind, named as what they are, and sizes that no image has."""
 
 import os
 
 from formats.errors import ImageError
 
+LONGEST_SIDE = 1 << 18
+MOST_PIXELS = 1 << 31
 _OF_SUFFIX = {".png": "PNG", ".jpg": "JPEG", ".exr": "OpenEXR", ".hdr": "Radiance"}
 _STARTS = (
     (0, b"\x89PNG\r\n\x1a\n", "PNG"),
@@ -52,3 +54,17 @@ def refuse_other_kinds(path: str | os.PathLike[str], expected: str) -> None:
     magic = next(magic for _, magic, kind in _STARTS if kind == expected)
     begin = start[: len(magic)]
     raise ImageError(f"{path}: is not {expected}: expected {magic!r} at its start, found {begin!r}; copy it again")
+
+
+def refuse_size(path: str | os.PathLike[str], width: int, height: int) -> None:
+    """Raise ImageError if an image has no pixels, more than MOST_PIXELS, or a side longer than LONGEST_SIDE.
+
+    A damaged header is thus refused before memory is allocated.
+    """
+    if width < 1 or height < 1:
+        raise ImageError(f"{path}: the image is empty: {width}x{height} pixels; save it again")
+    if max(width, height) > LONGEST_SIDE or width * height > MOST_PIXELS:
+        raise ImageError(
+            f"{path}: expected at most {LONGEST_SIDE} pixels along a side and {MOST_PIXELS} in all, found "
+            f"{width}x{height}; the header is damaged, or the image has to be reduced"
+        )

@@ -1,0 +1,141 @@
+"""Strings in damaged HDF5 files: refused before the library crashes, loops for ever or reserves gigabytes."""
+
+import struct
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from formats import hdf5_strings
+from formats.errors import AssetError
+from formats.hdf5_file import attribute, first_fault, open_hdf5
+from formats.hdf5_strings import DamagedDataError, read_string
+
+HEAP = b"GCOL\x01\0\0\0"
+
+
+@pytest.fixture
+def strings(tmp_path: Path) -> Path:
+    """A file with three strings as attributes, all in one heap."""
+    with h5py.File(path := tmp_path / "strings.h5", "w") as file:
+        file.attrs.update(format="prtbake", version="1.0", note="three")
+    return path
+
+
+def open_it(path: Path) -> None:
+    open_hdf5(path, AssetError, "is not an asset", "bake it").close()
+
+
+@pytest.mark.parametrize("size", [2**64 - 16, 2**64 - 17, 2**64 - 23])
+@pytest.mark.parametrize("string", [0, 1, 2])
+def test_a_string_whose_length_wraps_to_nothing_is_refused(strings: Path, string: int, size: int) -> None:
+    content = bytearray(strings.read_bytes())
+    # Every object has 16 bytes of head and 8 of content: its size stands in the last 8 of the head.
+    struct.pack_into("<Q", content, content.index(HEAP) + 16 + 24 * string + 8, size)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match=r"strings\.h5: is damaged.*copy or bake it again"):
+        open_it(strings)
+
+
+def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
+    content = bytearray(strings.read_bytes())
+    struct.pack_into("<HHIQ", content, content.index(HEAP) + 16, 0, 0, 0, 0)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
+@pytest.mark.parametrize("length", [1, 9, 2**31 - 1, 2**32 - 1])
+@pytest.mark.parametrize("string", [0, 1, 2])
+def test_a_string_of_another_length_than_its_reference_is_refused(strings: Path, string: int, length: int) -> None:
+    content = bytearray(strings.read_bytes())
+    address = content.index(HEAP).to_bytes(8, "little")
+    reference = content.index(address + struct.pack("<I", 1 + string))
+    struct.pack_into("<I", content, reference - 4, length)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
+@pytest.mark.parametrize("address", [0, 1, 2**32, 2**64 - 1])
+def test_a_reference_to_no_heap_is_refused(strings: Path, address: int) -> None:
+    content = bytearray(strings.read_bytes())
+    reference = content.index(struct.pack("<QI", content.index(HEAP), 1))
+    struct.pack_into("<Q", content, reference, address)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
+@pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
+def test_strings_of_other_programs_open(tmp_path: Path, libver: str) -> None:
+    with h5py.File(path := tmp_path / "strings.h5", "w", libver=libver) as file:
+        file.attrs.update(long="x" * 5000, empty="", umlaut="ä", bytes=np.bytes_("fixed"), two=["a", "b"])
+        file.attrs["ä"] = "a name beyond ASCII"
+        file.attrs.create("ASCII", "text", dtype=h5py.string_dtype("ascii"))
+        file.create_dataset("picture of a heap", data=list(HEAP))
+        file["text"] = "words"
+    with open_hdf5(path, AssetError, "is not an asset", "bake it") as file:
+        assert [attribute(file, name) for name in ("umlaut", "bytes", "ä", "ASCII")] == [
+            "ä",
+            "fixed",
+            "a name beyond ASCII",
+            "text",
+        ]
+        assert read_string(file["text"]) == b"words"
+
+
+@pytest.mark.parametrize(("offset", "value"), [(0, 6), (4, 2**31), (4, 0), (12, 2)])
+def test_a_dataset_whose_string_is_not_there_is_refused(tmp_path: Path, offset: int, value: int) -> None:
+    with h5py.File(path := tmp_path / "strings.h5", "w") as file:
+        file["text"] = "words"
+        place = file["text"].id.get_offset()
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<I", content, place + offset, value)
+    path.write_bytes(content)
+    with h5py.File(path) as file, pytest.raises(DamagedDataError, match="the text of /text cannot be read"):
+        read_string(file["text"])
+
+
+def test_attributes_and_datasets_of_lists_are_refused(strings: Path) -> None:
+    with h5py.File(strings, "r+") as file:
+        file.create_dataset("lists", (), h5py.vlen_dtype(np.int64))
+    content = bytearray(strings.read_bytes())
+    # A string is a list of the kind 1; HDF5 knows only lists of kind 0 and 1, and h5py crashes on others.
+    content[content.index(b"\x19", content.index(b"format\0")) + 1] = 5
+    strings.write_bytes(content)
+    with h5py.File(strings) as file:
+        with pytest.raises(DamagedDataError, match="the attribute format of / cannot be read"):
+            attribute(file, "format")
+        with pytest.raises(DamagedDataError, match="the text of /lists cannot be read"):
+            read_string(file["lists"])
+
+
+@pytest.mark.parametrize("length", [5, 2**32 - 1])
+@pytest.mark.parametrize("size", [5, 2**64 - 16])
+def test_strings_at_the_end_of_a_file_are_searched_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, length: int, size: int
+) -> None:
+    with h5py.File(path := tmp_path / "long.h5", "w") as file:
+        file["numbers"] = np.arange(10**5)
+        file.create_group("end").attrs["note"] = "words"
+    content = bytearray(path.read_bytes())
+    heap = content.index(HEAP)
+    reference = content.index(struct.pack("<IQI", 5, heap, 1))
+    searched = len(content) - min(heap, reference) + 40  # the attribute's type and shape come before the reference
+    monkeypatch.setattr(hdf5_strings, "_SEARCHED", searched)
+    assert searched < len(content) // 2
+    struct.pack_into("<Q", content, heap + 24, size)
+    struct.pack_into("<I", content, reference, length)
+    path.write_bytes(content)
+    if (length, size) == (5, 5):
+        open_it(path)
+        return
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(path)
+
+
+def test_a_fault_without_a_remedy_gets_one() -> None:
+    assert first_fault(["/mesh is missing"], "bake it again") == "/mesh is missing; bake it again"
+    assert first_fault(["x; make y", "z"], "bake it again") == "x; make y (and 1 more faults)"
