@@ -60,7 +60,7 @@ def read_string(dataset: Any) -> Any:
 def _is_whole(file: BinaryIO, reference: bytes) -> bool:
     """Return whether a reference gives the length of its string; an empty string needs none."""
     length, address, index = _REFERENCE.unpack(reference)
-    return length == 0 or _sizes(file, address).get(index) == length
+    return bool(length == 0 or _sizes(file, address).get(index) == length)
 
 
 def _sizes(file: BinaryIO, address: int) -> dict[int, int]:
