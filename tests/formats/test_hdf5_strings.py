@@ -38,6 +38,15 @@ def test_a_string_whose_length_wraps_to_nothing_is_refused(strings: Path, string
         open_it(strings)
 
 
+@pytest.mark.parametrize("size", [2**64 - 16, 2**64 - 17, 2**64 - 23])
+def test_a_string_that_nothing_refers_to_and_that_wraps_to_nothing_is_refused(strings: Path, size: int) -> None:
+    content = bytearray(strings.read_bytes())
+    struct.pack_into("<HHIQ", content, content.index(HEAP) + 16 + 3 * 24, 4, 0, 0, size)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
 def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
     content = bytearray(strings.read_bytes())
     struct.pack_into("<HHIQ", content, content.index(HEAP) + 16, 0, 0, 0, 0)
@@ -56,6 +65,27 @@ def test_a_string_of_another_length_than_its_reference_is_refused(strings: Path,
     strings.write_bytes(content)
     with pytest.raises(AssetError, match="is damaged"):
         open_it(strings)
+
+
+@pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
+def test_a_heap_whose_string_is_longer_than_its_reference_is_refused(tmp_path: Path, libver: str) -> None:
+    with h5py.File(path := tmp_path / "strings.h5", "w", libver=libver) as file:
+        file.attrs["note"] = "words"
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, content.index(HEAP) + 16 + 8, 6)
+    path.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(path)
+
+
+def test_a_missing_string_counts_as_empty(strings: Path) -> None:
+    """C programs store a null pointer in this way."""
+    content = bytearray(strings.read_bytes())
+    reference = content.index(struct.pack("<QI", content.index(HEAP), 3)) - 4
+    content[reference : reference + 16] = bytes(16)
+    strings.write_bytes(content)
+    with open_hdf5(strings, AssetError, "is not an asset", "bake it") as file:
+        assert attribute(file, "note") == ""
 
 
 @pytest.mark.parametrize("address", [0, 1, 2**32, 2**64 - 1])
@@ -96,6 +126,16 @@ def test_a_dataset_whose_string_is_not_there_is_refused(tmp_path: Path, offset: 
     path.write_bytes(content)
     with h5py.File(path) as file, pytest.raises(DamagedDataError, match="the text of /text cannot be read"):
         read_string(file["text"])
+
+
+def test_strings_in_the_head_of_a_dataset_are_read(tmp_path: Path) -> None:
+    compact = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    compact.set_layout(h5py.h5d.COMPACT)
+    with h5py.File(tmp_path / "compact.h5", "w") as file:
+        text = h5py.h5t.py_create(h5py.string_dtype(), logical=True)
+        h5py.h5d.create(file.id, b"text", text, h5py.h5s.create(h5py.h5s.SCALAR), compact)
+        file["text"][()] = "words"
+        assert read_string(file["text"]) == b"words"
 
 
 def test_attributes_and_datasets_of_lists_are_refused(strings: Path) -> None:

@@ -53,6 +53,16 @@ def test_a_damaged_chunk_is_refused(tmp_path):
     assert_refused(tmp_path / "a.h5", f"a.h5: is damaged: {where}; copy or bake it again$")
 
 
+def test_a_damaged_provenance_is_refused(tmp_path):
+    write_asset(make_asset(30, 4, 16, 2), tmp_path / "a.h5")
+    with h5py.File(tmp_path / "a.h5") as file:
+        place = file["provenance/json"].id.get_offset()
+    content = bytearray((tmp_path / "a.h5").read_bytes())
+    content[place : place + 4] = bytes([255, 255, 255, 127])
+    (tmp_path / "a.h5").write_bytes(content)
+    assert_refused(tmp_path / "a.h5", "is damaged: the text of /provenance/json cannot be read; copy or bake it again$")
+
+
 @pytest.mark.parametrize("place", ["open", "faults"])
 @pytest.mark.parametrize(
     ("cause", "message"),
