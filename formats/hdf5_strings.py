@@ -69,7 +69,7 @@ def _sizes(file: BinaryIO, address: int) -> dict[int, int]:
     head = file.read(_HEAP.size)
     if not head.startswith(_HEAP_SIGNATURE) or len(head) < _HEAP.size:
         return {}
-    content = file.read(min(_HEAP.unpack(head)[1] - _HEAP.size, _SEARCHED))
+    content = file.read(min(max(0, _HEAP.unpack(head)[1] - _HEAP.size), _SEARCHED))
     sizes: dict[int, int] = {}
     at = 0
     while at + _HEAP_OBJECT.size <= len(content):

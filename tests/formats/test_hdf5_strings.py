@@ -47,6 +47,15 @@ def test_a_string_that_nothing_refers_to_and_that_wraps_to_nothing_is_refused(st
         open_it(strings)
 
 
+@pytest.mark.parametrize("size", [0, 15, 16])
+def test_a_heap_without_strings_is_refused(strings: Path, size: int) -> None:
+    content = bytearray(strings.read_bytes())
+    struct.pack_into("<Q", content, content.index(HEAP) + 8, size)
+    strings.write_bytes(content)
+    with pytest.raises(AssetError, match="is damaged"):
+        open_it(strings)
+
+
 def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
     content = bytearray(strings.read_bytes())
     struct.pack_into("<HHIQ", content, content.index(HEAP) + 16, 0, 0, 0, 0)
