@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import h5py
 
 _ATTRIBUTE = re.compile(
-    rb"\x19[\x01\x11\x21][\0\x01]\0\x10\0\0\0(?:.{16}\x01\0{7}|.{12}\x02\0\0\0)(?P<reference>.{16})", re.DOTALL
+    rb"\x19[\x01\x11\x21][\0\x01]\0\x10\0\0\0(?:.{16}\x01\0\0.{5}|.{12}\x02\0\0\0)(?P<reference>.{16})", re.DOTALL
 )
 """A string in an attribute: its type, the shape of a single value, and its reference; attributes have two layouts."""
 _HEAP = struct.Struct("<8sQ")

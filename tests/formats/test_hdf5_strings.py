@@ -64,13 +64,17 @@ def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
         open_it(strings)
 
 
+@pytest.mark.parametrize("unused", [0, 255])
 @pytest.mark.parametrize("length", [1, 9, 2**31 - 1, 2**32 - 1])
 @pytest.mark.parametrize("string", [0, 1, 2])
-def test_a_string_of_another_length_than_its_reference_is_refused(strings: Path, string: int, length: int) -> None:
+def test_a_string_of_another_length_than_its_reference_is_refused(
+    strings: Path, string: int, length: int, unused: int
+) -> None:
     content = bytearray(strings.read_bytes())
     address = content.index(HEAP).to_bytes(8, "little")
     reference = content.index(address + struct.pack("<I", 1 + string))
     struct.pack_into("<I", content, reference - 4, length)
+    content[reference - 5] = unused
     strings.write_bytes(content)
     with pytest.raises(AssetError, match="is damaged"):
         open_it(strings)
