@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 
 from formats.atomic import existing
 from formats.errors import FormatError
-from formats.hdf5_strings import DamagedDataError, has_damaged_strings
+from formats.hdf5_strings import DamagedDataError, has_damaged_strings, is_readable
 
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError)
 """What h5py raises on damaged files."""
 _EXPECTED_SIZE = re.compile(r"stored_eof = (\d+)")
 """The size that HDF5 expects of a truncated file, in its message."""
-_VALUES = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.ENUM, h5py.h5t.STRING)
-"""The classes of attributes that are read; some others crash h5py if they are damaged."""
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -34,7 +32,7 @@ def attribute(node: Any, name: str) -> Any:
     Raises:
         DamagedDataError: the attribute is neither a number nor text.
     """
-    if node.attrs.get_id(name).get_type().get_class() not in _VALUES:
+    if not is_readable(node.attrs.get_id(name)):
         raise DamagedDataError(f"the attribute {name} of {node.name} cannot be read")
     value = node.attrs[name]
     if isinstance(value, np.ndarray) and value.size == 1:

@@ -9,6 +9,7 @@ refer to a string by its length, the address of its heap, and its index.
 Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html.
 """
 
+import math
 import os
 import re
 import struct
@@ -20,6 +21,8 @@ _ATTRIBUTE = re.compile(
     rb"\x19[\x01\x11\x21][\0\x01]\0\x10\0\0\0(?:.{16}\x01\0\0.{5}|.{12}\x02\0\0\0)(?P<reference>.{16})", re.DOTALL
 )
 """A string in an attribute: its type, the shape of a single value, and its reference; attributes have two layouts."""
+_VALUES = (h5py.h5t.INTEGER, h5py.h5t.FLOAT, h5py.h5t.ENUM, h5py.h5t.STRING)
+"""The classes of attributes that are read; some others crash h5py if they are damaged."""
 _HEAP = struct.Struct("<8sQ")
 _HEAP_SIGNATURE = b"GCOL\x01\0\0\0"
 _HEAP_OBJECT = struct.Struct("<HHIQ")
@@ -40,6 +43,14 @@ def has_damaged_strings(path: str | os.PathLike[str]) -> bool:
         parts.append(file.read())
         references = [found["reference"] for part in parts for found in _ATTRIBUTE.finditer(part)]
         return not all(_is_whole(file, reference) for reference in references)
+
+
+def is_readable(attribute: Any) -> bool:
+    """Return whether a low-level attribute of h5py holds numbers or text, in references of the right size."""
+    kind = attribute.get_type()
+    if kind.get_class() != h5py.h5t.STRING or not kind.is_variable_str():
+        return kind.get_class() in _VALUES
+    return bool(attribute.get_storage_size() == _REFERENCE.size * math.prod(attribute.shape or ()))
 
 
 def read_string(dataset: Any) -> Any:

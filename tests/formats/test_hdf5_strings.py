@@ -151,6 +151,15 @@ def test_strings_in_the_head_of_a_dataset_are_read(tmp_path: Path) -> None:
         assert read_string(file["text"]) == b"words"
 
 
+@pytest.mark.parametrize("size", [1, 15])
+def test_references_of_another_size_are_refused(strings: Path, size: int) -> None:
+    content = bytearray(strings.read_bytes())
+    content[content.index(b"\x19\x01\x01\0\x10\0\0\0", content.index(b"format\0")) + 4] = size
+    strings.write_bytes(content)
+    with h5py.File(strings) as file, pytest.raises(DamagedDataError, match="attribute format"):
+        attribute(file, "format")
+
+
 def test_attributes_and_datasets_of_lists_are_refused(strings: Path) -> None:
     with h5py.File(strings, "r+") as file:
         file.create_dataset("lists", (), h5py.vlen_dtype(np.int64))
