@@ -33,7 +33,7 @@ def attribute(node: Any, name: str) -> Any:
         DamagedDataError: the attribute is neither a number nor text.
     """
     if not is_readable(node.attrs.get_id(name)):
-        raise DamagedDataError(f"the attribute {name} of {node.name} cannot be read")
+        raise DamagedDataError(f"{node.name}: the attribute {name} cannot be read")
     value = node.attrs[name]
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.item()

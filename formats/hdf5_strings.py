@@ -64,7 +64,7 @@ def read_string(dataset: Any) -> Any:
         file.seek(offset or 0)
         whole = offset is None or _is_whole(file, file.read(_REFERENCE.size))
     if not whole or h5py.check_string_dtype(dataset.dtype) is None:
-        raise DamagedDataError(f"the text of {dataset.name} cannot be read")
+        raise DamagedDataError(f"{dataset.name}: the text cannot be read")
     return dataset[()]
 
 

@@ -137,7 +137,7 @@ def test_a_dataset_whose_string_is_not_there_is_refused(tmp_path: Path, offset: 
     content = bytearray(path.read_bytes())
     struct.pack_into("<I", content, place + offset, value)
     path.write_bytes(content)
-    with h5py.File(path) as file, pytest.raises(DamagedDataError, match="the text of /text cannot be read"):
+    with h5py.File(path) as file, pytest.raises(DamagedDataError, match="/text: the text cannot be read"):
         read_string(file["text"])
 
 
@@ -168,9 +168,9 @@ def test_attributes_and_datasets_of_lists_are_refused(strings: Path) -> None:
     content[content.index(b"\x19", content.index(b"format\0")) + 1] = 5
     strings.write_bytes(content)
     with h5py.File(strings) as file:
-        with pytest.raises(DamagedDataError, match="the attribute format of / cannot be read"):
+        with pytest.raises(DamagedDataError, match="/: the attribute format cannot be read"):
             attribute(file, "format")
-        with pytest.raises(DamagedDataError, match="the text of /lists cannot be read"):
+        with pytest.raises(DamagedDataError, match="/lists: the text cannot be read"):
             read_string(file["lists"])
 
 

@@ -60,7 +60,7 @@ def test_a_damaged_provenance_is_refused(tmp_path):
     content = bytearray((tmp_path / "a.h5").read_bytes())
     content[place : place + 4] = bytes([255, 255, 255, 127])
     (tmp_path / "a.h5").write_bytes(content)
-    assert_refused(tmp_path / "a.h5", "is damaged: the text of /provenance/json cannot be read; copy or bake it again$")
+    assert_refused(tmp_path / "a.h5", "is damaged: /provenance/json: the text cannot be read; copy or bake it again$")
 
 
 @pytest.mark.parametrize("place", ["open", "faults"])
