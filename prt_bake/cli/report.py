@@ -3,6 +3,7 @@
 import typer
 
 from prt_bake.cli.reports.bake import bake
+from prt_bake.cli.reports.bases import bases
 from prt_bake.cli.reports.paper import paper
 from prt_bake.cli.reports.training import training
 
@@ -15,3 +16,4 @@ report = typer.Typer(
 report.command("training", no_args_is_help=True)(training)
 report.command("paper")(paper)
 report.command("bake", no_args_is_help=True)(bake)
+report.command("bases", no_args_is_help=True)(bases)

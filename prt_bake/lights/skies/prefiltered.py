@@ -65,6 +65,20 @@ def radiance(sky: PrefilteredSky, directions: Array, solid_angles: Array) -> Arr
     return total
 
 
+def texel_directions(size: int) -> Array:
+    """Unit directions [size,size,3] of the centres of the texels of a level, in the polar frame."""
+    directions = np.empty((size, size, 3))
+    in_threads(_fill_directions, size, directions)
+    return directions
+
+
+def texel_numbers(directions: Array, size: int) -> NDArray[np.int64]:
+    """The texels [N], row · size + column, of a level that contain unit directions [N,3] of the polar frame."""
+    numbers = np.empty(len(directions), np.int64)
+    in_threads(_find_texels, len(directions), np.ascontiguousarray(directions), size, numbers)
+    return numbers
+
+
 def _reduced(image: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """The picture, or means over blocks of its pixels if it is finer than the look-ups of a level of `size`."""
     height, width = image.shape[:2]
@@ -101,6 +115,22 @@ def _average(first: Any, stop: Any, image: Any, texels: Any) -> None:
                         (1.0 - low) * ((1.0 - right) * image[top, left, c] + right * image[top, beside, c])
                         + low * ((1.0 - right) * image[bottom, left, c] + right * image[bottom, beside, c])
                     ) / (_ALONG * _ALONG)
+
+
+@compiled(nogil=True, error_model="numpy")
+def _fill_directions(first: Any, stop: Any, directions: Any) -> None:
+    size = directions.shape[0]
+    for row in range(first, stop):
+        for column in range(size):
+            x, y, z = _to_direction((column + 0.5) / size, (row + 0.5) / size)
+            directions[row, column, 0], directions[row, column, 1], directions[row, column, 2] = x, y, z
+
+
+@compiled(nogil=True, error_model="numpy")
+def _find_texels(first: Any, stop: Any, directions: Any, size: Any, numbers: Any) -> None:
+    for n in range(first, stop):
+        u, v = _to_square(directions[n, 0], directions[n, 1], directions[n, 2])
+        numbers[n] = min(int(v * size), size - 1) * size + min(int(u * size), size - 1)
 
 
 @compiled(nogil=True, error_model="numpy")
