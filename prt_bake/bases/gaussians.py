@@ -37,7 +37,7 @@ class Gaussians(NamedTuple):
 
 
 class GaussianFit:
-    """Fits Gaussians to what harmonics up to `degree` leave over, over cells of the octahedron [M,3]."""
+    """Fits Gaussians to the residual of harmonics up to `degree`, over cells of the octahedron [M,3]."""
 
     def __init__(self, directions: Array, degree: int, most: int) -> None:
         """`most` Gaussians are fitted to every query; approximations use the first of them."""
@@ -55,28 +55,32 @@ class GaussianFit:
 
     def approximate(self, values: Array, count: int) -> Array:
         """Approximate values [N,M,3] by the harmonics and `count` Gaussians for each query."""
-        left = next((left for fitted, left in self._fits if fitted is values), None)
-        if left is None:
-            left = self._left_over(torch.from_numpy(values).float())
-            self._fits.append((values, left))
-        return np.asarray(values - left[count - 1].double().numpy())
+        residual = next((residual for fitted, residual in self._fits if fitted is values), None)
+        if residual is None:
+            residual = self._residuals(torch.from_numpy(values).float())
+            self._fits.append((values, residual))
+        return np.asarray(values - residual[count - 1].double().numpy())
 
-    def _left_over(self, target: Tensor) -> list[Tensor]:
-        """What 1, 2, … Gaussians leave over of values [N,M,3]; each is added to the improved ones before it."""
+    def _residuals(self, target: Tensor) -> list[Tensor]:
+        """The residuals [N,M,3] of 1, 2, … Gaussians; each is added to the improved ones before it."""
         detail = self._without_harmonics(target.transpose(1, 2)).transpose(1, 2)
         parts = []
         for rows in torch.split(detail, max(1, _AT_ONCE // detail.shape[1])):
             nothing = torch.zeros(len(rows), 0, 3)
-            gaussians, left, lefts = Gaussians(nothing, torch.zeros(len(rows), 0), nothing), rows, list[Tensor]()
+            gaussians, residual, residuals = (
+                Gaussians(nothing, torch.zeros(len(rows), 0), nothing),
+                rows,
+                list[Tensor](),
+            )
             for _ in range(self._most):
-                gaussians, left = self._improved(self._with_best(gaussians, left), rows)
-                lefts.append(left)
-            parts.append(lefts)
+                gaussians, residual = self._improved(self._with_best(gaussians, residual), rows)
+                residuals.append(residual)
+            parts.append(residuals)
         return [torch.cat(part) for part in zip(*parts, strict=True)]
 
-    def _with_best(self, gaussians: Gaussians, left: Tensor) -> Gaussians:
-        """The Gaussians, and the best of the first ones for what they leave over."""
-        blocks = _in_blocks(left.transpose(1, 2)).transpose(1, 2)
+    def _with_best(self, gaussians: Gaussians, residual: Tensor) -> Gaussians:
+        """The Gaussians, and the best of the first ones for their residual."""
+        blocks = _in_blocks(residual.transpose(1, 2)).transpose(1, 2)
         best = torch.matmul(self._first, blocks).square().sum(dim=2).argmax(dim=1)
         return Gaussians(
             torch.cat([gaussians.axes, self._axes[best, None]], dim=1),
@@ -85,29 +89,29 @@ class GaussianFit:
         )
 
     def _improved(self, gaussians: Gaussians, detail: Tensor) -> tuple[Gaussians, Tensor]:
-        """The Gaussians after a few steps, each kept where it leaves less over, and what they leave over."""
-        shapes, amplitudes, left = self._solved(gaussians, detail)
+        """The Gaussians after a few steps, each kept where it lowers the residual, and their residual."""
+        shapes, amplitudes, residual = self._solved(gaussians, detail)
         damping = torch.full((len(detail),), _DAMPING)
         for _ in range(_STEPS):
             gaussians = gaussians._replace(amplitudes=amplitudes)
-            tried = self._stepped(gaussians, shapes, left, damping)
+            tried = self._stepped(gaussians, shapes, residual, damping)
             new = *tried[:2], *self._solved(tried, detail)
-            better = new[-1].square().sum(dim=(1, 2)) < left.square().sum(dim=(1, 2))
+            better = new[-1].square().sum(dim=(1, 2)) < residual.square().sum(dim=(1, 2))
             damping = torch.where(better, 0.3 * damping, 5.0 * damping).clamp(1e-6, 1e4)
-            axes, log_sharpness, shapes, amplitudes, left = (
+            axes, log_sharpness, shapes, amplitudes, residual = (
                 torch.where(better.reshape(-1, *[1] * (found.ndim - 1)), found, before)
-                for found, before in zip(new, (*gaussians[:2], shapes, amplitudes, left), strict=True)
+                for found, before in zip(new, (*gaussians[:2], shapes, amplitudes, residual), strict=True)
             )
             gaussians = Gaussians(axes, log_sharpness, amplitudes)
-        return gaussians, left
+        return gaussians, residual
 
     def _solved(self, gaussians: Gaussians, detail: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Shapes [N,K,M] of the Gaussians beyond the harmonics, their best amplitudes, what is left over [N,M,3]."""
+        """Shapes [N,K,M] of the Gaussians beyond the harmonics, their best amplitudes, and the residual [N,M,3]."""
         shapes = self._detail(gaussians.axes, gaussians.log_sharpness)
         amplitudes = torch.linalg.solve(_products(shapes), shapes @ detail)
         return shapes, amplitudes, detail - shapes.transpose(1, 2) @ amplitudes
 
-    def _stepped(self, gaussians: Gaussians, shapes: Tensor, left: Tensor, damping: Tensor) -> Gaussians:
+    def _stepped(self, gaussians: Gaussians, shapes: Tensor, residual: Tensor, damping: Tensor) -> Gaussians:
         """The Gaussians after a step of Gauss and Newton for the axes (two angles each) and log κ."""
         axes, log_sharpness, amplitudes = gaussians
         across = torch.where(axes[..., 2:].abs() < 0.9, torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.0, 0.0]))
@@ -121,7 +125,7 @@ class GaussianFit:
         changes = changes - (changes @ shapes.transpose(1, 2)) @ torch.linalg.solve(_products(shapes), shapes)
         weights = amplitudes.repeat_interleave(3, dim=1)
         normal = (changes @ changes.transpose(1, 2)) * (weights @ weights.transpose(1, 2))
-        gradient = ((changes @ left) * weights).sum(dim=2)
+        gradient = ((changes @ residual) * weights).sum(dim=2)
         size = torch.diagonal(normal, dim1=1, dim2=2)
         normal = normal + torch.diag_embed(damping[:, None] * size + 1e-6 * size.amax(dim=1, keepdim=True) + 1e-30)
         step = torch.linalg.solve(normal, gradient).reshape(len(normal), -1, 3)

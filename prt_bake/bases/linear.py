@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 _OVERSAMPLED, _ITERATIONS = 16, 3
 WHITE = 0.1
-"""Share of light that is equal in all directions, in the norm that is weighted by skies."""
+"""Share of light from single directions, each as likely, in the norm that is weighted by skies."""
 
 
 def project_on_harmonics(values: Array, directions: Array, degree: int) -> Array:

@@ -66,8 +66,7 @@ def report_bases(
     directions = cell_directions(source.cells, up)
     say(f"Ŝ at {3 * points} points, {len(directions)} directions each")
     values = _values(source, *drawn_points(mesh, points, seed, source.squares))
-    others, weights = drawn_points(mesh, 2 * points, seed + 1, source.squares)
-    training = source.values(others, 1)[0] * np.sqrt(weights)[:, None, None]
+    training = training_values(source, mesh, 2 * points, seed + 1)
     skies = [turned_skies(picture, source.cells) for picture in lights.values()]
     picture = _picture(source, mesh, up, size, skies[0]) if size and not traced else None
     rows, flips = list[Row](), dict[Row, Estimate]()
@@ -83,6 +82,12 @@ def report_bases(
     write_report(as_json(rows, list(lights), flips, settings), numbers)
     plot(rows, list(lights), image)
     return [markdown, numbers, image]
+
+
+def training_values(source: Source, mesh: Mesh, count: int, seed: int) -> Array:
+    """Ŝ [count,M,3] at importance-sampled points, times the roots of their weights: sums of squares are then right."""
+    points, weights = drawn_points(mesh, count, seed, source.squares)
+    return source.values(points, 1)[0] * np.sqrt(weights)[:, None, None]
 
 
 def _values(source: Source, points: Points, weights: Array) -> Values:

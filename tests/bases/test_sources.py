@@ -10,6 +10,7 @@ from formats.mesh import Mesh, build_mesh
 from prt_bake.baking.path_traced import PathTraced
 from prt_bake.bases.cells import cell_directions
 from prt_bake.bases.points import Points, drawn_points
+from prt_bake.bases.report import training_values
 from prt_bake.bases.sources import OfModel, OfScene
 from prt_bake.mathematics import sh
 from prt_bake.tracer.estimate import estimate_coefficients
@@ -52,6 +53,25 @@ def test_weighted_means_over_points_are_those_of_the_surface() -> None:
     assert weights.mean() == pytest.approx(1.0, abs=0.1)
     assert (weights * at_the_top(points)).mean() == pytest.approx(at_the_top(even).mean(), rel=0.05)
     assert weights.max() <= 5.0 + 1e-12
+
+
+def test_training_values_count_as_those_of_the_whole_surface() -> None:
+    class AtTheTop:
+        cells, lobes = 1, 0
+
+        def squares(self, points: Points) -> Array:
+            return at_the_top(points)
+
+        def values(self, points: Points, repeated: int) -> list[Array]:
+            return [0.1 + np.sqrt(at_the_top(points))[:, None, None] * np.ones(3)] * repeated
+
+        def own_lobes(self, values: Array, points: Points) -> None:
+            return None
+
+    source, mesh = AtTheTop(), sphere()
+    even, _ = drawn_points(mesh, 20000, 3, lambda candidates: np.ones(len(candidates.faces)))
+    found = (training_values(source, mesh, 2000, 2) ** 2).sum() / 2000
+    assert found == pytest.approx((source.values(even, 1)[0] ** 2).sum() / 20000, rel=0.05)
 
 
 def test_the_own_lobes_of_a_network_are_its_detail_beyond_degree_2() -> None:

@@ -27,41 +27,34 @@ def open_it(path: Path) -> None:
     open_hdf5(path, AssetError, "is not an asset", "bake it").close()
 
 
+def assert_refused(path: Path, place: int, layout: str, *values: int) -> None:
+    """The file is refused with these values at this place."""
+    content = bytearray(path.read_bytes())
+    struct.pack_into(layout, content, place, *values)
+    path.write_bytes(content)
+    with pytest.raises(AssetError, match=r"strings\.h5: is damaged.*copy or bake it again"):
+        open_it(path)
+
+
 @pytest.mark.parametrize("size", [2**64 - 16, 2**64 - 17, 2**64 - 23])
 @pytest.mark.parametrize("string", [0, 1, 2])
 def test_a_string_whose_length_wraps_to_nothing_is_refused(strings: Path, string: int, size: int) -> None:
-    content = bytearray(strings.read_bytes())
     # Every object has 16 bytes of head and 8 of content: its size stands in the last 8 of the head.
-    struct.pack_into("<Q", content, content.index(HEAP) + 16 + 24 * string + 8, size)
-    strings.write_bytes(content)
-    with pytest.raises(AssetError, match=r"strings\.h5: is damaged.*copy or bake it again"):
-        open_it(strings)
+    assert_refused(strings, strings.read_bytes().index(HEAP) + 16 + 24 * string + 8, "<Q", size)
 
 
 @pytest.mark.parametrize("size", [2**64 - 16, 2**64 - 17, 2**64 - 23])
 def test_a_string_that_nothing_refers_to_and_that_wraps_to_nothing_is_refused(strings: Path, size: int) -> None:
-    content = bytearray(strings.read_bytes())
-    struct.pack_into("<HHIQ", content, content.index(HEAP) + 16 + 3 * 24, 4, 0, 0, size)
-    strings.write_bytes(content)
-    with pytest.raises(AssetError, match="is damaged"):
-        open_it(strings)
+    assert_refused(strings, strings.read_bytes().index(HEAP) + 16 + 3 * 24, "<HHIQ", 4, 0, 0, size)
 
 
 @pytest.mark.parametrize("size", [0, 15, 16])
 def test_a_heap_without_strings_is_refused(strings: Path, size: int) -> None:
-    content = bytearray(strings.read_bytes())
-    struct.pack_into("<Q", content, content.index(HEAP) + 8, size)
-    strings.write_bytes(content)
-    with pytest.raises(AssetError, match="is damaged"):
-        open_it(strings)
+    assert_refused(strings, strings.read_bytes().index(HEAP) + 8, "<Q", size)
 
 
 def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
-    content = bytearray(strings.read_bytes())
-    struct.pack_into("<HHIQ", content, content.index(HEAP) + 16, 0, 0, 0, 0)
-    strings.write_bytes(content)
-    with pytest.raises(AssetError, match="is damaged"):
-        open_it(strings)
+    assert_refused(strings, strings.read_bytes().index(HEAP) + 16, "<HHIQ", 0, 0, 0, 0)
 
 
 @pytest.mark.parametrize("unused", [0, 255])
@@ -70,25 +63,16 @@ def test_a_free_rest_of_no_size_is_refused(strings: Path) -> None:
 def test_a_string_of_another_length_than_its_reference_is_refused(
     strings: Path, string: int, length: int, unused: int
 ) -> None:
-    content = bytearray(strings.read_bytes())
-    address = content.index(HEAP).to_bytes(8, "little")
-    reference = content.index(address + struct.pack("<I", 1 + string))
-    struct.pack_into("<I", content, reference - 4, length)
-    content[reference - 5] = unused
-    strings.write_bytes(content)
-    with pytest.raises(AssetError, match="is damaged"):
-        open_it(strings)
+    content = strings.read_bytes()
+    reference = content.index(struct.pack("<QI", content.index(HEAP), 1 + string))
+    assert_refused(strings, reference - 5, "<BI", unused, length)
 
 
 @pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
 def test_a_heap_whose_string_is_longer_than_its_reference_is_refused(tmp_path: Path, libver: str) -> None:
     with h5py.File(path := tmp_path / "strings.h5", "w", libver=libver) as file:
         file.attrs["note"] = "words"
-    content = bytearray(path.read_bytes())
-    struct.pack_into("<Q", content, content.index(HEAP) + 16 + 8, 6)
-    path.write_bytes(content)
-    with pytest.raises(AssetError, match="is damaged"):
-        open_it(path)
+    assert_refused(path, path.read_bytes().index(HEAP) + 16 + 8, "<Q", 6)
 
 
 def test_a_missing_string_counts_as_empty(strings: Path) -> None:
@@ -103,12 +87,8 @@ def test_a_missing_string_counts_as_empty(strings: Path) -> None:
 
 @pytest.mark.parametrize("address", [0, 1, 2**32, 2**64 - 1])
 def test_a_reference_to_no_heap_is_refused(strings: Path, address: int) -> None:
-    content = bytearray(strings.read_bytes())
-    reference = content.index(struct.pack("<QI", content.index(HEAP), 1))
-    struct.pack_into("<Q", content, reference, address)
-    strings.write_bytes(content)
-    with pytest.raises(AssetError, match="is damaged"):
-        open_it(strings)
+    content = strings.read_bytes()
+    assert_refused(strings, content.index(struct.pack("<QI", content.index(HEAP), 1)), "<Q", address)
 
 
 @pytest.mark.parametrize("libver", ["earliest", "v110", "latest"])
