@@ -4,7 +4,9 @@ HDF5 2.0 trusts what a file says of its strings: on damaged files it reserves gi
 
 Strings lie in heaps: a signature, the heap's size, and objects: index, count, reserved, size, and the content in
 multiples of 8 bytes. The object of index 0 is the free rest, whose size includes its head. Attributes and datasets
-refer to a string by its length, the address of its heap, and its index.
+refer to a string by its length, the address of its heap, and its index. The names in a group lie in a heap of their
+own: a signature, the size, the first free block and the address of the content; a free block begins with the place of
+the next one.
 
 Format: https://support.hdfgroup.org/documentation/hdf5/latest/_f_m_t3.html.
 """
@@ -27,8 +29,11 @@ _HEAP = struct.Struct("<8sQ")
 _HEAP_SIGNATURE = b"GCOL\x01\0\0\0"
 _HEAP_OBJECT = struct.Struct("<HHIQ")
 _REFERENCE = struct.Struct("<IQI")
+_NAMES = re.compile(rb"HEAP\0{4}.{8}(?P<free>.{16})", re.DOTALL)
+_NO_MORE = 1
+"""The place of the next free block in the last one."""
 _SEARCHED = 2**24
-"""Bytes at the beginning and at the end of a file that are searched for attributes: prtbake writes them there."""
+"""Bytes at a file's beginning and end that are searched for heaps and attributes: prtbake writes them there."""
 
 
 class DamagedDataError(OSError):
@@ -36,13 +41,14 @@ class DamagedDataError(OSError):
 
 
 def has_damaged_strings(path: str | os.PathLike[str]) -> bool:
-    """Return whether an attribute of the file refers to a string that is not there, or not of that length."""
+    """Return whether an attribute refers to a string that is not there, or the free blocks among names never end."""
     with open(path, "rb") as file:
         parts = [file.read(_SEARCHED)]
         file.seek(max(file.tell(), os.path.getsize(path) - _SEARCHED))
         parts.append(file.read())
         references = [found["reference"] for part in parts for found in _ATTRIBUTE.finditer(part)]
-        return not all(_is_whole(file, reference) for reference in references)
+        names = [found["free"] for part in parts for found in _NAMES.finditer(part)]
+        return not (all(_is_whole(file, string) for string in references) and all(_ends(file, free) for free in names))
 
 
 def is_readable(attribute: Any) -> bool:
@@ -72,6 +78,20 @@ def _is_whole(file: BinaryIO, reference: bytes) -> bool:
     """Return whether a reference gives the length of its string; an empty string needs none."""
     length, address, index = _REFERENCE.unpack(reference)
     return bool(length == 0 or _sizes(file, address).get(index) == length)
+
+
+def _ends(file: BinaryIO, free: bytes) -> bool:
+    """Return whether the list of free blocks among names, whose head is `free`, ends."""
+    place, address = struct.unpack("<QQ", free)
+    seen: set[int] = set()
+    while place != _NO_MORE and place not in seen:
+        seen.add(place)
+        file.seek(min(address + place, os.fstat(file.fileno()).st_size))
+        next_place = file.read(8)
+        if len(next_place) < 8:
+            return True
+        (place,) = struct.unpack("<Q", next_place)
+    return bool(place == _NO_MORE)
 
 
 def _sizes(file: BinaryIO, address: int) -> dict[int, int]:

@@ -109,6 +109,56 @@ def test_strings_of_other_programs_open(tmp_path: Path, libver: str) -> None:
         assert read_string(file["text"]) == b"words"
 
 
+@pytest.fixture
+def lost_names(tmp_path: Path) -> tuple[Path, int, list[int]]:
+    """A file whose group lost two names, the place of its names, and in it the first two blocks that are free."""
+    with h5py.File(path := tmp_path / "strings.h5", "w") as file:
+        for name in ("a long name", "a name between", "another long name", "the last name"):
+            file["group/" + name] = 0
+    with h5py.File(path, "r+") as file:
+        del file["group/a long name"], file["group/another long name"]
+    content = path.read_bytes()
+    first, names = struct.unpack_from("<QQ", content, content.rindex(b"HEAP\0\0\0\0") + 16)
+    (second,) = struct.unpack_from("<Q", content, names + first)
+    return path, names, [first, second]
+
+
+def test_a_group_that_lost_names_opens(lost_names: tuple[Path, int, list[int]]) -> None:
+    path, _, (first, second) = lost_names
+    assert first != second != 1
+    open_it(path)
+
+
+def test_a_group_whose_names_leave_no_block_free_opens(lost_names: tuple[Path, int, list[int]]) -> None:
+    path, names, _ = lost_names
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, content.rindex(b"HEAP\0\0\0\0") + 16, 1)
+    content[names : names + 16] = bytes(16)
+    path.write_bytes(content)
+    open_it(path)
+
+
+@pytest.mark.parametrize("place", [2**20, 2**64 - 2])
+def test_a_free_block_outside_the_file_is_left_to_the_library(
+    lost_names: tuple[Path, int, list[int]], place: int
+) -> None:
+    path, names, blocks = lost_names
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, names + blocks[1], place)
+    path.write_bytes(content)
+    open_it(path)
+    with h5py.File(path) as file, pytest.raises((RuntimeError, KeyError), match=r"free list|address overflow"):
+        file["group/the last name"]
+
+
+@pytest.mark.parametrize(("block", "follower"), [(0, 0), (1, 0), (1, 1)])
+def test_free_blocks_among_names_that_never_end_are_refused(
+    lost_names: tuple[Path, int, list[int]], block: int, follower: int
+) -> None:
+    path, names, blocks = lost_names
+    assert_refused(path, names + blocks[block], "<Q", blocks[follower])
+
+
 @pytest.mark.parametrize(("offset", "value"), [(0, 6), (4, 2**31), (4, 0), (12, 2)])
 def test_a_dataset_whose_string_is_not_there_is_refused(tmp_path: Path, offset: int, value: int) -> None:
     with h5py.File(path := tmp_path / "strings.h5", "w") as file:
