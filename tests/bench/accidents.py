@@ -122,7 +122,9 @@ class Folder:
 
     def run(self, line: str, accident: Callable[[int], None] = lambda _: None, limit: int = 0) -> int:
         """Run a command in a forked process; returns its exit code, or minus the signal that ended it."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until the child is no longer the bench
         if child := os.fork():
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
             accident(child)
             return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
         os.chdir(self.place)
@@ -130,6 +132,7 @@ class Folder:
         os.dup2(printed, 1)
         os.dup2(printed, 2)
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # until prtbake takes over
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         sys.argv = ["prtbake", *line.split()]
         if limit:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
