@@ -118,12 +118,19 @@ def existing(path: str | os.PathLike[str]) -> Path:
         with open(path, "rb"):
             return Path(path)
     except FileNotFoundError as cause:
-        windows = os.sep == "/" and "\\" in os.fsdecode(path)
+        name = os.fsdecode(path)
+        # In TOML, \t in a name written with backslashes is a tab.
+        windows = os.sep == "/" and ("\\" in name or any(letter < " " for letter in name))
         advice = "write / in place of \\ between folders" if windows else "check the name and the folder"
-        raise StorageError(f"{path}: there is no such file; {advice}") from cause
+        raise StorageError(f"{_printable(name)}: there is no such file; {advice}") from cause
     except IsADirectoryError as cause:
         raise StorageError(f"{path}: is a folder; give the name of a file") from cause
     except OSError as cause:
         raise StorageError(f"{path}: cannot be read: {cause.strerror}; check its permissions and its disk") from cause
     except ValueError as cause:  # a null character, or one that the file system has no code for
         raise StorageError(f"{os.fspath(path)!r} is no name of a file: {cause}; correct the name") from cause
+
+
+def _printable(name: str) -> str:
+    """Return a name with its control characters as TOML and Python write them."""
+    return "".join(letter if letter >= " " else repr(letter)[1:-1] for letter in name)

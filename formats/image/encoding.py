@@ -26,6 +26,8 @@ _CICP_GAMMAS: dict[int, float | None] = {13: None, 8: 1.0, 4: 1 / 2.2, 5: 1 / 2.
 """By transfer characteristics (ITU-T H.273, table 3): sRGB, linear, gamma 2.2 and 2.8."""
 _CICP_PRIMARIES = {1: gamut.REC709, 9: gamut.REC2020, 12: gamut.P3_D65}
 """By colour primaries (ITU-T H.273, table 2)."""
+_UNSPECIFIED = b"\2\2"
+"""Primaries and transfer characteristics of a cICP chunk that says nothing."""
 _MOST_CODES = 3
 """Largest change of an 8-bit value by a profile that is nearly sRGB."""
 
@@ -47,19 +49,20 @@ def encoding_of(path: str | os.PathLike[str], stored: Stored) -> Encoding:
         warn(f"{path}: stores CMYK; it is converted to RGB without a colour profile: save it in sRGB")
     if stored.gain_map:
         warn(f"{path}: its gain map for HDR displays is ignored, so that highlights end at white; save it as .exr")
-    if (exposure := stored.info.get("exposure", "0 EV")) != "0 EV":
-        warn(f"{path}: was written with an exposure of {printable(str(exposure))}; its values are read as displayed")
-    if stored.cicp is not None:
-        return _of_cicp(path, stored.cicp)
-    if (profile := stored.info.get("icc_profile")) and not stored.cmyk:
+    chunks = stored.chunks
+    if chunks.exposure != "0 EV":
+        warn(f"{path}: was written with an exposure of {chunks.exposure}; its values are read as displayed")
+    if chunks.cicp is not None and chunks.cicp[:2] != _UNSPECIFIED:
+        return _of_cicp(path, chunks.cicp)
+    if (profile := chunks.profile) is not None and not stored.cmyk:
         if (name := _other_than_srgb(profile)) is None:
             return Encoding(None, None)
         warn(f"{path}: its colour profile ({name}) is not sRGB and is ignored; convert it to sRGB")
     elif stored.adobe_rgb and not stored.cmyk:
         return Encoding(_ADOBE_GAMMA, Primaries("its EXIF (R03)", gamut.ADOBE_RGB))
-    if "srgb" in stored.info:
+    if chunks.srgb:
         return Encoding(None, None)
-    return Encoding(_gamma(path, stored.info.get("gamma")), _primaries(stored.info.get("chromaticity")))
+    return Encoding(_gamma(path, chunks.gamma), _primaries(chunks.chromaticity))
 
 
 def _of_cicp(path: str | os.PathLike[str], chunk: bytes) -> Encoding:
@@ -91,7 +94,7 @@ def _warn_of_gamma(path: str | os.PathLike[str], gamma: float, chunk: str) -> No
 
 
 def _primaries(chromaticity: tuple[float, ...] | None) -> Primaries | None:
-    if chromaticity is None or len(chromaticity) != 8:
+    if chromaticity is None:
         return None
     return Primaries("the cHRM chunk", (*chromaticity[2:], *chromaticity[:2]))  # white is stored first
 

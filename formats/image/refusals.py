@@ -68,3 +68,10 @@ def refuse_size(path: str | os.PathLike[str], width: int, height: int) -> None:
             f"{path}: expected at most {LONGEST_SIDE} pixels along a side and {MOST_PIXELS} in all, found "
             f"{width}x{height}; the header is damaged, or the image has to be reduced"
         )
+
+
+def refuse_truncated(path: str | os.PathLike[str], width: int, height: int, expected: int) -> None:
+    """Raise ImageError if a file has fewer bytes than `expected`."""
+    size = os.path.getsize(path)
+    if size < expected:
+        raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")

@@ -1,27 +1,23 @@
 """The values that PNG and JPEG files store, read with Pillow, before they are taken as colours or as data."""
 
+import io
 import os
-import struct
 import warnings
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from formats.errors import ImageError, warn
-from formats.image.refusals import refuse_other_kinds, refuse_size
+from formats.image.png_chunks import PngChunks, read_chunks
+from formats.image.refusals import refuse_other_kinds, refuse_size, refuse_truncated
 
 if TYPE_CHECKING:
     from PIL import Image
 
-_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
-"""Stored channels by the colour type of a PNG."""
-_MOST_DEFLATED = 1032
-"""Bytes that a byte of a zlib stream expands to, at most."""
 _MOST_JPEG = 1024
 """Pixels of a byte of a JPEG, at most: blocks of 64 take at least a bit. What is missing would be read as grey."""
 _ORIENTATION = 0x0112
@@ -45,16 +41,14 @@ class Stored:
 
     Attributes:
         values: uint8 or uint16 [H,W,C]: grey, grey and alpha, RGB or RGBA.
-        info: what Pillow read of the chunks: gamma, srgb, chromaticity, icc_profile.
-        cicp: the cICP chunk of a PNG, or None.
+        chunks: what the chunks of a PNG say; of a JPEG, its profile alone.
         cmyk: whether the picture is stored in CMYK; the values are then an RGB without colour management.
         adobe_rgb: whether the EXIF says Adobe RGB, as cameras do that add no profile.
         gain_map: whether a JPEG has a gain map, which HDR displays multiply the values with.
     """
 
     values: NDArray[Any]
-    info: dict[Any, Any]
-    cicp: bytes | None
+    chunks: PngChunks
     cmyk: bool
     adobe_rgb: bool
     gain_map: bool
@@ -72,34 +66,36 @@ def read_stored(path: str | os.PathLike[str], kind: str) -> Stored:
         ImageError: the file is of another kind, too large, truncated or damaged.
     """
     refuse_other_kinds(path, kind)
-    bits, cicp, clear = _read_chunks(path) if kind == "PNG" else _Chunks()
-    with _opened(path, kind) as picture:
+    chunks = read_chunks(path) if kind == "PNG" else PngChunks()
+    with _opened(path, kind, chunks.content) as picture:
         width, height = picture.size
         refuse_size(path, width, height)
         if kind == "JPEG":
-            _refuse_short(path, width, height, (width * height) // _MOST_JPEG)
-        values = _values_of_16_bits(path, picture) if bits == 16 else np.asarray(picture.convert(_mode(picture)))
+            refuse_truncated(path, width, height, (width * height) // _MOST_JPEG)
+            chunks.profile = picture.info.get("icc_profile")
+        deep = chunks.bits == 16
+        values = _values_of_16_bits(path, picture, chunks) if deep else np.asarray(picture.convert(_mode(picture)))
         (orientation, adobe_rgb), gain_map = _read_exif(picture), _has_gain_map(picture)
-        info, cmyk = dict(picture.info), picture.mode == "CMYK"
+        cmyk = picture.mode == "CMYK"
         animated = kind == "PNG" and getattr(picture, "n_frames", 1) > 1
     if animated:
         warn(f"{path}: is an animation; its first picture is read")
     values = values if values.ndim == 3 else values[..., None]
-    if clear is not None:
-        values = _with_alpha(values, clear, bits)
+    if chunks.clear is not None:
+        values = _with_alpha(values, chunks.clear, chunks.bits)
     upright = _UPRIGHT.get(orientation)
-    return Stored(values if upright is None else upright(values), info, cicp, cmyk, adobe_rgb, gain_map)
+    return Stored(values if upright is None else upright(values), chunks, cmyk, adobe_rgb, gain_map)
 
 
 @contextmanager
-def _opened(path: str | os.PathLike[str], kind: str) -> "Iterator[Image.Image]":
-    """Open a picture; any exception of Pillow becomes an ImageError."""
+def _opened(path: str | os.PathLike[str], kind: str, content: bytes = b"") -> "Iterator[Image.Image]":
+    """Open a picture, or the `content` that stands for it; any exception of Pillow becomes an ImageError."""
     from PIL import Image
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of large pictures, and of damaged metadata that is not read
-            with Image.open(path, formats=[kind]) as picture:
+            with Image.open(io.BytesIO(content) if content else path, formats=[kind]) as picture:
                 yield picture
     except (ImageError, MemoryError):
         raise
@@ -112,65 +108,11 @@ def _opened(path: str | os.PathLike[str], kind: str) -> "Iterator[Image.Image]":
         ) from cause
 
 
-class _Chunks(NamedTuple):
-    """What Pillow does not return of a PNG, or not in its stored bits.
-
-    bits: of a channel. cicp: the cICP chunk. clear: the grey or RGB that is transparent (tRNS), in `bits`.
-    """
-
-    bits: int = 8
-    cicp: bytes | None = None
-    clear: tuple[int, ...] | None = None
-
-
-def _read_chunks(path: str | os.PathLike[str]) -> _Chunks:
-    """Read the chunks. Raises ImageError if the file is damaged, or too short for its size."""
-    bits, colour, cicp, clear = 8, 0, None, None
-    for kind, content in _chunks(path):
-        if kind == b"IHDR" and len(content) == 13:
-            width, height, bits, colour = struct.unpack(">IIBB", content[:10])
-            refuse_size(path, width, height)
-            row_bytes = width * bits * _CHANNELS.get(colour, 1) // 8
-            _refuse_short(path, width, height, height * row_bytes // _MOST_DEFLATED)
-        if kind == b"cICP" and len(content) == 4:
-            cicp = content
-        if kind == b"tRNS" and (colour, len(content)) in ((0, 2), (2, 6)):
-            clear = struct.unpack(f">{len(content) // 2}H", content)
-    return _Chunks(bits, cicp, clear)
-
-
-def _chunks(path: str | os.PathLike[str]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield the kinds and contents of the chunks; those whose kind begins with a capital are critical.
-
-    Pillow compares no checksum of the pixels. Raises ImageError if that of a critical chunk is wrong, or the end is
-    missing.
-    """
-    with open(path, "rb") as file:
-        file.seek(8)  # the signature
-        while len(head := file.read(8)) == 8:
-            length, kind = struct.unpack(">I4s", head)
-            content, checksum = file.read(length), file.read(4)
-            if kind[:1].isupper() and checksum != struct.pack(">I", zlib.crc32(content, zlib.crc32(kind))):
-                place = f"the chunk {kind.decode('latin-1')!a} at byte {file.tell() - len(content) - 12}"
-                raise ImageError(f"{path}: is truncated or damaged in {place}: its checksum is wrong; copy it again")
-            yield kind, content
-            if kind == b"IEND":
-                return
-    raise ImageError(f"{path}: is truncated: its last chunk, IEND, is missing; copy it again")
-
-
 def _with_alpha(values: NDArray[Any], clear: tuple[int, ...], bits: int) -> NDArray[Any]:
     """Append an alpha to grey or RGB values [H,W,C]: 0 at the colour `clear`, else that of white."""
     white = int(np.iinfo(values.dtype).max)
     opaque = (values != np.array(clear) * (white // (2**bits - 1))).any(axis=2, keepdims=True)
     return np.concatenate([values, np.where(opaque, white, 0).astype(values.dtype)], axis=2)
-
-
-def _refuse_short(path: str | os.PathLike[str], width: int, height: int, expected: int) -> None:
-    """Raise ImageError if a file has fewer bytes than `expected`."""
-    size = os.path.getsize(path)
-    if size < expected:
-        raise ImageError(f"{path}: is truncated: {size} bytes cannot hold {width}x{height} pixels; copy it again")
 
 
 def _read_exif(picture: "Image.Image") -> tuple[int, bool]:
@@ -196,21 +138,21 @@ def _mode(picture: "Image.Image") -> str:
     return other.get(picture.mode, picture.mode)
 
 
-def _values_of_16_bits(path: str | os.PathLike[str], picture: "Image.Image") -> NDArray[Any]:
+def _values_of_16_bits(path: str | os.PathLike[str], picture: "Image.Image", chunks: PngChunks) -> NDArray[Any]:
     """Read all 16 bits of a PNG. Pillow reads them of grey, and one byte of two of other channels."""
     if picture.mode.startswith("I"):
         return np.asarray(picture).astype(np.uint16)
     raw = str(picture.tile[0].args)  # type: ignore[attr-defined]
     if raw == "LA;16B":
-        four_bytes = _decoded(path, "RGBA").astype(np.uint16)
+        four_bytes = _decoded(path, chunks, "RGBA").astype(np.uint16)
         return four_bytes[..., ::2] * np.uint16(256) + four_bytes[..., 1::2]
     # The first byte of a big-endian number is the one that is kept, of a little-endian number it is the second.
-    high, low = (_decoded(path, order).astype(np.uint16) for order in (raw, raw.replace("16B", "16L")))
+    high, low = (_decoded(path, chunks, order).astype(np.uint16) for order in (raw, raw.replace("16B", "16L")))
     return high * np.uint16(256) + low
 
 
-def _decoded(path: str | os.PathLike[str], raw: str) -> NDArray[Any]:
+def _decoded(path: str | os.PathLike[str], chunks: PngChunks, raw: str) -> NDArray[Any]:
     """Decode a PNG as if its bytes were arranged as Pillow's raw mode `raw` says."""
-    with _opened(path, "PNG") as picture:
+    with _opened(path, "PNG", chunks.content) as picture:
         picture.tile = [tile._replace(args=raw) for tile in picture.tile]  # type: ignore[attr-defined]
         return np.array(picture)

@@ -22,7 +22,7 @@ from formats.triangle_soup import TriangleSoup
 
 _MISSING = -(2**31)  # a corner without texture coordinate or normal
 _UNWRAP = "the others' are not used, unwrap the whole mesh if a texture needs them"
-_READ = (b"v", b"vt", b"vn", b"f", b"fo")
+_READ = (b"v", b"vt", b"vn", b"f", b"fo", b"surf")
 
 
 class _AbsentVertexError(IndexError):
@@ -36,6 +36,7 @@ class _Tables:
         self.v, self.vt, self.vn = array("d"), array("d"), array("d")
         self.corners = array("q")  # three indices per corner, from 0: position, texture coordinate, normal
         self.sizes, self.lines = array("q"), array("q")  # number of corners and line of each face
+        self.curved = 0  # line of the first free-form surface
 
     def add_statement(self, line: int, words: list[bytes]) -> None:
         """Add the words of one statement; raises ValueError, IndexError or OverflowError if they are malformed."""
@@ -51,6 +52,8 @@ class _Tables:
                     self.corners.extend(self._corner(word))
                 self.sizes.append(len(words) - 1)
                 self.lines.append(line)
+            case b"surf":
+                self.curved = self.curved or line
 
     def _corner(self, word: bytes) -> tuple[int, int, int]:
         parts = [*word.split(b"/"), b"", b""]
@@ -156,6 +159,11 @@ def _index(word: bytes, count: int) -> int:
 
 
 def _soup(tables: _Tables, path: str | os.PathLike[str]) -> TriangleSoup:
+    if tables.curved:
+        found = f"{path}: line {tables.curved}: is a free-form surface, such as NURBS"
+        if not tables.sizes:
+            raise MeshError(f"{found}; expected polygons; export it as a polygon mesh")
+        warn(f"{found}, and ignored; export the whole object as a polygon mesh")
     positions = np.array(tables.v, np.float64).reshape(-1, 3)
     corners = np.array(tables.corners, np.int64).reshape(-1, 3)
     sizes = np.array(tables.sizes, np.int64)

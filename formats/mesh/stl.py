@@ -7,7 +7,9 @@ any name that holds its keywords, and a binary file with bytes after its facets 
 """
 
 import os
+import re
 from array import array
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,9 @@ from formats.text import without_byte_order_mark
 from formats.triangle_soup import TriangleSoup
 
 _HEADER, _FACET = 84, 50  # bytes: 80 of text and the number of facets; 12 float32 and two bytes of attributes
+_USUAL = {b"facet": 5, b"outer": 2, b"vertex": 4, b"endloop": 1, b"endfacet": 1}
+"""Most words of a line that begins with a keyword, unless further keywords follow on the line."""
+_KEYWORD = re.compile(rb"\s(?=(?:facet|outer|vertex|endloop|endfacet|endsolid)\b)", re.IGNORECASE)
 _BEGINNING = 1000  # bytes; in a binary file some of them are zeros
 
 
@@ -61,11 +66,22 @@ def _binary(content: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]
     return rows["corners"].reshape(-1, 3).astype(np.float64)
 
 
+def _statements(text: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield statements and their lines. A line may hold several: only the name of a solid ends with its line."""
+    for line, statement in enumerate(text.splitlines(), start=1):
+        words = statement.split()
+        if words and len(words) > _USUAL.get(words[0].lower(), len(words)):
+            for part in _KEYWORD.split(statement):
+                yield line, part
+        else:
+            yield line, statement
+
+
 def _ascii(content: bytes, path: str | os.PathLike[str]) -> NDArray[np.float64]:
     numbers = array("d")
     facets, ended = 0, False
     text = with_plain_nan(without_byte_order_mark(content, path, MeshError))
-    for line, statement in enumerate(text.splitlines(), start=1):
+    for line, statement in _statements(text):
         words = statement.split()
         try:
             match [word.lower() for word in words[:1]]:

@@ -1,7 +1,6 @@
 """Reads the tables of a scene file (TOML, https://toml.io/en/v1.0.0) and describes their faults."""
 
 import difflib
-import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from formats.atomic import existing
 from formats.errors import PrtbakeError, SceneError
 from formats.file_names import named_file
 from formats.scene.schema import InsideTable, InterfaceTable, MediumTable, MixTable, ObjectTable, SceneFile, Table
-from formats.text import without_byte_order_mark
+from formats.scene.toml import read_toml
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -80,15 +78,7 @@ def find_table_faults(path: Path) -> list[str]:
 
 
 def _read_tables(path: Path) -> dict[str, Any]:
-    try:
-        tables = tomllib.loads(without_byte_order_mark(existing(path).read_bytes(), path, SceneError).decode("utf-8"))
-    except UnicodeDecodeError as cause:
-        raise SceneError(f"{path}: is not a scene file: expected UTF-8 text, found binary data") from cause
-    except SceneError:
-        raise
-    except (ValueError, RecursionError) as cause:  # tomllib also raises them for long numbers and deep nesting
-        advice = "; correct the line" if path.suffix.lower() == ".toml" else "; expected a scene (.toml)"
-        raise SceneError(f"{path}: is not TOML: {cause}{advice}") from cause
+    tables = read_toml(path, SceneError, "a scene file")
     if "object" not in tables and ("directional" in tables or "sky" in tables):
         raise SceneError(f"{path}: is a lights file; expected a scene, with [object]; give lights to render as --light")
     return tables

@@ -32,7 +32,9 @@ def read_grid(scene_path: Path, key: str, name: str, highest: float) -> NDArray[
         grid = np.load(path, allow_pickle=False)
     except Exception as cause:  # damaged headers raise errors of many classes, tokenize.TokenError among them
         raise SceneError(f"{scene_path}: {key}: {path} is not an .npy array, or is truncated; save it again") from cause
-    if not isinstance(grid, np.ndarray) or grid.dtype.kind not in "fiu":
+    if not isinstance(grid, np.ndarray):
+        raise SceneError(f"{scene_path}: {key}: {path} is an archive of arrays (.npz); save its array alone, as .npy")
+    if grid.dtype.kind not in "fiu":
         raise SceneError(f"{scene_path}: {key}: {path} does not hold real numbers; expected one .npy array of floats")
     if grid.ndim not in (3, 4) or 0 in grid.shape or (grid.ndim == 4 and grid.shape[3] != 3):
         raise SceneError(

@@ -6,7 +6,6 @@
 import difflib
 import math
 import os
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
-from formats.atomic import existing
 from formats.errors import LightError
 from formats.file_names import named_file
 from formats.mesh.geometry import MOST_COORDINATE
-from formats.text import without_byte_order_mark
+from formats.scene.toml import read_toml
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
 _BRIGHTEST = 1e30
@@ -55,7 +53,8 @@ class DirectionalLight:
 
     Attributes:
         direction: unit vector towards the light, object space [3].
-        irradiance: linear RGB [3], on a surface perpendicular to the direction.
+        irradiance: linear RGB [3], radiance times solid angle: that of a surface perpendicular to the direction, if the
+            light is narrow.
         angular_diameter: of the disc in the sky, in degrees; 0 is a point at infinity.
     """
 
@@ -136,14 +135,7 @@ def read_lights(path: str | os.PathLike[str]) -> tuple[DirectionalLight | Sphere
         StorageError: the file is missing.
     """
     path = Path(path)
-    try:
-        tables = tomllib.loads(without_byte_order_mark(existing(path).read_bytes(), path, LightError).decode("utf-8"))
-    except UnicodeDecodeError as cause:
-        raise LightError(f"{path}: is not a lights file: expected UTF-8 text, found binary data") from cause
-    except LightError:
-        raise
-    except (ValueError, RecursionError) as cause:  # tomllib also raises them for long numbers and deep nesting
-        raise LightError(f"{path}: is not TOML: {cause}; correct the line") from cause
+    tables = read_toml(path, LightError, "a lights file")
     try:
         lights = _LightsFile.model_validate(tables)
     except ValidationError as cause:

@@ -159,10 +159,12 @@ def bake(
         write_report(summary, report)
     written = Path(asset.coefficients.file.filename)
     rmse = summary["estimated_relative_rmse"]
+    figures = f"{rmse['total']:.2%}, 95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
+    if _carried_no_light(summary):
+        figures = "unknown"
     print(
         f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
-        f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {rmse['total']:.2%}, "
-        f"95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
+        f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {figures}"
     )
     if "model_error" in summary:
         print(f"the model's own error is not included: {summary['model_error']:.2%} relative RMSE of the coefficients")
@@ -213,7 +215,12 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
         yield f"{walks['lost']:.2g} of the light was lost in truncated paths"
     if walks["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
-        if rmse["total"] == 0.0:
+        if _carried_no_light(summary):
             yield "no path carried light: the object is black, or its error is unknown"
         share = walks["unreliable_bins"] / bins
         yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"
+
+
+def _carried_no_light(summary: dict[str, Any]) -> bool:
+    """Return whether no path of a path-traced bake carried light: its coefficients and their errors are 0."""
+    return "walks" in summary and bool(summary["estimated_relative_rmse"]["total"] == 0.0)

@@ -140,10 +140,10 @@ def shade(
         write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
+    error = f"{picture.relative_error:.2%} of the object's radiance" if picture.relative_error else "unknown"
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
-        f"{abs(picture.clamped):.3%} of the energy, projection error {picture.relative_error:.2%} of "
-        f"the object's radiance" + _sun_figures(picture.suns, suns)
+        f"{abs(picture.clamped):.3%} of the energy, projection error {error}" + _sun_figures(picture.suns, suns)
     )
 
 

@@ -4,7 +4,9 @@ Why no library: trimesh tests containment by the parity of a ray's hits, which e
 need a further package, rtree.
 """
 
+import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,8 @@ from formats.errors import SceneError
 from formats.mesh import Mesh
 from formats.mesh.geometry import face_normals
 from formats.scene.parts import Part
+from prt_bake.jit.compilation import compiled
+from prt_bake.jit.threads import in_threads
 
 TOLERANCE = 1e-4
 """Tolerated protrusion of a part from its parent, in diagonals of the parent."""
@@ -66,14 +70,33 @@ def winding_numbers(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float
 
     Sum of the faces' solid angles; Van Oosterom and Strackee, "The solid angle of a plane triangle" (1983).
     """
-    turns = np.zeros(len(points))
-    for rows, (a, b, c) in _blocks(mesh, points):
-        length_a, length_b, length_c = (np.linalg.norm(corner, axis=2) for corner in (a, b, c))
-        volume = np.einsum("nfi,nfi->nf", a, np.cross(b, c))
-        dots = [np.einsum("nfi,nfi->nf", *pair) for pair in ((a, b), (b, c), (c, a))]
-        denominator = length_a * length_b * length_c + dots[0] * length_c + dots[1] * length_a + dots[2] * length_b
-        turns[rows] = np.arctan2(volume, denominator).sum(axis=1) / (2.0 * np.pi)
+    turns = np.empty(len(points))
+    in_threads(_sum_solid_angles, len(points), np.ascontiguousarray(points), mesh.positions, mesh.faces, turns, least=1)
     return turns
+
+
+@compiled(nogil=True, error_model="numpy")
+def _sum_solid_angles(first: Any, stop: Any, points: Any, positions: Any, faces: Any, turns: Any) -> None:
+    for n in range(first, stop):
+        x, y, z = points[n]
+        total = 0.0
+        for face in faces:
+            a, b, c = positions[face[0]], positions[face[1]], positions[face[2]]
+            a0, a1, a2 = a[0] - x, a[1] - y, a[2] - z
+            b0, b1, b2 = b[0] - x, b[1] - y, b[2] - z
+            c0, c1, c2 = c[0] - x, c[1] - y, c[2] - z
+            length_a = math.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
+            length_b = math.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
+            length_c = math.sqrt(c0 * c0 + c1 * c1 + c2 * c2)
+            volume = a0 * (b1 * c2 - b2 * c1) + a1 * (b2 * c0 - b0 * c2) + a2 * (b0 * c1 - b1 * c0)
+            denominator = (
+                length_a * length_b * length_c
+                + (a0 * b0 + a1 * b1 + a2 * b2) * length_c
+                + (b0 * c0 + b1 * c1 + b2 * c2) * length_a
+                + (c0 * a0 + c1 * a1 + c2 * a2) * length_b
+            )
+            total += math.atan2(volume, denominator)
+        turns[n] = total / (2.0 * math.pi)
 
 
 def distances(mesh: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:

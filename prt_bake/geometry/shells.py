@@ -59,7 +59,7 @@ def ambiguity(mesh: Mesh, size: float | None = None) -> tuple[str, bool]:
     first = int(wrong.argmax())
     found = f"one of its {shell.max() + 1} shells, at {_point(mesh.positions[mesh.faces[tested[first], 0]])},"
     if winding[first] < 1.0:
-        return f"{found} is wound inside out and in no other; flip its faces", True
+        return f"{found} is wound inside out and is no cavity of another; flip its faces", True
     return f"{found} is in another and not wound as a cavity; {_UNITE}", True
 
 

@@ -1,6 +1,6 @@
 """Lightings: skies and directional lights together, their radiance in a direction, and their content hash.
 
-A directional light of irradiance E (across its direction) and angular diameter a has the radiance E / Ω over its disc,
+A directional light of irradiance E and angular diameter a has the radiance E / Ω over its disc,
 Ω = 2π (1 − cos a/2), with exact edges. A light without size has no radiance in any direction; walks connect to it.
 """
 
@@ -183,10 +183,11 @@ def _read_sky(
         residual = (to_object @ residual) * factor
     # A factor of 1 is skipped, to save time on large skies.
     if not np.all(factor == 1.0):
+        lit = image.any()
         with np.errstate(over="ignore"):  # `check_finite` reports the overflow
             image *= np.asarray(factor, np.float32)
         environment.check_finite(image, light.path)
-        if not np.any(factor):
+        if lit and not image.any():
             say(f"{light.path}: its exposure and tint make it black: it gives no light")
     return Sky(image, up, environment.rotation(light.rotate, up), residual)
 

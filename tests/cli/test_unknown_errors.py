@@ -25,4 +25,8 @@ def test_a_path_traced_bake_that_no_path_lit_says_so(prtbake: Run, folder: Path,
     few = ["--rings", 1, "--sectors", 2, "--samples", 16]
     baked = prtbake("bake", "dark.toml", "sphere.ply", "-o", tmp_path / "a.h5", *few)
     assert baked.code == 0, baked.err
+    assert "estimated relative RMSE of the path tracing unknown\n" in baked.out
     assert "no path carried light: the object is black, or its error is unknown" in baked.out
+    shaded = prtbake("shade", tmp_path / "a.h5", "--light", "sun:0,1,0", "--size", "8x8", "-o", tmp_path / "a.exr")
+    assert shaded.code == 0, shaded.err
+    assert "projection error unknown" in shaded.out

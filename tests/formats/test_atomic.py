@@ -131,3 +131,9 @@ def test_an_invalid_image_keeps_the_old_file(tmp_path):
     with pytest.raises(ImageError, match="row 0, column 1"):
         write_image(path, np.array([[[1, 1, 1], [1, np.inf, 1]]], np.float32))
     assert path.read_text() == "old"
+
+
+def test_names_that_lost_a_backslash_are_shown(tmp_path):
+    for name, shown in (("meshes\test.obj", r"meshes\\test\.obj"), ("a\bc", r"a\\x08c"), ("a\\b", r"a\\b")):
+        with pytest.raises(StorageError, match=f"{shown}: there is no such file; write / in place of "):
+            existing(tmp_path / name)

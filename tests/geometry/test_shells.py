@@ -86,7 +86,7 @@ def test_an_ambiguous_inside_is_refused(name: str, scale: float) -> None:
 
 
 def test_a_shell_that_is_wound_inside_out_is_named() -> None:
-    with pytest.raises(MeshError, match=r"one of its 2 shells, at .* is wound inside out and in no other; flip its"):
+    with pytest.raises(MeshError, match=r"one of its 2 shells, at .* is wound inside out and is no cavity of another"):
         refuse_ambiguous(united(ball(), ball(3.0, radius=0.5, inwards=True)), "file")
 
 

@@ -259,6 +259,11 @@ def test_invalid_lights_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('[[sky]]\nfile = "sky.exr"\nexposure = 60\n')
     with pytest.raises(ImageError, match=r"a\.toml: sky\.file: .*sky\.exr"):
         read_lighting([tmp_path / "a.toml"])
+    (tmp_path / "a.toml").write_text('[[sky]]\nfile = "sky.exr"\nexposure = -64\ntint = [0, 0, 1e-30]\n')
+    write_image(tmp_path / "sky.exr", np.full((4, 8, 3), 1e-4, np.float32))
+    said = list[str]()
+    read_lighting([tmp_path / "a.toml"], say=said.append)
+    assert [text for text in said if "make it black" in text]
     (tmp_path / "b.toml").write_text('[[sky]]\nfile = "none.hdr"\n')
     with pytest.raises(StorageError, match=r"b\.toml: sky\.file: .*none\.hdr: there is no such file"):
         read_lighting([tmp_path / "b.toml"])

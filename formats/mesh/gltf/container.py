@@ -21,7 +21,7 @@ _WITHOUT_GEOMETRY = (
     *("ADOBE_materials_", "NV_materials_", "MSFT_texture_", "MSFT_packing_", "MSFT_lod", "KHR_animation_pointer"),
     *("KHR_xmp", "KHR_audio", "KHR_interactivity", "KHR_node_hoverability", "KHR_node_selectability", "AGI_"),
     *("EXT_structural_metadata", "EXT_mesh_features", "EXT_instance_features", "FB_geometry_metadata", "GODOT_"),
-    *("EXT_mesh_manifold", "EXT_mesh_primitive_", "CESIUM_primitive_outline"),
+    *("EXT_mesh_manifold", "EXT_mesh_primitive_edge_visibility", "CESIUM_primitive_outline"),
 )
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 

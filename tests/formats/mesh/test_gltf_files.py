@@ -126,6 +126,7 @@ def test_required_extensions_are_examined_first(tmp_path):
         "KHR_draco_mesh_compression": "compressed by KHR_draco_mesh_compression; export it without mesh compression",
         "EXT_meshopt_compression": "compressed by EXT_meshopt_compression; export it without mesh compression",
         "KHR_meshopt_compression": "compressed by KHR_meshopt_compression",
+        "EXT_mesh_primitive_restart": "extensionsRequired: 'EXT_mesh_primitive_restart' is not supported",
         "ACME_voxels": "extensionsRequired: 'ACME_voxels' is not supported",
     }.items():
         builder = tetrahedron()
@@ -136,7 +137,8 @@ def test_required_extensions_are_examined_first(tmp_path):
 def test_extensions_without_geometry_may_be_required(tmp_path):
     builder = tetrahedron()
     names = ["KHR_materials_unlit", "KHR_texture_basisu", "KHR_lights_punctual", "KHR_xmp_json_ld", "EXT_texture_webp"]
-    builder.json["extensionsRequired"] = [*names, "KHR_mesh_quantization", "KHR_texture_transform"]
+    names += ["EXT_mesh_primitive_edge_visibility", "KHR_mesh_quantization", "KHR_texture_transform"]
+    builder.json["extensionsRequired"] = names
     assert len(read_gltf(builder.write(tmp_path / "required.glb")).faces) == 4
 
 

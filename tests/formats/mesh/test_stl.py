@@ -42,6 +42,15 @@ def test_ascii_is_read_whatever_its_name(tmp_path: Path, name: str) -> None:
     assert_ball(tmp_path / "ball.stl")
 
 
+@pytest.mark.parametrize("name", ["ball", "a vertex and a facet"])
+@pytest.mark.parametrize("end", ["outer", "vertex", "endloop", "endfacet", "facet"])
+def test_ascii_is_read_with_several_statements_in_a_line(tmp_path: Path, name: str, end: str) -> None:
+    lines = ascii_stl(sphere_mesh(), name).splitlines()
+    joined = "".join((" " if line.split()[0] in ("vertex", "endloop", end) else "\n") + line for line in lines[1:-1])
+    (tmp_path / "ball.stl").write_text("\n".join([lines[0] + joined, lines[-1], ""]))
+    assert_ball(tmp_path / "ball.stl")
+
+
 @pytest.mark.parametrize("header", [b"exported", b"solid ball", b"\xff\xfe\xfa", b"\0", b"solid\nfacet normal 0 0 0"])
 def test_binary_is_read_whatever_its_header(tmp_path: Path, header: bytes) -> None:
     (tmp_path / "ball.stl").write_bytes(binary_stl(sphere_mesh(), header))

@@ -209,6 +209,9 @@ def test_grids_out_of_range_are_refused_with_count_and_position(folder):
     np.save(folder / "bad.npy", np.full((2, 2, 2), 1.5))
     with pytest.raises(SceneError, match="expected values from 0 to 1"):
         scene(folder, "[0.98, 0.90, 0.75]", '"bad.npy"')
+    np.savez(folder / "bad.npz", grid=grid)
+    with pytest.raises(SceneError, match=r"bad\.npz is an archive of arrays \(\.npz\); save its array alone"):
+        scene(folder, "12.0", '"bad.npz"')
     for wrong in (np.zeros((2, 3)), np.zeros((2, 3, 4, 2)), np.zeros((0, 3, 4)), np.array(["a"]), np.zeros(3, complex)):
         np.save(folder / "bad.npy", wrong)
         with pytest.raises(SceneError, match=r"bad\.npy"):
