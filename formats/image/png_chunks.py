@@ -21,7 +21,8 @@ _MOST_DEFLATED = 1032
 _COLOURS = (b"tRNS", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM")
 _FOR_PILLOW = (b"tRNS", b"eXIf", b"acTL", b"fcTL", b"fdAT")
 _WITH_ORIENTATION = (b"XML:com.adobe.xmp\0", b"Raw profile type exif\0")
-_MOST_TEXT, _MOST_PROFILE = 2**16, 2**24
+_MOST_TEXT, _MOST_DEFLATED_TEXT, _MOST_PROFILE = 2**24, 2**14, 2**24
+"""Bytes. Pillow refuses a file with a text of more than 1 MiB that is compressed."""
 _EXPOSURE = re.compile(rb"exposure\0([-+.\de]{1,20} EV)", re.ASCII)
 """What prtbake writes into its pictures."""
 
@@ -102,7 +103,8 @@ def _inflated(content: bytes) -> bytes:
 def _is_for_pillow(kind: bytes, content: bytes) -> bool:
     """Whether a chunk holds pixels, or the orientation."""
     if kind in (b"tEXt", b"zTXt", b"iTXt"):
-        return content.startswith(_WITH_ORIENTATION) and len(content) <= _MOST_TEXT
+        plain = kind == b"tEXt" or (kind == b"iTXt" and content.partition(b"\0")[2][:1] == b"\0")
+        return content.startswith(_WITH_ORIENTATION) and len(content) <= (_MOST_TEXT if plain else _MOST_DEFLATED_TEXT)
     return kind[:1].isupper() or kind in _FOR_PILLOW
 
 
@@ -110,7 +112,7 @@ def _chunks(path: str | os.PathLike[str]) -> Iterator[tuple[bytes, bytes]]:
     """Yield the kinds and contents of the chunks; those whose kind begins with a capital are critical.
 
     Others are left out if they are damaged, unless colours depend on them. Raises ImageError if the checksum of a
-    chunk that matters is wrong, or the end is missing.
+    chunk that matters is wrong, which Pillow does not compare, or if the end is missing.
     """
     with open(path, "rb") as file:
         file.seek(8)  # the signature

@@ -59,6 +59,16 @@ def test_long_and_damaged_texts_are_passed_over(tmp_path: Path, long: bytes) -> 
     assert np.allclose(read_image(write(tmp_path / "a.png", long)), SRGB)
 
 
+@pytest.mark.parametrize("filler", [0, 2**18])
+@pytest.mark.parametrize("deflated", [False, True])
+def test_long_metadata_turns_a_picture_upright(tmp_path: Path, deflated: bool, filler: int) -> None:
+    orientation = b'<rdf:Description xmlns:tiff="http://ns.adobe.com/tiff/1.0/" tiff:Orientation="3"/>' + b" " * filler
+    packed = zlib.compress(orientation) if deflated else orientation
+    content = b"XML:com.adobe.xmp\0" + bytes([deflated]) + b"\0\0\0" + packed
+    path = write(tmp_path / "a.png", chunk(b"iTXt", content))
+    assert np.allclose(read_image(path), SRGB[::-1, ::-1])
+
+
 def test_a_large_profile_is_read(tmp_path: Path) -> None:
     profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes() + LONG
     path = write(tmp_path / "a.png", chunk(b"iCCP", b"name\0\0" + zlib.compress(profile)))

@@ -114,7 +114,7 @@ def test_a_cicp_chunk_comes_first(tmp_path: Path) -> None:
     path = write(tmp_path / "a.png", chunk(b"cICP", bytes([1, 8, 0, 1])), chunk(b"sRGB", b"\0"))
     with pytest.warns(InputWarning, match="cICP chunk says that the values are linear"):
         np.testing.assert_allclose(read_image(path), CODES / 255.0, rtol=1e-6)
-    for colours in ([9, 16, 0, 1], [9, 18, 0, 1], [1, 13, 0, 0], [1, 13, 1, 1], [2, 2, 0, 1]):
+    for colours in ([9, 16, 0, 1], [9, 18, 0, 1], [1, 13, 0, 0], [1, 13, 1, 1], [2, 13, 0, 1]):
         write(path, chunk(b"cICP", bytes(colours)))
         with pytest.raises(ImageError, match=f"primaries {colours[0]}, transfer {colours[1]} .*save it as sRGB"):
             read_image(path)
