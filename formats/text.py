@@ -1,4 +1,4 @@
-"""Text as editors save it: the byte order marks that a file may begin with (Unicode standard, section 23.8)."""
+"""Text of files: byte order marks (Unicode standard, section 23.8), and texts in messages."""
 
 import codecs
 import os
@@ -11,6 +11,7 @@ _OTHER_ENCODINGS = {  # UTF-32 first: its mark begins with that of UTF-16
     codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
 }
+_LONGEST = 60
 
 
 def without_byte_order_mark(content: bytes, path: str | os.PathLike[str], error: type[FormatError]) -> bytes:
@@ -19,3 +20,9 @@ def without_byte_order_mark(content: bytes, path: str | os.PathLike[str], error:
         if content.startswith(mark):
             raise error(f"{path}: expected text in UTF-8, found {name}; save it again with the encoding UTF-8")
     return content.removeprefix(codecs.BOM_UTF8)
+
+
+def printable(text: str) -> str:
+    """Return a text of a file in one line of at most 60 characters, without control characters, for messages."""
+    kept = "".join(letter if letter.isprintable() else "?" for letter in text[: _LONGEST + 1])
+    return kept if len(kept) <= _LONGEST else f"{kept[: _LONGEST - 1]}…"

@@ -15,7 +15,7 @@ from formats.errors import ImageError, warn
 from formats.image import gamut
 from formats.image.gamut import Primaries
 from formats.image.stored import Stored
-from formats.image.text import printable
+from formats.text import printable
 
 _SRGB_GAMMA = 0.45455
 """The gAMA of files in sRGB, whose curve is meant then (https://www.w3.org/TR/png-3/#11sRGB)."""

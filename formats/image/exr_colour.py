@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from formats.errors import ImageError, warn
 from formats.image import gamut
 from formats.image.exr_header import Part, primaries_of, read_parts, refuse_windows
-from formats.image.text import printable
+from formats.text import printable
 
 _LETTERS = (("R", "G", "B"), ("r", "g", "b"), ("red", "green", "blue"))
 _BEAUTY = {"beauty", "combined", "rgba", "rgb", "color", "colour", "c", "ci", "main", "final", "finalimage"}

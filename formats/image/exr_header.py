@@ -11,7 +11,7 @@ from typing import Any
 from formats.errors import ImageError
 from formats.image import gamut
 from formats.image.refusals import refuse_other_kinds, refuse_size
-from formats.image.text import printable
+from formats.text import printable
 
 Window = tuple[int, int, int, int]
 """Left, top, right and bottom, inclusive."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from formats.errors import ImageError, warn
 from formats.image.gamut import Primaries, are_equal
 from formats.image.refusals import refuse_other_kinds
-from formats.image.text import printable
+from formats.text import printable
 
 _LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\n|\r)")
 _RESOLUTION = re.compile(rb"([+-])Y +(\d{1,18}) +([+-])X +(\d{1,18})")

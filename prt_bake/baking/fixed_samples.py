@@ -96,6 +96,8 @@ def _run(work: Work, job: Job, sink: Sink, checkpoints: BlockCheckpoints) -> Ass
     }
     if isinstance(job.resolved.sampling, Walks):
         report["walks"] = statistics.as_json()
+        if meter.total == 0.0:  # no path carried light, which does not mean that there is none
+            report["estimated_relative_rmse"] = dict.fromkeys(report["estimated_relative_rmse"])
     return sink.finish(report, np.array(rows, dtype=np.float64).reshape(-1, 3), done == vertices)
 
 

@@ -159,9 +159,9 @@ def bake(
         write_report(summary, report)
     written = Path(asset.coefficients.file.filename)
     rmse = summary["estimated_relative_rmse"]
-    figures = f"{rmse['total']:.2%}, 95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
-    if _carried_no_light(summary):
-        figures = "unknown"
+    figures = "unknown"
+    if rmse["total"] is not None:
+        figures = f"{rmse['total']:.2%}, 95th percentile over vertices {rmse['percentile_95_over_vertices']:.2%}"
     print(
         f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
         f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {figures}"
@@ -215,12 +215,7 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
         yield f"{walks['lost']:.2g} of the light was lost in truncated paths"
     if walks["unreliable_bins"]:
         bins = summary["vertices_baked"] * summary["settings"]["rings"] * summary["settings"]["sectors"]
-        if _carried_no_light(summary):
+        if rmse["total"] is None:
             yield "no path carried light: the object is black, or its error is unknown"
         share = walks["unreliable_bins"] / bins
         yield f"{share:.1%} of the bins have too few paths for a reliable error estimate; increase --samples"
-
-
-def _carried_no_light(summary: dict[str, Any]) -> bool:
-    """Return whether no path of a path-traced bake carried light: its coefficients and their errors are 0."""
-    return "walks" in summary and bool(summary["estimated_relative_rmse"]["total"] == 0.0)

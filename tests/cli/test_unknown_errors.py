@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import pytest
+
+from formats.asset import read_asset
 from prt_bake.network.bssrdf import load_model
 from tests.cli.command_line import SCENE, Run
 
@@ -20,13 +23,21 @@ def test_a_reference_that_is_only_noise_gives_no_error(prtbake: Run, folder: Pat
     assert "the model's own error" not in baked.out
 
 
-def test_a_path_traced_bake_that_no_path_lit_says_so(prtbake: Run, folder: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("more", [[], ["--error", 0.2], ["--for-light", "sky.hdr"]])
+def test_a_path_traced_bake_that_no_path_lit_says_so(
+    prtbake: Run, folder: Path, tmp_path: Path, more: list[object]
+) -> None:
     (folder / "dark.toml").write_text(SCENE.replace("albedo = 0.9", "albedo = 1e-9"))
     few = ["--rings", 1, "--sectors", 2, "--samples", 16]
-    baked = prtbake("bake", "dark.toml", "sphere.ply", "-o", tmp_path / "a.h5", *few)
+    baked = prtbake("bake", "dark.toml", "sphere.ply", "-o", tmp_path / "a.h5", *few, *more)
     assert baked.code == 0, baked.err
     assert "estimated relative RMSE of the path tracing unknown\n" in baked.out
     assert "no path carried light: the object is black, or its error is unknown" in baked.out
+    figures = read_asset(tmp_path / "a.h5").provenance["estimated_relative_rmse"]
+    assert figures == {"total": None, "percentile_95_over_vertices": None}
+    assert ("the requested error of 20.00% was not reached" in baked.out) == ("--error" in more)
+    if "--for-light" in more:
+        return
     shaded = prtbake("shade", tmp_path / "a.h5", "--light", "sun:0,1,0", "--size", "8x8", "-o", tmp_path / "a.exr")
     assert shaded.code == 0, shaded.err
     assert "projection error unknown" in shaded.out

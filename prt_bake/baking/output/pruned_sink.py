@@ -118,6 +118,8 @@ class PrunedSink:
 
     def finish(self, provenance: dict[str, Any], error_vs_time: NDArray[np.float64], complete: bool) -> Asset:
         """Ends the writing and returns the asset, whose error figures include pruning and rounding."""
+        if provenance["estimated_relative_rmse"]["total"] is None:
+            return self._sink.finish(provenance, error_vs_time, complete)
         if self._pruning.light is not None:
             # The predicted errors are of coefficients; under a light they have other weights.
             measured = {"total": self._meter.total, "percentile_95_over_vertices": self._meter.percentile_95}

@@ -23,10 +23,11 @@ def bake_report(asset: Asset) -> dict[str, Any]:
     """
     trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
     requested, rmse = asset.provenance["settings"].get("error"), asset.provenance["estimated_relative_rmse"]
-    worst = max(rmse["total"], rmse["percentile_95_over_vertices"])
+    known = rmse["total"] is not None
+    reached = known and max(rmse["total"], rmse["percentile_95_over_vertices"]) <= REACHED * (requested or 0.0)
     return {
         **({} if trained.get("coefficients") is None else {"model_error": trained["coefficients"]}),
-        **({} if requested is None else {"error_reached": asset.complete and worst <= REACHED * requested}),
+        **({} if requested is None else {"error_reached": asset.complete and reached}),
         "complete": asset.complete,
         "vertices": len(asset.mesh.positions),
         "left_out": asset.left_out,

@@ -11,7 +11,7 @@ from PIL import ImageCms
 
 from formats.errors import ImageError, InputWarning
 from formats.image import read_image
-from tests.formats.image.test_png_colour import CODES, SRGB, chunk, numbers, write
+from tests.formats.image.png_files import CODES, SRGB, chunk, numbers, write
 
 LONG = np.random.default_rng(0).integers(32, 127, 2**21).astype(np.uint8).tobytes()
 """More than Pillow reads of a text, even compressed."""

@@ -13,28 +13,10 @@ from formats.errors import ImageError, InputWarning
 from formats.image import gamut, read_data, read_image, read_layers
 from formats.image.gamut import Primaries, convert, matrix_to_rec709
 from formats.image.png import to_linear
+from tests.formats.image.png_files import CODES, SRGB, chunk, numbers, write
 
-CODES = np.random.default_rng(6).integers(0, 256, (7, 9, 3), dtype=np.uint8)
 DEEP = np.random.default_rng(7).integers(0, 65536, (7, 9, 4), dtype=np.uint16)
 SRGB_PROFILE = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-SRGB = to_linear(CODES / 255.0).astype(np.float32)
-
-
-def chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-
-def numbers(*values: float) -> bytes:
-    """Hundred-thousandths, as gAMA and cHRM store them."""
-    return struct.pack(f">{len(values)}I", *(round(100_000 * value) for value in values))
-
-
-def write(path: Path, *chunks: bytes, codes: np.ndarray = CODES) -> Path:
-    """Write a PNG with further chunks after its header."""
-    Image.fromarray(codes).save(path)
-    content = path.read_bytes()
-    path.write_bytes(content[:33] + b"".join(chunks) + content[33:])
-    return path
 
 
 def write_deep(path: Path, channels: int, interlaced: bool = False) -> Path:

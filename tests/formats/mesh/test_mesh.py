@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from formats.errors import InputWarning, MeshError, StorageError
+from formats.errors import MeshError, StorageError
 from formats.mesh import (
     Mesh,
     build_mesh,
@@ -389,16 +389,3 @@ def test_unused_vertices_may_be_anywhere(tmp_path, value):
     (tmp_path / "t.ply").write_text(ascii_ply(f"{value} 0 {value}\n{TETRAHEDRON_VERTICES}", "3 0 3 2\n" + rows[8:]))
     with pytest.raises(MeshError, match=r"1 of 5 vertices are NaN, infinite or beyond .* the first is vertex 0"):
         read_mesh(tmp_path / "t.ply")
-
-
-NURBS = "cstype bspline\ndeg 1 1\nsurf 0 1 0 1 1 2 3 4\nparm u 0 0 1 1\nparm v 0 0 1 1\nend\n"
-
-
-def test_free_form_surfaces_are_named(tmp_path):
-    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
-    (tmp_path / "a.obj").write_text(vertices + NURBS)
-    with pytest.raises(MeshError, match=r"a\.obj: line 7: is a free-form surface, .*export it as a polygon mesh"):
-        read_mesh(tmp_path / "a.obj")
-    (tmp_path / "a.obj").write_text(vertices + NURBS + NURBS + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
-    with pytest.warns(InputWarning, match=r"a\.obj: line 7: is a free-form surface, .*, and ignored"):
-        assert len(read_mesh(tmp_path / "a.obj").faces) == 4

@@ -233,3 +233,16 @@ def test_polygons_without_any_vertex_are_refused(tmp_path):
     (tmp_path / "mesh.obj").write_text("f 1 2 3 4\nf 2 3 4\n")
     with pytest.raises(MeshError, match="faces use vertices that do not exist"):
         read_mesh(tmp_path / "mesh.obj")
+
+
+NURBS = "cstype bspline\ndeg 1 1\nsurf 0 1 0 1 1 2 3 4\nparm u 0 0 1 1\nparm v 0 0 1 1\nend\n"
+
+
+def test_free_form_surfaces_are_named(tmp_path: Path) -> None:
+    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n"
+    (tmp_path / "a.obj").write_text(vertices + NURBS)
+    with pytest.raises(MeshError, match=r"a\.obj: line 7: is a free-form surface, .*export it as a polygon mesh"):
+        read_mesh(tmp_path / "a.obj")
+    (tmp_path / "a.obj").write_text(vertices + NURBS + NURBS + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n")
+    with pytest.warns(InputWarning, match=r"a\.obj: line 7: is a free-form surface, .*, and ignored"):
+        assert len(read_mesh(tmp_path / "a.obj").faces) == 4
