@@ -41,6 +41,8 @@ class BakePlan:
     """Range that the duration is very likely in; None if unknown."""
     left_out: list[PrunableItem] = field(default_factory=list)
     kept: list[PrunableItem] = field(default_factory=list)
+    lobes: dict[str, Any] = field(default_factory=dict)
+    """The entry of the provenance, with the predicted seconds and bytes."""
 
     def as_json(self) -> dict[str, Any]:
         """Plain values for a report."""

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from formats.scene import read_scene as load_scene
     from prt_bake.baking.bake import bake
     from prt_bake.baking.compress import compress, unpacked
+    from prt_bake.baking.lobes.addition import add_lobes
     from prt_bake.comparison.metrics import compare
     from prt_bake.export.mitsuba import mitsuba_dictionary
     from prt_bake.geometry.camera import Camera
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from prt_bake.network.bssrdf import NeuralBSSRDF, load_model, save_model
     from prt_bake.rendering.network import render_network
     from prt_bake.rendering.scene import render_scene
+    from prt_bake.shading.asset_light import light_for
     from prt_bake.shading.frames.frames import Frames
     from prt_bake.shading.picture import render_picture, shade
     from prt_bake.shading.sun_shading import suns_apart
@@ -47,12 +49,14 @@ __all__ = [
     "NeuralBSSRDF",
     "PrtbakeError",
     "Scene",
+    "add_lobes",
     "bake",
     "compare",
     "compress",
     "estimate_coefficients",
     "estimate_transport",
     "fit_camera",
+    "light_for",
     "load_model",
     "load_scene",
     "mitsuba_dictionary",
@@ -89,12 +93,14 @@ _ORIGIN = {
     "NeuralBSSRDF": ("prt_bake.network.bssrdf", "NeuralBSSRDF"),
     "PrtbakeError": ("formats.errors", "PrtbakeError"),
     "Scene": ("formats.scene", "Scene"),
+    "add_lobes": ("prt_bake.baking.lobes.addition", "add_lobes"),
     "bake": ("prt_bake.baking.bake", "bake"),
     "compare": ("prt_bake.comparison.metrics", "compare"),
     "compress": ("prt_bake.baking.compress", "compress"),
     "estimate_coefficients": ("prt_bake.tracer.estimate", "estimate_coefficients"),
     "estimate_transport": ("prt_bake.tracer.estimate", "estimate_transport"),
     "fit_camera": ("prt_bake.geometry.camera", "fit"),
+    "light_for": ("prt_bake.shading.asset_light", "light_for"),
     "load_model": ("prt_bake.network.bssrdf", "load_model"),
     "load_scene": ("formats.scene", "read_scene"),
     "mitsuba_dictionary": ("prt_bake.export.mitsuba", "mitsuba_dictionary"),

@@ -13,6 +13,7 @@ from formats.asset.compact_layout import GROUP, digit_names
 from formats.asset.compact_record import AddedError, CompactCoefficients, FactorisedViews, LearnedViews
 from formats.asset.error_covariance import write_covariance
 from formats.asset.head import write_head
+from formats.asset.lobes import write_lobes
 from formats.asset.record import Asset
 from formats.atomic import replacing
 from formats.hdf5_file import attribute
@@ -52,6 +53,8 @@ def write_compact(asset: Asset, path: str | os.PathLike[str]) -> int:
             for name, values in asset.selftest.items():
                 kind = "<u4" if name == "vertex" else "<f8"
                 file.create_dataset(f"selftest/{name}", data=np.asarray(values).astype(kind))
+            if asset.lobes is not None:
+                write_lobes(file, asset.lobes)
             file.create_dataset("provenance/json", data=_provenance(asset, size))
             file.create_dataset("provenance/error_vs_time", data=np.asarray(asset.error_vs_time, "<f8"))
         if sink.error is not None:

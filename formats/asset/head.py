@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.asset.lobes import FORMAT_VERSION
 from formats.asset.record import AssetHead
 from formats.hdf5_file import attribute
 
 FORMAT = "prtbake"
-FORMAT_VERSION = "1.0"
 FORMULAS = {
     "transfer": "L[v,b,c] = sum over k of coefficients[v,b,k,c] * light[k,c]",
     "radiance": "L[v,b,c] = coefficients[v,b,0,c]",

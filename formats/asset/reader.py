@@ -15,6 +15,7 @@ from formats.asset.compact_layout import GROUP, value_faults
 from formats.asset.error_covariance import covariance_faults, read_covariance
 from formats.asset.head import mesh_digest, mesh_origin
 from formats.asset.layout import layout_faults, transfer_group
+from formats.asset.lobes import lobe_faults, read_lobes
 from formats.asset.record import Asset
 from formats.errors import AssetError
 from formats.hdf5_file import (
@@ -132,6 +133,7 @@ def _faults(file: Any) -> Iterator[str]:
     made_for_one_light = attribute(file[group], "quantity") == "radiance"
     terms = 1 if made_for_one_light else (int(attribute(file["basis"], "degree")) + 1) ** 2
     yield from covariance_faults(file[group], vertices, terms)
+    yield from lobe_faults(file, vertices)
     if len(file.get("selftest", ())):
         outside = (file["selftest/vertex"][...] < 0) | (file["selftest/vertex"][...] >= vertices)
         yield from _row_faults("selftest/vertex", outside, "out of the range of vertices")
@@ -249,6 +251,7 @@ def _asset(file: Any, load: bool) -> Asset:
         selftest={name: selftest[name][...] for name in selftest},
         storage="float16" if coefficients.dtype.itemsize == 2 else "float32",
         error_covariance=read_covariance(transfer),
+        lobes=read_lobes(file),
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from formats.asset.error_covariance import ErrorCovariance
+from formats.asset.lobes import Lobes
 from formats.mesh import Mesh
 
 Storage = Literal["float16", "float32"]
@@ -67,6 +68,7 @@ class Asset(AssetHead):
         selftest: light [K,3], vertex [S], outgoing [S,3] and radiance [S,3], for importers to reproduce; may be empty.
         storage: type of the coefficients in a file, "float16" or "float32".
         error_covariance: covariance of the errors of each vertex, or None if unknown.
+        lobes: what the transport holds beyond the harmonics, or None.
 
     >>> import trimesh
     >>> import prt_bake as prt
@@ -89,6 +91,7 @@ class Asset(AssetHead):
     selftest: dict[str, NDArray[Any]] = field(default_factory=dict)
     storage: Storage = "float16"
     error_covariance: ErrorCovariance | None = None
+    lobes: Lobes | None = None
 
     @property
     def eta(self) -> float:

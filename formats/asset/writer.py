@@ -17,6 +17,7 @@ from formats.asset.compact_file import write_compact
 from formats.asset.compact_record import CompactCoefficients
 from formats.asset.error_covariance import ErrorCovariance, write_covariance
 from formats.asset.head import FORMULAS
+from formats.asset.lobes import Lobes, write_lobes
 from formats.asset.record import Asset, AssetHead, Storage
 from formats.atomic import replacing
 from formats.errors import AssetError
@@ -111,6 +112,7 @@ class AssetWriter:
         selftest: Mapping[str, NDArray[Any]] | None = None,
         complete: bool = True,
         error_covariance: ErrorCovariance | None = None,
+        lobes: Lobes | None = None,
     ) -> str:
         """Write the results of the bake, close the file and move it to `path`.
 
@@ -120,6 +122,7 @@ class AssetWriter:
             selftest: light [K,3], vertex [S], outgoing [S,3], radiance [S,3].
             complete: false for a bake that was stopped early; vertices never written have valid = 0.
             error_covariance: covariance of the errors of each vertex, if known.
+            lobes: what the transport holds beyond the harmonics, if known.
 
         Returns:
             `storage_note`, for the user.
@@ -135,6 +138,8 @@ class AssetWriter:
             file.create_dataset("transfer/valid", data=self.valid)
             if error_covariance is not None:
                 write_covariance(file["transfer"], error_covariance)
+            if lobes is not None:
+                write_lobes(file, lobes)
             file.create_dataset("provenance/json", data=text)
             file.create_dataset("provenance/error_vs_time", data=rows)
             for name, values in (selftest or {}).items():
@@ -270,7 +275,14 @@ def write_asset(asset: Asset, path: str | os.PathLike[str]) -> None:
                 if len(run):
                     span = slice(int(run[0]), int(run[-1]) + 1)
                     writer.write_block(span.start, asset.coefficients[span], asset.standard_error[span])
-        writer.finish(asset.provenance, asset.error_vs_time, asset.selftest, asset.complete, asset.error_covariance)
+        writer.finish(
+            asset.provenance,
+            asset.error_vs_time,
+            asset.selftest,
+            asset.complete,
+            asset.error_covariance,
+            asset.lobes,
+        )
 
 
 def _refuse_invalid(path: str | os.PathLike[str], head: AssetHead, views: int | None, channels: int) -> None:

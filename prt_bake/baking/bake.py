@@ -27,6 +27,7 @@ from prt_bake.baking.job.provenance import known_before
 from prt_bake.baking.job.pruning_record import Light
 from prt_bake.baking.job.views import warn_of_clamped_views
 from prt_bake.baking.job.work import Progress, Work
+from prt_bake.baking.lobes.in_bake import counting_lobes, plan_lobes_of_bake
 from prt_bake.baking.output.checkpoint_store import CheckpointStore, open_checkpoint_store
 from prt_bake.baking.output.pruned_sink import WronglyPruned
 from prt_bake.baking.output.sink import asset_head
@@ -65,6 +66,7 @@ def bake(
     leave_out: Collection[str] = (),
     for_light: Light | ArrayLike | None = None,
     for_eye: ArrayLike | None = None,
+    lobes: int = 0,
     provenance: dict[str, Any] | None = None,
 ) -> Asset:
     """Bakes `transport` at every vertex of `mesh` and at rings × sectors view bins.
@@ -101,6 +103,8 @@ def bake(
             pruned vertices are not valid, and the asset's `left_out` lists each item.
         for_light: coefficients [K,3] of the only light that the asset is for; it then holds radiance, K = 1.
         for_eye: the only point [3] that the asset is seen from; B = 1 then.
+        lobes: most lobes in a view, 0 to 4, for what lies beyond the harmonics (`formats.asset.lobes`); as many are
+            found as gain something. They are added to the asset when it is complete. The command's default is 4.
         provenance: entries added to the asset's provenance (command, hashes, credits).
 
     Returns:
@@ -138,13 +142,14 @@ def bake(
     refuse_path("mesh", mesh, "prt.read_mesh")
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
-        workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
+        workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,
     )  # fmt: skip
     if out is not None:
         refuse_unwritable(out)
     refuse_foreign(transport, mesh)
     warn_of_clamped_views(mesh, rings, sectors)
-    transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
+    whole = on_mesh(transport, mesh)
+    transport = prepared(up_to(whole, degree), precision, device)
     walks = transport_kind(transport) == "coefficients"
     adaptive = directions == "fibonacci" and not walks
     if minutes is not None and not adaptive:
@@ -169,6 +174,7 @@ def bake(
         "leave_out": sorted(leave_out),
         "for_light": None if light is None else light.content_hash,
         "for_eye": None if eye is None else eye.tolist(),
+        "lobes": lobes,
     }
     # An adaptive bake chooses its own directions.
     arguments |= {"minutes": minutes} if adaptive else {"directions": directions, "samples": samples}
@@ -191,16 +197,26 @@ def bake(
             work = Work(
                 transport, mesh, pruning, head, report, out, storage, pool, seed, progress, stop, began, evaluations
             )
+            planned = plan_lobes_of_bake(transport, whole, head, pruning, lobes, minutes, pool.count, precision, device)
+            work.report = report | {"lobes": planned.entry}
+            work.progress = counting_lobes(progress, planned.seconds)
             try:
                 if adaptive:
-                    deadline = math.inf if minutes is None else began + 60.0 * minutes
-                    return bake_to_error(Run(work, store, error, deadline))
-                return bake_by_samples(work, store, directions, samples, error)
+                    deadline = math.inf if minutes is None else began + 60.0 * minutes - planned.seconds
+                    asset = bake_to_error(Run(work, store, error, deadline))
+                else:
+                    asset = bake_by_samples(work, store, directions, samples, error)
             except WronglyPruned as wrong:
                 prunable, evaluations = prunable - {wrong.item}, work.evaluations
                 report = report | {"needed_after_all": [*report.get("needed_after_all", []), str(wrong)]}
                 store.forget("")
                 store.write("needed", {"items": np.array(sorted(set(leave_out) - prunable))})
+                continue
+            lobed = planned.add_to(asset, work, store) if work.finished else None
+            if lobed is None:
+                return asset
+            store.remove()
+            return lobed
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from formats.asset import Asset, read_asset
 from formats.asset.compact_file import round_up, write_compact
 from formats.asset.compact_record import CompactCoefficients
 from formats.asset.error_covariance import ErrorCovariance
+from formats.asset.lobes import add_lobes_to_file
 from formats.atomic import replacing
 from formats.errors import QueryError, refuse_path
 from prt_bake.baking.compact_encoding import (
@@ -136,9 +137,16 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
 
 
 def compress_file(
-    path: str | Path, out: str | Path, error: float, progress: Progress | None = None, command: str | None = None
+    path: str | Path,
+    out: str | Path,
+    error: float,
+    progress: Progress | None = None,
+    command: str | None = None,
+    lobes: bool = True,
 ) -> Outcome:
     """Reads an asset and writes it compact, or copies it to `out` if the compact form is not smaller.
+
+    lobes: keep those of the asset. They are not compressed further.
 
     Raises as `read_asset`, `compress` and `write_asset` do, and QueryError if `out` is the asset itself.
     """
@@ -151,15 +159,18 @@ def compress_file(
             raise QueryError(f"{path}: is compact already; compress the asset that it was made from")
         warn_of_failed_selftest(asset, path)
         raw, before = raw_bytes(asset), stored_bytes(asset)
-        made = compress(asset, error, progress)
+        made = compress(asset if lobes else dataclasses.replace(asset, lobes=None), error, progress)
     finally:
         asset.close()
     made.provenance["compression"]["command"] = command
     after = write_compact(made, out)
     if after < before:
         return Outcome(made, made.coefficients, raw, before, after, time.monotonic() - began)
-    with replacing(out) as part:
-        shutil.copyfile(path, part)
+    if lobes:
+        with replacing(out) as part:
+            shutil.copyfile(path, part)
+    else:
+        add_lobes_to_file(path, out, None, {})
     return Outcome(asset, None, raw, before, before, time.monotonic() - began)
 
 

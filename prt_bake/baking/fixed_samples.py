@@ -45,8 +45,7 @@ def bake_by_samples(work: Work, store: CheckpointStore, directions: str, samples
     work.evaluations += spent
     with open_pruned_sink(work.out, work.head, work.storage, work.pruning) as sink:
         asset = _run(work, job, sink, BlockCheckpoints(None if work.out is None else store))
-    if asset.complete:
-        store.remove()
+    work.finished = asset.complete
     return asset
 
 

@@ -28,6 +28,7 @@ from prt_bake.baking.job.job import Job, resolve
 from prt_bake.baking.job.pruning_record import Light, Pruning
 from prt_bake.baking.job.sample_pilot import choose_samples
 from prt_bake.baking.job.views import warn_of_clamped_views
+from prt_bake.baking.lobes.in_bake import plan_lobes_of_bake
 from prt_bake.baking.output.block_checkpoints import as_arrays as block_checkpoint
 from prt_bake.baking.output.sink import asset_head
 from prt_bake.baking.output.writing_time import checkpoint_time, writing_time
@@ -81,6 +82,7 @@ def plan(
     leave_out: Collection[str] = (),
     for_light: Light | ArrayLike | None = None,
     for_eye: ArrayLike | None = None,
+    lobes: int = 0,
 ) -> BakePlan:
     """The cost of `bake` with these arguments, and what it would prune.
 
@@ -89,11 +91,12 @@ def plan(
     began = time.monotonic()
     refuse_unusable(
         mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=None, seed=seed,
-        workers=workers, leave_out=leave_out, directions=directions, precision=precision, storage=storage,
+        workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,
     )  # fmt: skip
     refuse_foreign(transport, mesh)
     warn_of_clamped_views(mesh, rings, sectors)
-    transport = prepared(up_to(on_mesh(transport, mesh), degree), precision, device)
+    whole = on_mesh(transport, mesh)
+    transport = prepared(up_to(whole, degree), precision, device)
     light, eye = as_light(for_light, degree), None if for_eye is None else as_point(for_eye)
     walks = transport_kind(transport) == "coefficients"
     pool = Threads(1 if walks else workers)
@@ -113,19 +116,22 @@ def plan(
             if error is not None:
                 job, _spent = choose_samples(job, pruning.left_for_projection(error), directions, seed)
             cost = _fixed_samples_cost(job, pruning, pool, began)
+        head = asset_head(mesh, sphere.tangent_frame(mesh.normals), rings, sectors, degree, transport)
+        planned = plan_lobes_of_bake(transport, whole, head, pruning, lobes, None, pool.count, precision, device)
     vertices, count = len(pruning.vertices), 1 if light is not None else sh.count(pruning.kept_degree)
     views, width = len(pruning.local) if pruning.views == "all" else 1, 2 if storage == "float16" else 4
     sizes = plan_bake(vertices, len(pruning.local), count, cost.per_bin, width, pruning.channels, views)
-    head = asset_head(mesh, sphere.tangent_frame(mesh.normals), rings, sectors, degree, transport)
     writing = cost.assets * writing_time(cost.coefficients, head, storage, pruning, vertices)
-    low, high = (seconds + writing for seconds in cost.between)
+    after = writing + planned.seconds
+    low, high = (seconds + after for seconds in cost.between)
     return replace(
         sizes,
         left_out=pruning.pruned,
         kept=pruning.kept,
         evaluations=round(cost.evaluations),
-        seconds=cost.seconds + writing,
+        seconds=cost.seconds + after,
         seconds_between=(low / MACHINE, high * MACHINE),
+        lobes={**planned.entry, "seconds": planned.seconds, "bytes": planned.bytes},
     )
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from formats.errors import PrtbakeError
+from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.mesh_name import naming_mesh
 from prt_bake.cli.shared.options import Device, OnlyEye, ReportFile, Seed, output_option, within
 from prt_bake.cli.shared.outputs import check_outputs
@@ -91,6 +92,9 @@ def bake(
         typer.Option(metavar="SKY", help="Bake radiance under this sky alone; cannot be relit.", show_default=False),
     ] = None,
     for_eye: OnlyEye = None,
+    lobes: Annotated[
+        int, typer.Option(min=0, max=4, help="Most lobes in a view, for narrow light; as many as gain something.")
+    ] = 4,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="Resume the same bake, stopped or killed, from the checkpoint beside the asset."),
@@ -128,6 +132,7 @@ def bake(
         "leave_out": _prunable_except(keep or [], baking.ITEMS),
         "for_light": None if for_light is None else _light(for_light, degree, transport_property(transport, "up", "y")),
         "for_eye": for_eye,
+        "lobes": lobes,
     }
     if dry_run:
         plan = baking.plan(transport, surface, *sampling, seed, error=error, **shared)
@@ -177,8 +182,8 @@ def bake(
         )
     if stop() and journal_folder(output).is_dir():
         raise PrtbakeError(
-            f"{written}: the bake was stopped before it reached the requested error; the asset is complete, but "
-            f"coarser; the same command with --resume continues from {journal_folder(output).name} beside it"
+            f"{written}: the bake was stopped before it was finished; the asset is complete, but coarser or without "
+            f"lobes; the same command with --resume continues from {journal_folder(output).name} beside it"
         )
 
 
@@ -204,6 +209,8 @@ def _remarks(summary: dict[str, Any]) -> Iterator[str]:
     for name, source in (("rounding", f"rounding to {summary['settings']['precision']}"), ("left_out", "pruning")):
         if name in rmse:
             yield f"{source} contributes {rmse[name]:.2%} to this error"
+    if "walks" not in summary:
+        yield lobes_sentence(summary["lobes"])
     for item in summary["left_out"]:
         yield f"pruned: {item['item']} ({item['reason']}); {item['saving']}"
     if "walks" not in summary:

@@ -23,6 +23,7 @@ def compress(
             "--output --out -o", "FILE", "Asset to write; by default NAME.compact.h5 beside ASSET.", ".h5", ".hdf5"
         ),
     ] = None,
+    lobes: Annotated[bool, typer.Option(help="Keep the lobes, which are not compressed further.")] = True,
 ) -> None:
     """Compress an asset within an error.
 
@@ -34,7 +35,7 @@ def compress(
     from prt_bake.baking.compress import compress_file
 
     with reporting("compress") as show:
-        outcome = compress_file(asset, target, error, show, context.obj)
+        outcome = compress_file(asset, target, error, show, context.obj, lobes)
     if outcome.compact is None:
         say(f"{asset}: no compact form is smaller; {target} is a copy")
         print(f"{target}: {outcome.after:,} bytes of coefficients in {outcome.seconds:.1f} s")

@@ -20,6 +20,7 @@ from prt_bake.cli.export import export
 from prt_bake.cli.importance import importance
 from prt_bake.cli.info import info
 from prt_bake.cli.light import light
+from prt_bake.cli.lobes import lobes
 from prt_bake.cli.render import render
 from prt_bake.cli.report import report
 from prt_bake.cli.sample import sample
@@ -42,6 +43,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "sample": sample,
     "importance": importance,
     "bake": bake,
+    "lobes": lobes,
     "compress": compress,
     "light": light,
     "shade": shade,

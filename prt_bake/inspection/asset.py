@@ -24,6 +24,7 @@ def describe(path: Path) -> dict[str, Any]:
         "sectors": asset.sectors,
         "degree": asset.degree,
         "coefficients": f"{asset.coefficients.dtype} {list(asset.coefficients.shape)}",
+        "lobes": "none" if (lobes := asset.lobes) is None else f"{lobes.count} at {lobes.rings}×{lobes.sectors} views",
         "complete": bool(asset.complete),
         "up": asset.up,
         "unit": asset.unit,

@@ -269,6 +269,25 @@ class NetworkCore(nn.Module):
                     result[rows, d : d + columns] = radiance.float().cpu().numpy()
         return result
 
+    def own_lobes(
+        self, positions: ArrayLike, outgoing: ArrayLike
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+        """The lobes at positions [N,3] seen along outgoing [N,3]: axes [N,J,3], sharpness [N,J] and their integrals
+        over the sphere [N,J,3]; None for a network without lobes. `up_to` gives the network without them.
+        """
+        if self.lobes is None:
+            return None
+        device = self.frequencies.device
+        x, eye = (float64_tensor(vectors, device) for vectors in (positions, outgoing))
+        parts = []
+        with torch.inference_mode():
+            for n in range(0, len(x), ROWS_PER_BATCH):
+                rows = slice(n, n + ROWS_PER_BATCH)
+                parts.append(self.components(eye[rows, None], x[rows], eye[rows])[1])
+        axes, sharpness, peaks = (torch.cat(part).double().cpu().numpy() for part in zip(*parts, strict=True))
+        integrals = 2.0 * np.pi * -np.expm1(-2.0 * sharpness) / sharpness
+        return axes, sharpness, peaks * self.output_scale * integrals[..., None]
+
 
 def float64_tensor(vectors: ArrayLike | Tensor, device: torch.device) -> Tensor:
     """The numbers in float64 on `device`."""

@@ -5,12 +5,16 @@ import textwrap
 from numpy.typing import ArrayLike
 
 from prt_bake.preview.state import Mode, Preview
-from prt_bake.shading.sun_shading import SunTreatment
 
 _LETTER = 8
 """Approximate width of a letter in pixels."""
 
-_SUNS: dict[SunTreatment, str] = {"split": "suns split", "window": "suns damped", "plain": "suns in harmonics"}
+_SUNS = {
+    "split": "suns split",
+    "window": "suns damped",
+    "plain": "suns in harmonics",
+    "lobes": "lobes",
+}
 
 Key = tuple[str, str]
 
@@ -30,7 +34,7 @@ def keys(preview: Preview, reference: str | None) -> list[Key]:
     if preview.lights:
         rows.append(("b", "sky behind the object"))
     if preview.has_suns:
-        rows.append(("u", "suns split off, or in harmonics"))
+        rows.append(("u", "suns split off or lobes, or harmonics alone"))
     rows += [("e", "standard error"), ("v", "valid vertices"), ("c", "coefficients"), (", .", "previous, next one")]
     if reference is not None:
         rows.append(("space", f"flip to {reference}"))

@@ -8,15 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.asset import Asset
 from formats.errors import PrtbakeError
 from formats.mesh import Mesh
 from formats.scene.lights import SkyLight, read_lights
 from prt_bake.lights import environment
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
-from prt_bake.mathematics import sh
 from prt_bake.preview.mirrored import resampled_sky
-from prt_bake.shading.sun_shading import SunsApart, SunTreatment, suns_apart
+from prt_bake.shading.asset_light import AssetLight, light_for
+from prt_bake.shading.sun_shading import SunTreatment
 
 _MOST_ROWS = 2048
 _ROWS_OF_DISCS = 512
@@ -33,13 +34,13 @@ class ShownLight:
     lighting: Lighting
     harmonics: NDArray[np.float64]
     picture: NDArray[np.float32] | None
-    _apart: dict[SunTreatment, SunsApart] = field(default_factory=dict, init=False, repr=False)
+    _prepared: dict[SunTreatment, AssetLight] = field(default_factory=dict, init=False, repr=False)
 
-    def apart(self, treatment: SunTreatment) -> SunsApart:
-        """Return the light split into suns and the rest; computed on first use."""
-        if treatment not in self._apart:
-            self._apart[treatment] = suns_apart(self.lighting, sh.degree_of(len(self.harmonics)), treatment)
-        return self._apart[treatment]
+    def prepared(self, asset: Asset, treatment: SunTreatment) -> AssetLight:
+        """Return the light prepared for the preview's asset; computed on first use."""
+        if treatment not in self._prepared:
+            self._prepared[treatment] = light_for(asset, self.lighting, treatment)
+        return self._prepared[treatment]
 
 
 class LightSource:

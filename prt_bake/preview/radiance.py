@@ -1,7 +1,7 @@
-"""Radiance at the vertices with all light in spherical harmonics.
+"""Radiance at the vertices with all light in spherical harmonics and lobes.
 
 Compiled kernels shade a frame ten times as fast as NumPy, but loading them takes longer than many frames. NumPy shades
-until they are loaded.
+until they are loaded, without lobes.
 """
 
 from collections.abc import Iterator
@@ -14,6 +14,7 @@ from formats.asset import Asset
 from formats.asset.compact_record import CompactCoefficients
 from prt_bake.lights import environment
 from prt_bake.mathematics import sh, sphere
+from prt_bake.shading.asset_light import AssetLight
 
 if TYPE_CHECKING:
     from prt_bake.shading.frames.frames import Frames
@@ -29,7 +30,7 @@ class VertexRadiance:
         """Loads the kernels only for a compact asset, which NumPy does not read."""
         self._asset = asset
         terms = sh.count(asset.degree) if asset.quantity == "transfer" else 1
-        self._light = np.ones((terms, 3))
+        self._light = AssetLight(None, whole=np.ones((terms, 3)))
         self._rotation = 0.0
         self._frames: Frames | None = None
         self._light_is_set = False
@@ -57,14 +58,20 @@ class VertexRadiance:
             self._light_is_set = False
             self._frames = frames
 
-    def set_light(self, harmonics: NDArray[np.float64], rotation: float) -> None:
+    @property
+    def lacks_lobes(self) -> bool:
+        """Whether frames are drawn without the lobes of the light, because kernels are not loaded."""
+        return self._frames is None and self._light.lobes is not None
+
+    def set_light(self, light: AssetLight | NDArray[np.float64], rotation: float) -> None:
         """Set the light of the next frames.
 
         Args:
-            harmonics: [K,3]; [1,3] for an asset made for one light.
+            light: prepared, or harmonics [K,3]; [1,3] for an asset made for one light.
             rotation: degrees about the asset's up axis; no effect on an asset made for one light.
         """
-        self._light, self._rotation, self._light_is_set = harmonics, rotation, False
+        prepared = light if isinstance(light, AssetLight) else AssetLight(light, whole=light)
+        self._light, self._rotation, self._light_is_set = prepared, rotation, False
 
     def draw(self, eye: ArrayLike) -> NDArray[np.float32]:
         """Return the radiance [V,3] to the eye [3], as `Frames.draw`, in an array that every call reuses."""
@@ -91,7 +98,7 @@ class VertexRadiance:
         self._last_eye = eye
 
     def _draw_with_numpy(self, eye: NDArray[np.float64]) -> NDArray[np.float32]:
-        asset, light = self._asset, self._light
+        asset, light = self._asset, self._light.whole
         if asset.quantity == "transfer":
             light = environment.rotate_light(light, self._rotation, asset.up)
         for rows in _chunks(np.flatnonzero(asset.valid)):

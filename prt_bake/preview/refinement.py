@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from formats.asset import Asset
 from formats.mesh import Mesh
 from prt_bake.lights import environment
-from prt_bake.shading.sun_shading import SunsApart
+from prt_bake.shading.asset_light import AssetLight
 
 Draw = Callable[[ArrayLike], NDArray[np.float32]]
 
@@ -46,7 +46,7 @@ class Refiner:
         return refinement.radiance if refinement is not None and finished else None
 
     def refine(
-        self, light: SunsApart, rotation: float, eye: ArrayLike, draw: Draw, seconds: float = math.inf
+        self, light: AssetLight, rotation: float, eye: ArrayLike, draw: Draw, seconds: float = math.inf
     ) -> NDArray[np.float32] | None:
         """Refine for about `seconds` and return `radiance(eye)`.
 
@@ -78,7 +78,7 @@ class Refinement:
     """
 
     def __init__(
-        self, asset: Asset, light: SunsApart, eye: NDArray[np.float64], radiance: NDArray[np.float32], closed: bool
+        self, asset: Asset, light: AssetLight, eye: NDArray[np.float64], radiance: NDArray[np.float32], closed: bool
     ) -> None:
         """light: after its rotation. radiance: unrefined. closed: skip the vertices that face away from the eye."""
         from prt_bake.shading.vertices import eye_bin_coordinates
@@ -119,7 +119,7 @@ class Refinement:
         self.radiance[vertices] = np.maximum(radiance, 0.0)
 
 
-def _rotated(light: SunsApart, rotation: float, up: str) -> SunsApart:
+def _rotated(light: AssetLight, rotation: float, up: str) -> AssetLight:
     matrix = environment.rotation(rotation, up)
     suns = tuple(replace(sun, direction=matrix @ sun.direction) for sun in light.suns)
     return replace(light, harmonics=environment.rotate_light(light.harmonics, rotation, up), suns=suns)

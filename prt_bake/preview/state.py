@@ -21,7 +21,8 @@ from prt_bake.preview.lights import LightSource, ShownLight
 from prt_bake.preview.mirrored import prefiltered_sky
 from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.preview.refinement import Refiner
-from prt_bake.shading.sun_shading import SunsApart, SunTreatment
+from prt_bake.shading.asset_light import AssetLight
+from prt_bake.shading.sun_shading import SunTreatment
 
 MOST_EXPOSURE = 10.0
 _SAME_INDEX = 1e-9
@@ -129,22 +130,28 @@ class Preview:
 
     @property
     def has_suns(self) -> bool:
-        """Whether the light has suns that can be split off."""
-        return self.relightable and self.light is not None and self.light.apart(self._treatment).found > 0
+        """Whether the light has suns that can be split off, or light for the asset's lobes."""
+        if not self.relightable or self.light is None:
+            return False
+        prepared = self.light.prepared(self.asset, self._treatment)
+        return prepared.found > 0 or prepared.lobes is not None
 
-    def suns_shown(self, eye: ArrayLike) -> SunTreatment | None:
-        """Return the treatment of suns in the colours for this eye: "plain" until refined, None without suns."""
+    def suns_shown(self, eye: ArrayLike) -> str | None:
+        """Return the treatment of suns in the colours for this eye, or "lobes": "plain" until refined, None without
+        suns.
+        """
         if self.mode is not Mode.RADIANCE or not self.has_suns:
             return None
-        return "plain" if self.unrefined(eye) else self.suns
+        if self.unrefined(eye):
+            return "plain"
+        return self.suns if self._split_light.lobes is None else "lobes"
 
     @property
-    def _split_light(self) -> SunsApart:
-        """The light before its rotation, split into suns and the rest."""
+    def _split_light(self) -> AssetLight:
+        """The light before its rotation, prepared for the asset."""
         if self.light is None or not self.relightable:
-            none = np.zeros((0, 3))
-            return SunsApart(none, (), none, 0)
-        return self.light.apart(self.suns)
+            return AssetLight(np.zeros((0, 3)))
+        return self.light.prepared(self.asset, self.suns)
 
     @property
     def sky(self) -> NDArray[np.float32] | None:
@@ -290,10 +297,15 @@ class Preview:
     def refine(self, eye: ArrayLike, seconds: float = math.inf) -> bool:
         """Refine the suns for this eye for about `seconds`; return whether `colours` has just become refined.
 
-        Does nothing without suns, while kernels are being loaded, and for an eye that sees nothing.
+        Does nothing without suns, while kernels are being loaded, and for an eye that sees nothing. Lobes need no more
+        than loaded kernels.
         """
         if not self.unrefined(eye) or self.loading:
             return False
+        if self._radiance.lacks_lobes:
+            self.load()
+            self.changes += 1
+            return True
         try:
             radiance = self._refiner.refine(self._split_light, self.rotation, eye, self._radiance.draw, seconds)
         except QueryError:  # reported when it is drawn
@@ -308,8 +320,10 @@ class Preview:
         return self._refiner.closed
 
     def unrefined(self, eye: ArrayLike) -> bool:
-        """Whether there are suns that are not yet refined for this eye."""
-        return self.mode is Mode.RADIANCE and bool(self._split_light.suns) and self._refiner.radiance(eye) is None
+        """Whether there are suns that are not yet refined for this eye, or lobes that are not yet drawn."""
+        if self.mode is not Mode.RADIANCE:
+            return False
+        return self._radiance.lacks_lobes or (bool(self._split_light.suns) and self._refiner.radiance(eye) is None)
 
     def load(self) -> None:
         """Load the compiled kernels, which shade a frame ten times as fast."""
@@ -363,8 +377,9 @@ class Preview:
 
     def _relight(self) -> None:
         if self.relightable and self.light is not None:
-            damped = self.suns == "window"
-            self._radiance.set_light(self._split_light.harmonics if damped else self.light.harmonics, self.rotation)
+            light, damped = self._split_light, self.suns == "window"
+            harmonics = light.harmonics if damped else self.light.harmonics
+            self._radiance.set_light(harmonics if light.lobes is None else light, self.rotation)
         self._scale_end = None
         self._refiner.reset()
         self.changes += 1

@@ -16,9 +16,10 @@ from formats.errors import QueryError, refuse_path
 from formats.image.single import single_precision
 from prt_bake.geometry.camera import Camera, Visibility, rays, refuse_eye_in_object
 from prt_bake.lights.lighting import Lighting, as_lighting
+from prt_bake.shading.asset_light import light_for
 from prt_bake.shading.layers import make_layers
 from prt_bake.shading.radiance_error import interpolate_over_faces, radiance_error
-from prt_bake.shading.sun_shading import SunTreatment, suns_apart
+from prt_bake.shading.sun_shading import SunTreatment
 from prt_bake.shading.surface_reflection import AssetReflection, reflects
 from prt_bake.shading.vertices import Shading, corner_weights, light_coefficients, shade, shade_vertices
 from prt_bake.shading.visible_points import PixelMeans, VisiblePoints, find_visible_points, grid_offsets, row_blocks
@@ -104,16 +105,15 @@ def render_picture(
         raise QueryError(f"samples: expected at least 1 along each side of a pixel, found {samples}")
     refuse_eye_in_object(asset.mesh, camera.eye)
     lighting = as_lighting(light, up or asset.up, rotate)
-    divided = suns_apart(lighting, asset.degree, suns) if asset.quantity == "transfer" else None
-    harmonics, all_light, separate = (divided.harmonics, divided.whole, divided.suns) if divided else (None, None, ())
+    prepared = light_for(asset, lighting, suns)
     visibility = Visibility(asset.mesh)
     points = find_visible_points(visibility, camera, grid_offsets(samples))
     corners = asset.mesh.faces[points.faces]
     visible = np.zeros(len(asset.valid), np.bool_)
     visible[corners] = True
     outgoing = camera.towards(asset.mesh.positions)
-    shading = shade_vertices(asset, harmonics, outgoing, visible, separate)
-    sigma = radiance_error(asset, harmonics, outgoing, visible, separate)
+    shading = shade_vertices(asset, prepared, outgoing, visible)
+    sigma = radiance_error(asset, prepared.harmonics, outgoing, visible, prepared.suns)
     weights = corner_weights(asset, corners, points.barycentric)
     subsurface = np.einsum("nk,nkc->nc", weights, shading.radiance[corners])
     pixels = PixelMeans(points.pixels, camera, samples**2)
@@ -122,7 +122,7 @@ def render_picture(
     parts = {"subsurface": subsurface, "reflection": np.zeros_like(subsurface)}
     reflecting = reflection and reflects(asset)
     if reflecting:
-        light_weights = light_coefficients(asset, all_light)
+        light_weights = light_coefficients(asset, prepared.whole)
         surface = AssetReflection(asset, lighting, light_weights, visibility, samples**2, roughness)
         parts["reflection"], difference = _reflect(surface, points)
         picture = picture + pixels.means(parts["reflection"])
@@ -143,7 +143,7 @@ def render_picture(
         math.sqrt(float((errors**2).sum()) / signal) if signal > 0.0 else 0.0,
         made,
         reflecting,
-        divided.found if divided else 0,
+        prepared.found,
     )
 
 

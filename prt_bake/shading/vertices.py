@@ -11,6 +11,7 @@ from formats.errors import QueryError, refuse_path
 from formats.scene.lights import DirectionalLight
 from prt_bake.geometry.camera import refuse_eye_in_object
 from prt_bake.mathematics import sh, sphere
+from prt_bake.shading.asset_light import AssetLight, as_asset_light
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.sun_shading import sun_radiance
 
@@ -32,13 +33,17 @@ class Shading:
     shaded: int
 
 
-def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike, *, suns: Sequence[DirectionalLight] = ()) -> Array:
+def shade(
+    asset: Asset, light: AssetLight | ArrayLike | None, eye: ArrayLike, *, suns: Sequence[DirectionalLight] = ()
+) -> Array:
     """Radiance [V,3] towards the eye: L = Σ a_lm(x, ωo) b_lm, interpolated between view bins, clamped to at least 0.
+
+    The asset's lobes are added if the light was prepared for them (`light_for`).
 
     Args:
         asset: the baked asset.
-        light: coefficients [K,3] of the sky's radiance to the asset's degree; None for an asset made for one light
-            (quantity "radiance").
+        light: from `light_for`, or coefficients [K,3] of the sky's radiance to the asset's degree, for its harmonics
+            alone; None for an asset made for one light (quantity "radiance").
         eye: a point [3] in object space, or directions to the eye [V,3] of any length.
         suns: directional lights that are added without ringing. `suns_apart` divides a lighting into harmonics and
             suns.
@@ -51,8 +56,8 @@ def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike, *, suns: Sequen
     >>> import numpy as np
     >>> import prt_bake as prt
     >>> asset = prt.read_asset("spot.h5")
-    >>> light = prt.suns_apart(prt.read_lighting("sky.hdr"), asset.degree)
-    >>> radiance = prt.shade(asset, light.harmonics, [0.0, 1.0, 4.0], suns=light.suns)
+    >>> light = prt.light_for(asset, prt.read_lighting("sky.hdr"))
+    >>> radiance = prt.shade(asset, light, [0.0, 1.0, 4.0])
     >>> radiance.shape == asset.mesh.positions.shape
     True
     """
@@ -64,7 +69,7 @@ def shade(asset: Asset, light: ArrayLike | None, eye: ArrayLike, *, suns: Sequen
 
 def shade_vertices(
     asset: Asset,
-    light: ArrayLike | None,
+    light: AssetLight | ArrayLike | None,
     eye: ArrayLike,
     visible: NDArray[np.bool_] | None = None,
     suns: Sequence[DirectionalLight] = (),
@@ -74,15 +79,23 @@ def shade_vertices(
         raise QueryError(
             "asset: no vertex was baked, there is nothing to show; bake it again (--resume finishes a partial bake)"
         )
-    weights = light_coefficients(asset, light)
+    prepared = as_asset_light(light, suns)
+    suns = prepared.suns
+    weights = light_coefficients(asset, prepared.harmonics)
     if suns and asset.quantity == "radiance":
         raise QueryError("suns: the asset was made for one light and cannot be relit; pass no suns")
     vertices = np.flatnonzero(asset.valid if visible is None else asset.valid & visible)
-    at = eye_bin_coordinates(asset, eye, vertices)
+    local = _to_frames(asset, eye_directions(asset, eye, vertices), vertices)
+    at = sphere.bin_coordinates(local, asset.rings, asset.sectors)
     radiance = np.zeros((len(asset.valid), 3))
     radiance[vertices] = reconstruct(asset.coefficients, vertices, at, asset.sectors, weights)
     if suns:
         radiance[vertices] += sun_radiance(asset, suns, vertices, at)
+    if prepared.lobes is not None and asset.lobes is not None:
+        from prt_bake.lobes.interpolation import lobes_at
+        from prt_bake.lobes.light import lobe_radiance
+
+        radiance[vertices] += lobe_radiance(prepared.lobes, *lobes_at(asset.lobes, vertices, local))
     negative = -float(radiance[radiance < 0.0].sum())
     radiance = np.maximum(radiance, 0.0)
     kept = float(radiance.sum())
@@ -125,8 +138,12 @@ def eye_bin_coordinates(asset: Asset, eye: ArrayLike, vertices: NDArray[np.int64
 
 def bin_coordinates_at_vertices(asset: Asset, outgoing: Array, vertices: NDArray[np.int64]) -> sphere.BinCoordinates:
     """Coordinates of directions outgoing [n,3] between the view bins of `vertices` [n] (`sphere.bin_coordinates`)."""
-    local = sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
-    return sphere.bin_coordinates(local, asset.rings, asset.sectors)
+    return sphere.bin_coordinates(_to_frames(asset, outgoing, vertices), asset.rings, asset.sectors)
+
+
+def _to_frames(asset: Asset, outgoing: Array, vertices: NDArray[np.int64]) -> Array:
+    """Directions [n,3] in the frames of `vertices` [n]."""
+    return sphere.to_local(outgoing, asset.mesh.normals[vertices], np.asarray(asset.tangents, np.float64)[vertices])
 
 
 def light_coefficients(asset: Asset, light: ArrayLike | None) -> Array:

@@ -23,7 +23,7 @@ from tests.bakers.transports import Array, Incoherent, icosphere
 KILLS = 6
 KINDS: dict[str, dict[str, Any]] = {
     "error": {"error": 0.08},
-    "samples": {"samples": 32, "storage": "float32"},
+    "samples": {"samples": 32, "storage": "float32", "lobes": 4},
     "error by samples": {"error": 0.5, "directions": "uniform", "samples": 16},
 }
 

@@ -109,7 +109,7 @@ def test_a_cluster_with_a_killed_worker_bakes_the_same_bits(
     monkeypatch.setattr("prt_bake.baking.adaptive.adaptive_job.BINS_AT_ONCE", 5 * 32)
     monkeypatch.setattr("bakers.baker.vertices_at_once", lambda bins, directions: 5)
     mesh = icosphere(1)
-    for kind in ({"error": 0.08}, {"samples": 32}):
+    for kind in ({"error": 0.08, "lobes": 4}, {"samples": 32, "lobes": 4}):
         bake(Slow(), mesh, **SMALL, **kind, out=tmp_path / "here.h5")
         progress = after_first_block(cluster.workers[0].kill)
         bake(Slow(), mesh, **SMALL, **kind, out=tmp_path / "there.h5", scheduler=cluster.address, progress=progress)

@@ -101,6 +101,7 @@ COMMANDS = {
     ),
     "sample": Command("sample ball.toml --count 3000", "s.h5", _samples),
     "bake": Command("bake model.pt ball.ply --samples 512 --rings 4 --sectors 16", "b.h5", _asset, True),
+    "lobes": Command("lobes model.pt asset.h5", "l.h5", _asset),
     "compress": Command("compress asset.h5 --error 0.01", "c.h5", _asset),
     "render": Command("render ball.toml ball.ply --light sky.exr --size 48x48 --spp 64", "r.exr", _picture, True),
     "shade": Command("shade asset.h5 --light sky.exr --size 256x256", "p.exr", _picture),

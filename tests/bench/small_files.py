@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import trimesh
 from PIL import Image
 
 from formats.asset import read_asset, write_asset
+from formats.asset.lobes import Lobes
 from formats.image import read_image, write_image
 from formats.image.rows import open_image
 from formats.journal import Journal
@@ -105,8 +107,13 @@ def _model(suffix: str) -> Make:
 
 
 def _asset(folder: Path) -> list[Path]:
-    write_asset(make_asset(), folder / "asset.h5")
-    return [folder / "asset.h5"]
+    asset = make_asset()
+    shape = len(asset.valid), 1, 2
+    axes = np.broadcast_to(np.float32([0.0, 0.6, 0.8]), (*shape, 3))
+    lobes = Lobes(1, 1, axes, np.full(shape, 9.0, np.float32), np.ones((*shape, 3), np.float32))
+    write_asset(asset, folder / "asset.h5")
+    write_asset(replace(asset, lobes=lobes), folder / "lobed.h5")
+    return [folder / "asset.h5", folder / "lobed.h5"]
 
 
 def _compact(folder: Path) -> list[Path]:

@@ -5,10 +5,10 @@
 The reference of each light is a path-traced picture of the scene, 96x96, read from `REFERENCES/scene.light.exr` or
 rendered if missing; the sum of `sky` and of a sun of 1e5 over 0.53 degrees is `sky+sun`. Figures are over the object,
 at an exposure that maps the 95th percentile of the reference to white: FLIP, MSE, relative MSE, and the share of
-clamped light. Methods: `plain` (all light in spherical harmonics), `clamp` (sun and sky each clamped at 0), `window`
-(the sun's coefficients damped until they are nowhere negative), `window all` (the same for all light), `vertex window`
-(the same for each vertex's transport), `entropy` (maximum-entropy reconstruction), and `network`, evaluated in the
-sun's direction at the vertices, whose error no method can remove.
+clamped light. Methods: `plain` (all light in spherical harmonics), `lobes` (harmonics and the asset's lobes), `clamp`
+(sun and sky each clamped at 0), `window` (the sun's coefficients damped until they are nowhere negative), `window all`
+(the same for all light), `vertex window` (the same for each vertex's transport), `entropy` (maximum-entropy
+reconstruction), and `network`, evaluated in the sun's direction at the vertices, whose error no method can remove.
 """
 
 import argparse
@@ -27,9 +27,12 @@ from prt_bake.lights.deringing import windowed
 from prt_bake.lights.harmonics import project_lighting
 from prt_bake.lights.lighting import Lighting, read_lighting
 from prt_bake.lights.sun_detection import split_lighting
-from prt_bake.mathematics import sh
+from prt_bake.lobes.interpolation import lobes_at
+from prt_bake.lobes.light import lobe_radiance
+from prt_bake.mathematics import sh, sphere
 from prt_bake.mathematics.directions import fibonacci
 from prt_bake.shading import vertices
+from prt_bake.shading.asset_light import light_for
 from prt_bake.shading.maximum_entropy import fit_maximum_entropy
 from prt_bake.shading.sun_shading import interpolated_coefficients
 from prt_bake.shipped.demonstration import SHIPPED
@@ -93,6 +96,8 @@ class Viewed:
         self.coefficients = interpolated_coefficients(asset, self.vertices, at)
         towards = self.view.eye - asset.mesh.positions[self.vertices]
         self.outgoing = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+        normals, tangents = asset.mesh.normals[self.vertices], np.asarray(asset.tangents, np.float64)[self.vertices]
+        self.local = sphere.to_local(self.outgoing, normals, tangents)
 
     def picture(self, radiance: Array) -> Array:
         """The picture [H,W,3] of radiance [n,3] at the visible vertices."""
@@ -115,7 +120,13 @@ def radiance_by_method(viewed: Viewed, network: prt.NeuralBSSRDF, lighting: Ligh
     harmonics = project_lighting(lighting, degree)
     sky = project_lighting(Lighting(split.skies, ()), degree) if split.skies else np.zeros_like(harmonics)
     suns = [project_lighting(Lighting((), (sun,)), degree) for sun in split.suns]
+    begun = time.perf_counter()
+    prepared = light_for(viewed.asset, lighting)
+    print(f"    prepared in {1e3 * (time.perf_counter() - begun):.0f} ms")
     radiance = {"plain": shade(harmonics), "window all": shade(windowed(harmonics))}
+    if prepared.lobes is not None and viewed.asset.lobes is not None:
+        lobes = lobes_at(viewed.asset.lobes, viewed.vertices, viewed.local)
+        radiance["lobes"] = radiance["plain"] + lobe_radiance(prepared.lobes, *lobes)
     if suns:
         radiance["clamp"] = np.maximum(shade(sky), 0.0) + sum(np.maximum(shade(sun), 0.0) for sun in suns)
         radiance["window"] = shade(sky + sum(windowed(sun) for sun in suns))

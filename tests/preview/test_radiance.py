@@ -2,16 +2,20 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import prt_bake as prt
+from formats.asset import read_asset, write_asset
 from formats.image import write_image
 from prt_bake.baking.compress import compress
 from prt_bake.lights import environment
 from prt_bake.preview.radiance import VertexRadiance
 from prt_bake.shading.frames.frames import Frames
+from tests.baking.lobes.transports import MESH, Lobed
 from tests.shading import reference
 from tests.shading.test_picture import make_asset, make_light
 from tests.shapes import ball
@@ -89,7 +93,15 @@ def test_the_first_picture_loads_only_the_libraries_it_needs(folder: Path, tmp_p
     sky = np.ones((64, 128, 3), np.float32)
     sky[20, 70] += 1000.0 * sunny
     write_image(tmp_path / "sky.exr", sky)
-    command = ["view", "asset.h5", "--light", str(tmp_path / "sky.exr"), "--screenshot", str(tmp_path / "shot.png")]
+    write_asset(replace(read_asset(folder / "asset.h5"), lobes=None), tmp_path / "asset.h5")
+    command = [
+        "view",
+        str(tmp_path / "asset.h5"),
+        "--light",
+        str(tmp_path / "sky.exr"),
+        "--screenshot",
+        str(tmp_path / "shot.png"),
+    ]
     ran = subprocess.run(
         [sys.executable, "-c", FIRST_PICTURE, *command], cwd=folder, capture_output=True, text=True, check=True
     )
@@ -97,3 +109,18 @@ def test_the_first_picture_loads_only_the_libraries_it_needs(folder: Path, tmp_p
     assert "vtkmodules" in loaded
     assert not loaded & {"torch", "matplotlib", "pyvista", "trimesh"}
     assert ("numba" in loaded) == sunny
+
+
+def test_lobes_are_drawn_once_kernels_are_loaded() -> None:
+    asset = prt.bake(Lobed(), MESH, rings=4, sectors=16, lobes=4)
+    lighting, radiance = prt.read_lighting("sun:0.3,1,0.2:2,2,2:0.5"), VertexRadiance(asset)
+    radiance.set_light(prt.light_for(asset, lighting), 40.0)
+    assert radiance.lacks_lobes
+    without = np.array(radiance.draw(EYE))
+    radiance.load()
+    assert not radiance.lacks_lobes
+    expected = prt.shade(
+        asset, prt.light_for(asset, prt.read_lighting("sun:0.3,1,0.2:2,2,2:0.5").turned(40.0, "y")), EYE
+    )
+    np.testing.assert_allclose(radiance.draw(EYE), expected, rtol=1e-4, atol=1e-5)
+    assert np.abs(without - expected).max() > 0.1 * expected.max()

@@ -235,11 +235,10 @@ def _earlier_result(settings: PassSettings, checkpoints: PassCheckpoints) -> Pas
 
 
 def _finish(run: Run, keep_checkpoints: bool = False) -> Asset:
-    """The asset of the last complete pass, or the partial one. `keep_checkpoints` keeps the blocks of a finer pass that
-    was stopped, so that the bake can resume.
+    """The asset of the last complete pass, or the partial one. `keep_checkpoints`: a finer pass was stopped, which the
+    bake can resume.
     """
     if run.asset is None:
         raise nothing_done()
-    if run.asset.complete and not keep_checkpoints:
-        run.store.remove()
+    run.work.finished = run.asset.complete and not keep_checkpoints
     return run.asset

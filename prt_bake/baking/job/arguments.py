@@ -17,6 +17,7 @@ from prt_bake.mathematics import sh
 
 HIGHEST_DEGREE = 20
 MOST_WORKERS = 1024
+MOST_LOBES = 4
 _CHOICES: dict[str, tuple[str, ...]] = {
     "directions": get_args(DirectionKind),
     "precision": ("float32", "bfloat16"),
@@ -36,6 +37,7 @@ def refuse_unusable(
     seed: int,
     workers: int,
     leave_out: Collection[str],
+    lobes: int,
     **chosen: str,
 ) -> None:
     """Raises QueryError for an argument out of its domain and for a mesh without vertices."""
@@ -47,6 +49,7 @@ def refuse_unusable(
     _require_integer("samples", samples, 1, None)
     _require_integer("seed", seed, 0, 2**63 - 1)
     _require_integer("workers", workers, 1, MOST_WORKERS)
+    _require_integer("lobes", lobes, 0, MOST_LOBES)
     if error is not None and not 0.0 < _number("error", error) < 1.0:
         raise QueryError(f"error must be a relative RMSE between 0 and 1, found {error}")
     if minutes is not None and not _number("minutes", minutes) > 0.0:

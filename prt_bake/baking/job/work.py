@@ -37,6 +37,8 @@ class Work:
     stop: Callable[[], bool] | None
     began: float
     evaluations: int
+    finished: bool = False
+    """Whether the asset is as fine as requested, so that its checkpoints are no longer needed."""
 
     @property
     def seconds(self) -> float:

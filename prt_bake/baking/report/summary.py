@@ -1,5 +1,6 @@
 """Summary of a bake as plain values, and a plot of its error against time."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,11 @@ REACHED = 1.02
 
 
 def bake_report(asset: Asset) -> dict[str, Any]:
-    """The asset's provenance, all keys of it, and six more, as plain JSON values; docs/baking.md explains every key.
+    """The asset's provenance, all keys of it, and seven more, as plain JSON values; docs/baking.md explains every key.
 
     `model_error`: error of the coefficients of the baked network after its training, if it is known.
     `error_reached`: whether the object and 95 % of its vertices have the requested error, if one was requested.
+    `transport_error`: of Ŝ, without and with lobes, if it was measured what lies beyond the harmonics.
     `complete`, `vertices`, `left_out` and `error_vs_time` are those of the asset.
     """
     trained = asset.provenance.get("model", {}).get("training", {}).get("relative_rmse", {})
@@ -28,6 +30,7 @@ def bake_report(asset: Asset) -> dict[str, Any]:
     return {
         **({} if trained.get("coefficients") is None else {"model_error": trained["coefficients"]}),
         **({} if requested is None else {"error_reached": asset.complete and reached}),
+        **_transport_error(asset.provenance.get("lobes", {}), rmse["total"]),
         "complete": asset.complete,
         "vertices": len(asset.mesh.positions),
         "left_out": asset.left_out,
@@ -37,6 +40,16 @@ def bake_report(asset: Asset) -> dict[str, Any]:
         },
         **asset.provenance,
     }
+
+
+def _transport_error(lobes: dict[str, Any], harmonics: float | None) -> dict[str, Any]:
+    """Relative RMSE of Ŝ: the error of its harmonics, and what lies beyond them or beyond the lobes."""
+    beyond = lobes.get("beyond_harmonics")
+    if beyond is None or harmonics is None:
+        return {}
+    within, left = harmonics * math.sqrt(max(1.0 - beyond**2, 0.0)), [beyond, *lobes["left_by_lobes"]][-1]
+    with_lobes = left if lobes["lobes_in_a_view"] else beyond
+    return {"transport_error": {"harmonics": math.hypot(within, beyond), "with_lobes": math.hypot(within, with_lobes)}}
 
 
 def plot_error(ladder: NDArray[np.float64], baked: NDArray[np.float64], path: str | Path) -> None:

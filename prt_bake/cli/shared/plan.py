@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from prt_bake.cli.shared.lobes import lobes_sentence
 from prt_bake.cli.shared.progress import in_words
 
 if TYPE_CHECKING:
@@ -18,6 +19,11 @@ def plan_lines(plan: "BakePlan") -> Iterator[str]:
     if plan.seconds is not None:
         between = "" if plan.seconds_between is None else f", {' to '.join(map(in_words, plan.seconds_between))}"
         yield f"about {in_words(plan.seconds)}{between}"
+    if plan.lobes:
+        cost = (
+            f"; {plan.lobes['bytes'] / 1e6:,.1f} MB, {in_words(plan.lobes['seconds'])}" if plan.lobes["bytes"] else ""
+        )
+        yield lobes_sentence(plan.lobes) + cost
     for title, items in (("pruned", plan.left_out), ("kept", plan.kept)):
         for item in items:
             saving = f"; {item.saving}" if item.saving else ""

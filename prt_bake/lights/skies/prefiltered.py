@@ -129,7 +129,7 @@ def _fill_directions(first: Any, stop: Any, directions: Any) -> None:
 @compiled(nogil=True, error_model="numpy")
 def _find_texels(first: Any, stop: Any, directions: Any, size: Any, numbers: Any) -> None:
     for n in range(first, stop):
-        u, v = _to_square(directions[n, 0], directions[n, 1], directions[n, 2])
+        u, v = to_square(directions[n, 0], directions[n, 1], directions[n, 2])
         numbers[n] = min(int(v * size), size - 1) * size + min(int(u * size), size - 1)
 
 
@@ -140,17 +140,18 @@ def _look_up(
     last = len(sizes) - 1
     finest = 4.0 * math.pi / (sizes[0] * sizes[0])
     for n in range(first, stop):
-        u, v = _to_square(directions[n, 0], directions[n, 1], directions[n, 2])
+        u, v = to_square(directions[n, 0], directions[n, 1], directions[n, 2])
         level = min(max(0.5 * math.log2(max(solid_angles[n] / finest, 1.0)), 0.0), float(last))
         fine = min(int(level), last)
         coarse, share = min(fine + 1, last), level - fine
-        _add_bilinear(texels, starts[fine], sizes[fine], u, v, 1.0 - share, total[n])
+        add_bilinear(texels, starts[fine], sizes[fine], u, v, 1.0 - share, total[n])
         if share > 0.0:
-            _add_bilinear(texels, starts[coarse], sizes[coarse], u, v, share, total[n])
+            add_bilinear(texels, starts[coarse], sizes[coarse], u, v, share, total[n])
 
 
 @compiled(error_model="numpy")
-def _add_bilinear(texels: Any, start: Any, size: Any, u: Any, v: Any, weight: Any, total: Any) -> None:
+def add_bilinear(texels: Any, start: Any, size: Any, u: Any, v: Any, weight: Any, total: Any) -> None:
+    """Add to total [3] `weight` times the texels [T,3] of a level, interpolated at (u, v)."""
     x, y = u * size - 0.5, v * size - 0.5
     left, top = math.floor(x), math.floor(y)
     right, down = x - left, y - top
@@ -176,7 +177,7 @@ def _wrapped(column: Any, row: Any, size: Any) -> Any:
 
 
 @compiled(error_model="numpy")
-def _to_square(x: Any, y: Any, z: Any) -> Any:
+def to_square(x: Any, y: Any, z: Any) -> Any:
     """The (u, v) in [0, 1]² of a unit direction."""
     r = math.sqrt(max(0.0, (x * x + y * y) / (1.0 + abs(z))))
     turn = math.atan2(abs(y), abs(x)) * 2.0 / math.pi

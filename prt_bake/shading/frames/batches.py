@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from prt_bake.jit.compilation import Kernel
 from prt_bake.jit.vectors import eight_towards
@@ -41,6 +42,14 @@ def _arctangent(terms: int) -> tuple[float, ...]:
     values = np.arctan(np.sqrt(points)) / np.sqrt(points)
     powers = np.linalg.solve(np.vander(points / most, increasing=True), values)
     return tuple((powers / most ** np.arange(terms)).tolist())
+
+
+def make_scratch(threads: int) -> tuple[NDArray[Any], ...]:
+    """Working memory of the kernels for each thread: a batch, its local directions, bins and their weights."""
+    weights = np.zeros((threads, 5, BATCH), np.float32)
+    weights[:, 0] = 1.0
+    batches, local = np.zeros((threads, BATCH), np.int64), np.zeros((threads, 3, BATCH))
+    return batches, local, np.zeros((threads, 4, BATCH), np.int32), weights
 
 
 _A0, _A1, _A2, _A3, _A4, _A5, _A6, _A7, _A8, _A9, _A10 = _arctangent(11)

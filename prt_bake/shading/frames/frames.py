@@ -13,16 +13,18 @@ from formats.errors import QueryError, refuse_path
 from formats.mesh import Mesh
 from prt_bake.jit.threads import using_threads
 from prt_bake.jit.vectors import laid_out
-from prt_bake.lights.environment import rotate_light
+from prt_bake.lights.environment import rotate_light, rotation
+from prt_bake.shading.asset_light import AssetLight
 from prt_bake.shading.frames import codes, holding, kernels
-from prt_bake.shading.frames.batches import BATCH, GEOMETRY, LANE
+from prt_bake.shading.frames.batches import GEOMETRY, LANE, make_scratch
+from prt_bake.shading.frames.lobes import FrameLobes
 from prt_bake.shading.vertices import light_coefficients
 
 _FARTHEST = 1e100
 _VERTICES_A_THREAD = 1 << 12
 _CODED_A_THREAD = 1 << 9
-"""Vertices that justify another thread; waiting for a thread on a busy machine costs milliseconds. Codes of a compact
-asset, without a folded light or a held view, are ten times as much work.
+"""Vertices that justify another thread; waiting for a thread on a busy machine costs milliseconds. Lobes are ten times
+as much work, as are codes of a compact asset without a folded light or a held view.
 """
 _NUMBERS_AT_ONCE = 1 << 24
 _NEVER, _ALWAYS = -2.0, 2.0
@@ -41,7 +43,7 @@ class Frames:
     >>> import prt_bake as prt
     >>> asset = prt.read_asset("spot.h5")
     >>> frames = prt.Frames(asset)
-    >>> frames.light(prt.project_environment(prt.read_environment("sky.hdr"), asset.degree))
+    >>> frames.light(prt.light_for(asset, prt.read_lighting("sky.hdr")))
     >>> radiance = frames.draw([0.0, 1.0, 4.0], cull=True)
     >>> radiance.shape == asset.mesh.positions.shape
     True
@@ -70,6 +72,7 @@ class Frames:
             self._views = np.zeros((get_num_threads(), self._codes.table.shape[1]), np.float32)
         else:
             self._stored = _flat_rows(asset.coefficients, self._grid[1])
+        self._lobes = FrameLobes(asset.lobes, len(self._sums))
         self._light: NDArray[np.float64] | None = None
         self._rotations: NDArray[np.float64] | None = None
         self._light_waves: NDArray[np.float64] | None = None
@@ -82,16 +85,21 @@ class Frames:
         if asset.quantity == "radiance":
             self.light(None)
 
-    def light(self, coefficients: ArrayLike | None) -> None:
-        """Set the light of the next frames: [K,3] of the asset's degree, None for an asset made for one light.
+    def light(self, light: AssetLight | ArrayLike | None) -> None:
+        """Set the light of the next frames.
+
+        light: from `prt_bake.light_for`, whose lobes are shown and whose suns are not shaded apart; or coefficients
+        [K,3] of the asset's degree; None for an asset made for one light.
 
         Undoes `fold`. Raises QueryError for another shape, and for numbers that float32 cannot represent.
         """
-        light = light_coefficients(self._asset, coefficients)
-        if np.abs(light).max() > np.finfo(np.float32).max:
-            raise QueryError(f"light: expected coefficients within float32, found {np.abs(light).max():.3g}")
-        self._light, self._light_waves = light, None
-        self._load_light(light)
+        prepared = light if isinstance(light, AssetLight) else AssetLight(light, whole=light)
+        coefficients = light_coefficients(self._asset, prepared.whole)
+        if np.abs(coefficients).max() > np.finfo(np.float32).max:
+            raise QueryError(f"light: expected coefficients within float32, found {np.abs(coefficients).max():.3g}")
+        self._light, self._light_waves = coefficients, None
+        self._lobes.set_light(prepared.lobes)
+        self._load_light(coefficients)
 
     def turn(self, degrees: float) -> None:
         """Rotate the light that was set last by `degrees` about the asset's up axis, as `environment.rotate_light`.
@@ -109,6 +117,7 @@ class Frames:
                 self._rotations = _rotations(self._asset.degree, self._asset.up)
             self._light_waves = self._rotations @ self._required_light()
         self._load_light(np.tensordot(_fourier_terms(degrees, self._asset.degree), self._light_waves, 1))
+        self._lobes.turn(rotation(degrees, self._asset.up))
 
     def fold(self) -> None:
         """Multiply the light into all coefficients once, for faster frames under the same light.
@@ -168,7 +177,8 @@ class Frames:
         self._required_light()
         self._set_view(eye, visible)
         held = self._held if self._holds(bool(cull)) else None
-        with using_threads(self._threads(self._is_compact and held is None and self._folded is None)) as threads:
+        coded = self._is_compact and held is None and self._folded is None
+        with using_threads(self._threads(coded or self._lobes.lit)) as threads:
             sums = self._sums[threads - 1]
             sums[:] = 0.0
             self._draw(sums, bool(cull), held)
@@ -190,18 +200,19 @@ class Frames:
 
     def _draw(self, sums: NDArray[np.float64], cull: bool, held: NDArray[np.float32] | None) -> None:
         view = self._scene, self._eye, cull, self._grid, self._scratch
+        beyond = self._lobes.draw(self._scene, self._eye, cull, self._radiance, len(sums))
         if held is not None:
             width = len(held) // len(self._valid)
             np.copyto(self._scene[-1], self._held_shown)
-            holding.draw_held(held, width, self._kernel_light, self._held_shown, self._radiance, sums)
+            holding.draw_held(held, width, self._kernel_light, self._held_shown, self._radiance, beyond, sums)
         elif self._folded is not None:
-            kernels.draw_folded(self._folded, *view, self._radiance, sums)
+            kernels.draw_folded(self._folded, *view, self._radiance, beyond, sums)
         elif self._is_compact:
             lights = self._kernel_light, self._flat_light
-            kernels.draw_compact(tuple(self._codes), lights, *view, self._views, self._radiance, sums)
+            kernels.draw_compact(tuple(self._codes), lights, *view, self._views, self._radiance, beyond, sums)
         else:
             size = self._terms * self._channels
-            kernels.draw_rows(self._stored, size, self._kernel_light, *view, self._radiance, sums)
+            kernels.draw_rows(self._stored, size, self._kernel_light, *view, self._radiance, beyond, sums)
 
     def _holds(self, cull: bool) -> bool:
         if self._held is None:
@@ -248,14 +259,7 @@ class Frames:
     def _prepare_scratch(self) -> None:
         """Working memory of each thread; `_sums[n - 1]` is for n threads."""
         threads = int(get_num_threads())
-        weights = np.zeros((threads, 5, BATCH), np.float32)
-        weights[:, 0] = 1.0
-        self._scratch = (
-            np.zeros((threads, BATCH), np.int64),
-            np.zeros((threads, 3, BATCH)),
-            np.zeros((threads, 4, BATCH), np.int32),
-            weights,
-        )
+        self._scratch = make_scratch(threads)
         sums = np.zeros((threads, 8))
         self._sums = [sums[:n] for n in range(1, threads + 1)]
 

@@ -110,7 +110,7 @@ def hold_compact(
 
 
 @compiled(parallel=True, **FAST)
-def draw_held(held: Any, size: Any, light: Any, shown: Any, radiance: Any, sums: Any) -> None:
+def draw_held(held: Any, size: Any, light: Any, shown: Any, radiance: Any, beyond: Any, sums: Any) -> None:
     """Set the radiance of the shown vertices, and 0 for the others."""
     threads, vertices, zero = sums.shape[0], radiance.shape[0], np.float32(0.0)
     for t in prange(threads):
@@ -119,7 +119,7 @@ def draw_held(held: Any, size: Any, light: Any, shown: Any, radiance: Any, sums:
             for v in range(begin, min(begin + _AT_ONCE, vertices)):
                 if shown[v]:
                     red, green, blue = _dot(held, size, v, light)
-                    stored_sum, raw_sum = store_clamped(radiance, v, red, green, blue)
+                    stored_sum, raw_sum = store_clamped(radiance, beyond, v, red, green, blue)
                     kept += stored_sum
                     cut += stored_sum - raw_sum
                 else:

@@ -4,7 +4,8 @@ Sums over coefficients are float32. While one vertex is summed, the kernels pref
 `_AHEAD` places later: coefficients of different vertices never share a cache line, and memory latency dominates.
 
 All drawing kernels take the geometry and flags of the vertices (`scene`), the eye [3], `cull`, and working memory of
-each thread (`scratch`). They set radiance [V,3] and sums [threads,…] of the clamped and the remaining radiance.
+each thread (`scratch`). They set radiance [V,3] and sums [threads,…] of the clamped and the remaining radiance. beyond
+[V,3]: radiance of lobes, which they add; [0,3] without lobes.
 """
 
 from typing import Any
@@ -37,9 +38,13 @@ def next_views(
 
 
 @inlined
-def store_clamped(radiance: Any, v: Any, red: Any, green: Any, blue: Any) -> Any:
-    """Store a colour, clamped to at least 0; returns the sums over channels after and before clamping."""
+def store_clamped(radiance: Any, beyond: Any, v: Any, red: Any, green: Any, blue: Any) -> Any:
+    """Store a colour with what lies beyond the harmonics, clamped to at least 0; returns the sums over channels after
+    and before clamping.
+    """
     zero = np.float32(0.0)
+    if beyond.shape[0] > 0:
+        red, green, blue = red + beyond[v, 0], green + beyond[v, 1], blue + beyond[v, 2]
     r, g, b = max(red, zero), max(green, zero), max(blue, zero)
     radiance[v, 0], radiance[v, 1], radiance[v, 2] = r, g, b
     return r + g + b, red + green + blue
@@ -69,7 +74,7 @@ def _fetch_rows(rows: Any, size: Any, first: Any, bins: Any, n: Any) -> None:
 @inlined
 def _draw_rows(
     stored: Any, size: Any, per_vertex: Any, light: Any, batch: Any, count: Any, bins: Any, weights: Any, radiance: Any,
-    sums: Any,
+    beyond: Any, sums: Any,
 ) -> None:  # fmt: skip
     rows, poles = stored
     zero, kept, cut = np.float32(0.0), 0.0, 0.0
@@ -87,7 +92,7 @@ def _draw_rows(
         if weights[4, n] > zero:
             r, g, b = _dot(poles, size, v, v, v, v, (weights[4, n], zero, zero, zero), light)
             red, green, blue = red + r, green + g, blue + b
-        stored_sum, raw_sum = store_clamped(radiance, v, red, green, blue)
+        stored_sum, raw_sum = store_clamped(radiance, beyond, v, red, green, blue)
         kept += stored_sum
         cut += stored_sum - raw_sum
     sums[0] += cut
@@ -105,6 +110,7 @@ def draw_rows(
     grid: Any,
     scratch: Any,
     radiance: Any,
+    beyond: Any,
     sums: Any,
 ) -> None:
     """Draw coefficients in their storage.
@@ -118,7 +124,7 @@ def draw_rows(
         while lane < lanes:
             count, lane = next_views(t, lane, threads, scene, eye, cull, grid, scratch, radiance)
             batch, bins, weights = scratch[0][t], scratch[2][t], scratch[3][t]
-            _draw_rows(stored, size, per_vertex, light, batch, count, bins, weights, radiance, sums[t])
+            _draw_rows(stored, size, per_vertex, light, batch, count, bins, weights, radiance, beyond, sums[t])
 
 
 @inlined
@@ -129,7 +135,7 @@ def _fetch_folded(pairs: Any, first: Any, bins: Any, n: Any) -> None:
 
 @inlined
 def _draw_folded(
-    stored: Any, per_vertex: Any, batch: Any, count: Any, bins: Any, weights: Any, radiance: Any, sums: Any
+    stored: Any, per_vertex: Any, batch: Any, count: Any, bins: Any, weights: Any, radiance: Any, beyond: Any, sums: Any
 ) -> None:
     pairs, poles = stored
     kept, cut = 0.0, 0.0
@@ -147,7 +153,7 @@ def _draw_folded(
             red += w_pole * poles[v, 0]
             green += w_pole * poles[v, 1]
             blue += w_pole * poles[v, 2]
-        stored_sum, raw_sum = store_clamped(radiance, v, red, green, blue)
+        stored_sum, raw_sum = store_clamped(radiance, beyond, v, red, green, blue)
         kept += stored_sum
         cut += stored_sum - raw_sum
     sums[0] += cut
@@ -156,7 +162,7 @@ def _draw_folded(
 
 @compiled(parallel=True, **FAST)
 def draw_folded(
-    stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, scratch: Any, radiance: Any, sums: Any
+    stored: Any, scene: Any, eye: Any, cull: Any, grid: Any, scratch: Any, radiance: Any, beyond: Any, sums: Any
 ) -> None:
     """Draw a folded light.
 
@@ -169,7 +175,7 @@ def draw_folded(
         while lane < lanes:
             count, lane = next_views(t, lane, threads, scene, eye, cull, grid, scratch, radiance)
             batch, bins, weights = scratch[0][t], scratch[2][t], scratch[3][t]
-            _draw_folded(stored, per_vertex, batch, count, bins, weights, radiance, sums[t])
+            _draw_folded(stored, per_vertex, batch, count, bins, weights, radiance, beyond, sums[t])
 
 
 @compiled(parallel=True, **FAST)
@@ -224,6 +230,7 @@ def draw_compact(
     scratch: Any,
     views: Any,
     radiance: Any,
+    beyond: Any,
     sums: Any,
 ) -> None:
     """Draw compact coefficients in the layout of `codes.Codes`.
@@ -250,6 +257,6 @@ def draw_compact(
                     red += share * plain[j, 0]
                     green += share * plain[j, 1]
                     blue += share * plain[j, 2]
-                stored_sum, raw_sum = store_clamped(radiance, v, red, green, blue)
+                stored_sum, raw_sum = store_clamped(radiance, beyond, v, red, green, blue)
                 sums[t, 0] += stored_sum - raw_sum
                 sums[t, 1] += stored_sum

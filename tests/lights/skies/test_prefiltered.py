@@ -46,7 +46,7 @@ def test_energy_is_kept_even_of_a_sun_of_one_pixel(up) -> None:
 
 
 def test_texels_have_equal_areas_and_the_mapping_round_trips() -> None:
-    uv = np.array([prefiltered._to_square(*direction) for direction in DIRECTIONS])
+    uv = np.array([prefiltered.to_square(*direction) for direction in DIRECTIONS])
     back = np.array([prefiltered._to_direction(*point) for point in uv])
     np.testing.assert_allclose(back, DIRECTIONS, atol=1e-14)
     counts, _, _ = np.histogram2d(*uv[:20_000].T, bins=10, range=[[0, 1], [0, 1]])

@@ -1,0 +1,78 @@
+"""A lighting prepared for one asset: what its harmonics and what its lobes are multiplied with."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from formats.asset import Asset
+from formats.errors import QueryError
+from formats.scene.lights import DirectionalLight
+from prt_bake.lights.lighting import Lighting
+from prt_bake.shading.sun_shading import SunTreatment, suns_apart
+
+if TYPE_CHECKING:
+    from prt_bake.lobes.light import LobeLight
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AssetLight:
+    """A lighting prepared for one asset.
+
+    Attributes:
+        harmonics: [K,3], the light to shade by harmonics; None for an asset made for one light.
+        suns: to shade by maximum entropy; none for an asset with lobes, which need no such help.
+        whole: [K,3], harmonics of all the light, undamped.
+        found: the number of suns.
+        lobes: the light that lobes see; None for an asset without lobes.
+    """
+
+    harmonics: Any
+    suns: tuple[DirectionalLight, ...] = ()
+    whole: Any = None
+    found: int = 0
+    lobes: "LobeLight | None" = None
+
+
+def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") -> AssetLight:
+    """Prepare a lighting for an asset.
+
+    Args:
+        asset: the baked asset.
+        lighting: the light, in object space.
+        suns: how suns are shaded (`prt_bake.shading.sun_shading`); "split" uses the lobes of an asset that has some,
+            the others leave them out.
+
+    Raises QueryError for an unknown treatment.
+
+    >>> import prt_bake as prt
+    >>> asset = prt.read_asset("spot.h5")
+    >>> light = prt.light_for(asset, prt.read_lighting("sky.hdr"))
+    >>> radiance = prt.shade(asset, light, [0.0, 1.0, 4.0])
+    """
+    if asset.quantity == "radiance":
+        return AssetLight(None)
+    divided = suns_apart(lighting, asset.degree, suns)
+    used = np.zeros(0) if asset.lobes is None else asset.lobes.sharpness[asset.lobes.powers.any(axis=-1)]
+    if not len(used) or suns != "split":
+        return AssetLight(divided.harmonics, divided.suns, divided.whole, divided.found)
+    from prt_bake.lobes.light import lobe_light
+
+    lobes = lobe_light(lighting, asset.degree, float(used.min()), float(used.max()))
+    return AssetLight(divided.whole, (), divided.whole, divided.found, lobes)
+
+
+def as_asset_light(light: "AssetLight | ArrayLike | None", suns: Sequence[DirectionalLight]) -> AssetLight:
+    """A prepared light, or coefficients with suns beside them.
+
+    Raises QueryError for suns beside a prepared light, which has its own.
+    """
+    if not isinstance(light, AssetLight):
+        return AssetLight(light, tuple(suns))
+    if suns:
+        raise QueryError("suns: expected none beside a prepared light, which has its own; leave them out")
+    return light

@@ -1,0 +1,127 @@
+"""An asset compared with the network that it was baked from, on the object's pixels, without and with lobes.
+
+    python -m tests.bench.lobes MODEL.pt ASSET.h5 --light SKY … [--eyes 3] [--vertices 300]
+
+For eyes around the object, vertices are drawn by their share of the pixels. The network is summed over 4,096 directions
+of the sky, its suns are taken in their own direction. Figures are relative RMSE of the radiance in percent: all light
+in harmonics, suns apart (maximum entropy), and lobes; and the share of clamped light with lobes.
+"""
+
+import argparse
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import prt_bake as prt
+from bakers.evaluation import values_at
+from bakers.transport import on_mesh, prepared
+from formats.asset import Asset
+from prt_bake.bases.cells import cell_directions
+from prt_bake.geometry.camera import Visibility
+from prt_bake.lights.lighting import Lighting
+from prt_bake.lights.sun_detection import split_lighting
+from prt_bake.shading.vertices import shade_vertices
+from prt_bake.shading.visible_points import find_visible_points, grid_offsets
+from tests.bench.skies import studio
+
+Array = NDArray[np.float64]
+
+SIZE, CELLS, AT_ONCE = 96, 64, 64
+
+
+def queries(asset: Asset, eyes: int, vertices: int) -> list[tuple[NDArray[np.int64], Array]]:
+    """Vertices [n] and unit directions to the eye [n,3], for each eye."""
+    draw, seen, visibility = np.random.default_rng(0), [], Visibility(asset.mesh)
+    for number in range(eyes):
+        turn = 2.0 * math.pi * (number + 0.15) / eyes
+        direction = np.array([math.sin(turn), 0.25, math.cos(turn)])
+        camera = prt.fit_camera(asset.mesh, SIZE, SIZE)
+        distance = np.linalg.norm(camera.eye - camera.target)
+        camera = replace(camera, eye=camera.target + distance * direction / np.linalg.norm(direction))
+        corners = asset.mesh.faces[find_visible_points(visibility, camera, grid_offsets(1)).faces].ravel()
+        share = np.bincount(corners, minlength=len(asset.valid)) * asset.valid
+        count = min(vertices, int((share > 0).sum()))
+        chosen = np.sort(draw.choice(len(share), count, replace=False, p=share / share.sum()))
+        outgoing = camera.eye - asset.mesh.positions[chosen]
+        seen.append((chosen, outgoing / np.linalg.norm(outgoing, axis=1, keepdims=True)))
+    return seen
+
+
+class Network:
+    """Radiance of a network at some queries."""
+
+    def __init__(self, transport: prt.NeuralBSSRDF, asset: Asset, vertices: NDArray[np.int64], outgoing: Array) -> None:
+        self._transport = prepared(on_mesh(transport, asset.mesh), "float32", "cpu")
+        self._positions, self._outgoing = asset.mesh.positions[vertices], outgoing
+        self._cells = cell_directions(CELLS, "y")
+        parts = [self._values(self._cells[None], slice(n, n + AT_ONCE)) for n in range(0, len(vertices), AT_ONCE)]
+        self._table = np.concatenate(parts)
+
+    def radiance(self, lighting: Lighting) -> Array:
+        """Radiance [n,3] under a lighting."""
+        split = split_lighting(lighting)
+        radiance = np.zeros(self._positions.shape)
+        if split.skies:
+            sky = Lighting(split.skies, ()).radiance(self._cells) * (4.0 * math.pi / len(self._cells))
+            radiance += np.einsum("ndc,dc->nc", self._table, sky)
+        for sun in split.suns:
+            radiance += self._values(sun.direction[None, None], slice(None))[:, 0] * sun.irradiance
+        return radiance
+
+    def _values(self, directions: Array, rows: slice) -> NDArray[np.float32]:
+        positions, outgoing = self._positions[rows], self._outgoing[rows]
+        values = values_at(self._transport, directions, np.zeros(len(positions), np.int64), positions, outgoing)
+        return np.asarray(values, np.float32)
+
+
+def main() -> None:
+    """Print a line for each light and eye."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("asset", type=Path)
+    parser.add_argument("--light", nargs="+", default=["studio"])
+    parser.add_argument("--eyes", type=int, default=3)
+    parser.add_argument("--vertices", type=int, default=300)
+    args = parser.parse_args()
+    asset, model = prt.read_asset(args.asset), prt.load_model(args.model)
+    seen = queries(asset, args.eyes, args.vertices)
+    truths = [Network(model, asset, *query) for query in seen]
+    for name in args.light:
+        lighting = prt.read_lighting(name.split("+")) if name != "studio" else studio_lighting()
+        rows = []
+        for (vertices, outgoing), truth in zip(seen, truths, strict=True):
+            towards = np.ones((len(asset.valid), 3))
+            towards[vertices] = outgoing
+            visible = np.zeros(len(asset.valid), np.bool_)
+            visible[vertices] = True
+            exact = truth.radiance(lighting)
+            row = []
+            for lit, treatment in (
+                (replace(asset, lobes=None), "plain"),
+                (replace(asset, lobes=None), "split"),
+                (asset, "split"),
+            ):
+                shading = shade_vertices(lit, prt.light_for(lit, lighting, treatment), towards, visible)
+                row.append(100.0 * np.linalg.norm(shading.radiance[vertices] - exact) / np.linalg.norm(exact))
+            rows.append([*row, 100.0 * shading.clamped])
+        mean = np.sqrt(np.square(rows).mean(axis=0))
+        each = "  ".join("/".join(f"{value:.1f}" for value in row[:3]) for row in rows)
+        print(
+            f"{Path(name).stem:24} plain {mean[0]:5.1f}  split {mean[1]:5.1f}  lobes {mean[2]:5.1f} %   clamped "
+            f"{mean[3]:.2f} %   eyes: {each}",
+            flush=True,
+        )
+
+
+def studio_lighting() -> Lighting:
+    """The generated studio of `tests.bench.skies`."""
+    from prt_bake.lights.lighting import as_lighting
+
+    return as_lighting(studio(), "y", 0.0)
+
+
+if __name__ == "__main__":
+    main()

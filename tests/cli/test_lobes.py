@@ -1,0 +1,91 @@
+"""`prtbake lobes`, and the lobes of `prtbake bake`."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import prt_bake as prt
+from formats.asset import check_asset, read_asset, write_asset
+from tests.conftest import Run
+
+
+def test_a_bake_says_what_lobes_gain(prtbake: Run, tmp_path: Path) -> None:
+    bake = ["bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 16, "--samples", 18]
+    outcome = prtbake(*bake, "-o", tmp_path / "with.h5")
+    assert outcome.code == 0
+    assert "of the transport lies beyond the harmonics" in outcome.out
+    asset = read_asset(tmp_path / "with.h5")
+    assert asset.lobes is not None
+    assert check_asset(tmp_path / "with.h5") == []
+    none = prtbake(*bake, "--lobes", 0, "-o", tmp_path / "without.h5")
+    assert "lobes: none, not requested" in none.out
+    assert read_asset(tmp_path / "without.h5").lobes is None
+
+
+def test_lobes_are_added_beside_the_asset(prtbake: Run, tmp_path: Path, folder: Path) -> None:
+    baked = read_asset(folder / "asset.h5")
+    write_asset(replace(baked, lobes=None), tmp_path / "asset.h5")
+    outcome = prtbake("lobes", "model.pt", tmp_path / "asset.h5")
+    assert outcome.code == 0
+    assert f"{tmp_path / 'asset.lobes.h5'}: lobes: " in outcome.out
+    added = read_asset(tmp_path / "asset.lobes.h5")
+    assert added.lobes is not None
+    assert baked.lobes is not None
+    assert added.lobes.powers.shape == baked.lobes.powers.shape
+    np.testing.assert_array_equal(added.coefficients, baked.coefficients)
+    assert added.provenance["lobes"]["source"] == "model.pt"
+    assert "lobes" in prtbake("info", tmp_path / "asset.lobes.h5").out
+
+
+def test_a_path_traced_bake_takes_the_lobes_of_a_network(prtbake: Run, tmp_path: Path) -> None:
+    traced = ["bake", "scene.toml", "sphere.ply", "--rings", 2, "--sectors", 4, "--samples", 64]
+    assert prtbake(*traced, "-o", tmp_path / "traced.h5").code == 0
+    assert prtbake("lobes", "model.pt", tmp_path / "traced.h5", "-o", tmp_path / "lobed.h5").code == 0
+    traced_asset, lobed = read_asset(tmp_path / "traced.h5"), read_asset(tmp_path / "lobed.h5")
+    assert traced_asset.lobes is None
+    assert lobed.lobes is not None
+    np.testing.assert_array_equal(lobed.coefficients, traced_asset.coefficients)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["scene.toml", "asset.h5"], "expected one that evaluates Ŝ"),
+        (["model.pt", "sphere.ply"], "is not an asset"),
+        (["model.pt", "asset.h5", "-o", "asset.h5"], "is also the input given as ASSET"),
+    ],
+)
+def test_refusals(prtbake: Run, arguments: list[str], sentence: str, tmp_path: Path) -> None:
+    output = [] if "-o" in arguments else ["-o", tmp_path / "out.h5"]
+    outcome = prtbake("lobes", *arguments, *output)
+    assert outcome.code != 0
+    assert sentence in outcome.err
+    assert not (tmp_path / "out.h5").exists()
+
+
+def test_a_dry_run_states_the_cost_of_lobes(prtbake: Run) -> None:
+    outcome = prtbake("bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 16, "--dry-run")
+    assert '"lobes_in_a_view"' in outcome.out
+    assert '"bytes"' in outcome.out
+
+
+def test_pictures_show_lobes_unless_suns_are_plain(prtbake: Run, tmp_path: Path) -> None:
+    light = ["--light", "sun:0.3,1,0.2:3,3,3:0.5", "--size", "32x24"]
+    for name, options in (("lobes", []), ("plain", ["--suns", "plain"])):
+        assert prtbake("shade", "asset.h5", *light, *options, "-o", tmp_path / f"{name}.exr").code == 0
+    lobes, plain = (prt.read_image(tmp_path / f"{name}.exr") for name in ("lobes", "plain"))
+    assert np.abs(lobes - plain).max() > 0.01 * plain.max()
+
+
+def test_compression_keeps_lobes_or_leaves_them_out(prtbake: Run, tmp_path: Path, folder: Path) -> None:
+    baked = read_asset(folder / "asset.h5")
+    assert baked.lobes is not None
+    for option, kept in ((["--lobes"], True), (["--no-lobes"], False)):
+        out = tmp_path / f"{kept}.h5"
+        assert prtbake("compress", "asset.h5", "--error", 0.1, *option, "-o", out).code == 0
+        lobes = read_asset(out).lobes
+        assert (lobes is not None) == kept
+        if lobes is not None:
+            np.testing.assert_allclose(lobes.axes, baked.lobes.axes, atol=2e-3)

@@ -1,0 +1,45 @@
+"""Lobes in frames and in compact assets: those of `shade`."""
+
+from pathlib import Path
+
+import numpy as np
+
+import prt_bake as prt
+from prt_bake.lights.lighting import Lighting, Sky, read_lighting
+from prt_bake.shading.frames.frames import Frames
+from tests.baking.lobes.transports import MESH, Lobed, along_normal
+
+
+def test_lobes_are_those_of_shade() -> None:
+    sky = np.random.default_rng(3).gamma(0.3, size=(32, 64, 3)).astype(np.float32)
+    lighting = Lighting((Sky(sky, "y", np.eye(3)),), read_lighting("sun:0.3,1,0.2:2,2,2:0.5").suns)
+    eye = np.array([0.5, 2.0, -2.5])
+    for rings, sectors in ((8, 16), (1, 1)):
+        asset = prt.bake(Lobed(((along_normal, 12.0, 1.0),)), MESH, rings=rings, sectors=sectors, lobes=4)
+        light = prt.light_for(asset, lighting)
+        frames = Frames(asset)
+        frames.light(light)
+        expected = prt.shade(asset, light, eye)
+        np.testing.assert_allclose(frames.draw(eye), expected, rtol=1e-4, atol=1e-5)
+        frames.hold(eye)
+        np.testing.assert_allclose(frames.draw(eye), expected, rtol=1e-4, atol=1e-5)
+        frames.fold()
+        np.testing.assert_allclose(frames.draw(-eye), prt.shade(asset, light, -eye), rtol=1e-4, atol=1e-5)
+        frames.turn(70.0)
+        turned = prt.shade(asset, prt.light_for(asset, lighting.turned(70.0, "y")), eye)
+        np.testing.assert_allclose(frames.draw(eye), turned, atol=0.03 * turned.max())
+        frames.light(light.whole)
+        np.testing.assert_allclose(frames.draw(eye), prt.shade(asset, light.whole, eye), rtol=1e-4, atol=1e-5)
+
+
+def test_compact_assets_keep_their_lobes(tmp_path: Path) -> None:
+    prt.bake(Lobed(), MESH, rings=4, sectors=16, lobes=4, out=tmp_path / "plain.h5").close()
+    compact = prt.compress(prt.read_asset(tmp_path / "plain.h5"), 0.01)
+    prt.write_asset(compact, tmp_path / "compact.h5")
+    eye, lighting = np.array([0.5, 2.0, -2.5]), read_lighting("sun:0.3,1,0.2:2,2,2:0.5")
+    for asset in (compact, prt.read_asset(tmp_path / "compact.h5"), prt.unpacked(compact)):
+        light = prt.light_for(asset, lighting)
+        assert light.lobes is not None
+        frames = Frames(asset)
+        frames.light(light)
+        np.testing.assert_allclose(frames.draw(eye), prt.shade(asset, light, eye), rtol=1e-3, atol=1e-4)
