@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import prt_bake as prt
+import prt_bake.baking.bake
 from formats.asset import Asset
 from formats.journal import journal_folder
+from prt_bake.baking.adaptive.run import bake_to_error
 from prt_bake.baking.job.forecast import BakeStatus
 from prt_bake.baking.lobes import in_bake
 from prt_bake.baking.report.summary import bake_report
-from tests.baking.lobes.transports import MESH, Lobed, Smooth
+from tests.baking.lobes.transports import MESH, Lobed, Smooth, along_normal, mirrored
 
 ADAPTIVE: dict[str, Any] = {"rings": 4, "sectors": 8, "error": 0.05, "lobes": 4}
 FIXED: dict[str, Any] = {"rings": 4, "sectors": 8, "samples": 32, "lobes": 4}
@@ -122,3 +124,29 @@ def test_the_report_adds_the_errors_of_both_parts() -> None:
     assert error["harmonics"] == pytest.approx(math.hypot(within, entry["beyond_harmonics"]))
     assert error["with_lobes"] == pytest.approx(math.hypot(within, entry["left_by_lobes"][-1]))
     assert "transport_error" not in bake_report(prt.bake(Lobed(), MESH, **FIXED | {"lobes": 0}))
+
+
+def test_no_more_lobes_than_the_transport_has() -> None:
+    one = prt.bake(Lobed(((along_normal, 12.0, 1.0),)), MESH, lobes=4, rings=4, sectors=16, samples=32)
+    assert one.provenance["lobes"]["lobes_in_a_view"] == 1
+
+
+def test_lobes_that_cannot_be_interpolated_are_not_kept() -> None:
+    coarse = prt.bake(Lobed(((mirrored, 12.0, 1.0),)), MESH, lobes=4, rings=4, sectors=8, samples=32)
+    assert coarse.lobes is None
+    assert coarse.provenance["lobes"]["beyond_harmonics"] > 0.3
+
+
+def test_a_time_limit_includes_the_lobes(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = []
+
+    def ended(run: Any) -> Asset:
+        limits.append(run.deadline - run.work.began)
+        return bake_to_error(run)
+
+    monkeypatch.setattr(prt_bake.baking.bake, "bake_to_error", ended)
+    monkeypatch.setattr(in_bake, "SHARE_OF_TIME", 1.0)
+    for lobes in (0, 4):
+        prt.bake(Lobed(), MESH, rings=4, sectors=8, minutes=0.05, lobes=lobes)
+    assert limits[0] == pytest.approx(3.0)
+    assert limits[1] < 3.0 - 1e-6
