@@ -16,6 +16,7 @@ from prt_bake.baking.lobes.search import LobeSearch, node_grid
 from prt_bake.baking.lobes.stage import find_lobes
 from prt_bake.baking.output.checkpoint_store import CheckpointStore
 
+STAGE = "lobes"
 SHARE_OF_TIME = 0.25
 """Most of a bake's time limit that lobes may take."""
 
@@ -46,7 +47,7 @@ class LobesOfBake:
         def report(done: int) -> None:
             if work.progress is not None:
                 left = self.seconds * (1.0 - done / len(vertices))
-                work.progress(done, len(vertices), BakeStatus((work.seconds, *row[1:]), left, "lobes"))
+                work.progress(done, len(vertices), BakeStatus((work.seconds, *row[1:]), left, STAGE))
 
         lobes = find_lobes(self._search, self._plan, vertices, work.workers, store, lambda: work.stopped, report)
         if lobes is None:
@@ -114,7 +115,7 @@ def counting_lobes(progress: Progress | None, seconds: float) -> Progress | None
     report: Callable[[int, int, BakeStatus], None] = progress
 
     def later(done: int, total: int, status: BakeStatus) -> None:
-        left = None if status.left is None else status.left + seconds
+        left = status.left if status.left is None or status.stage == STAGE else status.left + seconds
         report(done, total, BakeStatus((status[0], status[1], status[2]), left, status.stage))
 
     return later

@@ -150,3 +150,15 @@ def test_a_time_limit_includes_the_lobes(monkeypatch: pytest.MonkeyPatch) -> Non
         prt.bake(Lobed(), MESH, rings=4, sectors=8, minutes=0.05, lobes=lobes)
     assert limits[0] == pytest.approx(3.0)
     assert limits[1] < 3.0 - 1e-6
+
+
+def test_the_time_left_ends_with_the_lobes() -> None:
+    left: dict[str, list[float]] = {}
+
+    def progress(done: int, total: int, status: BakeStatus) -> None:
+        left.setdefault(status.stage, []).append(status.left or 0.0)
+
+    prt.bake(Lobed(), MESH, progress=progress, **FIXED)
+    assert left["lobes"] == sorted(left["lobes"], reverse=True)
+    assert left["lobes"][-1] == 0.0
+    assert left[""][-1] > 0.0
