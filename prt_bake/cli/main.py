@@ -22,7 +22,7 @@ from prt_bake.cli.info import info
 from prt_bake.cli.light import light
 from prt_bake.cli.lobes import lobes
 from prt_bake.cli.render import render
-from prt_bake.cli.report import report
+from prt_bake.cli.reports.group import report
 from prt_bake.cli.sample import sample
 from prt_bake.cli.shade import shade
 from prt_bake.cli.train import train

@@ -47,6 +47,7 @@ class LobeFit:
         self._limits = least, most
         self._sets, self._directions = sets, np.ascontiguousarray(directions.transpose(0, 2, 1))
         self._harmonics = np.ascontiguousarray(np.linalg.qr(sh.evaluate(directions, degree))[0].transpose(0, 2, 1))
+        self._sample = self._sets, self._directions, self._harmonics
         self._nodes, self._shares = bin_weights(local, rings, sectors)
         self._around(rings * sectors)
         ring, sector = np.divmod(np.arange(rings * sectors), sectors)
@@ -89,15 +90,14 @@ class LobeFit:
         best = self._best(rest.sum(axis=2))
         axes, sharpness = self._axes[best], self._sharpness[best]
         powers = np.zeros_like(axes)
-        around = self._views, self._weights, self._sets, self._directions, self._harmonics
-        refine(axes, sharpness, powers, *around, self._limits, rest)
+        refine(axes, sharpness, powers, self._views, self._weights, self._sample, self._limits, rest)
         field = Field(axes, sharpness, powers)
         self.subtract(field, rest)
         return field
 
     def subtract(self, field: Field, rest: NDArray[np.float32], times: float = 1.0) -> None:
         """Subtract what lobes add beyond the harmonics, `times` times, from the rest [n,B,3,D]."""
-        subtract(*field, self._nodes, self._shares, self._sets, self._directions, self._harmonics, times, rest)
+        subtract(*field, self._nodes, self._shares, self._sample, times, rest)
 
     def _best(self, grey: NDArray[np.float32]) -> Index:
         """The best Gaussian at each node [n,N] for a grey rest [n,B,D]; one like its neighbours gains more."""

@@ -39,20 +39,19 @@ def _gaussian_sums(
     axis: Any,
     sharpness: Any,
     frame: Any,
-    views: Any,
-    weights: Any,
-    sets: Any,
-    directions: Any,
-    harmonics: Any,
+    around: Any,
+    sample: Any,
     rest: Any,
     sums: Any,
     columns: Any,
 ) -> None:
-    """Sum products of the Gaussian, its slopes and the rest over some views: sums [4,7].
+    """Sum products of the Gaussian, its slopes and the rest [B,3,D] over some views: sums [4,7].
 
     Rows and the first columns: as in `_set_columns`; the last three columns: the rest in RGB. Products are of what lies
     beyond the harmonics.
     """
+    views, weights = around
+    sets, directions, harmonics = sample
     sums[:] = 0.0
     for v in range(views.shape[0]):
         view, weight = views[v], weights[v]
@@ -126,39 +125,25 @@ def refine(
     powers: Any,
     views: Any,
     weights: Any,
-    sets: Any,
-    directions: Any,
-    harmonics: Any,
+    sample: Any,
     limits: Any,
     rest: Any,
 ) -> None:
     """Improve the lobes of all nodes by themselves, and set their powers.
 
-    axes [n,N,3], sharpness [n,N], powers [n,N,3]; views, weights [N,q]: the views around each node; sets [B];
-    directions [P,3,D]; harmonics [P,K,D], orthonormal rows; limits: of the
-    sharpness; rest [n,B,3,D].
+    axes [n,N,3], sharpness [n,N], powers [n,N,3]; views, weights [N,q]: the views around each node; sample: sets [B],
+    their directions [P,3,D] and harmonics [P,K,D], orthonormal rows; limits: of the sharpness; rest [n,B,3,D].
     """
     for vertex in range(rest.shape[0]):
         sums, tried = np.zeros((4, 7)), np.zeros((4, 7))
-        columns = np.zeros((4, directions.shape[2]))
+        columns = np.zeros((4, rest.shape[3]))
         frame, axis, turned, step = np.zeros((2, 3)), np.zeros(3), np.zeros(3), np.zeros(3)
         for node in range(axes.shape[1]):
             axis[:] = axes[vertex, node]
             width = sharpness[vertex, node]
+            around = views[node], weights[node]
             _across(axis, frame)
-            _gaussian_sums(
-                axis,
-                width,
-                frame,
-                views[node],
-                weights[node],
-                sets,
-                directions,
-                harmonics,
-                rest[vertex],
-                sums,
-                columns,
-            )
+            _gaussian_sums(axis, width, frame, around, sample, rest[vertex], sums, columns)
             damping, gain = 1e-2, _gain(sums)
             for _ in range(_STEPS):
                 if gain <= 0.0:
@@ -169,19 +154,7 @@ def refine(
                 turned /= math.sqrt(turned[0] ** 2 + turned[1] ** 2 + turned[2] ** 2)
                 other = min(max(width * math.exp(step[2]), limits[0]), limits[1])
                 _across(turned, frame)
-                _gaussian_sums(
-                    turned,
-                    other,
-                    frame,
-                    views[node],
-                    weights[node],
-                    sets,
-                    directions,
-                    harmonics,
-                    rest[vertex],
-                    tried,
-                    columns,
-                )
+                _gaussian_sums(turned, other, frame, around, sample, rest[vertex], tried, columns)
                 if _gain(tried) > gain:
                     axis[:], width, gain = turned, other, _gain(tried)
                     sums[:] = tried
@@ -202,16 +175,15 @@ def subtract(
     powers: Any,
     nodes: Any,
     shares: Any,
-    sets: Any,
-    directions: Any,
-    harmonics: Any,
+    sample: Any,
     times: Any,
     rest: Any,
 ) -> None:
     """Subtract from the rest [n,B,3,D] what the lobes between the nodes add beyond the harmonics.
 
-    nodes, shares [B,M]: the nodes around each view, and their weights.
+    nodes, shares [B,M]: the nodes around each view, and their weights; sample: as in `refine`.
     """
+    sets, directions, harmonics = sample
     for vertex in range(rest.shape[0]):
         axis, power, shape = np.zeros(3), np.zeros(3), np.zeros(directions.shape[2])
         for view in range(rest.shape[1]):

@@ -25,8 +25,8 @@ Array = NDArray[np.float64]
 _CELLS = 128
 _OCTAVE = 2
 """Levels for each doubling of the sharpness."""
-_TEXELS_A_WIDTH = 10.6
-"""Texels along a side of a level over the root of its sharpness: three for each width of the Gaussian."""
+_TEXELS_A_WIDTH = 14.0
+"""Texels along a side of a level over the root of its sharpness: four for each width of the Gaussian."""
 _FEWEST = 16
 _REACH = 10.0
 """Gaussians end at exp(−10)."""

@@ -43,7 +43,7 @@ class LobeSearch:
 
     Attributes:
         own: number of lobes that the transport has itself.
-        evaluations: of Ŝ at each vertex.
+        vertices: number of vertices of the mesh.
     """
 
     def __init__(self, smooth: Any, whole: Any, head: AssetHead, degree: int, grid: tuple[int, int]) -> None:
@@ -63,7 +63,6 @@ class LobeSearch:
         between = views @ _turned(math.pi / sectors).T
         self._halves = [(views[even], sets[even]), (between[~even], sets[~even])]
         self.fit, self.check = (LobeFit(*grid, *half, self._pool, degree, most) for half in self._halves)
-        self.evaluations = int(even.sum()) * directions
 
     def fields(self, vertices: Index, own: bool, fitted: int) -> list[Field]:
         """The transport's own lobes if `own`, and `fitted` ones more, at the nodes of `vertices`."""

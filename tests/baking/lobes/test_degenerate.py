@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import prt_bake as prt
-from tests.baking.lobes.transports import MESH, Array, Lobed, along_normal, bent, errors, mirrored, towards
+from tests.baking.lobes.transports import MESH, Array, Axes, Lobed, along_normal, bent, errors, mirrored, towards
 
 
 def behind(normals: Array, outgoing: Array) -> Array:
@@ -17,7 +17,7 @@ def across(normals: Array, outgoing: Array) -> Array:
     return np.asarray(flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9))
 
 
-def turning(sign: float) -> object:
+def turning(sign: float) -> Axes:
     """An axis that turns with the view; those of both signs cross where the view is the normal."""
 
     def axes(normals: Array, outgoing: Array) -> Array:
@@ -32,7 +32,7 @@ CASES = {
     "behind the horizon": (Lobed(((behind, 8.0, 1.0),)), 0.3),
     "grazing": (Lobed(((across, 8.0, 1.0),)), 0.8),
     "seen at grazing angles": (Lobed(), 0.95),
-    "two that cross": (Lobed(((turning(1.0), 14.0, 1.0), (turning(-1.0), 14.0, 1.0))), 0.4),  # type: ignore[arg-type]
+    "two that cross": (Lobed(((turning(1.0), 14.0, 1.0), (turning(-1.0), 14.0, 1.0))), 0.4),
     "negative": (Lobed(((mirrored, 8.0, -0.9),), constant=1.0), 0.4),
 }
 
@@ -43,7 +43,7 @@ def test_lobes_take_most_of_the_error(case: str) -> None:
     asset = prt.bake(transport, MESH, rings=16, sectors=64, samples=64, lobes=4)
     assert asset.lobes is not None
     without, found = errors(transport, asset, towards(sine))
-    assert found <= 0.6 * without
+    assert found <= 0.4 * without
 
 
 def test_a_lobe_narrower_than_the_directions_does_no_harm() -> None:
