@@ -57,8 +57,7 @@ class LobeFit:
         self._black = (ring + sector) % 2 == 0
         axes, sharpness = fibonacci(_AXES), least * 2.0 ** np.arange(max(1, math.ceil(math.log2(most / least))))
         self._alike = np.exp(_WIDTH * (axes @ axes.T - 1.0)).astype(np.float32)
-        self._axes, self._sharpness = np.repeat(axes, len(sharpness), axis=0), np.tile(sharpness, _AXES)
-        self._widths = len(sharpness)
+        self._axes, self._sharpness = np.tile(axes, (len(sharpness), 1)), np.repeat(sharpness, _AXES)
         atoms = np.exp(self._sharpness * (directions @ self._axes.T - 1.0))
         raw = np.square(atoms).sum(axis=1)
         atoms -= self._harmonics.transpose(0, 2, 1) @ (self._harmonics @ atoms)
@@ -109,10 +108,12 @@ class LobeFit:
         for node, (views, weights) in enumerate(zip(self._views, self._weights, strict=True)):
             along = np.einsum("q,nqa->na", weights.astype(np.float32), products[:, views])
             gains[:, node] = along**2 / self._norms[node]
-        best: Index = gains.argmax(axis=2)
+        by_width = gains.reshape(*gains.shape[:2], -1, _AXES)
+        of_axis = by_width.max(axis=2)
+        axes: Index = of_axis.argmax(axis=2)
         for sweep in range(_SWEEPS):
             nodes = np.flatnonzero(self._black if sweep % 2 else ~self._black)
-            around = best[:, self._neighbours[nodes]] // self._widths
-            alike = np.repeat(self._alike[around].mean(axis=2), self._widths, axis=2)
-            best[:, nodes] = (gains[:, nodes] * (1.0 + _COHERENCE * alike)).argmax(axis=2)
-        return best
+            alike = self._alike[axes[:, self._neighbours[nodes]]].mean(axis=2)
+            axes[:, nodes] = (of_axis[:, nodes] * (1.0 + _COHERENCE * alike)).argmax(axis=2)
+        widths = np.take_along_axis(by_width, axes[..., None, None], axis=3).argmax(axis=2)[..., 0]
+        return np.asarray(widths * _AXES + axes)
