@@ -35,7 +35,8 @@ def importance(
     """Fit the importance module of a model: MODEL.importance.pt.
 
     The module predicts which light directions matter at each point and view; `prtbake render` draws its samples from
-    it. It learns from the model alone. Ctrl-C ends the fit early and keeps the module as fitted so far.
+    it. It learns from the model alone. A network with lobes of its own needs none. Ctrl-C ends the fit early and keeps
+    the module as fitted so far.
     """
     path = importance_path(existing(model))
     check_outputs({"the module": path}, {"MODEL": model, "MESH": mesh})
@@ -45,10 +46,15 @@ def importance(
     from prt_bake.baking.sources import require_device
     from prt_bake.importance.fit import fit_importance
     from prt_bake.importance.module import IMPORTANCE_PRESETS, save_importance
+    from prt_bake.importance.own_lobes import own_lobes
     from prt_bake.network.bssrdf import load_model
 
     require_device(device)
     network, surface = load_model(model, device), read_mesh(mesh, drop_flat_faces=True)
+    if own_lobes(network) is not None:
+        raise PrtbakeError(
+            f"{model}: needs no importance module: `prtbake render` samples the lobes that it has itself"
+        )
 
     with reporting("importance") as show, stopping() as stop:
 

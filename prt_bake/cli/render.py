@@ -64,8 +64,9 @@ def render(
     sampling: Annotated[
         Literal["light", "lobe", "mis"] | None,
         typer.Option(
-            help="Sampling of a network's light directions: light, by the light's radiance; lobe, by the model's "
-            "importance module; mis, both, weighted by a short pilot. By default mis if the module exists, else light.",
+            help="Sampling of a network's light directions: light, by the light's radiance; lobe, by the network's own "
+            "lobes, else its importance module; mis, light and lobe, weighted by a short pilot. By default mis if "
+            "there are lobes or a module, else light.",
             show_default=False,
         ),
     ] = None,
@@ -182,7 +183,7 @@ def render(
         else:
             from prt_bake.rendering.network import render_network
 
-            importance = _importance(source, sampling, device)
+            importance = _importance(source, opened, sampling, device)
             options |= {"sampling": sampling, "importance": importance, "precision": precision, "device": device}
             options["workers"] = workers or (1 if device == "cuda" else os.cpu_count() or 1)
             picture = render_network(opened, surface, lighting, view, spp, seed, **options)
@@ -227,11 +228,16 @@ def _open(source: Path, surface: Any, device: str) -> Any:
     return read_scene(source) if source.suffix.lower() == ".toml" else open_source(source, surface, device)
 
 
-def _importance(source: Path, sampling: str | None, device: str) -> Any:
-    """Return the model's importance module; None for `light`, and by default if the module does not exist."""
+def _importance(source: Path, network: Any, sampling: str | None, device: str) -> Any:
+    """Return the model's importance module; None for `light`, for a network with lobes of its own, which are better,
+    and by default if the module does not exist.
+    """
     from prt_bake.importance.module import load_importance
+    from prt_bake.importance.own_lobes import own_lobes
 
-    if sampling == "light" or (sampling is None and not importance_path(source).is_file()):
+    if sampling == "light" or own_lobes(network) is not None:
+        return None
+    if sampling is None and not importance_path(source).is_file():
         return None
     return load_importance(source, device)
 

@@ -17,6 +17,7 @@ from bakers.transport import on_mesh, refuse_foreign
 from formats.errors import QueryError
 from formats.mesh import Mesh
 from prt_bake.geometry.camera import Camera, Visibility, refuse_eye_in_object
+from prt_bake.importance.own_lobes import own_lobes
 from prt_bake.jit.limits import limited_threads
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.network.inference.pairs import content_hash, pair_transport
@@ -76,8 +77,8 @@ def render_network(
         camera: the view.
         spp: directions of incidence per pixel (None: no limit).
         sampling: "light" samples the light, "lobe" the lobe of the importance module, "mis" a mixture of both that a
-            short pilot optimises. The default is "mis" with an `importance` module, else "light".
-        importance: an `ImportanceModule` of the network.
+            short pilot optimises. The default is "mis" with an `importance` module or lobes, else "light".
+        importance: an `ImportanceModule` of the network; without one, the lobes that the network may have itself.
         reflection: adds the light reflected at the surface, with eta and mean roughness of the network's metadata.
         precision: "float32" or "bfloat16" for the matrix products of the network. device: "cpu" or "cuda".
         workers: threads; the result does not depend on their number.
@@ -101,12 +102,14 @@ def render_network(
     (24, 32, 3)
     """
     criteria = StopCriteria(spp, error, minutes, stop)
-    by = _sampling_method(sampling, importance)
     refuse_foreign(network, mesh)
+    bound = on_mesh(network, mesh)
+    importance = importance or own_lobes(bound)
+    by = _sampling_method(sampling, importance)
     refuse_eye_in_object(mesh, camera.eye)
     metadata = dict(getattr(network, "metadata", None) or {})
     lighting = as_lighting(light, up or metadata.get("up", "y"), rotate)
-    transport = pair_transport(on_mesh(network, mesh), precision, device)
+    transport = pair_transport(bound, precision, device)
     start = time.perf_counter()
     with limited_threads(transport, 1):
         visibility = Visibility(mesh)

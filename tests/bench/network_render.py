@@ -4,9 +4,9 @@
     python -m tests.bench.network_render --model grape.pt --mesh grape.obj --sky indoor.hdr
 
 Lights are the shipped sky, a sun alone, and skies that favour one of the methods; with --sky, that sky rotated to four
-sides. An importance module is fitted first if the model has none. A row has, for each method, the standard error over
-the mean radiance on the object at the CPU time of light sampling (medians), the samples per pixel and second on one
-thread, and the chosen mixture.
+sides. An importance module is fitted first if the model has neither one nor lobes of its own. A row has, for each
+method, the standard error over the mean radiance on the object at the CPU time of light sampling (medians), the
+samples per pixel and second on one thread, and the chosen mixture.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from formats.scene.lights import parse_sun
 from prt_bake.geometry import camera
 from prt_bake.importance.fit import fit_importance
 from prt_bake.importance.module import ImportanceModule, importance_path, load_importance, save_importance
+from prt_bake.importance.own_lobes import OwnLobes, own_lobes
 from prt_bake.lights.environment import read_environment
 from prt_bake.lights.lighting import Lighting, as_lighting
 from prt_bake.network.bssrdf import load_model
@@ -61,8 +62,11 @@ def rotated(sky: Path) -> dict[str, Lighting]:
     return {f"{sky.stem}, {turn} degrees": as_lighting(image, "y", float(turn)) for turn in (0, 90, 180, 270)}
 
 
-def module_of(model: Path, mesh: Mesh, minutes: float) -> ImportanceModule:
-    """The model's importance module, fitted here if there is none."""
+def module_of(model: Path, mesh: Mesh, minutes: float, module: bool) -> ImportanceModule | OwnLobes:
+    """The model's own lobes unless `module`, else its importance module, fitted here if there is none."""
+    lobes = own_lobes(load_model(model))
+    if lobes is not None and not module:
+        return lobes
     if importance_path(model).is_file():
         return load_importance(model)
     with tempfile.TemporaryDirectory() as folder:
@@ -80,12 +84,13 @@ def main() -> None:
     parser.add_argument("--model", type=Path, default=SHIPPED / "spot.pt")
     parser.add_argument("--mesh", type=Path, default=SHIPPED / "spot.obj", help="the model's object")
     parser.add_argument("--sky", type=Path, help="a lat-long picture that replaces the lights")
+    parser.add_argument("--module", action="store_true", help="an importance module even for a network with lobes")
     parser.add_argument("--only", nargs="*", help="names of lights")
     args = parser.parse_args()
     torch.set_num_threads(1)
     mesh, network = read_mesh(args.mesh), load_model(args.model)
     view = camera.fit(mesh, args.size, args.size)
-    module = module_of(args.model, mesh, args.minutes)
+    module = module_of(args.model, mesh, args.minutes, args.module)
     lights = rotated(args.sky) if args.sky else skies()
     render_network(network, mesh, skies()["grey"], view, 64, importance=module)  # compile
     print(f"{'light':20}{'by light':>10}{'by lobe':>10}{'by MIS':>10}{'of better':>11}  rate, mixture")

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from formats.image import read_image, read_layers
+from formats.mesh import build_mesh, write_mesh
+from prt_bake.cli.shared import after_training
 from prt_bake.importance.module import ImportanceModule, ImportanceSettings, save_importance
 from prt_bake.network.bssrdf import load_model, save_model
+from prt_bake.network.file_names import importance_path
 from tests.cli.command_line import Run
+from tests.network.test_lobes import lobed as clear_network
+from tests.shapes import ball
 
+SPHERE = ball(2)
 COMMAND = ["--light", "sky.exr", "--size", "12x10", "--workers", 1]
 
 
@@ -83,3 +89,28 @@ def test_an_index_matched_object_reflects_nothing(prtbake: Run, tmp_path: Path) 
         pictures.append(read_layers(output))
     np.testing.assert_array_equal(pictures[0].image, pictures[1].image)
     assert "reflected" in pictures[0].attributes["prtbake.shows"]
+
+
+@pytest.fixture
+def clear_model(tmp_path: Path) -> tuple[Path, Path]:
+    """A network with lobes of its own, and its mesh."""
+    model, mesh = tmp_path / "clear.pt", tmp_path / "clear.ply"
+    save_model(clear_network(), model)
+    write_mesh(build_mesh(0.5 + 0.45 * np.asarray(SPHERE.positions), np.asarray(SPHERE.faces)), mesh)
+    return model, mesh
+
+
+def test_a_network_with_lobes_is_sampled_by_them(prtbake: Run, clear_model: tuple[Path, Path], tmp_path: Path) -> None:
+    output = tmp_path / "a.exr"
+    for sampling, method in (([], "mis"), (["--sampling", "lobe"], "lobe"), (["--sampling", "light"], "light")):
+        outcome = prtbake("render", *clear_model, *COMMAND, "-o", output, "--spp", 16, *sampling)
+        assert outcome.code == 0, outcome.err
+        assert f"sampled by {method}" in outcome.out
+
+
+def test_a_network_with_lobes_needs_no_importance_module(prtbake: Run, clear_model: tuple[Path, Path]) -> None:
+    outcome = prtbake("importance", *clear_model, "--steps", 1)
+    assert (outcome.code, len(outcome.err.splitlines())) == (1, 1)
+    assert "needs no importance module" in outcome.err
+    after_training.importance(clear_network(), None, clear_model[0], 0)
+    assert not importance_path(clear_model[0]).exists()

@@ -40,7 +40,11 @@ def importance(network: "NeuralBSSRDF", scene: "Scene", model: Path, seed: int) 
 
     from prt_bake.importance.fit import fit_importance
     from prt_bake.importance.module import IMPORTANCE_PRESETS, importance_path, save_importance
+    from prt_bake.importance.own_lobes import own_lobes
 
+    if own_lobes(network) is not None:
+        say("no importance module: `prtbake render` samples the lobes of the network")
+        return
     with reporting("importance") as show, stopping() as stop:
 
         def report_fit(share: float, text: str) -> None:
