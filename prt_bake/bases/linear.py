@@ -20,10 +20,17 @@ WHITE = 0.1
 """Share of light from single directions, each as likely, in the norm that is weighted by skies."""
 
 
-def project_on_harmonics(values: Array, directions: Array, degree: int) -> Array:
-    """The best approximation of values [N,M,3] over the cells by harmonics up to `degree`."""
-    functions = np.linalg.qr(sh.evaluate(directions, degree))[0]
-    return np.asarray(functions @ (functions.T @ values))
+class Harmonics:
+    """Harmonics up to a degree over the cells [M,3]."""
+
+    def __init__(self, directions: Array, degree: int) -> None:
+        """Make them orthonormal over the cells."""
+        self._functions = np.linalg.qr(sh.evaluate(directions, degree))[0]
+
+    def approximate(self, values: Array) -> Array:
+        """The best approximation of values [N,M,3]."""
+        coefficients = np.tensordot(values, self._functions, axes=(1, 0))
+        return np.ascontiguousarray(np.moveaxis(coefficients @ self._functions.T, 2, 1))
 
 
 class SkyNorm(NamedTuple):

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from formats.mesh import Mesh
 from prt_bake.bases.points import Points, points_on
-from prt_bake.bases.rows import Basis, Estimate, Values
+from prt_bake.bases.rows import Basis, Estimate, Values, radiance
 from prt_bake.comparison.flip import hdr_flip_map, paper_exposures
 from prt_bake.geometry.camera import Camera, Visibility
 from prt_bake.shading.visible_points import PixelMeans, find_visible_points, grid_offsets
@@ -34,11 +34,9 @@ def flip(basis: Basis, picture: Picture, light: int) -> Estimate:
     """The mean HDR-FLIP of a basis over the object and the rotations of a light; the least and the most of them."""
     approximated = basis.under[light](picture.values)
     mask = picture.pixels.means(None) > 0.0
+    shaded, right = (radiance(part, picture.skies) for part in (approximated, picture.values.fitted))
     found = []
-    for sky in picture.skies:
-        ours, exact = (
-            picture.pixels.means(np.einsum("nmc,mc->nc", part, sky, optimize=True))
-            for part in (approximated, picture.values.fitted)
-        )
+    for turn in range(len(picture.skies)):
+        ours, exact = (picture.pixels.means(part[:, turn]) for part in (shaded, right))
         found.append(float(hdr_flip_map(ours, exact, paper_exposures(exact))[mask].mean()))
     return Estimate(float(np.mean(found)), min(found), max(found))

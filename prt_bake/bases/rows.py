@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prt_bake.bases.gaussians import GaussianFit
-from prt_bake.bases.linear import LearnedBasis, project_on_harmonics, sky_norm
+from prt_bake.bases.linear import Harmonics, LearnedBasis, sky_norm
 from prt_bake.bases.wavelets import haar, keep_largest
 
 Array = NDArray[np.float64]
@@ -89,8 +89,7 @@ def every_basis(training: Array, directions: Array, lights: list[Array], own_lob
         return Basis(name, numbers, _of(approximate), (_of(approximate),) * len(lights))
 
     for degree in DEGREES:
-        harmonics = partial(project_on_harmonics, directions=directions, degree=degree)
-        yield basis(f"SH degree {degree}", 3 * (degree + 1) ** 2, harmonics)
+        yield basis(f"SH degree {degree}", 3 * (degree + 1) ** 2, Harmonics(directions, degree).approximate)
     for together, counts, name in (
         (False, LEARNED_APART, "learned, channels apart"),
         (True, LEARNED_TOGETHER, "learned"),
@@ -136,9 +135,11 @@ def _of(approximate: Callable[[Array], Array]) -> Approximation:
 
 
 def _with_own_lobes(directions: Array) -> Approximation:
+    harmonics = Harmonics(directions, 2)
+
     def approximate(values: Values) -> Array:
         assert values.lobes is not None
-        return project_on_harmonics(values.fitted, directions, 2) + values.lobes
+        return harmonics.approximate(values.fitted) + values.lobes
 
     return approximate
 
@@ -153,11 +154,16 @@ def measured(basis: Basis, values: Values, lights: list[Array], seed: int) -> Ro
     under = []
     for approximate, skies in zip(basis.under, lights, strict=True):
         approximated = approximate(values) if found is None else found
-        shaded, one, other = (
-            np.einsum("nmc,tmc->ntc", part, skies, optimize=True) for part in (approximated, first, second)
-        )
+        shaded, one, other = (radiance(part, skies) for part in (approximated, first, second))
         under.append(_error(shaded - one, shaded - other, one, other, values.weights, seed))
     return Row(basis.name, basis.numbers, own, tuple(under))
+
+
+def radiance(values: Array, skies: Array) -> Array:
+    """Radiance [N,T,3] of values [N,M,3] under skies [T,M,3], by one product of matrices for the three channels."""
+    channels = skies.shape[2]
+    apart = np.einsum("tmc,cd->mctd", skies, np.eye(channels)).reshape(-1, len(skies) * channels)
+    return np.asarray(values.reshape(len(values), -1) @ apart).reshape(len(values), len(skies), channels)
 
 
 def _error(first_wrong: Array, second_wrong: Array, first: Array, second: Array, weights: Array, seed: int) -> Estimate:

@@ -8,7 +8,7 @@ import pytest
 
 from prt_bake.bases.cells import cell_directions, cell_numbers, turned_skies
 from prt_bake.bases.gaussians import GaussianFit
-from prt_bake.bases.linear import LearnedBasis, project_on_harmonics, sky_norm
+from prt_bake.bases.linear import Harmonics, LearnedBasis, sky_norm
 from prt_bake.bases.rows import Basis, Values, every_basis, measured, relative_error
 from prt_bake.bases.wavelets import haar, inverse_haar, keep_largest
 from prt_bake.mathematics import sh
@@ -56,8 +56,8 @@ def test_skies_are_turned_by_quarters_about_the_up_axis(up: str) -> None:
 def test_harmonics_represent_themselves_and_nothing_above() -> None:
     random = np.random.default_rng(1)
     values = np.einsum("mk,nkc->nmc", sh.evaluate(DIRECTIONS, 2), random.normal(size=(5, 9, 3)))
-    assert relative(project_on_harmonics(values, DIRECTIONS, 2), values) < 1e-12
-    assert relative(project_on_harmonics(values, DIRECTIONS, 1), values) > 0.3
+    assert relative(Harmonics(DIRECTIONS, 2).approximate(values), values) < 1e-12
+    assert relative(Harmonics(DIRECTIONS, 1).approximate(values), values) > 0.3
 
 
 @pytest.mark.parametrize("together", [False, True])
@@ -117,7 +117,7 @@ def test_gaussians_beside_harmonics_are_found(degree: int) -> None:
     values = (lobes @ [[1.0, 0.5, 0.2], [0.3, 0.6, 0.9]])[None]
     values = values + (sh.evaluate(DIRECTIONS, degree) @ np.full(((degree + 1) ** 2, 3), 0.2))[None]
     assert relative(GaussianFit(DIRECTIONS, degree, 2).approximate(values, 2), values) < 0.01
-    assert relative(project_on_harmonics(values, DIRECTIONS, 2), values) > 0.1
+    assert relative(Harmonics(DIRECTIONS, 2).approximate(values), values) > 0.1
 
 
 def test_every_gaussian_leaves_less_over() -> None:
