@@ -3,7 +3,7 @@
 The group /lobes, format_version 1.1. The nodes N are view bins of their own, coarser than /bins, interpolated alike:
 
     /lobes    attributes rings, sectors, formula, interpolation
-      axes        [V,N,J,3]  unit vectors in object space
+      axes        [V,N,J,3]  in object space, of length 1 up to rounding
       sharpness   [V,N,J]    greater than 0
       powers      [V,N,J,3]  integrals over the sphere in RGB, may be negative; 0 without a lobe
 
@@ -39,7 +39,8 @@ INTERPOLATION = (
     "linear, each node also weighted by the sum of its absolute powers; axes are normalised afterwards"
 )
 _DATASETS = {"axes": (3,), "sharpness": (), "powers": (3,)}
-_UNIT_TOLERANCE = 1e-2
+_UNIT_TOLERANCE = 0.3
+"""Compact assets round axes; they are normalised after the interpolation."""
 _MOST_IN_A_VIEW = 16
 _LEAST_PEAK, _MOST_PEAK = 1e-2, 3e4
 """The largest power, if float16 stores powers."""
@@ -51,7 +52,7 @@ class Lobes:
     """J lobes at each of N = rings · sectors nodes of V vertices.
 
     Attributes:
-        axes: float32 [V,N,J,3], unit vectors in object space.
+        axes: float32 [V,N,J,3], in object space, of length 1 up to rounding.
         sharpness: float32 [V,N,J].
         powers: float32 [V,N,J,3], integrals of Ŝ over the sphere; 0 at vertices that were not baked.
     """
@@ -111,7 +112,6 @@ def read_lobes(file: Any) -> Lobes | None:
         return None
     group = file[GROUP]
     axes, sharpness, powers = (group[name][...].astype(np.float32) for name in _DATASETS)
-    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
     return Lobes(int(attribute(group, "rings")), int(attribute(group, "sectors")), axes, sharpness, powers)
 
 
@@ -157,7 +157,7 @@ def _value_faults(group: Any) -> Iterator[str]:
         "sharpness": (sharpness > 0.0) & np.isfinite(sharpness),
         "powers": np.isfinite(group["powers"][...].astype(np.float32)).all(axis=-1),
     }
-    expected = {"axes": "of length 1", "sharpness": "finite and greater than 0", "powers": "finite"}
+    expected = {"axes": "of length about 1", "sharpness": "finite and greater than 0", "powers": "finite"}
     for name, each in valid.items():
         rows = each.all(axis=(1, 2))
         if not rows.all():

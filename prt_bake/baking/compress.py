@@ -30,6 +30,7 @@ from prt_bake.baking.compact_encoding import (
     read_valid,
     untransformed,
 )
+from prt_bake.lobes.rounding import rounded
 from prt_bake.mathematics import sphere
 from prt_bake.shading.reconstruction import reconstruct
 from prt_bake.shading.selftest import warn_of_failed_selftest
@@ -37,6 +38,8 @@ from prt_bake.shading.selftest import warn_of_failed_selftest
 Array = NDArray[np.float64]
 
 LEAST_ERROR = 1e-6
+ERROR_OF_LOBES = 2.0
+"""Error that rounding the lobes may add, in errors of the coefficients."""
 SAMPLE_BYTES = 2**28
 """Size of the sample of coefficients to which forms are fitted."""
 LEAST_SAMPLE = 64
@@ -67,9 +70,10 @@ class Outcome(NamedTuple):
 
 
 def compress(asset: Asset, error: float, progress: Progress | None = None) -> Asset:
-    """The asset with compact coefficients whose added relative RMSE is at most `error`.
+    """The asset with compact coefficients whose added relative RMSE is at most `error`, and lobes of fewer digits.
 
-    The error is ‖decoded − original‖ / ‖original‖ over valid vertices, view bins, harmonics and channels.
+    The error is ‖decoded − original‖ / ‖original‖ over valid vertices, view bins, harmonics and channels. Rounding the
+    lobes adds at most twice as much: they are more numbers, and approximations themselves.
     `standard_error` becomes [V,1]: the root of the mean square of the original's over bins plus the square of the added
     error. The provenance gets a table "compression": bytes before, forms tried, seconds.
 
@@ -113,7 +117,8 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
     compact, encoded = found
     own = np.square(np.asarray(asset.standard_error, np.float64)).mean(axis=1)
     stated = np.where(asset.valid, np.sqrt(own + np.square(compact.added.per_vertex, dtype=np.float64)), 0.0)
-    noise = float(own[asset.valid].sum()) * math.prod(asset.coefficients.shape[1:])
+    _, bins, terms, channels = asset.coefficients.shape
+    noise = float(own[asset.valid].sum()) * bins * terms * channels
     original = float(encoded.original.sum())
     record = {
         "form": best.bases.name,
@@ -125,12 +130,19 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         "tried": [row._asdict() for row in table],
         "seconds": round(time.monotonic() - began, 2),
     }
+    lobes = asset.lobes
+    if lobes is not None and original > 0.0:
+        # Harmonics are orthonormal: their squares over a bin are those of the transport over the sphere.
+        norm = math.sqrt(original * 3.0 / channels * lobes.rings * lobes.sectors / bins)
+        lobes, changed = rounded(lobes, ERROR_OF_LOBES * error * norm)
+        record["lobes_error"] = changed / norm
     return dataclasses.replace(
         asset,
         coefficients=compact,
         standard_error=round_up(stated[:, None]),
         storage="float32",
         error_covariance=_error_covariance(asset, own, encoded),
+        lobes=lobes,
         selftest=_selftest(asset, compact),
         provenance={**asset.provenance, "compression": record},
     )
@@ -146,7 +158,7 @@ def compress_file(
 ) -> Outcome:
     """Reads an asset and writes it compact, or copies it to `out` if the compact form is not smaller.
 
-    lobes: keep those of the asset. They are not compressed further.
+    lobes: keep those of the asset, with fewer digits.
 
     Raises as `read_asset`, `compress` and `write_asset` do, and QueryError if `out` is the asset itself.
     """

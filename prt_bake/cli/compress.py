@@ -23,7 +23,7 @@ def compress(
             "--output --out -o", "FILE", "Asset to write; by default NAME.compact.h5 beside ASSET.", ".h5", ".hdf5"
         ),
     ] = None,
-    lobes: Annotated[bool, typer.Option(help="Keep the lobes, which are not compressed further.")] = True,
+    lobes: Annotated[bool, typer.Option(help="Keep the lobes, with fewer digits.")] = True,
 ) -> None:
     """Compress an asset within an error.
 
@@ -51,3 +51,6 @@ def compress(
         f"added relative RMSE {added.total:.3%} (at most {added.requested:.3%} requested), 95th percentile over "
         f"vertices {added.percentile_95:.3%}, worst {added.worst:.3%}"
     )
+    rounding = outcome.asset.provenance["compression"].get("lobes_error")
+    if rounding is not None:
+        print(f"rounding the lobes adds {rounding:.3%}; --no-lobes omits them")

@@ -7,7 +7,12 @@ Its part in the harmonics up to degree L is Σ_l (2l + 1) / 4π · A_l(κ) P_l(�
 import math
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from prt_bake.jit.compilation import compiled
+
+Array = NDArray[np.float64]
 
 _EXTRA_BANDS = 6
 """Bands above the degree at which the downward recurrence of A_l begins: its error is then below 2 · 10⁻⁴."""
@@ -42,3 +47,17 @@ def legendre(degree: Any, cosine: Any) -> Any:
     for band in range(1, degree + 1):
         value, following = following, ((2 * band + 1) * cosine * following - band * value) / (band + 1)
     return value
+
+
+def inner_product(axes: ArrayLike, sharpness: ArrayLike, other_axes: ArrayLike, other_sharpness: ArrayLike) -> Array:
+    """∫ G G' over the sphere [N] of Gaussians with unit axes [N,3] and sharpness [N]: a third Gaussian's integral."""
+    first, second = np.asarray(sharpness, np.float64), np.asarray(other_sharpness, np.float64)
+    both = np.linalg.norm(
+        first[..., None] * np.asarray(axes, np.float64) + second[..., None] * np.asarray(other_axes, np.float64),
+        axis=-1,
+    )
+    peaks = [k / (2.0 * math.pi * -np.expm1(-2.0 * k)) for k in (first, second)]
+    opposite = both < 1e-6  # of the same sharpness: the product is then even
+    safe = np.where(opposite, 1.0, both)
+    even = np.where(opposite, 2.0, -np.expm1(-2.0 * safe) / safe)
+    return np.asarray(peaks[0] * peaks[1] * 2.0 * math.pi * np.exp(both - first - second) * even)

@@ -8,6 +8,7 @@ import pytest
 
 import prt_bake as prt
 from formats.asset import check_asset, read_asset, write_asset
+from prt_bake.lobes.rounding import change
 from tests.conftest import Run
 
 
@@ -89,3 +90,23 @@ def test_compression_keeps_lobes_or_leaves_them_out(prtbake: Run, tmp_path: Path
         assert (lobes is not None) == kept
         if lobes is not None:
             np.testing.assert_allclose(lobes.axes, baked.lobes.axes, atol=2e-3)
+
+
+def test_compression_rounds_lobes_within_twice_its_error(prtbake: Run, tmp_path: Path) -> None:
+    bake = ["bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 64, "--samples", 18]
+    assert prtbake(*bake, "-o", tmp_path / "asset.h5").code == 0
+    baked = read_asset(tmp_path / "asset.h5")
+    assert baked.lobes is not None
+    bins = baked.coefficients.shape[1]
+    squares = np.square(baked.coefficients[baked.valid], dtype=np.float64).sum() * baked.lobes.axes.shape[1] / bins
+    for error in (0.02, 0.2):
+        outcome = prtbake("compress", tmp_path / "asset.h5", "--error", error, "-o", tmp_path / "a.h5")
+        assert outcome.code == 0, outcome.err
+        compact = read_asset(tmp_path / "a.h5")
+        assert compact.lobes is not None
+        assert check_asset(tmp_path / "a.h5") == []
+        changed = change(baked.lobes, compact.lobes) / np.sqrt(squares)
+        assert 0.2 * error < changed <= 2.0 * error
+        stated = compact.provenance["compression"]["lobes_error"]
+        assert stated == pytest.approx(changed, rel=0.05)
+        assert f"rounding the lobes adds {stated:.3%}" in outcome.out

@@ -65,10 +65,13 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "no lobe": (replace_dataset("sharpness", np.ones((V, N, 0))), "has 0 lobes in a view"),
     "integers": (replace_dataset("powers", np.ones((V, N, J, 3), int)), "/lobes/powers is int64"),
     "one axis": (replace_dataset("axes", np.ones((V, 3))), "expected floats of shape [18, 4, 2, 3]"),
-    "long axes": (replace_dataset("axes", np.ones((V, N, J, 3))), "/lobes/axes: not of length 1 at 18 of 18 vertices"),
+    "long axes": (
+        replace_dataset("axes", np.ones((V, N, J, 3))),
+        "/lobes/axes: not of length about 1 at 18 of 18 vertices",
+    ),
     "no width": (replace_dataset("sharpness", np.zeros((V, N, J))), "not finite and greater than 0"),
     "infinite": (replace_dataset("powers", np.full((V, N, J, 3), np.inf)), "/lobes/powers: not finite at 18 of 18"),
-    "not a number": (replace_dataset("axes", np.full((V, N, J, 3), np.nan)), "/lobes/axes: not of length 1"),
+    "not a number": (replace_dataset("axes", np.full((V, N, J, 3), np.nan)), "/lobes/axes: not of length about 1"),
 }
 
 
