@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from prt_bake.baking.lobes.search import Index, LobeSearch
 
-GAIN = 0.03
+GAIN = 0.025
 """A lobe is kept if it explains at least this share of Ŝ, as a root mean square."""
 _VERTICES = 64
 

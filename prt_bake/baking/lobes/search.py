@@ -20,7 +20,7 @@ Index = NDArray[np.int64]
 
 _FINEST_NODES = 8, 16
 _FEWEST_VIEWS = 4
-_SETS, _DIRECTIONS, _DIRECTIONS_A_TERM = 16, 128, 4
+_SETS, _DIRECTIONS, _DIRECTIONS_A_TERM = 16, 96, 4
 _SHARPNESS_A_DIRECTION = 0.5
 """Narrower lobes fall between the directions."""
 _SEED = 3
