@@ -56,7 +56,7 @@ def test_a_lobe_narrower_than_the_directions_does_no_harm() -> None:
 @pytest.mark.parametrize("degree", [0, 1, 5, 9])
 def test_any_degree_has_lobes(degree: int) -> None:
     transport = Lobed(((along_normal, 40.0, 1.0),))
-    asset = prt.bake(transport, MESH, degree=degree, rings=8, sectors=16, samples=256, lobes=4)
+    asset = prt.bake(transport, MESH, degree=degree, rings=4, sectors=8, samples=256, lobes=4)
     assert asset.lobes is not None
     without, found = errors(transport, asset, towards(0.4))
     assert found <= 0.3 * without
