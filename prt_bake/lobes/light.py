@@ -64,8 +64,10 @@ def lobe_light(lighting: Lighting, degree: int, least: float, most: float) -> Lo
     wide = [sun for sun in split.suns if sun.angular_diameter > WIDEST]
     suns = [sun for sun in split.suns if sun.angular_diameter <= WIDEST]
     first = math.floor(_OCTAVE * math.log2(least)) / _OCTAVE
-    count = math.ceil(_OCTAVE * (math.log2(most) - first)) + 1 if split.skies or wide else 0
-    texels, sizes = _averages(_detail(split.skies, wide, degree), 2.0 ** (first + np.arange(count) / _OCTAVE))
+    texels, sizes = np.zeros((0, 3), np.float32), np.zeros(0, np.int64)
+    if split.skies or wide:
+        count = math.ceil(_OCTAVE * (math.log2(most) - first)) + 1
+        texels, sizes = _averages(_detail(split.skies, wide, degree), 2.0 ** (first + np.arange(count) / _OCTAVE))
     return LobeLight(
         texels,
         sizes,
