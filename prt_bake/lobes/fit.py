@@ -20,7 +20,7 @@ Index = NDArray[np.int64]
 
 _NOTHING = 1e-6
 """Share of a Gaussian's square beyond the harmonics from which it counts."""
-_SWEEPS, _COHERENCE, _WIDTH = 6, 4.0, 4.0
+_SWEEPS, _COHERENCE, _WIDTH = 4, 4.0, 4.0
 """Passes over the nodes; gain of a Gaussian with the axes of all its neighbours, and the sharpness of "alike"."""
 _AXES = 200
 

@@ -52,6 +52,7 @@ def plan_lobes(search: LobeSearch, vertices: Index, most: int) -> LobePlan:
         return LobePlan(0, 0, 0.0, [], 0.0)
     number = len(own) if beyond - before >= GAIN**2 * total else 0
     left = [before] if number else []
+    search.fields(some[:1], False, 1)  # kernels are compiled before the time is taken
     began = time.monotonic()
     if before >= GAIN**2 * total and number < most:
         left += _fitted(search, some, most - number, unit, rest, GAIN**2 * total)

@@ -93,7 +93,7 @@ class LobeSearch:
         """
         local, sets = self._halves[half]
         outgoing = self._outgoing(vertices, local)
-        positions, rotation = self._mesh.positions[vertices], np.broadcast_to(sets, outgoing.shape[:2])
+        positions, rotation = self._mesh.positions[vertices], np.repeat(sets[None], len(vertices), axis=0)
         shape = (*outgoing.shape[:2], self._pool.shape[1], 3)
         if transport_kind(self._smooth) == "block":
             found = self._smooth.evaluate_block(self._pool, rotation, positions, outgoing)
