@@ -8,7 +8,7 @@ import numpy as np
 from prt_bake.jit.compilation import compiled
 from prt_bake.lobes.interpolation import amplitude_of, blend, power_of
 
-_STEPS = 3
+_STEPS = 2
 _LONGEST_TURN, _LONGEST_STRETCH = 0.3, 0.7
 """Limits of one step: radians of the axis, and the logarithm of the sharpness."""
 
