@@ -9,7 +9,7 @@ import pytest
 from prt_bake.bases.cells import cell_directions, cell_numbers, turned_skies
 from prt_bake.bases.gaussians import GaussianFit
 from prt_bake.bases.linear import Harmonics, LearnedBasis, sky_norm
-from prt_bake.bases.rows import Basis, Values, every_basis, measured, relative_error
+from prt_bake.bases.rows import Basis, Values, every_basis, measured, radiance, relative_error
 from prt_bake.bases.wavelets import haar, inverse_haar, keep_largest
 from prt_bake.mathematics import sh
 from prt_bake.mathematics.directions import fibonacci
@@ -140,6 +140,13 @@ def test_intervals_cover_the_error_of_all_queries() -> None:
         estimate = relative_error(wrong, true, seed)
         covered += estimate.low <= 0.1 <= estimate.high
     assert 175 <= covered <= 200
+
+
+def test_radiance_is_the_sum_over_the_sky_channel_by_channel() -> None:
+    draw = np.random.default_rng(0)
+    values, skies = draw.normal(size=(5, 40, 3)), draw.normal(size=(2, 40, 3))
+    expected = np.einsum("nmc,tmc->ntc", values, skies)
+    np.testing.assert_allclose(radiance(values, skies), expected, rtol=1e-12)
 
 
 def of(values: Array, checks: tuple[Array, Array] | None = None, weights: Array | None = None) -> Values:
