@@ -1,10 +1,11 @@
 """An asset compared with the network that it was baked from, on the object's pixels, without and with lobes.
 
-    python -m tests.bench.lobes MODEL.pt ASSET.h5 --light SKY … [--eyes 3] [--vertices 300]
+    python -m tests.bench.lobes MODEL.pt ASSET.h5 --light SKY … [--eyes 8]
 
-For eyes around the object, vertices are drawn by their share of the pixels. The network is summed over 4,096 directions
-of the sky, its suns are taken in their own direction. Figures are relative RMSE of the radiance in percent: all light
-in harmonics, suns apart (maximum entropy), and lobes; and the share of clamped light with lobes.
+For eyes around the object, all visible vertices are compared, weighted by their share of the pixels. The network is
+summed over 4,096 directions of the sky, its suns are taken in their own direction. Figures are relative RMSE of the
+radiance in percent: all light in harmonics, suns apart (maximum entropy), and lobes, over all eyes together and then
+for each eye; and the share of clamped light with lobes.
 """
 
 import argparse
@@ -32,9 +33,9 @@ Array = NDArray[np.float64]
 SIZE, CELLS, AT_ONCE = 96, 64, 64
 
 
-def queries(asset: Asset, eyes: int, vertices: int) -> list[tuple[NDArray[np.int64], Array]]:
-    """Vertices [n] and unit directions to the eye [n,3], for each eye."""
-    draw, seen, visibility = np.random.default_rng(0), [], Visibility(asset.mesh)
+def queries(asset: Asset, eyes: int) -> list[tuple[NDArray[np.int64], Array, Array]]:
+    """Visible vertices [n], unit directions to the eye [n,3] and shares of the pixels [n], for each eye."""
+    seen, visibility = [], Visibility(asset.mesh)
     for number in range(eyes):
         turn = 2.0 * math.pi * (number + 0.15) / eyes
         direction = np.array([math.sin(turn), 0.25, math.cos(turn)])
@@ -43,10 +44,10 @@ def queries(asset: Asset, eyes: int, vertices: int) -> list[tuple[NDArray[np.int
         camera = replace(camera, eye=camera.target + distance * direction / np.linalg.norm(direction))
         corners = asset.mesh.faces[find_visible_points(visibility, camera, grid_offsets(1)).faces].ravel()
         share = np.bincount(corners, minlength=len(asset.valid)) * asset.valid
-        count = min(vertices, int((share > 0).sum()))
-        chosen = np.sort(draw.choice(len(share), count, replace=False, p=share / share.sum()))
+        chosen = np.flatnonzero(share)
         outgoing = camera.eye - asset.mesh.positions[chosen]
-        seen.append((chosen, outgoing / np.linalg.norm(outgoing, axis=1, keepdims=True)))
+        outgoing /= np.linalg.norm(outgoing, axis=1, keepdims=True)
+        seen.append((chosen, outgoing, share[chosen] / share.sum()))
     return seen
 
 
@@ -83,35 +84,33 @@ def main() -> None:
     parser.add_argument("model", type=Path)
     parser.add_argument("asset", type=Path)
     parser.add_argument("--light", nargs="+", default=["studio"])
-    parser.add_argument("--eyes", type=int, default=3)
-    parser.add_argument("--vertices", type=int, default=300)
+    parser.add_argument("--eyes", type=int, default=8)
     args = parser.parse_args()
     asset, model = prt.read_asset(args.asset), prt.load_model(args.model)
-    seen = queries(asset, args.eyes, args.vertices)
-    truths = [Network(model, asset, *query) for query in seen]
+    seen = queries(asset, args.eyes)
+    truths = [Network(model, asset, vertices, outgoing) for vertices, outgoing, _ in seen]
     for name in args.light:
         lighting = prt.read_lighting(name.split("+")) if name != "studio" else studio_lighting()
-        rows = []
-        for (vertices, outgoing), truth in zip(seen, truths, strict=True):
+        ways = (replace(asset, lobes=None), "plain"), (replace(asset, lobes=None), "split"), (asset, "split")
+        lights = [prt.light_for(lit, lighting, treatment) for lit, treatment in ways]
+        squares, clamped = np.zeros((len(seen), len(ways) + 1)), 0.0
+        for eye, ((vertices, outgoing, share), truth) in enumerate(zip(seen, truths, strict=True)):
             towards = np.ones((len(asset.valid), 3))
             towards[vertices] = outgoing
             visible = np.zeros(len(asset.valid), np.bool_)
             visible[vertices] = True
             exact = truth.radiance(lighting)
-            row = []
-            for lit, treatment in (
-                (replace(asset, lobes=None), "plain"),
-                (replace(asset, lobes=None), "split"),
-                (asset, "split"),
-            ):
-                shading = shade_vertices(lit, prt.light_for(lit, lighting, treatment), towards, visible)
-                row.append(100.0 * np.linalg.norm(shading.radiance[vertices] - exact) / np.linalg.norm(exact))
-            rows.append([*row, 100.0 * shading.clamped])
-        mean = np.sqrt(np.square(rows).mean(axis=0))
-        each = "  ".join("/".join(f"{value:.1f}" for value in row[:3]) for row in rows)
+            squares[eye, -1] = (share[:, None] * exact**2).sum()
+            for way, ((lit, _), light) in enumerate(zip(ways, lights, strict=True)):
+                shading = shade_vertices(lit, light, towards, visible)
+                squares[eye, way] = (share[:, None] * (shading.radiance[vertices] - exact) ** 2).sum()
+            clamped += shading.clamped / len(seen)
+        total = squares.sum(axis=0)
+        mean = 100.0 * np.sqrt(total[:-1] / total[-1])
+        each = 100.0 * np.sqrt(squares[:, :-1] / squares[:, -1:])
         print(
             f"{Path(name).stem:24} plain {mean[0]:5.1f}  split {mean[1]:5.1f}  lobes {mean[2]:5.1f} %   clamped "
-            f"{mean[3]:.2f} %   eyes: {each}",
+            f"{100.0 * clamped:.2f} %   eyes: {'  '.join('/'.join(f'{x:.1f}' for x in row) for row in each)}",
             flush=True,
         )
 

@@ -10,7 +10,7 @@ from prt_bake.importance.own_lobes import own_lobes
 from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.rendering.loop import Rendering
 from tests.network.test_lobes import lobed
-from tests.rendering.network_pictures import small_network
+from tests.rendering.network_pictures import Lobes, small_network
 from tests.rendering.pictures import uneven_sky
 from tests.shapes import ball
 
@@ -87,3 +87,11 @@ def test_own_lobes_are_the_default_and_leave_the_picture_unbiased() -> None:
 def test_own_lobes_lower_the_noise() -> None:
     noise = {sampling: picture(sampling, 3, 5.0, windows(), 1024).relative_noise for sampling in ("light", "mis")}
     assert noise["mis"] < 0.7 * noise["light"], noise
+
+
+def test_a_given_module_is_used_in_place_of_own_lobes() -> None:
+    camera, module, called = prt.fit_camera(MESH, 6, 6), Lobes(), []
+    lobe = module.lobe
+    module.lobe = lambda *points: (called.append(len(points[0])), lobe(*points))[1]
+    prt.render_network(network(), MESH, windows(), camera, 16, importance=module, background=False)
+    assert called
