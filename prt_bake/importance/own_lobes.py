@@ -10,6 +10,7 @@ from prt_bake.mathematics.lobe import SIGMAS, Lobe
 Array = NDArray[np.float64]
 
 _GAUSSIAN = 2.0
+"""The shape of a `Lobe` that falls off as a Gaussian."""
 
 
 class OwnLobes:

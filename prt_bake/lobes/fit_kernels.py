@@ -14,7 +14,7 @@ _LONGEST_TURN, _LONGEST_STRETCH = 0.3, 0.7
 
 
 @compiled(fastmath=True)
-def exp_of_negative(x: Any) -> Any:
+def _exp_of_negative(x: Any) -> Any:
     """exp(x) for x ≤ 0, at most 10⁻⁴ off: (1 + x/n + (x/n)²/2)ⁿ, n = 1024, which is computed for several x at once."""
     power = 1.0 + x / 1024.0 + 0.5 * (x / 1024.0) ** 2
     for _ in range(10):
@@ -28,7 +28,7 @@ def _set_columns(axis: Any, sharpness: Any, frame: Any, towards: Any, columns: A
     for d in range(columns.shape[1]):
         x, y, z = towards[0, d], towards[1, d], towards[2, d]
         below = x * axis[0] + y * axis[1] + z * axis[2] - 1.0
-        g = exp_of_negative(sharpness * below)
+        g = _exp_of_negative(sharpness * below)
         columns[0, d] = g
         columns[1, d] = sharpness * g * (x * frame[0, 0] + y * frame[0, 1] + z * frame[0, 2])
         columns[2, d] = sharpness * g * (x * frame[1, 0] + y * frame[1, 1] + z * frame[1, 2])
@@ -202,7 +202,7 @@ def subtract(
             towards, basis = directions[sets[view]], harmonics[sets[view]]
             for d in range(len(shape)):
                 cosine = towards[0, d] * axis[0] + towards[1, d] * axis[1] + towards[2, d] * axis[2]
-                shape[d] = exp_of_negative(width * (cosine - 1.0))
+                shape[d] = _exp_of_negative(width * (cosine - 1.0))
             # The rows are orthonormal, so one may be subtracted after the other.
             for k in range(len(basis)):
                 part = _product(shape, basis[k])

@@ -12,6 +12,8 @@ from prt_bake.lobes.gaussians import inner_product
 Array = NDArray[np.float64]
 
 _MOST_DIGITS = 12
+_AT_ONCE = 1024
+"""Vertices whose lobes are compared at once."""
 
 
 def rounded(lobes: Lobes, allowed: float) -> tuple[Lobes, float]:
@@ -43,16 +45,18 @@ def _with_digits(lobes: Lobes, power: float, axis: float, bits: int) -> Lobes:
 
 def change(lobes: Lobes, others: Lobes) -> float:
     """The root of the sum over vertices, nodes and lobes of ∫ |lobe − other|² over the sphere, in RGB."""
-    axes, powers = _in_float64(lobes)
-    other_axes, other_powers = _in_float64(others)
-    one, other = (axes, lobes.sharpness), (other_axes, others.sharpness)
-    squares = np.square(powers).sum(axis=3) * inner_product(*one, *one)
-    squares += np.square(other_powers).sum(axis=3) * inner_product(*other, *other)
-    squares -= 2.0 * (powers * other_powers).sum(axis=3) * inner_product(*one, *other)
-    return math.sqrt(max(0.0, float(squares.sum())))
+    squares = 0.0
+    for first in range(0, len(lobes.powers), _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        one, powers = _in_float64(lobes, rows)
+        other, other_powers = _in_float64(others, rows)
+        squares += float((np.square(powers).sum(axis=3) * inner_product(*one, *one)).sum())
+        squares += float((np.square(other_powers).sum(axis=3) * inner_product(*other, *other)).sum())
+        squares -= 2.0 * float(((powers * other_powers).sum(axis=3) * inner_product(*one, *other)).sum())
+    return math.sqrt(max(0.0, squares))
 
 
-def _in_float64(lobes: Lobes) -> tuple[Array, Array]:
-    """Unit axes and powers."""
-    axes = lobes.axes.astype(np.float64)
-    return axes / np.linalg.norm(axes, axis=3, keepdims=True), lobes.powers.astype(np.float64)
+def _in_float64(lobes: Lobes, rows: slice) -> tuple[tuple[Array, Array], Array]:
+    """Unit axes and sharpness, and powers, of some vertices."""
+    axes, sharpness, powers = (part[rows].astype(np.float64) for part in (lobes.axes, lobes.sharpness, lobes.powers))
+    return (axes / np.linalg.norm(axes, axis=3, keepdims=True), sharpness), powers

@@ -4,8 +4,8 @@
 
 For eyes around the object, all visible vertices are compared, weighted by their share of the pixels. The network is
 summed over 4,096 directions of the sky, its suns are taken in their own direction. Figures are relative RMSE of the
-radiance in percent: all light in harmonics, suns apart (maximum entropy), and lobes, over all eyes together and then
-for each eye; and the share of clamped light with lobes.
+radiance in percent: all light in harmonics, suns apart (maximum entropy), and lobes, the median of the eyes, the worst
+in brackets, and each; and the share of clamped light with lobes.
 """
 
 import argparse
@@ -105,14 +105,15 @@ def main() -> None:
                 shading = shade_vertices(lit, light, towards, visible)
                 squares[eye, way] = (share[:, None] * (shading.radiance[vertices] - exact) ** 2).sum()
             clamped += shading.clamped / len(seen)
-        total = squares.sum(axis=0)
-        mean = 100.0 * np.sqrt(total[:-1] / total[-1])
-        each = 100.0 * np.sqrt(squares[:, :-1] / squares[:, -1:])
-        print(
-            f"{Path(name).stem:24} plain {mean[0]:5.1f}  split {mean[1]:5.1f}  lobes {mean[2]:5.1f} %   clamped "
-            f"{100.0 * clamped:.2f} %   eyes: {'  '.join('/'.join(f'{x:.1f}' for x in row) for row in each)}",
-            flush=True,
+        errors = 100.0 * np.sqrt(squares[:, :-1] / squares[:, -1:])
+        row = "  ".join(
+            f"{way} {middle:.1f} ({worst:.1f})"
+            for way, middle, worst in zip(
+                ("plain", "split", "lobes"), np.median(errors, axis=0), errors.max(axis=0), strict=True
+            )
         )
+        each = "  ".join("/".join(f"{error:.1f}" for error in eye) for eye in errors)
+        print(f"{Path(name).stem:24} {row} %   clamped {100.0 * clamped:.2f} %   eyes: {each}", flush=True)
 
 
 def studio_lighting() -> Lighting:
