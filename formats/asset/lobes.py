@@ -12,7 +12,6 @@ The harmonics stand alone: a program that ignores the group shows them without t
 
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +22,8 @@ from numpy.typing import NDArray
 
 from formats.atomic import replacing
 from formats.hdf5_file import attribute, found
+from formats.hdf5_sink import Sink
+from formats.interrupts import deferred
 
 GROUP = "lobes"
 FORMAT_VERSION, VERSION_WITH_LOBES = "1.0", "1.1"
@@ -81,17 +82,23 @@ def add_lobes_to_file(
 
     Raises StorageError if the target cannot be written.
     """
-    with replacing(target) as part:
-        shutil.copyfile(source, part)
-        with h5py.File(part, "r+") as file:
-            if GROUP in file:
-                del file[GROUP]
+    with replacing(target) as part, deferred():
+        sink = Sink(part)
+        with h5py.File(source) as old, h5py.File(sink, "w") as file:
+            # Objects are copied one by one: HDF5 would keep the space of a deleted group.
+            for name in old:
+                if name != GROUP:
+                    old.copy(name, file)
+            file.attrs.update(old.attrs)
             file.attrs["format_version"] = FORMAT_VERSION
             if lobes is not None:
                 write_lobes(file, lobes)
-            entries = json.loads(file["provenance/json"][()]) | dict(provenance)
+            entries = json.loads(old["provenance/json"][()]) | dict(provenance)
             del file["provenance/json"]
             file.create_dataset("provenance/json", data=json.dumps(entries, ensure_ascii=False, allow_nan=False))
+        if sink.error is not None:
+            raise sink.error
+        sink.close()
 
 
 def write_lobes(file: Any, lobes: Lobes) -> None:

@@ -109,3 +109,12 @@ def test_lobes_are_replaced_and_removed(bare: Path, tmp_path: Path) -> None:
     assert prt.read_asset(path).lobes is None
     with h5py.File(path) as file:
         assert file.attrs["format_version"] == "1.0"
+
+
+def test_a_file_without_its_lobes_is_as_small_as_before(bare: Path, tmp_path: Path) -> None:
+    many = lobes(axes=np.random.default_rng(0).normal(size=(V, N, J, 3)).astype(np.float32))
+    paths = [tmp_path / f"{number}.h5" for number in range(3)]
+    for source, path, added in zip([bare, *paths], paths, [None, many, None], strict=False):
+        add_lobes_to_file(source, path, added, {})
+    sizes = [path.stat().st_size for path in paths]
+    assert sizes[2] == sizes[0] < sizes[1]
