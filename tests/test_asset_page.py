@@ -28,7 +28,12 @@ def test_the_reader_of_the_page_gives_the_radiance_of_shade(tmp_path: Path) -> N
     expected = prt.shade(asset, prt.light_for(asset, sky), eye)
     seen = np.flatnonzero((MESH.normals * (eye - MESH.positions)).sum(axis=1) > 0.1)[::3]
     for vertex in seen.tolist():
-        found = page["radiance"](
-            tmp_path / "lobed.h5", vertex, eye, sky.radiance, directions, sh.evaluate(directions, asset.degree)
-        )
+        found = page["radiance"](tmp_path / "lobed.h5", vertex, eye, sky.radiance, directions)
         np.testing.assert_allclose(found, expected[vertex], atol=0.01 * expected.max())
+
+
+def test_the_harmonics_of_the_page_are_those_of_the_basis() -> None:
+    page: dict[str, Any] = {}
+    exec(CODE, page)
+    directions = fibonacci(50)
+    np.testing.assert_allclose(page["basis"](directions), sh.evaluate(directions, 2), atol=1e-12)

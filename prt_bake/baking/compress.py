@@ -40,6 +40,7 @@ Array = NDArray[np.float64]
 LEAST_ERROR = 1e-6
 ERROR_OF_LOBES = 2.0
 """Error that rounding the lobes may add, in errors of the coefficients."""
+_LEFT_OUT = {"lobes_in_a_view": 0, "reason": "left out when the asset was compressed"}
 SAMPLE_BYTES = 2**28
 """Size of the sample of coefficients to which forms are fitted."""
 LEAST_SAMPLE = 64
@@ -171,7 +172,7 @@ def compress_file(
             raise QueryError(f"{path}: is compact already; compress the asset that it was made from")
         warn_of_failed_selftest(asset, path)
         raw, before = raw_bytes(asset), stored_bytes(asset)
-        made = compress(asset if lobes else dataclasses.replace(asset, lobes=None), error, progress)
+        made = compress(asset if lobes else without_lobes(asset), error, progress)
     finally:
         asset.close()
     made.provenance["compression"]["command"] = command
@@ -182,8 +183,15 @@ def compress_file(
         with replacing(out) as part:
             shutil.copyfile(path, part)
     else:
-        add_lobes_to_file(path, out, None, {})
+        add_lobes_to_file(path, out, None, {"lobes": _LEFT_OUT})
     return Outcome(asset, None, raw, before, before, time.monotonic() - began)
+
+
+def without_lobes(asset: Asset) -> Asset:
+    """The asset without its lobes; itself if it has none."""
+    if asset.lobes is None:
+        return asset
+    return dataclasses.replace(asset, lobes=None, provenance={**asset.provenance, "lobes": _LEFT_OUT})
 
 
 def unpacked(asset: Asset) -> Asset:

@@ -83,14 +83,15 @@ def plan(
     for_light: Light | ArrayLike | None = None,
     for_eye: ArrayLike | None = None,
     lobes: int = 0,
+    minutes: float | None = None,
 ) -> BakePlan:
-    """The cost of `bake` with these arguments, and what it would prune.
+    """The cost of `bake` with these arguments, and what it would prune. minutes: decides on lobes alone.
 
     Runs the pilot of the bake and bakes some blocks. Raises as `bake` does.
     """
     began = time.monotonic()
     refuse_unusable(
-        mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=None, seed=seed,
+        mesh, degree=degree, rings=rings, sectors=sectors, samples=samples, error=error, minutes=minutes, seed=seed,
         workers=workers, leave_out=leave_out, lobes=lobes, directions=directions, precision=precision, storage=storage,
     )  # fmt: skip
     refuse_foreign(transport, mesh)
@@ -117,7 +118,7 @@ def plan(
                 job, _spent = choose_samples(job, pruning.left_for_projection(error), directions, seed)
             cost = _fixed_samples_cost(job, pruning, pool, began)
         head = asset_head(mesh, sphere.tangent_frame(mesh.normals), rings, sectors, degree, transport)
-        planned = plan_lobes_of_bake(transport, whole, head, pruning, lobes, None, pool.count, precision, device)
+        planned = plan_lobes_of_bake(transport, whole, head, pruning, lobes, minutes, pool.count, precision, device)
     vertices, count = len(pruning.vertices), 1 if light is not None else sh.count(pruning.kept_degree)
     views, width = len(pruning.local) if pruning.views == "all" else 1, 2 if storage == "float16" else 4
     sizes = plan_bake(vertices, len(pruning.local), count, cost.per_bin, width, pruning.channels, views)

@@ -23,7 +23,7 @@ def compress(
             "--output --out -o", "FILE", "Asset to write; by default NAME.compact.h5 beside ASSET.", ".h5", ".hdf5"
         ),
     ] = None,
-    lobes: Annotated[bool, typer.Option(help="Keep the lobes, with fewer digits.")] = True,
+    lobes: Annotated[bool, typer.Option(help="Keep the lobes, rounded within twice --error.")] = True,
 ) -> None:
     """Compress an asset within an error.
 
@@ -54,3 +54,4 @@ def compress(
     rounding = outcome.asset.provenance["compression"].get("lobes_error")
     if rounding is not None:
         print(f"rounding the lobes adds {rounding:.3%}; --no-lobes omits them")
+    print(f"{target}: {target.stat().st_size:,} bytes in all")

@@ -34,7 +34,7 @@ def lobes(
     """Add lobes to an asset: narrow light that its harmonics leave out.
 
     Suns and windows then light an asset as they light its model. Coefficients are unchanged. Lobes are added as long as
-    they gain something; an asset whose harmonics suffice gets none.
+    they gain something; an asset whose harmonics suffice gets none. Lobes that the asset has are replaced.
     """
     target = out or asset.with_name(f"{asset.stem}.lobes{asset.suffix}")
     check_outputs({"--output": target}, {"MODEL": existing(source), "ASSET": existing(asset)})
@@ -51,4 +51,5 @@ def lobes(
         )
     entry = {**found.provenance["lobes"], **origin(source)}
     add_lobes_to_file(asset, target, found.lobes, {"lobes": entry})
-    print(f"{target}: {lobes_sentence(entry)}")
+    before = "" if baked.lobes is None else f"; they replace the {baked.lobes.count} that the asset had"
+    print(f"{target}: {lobes_sentence(entry)}{before}")

@@ -143,7 +143,8 @@ def shade(
     error = f"{picture.relative_error:.2%} of the object's radiance" if picture.relative_error else "unknown"
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "
-        f"{abs(picture.clamped):.3%} of the energy, projection error {error}" + _sun_figures(picture.suns, suns)
+        f"{abs(picture.clamped):.3%} of the energy, projection error {error}"
+        + _light_figures(baked, picture.suns, suns)
     )
 
 
@@ -156,11 +157,18 @@ def _files(output: Path, frames: int) -> list[Path]:
     return [numbered(output, number) for number in range(frames)]
 
 
-def _sun_figures(count: int, treatment: str) -> str:
+def _light_figures(baked: Any, count: int, treatment: str) -> str:
+    lobes = (
+        ""
+        if baked.lobes is None
+        else ", lobes shown"
+        if treatment == "split"
+        else f", no lobes with --suns {treatment}"
+    )
     if not count:
-        return ""
+        return lobes
     action = "split off" if treatment == "split" else "damped by a window"
-    return f", {count} {'sun' if count == 1 else 'suns'} {action}"
+    return f", {count} {'sun' if count == 1 else 'suns'} {action}{lobes}"
 
 
 def _write_picture(output: Path, baked: Any, lighting: Any, view: Any, options: dict[str, Any], exposure: float) -> Any:

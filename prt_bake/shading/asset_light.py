@@ -39,7 +39,7 @@ class AssetLight:
 
 
 def light_for(asset: Asset, lighting: Lighting, suns: SunTreatment = "split") -> AssetLight:
-    """Prepare a lighting for an asset.
+    """Prepare a lighting for an asset; the light is for that asset, and for compact forms of it, alone.
 
     Args:
         asset: the baked asset.

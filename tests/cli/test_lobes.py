@@ -38,6 +38,9 @@ def test_lobes_are_added_beside_the_asset(prtbake: Run, tmp_path: Path, folder: 
     np.testing.assert_array_equal(added.coefficients, baked.coefficients)
     assert added.provenance["lobes"]["source"] == "model.pt"
     assert "lobes" in prtbake("info", tmp_path / "asset.lobes.h5").out
+    assert "replace" not in outcome.out
+    again = prtbake("lobes", "model.pt", tmp_path / "asset.lobes.h5", "-o", tmp_path / "again.h5")
+    assert f"; they replace the {added.lobes.count} that the asset had" in again.out
 
 
 def test_a_path_traced_bake_takes_the_lobes_of_a_network(prtbake: Run, tmp_path: Path) -> None:
@@ -70,12 +73,19 @@ def test_a_dry_run_states_the_cost_of_lobes(prtbake: Run) -> None:
     outcome = prtbake("bake", "model.pt", "sphere.ply", "--rings", 8, "--sectors", 16, "--dry-run")
     assert '"lobes_in_a_view"' in outcome.out
     assert '"bytes"' in outcome.out
+    hurried = prtbake("bake", "model.pt", "sphere.ply", "--error", 0.2, "--minutes", 1e-4, "--dry-run")
+    assert "more than 25% of the time limit" in hurried.out
 
 
 def test_pictures_show_lobes_unless_suns_are_plain(prtbake: Run, tmp_path: Path) -> None:
     light = ["--light", "sun:0.3,1,0.2:3,3,3:0.5", "--size", "32x24"]
-    for name, options in (("lobes", []), ("plain", ["--suns", "plain"])):
-        assert prtbake("shade", "asset.h5", *light, *options, "-o", tmp_path / f"{name}.exr").code == 0
+    for name, options, said in (
+        ("lobes", [], "lobes shown"),
+        ("plain", ["--suns", "plain"], "no lobes with --suns plain"),
+    ):
+        outcome = prtbake("shade", "asset.h5", *light, *options, "-o", tmp_path / f"{name}.exr")
+        assert outcome.code == 0
+        assert said in outcome.out
     lobes, plain = (prt.read_image(tmp_path / f"{name}.exr") for name in ("lobes", "plain"))
     assert np.abs(lobes - plain).max() > 0.01 * plain.max()
 
@@ -88,6 +98,7 @@ def test_compression_keeps_lobes_or_leaves_them_out(prtbake: Run, tmp_path: Path
         assert prtbake("compress", "asset.h5", "--error", 0.1, *option, "-o", out).code == 0
         lobes = read_asset(out).lobes
         assert (lobes is not None) == kept
+        assert bool(read_asset(out).provenance["lobes"]["lobes_in_a_view"]) == kept
         if lobes is not None:
             np.testing.assert_allclose(lobes.axes, baked.lobes.axes, atol=2e-3)
 
@@ -110,3 +121,4 @@ def test_compression_rounds_lobes_within_twice_its_error(prtbake: Run, tmp_path:
         stated = compact.provenance["compression"]["lobes_error"]
         assert stated == pytest.approx(changed, rel=0.05)
         assert f"rounding the lobes adds {stated:.3%}" in outcome.out
+        assert f"{(tmp_path / 'a.h5').stat().st_size:,} bytes in all" in outcome.out

@@ -11,7 +11,8 @@ from bakers.workers import Threads
 from formats.asset import Asset
 from formats.errors import QueryError
 from prt_bake.baking.job.arguments import MOST_LOBES
-from prt_bake.baking.lobes.pilot import plan_lobes
+from prt_bake.baking.lobes.agreement import harmonics_apart
+from prt_bake.baking.lobes.pilot import none_gained, plan_lobes
 from prt_bake.baking.lobes.search import LobeSearch, node_grid
 from prt_bake.baking.lobes.stage import find_lobes
 from prt_bake.baking.output.checkpoint_store import MemoryStore
@@ -37,13 +38,15 @@ def add_lobes(
         device: where a network is evaluated ("cpu", "cuda").
         progress: called with the vertices that are done and all vertices.
 
-    Raises QueryError for a transport without Ŝ, for a mesh that is not its own, and for an asset made for one light or
-    one eye.
+    Warns if the transport's harmonics are far off the coefficients. Raises QueryError for a transport without Ŝ, for a
+    mesh that is not its own, and for an asset made for one light or one eye.
 
     >>> import prt_bake as prt
     >>> asset = prt.add_lobes(prt.read_asset("spot.h5"), prt.load_model("spot.pt"))
     >>> prt.write_asset(asset, "lobes.h5")
     """
+    if not 1 <= most <= MOST_LOBES:
+        raise QueryError(f"most: expected 1 to {MOST_LOBES} lobes in a view, found {most}")
     if transport_kind(transport) == "coefficients":
         raise QueryError(
             "transport: expected one that evaluates Ŝ, found one that estimates coefficients only; give a network of "
@@ -60,6 +63,7 @@ def add_lobes(
     vertices = np.flatnonzero(asset.valid)
     with limited_threads(transport, workers):
         search = LobeSearch(smooth, whole, asset, asset.degree, grid)
+        apart = harmonics_apart(asset, smooth, search)
         plan = plan_lobes(search, vertices, most)
         lobes = None
         if plan.lobes:
@@ -71,4 +75,7 @@ def add_lobes(
             lobes = find_lobes(search, plan, vertices, Threads(workers), MemoryStore(), lambda: False, report)
             if lobes is None:
                 raise KeyboardInterrupt
-    return replace(asset, lobes=lobes, provenance={**asset.provenance, "lobes": plan.as_json()})
+    entry: dict[str, Any] = {**plan.as_json(), "harmonics_apart": apart}
+    if lobes is None:
+        entry["reason"] = none_gained(plan, grid)
+    return replace(asset, lobes=lobes, provenance={**asset.provenance, "lobes": entry})

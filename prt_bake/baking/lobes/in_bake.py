@@ -11,7 +11,7 @@ from formats.asset.lobes import LOBE_BYTES, add_lobes_to_file
 from prt_bake.baking.job.forecast import BakeStatus
 from prt_bake.baking.job.pruning_record import Pruning
 from prt_bake.baking.job.work import Progress, Work
-from prt_bake.baking.lobes.pilot import LobePlan, plan_lobes
+from prt_bake.baking.lobes.pilot import LobePlan, none_gained, plan_lobes
 from prt_bake.baking.lobes.search import LobeSearch, node_grid
 from prt_bake.baking.lobes.stage import find_lobes
 from prt_bake.baking.output.checkpoint_store import CheckpointStore
@@ -89,7 +89,7 @@ def plan_lobes_of_bake(
         reason = f"they would take {seconds:.0f} s, more than {SHARE_OF_TIME:.0%} of the time limit"
         return LobesOfBake({**plan.as_json(), "lobes_in_a_view": 0, "reason": reason})
     if not plan.lobes:
-        return LobesOfBake({**plan.as_json(), "reason": "they would gain nothing"})
+        return LobesOfBake({**plan.as_json(), "reason": none_gained(plan, grid)})
     size = len(pruning.vertices) * search.grid[0] * search.grid[1] * plan.lobes * LOBE_BYTES
     return LobesOfBake(plan.as_json(), seconds, size, search, plan)
 

@@ -61,6 +61,13 @@ def plan_lobes(search: LobeSearch, vertices: Index, most: int) -> LobePlan:
     return LobePlan(number, len(left) - bool(number), float(np.sqrt(beyond / total)), shares, seconds)
 
 
+def none_gained(plan: LobePlan, grid: tuple[int, int]) -> str:
+    """Why no lobe pays at rings × sectors nodes."""
+    if plan.beyond < GAIN:
+        return "they would gain nothing"
+    return f"they would gain nothing at {grid[0]}×{grid[1]} nodes; with more view bins there are more, up to 8×16"
+
+
 def _fitted(
     search: LobeSearch, vertices: Index, most: int, unit: float, held_out: NDArray[np.float32], worth: float
 ) -> list[float]:

@@ -77,7 +77,7 @@ class LobeSearch:
 
     def own_fields(self, vertices: Index) -> list[Field]:
         """The transport's own lobes at the nodes of `vertices`."""
-        outgoing = self._outgoing(vertices, sphere.view_bins(*self.grid))
+        outgoing = self.outgoing(vertices, sphere.view_bins(*self.grid))
         at = np.repeat(self._mesh.positions[vertices], outgoing.shape[1], axis=0)
         found = self._own_lobes(at, outgoing.reshape(-1, 3))
         if found is None:
@@ -92,7 +92,7 @@ class LobeSearch:
         Both are 0 at vertices where a value is not finite.
         """
         local, sets = self._halves[half]
-        outgoing = self._outgoing(vertices, local)
+        outgoing = self.outgoing(vertices, local)
         positions, rotation = self._mesh.positions[vertices], np.repeat(sets[None], len(vertices), axis=0)
         shape = (*outgoing.shape[:2], self._pool.shape[1], 3)
         if transport_kind(self._smooth) == "block":
@@ -113,7 +113,7 @@ class LobeSearch:
         lobes_of = getattr(self._whole, "own_lobes", None)
         return None if lobes_of is None else lobes_of(positions, outgoing)
 
-    def _outgoing(self, vertices: Index, local: Array) -> Array:
+    def outgoing(self, vertices: Index, local: Array) -> Array:
         """Directions to the eye [n,B,3], clamped to the horizon."""
         world = sphere.to_world(local, self._mesh.normals[vertices][:, None], self._tangents[vertices][:, None])
         starts = self._around.starts

@@ -162,8 +162,9 @@ Mend = Annotated[
 Suns = Annotated[
     Literal["split", "window", "plain"],
     typer.Option(
-        help="Small strong lights: split removes them from the sky and uses a maximum-entropy reconstruction of the "
-        "transfer; window damps their harmonics; plain leaves them in the harmonics, which ring."
+        help="Small strong lights: split removes them from the sky and shades them by the asset's lobes, or without "
+        "lobes by a maximum-entropy reconstruction of the transfer; window damps their harmonics; plain leaves them in "
+        "the harmonics, which ring. window and plain show no lobes."
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Seed of the random numbers.")]

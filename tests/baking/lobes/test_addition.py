@@ -9,8 +9,8 @@ import pytest
 
 import prt_bake as prt
 from formats.asset import check_asset
-from formats.errors import QueryError
-from tests.baking.lobes.transports import MESH, Lobed, Smooth, errors, towards
+from formats.errors import InputWarning, QueryError
+from tests.baking.lobes.transports import MESH, Lobed, Smooth, errors, mirrored, towards
 
 
 def test_a_lobe_is_found() -> None:
@@ -30,7 +30,9 @@ def test_nothing_is_found_where_harmonics_suffice() -> None:
 
 def test_at_most_as_many_as_requested() -> None:
     asset = prt.bake(Lobed(), MESH, rings=2, sectors=8)
-    assert prt.add_lobes(asset, Lobed(), 0).lobes is None
+    for most in (-1, 0, 5):
+        with pytest.raises(QueryError, match=f"most: expected 1 to 4 lobes in a view, found {most}"):
+            prt.add_lobes(asset, Lobed(), most)
     one = prt.add_lobes(asset, Lobed(), 1).lobes
     assert one is not None
     assert one.count == 1
@@ -84,3 +86,24 @@ def test_assets_made_for_one_light_or_eye_are_refused() -> None:
     for made in (replace(asset, quantity="radiance"), eye):
         with pytest.raises(QueryError, match="made for one light or one eye"):
             prt.add_lobes(made, Lobed())
+
+
+def test_a_transport_of_another_material_is_reported() -> None:
+    asset = prt.bake(Lobed(), MESH, rings=2, sectors=8)
+    assert prt.add_lobes(asset, Lobed(), 1).provenance["lobes"]["harmonics_apart"] <= 0.1
+    with pytest.warns(InputWarning, match="its harmonics are [0-9]+% off the asset's coefficients"):
+        other = prt.add_lobes(asset, Lobed(constant=1.0), 1)
+    assert other.provenance["lobes"]["harmonics_apart"] > 1.0
+
+
+def test_coefficients_of_any_layout_are_compared() -> None:
+    for rings, sectors, degree in ((1, 1, 2), (4, 8, 0), (4, 8, 3)):
+        asset = prt.bake(Lobed(), MESH, degree=degree, rings=rings, sectors=sectors, samples=256)
+        assert prt.add_lobes(asset, Lobed(), 1).provenance["lobes"]["harmonics_apart"] <= 0.1
+
+
+def test_too_few_nodes_are_the_reason_for_no_lobes() -> None:
+    transport = Lobed(((mirrored, 40.0, 1.0),))
+    entry = prt.add_lobes(prt.bake(transport, MESH, rings=2, sectors=4), transport).provenance["lobes"]
+    assert entry["lobes_in_a_view"] == 0
+    assert "at 1×1 nodes; with more view bins there are more" in entry["reason"]

@@ -92,6 +92,13 @@ def test_kernels_agree_with_the_cpu(name: str, precision: str) -> None:
     assert relative_error(found, network.prepared().evaluate_block(*block)) < TOLERANCE[precision]
 
 
+def assert_same(part: np.ndarray, complete: np.ndarray) -> None:
+    """Results are equal on a GPU. On a CPU, a matrix product may round by the number of its rows."""
+    if REAL:
+        np.testing.assert_array_equal(part, complete)
+    np.testing.assert_allclose(part, complete, rtol=0, atol=2e-6 * np.abs(complete).max())
+
+
 @pytest.mark.parametrize("name", ["paper", "lobes"])
 def test_results_do_not_depend_on_how_blocks_are_cut(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     network = cuda.CudaNetwork(network_of(name), "float32", DEVICE)
@@ -99,11 +106,11 @@ def test_results_do_not_depend_on_how_blocks_are_cut(name: str, monkeypatch: pyt
     complete = network.evaluate_block(incident, rotation, positions, outgoing)
     for n, b in ((0, slice(None)), (1, slice(5, 6))):
         part = network.evaluate_block(incident, rotation[n : n + 1, b], positions[n : n + 1], outgoing[n : n + 1, b])
-        np.testing.assert_array_equal(part, complete[n : n + 1, b])
+        assert_same(part, complete[n : n + 1, b])
     monkeypatch.setattr(cuda, "ROWS_PER_BATCH", 70)
-    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), complete)
+    assert_same(network.evaluate_block(incident, rotation, positions, outgoing), complete)
     monkeypatch.setattr(cuda, "TABLE_ROWS", 24)
-    np.testing.assert_array_equal(network.evaluate_block(incident, rotation, positions, outgoing), complete)
+    assert_same(network.evaluate_block(incident, rotation, positions, outgoing), complete)
     again = pickle.loads(pickle.dumps(network))
     assert isinstance(again, cuda.CudaNetwork)
     np.testing.assert_array_equal(again.evaluate_block(incident, rotation, positions, outgoing), complete)
@@ -258,5 +265,5 @@ def test_results_are_copied_while_later_ones_are_computed(
     monkeypatch.setattr(network, "_copy_stream", copy_stream)
     monkeypatch.setattr(cuda, "ROWS_PER_BATCH", 100)
     monkeypatch.setattr(torch, "empty", lambda *size, pin_memory=False, **options: empty(*size, **options))
-    np.testing.assert_array_equal(network.evaluate_block(*block), complete)
+    assert_same(network.evaluate_block(*block), complete)
     assert copy_stream.waited == 1
