@@ -113,7 +113,7 @@ def test_results_do_not_depend_on_how_blocks_are_cut(name: str, monkeypatch: pyt
     assert_same(network.evaluate_block(incident, rotation, positions, outgoing), complete)
     again = pickle.loads(pickle.dumps(network))
     assert isinstance(again, cuda.CudaNetwork)
-    np.testing.assert_array_equal(again.evaluate_block(incident, rotation, positions, outgoing), complete)
+    assert_same(again.evaluate_block(incident, rotation, positions, outgoing), complete)
 
 
 def test_traced_rays_agree_with_the_cpu() -> None:
