@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from formats.asset.lobes import Lobes
+from prt_bake.lobes import rounding
 from prt_bake.lobes.gaussians import inner_product
 from prt_bake.lobes.rounding import change, rounded
 from prt_bake.mathematics.directions import fibonacci, uniform
@@ -77,3 +78,9 @@ def test_lobes_of_no_power_stay_so() -> None:
     assert changed == 0.0
     assert not coarse.powers.any()
     np.testing.assert_array_equal(coarse.axes[..., 2], 1.0)
+
+
+def test_blocks_of_vertices_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = change(lobes(), lobes(seed=1))
+    monkeypatch.setattr(rounding, "_AT_ONCE", 7)
+    assert change(lobes(), lobes(seed=1)) == pytest.approx(whole, rel=1e-12)
