@@ -158,13 +158,9 @@ def _files(output: Path, frames: int) -> list[Path]:
 
 
 def _light_figures(baked: Any, count: int, treatment: str) -> str:
-    lobes = (
-        ""
-        if baked.lobes is None
-        else ", lobes shown"
-        if treatment == "split"
-        else f", no lobes with --suns {treatment}"
-    )
+    lobes = ""
+    if baked.lobes is not None:
+        lobes = ", lobes shown" if treatment == "split" else f", no lobes with --suns {treatment}"
     if not count:
         return lobes
     action = "split off" if treatment == "split" else "damped by a window"
