@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -154,13 +155,14 @@ def estimate_coefficients(
     seed: int = 0,
     *,
     keys: NDArray[np.uint64] | None = None,
+    device: Literal["cpu", "cuda"] = "cpu",
 ) -> Estimate:
     """Estimate a_lm(x, ωo) = ∫ Ŝ Y_lm dωi [N,K,3] = E[throughput · Y_lm(exit)] from walks' exits, for any interface.
 
     K = (degree + 1)², in the order of `prt_bake.sh`. `keys` [N] replace the indices of the queries in the choice of
-    random numbers.
+    random numbers. device: "cuda" traces the walks on a GPU, the same ones up to rounding.
 
-    Raises QueryError as `estimate_transport`, except for smooth interfaces.
+    Raises QueryError as `estimate_transport`, except for smooth interfaces, and for a GPU that cannot be used.
 
     >>> import prt_bake as prt
     >>> scene = prt.load_scene("spot.toml")
@@ -174,6 +176,9 @@ def estimate_coefficients(
     queries = _place(prepared, positions, outgoing, keys)
 
     def run(chosen: slice, chunks: NDArray[np.int64], sums: Array) -> None:
+        if device != "cpu":
+            _sum_on_gpu(prepared, queries.rows(chosen), chunks, degree, seed, sums)
+            return
         from prt_bake.tracer.kernels import sum_coefficients
 
         in_threads(
@@ -190,6 +195,18 @@ def estimate_coefficients(
 
     size = (degree + 1) ** 2
     return _estimate(run, len(queries.keys), paths, (size,), size, _LEAST_PATHS, math.inf)
+
+
+def _sum_on_gpu(
+    prepared: PreparedScene, queries: KernelQueries, chunks: NDArray[np.int64], degree: int, seed: int, sums: Array
+) -> None:
+    from prt_bake.tracer.gpu.availability import reason_against
+
+    if reason := reason_against():
+        raise QueryError(f"device: walks cannot run on a GPU: {reason}; or use device='cpu'")
+    from prt_bake.tracer.gpu.exits import sum_coefficients
+
+    sum_coefficients(prepared, queries, chunks, degree, seed, sums)
 
 
 def _sharpness(scene: Scene, prepared: PreparedScene) -> float:

@@ -4,6 +4,7 @@ Sums [SUMS] of a value are those of `prt_bake.mathematics.moments`: the first va
 Raw powers would lose the variance of walks that all carry nearly the same.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -51,18 +52,18 @@ from prt_bake.tracer.walk import (
 @called_function()
 def harmonics(x: Any, y: Any, z: Any, degree: Any, basis: Any) -> None:
     """Real orthonormal harmonics of one direction into basis [K], as `prt_bake.mathematics.sh.evaluate`."""
-    diagonal = np.sqrt(0.25 / np.pi)
+    diagonal = math.sqrt(0.25 / math.pi)
     cosine, sine = 1.0, 0.0
     for m in range(degree + 1):
         if m > 0:
-            diagonal *= np.sqrt((2.0 * m + 1.0) / (2.0 * m))
+            diagonal *= math.sqrt((2.0 * m + 1.0) / (2.0 * m))
             cosine, sine = x * cosine - y * sine, x * sine + y * cosine
-        twice = 1.0 if m == 0 else np.sqrt(2.0)
+        twice = 1.0 if m == 0 else math.sqrt(2.0)
         before, legendre = 0.0, diagonal
         last = 0.0
         for l in range(m, degree + 1):
             if l > m:
-                step = np.sqrt((4.0 * l * l - 1.0) / (l * l - m * m))
+                step = math.sqrt((4.0 * l * l - 1.0) / (l * l - m * m))
                 before, legendre = legendre, step * (z * legendre - (before / last if l > m + 1 else 0.0))
                 last = step
             basis[l * (l + 1) + m] = twice * legendre * cosine
@@ -85,7 +86,7 @@ def _add_powers(value: Any, first: Any, sums: Any) -> None:
 
 
 @called_function()
-def _containing_mask(boundary: Any, position: Any, face: Any, inward: Any, ray: Any) -> Any:
+def containing_mask(boundary: Any, position: Any, face: Any, inward: Any, ray: Any) -> Any:
     """Mask of the inner parts that contain a query's point; `inward` is scratch space [3]."""
     if not boundary.nested:
         return 0
@@ -200,7 +201,7 @@ def sum_transport(
         value = np.zeros(direction_count * 3 + 4)
         received = value[: direction_count * 3].reshape(direction_count, 3)
         query_incident = incident[n]
-        mask = _containing_mask(boundary, positions[n], faces[n], scratch[0:3], ray)
+        mask = containing_mask(boundary, positions[n], faces[n], scratch[0:3], ray)
         clearance = view_clearance(boundary, positions[n], outgoing[n], faces[n], scratch[0:3], ray)
         crosses = boundary.kind == MATCHED
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
@@ -283,7 +284,7 @@ def sum_coefficients(
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
         stream = np.zeros(2, np.uint64)
         value, basis = np.zeros(size * 3 + 4), np.zeros(size)
-        mask = _containing_mask(boundary, positions[n], faces[n], state[0:3], ray)
+        mask = containing_mask(boundary, positions[n], faces[n], state[0:3], ray)
         for path in range(chunks[i, 1], chunks[i, 1] + chunks[i, 2]):
             begin_stream(stream, seed, keys[n], path)
             value[:] = 0.0
@@ -322,7 +323,7 @@ def draw_exits(
         ray = new_ray()
         state, counts = np.zeros(STATE_SIZE), np.zeros(COUNTS_SIZE, np.int64)
         stream = np.zeros(2, np.uint64)
-        mask = _containing_mask(boundary, positions[n], faces[n], state[0:3], ray)
+        mask = containing_mask(boundary, positions[n], faces[n], state[0:3], ray)
         for path in range(paths):
             begin_stream(stream, seed, keys[n], path)
             begin(

@@ -187,11 +187,15 @@ class Learner:
         return value_loss(predicted, values, self.settings.loss, self.settings.floor)
 
     def _exit_losses(self, rows: Tensor, generator: np.random.Generator, encoding: ViewEncoding | None) -> Tensor:
-        rays, settings = rays_of(rows), self.settings
-        count = settings.spread
-        if self.step < settings.coarse_steps and bool(torch.isfinite(rays).all()):
+        rays, count = rays_of(rows), self.settings.spread
+        if self.step < self.settings.coarse_steps and bool(torch.isfinite(rays).all()):
             rays, count = every_third(rays, int(generator.integers(3))), math.ceil(count / 3)
         uniform = torch.from_numpy(rotated_lattice(len(rows), count, generator)).to(self._device)
+        return self._losses_of_exits(rows, rays, uniform, encoding)
+
+    def _losses_of_exits(self, rows: Tensor, rays: Tensor, uniform: Tensor, encoding: ViewEncoding | None) -> Tensor:
+        """Losses [Q] of rows from rays [Q,P,6] and uniform directions [Q,S,3]."""
+        settings = self.settings
         predicted, lobes = self._predict(torch.cat((rays[..., INCIDENT], uniform), dim=1), rows, encoding)
         throughput = rays[..., CHANNELS] / self.network.output_scale
         walks = rays.shape[1]
@@ -211,11 +215,14 @@ class Learner:
 
     def _average(self) -> None:
         """Move the average towards the weights so that step s of t has a weight proportional to about (s/t)^γ."""
-        gamma = 1.0 / self.settings.average_length - 2.0
-        share = 1.0 - (1.0 - 1.0 / self.step) ** (gamma + 1.0)
+        share = self._share_of_average(self.step)
         with torch.no_grad():
             for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
                 mean.lerp_(weights, share)
+
+    def _share_of_average(self, step: int) -> float:
+        gamma = 1.0 / self.settings.average_length - 2.0
+        return float(1.0 - (1.0 - 1.0 / step) ** (gamma + 1.0))
 
     def _error(self, source: RowSource, batch: Batch, losses: NDArray[np.float32], value: float) -> str:
         """The message about a loss that is not finite: the query and the ray that caused it."""

@@ -59,6 +59,7 @@ class SampleFileData:
         Raises SamplesError if the file is damaged, belongs to another scene or is too short to split, and QueryError if
         its positions are not on the scene's surface.
         """
+        self.on_gpu = False
         self.scene, self.box = scene, box_of(scene)
         self._path, self._seed, self._synchronous = Path(path), seed, synchronous
         self._samples = read_samples(path)

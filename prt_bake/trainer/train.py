@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -102,6 +102,7 @@ def train(
             raise QueryError("train: resume needs output, the model to continue from")
         require_state(output)
     report = say or (lambda sentence: None)
+    chosen = select_device(device)
     if warning := training_warning(scene):
         report(f"{scene.path}: {warning}")
     data: TrainingData
@@ -110,12 +111,13 @@ def train(
         data = SampleFileData(scene, samples, seed, synchronous)
     else:
         report("path tracing the validation queries")
-        data = PathTracedData(scene, stream or StreamSettings(), seed, synchronous)
+        walking = _walking_device(chosen, synchronous, report)
+        data = PathTracedData(scene, stream or _stream(walking), seed, synchronous, walking)
     run = _Run(
         data,
         _settings_for(settings or replace(PRESETS["measured"], seed=seed), scene),
-        learning or LearningSettings(),
-        select_device(device),
+        learning or _learning(data),
+        chosen,
         seed,
     )
     if resume:
@@ -155,12 +157,19 @@ class _Run:
         ).to(device)
         network = network.on(self.scene.mesh)
         # The faster precision is measured by a clock, which must not decide the bits of a synchronous run.
-        self.learner = Learner(network, replace(learning, bfloat16=False) if self.synchronous else learning)
+        self.learner = self._learner(network, replace(learning, bfloat16=False) if self.synchronous else learning)
         self.generator = np.random.default_rng(seed)
         self.seconds = 0.0
         self.source: RowSource | None = None
         self.source_state: dict[str, int] | None = None
         self.history: list[TrainingProgress] = []
+
+    def _learner(self, network: NeuralBSSRDF, learning: LearningSettings) -> Learner:
+        if not self.data.on_gpu:
+            return Learner(network, learning)
+        from prt_bake.trainer.gpu.learner import GpuLearner
+
+        return GpuLearner(network, learning)
 
     def restore(self, output: str | Path) -> None:
         """Continue from the checkpoint beside `output`."""
@@ -272,6 +281,39 @@ class _Run:
         if output is not None:
             save_model(network, output)
         return network
+
+
+def _walking_device(device: str, synchronous: bool, report: Callable[[str], None]) -> Literal["cpu", "cuda"]:
+    """The device that path traces: the one that learns, unless it is a GPU that cannot. Synchronous runs walk on the
+    processor, whose walks do not depend on the machine.
+    """
+    if device == "cpu" or synchronous:
+        return "cpu"
+    from prt_bake.tracer.gpu.availability import reason_against
+
+    if reason := reason_against():
+        report(f"the GPU learns, but the processor path traces: {reason}")
+        return "cpu"
+    report("the GPU path traces and learns")
+    return "cuda"
+
+
+def _stream(device: str) -> StreamSettings:
+    """The renderer's settings for the device that path traces."""
+    if device == "cpu":
+        return StreamSettings()
+    from prt_bake.trainer.gpu.renderer import GPU_STREAM
+
+    return GPU_STREAM
+
+
+def _learning(data: TrainingData) -> LearningSettings:
+    """The learner's settings for the device that path traces."""
+    if not data.on_gpu:
+        return LearningSettings()
+    from prt_bake.trainer.gpu.learner import GPU_LEARNING
+
+    return GPU_LEARNING
 
 
 def _settings_for(settings: NetworkSettings, scene: Scene) -> NetworkSettings:

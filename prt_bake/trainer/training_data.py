@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 from formats.scene import Scene
 from prt_bake.network.bssrdf import NeuralBSSRDF
@@ -23,6 +23,8 @@ class TrainingData(Protocol):
 
     scene: Scene
     box: Box
+    on_gpu: bool
+    """Whether rows are made on a GPU."""
     resume_settings: dict[str, Any]
     """Settings that a resumed run must share with the run that it continues."""
 
@@ -42,20 +44,30 @@ class TrainingData(Protocol):
 class PathTracedData:
     """Walks in the scene, traced while the network learns."""
 
-    def __init__(self, scene: Scene, stream: StreamSettings, seed: int, synchronous: bool) -> None:
-        """Renderer and learner take turns if `synchronous`, otherwise they run concurrently."""
+    def __init__(
+        self, scene: Scene, stream: StreamSettings, seed: int, synchronous: bool, device: Literal["cpu", "cuda"] = "cpu"
+    ) -> None:
+        """Walks run on `device`. On the processor renderer and learner take turns if `synchronous`, otherwise they run
+        concurrently.
+        """
         self.scene, self.box = scene, box_of(scene)
         fixed = {f"stream {name}": value for name, value in asdict(stream).items()} if synchronous else {}
         self.resume_settings = {"synchronous": synchronous, "samples": "", **fixed}
-        self._stream, self._seed, self._synchronous = stream, seed, synchronous
+        self._stream, self._seed, self._synchronous, self._device = stream, seed, synchronous, device
+        self.on_gpu = device == "cuda"
         self._prepared: PreparedScene = prepare(scene)
 
     def reference(self, learning: LearningSettings) -> Reference:
         """Path-traced queries of a separate seed."""
-        return validation_reference(self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
+        count, walks = learning.held_out_queries, learning.held_out_walks
+        return validation_reference(self.scene, self._prepared, count, walks, self._device)
 
     def source(self, learning: LearningSettings, device: str, state: dict[str, int] | None) -> RowSource:
         """A renderer whose kernel is compiled."""
+        if self.on_gpu:
+            from prt_bake.trainer.gpu.renderer import GpuRenderer
+
+            return GpuRenderer(self._prepared, self.box, self._stream, self._seed, self.scene.normals, state)
         tracer: RowTracer = row_tracer(self.scene, self._prepared, self.box, self._stream, self._seed)
         tracer.render(0, 1)
         if self._synchronous:
@@ -70,7 +82,8 @@ class PathTracedData:
 
     def metadata(self, network: NeuralBSSRDF, learning: LearningSettings) -> dict[str, Any]:
         """Errors on fresh queries, and the renderer's settings."""
-        errors = final_errors(network, self.scene, self._prepared, learning.held_out_queries, learning.held_out_walks)
+        count, walks = learning.held_out_queries, learning.held_out_walks
+        errors = final_errors(network, self.scene, self._prepared, count, walks, device=self._device)
         return {"stream": asdict(self._stream), "relative_rmse": asdict(errors)}
 
 

@@ -4,7 +4,7 @@
 """
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from prt_bake.trainer.samples.queries import Queries, QuerySource
 from prt_bake.trainer.samples.rows import trace_values
 
 Array = NDArray[np.float64]
+Device = Literal["cpu", "cuda"]
 
 VALIDATION_SEED = 0x7E57
 FINAL_SEED = 0xF17A
@@ -90,20 +91,26 @@ def hold_out(prepared: PreparedScene, count: int, directions: int, walks: int, s
     return HeldOut(queries, mean, error)
 
 
-def hold_out_coefficients(scene: Scene, count: int, walks: int, seed: int, directions: int) -> HeldOutCoefficients:
+def hold_out_coefficients(
+    scene: Scene, count: int, walks: int, seed: int, directions: int, device: Device = "cpu"
+) -> HeldOutCoefficients:
     """Path trace the coefficients of `count` queries with `walks` walks; networks are evaluated in `directions`."""
     queries = QuerySource(prepare(scene), 1, seed).draw(0, count)
     traced = estimate_coefficients(
-        scene, queries.location.positions, queries.outgoing, _COEFFICIENT_DEGREE, walks, seed + 1
+        scene, queries.location.positions, queries.outgoing, _COEFFICIENT_DEGREE, walks, seed + 1, device=device
     )
     return HeldOutCoefficients(queries.positions, queries.outgoing, traced.mean, traced.standard_error, directions)
 
 
-def validation_reference(scene: Scene, prepared: PreparedScene, queries: int, walks: int) -> Reference:
+def validation_reference(
+    scene: Scene, prepared: PreparedScene, queries: int, walks: int, device: Device = "cpu"
+) -> Reference:
     """The reference of the validation error: values, or coefficients where those cost a tenth."""
     if is_unrefracted(scene):
         return hold_out(prepared, queries, 8, walks, VALIDATION_SEED)
-    return hold_out_coefficients(scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _VALIDATION_DIRECTIONS)
+    return hold_out_coefficients(
+        scene, max(1, queries // 4), 8 * walks, VALIDATION_SEED, _VALIDATION_DIRECTIONS, device
+    )
 
 
 def network_coefficients(network: Any, positions: Array, outgoing: Array, directions: int = _DIRECTIONS) -> Array:
@@ -138,11 +145,17 @@ class FinalErrors:
 
 
 def final_errors(
-    network: Any, scene: Scene, prepared: PreparedScene, queries: int, walks: int, seed: int = FINAL_SEED
+    network: Any,
+    scene: Scene,
+    prepared: PreparedScene,
+    queries: int,
+    walks: int,
+    seed: int = FINAL_SEED,
+    device: Device = "cpu",
 ) -> FinalErrors:
     """The errors of a trained network against the path tracer, on queries of a separate seed."""
     values = hold_out(prepared, queries, 8, walks, seed) if smooth_part(scene) is None else None
-    reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS)
+    reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS, device)
     return FinalErrors(
         transport=None if values is None else _known_error(values, network),
         transport_noise=None if values is None else relative_noise(values),

@@ -50,6 +50,9 @@ class LightRay(nn.Module):
             self.register_buffer(f"grid{level}", grid, persistent=False)
             self._corners.append(corner.astype(np.float32))
             self._spacings.append(spacing)
+            scale = (2.0 / spacing) / (np.array(grid.shape) - 1.0)
+            self.register_buffer(f"corner{level}", torch.from_numpy(self._corners[-1]), persistent=False)
+            self.register_buffer(f"scale{level}", torch.from_numpy(scale.astype(np.float32)), persistent=False)
 
     def forward(self, origins: Tensor, incident: Tensor) -> Tensor:
         """Scaled occupancies [N,D,S·samples] in float32, those of the first origin first.
@@ -87,10 +90,8 @@ class LightRay(nn.Module):
         occupancy, pyramid = [], self.pyramid()
         for distance, number in zip(self.distances, self.level_at, strict=True):
             level = pyramid[number]
-            last = torch.tensor(level.grid.shape, device=level.grid.device, dtype=torch.float32) - 1.0
-            corner = torch.from_numpy(level.corner).to(level.grid.device)
             points = origins[:, None] + distance * incident[:, :, None]
-            at = (points - corner) * (2.0 / level.spacing) / last - 1.0
+            at = (points - self.get_buffer(f"corner{number}")) * self.get_buffer(f"scale{number}") - 1.0
             # grid_sample counts axes from the last one.
             rows = nn.functional.grid_sample(level.grid[None, None], at.flip(-1)[None], align_corners=True)
             occupancy.append(rows[0, 0])

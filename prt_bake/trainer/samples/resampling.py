@@ -10,6 +10,7 @@ Systematic sampling: Madow 1949, "On the theory of systematic sampling II". Octa
 2008, "Octahedron environment maps".
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -82,7 +83,7 @@ def hilbert_index(x: Any, y: Any, z: Any) -> Any:
     reach = abs(x) + abs(y) + abs(z)
     u, v = x / reach, y / reach
     if z < 0.0:
-        u, v = np.copysign(1.0 - abs(v), u), np.copysign(1.0 - abs(u), v)
+        u, v = math.copysign(1.0 - abs(v), u), math.copysign(1.0 - abs(u), v)
     side = 1 << _LEVELS
     i, j = min(int((0.5 + 0.5 * u) * side), side - 1), min(int((0.5 + 0.5 * v) * side), side - 1)
     index, half = 0, side >> 1

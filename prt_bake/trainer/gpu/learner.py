@@ -1,0 +1,137 @@
+"""A learner whose steps are recorded as one graph of the GPU's operations, and replayed without waiting for it."""
+
+import math
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from formats.errors import QueryError
+from prt_bake.mathematics.sphere import fibonacci
+from prt_bake.network.bssrdf import NeuralBSSRDF
+from prt_bake.network.features.view_features import ViewEncoding
+from prt_bake.trainer.gpu.renderer import GpuBatch
+from prt_bake.trainer.learner import Learner, LearningSettings, learning_rate
+from prt_bake.trainer.samples.rows import OUTGOING, POSITION, Batch, RowSource, rays_of
+
+GPU_LEARNING = LearningSettings(batch=2048)
+"""Settings for a GPU."""
+_WARM_UP = 3
+"""Steps before the recording: first compilations and allocations cannot be recorded."""
+_stream: Any = torch.cuda.Stream
+"""Torch has no type annotations for it."""
+_CHECK_EVERY = 64
+"""Steps between two looks at the loss, each of which waits for the GPU."""
+
+
+class GpuLearner(Learner):
+    """A `Learner` for rows that are on the GPU."""
+
+    def __init__(self, network: NeuralBSSRDF, settings: LearningSettings) -> None:
+        """Learn on the network's device, a GPU."""
+        super().__init__(network, settings)
+        self._recordable = self._device.type == "cuda"
+        if self._recordable:
+            for each in (network, self.model):
+                if each.view is not None:
+                    each.view.use_kernels = find_spec("triton") is not None
+            rate = torch.tensor(settings.rate, device=self._device)
+            for group in self.optimizer.param_groups:
+                group.update(lr=rate, capturable=True, foreach=True)
+        self._lattice = torch.from_numpy(fibonacci(settings.spread).astype(np.float32)).to(self._device)
+        self._average_share = torch.zeros((), device=self._device)
+        self._loss = torch.zeros((), device=self._device)
+        self._losses = torch.zeros(settings.batch, device=self._device)
+        self._batch: GpuBatch | None = None
+        self._graph: Any = None
+        self._last_loss, self._steps_here = math.nan, 0
+
+    def encode_views(self, batch: Batch) -> ViewEncoding | None:
+        """None: the recorded step encodes the views."""
+        return None
+
+    def learn(
+        self,
+        source: RowSource,
+        batch: Any,
+        share: float,
+        generator: np.random.Generator,
+        encoding: ViewEncoding | None = None,
+    ) -> float:
+        """As `Learner.learn`. Returns the loss of the last step at which it was looked at."""
+        if self._batch is None:
+            self._batch = GpuBatch._make(part.clone() for part in batch)
+        for kept, part in zip(self._batch, batch, strict=True):
+            kept.copy_(part)
+        self._set_rate(learning_rate(self.settings, share))
+        self._average_share.fill_(self._share_of_average(self.step + 1))
+        if not self._recordable:
+            self._step()
+        elif self._graph is None and self._steps_here < _WARM_UP:
+            self._warm_up()
+        elif self._graph is None:
+            self._record()
+        else:
+            self._graph.replay()
+        self.step += 1
+        self._steps_here += 1
+        if self._steps_here % _CHECK_EVERY == 1:
+            self._check(source, batch)
+        return self._last_loss
+
+    def _set_rate(self, rate: float) -> None:
+        for group in self.optimizer.param_groups:
+            if self._recordable:
+                group["lr"].fill_(rate)
+            else:
+                group["lr"] = rate
+
+    def _warm_up(self) -> None:
+        stream: Any = _stream(self._device)
+        stream.wait_stream(torch.cuda.current_stream(self._device))
+        with torch.cuda.stream(stream):
+            self._step()
+        torch.cuda.current_stream(self._device).wait_stream(stream)
+
+    def _record(self) -> None:
+        self._graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
+            self._step()
+        self._graph.replay()
+
+    def _step(self) -> None:
+        assert self._batch is not None
+        self.optimizer.zero_grad(set_to_none=True)
+        rows = self._batch.rows
+        view = self.network.view
+        encoding = None if view is None else view.encode(rows[:, POSITION], rows[:, OUTGOING], self._batch.normals)
+        losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(len(rows)), encoding)
+        loss = losses.mean()
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        self._losses.copy_(losses.detach())
+        self._loss.copy_(loss.detach())
+        if self.settings.average:
+            with torch.no_grad():
+                for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
+                    mean.lerp_(weights, self._average_share)
+
+    def _uniform(self, queries: int) -> Tensor:
+        """A randomly rotated lattice [Q,S,3] for each query (Shoemake 1992, as `prt_bake.mathematics.directions`)."""
+        u = torch.rand((queries, 3), device=self._device)
+        low, high = (1.0 - u[:, 0]).sqrt(), u[:, 0].sqrt()
+        a, b = 2.0 * math.pi * u[:, 1], 2.0 * math.pi * u[:, 2]
+        q = torch.stack((low * torch.sin(a), low * torch.cos(a), high * torch.sin(b)), dim=1)[:, None]
+        w = (high * torch.cos(b))[:, None, None]
+        lattice = self._lattice.expand(queries, -1, -1)
+        twice = 2.0 * torch.linalg.cross(q.expand_as(lattice), lattice)
+        turned: Tensor = lattice + w * twice + torch.linalg.cross(q.expand_as(lattice), twice)
+        return turned
+
+    def _check(self, source: RowSource, batch: GpuBatch) -> None:
+        self._last_loss = float(self._loss)
+        if not math.isfinite(self._last_loss):
+            on_processor = Batch(batch.rows.cpu().numpy(), batch.numbers.cpu().numpy())
+            raise QueryError(self._error(source, on_processor, self._losses.cpu().numpy(), self._last_loss))

@@ -1,0 +1,136 @@
+"""Training rows from walks on a GPU, which stay there.
+
+Walks and learning take turns on the GPU, which both can fill alone. The processor places the next queries meanwhile.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from prt_bake.tracer.gpu.device_functions import SIMULATED
+from prt_bake.tracer.gpu.exits import Exits, on_gpu
+from prt_bake.tracer.prepared import KernelQueries, PreparedScene
+from prt_bake.trainer.gpu.resampling import kernel_array, resampled
+from prt_bake.trainer.samples.queries import QuerySource
+from prt_bake.trainer.samples.rows import Box, SourceStatistics, StreamSettings, query_description
+
+GPU_STREAM = StreamSettings(queries_a_batch=1 << 15, exits=64, kept=24)
+"""Settings for a GPU: `queries_a_batch` are traced at once, each with `exits` walks."""
+
+
+class GpuBatch(NamedTuple):
+    """A `Batch` on the GPU: rows [Q, 6 + 6 R] float32, the queries' numbers [Q] int64, and normals [Q,3] float32 of the
+    mesh.
+    """
+
+    rows: Tensor
+    numbers: Tensor
+    normals: Tensor
+
+
+class _Placed(NamedTuple):
+    """Queries of a block: their number, rows before the rays float32 [B,6], normals float32 [B,3], and in the kernels'
+    coordinates.
+    """
+
+    first: int
+    rows: NDArray[np.float32]
+    normals: NDArray[np.float32]
+    queries: KernelQueries
+
+
+class GpuRenderer:
+    """Traces rows of exits on the GPU, a block at a time."""
+
+    exits = True
+
+    def __init__(
+        self,
+        prepared: PreparedScene,
+        box: Box,
+        settings: StreamSettings,
+        seed: int,
+        normals: Literal["face", "vertex"],
+        state: dict[str, int] | None = None,
+    ) -> None:
+        """Continue from `state` if given; normals: "face" or "vertex"."""
+        begun = state or {"next_query": 0, "walks": 0, "rows": 0}
+        self._next_query, self._walks, self._rows = begun["next_query"], begun["walks"], begun["rows"]
+        self._prepared, self._box, self._settings, self._seed, self._normals = prepared, box, settings, seed, normals
+        self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
+        self._scene, self._size = on_gpu(prepared), settings.queries_a_batch
+        self._pool = ThreadPoolExecutor(1, "prtbake-places")
+        self._pending: Future[_Placed] | None = None
+        self._block: GpuBatch | None = None
+        self._drawn = 0
+        shape = self._size, settings.exits
+        self._directions, self._throughput = (torch.empty((*shape, 3), device=_device()) for _ in range(2))
+        self._scattered = torch.empty(shape, dtype=torch.int32, device=_device())
+        self._lost = torch.empty(shape, device=_device())
+
+    def start(self) -> None:
+        """Begin to place the first queries."""
+        self._pending = self._pool.submit(self._place, self._next_query)
+
+    def stop(self) -> None:
+        """End the thread that places queries."""
+        self._pool.shutdown(cancel_futures=True)
+
+    def draw(self, count: int, generator: np.random.Generator) -> Any:
+        """The next `count` rows, on the GPU; `generator` is not used."""
+        if self._block is None or self._drawn + count > self._size:
+            self._block, self._drawn = self._trace_block(), 0
+        chosen = slice(self._drawn, self._drawn + count)
+        self._drawn += count
+        return GpuBatch._make(part[chosen] for part in self._block)
+
+    def describe(self, number: int) -> str:
+        """A query's number, seed and face, for messages."""
+        return query_description(self._source, number)
+
+    def statistics(self) -> SourceStatistics:
+        """Walks and rows so far. How long the GPU walks is not measured: that would wait for it."""
+        return SourceStatistics(self._walks, self._rows, 0.0)
+
+    def state(self) -> dict[str, int]:
+        """State to continue from, with queries that were not traced yet."""
+        return {"next_query": self._next_query, "walks": self._walks, "rows": self._rows}
+
+    def _place(self, first: int) -> _Placed:
+        queries = self._source.draw(first, self._size)
+        rows = np.concatenate([(queries.positions - self._box.corner) / self._box.side, queries.outgoing], axis=1)
+        normals = self._prepared.surface.normals(queries.positions, queries.outgoing, self._normals)
+        placed = KernelQueries._make(self._source.for_kernel(queries))
+        return _Placed(first, rows.astype(np.float32), normals.astype(np.float32), placed)
+
+    def _trace_block(self) -> GpuBatch:
+        assert self._pending is not None
+        placed = self._pending.result()
+        self._pending = self._pool.submit(self._place, placed.first + self._size)
+        rows, normals, *arrays = (_to_gpu(array) for array in (placed.rows, placed.normals, *placed.queries))
+        queries = KernelQueries._make(map(kernel_array, arrays))
+        buffers = self._directions, self._throughput, self._scattered, self._lost
+        exits = Exits._make(map(kernel_array, buffers))
+        first_path = kernel_array(torch.zeros(self._size, dtype=torch.int64, device=_device()))
+        self._scene.draw(queries, first_path, self._seed, exits)
+        light = torch.where(self._scattered[..., None] == 0, 0.0, self._throughput)
+        kept, throughput = resampled(self._directions, light, self._settings.kept)
+        rays = torch.cat((kept, throughput), dim=-1).flatten(1)
+        self._next_query = placed.first + self._size
+        self._walks += self._size * self._settings.exits
+        self._rows += self._size
+        numbers = torch.arange(placed.first, placed.first + self._size, device=_device())
+        return GpuBatch(torch.cat((rows, rays), dim=1), numbers, normals)
+
+
+def _device() -> str:
+    """The GPU; the processor where numba simulates one."""
+    return "cpu" if SIMULATED else "cuda"
+
+
+def _to_gpu(array: NDArray[np.generic]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array)).to(_device(), non_blocking=True)

@@ -1,0 +1,43 @@
+"""Systematic resampling of exits on a GPU, as `prt_bake.trainer.samples.resampling`."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from prt_bake.tracer.gpu.device_functions import cuda, device_function, kernel
+from prt_bake.trainer.samples import resampling
+
+_hilbert_index = device_function(resampling.hilbert_index)
+_THREADS = 128
+
+
+@kernel
+def _hilbert_indices(directions: Any, index: Any) -> None:
+    """Positions [N] of directions [N,3] along the Hilbert curve."""
+    n = cuda.grid(1)
+    if n < index.shape[0]:
+        index[n] = _hilbert_index(directions[n, 0], directions[n, 1], directions[n, 2])
+
+
+def resampled(directions: Tensor, throughput: Tensor, kept: int) -> tuple[Tensor, Tensor]:
+    """Directions and throughput [N,K,3] of K = `kept` rays that represent those [N,P,3] of P walks."""
+    walks = directions.shape[1]
+    index = torch.empty(throughput.shape[:2], dtype=torch.int32, device=directions.device)
+    blocks = -(-index.numel() // _THREADS)
+    _hilbert_indices[blocks, _THREADS](kernel_array(directions.view(-1, 3)), kernel_array(index.view(-1)))
+    light = throughput.double().mean(dim=-1)
+    order = index.argsort(dim=1)
+    cumulative = light.gather(1, order).cumsum(dim=1)
+    total = cumulative[:, -1:]
+    strata = torch.rand((len(light), 1), dtype=torch.float64, device=light.device)
+    strata = strata + torch.arange(kept, device=light.device)
+    chosen = order.gather(1, torch.searchsorted(cumulative, strata * (total / kept), right=True).clamp_(max=walks - 1))
+    scale = total / (walks * light.gather(1, chosen).clamp(min=1e-300))
+    rows = chosen[..., None].expand(-1, -1, 3)
+    return directions.gather(1, rows), throughput.gather(1, rows) * scale[..., None].float()
+
+
+def kernel_array(tensor: Tensor) -> Any:
+    """The tensor as an array for kernels of numba; both share the memory."""
+    return cuda.as_cuda_array(tensor) if tensor.is_cuda else tensor.numpy()
