@@ -21,7 +21,17 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from formats.errors import ModelError, refuse_path
-from formats.json_values import REFRACTIVE_INDEX, ROUGHNESS, TABLE, TEXT, Check, one_of, value_faults
+from formats.json_values import (
+    ERROR_INTERVAL,
+    ERROR_OR_UNKNOWN,
+    REFRACTIVE_INDEX,
+    ROUGHNESS,
+    TABLE,
+    TEXT,
+    Check,
+    one_of,
+    value_faults,
+)
 from formats.mesh import Mesh
 from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
 from prt_bake.network.core import NetworkCore
@@ -46,6 +56,7 @@ _METADATA: Mapping[str, Check] = {
     "training": TABLE,
 }
 """Entries of the metadata that bakes and pictures read; others are only handed on."""
+_ERRORS: Mapping[str, Check] = {"coefficients": ERROR_OR_UNKNOWN, "coefficients_interval": ERROR_INTERVAL}
 _MAX_FLOAT16 = float(torch.finfo(torch.float16).max)
 
 
@@ -183,7 +194,10 @@ def _check_metadata(metadata: dict[str, Any]) -> None:
     """Raise ModelError naming a value of the metadata that bakes and pictures cannot use."""
     for fault in value_faults(metadata, _METADATA, "metadata."):
         raise ModelError(f"{fault}; copy the file again, or train the model again")
-    for fault in value_faults(metadata.get("training", {}), {"relative_rmse": TABLE}, "metadata.training."):
+    training = metadata.get("training", {})
+    for fault in value_faults(training, {"relative_rmse": TABLE}, "metadata.training."):
+        raise ModelError(f"{fault}; copy the file again, or train the model again")
+    for fault in value_faults(training.get("relative_rmse", {}), _ERRORS, "metadata.training.relative_rmse."):
         raise ModelError(f"{fault}; copy the file again, or train the model again")
 
 
