@@ -48,7 +48,7 @@ class TotalError:
 
     @property
     def total(self) -> ErrorInterval | None:
-        """Both together, the root of the sum of their squares; None if a part of it is unknown."""
+        """Both together, the root of the sum of their squares; None if one is unknown. The bake adds no interval."""
         network = ErrorInterval(0.0) if self.path_traced else self.network
         if network is None or self.bake is None:
             return None

@@ -1,5 +1,6 @@
 """The error of an asset: in the header of every form of file, and as one figure of network and bake."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -67,13 +68,14 @@ def test_the_bakes_error_is_that_of_its_provenance() -> None:
 
 
 def test_compression_adds_to_the_bakes_error(tmp_path: Path) -> None:
-    """Compact, written and read, and unpacked."""
+    """Compact, written and read, unpacked, and compact files of before, whose provenance does not state it."""
     asset = asset_with(of_rank(4, 0.1), provenance=BAKED, network_error=NETWORK)
     compact = compress(asset, 0.05)
     expected = math.hypot(0.01, compact.coefficients.added.total)
     assert expected > 0.02
     write_asset(compact, tmp_path / "compact.h5")
-    forms: list[Asset] = [compact, read_asset(tmp_path / "compact.h5"), unpacked(compact)]
+    older = dataclasses.replace(compact, provenance=BAKED)
+    forms: list[Asset] = [compact, read_asset(tmp_path / "compact.h5"), unpacked(compact), older]
     for form in forms:
         assert form.error.bake == pytest.approx(expected, rel=1e-6)
         assert form.error.network == NETWORK
