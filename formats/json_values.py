@@ -30,6 +30,10 @@ def one_of(*choices: str) -> Check:
     return (lambda value: value in choices), " or ".join(map(repr, choices))
 
 
+def _is_interval(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(ERROR[0], value)) and value[0] <= value[1]
+
+
 def _is_text(value: Any) -> bool:
     return isinstance(value, str)
 
@@ -40,4 +44,7 @@ REFRACTIVE_INDEX: Check = (
     (lambda value: is_number(value) and value > 0.0),
     "an index of refraction, a finite number above 0",
 )
+ERROR: Check = (lambda value: is_number(value) and value >= 0.0), "an error, a finite number from 0 on"
+ERROR_OR_UNKNOWN: Check = (lambda value: value is None or ERROR[0](value)), f"{ERROR[1]}, or null"
+ERROR_INTERVAL: Check = (lambda value: value is None or _is_interval(value)), "the ends of an interval, or null"
 ROUGHNESS: Check = (lambda value: is_number(value) and value >= 0.0), "a GGX alpha, a finite number from 0 on"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from formats.asset.lobes import FORMAT_VERSION
 from formats.asset.record import AssetHead
+from formats.asset.total_error import ATTRIBUTE as NETWORK_ERROR
 from formats.hdf5_file import attribute
 
 FORMAT = "prtbake"
@@ -44,6 +45,8 @@ def write_head(file: Any, head: AssetHead) -> None:
         complete=np.uint8(0),
         left_out=json.dumps(head.left_out),
     )
+    if head.network_error is not None:
+        file.attrs[NETWORK_ERROR] = np.array(head.network_error, "<f8")
     _write_mesh(file.create_group("mesh"), head)
     basis = file.create_group("basis")
     basis.attrs.update(BASIS, degree=head.degree)

@@ -3,7 +3,7 @@
 format_version 1.0, little-endian, with the filters gzip and shuffle only:
 
     /             attributes format, format_version, generator, created, up, handedness, unit, colour, complete,
-                  left_out (JSON)
+                  left_out (JSON); optional: network_error (`total_error.py`)
     /mesh         positions (add the attribute origin), normals, tangents, faces, uv, source_vertex
     /basis        attributes kind, degree, order, sign, normalisation; check_directions, check_values
     /bins         directions; attributes rings, sectors, interpolation, solid_angle
@@ -27,6 +27,7 @@ import numpy as np
 from formats.asset import compact_layout, error_covariance
 from formats.asset.head import BASIS, FORMAT, FORMULAS
 from formats.asset.provenance import provenance_faults, pruned_faults
+from formats.asset.total_error import network_error_faults
 from formats.hdf5_file import attribute, found
 from formats.hdf5_strings import read_string
 
@@ -114,6 +115,7 @@ def _attribute_faults(file: Any) -> Iterator[str]:
     for path, name in (("/", "unit"), (f"/{group}", "folded_in")):
         if not isinstance(value := attribute(file[path], name), str):
             yield f"{path}: the attribute {name} is {found(value)}; expected text"
+    yield from network_error_faults(file)
     yield from pruned_faults(attribute(file, "left_out"))
 
 

@@ -4,7 +4,16 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from formats.json_values import REFRACTIVE_INDEX, ROUGHNESS, TABLE, Check, is_number, value_faults
+from formats.json_values import (
+    ERROR,
+    ERROR_OR_UNKNOWN,
+    REFRACTIVE_INDEX,
+    ROUGHNESS,
+    TABLE,
+    Check,
+    is_number,
+    value_faults,
+)
 
 
 def provenance_faults(text: Any) -> Iterator[str]:
@@ -15,6 +24,8 @@ def provenance_faults(text: Any) -> Iterator[str]:
         return
     faults = list(value_faults(values, _CHECKS))
     if not faults:
+        faults.extend(value_faults(values.get("estimated_relative_rmse", {}), _ERRORS, "estimated_relative_rmse."))
+        faults.extend(value_faults(values.get("compression", {}), _COMPRESSION, "compression."))
         # A bake that has no roughness of its own has the one of its model.
         faults.extend(value_faults(values.get("model", {}), {} if "roughness" in values else _MODEL, "model."))
         faults.extend(value_faults(values.get("settings", {}), _SETTINGS, "settings."))
@@ -50,7 +61,9 @@ _UNKNOWN_OR_ROUGHNESS: Check = (lambda value: value is None or ROUGHNESS[0](valu
 _CHECKS: Mapping[str, Check] = {
     "eta": REFRACTIVE_INDEX,
     "roughness": _UNKNOWN_OR_ROUGHNESS,
-    **dict.fromkeys(("model", "settings", "compression"), TABLE),
+    **dict.fromkeys(("model", "settings", "compression", "estimated_relative_rmse"), TABLE),
 }
+_ERRORS: Mapping[str, Check] = {"total": ERROR_OR_UNKNOWN}
+_COMPRESSION: Mapping[str, Check] = {"added_relative_rmse": ERROR}
 _MODEL: Mapping[str, Check] = {"roughness": _UNKNOWN_OR_ROUGHNESS}
 _SETTINGS: Mapping[str, Check] = {"for_eye": (_is_point, "a point, three numbers")}

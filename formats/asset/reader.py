@@ -17,6 +17,7 @@ from formats.asset.head import mesh_digest, mesh_origin
 from formats.asset.layout import layout_faults, transfer_group
 from formats.asset.lobes import lobe_faults, read_lobes
 from formats.asset.record import Asset
+from formats.asset.total_error import read_network_error
 from formats.errors import AssetError
 from formats.hdf5_file import (
     HDF5_ERRORS,
@@ -242,6 +243,7 @@ def _asset(file: Any, load: bool) -> Asset:
         quantity=attribute(transfer, "quantity"),
         folded_in=attribute(transfer, "folded_in"),
         left_out=json.loads(attribute(file, "left_out")),
+        network_error=read_network_error(file),
         coefficients=coefficients,
         standard_error=transfer["standard_error"][...].astype(np.float32),
         valid=valid,

@@ -1,5 +1,6 @@
 """The record of a baked asset; its file is described in `formats.asset.layout`."""
 
+import math
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from formats.asset.error_covariance import ErrorCovariance
 from formats.asset.lobes import Lobes
+from formats.asset.total_error import ErrorInterval, TotalError
 from formats.mesh import Mesh
 
 Storage = Literal["float16", "float32"]
@@ -35,6 +37,7 @@ class AssetHead:
         quantity: "transfer", or "radiance" for an asset baked under one light (K = 1).
         folded_in: text that lists what the coefficients include; for "radiance" the hash of the light.
         left_out: what was pruned to save time or space, dictionaries with item, reason and saving.
+        network_error: of the baked network's coefficients compared with path-traced ones; None if it is unknown.
     """
 
     mesh: Mesh
@@ -51,6 +54,7 @@ class AssetHead:
     quantity: str = "transfer"
     folded_in: str = FOLDED_IN
     left_out: list[dict[str, Any]] = field(default_factory=list)
+    network_error: ErrorInterval | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +107,16 @@ class Asset(AssetHead):
         """The GGX alpha of the surface (the mean of a texture), from the provenance; None if unknown."""
         value = self.provenance.get("roughness", self.provenance.get("model", {}).get("roughness"))
         return None if value is None else float(value)
+
+    @property
+    def error(self) -> TotalError:
+        """What the network is off, what the bake is off, and both together; `print(asset.error)` is one line."""
+        bake = self.provenance.get("estimated_relative_rmse", {}).get("total")
+        compression = self.provenance.get("compression", {}).get("added_relative_rmse", 0.0)
+        if hasattr(self.coefficients, "added"):
+            compression = self.coefficients.added.total
+        whole = None if bake is None else math.hypot(bake, compression)
+        return TotalError(self.network_error, whole, "walks" in self.provenance)
 
     def __enter__(self) -> Self:
         return self

@@ -127,6 +127,7 @@ def compress(asset: Asset, error: float, progress: Progress | None = None) -> As
         "codes_that_are_not_zero": len(compact.values),
         "raw_float32_bytes": raw_bytes(asset),
         "bytes_before": stored_bytes(asset),
+        "added_relative_rmse": compact.added.total,
         "standard_error_before": math.sqrt(noise / original) if original > 0.0 else 0.0,
         "tried": [row._asdict() for row in table],
         "seconds": round(time.monotonic() - began, 2),

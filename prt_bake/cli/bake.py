@@ -171,8 +171,8 @@ def bake(
         f"{written}: {summary['vertices_baked']} of {summary['vertices']} vertices in {summary['seconds']:.1f} s, "
         f"estimated relative RMSE of the {'path tracing' if 'walks' in summary else 'projection'} {figures}"
     )
-    if "model_error" in summary:
-        print(f"the model's own error is not included: {summary['model_error']:.2%} relative RMSE of the coefficients")
+    if "walks" not in summary:
+        print(f"error of the coefficients {asset.error}")
     for remark in _remarks(summary):
         print(remark)
     if not asset.complete:

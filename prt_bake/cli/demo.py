@@ -40,6 +40,7 @@ def demo(
     for rows, name in ((result.ladder, "uniform sampling"), (result.asset.error_vs_time, "this bake")):
         for seconds, evaluations, error in rows:
             print(f"  {seconds:8.1f} {evaluations:15,.0f} {error:9.3%}   {name}")
+    print(f"error of the coefficients {result.asset.error}")
     for name, figures in (("picture", result.comparison), ("object", result.object_comparison)):
         print(
             f"{name}: MSE {figures.mse:.3g}, SSIM {figures.ssim:.4f}, FLIP {figures.flip:.4f} against the path tracer"

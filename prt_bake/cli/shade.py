@@ -140,6 +140,7 @@ def shade(
         write_error_picture(error_picture, picture)
     for remark in _remarks(baked, light, rotate, view.eye, picture, reflection):
         say(f"{asset}: {remark}")
+    print(f"{asset}: error of the coefficients {baked.error}")
     error = f"{picture.relative_error:.2%} of the object's radiance" if picture.relative_error else "unknown"
     print(
         f"{output}: {picture.shaded} vertices in {picture.seconds:.2f} s, clamped negative radiance "

@@ -14,9 +14,11 @@ from prt_bake.shading.vertices import refuse_other_basis
 
 
 def describe(path: Path) -> dict[str, Any]:
-    """Return sizes, pruning, compression and provenance of an asset."""
+    """Return the error, sizes, pruning, compression and provenance of an asset."""
     asset = read_asset(path)
     return {
+        "error of the coefficients": str(asset.error),
+        "errors": asset.error.as_json(),
         "vertices": len(asset.mesh.positions),
         "vertices baked": int(np.count_nonzero(asset.valid)),
         "faces": len(asset.mesh.faces),

@@ -20,8 +20,19 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from formats.errors import ModelError
-from formats.json_values import REFRACTIVE_INDEX, ROUGHNESS, TABLE, TEXT, Check, one_of, value_faults
+from formats.errors import ModelError, refuse_path
+from formats.json_values import (
+    ERROR_INTERVAL,
+    ERROR_OR_UNKNOWN,
+    REFRACTIVE_INDEX,
+    ROUGHNESS,
+    TABLE,
+    TEXT,
+    Check,
+    one_of,
+    value_faults,
+)
+from formats.mesh import Mesh
 from prt_bake.network.checkpoint import check_tensors, read_checkpoint, write_checkpoint
 from prt_bake.network.core import NetworkCore
 from prt_bake.network.features.interior import Interior
@@ -45,6 +56,7 @@ _METADATA: Mapping[str, Check] = {
     "training": TABLE,
 }
 """Entries of the metadata that bakes and pictures read; others are only handed on."""
+_ERRORS: Mapping[str, Check] = {"coefficients": ERROR_OR_UNKNOWN, "coefficients_interval": ERROR_INTERVAL}
 _MAX_FLOAT16 = float(torch.finfo(torch.float16).max)
 
 
@@ -118,19 +130,27 @@ def _smallest(tensor: Tensor) -> Tensor:
     return half if bool((half.float() == tensor).all()) else tensor
 
 
-def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
+def load_model(path: str | Path, device: str = "cpu", *, mesh: Mesh | None = None) -> NeuralBSSRDF:
     """The network that `save_model` wrote, ready to evaluate on `device`.
 
+    mesh: the object's mesh, from which the network takes its normals (`NeuralBSSRDF.on`). Bakes, renders and reports
+    give it theirs; whoever evaluates the network alone gives it here, or the first evaluation warns.
+
     The file cannot run code: only plain tensors and JSON are accepted. Raises ModelError naming the file and the tensor
-    or key at fault.
+    or key at fault, QueryError if most vertices of the mesh are off the surface that the network was trained on.
 
     >>> from pathlib import Path
     >>> import prt_bake as prt
     >>> from prt_bake import shipped
-    >>> network = prt.load_model(Path(shipped.__file__).parent / "spot.pt")
+    >>> folder = Path(shipped.__file__).parent
+    >>> mesh = prt.read_mesh(folder / "spot.obj")
+    >>> network = prt.load_model(folder / "spot.pt", mesh=mesh)
     >>> network.settings.layers, network.settings.width
     (5, 128)
+    >>> network.evaluate([[0.0, 1.0, 0.0]], mesh.positions[:2], mesh.normals[:2]).shape  # ωi, x, ωo
+    (2, 1, 3)
     """
+    refuse_path("mesh", mesh, "prt.read_mesh")
     text, tensors = read_checkpoint(path)
     try:
         head = json.loads(text)
@@ -163,14 +183,21 @@ def load_model(path: str | Path, device: str = "cpu") -> NeuralBSSRDF:
     except ModelError as fault:
         raise ModelError(f"{fault}; copy the file again, or train the model again") from None
     network.load_state_dict(tensors)
-    return network.to(device).eval()
+    network = network.to(device).eval()
+    if mesh is None:
+        return network
+    network.refuse_foreign(mesh)
+    return network.on(mesh)
 
 
 def _check_metadata(metadata: dict[str, Any]) -> None:
     """Raise ModelError naming a value of the metadata that bakes and pictures cannot use."""
     for fault in value_faults(metadata, _METADATA, "metadata."):
         raise ModelError(f"{fault}; copy the file again, or train the model again")
-    for fault in value_faults(metadata.get("training", {}), {"relative_rmse": TABLE}, "metadata.training."):
+    training = metadata.get("training", {})
+    for fault in value_faults(training, {"relative_rmse": TABLE}, "metadata.training."):
+        raise ModelError(f"{fault}; copy the file again, or train the model again")
+    for fault in value_faults(training.get("relative_rmse", {}), _ERRORS, "metadata.training.relative_rmse."):
         raise ModelError(f"{fault}; copy the file again, or train the model again")
 
 

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
-from formats.errors import ModelError
+from formats.errors import ModelError, warn
 from formats.mesh import Mesh
 from prt_bake.geometry.surface import Surface
 from prt_bake.network.features.fourier import encode_directions, fourier_features
@@ -90,6 +90,8 @@ class NetworkCore(nn.Module):
         self._initialise(generator)
         self.surface: Surface | None = None
         """The object's mesh, which gives exact normals: see `on`."""
+        self._warned = [False]
+        """Whether `warn_without_mesh` has warned; shared with the copies that share the weights."""
         self.band: int | None = None
         """The degree up to which lobes are evaluated; None for all bands: see `up_to`."""
         self.view = None if interior is None else ViewFeatures(self.settings, self.frequencies, interior)
@@ -189,8 +191,9 @@ class NetworkCore(nn.Module):
     def on(self, mesh: Mesh) -> Self:
         """The same network, weights shared, that takes its normals from the object's mesh.
 
-        Without a mesh the normals come from a coarse grid, which rounds edges off. A position on an edge belongs to the
-        face that faces ωo most (`prt_bake.geometry.surface`). A network without normals is returned unchanged.
+        Without a mesh the normals come from a coarse grid, which rounds edges off: the first evaluation warns. A
+        position on an edge belongs to the face that faces ωo most (`prt_bake.geometry.surface`). A network without
+        normals is returned unchanged.
         """
         if not self.settings.tells_normal or (self.surface is not None and self.surface.mesh is mesh):
             return self
@@ -210,9 +213,19 @@ class NetworkCore(nn.Module):
         limited.band = degree
         return limited
 
+    def warn_without_mesh(self) -> None:
+        """Warn, once per network, if normals are an input and no mesh gives them."""
+        if self.settings.tells_normal and self.surface is None and not self._warned[0]:
+            self._warned[0] = True
+            warn(
+                "network: it takes normals as input and has no mesh to take them from; those of a coarse grid can "
+                "double its error; use network.on(mesh), or prt.load_model(path, mesh=mesh)"
+            )
+
     def mesh_normals(self, positions: Tensor, outgoing: Tensor) -> Tensor | None:
         """Unit normals [N,3] of the mesh that `on` was given; None without one."""
         if self.surface is None:
+            self.warn_without_mesh()
             return None
         kind: Literal["face", "vertex"] = "vertex" if self.metadata.get("normals") == "vertex" else "face"
         x, eye = (tensor.detach().double().cpu().numpy() for tensor in (positions, outgoing))

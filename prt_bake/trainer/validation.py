@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from bakers.transport import up_to
 from formats.scene import Scene
 from prt_bake.mathematics import sh
+from prt_bake.mathematics.noise_free import Interval, Sums, relative_rmse
 from prt_bake.mathematics.sphere import fibonacci
 from prt_bake.tracer.estimate import estimate_coefficients
 from prt_bake.tracer.prepared import PreparedScene, is_unrefracted, prepare, smooth_part
@@ -78,6 +79,13 @@ class HeldOutCoefficients:
         predicted = network_coefficients(network, self.positions, self.outgoing, self.directions)
         return noise_free_ratio(predicted, self.mean, self.standard_error)
 
+    def interval(self, network: Any) -> Interval:
+        """`relative_rmse` with its 95 % confidence interval, the queries being independent."""
+        predicted = network_coefficients(network, self.positions, self.outgoing, self.directions)
+        variance = self.standard_error**2
+        error, value = (predicted - self.mean) ** 2 - variance, self.mean**2 - variance
+        return relative_rmse(Sums(*(part.sum(axis=(1, 2)) for part in (error, value, variance))), FINAL_SEED)
+
     def scale(self) -> float:
         """The root mean square of the bands of Ŝ up to the second, a lower bound of that of Ŝ."""
         return float(np.sqrt(np.mean(np.sum(self.mean**2, axis=1)) / (4.0 * np.pi)))
@@ -133,12 +141,14 @@ class FinalErrors:
     """Relative RMSE of Ŝ and of the degree-2 coefficients on fresh queries, and the reference's relative noise.
 
     An error is None if it is unknown, because the noise is as large as the values. Ŝ has neither behind a smooth
-    interface, where it has no point values.
+    interface, where it has no point values. The interval is the 95 % confidence interval of the coefficients' error;
+    None if it is unknown, as for few queries.
     """
 
     transport: float | None
     transport_noise: float | None
     coefficients: float | None
+    coefficients_interval: list[float] | None
     coefficients_noise: float
     queries: int
     walks: int
@@ -156,17 +166,20 @@ def final_errors(
     """The errors of a trained network against the path tracer, on queries of a separate seed."""
     values = hold_out(prepared, queries, 8, walks, seed) if smooth_part(scene) is None else None
     reference = hold_out_coefficients(scene, queries, 8 * walks, seed, _DIRECTIONS, device)
+    known = relative_noise(reference) < 1.0  # a difference of squares would hide that the reference is only noise
+    error = reference.interval(network) if known else None
     return FinalErrors(
         transport=None if values is None else _known_error(values, network),
         transport_noise=None if values is None else relative_noise(values),
-        coefficients=_known_error(reference, network),
+        coefficients=None if error is None else error.value,
+        coefficients_interval=None if error is None or np.isnan(error.low) else [error.low, error.high],
         coefficients_noise=relative_noise(reference),
         queries=queries,
         walks=walks,
     )
 
 
-def _known_error(reference: HeldOut | HeldOutCoefficients, network: Any) -> float | None:
+def _known_error(reference: HeldOut, network: Any) -> float | None:
     """The error of a network; None if the reference is only noise, which a difference of squares would hide."""
     return None if relative_noise(reference) >= 1.0 else reference.relative_rmse(network)
 

@@ -188,7 +188,8 @@ def main() -> None:
     if args.model is not None:
         if args.mesh is None:
             parser.error("--model needs --mesh")
-        transports[f"network {args.model.name}"] = load_model(args.model).prepared(), read_mesh(args.mesh)
+        mesh = read_mesh(args.mesh)
+        transports[f"network {args.model.name}"] = load_model(args.model, mesh=mesh).prepared(), mesh
     results = {}
     for name, (transport, mesh) in transports.items():
         results[name] = measure(transport, mesh)

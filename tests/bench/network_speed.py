@@ -11,6 +11,7 @@ evaluated once for all 64 directions of a bin. `error` is the relative RMS diffe
 
 import argparse
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -18,6 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from formats.errors import InputWarning
 from prt_bake.baking.sources import require_device
 from prt_bake.mathematics import sphere
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF
@@ -98,6 +100,7 @@ def main() -> None:
     parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
     device = parser.parse_args().device
     require_device(device)
+    warnings.simplefilter("ignore", InputWarning)  # without a mesh, normals are those of the grid
     torch.set_num_threads(1)
     incident = sphere.uniform(COPIES * DIRECTIONS, 1).reshape(COPIES, DIRECTIONS, 3)
     vertices = VERTICES[device]

@@ -1,6 +1,7 @@
 """`prtbake check` finds faults of assets whose file is readable."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import h5py
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from formats.asset import write_asset
+from formats.asset.total_error import ErrorInterval
 from prt_bake.inspection.asset import soundness_faults
 from prt_bake.mathematics import sphere
 from prt_bake.shading.selftest import selftest_error
@@ -106,3 +108,17 @@ def test_a_baked_asset_reproduces_its_selftest(baked: Path, tmp_path: Path) -> N
     assert selftest_error(asset) < 1e-6
     write_asset(asset, tmp_path / "again.h5")
     assert selftest_error(read_asset(tmp_path / "again.h5")) < 1e-6
+
+
+def test_info_prints_the_error_of_network_and_bake_first(prtbake: Run, tmp_path: Path) -> None:
+    provenance = {"estimated_relative_rmse": {"total": 0.01}}
+    asset = dataclasses.replace(
+        make_asset(ball(1)), network_error=ErrorInterval(0.06, 0.05, 0.08), provenance=provenance
+    )
+    write_asset(asset, tmp_path / "a.h5")
+    lines = prtbake("info", tmp_path / "a.h5").out.splitlines()
+    names, figures = zip(*(line.split("  ", 1) for line in lines), strict=True)
+    assert names[:3] == ("kind", "bytes", "error of the coefficients")
+    assert figures[2].strip() == "6.08% (5.10% to 8.06%): the network is off by 6.00%, the bake is off by 1.00%"
+    stated = json.loads(prtbake("info", tmp_path / "a.h5", "--json").out)["errors"]
+    assert stated == asset.error.as_json()

@@ -15,8 +15,11 @@ from prt_bake.network.bssrdf import NeuralBSSRDF
 from prt_bake.network.lobes import _bessel_ratios, decode_lobes, evaluate_lobes
 from prt_bake.trainer.report.evaluation import evaluated_coefficients
 from prt_bake.trainer.validation import network_coefficients
+from tests.network import WITHOUT_MESH
 from tests.network.test_lobes import LOBED, glass_ball, lobe_parameters, lobed, unit
 from tests.shapes import ball
+
+pytestmark = WITHOUT_MESH
 
 MANY = 40_000
 

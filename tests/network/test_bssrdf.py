@@ -14,6 +14,9 @@ from formats.errors import ModelError, QueryError
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
 from prt_bake.network.features.fourier import fourier_features
 from prt_bake.network.features.interior import LEVELS, Interior
+from tests.network import WITHOUT_MESH
+
+pytestmark = WITHOUT_MESH
 
 SMALL = {"features": 12, "width": 16}
 

@@ -16,11 +16,14 @@ from prt_bake.network.settings import NetworkSettings
 from prt_bake.trainer.interior import MOST_LEARNED_BYTES, interior_of, with_fitting_grid
 from prt_bake.trainer.train import train
 from prt_bake.trainer.training_data import box_of
+from tests.network import WITHOUT_MESH
 from tests.network.test_interior import RAY_SETTINGS, features, full, half_space
 from tests.network.test_lobes import glass_ball, unit
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
 from tests.trainer import small_training
+
+pytestmark = WITHOUT_MESH
 
 RNG = np.random.default_rng(12)
 GRIDDED = replace(RAY_SETTINGS, grid_places=16, grid_numbers=3)

@@ -19,10 +19,12 @@ from prt_bake.network.bssrdf import PRESETS, NeuralBSSRDF, load_model
 from prt_bake.network.inference import fused
 from prt_bake.network.inference.pairs import content_hash, pair_transport
 from prt_bake.trainer import train
-from tests.network import simulated_gpu
+from tests.network import WITHOUT_MESH, simulated_gpu
 from tests.network.test_lobes import LOBED, glass_ball
 from tests.shapes import ball
 from tests.trainer.small_training import SMALL, make_scene, train_small
+
+pytestmark = WITHOUT_MESH
 
 SHIPPED = Path(shipped.__file__).parent
 SMALL_PAPER = replace(PRESETS["paper"], width=32)

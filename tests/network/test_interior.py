@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from torch import nn
 
-from formats.errors import ModelError
+from formats.errors import InputWarning, ModelError
 from prt_bake.baking.bake import bake
 from prt_bake.geometry.surface import Surface
 from prt_bake.network.bssrdf import PRESETS, NetworkSettings, NeuralBSSRDF, load_model, save_model
@@ -20,6 +20,7 @@ from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.view_features import ViewFeatures
 from prt_bake.network.inference.pairs import content_hash
 from prt_bake.trainer.train import train
+from tests.network import WITHOUT_MESH
 from tests.shapes import ball
 from tests.trainer import small_training
 
@@ -117,6 +118,7 @@ def test_a_damaged_grid_is_refused_by_name(tmp_path: Path) -> None:
         load_model(path)
 
 
+@WITHOUT_MESH
 @pytest.mark.parametrize("suffix", [".pt", ".safetensors"])
 def test_a_file_restores_a_network_with_an_interior(tmp_path: Path, suffix: str) -> None:
     network = NeuralBSSRDF(RAY_SETTINGS, (-1.0, 0.0, 2.0), 3.0, 0.2, interior=half_space(eta=1.3))
@@ -260,6 +262,7 @@ def test_ray_settings_need_a_ray_and_an_interior() -> None:
         NeuralBSSRDF(interior=full())
 
 
+@WITHOUT_MESH
 @pytest.mark.parametrize("kind", ["face", "vertex"])
 def test_a_network_on_its_mesh_uses_the_normals_of_the_mesh(kind: str) -> None:
     """Within faces and at vertices, of the face that faces ωo most, as in the path tracer; off the mesh, the grid's."""
@@ -300,7 +303,9 @@ def test_a_bake_uses_the_normals_of_its_mesh() -> None:
     asset = bake(network, mesh, rings=2, sectors=4, samples=16)
     bound = bake(network.on(mesh), mesh, rings=2, sectors=4, samples=16)
     np.testing.assert_array_equal(asset.coefficients, bound.coefficients)
-    without_mesh = bake(network.prepared(), mesh, rings=2, sectors=4, samples=16)
+    with pytest.warns(InputWarning, match="has no mesh to take them from"):
+        prepared = network.prepared()
+    without_mesh = bake(prepared, mesh, rings=2, sectors=4, samples=16)
     assert not np.array_equal(asset.coefficients, without_mesh.coefficients)
 
 

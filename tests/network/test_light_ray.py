@@ -14,9 +14,12 @@ from prt_bake.network.features.interior import LEVELS, REACH, Interior
 from prt_bake.network.features.light_ray import DISTANCE_RATIO, FIRST_DISTANCE, LightRay
 from prt_bake.network.features.shape import shape_grid, trilinear
 from prt_bake.network.inference.pairs import PairNetwork
+from tests.network import WITHOUT_MESH
 from tests.network.test_bssrdf import rough_interior, trained, unit
 from tests.network.test_interior import RAY_SETTINGS as BASE
 from tests.network.test_interior import half_space
+
+pytestmark = WITHOUT_MESH
 
 SETTINGS = replace(BASE, ray_samples=12, light_places=8, light_cosines=False)
 OCCUPANCY_SCALE = 5.0

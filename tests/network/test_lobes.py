@@ -21,10 +21,13 @@ from prt_bake.trainer.learner import Learner
 from prt_bake.trainer.objective import LobeTerms, exit_loss
 from prt_bake.trainer.samples.rows import Batch
 from prt_bake.trainer.train import train
+from tests.network import WITHOUT_MESH
 from tests.network.test_view_ray import cube
 from tests.shapes import ball
 from tests.tracer.scenes import make_scene
 from tests.trainer import small_training
+
+pytestmark = WITHOUT_MESH
 
 LOBED = replace(PRESETS["measured"], features=9, width=12, light_features=4, ray_turns=0, lobes=3)
 SPACING = 0.02

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bakers.baker import Block
 from bakers.transport import transport_property
 from formats.asset import Asset, AssetHead, Storage, read_asset
+from formats.asset.total_error import ErrorInterval
 from formats.asset.writer import AssetWriter
 from formats.errors import QueryError
 from formats.mesh import Mesh
@@ -71,7 +72,7 @@ def open_sink(
 def asset_head(
     mesh: Mesh, tangents: NDArray[np.float64], rings: int, sectors: int, degree: int, transport: Any
 ) -> AssetHead:
-    """The asset's data that is known before the bake; up and unit are those of the transport."""
+    """The asset's data that is known before the bake; up, unit and the network's error are those of the transport."""
     return AssetHead(
         mesh=mesh,
         tangents=tangents,
@@ -83,7 +84,17 @@ def asset_head(
         check_values=sh.evaluate(CHECK_DIRECTIONS, degree),
         up=str(transport_property(transport, "up", "y")),
         unit=str(transport_property(transport, "unit", "unit")),
+        network_error=network_error(transport),
     )
+
+
+def network_error(transport: Any) -> ErrorInterval | None:
+    """The error that the trainer measured, from the transport's metadata; None if it is unknown."""
+    metadata = getattr(transport, "metadata", None) or {}
+    figures = metadata.get("training", {}).get("relative_rmse", {})
+    if figures.get("coefficients") is None:
+        return None
+    return ErrorInterval(figures["coefficients"], *(figures.get("coefficients_interval") or ()))
 
 
 class ArraySink:

@@ -43,6 +43,7 @@ class FusedNetwork:
         """Copies the weights to `device` in `precision` ("float32" or "bfloat16"); raises QueryError on others."""
         if precision not in PRECISIONS:
             raise QueryError(f"precision must be one of {', '.join(PRECISIONS)}, found {precision!r}")
+        network.warn_without_mesh()  # here, because the copy cannot be given a mesh
         self.network = deepcopy(network).to(device).eval()
         self.metadata = network.metadata
         self.precision = precision

@@ -193,6 +193,19 @@ CHANGES = {
     r"/provenance/json: settings.for_eye is .1.; expected a point": lambda file: put(
         file, "provenance/json", '{"settings": {"for_eye": [1]}}'
     ),
+    "/provenance/json: estimated_relative_rmse.total is -1; expected an error": lambda file: put(
+        file, "provenance/json", '{"estimated_relative_rmse": {"total": -1}}'
+    ),
+    "/provenance/json: compression.added_relative_rmse is 'x'; expected an error": lambda file: put(
+        file, "provenance/json", '{"compression": {"added_relative_rmse": "x"}}'
+    ),
+    "network_error is 0.1; expected three numbers": lambda file: file.attrs.__setitem__("network_error", 0.1),
+    "network_error is .0.1, 0.3, 0.2.; expected three numbers": lambda file: file.attrs.__setitem__(
+        "network_error", [0.1, 0.3, 0.2]
+    ),
+    "network_error is .nan, nan, nan.; expected three numbers": lambda file: file.attrs.__setitem__(
+        "network_error", np.full(3, np.nan)
+    ),
     "left_out is not a JSON list of tables": lambda file: file.attrs.__setitem__("left_out", "[1]"),
     r"format = 'prtbake', found an array of shape \[2\]": lambda file: file.attrs.__setitem__(
         "format", [b"prtbake", b"x"]

@@ -21,9 +21,11 @@ from prt_bake.network.inference.cuda_views import RecordedGraph, ViewTerms
 from prt_bake.network.inference.fused import FusedNetwork
 from prt_bake.network.inference.pairs import pair_transport
 from prt_bake.network.settings import NetworkSettings
-from tests.network import simulated_gpu
+from tests.network import WITHOUT_MESH, simulated_gpu
 from tests.network.test_lobes import LOBED, glass_ball
 from tests.network.test_view_ray import REFLECTING, cube, rays, trapped, view_of
+
+pytestmark = WITHOUT_MESH
 
 REAL = torch.cuda.is_available()
 DEVICE = "cuda" if REAL else "cpu"

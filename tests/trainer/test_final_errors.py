@@ -1,0 +1,62 @@
+"""The final error of a_lm has an interval, and is unknown where it cannot be measured."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from prt_bake.mathematics import sh
+from prt_bake.tracer.prepared import prepare
+from prt_bake.trainer.validation import HeldOutCoefficients, final_errors
+from tests.trainer.small_training import make_scene
+
+QUERIES, DEVIATION = 256, 0.1
+
+
+class Degree2:
+    """Ŝ with the coefficients `rows` [N,9,3] at N queries."""
+
+    def __init__(self, rows: NDArray[np.float64]) -> None:
+        self._rows = rows
+
+    def evaluate(self, incident: ArrayLike, positions: ArrayLike, outgoing: ArrayLike) -> NDArray[np.float64]:
+        light = np.asarray(incident)
+        return sh.evaluate(light.reshape(-1, 3), 2).reshape(*light.shape[:-1], 9) @ self._rows
+
+
+def held_out(seed: int, noise: float) -> tuple[Any, HeldOutCoefficients, float]:
+    """A network, its noisy reference, and the network's true relative RMSE in the limit of many queries."""
+    rng = np.random.default_rng(seed)
+    truth = rng.normal(size=(QUERIES, 9, 3))
+    scale = DEVIATION * np.exp(0.8 * rng.normal(size=(QUERIES, 1, 1)))
+    network = Degree2(truth + scale * rng.normal(size=truth.shape))
+    measured = truth + noise * rng.normal(size=truth.shape)
+    reference = HeldOutCoefficients(
+        np.zeros((QUERIES, 3)), np.zeros((QUERIES, 3)), measured, np.full(truth.shape, noise), 64
+    )
+    return network, reference, DEVIATION * float(np.exp(0.8**2))
+
+
+def test_the_interval_covers_the_true_error() -> None:
+    """About 95 of 100 times."""
+    covered = 0
+    for seed in range(100):
+        network, reference, true = held_out(seed, 0.3)
+        interval = reference.interval(network)
+        assert interval.value == pytest.approx(reference.relative_rmse(network), rel=1e-9)
+        assert interval.low < interval.value < interval.high
+        covered += interval.low <= true <= interval.high
+    assert 85 <= covered < 100
+
+
+@pytest.mark.parametrize(("queries", "known"), [(4, False), (16, True)])
+def test_few_queries_have_no_interval(tmp_path: Path, queries: int, known: bool) -> None:
+    scene = make_scene(tmp_path)
+    errors = final_errors(Degree2(np.zeros((queries, 9, 3))), scene, prepare(scene), queries, 8)
+    assert errors.coefficients == pytest.approx(1.0, abs=0.5)
+    assert (errors.coefficients_interval is not None) == known
+    if errors.coefficients_interval is not None:
+        low, high = errors.coefficients_interval
+        assert low <= errors.coefficients <= high
