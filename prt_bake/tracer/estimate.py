@@ -204,8 +204,10 @@ def _sum_on_gpu(
 
     if reason := reason_against():
         raise QueryError(f"device: walks cannot run on a GPU: {reason}; or use device='cpu'")
-    from prt_bake.tracer.gpu.exits import sum_coefficients
+    from prt_bake.tracer.gpu.exits import MOST_HARMONICS, sum_coefficients
 
+    if (degree + 1) ** 2 > MOST_HARMONICS:
+        raise QueryError(f"degree: expected at most {math.isqrt(MOST_HARMONICS) - 1} on a GPU, found {degree}")
     sum_coefficients(prepared, queries, chunks, degree, seed, sums)
 
 

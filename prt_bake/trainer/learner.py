@@ -177,6 +177,9 @@ class Learner:
         self.network.load_state_dict(state["network"])
         self.model.load_state_dict(state["average"] if self.settings.average else state["network"])
         self.optimizer.load_state_dict(state["optimizer"])
+        for group in self.optimizer.param_groups:
+            # A run on a GPU has others.
+            group.update(lr=self.settings.rate, capturable=False, foreach=None)
         self.step = int(state["step"])
         self.bfloat16 = bool(state.get("bfloat16", self.bfloat16))
 

@@ -16,6 +16,13 @@ TRITON_FOLDER = Path(sys.prefix) / "apart"
 """The folder in which `make test` installs Triton: in the environment itself torch would load it."""
 
 
+def test_simulated_gpu() -> None:
+    """numba simulates a GPU in processes that it starts with a variable of the environment."""
+    command = [sys.executable, "-m", "pytest", "-p", "no:xdist", "-p", "no:cacheprovider", "--color=no", "simulated"]
+    done = subprocess.run(command, cwd=HERE, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+
+
 @pytest.mark.statistics
 def test_gpu_kernels() -> None:
     command = [sys.executable, "-m", "pytest", "-p", "no:xdist", "-p", "no:cacheprovider", "--color=no", "kernels"]

@@ -2,15 +2,31 @@
 
 from functools import cache
 from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
 
 
 @cache
 def reason_against() -> str:
-    """Why walks cannot run on a GPU here, with what would help; empty if they can."""
-    if find_spec("numba_cuda") is None:
-        return "numba-cuda is not installed; pip install 'prt-bake[cuda]'"
-    from prt_bake.tracer.gpu.device_functions import cuda
+    """Why walks cannot run on a GPU here, with what would help; empty if they can.
 
-    if not cuda.is_available():
-        return "numba-cuda finds no GPU that it can use"
-    return ""
+    Compilers, drivers and versions that do not fit together fail in many ways, so a small kernel is tried.
+    """
+    from prt_bake.tracer.gpu.device_functions import SIMULATED, cuda, kernel
+
+    if not SIMULATED and find_spec("numba_cuda") is None:
+        return "numba-cuda is not installed; pip install 'prt-bake[cuda]'"
+    try:
+        if not cuda.is_available():
+            return "numba-cuda finds no GPU that it can use; its driver may be too old"
+        numbers = cuda.to_device(np.zeros(1))
+        kernel(_add_one)[1, 1](numbers)
+        works = numbers.copy_to_host()[0] == 1.0
+    except Exception as fault:
+        return f"numba-cuda fails ({type(fault).__name__}: {fault}); its version, numba's and NumPy's must fit together"
+    return "" if works else "numba-cuda computes wrong numbers"
+
+
+def _add_one(numbers: Any) -> None:
+    numbers[0] += 1.0

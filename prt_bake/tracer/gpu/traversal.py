@@ -99,7 +99,8 @@ def nearest_hit(tree: Any, root: Any, ray: Any, p: Any, d: Any, near: Any, far: 
 @inlined_function()
 def _numbers(word: Any) -> Any:
     """Two float32 numbers of 64 bits, as float64."""
-    return np.float64(_low(word).view(np.float32)), np.float64(_high(word).view(np.float32))
+    first, second = np.uint32(word & _HALF).view(np.float32), np.uint32(word >> _HALF_BITS).view(np.float32)
+    return np.float64(first), np.float64(second)
 
 
 @inlined_function()
@@ -109,7 +110,7 @@ def _face_hit(triangle: Any, p: Any, d: Any) -> Any:
     """
     (ax, ay), (az, bx) = _numbers(triangle[0]), _numbers(triangle[1])
     (by, bz), (cx, cy) = _numbers(triangle[2]), _numbers(triangle[3])
-    cz, face = np.float64(_low(triangle[4]).view(np.float32)), _high(triangle[4])
+    (cz, _), face = _numbers(triangle[4]), _high(triangle[4])
     ex, ey, ez = bx - ax, by - ay, bz - az
     fx, fy, fz = cx - ax, cy - ay, cz - az
     qx, qy, qz = d[1] * fz - d[2] * fy, d[2] * fx - d[0] * fz, d[0] * fy - d[1] * fx

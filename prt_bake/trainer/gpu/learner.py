@@ -24,6 +24,8 @@ _stream: Any = torch.cuda.Stream
 """Torch has no type annotations for it."""
 _CHECK_EVERY = 64
 """Steps between two looks at the loss, each of which waits for the GPU."""
+_NONE = -1
+"""Number of no query."""
 
 
 class GpuLearner(Learner):
@@ -33,17 +35,14 @@ class GpuLearner(Learner):
         """Learn on the network's device, a GPU."""
         super().__init__(network, settings)
         self._recordable = self._device.type == "cuda"
-        if self._recordable:
-            for each in (network, self.model):
-                if each.view is not None:
-                    each.view.use_kernels = find_spec("triton") is not None
-            rate = torch.tensor(settings.rate, device=self._device)
-            for group in self.optimizer.param_groups:
-                group.update(lr=rate, capturable=True, foreach=True)
+        for view in (network.view, self.model.view):
+            if self._recordable and view is not None:
+                view.use_kernels = find_spec("triton") is not None
+        self._set_optimizer()
         self._lattice = torch.from_numpy(fibonacci(settings.spread).astype(np.float32)).to(self._device)
         self._average_share = torch.zeros((), device=self._device)
         self._loss = torch.zeros((), device=self._device)
-        self._losses = torch.zeros(settings.batch, device=self._device)
+        self._faulty = torch.full((), _NONE, device=self._device)
         self._batch: GpuBatch | None = None
         self._graph: Any = None
         self._last_loss, self._steps_here = math.nan, 0
@@ -78,8 +77,22 @@ class GpuLearner(Learner):
         self.step += 1
         self._steps_here += 1
         if self._steps_here % _CHECK_EVERY == 1:
-            self._check(source, batch)
+            self._check(source)
         return self._last_loss
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from `state`, also of a run on the processor."""
+        super().restore(state)
+        self._set_optimizer()
+
+    def _set_optimizer(self) -> None:
+        """Let the optimiser keep its rate and its numbers of steps on the GPU, so that its steps can be recorded."""
+        if self._recordable:
+            for group in self.optimizer.param_groups:
+                rate = torch.tensor(self.settings.rate, device=self._device)
+                group.update(lr=rate, capturable=True, foreach=True)
+            for values in self.optimizer.state.values():
+                values["step"] = values["step"].to(self._device)
 
     def _set_rate(self, rate: float) -> None:
         for group in self.optimizer.param_groups:
@@ -110,9 +123,14 @@ class GpuLearner(Learner):
         losses = self._losses_of_exits(rows, rays_of(rows), self._uniform(len(rows)), encoding)
         loss = losses.mean()
         torch.autograd.backward(loss)
+        for weights in self.network.parameters():
+            if weights.grad is not None:
+                # A look at the loss, which may come many steps later, stops the training.
+                weights.grad.nan_to_num_(0.0, 0.0, 0.0)
         self.optimizer.step()
-        self._losses.copy_(losses.detach())
         self._loss.copy_(loss.detach())
+        faulty = torch.where(losses.detach().isfinite(), _NONE, self._batch.numbers).max()
+        self._faulty.copy_(torch.maximum(self._faulty, faulty))
         if self.settings.average:
             with torch.no_grad():
                 for mean, weights in zip(self.model.parameters(), self.network.parameters(), strict=True):
@@ -130,8 +148,10 @@ class GpuLearner(Learner):
         turned: Tensor = lattice + w * twice + torch.linalg.cross(q.expand_as(lattice), twice)
         return turned
 
-    def _check(self, source: RowSource, batch: GpuBatch) -> None:
-        self._last_loss = float(self._loss)
-        if not math.isfinite(self._last_loss):
-            on_processor = Batch(batch.rows.cpu().numpy(), batch.numbers.cpu().numpy())
-            raise QueryError(self._error(source, on_processor, self._losses.cpu().numpy(), self._last_loss))
+    def _check(self, source: RowSource) -> None:
+        self._last_loss, faulty = float(self._loss), int(self._faulty)
+        if faulty != _NONE:
+            raise QueryError(
+                f"train: the loss of one of the {_CHECK_EVERY} steps before step {self.step} is not finite, caused by "
+                f"{source.describe(faulty)}: check the scene there, or lower the rate ({self.settings.rate:g})"
+            )

@@ -3,6 +3,7 @@
 Walks and learning take turns on the GPU, which both can fill alone. The processor places the next queries meanwhile.
 """
 
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
@@ -20,6 +21,8 @@ from prt_bake.trainer.samples.rows import Box, SourceStatistics, StreamSettings,
 
 GPU_STREAM = StreamSettings(queries_a_batch=1 << 15, exits=64, kept=24)
 """Settings for a GPU: `queries_a_batch` are traced at once, each with `exits` walks."""
+_AHEAD = 4
+"""Blocks whose queries are placed in advance, in as many threads."""
 
 
 class GpuBatch(NamedTuple):
@@ -63,8 +66,8 @@ class GpuRenderer:
         self._prepared, self._box, self._settings, self._seed, self._normals = prepared, box, settings, seed, normals
         self._source = QuerySource(prepared, 1, seed, settings.face_share, settings.edge_share)
         self._scene, self._size = on_gpu(prepared), settings.queries_a_batch
-        self._pool = ThreadPoolExecutor(1, "prtbake-places")
-        self._pending: Future[_Placed] | None = None
+        self._pool = ThreadPoolExecutor(_AHEAD, "prtbake-places")
+        self._pending: deque[Future[_Placed]] = deque()
         self._block: GpuBatch | None = None
         self._drawn = 0
         shape = self._size, settings.exits
@@ -74,7 +77,8 @@ class GpuRenderer:
 
     def start(self) -> None:
         """Begin to place the first queries."""
-        self._pending = self._pool.submit(self._place, self._next_query)
+        for block in range(_AHEAD):
+            self._pending.append(self._pool.submit(self._place, self._next_query + block * self._size))
 
     def stop(self) -> None:
         """End the thread that places queries."""
@@ -108,9 +112,8 @@ class GpuRenderer:
         return _Placed(first, rows.astype(np.float32), normals.astype(np.float32), placed)
 
     def _trace_block(self) -> GpuBatch:
-        assert self._pending is not None
-        placed = self._pending.result()
-        self._pending = self._pool.submit(self._place, placed.first + self._size)
+        placed = self._pending.popleft().result()
+        self._pending.append(self._pool.submit(self._place, placed.first + _AHEAD * self._size))
         rows, normals, *arrays = (_to_gpu(array) for array in (placed.rows, placed.normals, *placed.queries))
         queries = KernelQueries._make(map(kernel_array, arrays))
         buffers = self._directions, self._throughput, self._scattered, self._lost
@@ -118,13 +121,19 @@ class GpuRenderer:
         first_path = kernel_array(torch.zeros(self._size, dtype=torch.int64, device=_device()))
         self._scene.draw(queries, first_path, self._seed, exits)
         light = torch.where(self._scattered[..., None] == 0, 0.0, self._throughput)
-        kept, throughput = resampled(self._directions, light, self._settings.kept)
-        rays = torch.cat((kept, throughput), dim=-1).flatten(1)
+        rays = torch.cat(self._kept(light), dim=-1).flatten(1)
         self._next_query = placed.first + self._size
         self._walks += self._size * self._settings.exits
         self._rows += self._size
         numbers = torch.arange(placed.first, placed.first + self._size, device=_device())
         return GpuBatch(torch.cat((rows, rays), dim=1), numbers, normals)
+
+    def _kept(self, light: Tensor) -> tuple[Tensor, Tensor]:
+        """Directions and throughput [B,K,3] of the rays to learn from."""
+        if self._settings.kept == self._settings.exits:
+            return self._directions, light
+        offsets = torch.rand((self._size, 1), dtype=torch.float64, device=_device())
+        return resampled(self._directions, light, self._settings.kept, offsets)
 
 
 def _device() -> str:

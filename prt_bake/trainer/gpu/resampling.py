@@ -20,19 +20,21 @@ def _hilbert_indices(directions: Any, index: Any) -> None:
         index[n] = _hilbert_index(directions[n, 0], directions[n, 1], directions[n, 2])
 
 
-def resampled(directions: Tensor, throughput: Tensor, kept: int) -> tuple[Tensor, Tensor]:
-    """Directions and throughput [N,K,3] of K = `kept` rays that represent those [N,P,3] of P walks."""
+def resampled(directions: Tensor, throughput: Tensor, kept: int, offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """Directions and throughput [N,K,3] of K = `kept` rays that represent those [N,P,3] of P walks.
+
+    offsets float64 [N,1], uniform in [0, 1), decide all draws. Queries whose walks carry no light keep any of them.
+    """
     walks = directions.shape[1]
     index = torch.empty(throughput.shape[:2], dtype=torch.int32, device=directions.device)
     blocks = -(-index.numel() // _THREADS)
     _hilbert_indices[blocks, _THREADS](kernel_array(directions.view(-1, 3)), kernel_array(index.view(-1)))
     light = throughput.double().mean(dim=-1)
-    order = index.argsort(dim=1)
+    order = index.argsort(dim=1, stable=True)
     cumulative = light.gather(1, order).cumsum(dim=1)
     total = cumulative[:, -1:]
-    strata = torch.rand((len(light), 1), dtype=torch.float64, device=light.device)
-    strata = strata + torch.arange(kept, device=light.device)
-    chosen = order.gather(1, torch.searchsorted(cumulative, strata * (total / kept), right=True).clamp_(max=walks - 1))
+    strata = (offsets + torch.arange(kept, device=light.device)) * (total / kept)
+    chosen = order.gather(1, torch.searchsorted(cumulative, strata, right=True).clamp_(max=walks - 1))
     scale = total / (walks * light.gather(1, chosen).clamp(min=1e-300))
     rows = chosen[..., None].expand(-1, -1, 3)
     return directions.gather(1, rows), throughput.gather(1, rows) * scale[..., None].float()
